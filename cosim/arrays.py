@@ -1,0 +1,30 @@
+"""Array types and the few facts about floating point that every layer shares."""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Vector: TypeAlias = NDArray[np.float64]  # shape (n,)
+Matrix: TypeAlias = NDArray[np.float64]  # shape (n, m)
+Mask: TypeAlias = NDArray[np.bool_]  # shape (n,)
+Nanoseconds: TypeAlias = NDArray[np.int64]  # shape (n,)
+
+NAN = float(np.uint64(0x7FF8000000000000).view(np.float64))  # the one NaN: equal runs have equal bits
+
+
+def frozen(values: ArrayLike, ndim: int) -> NDArray[np.float64]:
+    """Copy ``values`` to a C-ordered float64 array with ``ndim`` axes that cannot be written to.
+
+    Raises
+    ------
+    ValueError
+        If ``values`` has another number of axes.
+    """
+    array = np.array(values, dtype=np.float64, order="C")
+    if array.ndim != ndim:
+        raise ValueError(f"found {array.ndim} axes, needed {ndim}")
+    array.setflags(write=False)
+    return array

@@ -1,0 +1,81 @@
+"""Small dynamic parts: first-order lag, delay."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cosim.arrays import Mask, Matrix, Vector
+from cosim.core.contracts import Design
+from cosim.core.signals import Interface, Signal
+from cosim.core.solver import Linear, LinearModel
+from cosim.errors import UsageError
+from cosim.native.step import delay
+
+
+def lag(*, time_constant: float, start: float | None = None, size: int = 1, unit: str | None = None) -> Linear:
+    """First-order lag ``T y' = u - y``; ``start`` left out: y(0) = u(0), without a transient.
+
+    Raises
+    ------
+    UsageError
+        If the time constant [s] is not positive.
+    """
+    if not time_constant > 0.0:
+        raise UsageError(f"lag: found time_constant = {time_constant} s, needed a positive time")
+    eye, rate = np.eye(size), 1.0 / time_constant
+    follow = eye if start is None else np.zeros((size, size))
+    signals = Interface((Signal("u", size, unit),), (Signal("y", size, unit, role="state"),))
+    states = tuple(signals.outputs[0].elements)
+    X0 = np.full(size, 0.0 if start is None else start)
+    return Linear(LinearModel(signals, states, -rate * eye, rate * eye, eye, np.zeros((size, size)), X0, follow))
+
+
+class Delay:
+    """``y(t) = u(t - n h)``; before that ``initial``.
+
+    Parameters
+    ----------
+    steps : int
+        Number of communication steps n.
+    initial : float or None
+        y until the first sample arrives; None: u(0).
+    """
+
+    def __init__(self, steps: int, *, initial: float | None = None, size: int = 1, unit: str | None = None) -> None:
+        if steps < 1:
+            raise UsageError(f"delay: found {steps} communication steps, needed at least 1")
+        self.initial = initial
+        self.interface = Interface((Signal("u", size, unit),), (Signal("y", size, unit, "inherited"),))
+        self._size = size
+        self._step = delay(steps, size)
+
+    def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
+        """Nothing rests on linear algebra."""
+        return {}
+
+    def initialize(self, t: float, u: Vector) -> Vector:
+        """Fill the line."""
+        self._step.memory[0] = 0.0
+        self._ring[:] = u if self.initial is None else self.initial
+        self._ring[0] = u
+        return self.outputs(t, u)
+
+    def outputs(self, t: float, u: Vector) -> Vector:
+        """Give the oldest sample; ``u`` does not matter."""
+        return self._ring[(int(self._step.memory[0]) + 1) % len(self._ring)].copy()
+
+    def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
+        """Shift K samples through the line."""
+        return self._step.advance(t, h, u)
+
+    def save(self) -> Vector:
+        """Copy the line."""
+        return self._step.save()
+
+    def restore(self, state: Vector) -> None:
+        """Go back to a saved line."""
+        self._step.restore(state)
+
+    @property
+    def _ring(self) -> Matrix:
+        return self._step.memory[1:].reshape(-1, self._size)

@@ -1,0 +1,82 @@
+"""The identifier: least squares on the regression and the parameters theta (33)-(35)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cosim.arrays import Mask, Matrix, Vector
+from cosim.core.contracts import Design, Stopped
+from cosim.core.signals import Interface, Signal
+from cosim.errors import UsageError
+from cosim.native.step import NO_VALUE, LeastSquares, RecoveryStep
+from cosim.theory.estimators import Recovery
+
+
+class LeastSquaresIdentifier:
+    """Least squares in information form: input regressor (mu), outputs theta and eta, without a value before there is one.
+
+    Parameters
+    ----------
+    recovery : Recovery
+        How theta follows from eta.
+    start : float
+        First instant that counts, T_id (36) [s].
+    P0 : float or None
+        `P(0) = P0 I` (34), with eta(0) = 0; None: no prior.
+    """
+
+    def __init__(self, recovery: Recovery, *, start: float, P0: float | None = None) -> None:
+        if P0 is not None and not 0.0 < P0 < np.inf:
+            raise UsageError(f"P0: found {P0}, needed a positive finite number; leave it out for no prior")
+        self.recovery, self.start, self.P0 = recovery, start, P0
+        self.interface = Interface(
+            (Signal("regressor", recovery.n_eta + 1, optional=True, role="input"),),
+            (
+                Signal("theta", recovery.n_theta, optional=True, role="estimate"),
+                Signal("eta", recovery.n_eta, optional=True, role="estimate"),
+            ),
+        )
+
+    def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
+        """The start time rests on eigenvalues, so it is recorded."""
+        design = dict(recorded) or {"start": np.array([self.start])}
+        steps = [
+            RecoveryStep(int(block.kind), block.terms, block.theta, block.signs, block.spacing) for block in self.recovery.blocks
+        ]
+        self._kernel = LeastSquares(
+            unknowns=self.recovery.n_eta,
+            start=float(design["start"][0]),
+            prior=0.0 if self.P0 is None else 1.0 / self.P0,
+            recovery=steps,
+            held=bool(held.any()),
+        )
+        return design
+
+    def initialize(self, t: float, u: Vector) -> Vector:
+        """Forget all data; there is no estimate yet."""
+        self._last = self._kernel.initialize()
+        return self._last
+
+    def outputs(self, t: float, u: Vector) -> Vector:
+        """Give the last estimate; the rows at this instant do not move it."""
+        return self._last
+
+    def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
+        """Take K rows."""
+        y = self._kernel.step.advance(t, h, u)
+        if len(y):
+            self._last = y[-1].copy()
+        if self._kernel.step.status == NO_VALUE:
+            raise Stopped(y, f"the regressor has no value at the start time {self.start} s; start after the longest delay")
+        return y
+
+    def save(self) -> tuple[Vector, Vector]:
+        """Copy the information and the estimate."""
+        return self._kernel.step.save(), self._last
+
+    def restore(self, state: tuple[Vector, Vector]) -> None:
+        """Go back to saved information."""
+        memory, self._last = state
+        self._kernel.step.restore(memory)
+
+

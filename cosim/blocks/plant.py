@@ -1,0 +1,58 @@
+"""The descriptor plant (1) as a model."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from cosim.arrays import Matrix
+from cosim.core.signals import Interface, Signal
+from cosim.core.solver import LinearModel, feedthrough_of
+from cosim.errors import AssumptionError
+from cosim.theory.descriptor import DescriptorSystem, reduce
+
+
+def descriptor_model(system: DescriptorSystem, x_a0: ArrayLike) -> LinearModel:
+    """Write a descriptor system as a model: inputs u and delta, outputs y, x_a and x_b (8)-(10), states x_a.
+
+    Raises
+    ------
+    AssumptionError
+        If A22 is singular (Assumption 2), or ``x_a0`` has the wrong size.
+    """
+    r = reduce(system)
+    n, start = len(r.A_a), np.atleast_1d(np.asarray(x_a0, dtype=np.float64))
+    if start.shape != (n,):
+        raise AssumptionError(f"x_a0 has shape {start.shape}; needed ({n},): one number a dynamic state")
+    inputs = (Signal("u", r.B_1a.shape[1], role="input"), Signal("delta", r.B_2a.shape[1], role="input"))
+    outputs = [Signal("y", len(r.C3)), Signal("x_a", n, role="state")]
+    if len(r.Kx):
+        outputs.append(Signal("x_b", len(r.Kx), role="state"))
+    C = np.vstack([r.C3, np.eye(n), r.Kx])
+    D = np.vstack([np.hstack([r.C4, r.C5]), np.zeros((n, inputs[0].size + inputs[1].size)), np.hstack([r.Ku, r.Kd])])
+    return linear_model(
+        inputs, tuple(outputs), states=tuple(outputs[1].elements), A=r.A_a, B=np.hstack([r.B_1a, r.B_2a]), C=C, D=D, X0=start
+    )
+
+
+def linear_model(
+    inputs: tuple[Signal, ...],
+    outputs: tuple[Signal, ...],
+    *,
+    states: tuple[str, ...],
+    A: Matrix,
+    B: Matrix,
+    C: Matrix,
+    D: Matrix,
+    X0: Matrix,
+    Xu: Matrix | None = None,
+) -> LinearModel:
+    """Put matrices and signals together; the feedthrough is read off D."""
+    interface = Interface(inputs, outputs)
+    return LinearModel(
+        Interface(inputs, outputs, feedthrough_of(interface, D)),
+        states,
+        *(np.ascontiguousarray(M, np.float64) for M in (A, B, C, D)),
+        np.ascontiguousarray(X0, np.float64),
+        np.zeros(B.shape) if Xu is None else np.ascontiguousarray(Xu, np.float64),
+    )

@@ -1,0 +1,233 @@
+"""The contracts: what a model, a component, a recorder and a recording are.
+
+Order of the calls of a component: ``prepare`` once, ``initialize`` one or more times, then ``outputs`` and ``advance`` in any order.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any, Protocol, Self, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.arrays import Mask, Matrix, Nanoseconds, Vector
+from cosim.core.signals import Channel, Interface, Layout
+from cosim.errors import RunError
+
+Design: TypeAlias = Mapping[str, NDArray[np.float64]]
+
+
+class Component(Protocol):
+    """Owns its state; advances over communication steps."""
+
+    @property
+    def interface(self) -> Interface:
+        """Inputs, outputs and feedthrough; constant."""
+        ...
+
+    def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
+        """Compute, once before the run, what rests on design-time linear algebra: gains, discretised matrices.
+
+        BLAS and LAPACK give other bits on other processors, so the result is recorded, and a replay takes it from there.
+
+        Parameters
+        ----------
+        h : float
+            Communication step [s].
+        held : Mask, shape (n_u,)
+            Input elements that keep their value from the start of a step; the others move in a straight line. What an input
+            does at the end of a step reaches the outputs there in both cases.
+        recorded : Design
+            Arrays to take instead of computing them; empty, or complete.
+        """
+        ...
+
+    def initialize(self, t: float, u: Vector) -> Vector:
+        """Start at ``t`` with inputs ``u``; return the outputs at ``t``, shape (n_y,).
+
+        Forgets the past. May be called again with other inputs until the first advance.
+        """
+        ...
+
+    def outputs(self, t: float, u: Vector) -> Vector:
+        """Give the outputs at ``t``, the time reached, for inputs ``u``, shape (n_y,); changes nothing."""
+        ...
+
+    def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
+        """Advance over the K communication steps between the K+1 times ``t``, each ``h`` long.
+
+        Parameters
+        ----------
+        t : Vector, shape (K+1,)
+            Times [s].
+        h : float
+            Communication step [s].
+        u : Matrix, shape (K+1, n_u)
+            Inputs at those times; rows may be strided.
+
+        Returns
+        -------
+        Matrix, shape (K, n_y)
+            Outputs at ``t[1:]``.
+
+        Raises
+        ------
+        Stopped
+            If it cannot, or need not, go on to the end; carries the outputs up to there.
+        """
+        ...
+
+
+class Rollback(Protocol):
+    """For components that can go back; needed by iterative coupling and step control."""
+
+    def save(self) -> object:
+        """Copy the state."""
+        ...
+
+    def restore(self, state: object) -> None:
+        """Go back to a saved state."""
+        ...
+
+
+class Stopped(RunError):
+    """A component stops before the end of its block.
+
+    Parameters
+    ----------
+    outputs : Matrix, shape (k, n_y)
+        Outputs of the k steps that were completed.
+    reason : str
+        What stopped it.
+    failed : bool
+        False where the component asked for a regular end (FMI: terminateSimulation).
+    """
+
+    def __init__(self, outputs: Matrix, reason: str, *, failed: bool = True) -> None:
+        super().__init__(reason)
+        self.outputs = outputs
+        self.failed = failed
+
+    @property
+    def steps(self) -> int:
+        """Number of communication steps that were completed."""
+        return len(self.outputs)
+
+    def at(self, component: str, t: float) -> Stopped:
+        """Name the component and the time [s] in the message."""
+        return Stopped(self.outputs, f"{component!r} stopped at t = {t} s: {self}", failed=self.failed)
+
+
+class Model(Protocol):
+    """``x' = f(t, x, u)``, ``y = g(t, x, u)``: functions without memory (FMI: model exchange)."""
+
+    @property
+    def interface(self) -> Interface:
+        """Inputs, outputs and feedthrough."""
+        ...
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """Names of the n_x continuous state elements."""
+        ...
+
+    def initial(self, t: float, u: Vector) -> Vector:
+        """Give the consistent state x(t) at the start, shape (n_x,)."""
+        ...
+
+    def derivatives(self, t: float, x: Vector, u: Vector) -> Vector:
+        """Give x', shape (n_x,)."""
+        ...
+
+    def outputs(self, t: float, x: Vector, u: Vector) -> Vector:
+        """Give y, shape (n_y,)."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """K consecutive communication steps.
+
+    ``index`` is the number of the step at row 0; row k stands for the instant ``time_ns[k]``.
+    """
+
+    index: int
+    time_ns: Nanoseconds  # (K+1,)
+    time: Vector  # (K+1,) [s], each computed from its integer
+    h: float  # [s]
+
+    @property
+    def steps(self) -> int:
+        """Number of communication steps, K."""
+        return len(self.time_ns) - 1
+
+    def cut(self, steps: int) -> Block:
+        """Keep the first ``steps`` steps."""
+        return Block(self.index, self.time_ns[: steps + 1], self.time[: steps + 1], self.h)
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What was decided before the run: goes to the log, and a replay follows it.
+
+    Parameters
+    ----------
+    layout : Layout
+    step_ns : int
+        Communication step [ns].
+    designs : mapping of component name to Design
+    held : mapping of component name to Mask
+        Which input elements hold their value over a step.
+    schedule : tuple of str
+        The stages in order, readable: ``"cascade plant"``, ``"gauss-seidel controller plant observer"``.
+    """
+
+    layout: Layout
+    step_ns: int
+    designs: Mapping[str, Design]
+    held: Mapping[str, Mask]
+    schedule: tuple[str, ...]
+
+
+class Recorder(Protocol):
+    """Takes blocks of rows; a context manager that leaves a complete record behind however the run ends."""
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None: ...
+
+    def begin(self, plan: Plan) -> None:
+        """Learn what will be written; called once, before the first write."""
+        ...
+
+    def write(self, block: Block, signals: Matrix) -> None:
+        """Take rows 1 to K of ``signals``, shape (K+1, width); of the very first block (index 0) row 0 too.
+
+        The array is used again afterwards: what is kept must be copied.
+        """
+        ...
+
+
+class Recording(Protocol):
+    """A finished run to read from: a log file, or memory."""
+
+    @property
+    def channels(self) -> Mapping[str, Channel]:
+        """The recorded components by name."""
+        ...
+
+    def __getitem__(self, signal: str) -> NDArray[np.float64]:
+        """Give ``component.signal`` at every recorded row: shape (N,) for size 1, else (N, size)."""
+        ...
+
+    def time_ns(self, component: str) -> Nanoseconds:
+        """Give the instants of a component's rows, shape (N,) [ns]."""
+        ...
+
+    @property
+    def metadata(self) -> Mapping[str, Any]:
+        """What was recorded beside the signals."""
+        ...

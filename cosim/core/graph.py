@@ -1,0 +1,280 @@
+"""Components by name, the connections between their signals, and the order in which they advance.
+
+Components that influence each other in a circle form a loop; every other component is a cascade, which advances a whole block in
+one call. Feedthrough orders only the inside of loops and the start.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from graphlib import TopologicalSorter
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.arrays import Mask, Matrix, Vector
+from cosim.core.contracts import Component, Design, Plan
+from cosim.core.coupling import Cascade, Loop, Member, Stage, Wire, order_loop
+from cosim.core.signals import Channel, Layout, Signal, Variability
+from cosim.errors import GraphError, nearest
+
+Coupling = Literal["gauss-seidel", "jacobi"]
+Hold = Literal["line", "start"]
+COUPLINGS: tuple[str, ...] = ("gauss-seidel", "jacobi")
+
+
+@dataclass(frozen=True, slots=True)
+class Connection:
+    """``to = gain from + offset``.
+
+    Parameters
+    ----------
+    source : str
+        ``component.output``, or one element of it: ``component.output[1]``.
+    gain : float or matrix of shape (size of to, size of from)
+    offset : float
+    unit : str or None
+        Unit after gain and offset; None: that of the source.
+    """
+
+    source: str
+    gain: float | tuple[tuple[float, ...], ...] = 1.0
+    offset: float = 0.0
+    unit: str | None = None
+
+
+class Graph:
+    """A checked, ordered and then immutable network of components.
+
+    Parameters
+    ----------
+    components : mapping of name to Component
+    connections : mapping of ``component.input`` to ``component.output`` or Connection
+    coupling : {"gauss-seidel", "jacobi"}
+        How the components of a loop advance.
+    hold : {"line", "start"}
+        "line": continuous signals are straight lines inside a step. "start": every input holds its value from the start of
+        the step, as most masters do; first order only.
+    periods : mapping of component name to int
+        Communication steps between the rows that a component's log channel keeps; 1 where not named.
+
+    Raises
+    ------
+    GraphError
+        All problems together: unknown names, unconnected inputs, sizes, units.
+    AlgebraicLoopError
+        If outputs feed through to each other in a circle.
+    """
+
+    def __init__(
+        self,
+        components: Mapping[str, Component],
+        connections: Mapping[str, str | Connection],
+        *,
+        coupling: Coupling = "gauss-seidel",
+        hold: Hold = "line",
+        periods: Mapping[str, int] | None = None,
+    ) -> None:
+        if not components:
+            raise GraphError("the graph has no components; needed at least one")
+        if coupling not in COUPLINGS:
+            raise GraphError(f"coupling: found {coupling!r}; {nearest(coupling, COUPLINGS)}")
+        if hold not in ("line", "start"):
+            raise GraphError(f"hold: found {hold!r}; {nearest(hold, ('line', 'start'))}")
+        self.components = dict(components)
+        self.connections = {to: c if isinstance(c, Connection) else Connection(c) for to, c in connections.items()}
+        self.coupling, self.hold = coupling, hold
+        self.layout = _layout(self.components, periods or {})
+        self._ports = _Ports(self.layout)
+        self._check()
+        self._members = {name: self._member(name) for name in self.components}
+        self.stages = self._order()
+
+    def prepare(self, step_ns: int, recorded: Mapping[str, Design] | None = None) -> Plan:
+        """Let every component compute its design for the communication step; say what was decided."""
+        h = step_ns / 1e9
+        held = {name: self._held(name) for stage in self.stages for name in stage.names}
+        designs = {
+            name: component.prepare(h, held[name], (recorded or {}).get(name, {})) for name, component in self.components.items()
+        }
+        return Plan(self.layout, step_ns, designs, held, tuple(stage.description for stage in self.stages))
+
+    def initialize(self, t: float, row: Vector) -> None:
+        """Fill the first row: initialise every component with its inputs, again until no input changes.
+
+        Raises
+        ------
+        GraphError
+            If initial values chase each other in a circle and do not settle.
+        """
+        names = [name for stage in self.stages for name in stage.names]
+        rows = row[np.newaxis]
+        for _ in range(len(names) + 1):
+            before = row.copy()
+            for name in names:
+                member = self._members[name]
+                member.gather(rows, slice(0, 1))
+                row[member.outputs] = member.component.initialize(t, row[member.inputs].copy())
+            if np.array_equal(before, row, equal_nan=True):
+                return
+        moving = [label for label, a, b in zip(self.labels(), before, row, strict=True) if a != b and not np.isnan(b)]
+        raise GraphError(f"initial values do not settle: {', '.join(moving)} still change after {len(names) + 1} rounds")
+
+    def labels(self) -> list[str]:
+        """Name every column: ``component.signal`` or ``component.signal[i]``."""
+        return [f"{c.name}.{element}" for c in self.layout.channels for signal in c.signals for element in signal.elements]
+
+    def optional(self) -> Mask:
+        """Mark the columns in which NaN means "no value yet"."""
+        return np.array([s.optional for c in self.layout.channels for s in c.signals for _ in range(s.size)], dtype=np.bool_)
+
+    # --- checks ---
+
+    def _check(self) -> None:
+        problems = [problem for to, connection in self.connections.items() for problem in self._check_connection(to, connection)]
+        for channel in self.layout.channels:
+            for signal in channel.interface.inputs:
+                if f"{channel.name}.{signal.name}" not in self.connections:
+                    problems.append(f"'{channel.name}.{signal.name}' is not connected; give it a source in [connections]")
+        if problems:
+            raise GraphError("\n".join(problems))
+
+    def _check_connection(self, to: str, connection: Connection) -> Iterable[str]:
+        try:
+            _, target = self._ports.find(to, "input")
+            _, source, columns = self._ports.source(connection.source)
+        except GraphError as error:
+            return [str(error)]
+        size, found = len(range(*columns.indices(self.layout.width))), f"{connection.source} -> {to}: "
+        problems = []
+        if isinstance(connection.gain, tuple):
+            shape = np.shape(connection.gain)
+            if shape != (target.size, size):
+                problems.append(f"{found}gain has shape {shape}, needed ({target.size}, {size})")
+        elif size != target.size:
+            problems.append(f"{found}size {size} [{source.unit or '?'}] cannot drive size {target.size} [{target.unit or '?'}]")
+        unit = connection.unit or source.unit
+        if unit is not None and target.unit is not None and unit != target.unit:
+            problems.append(f"{found}unit {unit!r} cannot drive unit {target.unit!r}; convert with gain, offset and unit = {target.unit!r}")
+        if source.optional and not target.optional:
+            problems.append(f"{found}the source may carry no value (NaN), the input needs one at every step")
+        return problems
+
+    # --- structure ---
+
+    def _member(self, name: str) -> Member:
+        channel = self.layout[name]
+        wires = []
+        for signal, columns in channel.signal_columns():
+            connection = self.connections.get(f"{name}.{signal.name}")
+            if connection is not None:
+                _, _, source = self._ports.source(connection.source)
+                wires.append(Wire.of(columns, source, connection.gain, connection.offset))
+        return Member(name, self.components[name], channel.inputs, channel.outputs, tuple(wires))
+
+    def _drivers(self, name: str) -> set[str]:
+        return {
+            self._ports.source(self.connections[f"{name}.{signal.name}"].source)[0].name
+            for signal in self.layout[name].interface.inputs
+        }
+
+    def _order(self) -> tuple[Stage, ...]:
+        names = list(self.components)
+        number = {name: i for i, name in enumerate(names)}
+        reach = np.eye(len(names), dtype=np.bool_)
+        for name in names:
+            for driver in self._drivers(name):
+                reach[number[driver], number[name]] = True
+        for _ in names:
+            reach = reach @ reach
+        together = reach & reach.T
+        group = [int(np.argmax(together[i])) for i in range(len(names))]
+        sorter: TopologicalSorter[int] = TopologicalSorter({g: set() for g in dict.fromkeys(group)})
+        for name in names:
+            for driver in self._drivers(name):
+                if group[number[driver]] != group[number[name]]:
+                    sorter.add(group[number[name]], group[number[driver]])
+        return tuple(self._stage([n for n in names if group[number[n]] == g]) for g in sorter.static_order())
+
+    def _stage(self, names: list[str]) -> Stage:
+        if len(names) == 1 and names[0] not in self._drivers(names[0]):
+            return Cascade(self._members[names[0]])
+        inputs = {name: {s.name: self._source_port(name, s) for s in self.layout[name].interface.inputs} for name in names}
+        interfaces = {name: self.layout[name].interface for name in names}
+        operations, late = order_loop(interfaces, inputs, jacobi=self.coupling == "jacobi")
+        return Loop(self.coupling, tuple(self._members[name] for name in names), operations, late)
+
+    def _source_port(self, name: str, signal: Signal) -> tuple[str, str]:
+        channel, source, _ = self._ports.source(self.connections[f"{name}.{signal.name}"].source)
+        return channel.name, source.name
+
+    def _held(self, name: str) -> Mask:
+        late = next(stage.late.get(name, frozenset()) for stage in self.stages if name in stage.names)
+        held = []
+        for signal in self.layout[name].interface.inputs:
+            discrete = signal.variability == "discrete" or self._variability(*self._source_port(name, signal)) == "discrete"
+            held += [self.hold == "start" or discrete or signal.name in late] * signal.size
+        return np.array(held, dtype=np.bool_)
+
+    def _variability(self, name: str, output: str, seen: frozenset[str] = frozenset()) -> Variability:
+        """An inherited variability is discrete where every input behind it is."""
+        _, signal = self._ports.find(f"{name}.{output}", "output")
+        if signal.variability != "inherited":
+            return signal.variability
+        if name in seen:
+            return "discrete"
+        behind = [self._source_port(name, s) for s in self.layout[name].interface.inputs]
+        found = {self._variability(*port, seen | {name}) for port in behind}
+        return "discrete" if found == {"discrete"} else "continuous"
+
+
+class _Ports:
+    """Look up ports by their written names."""
+
+    def __init__(self, layout: Layout) -> None:
+        self.layout = layout
+        self.channels = {channel.name: channel for channel in layout.channels}
+
+    def find(self, port: str, causality: Literal["input", "output"]) -> tuple[Channel, Signal]:
+        name, _, wanted = port.rpartition(".")
+        if name not in self.channels:
+            raise GraphError(f"{port!r}: there is no component {name!r}; {nearest(name, self.channels)}")
+        channel = self.channels[name]
+        signals = channel.interface.inputs if causality == "input" else channel.interface.outputs
+        for signal in signals:
+            if signal.name == wanted:
+                return channel, signal
+        raise GraphError(f"{port!r}: {name!r} has no {causality} {wanted!r}; {nearest(wanted, [s.name for s in signals])}")
+
+    def source(self, port: str) -> tuple[Channel, Signal, slice]:
+        """Find an output, or one element of it, and its columns in the row."""
+        element = re.fullmatch(r"(.*)\[(\d+)\]", port)
+        channel, signal = self.find(element[1] if element else port, "output")
+        columns = next(columns for s, columns in channel.signal_columns() if s is signal)
+        if element is None:
+            return channel, signal, columns
+        index = int(element[2])
+        if index >= signal.size:
+            raise GraphError(f"{port!r}: '{channel.name}.{signal.name}' has {signal.size} elements, numbered from 0")
+        return channel, signal, slice(columns.start + index, columns.start + index + 1)
+
+
+def _layout(components: Mapping[str, Component], periods: Mapping[str, int]) -> Layout:
+    channels: list[Channel] = []
+    for name, component in components.items():
+        start = channels[-1].columns.stop if channels else 0
+        channels.append(Channel(name, component.interface, start, periods.get(name, 1)))
+    return Layout(tuple(channels))
+
+
+def first_non_finite(rows: Matrix, optional: Mask) -> tuple[int, int] | None:
+    """Find the first row, and in it the first column, that is infinite, or NaN where that is no "no value yet"."""
+    bad: NDArray[np.bool_] = ~np.isfinite(rows)
+    bad[:, optional] &= ~np.isnan(rows[:, optional])
+    if not bad.any():
+        return None
+    row = int(np.argmax(bad.any(axis=1)))
+    return row, int(np.argmax(bad[row]))

@@ -1,0 +1,75 @@
+"""The master: advances a graph over the communication grid and hands every block to a recorder.
+
+::
+
+    plan   <- every component computes its design for the communication step
+    row 0  <- every component initialised with its inputs
+    for block in clock.blocks:
+        for stage in graph.stages:
+            stage.advance(block, signals)       # a cascade: one call; a loop: step by step
+            a stage that stops early cuts the block for all
+        find the first value that is not finite; cut the block before it
+        recorder.write(block, signals)
+        stop there, if something stopped
+        row 0 <- the last row
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from cosim.core.clock import Clock
+from cosim.core.contracts import Design, Recorder, Stopped
+from cosim.core.graph import Graph, first_non_finite
+from cosim.errors import NonFiniteError
+
+BLOCK_BYTES = 16 * 2**20  # memory for the rows of one block
+
+
+def run(graph: Graph, clock: Clock, recorder: Recorder, *, designs: Mapping[str, Design] | None = None) -> None:
+    """Run a graph from 0 to ``clock.stop``.
+
+    Parameters
+    ----------
+    graph : Graph
+    clock : Clock
+    recorder : Recorder
+        Takes every block; is entered and left here, so that it is complete however the run ends.
+    designs : mapping of component name to Design, optional
+        Recorded design-time results to use instead of computing them.
+
+    Raises
+    ------
+    NonFiniteError
+        At the first NaN or infinity outside an optional signal; everything before is recorded.
+    Stopped
+        If a component cannot go on; everything before is recorded.
+    """
+    optional, labels = graph.optional(), graph.labels()
+    with recorder:
+        recorder.begin(graph.prepare(clock.step_ns, designs))
+        limit = max(1, BLOCK_BYTES // (8 * graph.layout.width + 8))
+        signals = np.zeros((min(limit, clock.steps) + 1, graph.layout.width))
+        graph.initialize(0.0, signals[0])
+        for block in clock.blocks(limit):
+            stopped: Stopped | None = None
+            for stage in graph.stages:
+                try:
+                    stage.advance(block, signals[: block.steps + 1])
+                except Stopped as stop:
+                    stopped, block = stop, block.cut(stop.steps)
+            bad = first_non_finite(signals[: block.steps + 1], optional)
+            if bad is not None:
+                row, column = bad
+                value, time = signals[row, column], block.time[row]
+                if row > 0:
+                    recorder.write(block.cut(row - 1), signals[:row])
+                raise NonFiniteError(f"{labels[column]!r} became {value} at t = {time} s; the log keeps everything before")
+            recorder.write(block, signals[: block.steps + 1])
+            if stopped is not None:
+                if stopped.failed:
+                    raise stopped
+                break
+            signals[0] = signals[block.steps]

@@ -1,0 +1,162 @@
+"""Signals, the interface of a component, and where each signal stands in a row."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+from cosim.errors import GraphError
+
+Variability = Literal["continuous", "discrete", "inherited"]
+Kind = Literal["real", "integer", "boolean"]
+Role = Literal["input", "output", "state", "estimate"]
+
+
+@dataclass(frozen=True, slots=True)
+class Signal:
+    """A named vector of real numbers that a component takes or gives.
+
+    Parameters
+    ----------
+    name : str
+        Unique among the signals of the component.
+    size : int
+        Number of elements.
+    unit : str or None
+        SI unit, ``"1"`` for dimensionless; None: not declared, and so never compared.
+    variability : {"continuous", "discrete", "inherited"}
+        Between two communication points a continuous signal is a straight line, a discrete one holds its value from the
+        start of the step. An inherited one is discrete where all inputs of its component are.
+    optional : bool
+        NaN means "no value yet"; everywhere else it stops the run.
+    kind : {"real", "integer", "boolean"}
+        Carried as float64 all the same.
+    role : {"input", "output", "state", "estimate"}
+        What it is to a reader of the log.
+    """
+
+    name: str
+    size: int = 1
+    unit: str | None = None
+    variability: Variability = "continuous"
+    optional: bool = False
+    kind: Kind = "real"
+    role: Role = "output"
+
+    def __post_init__(self) -> None:
+        if self.size < 1:
+            raise GraphError(f"signal {self.name!r}: size {self.size}, needed at least 1")
+
+    @property
+    def elements(self) -> list[str]:
+        """Names of the elements: ``y`` for size 1, else ``y[0]``, ``y[1]``, ..."""
+        return [self.name] if self.size == 1 else [f"{self.name}[{i}]" for i in range(self.size)]
+
+
+@dataclass(frozen=True, slots=True)
+class Interface:
+    """What a component shows to the outside.
+
+    Parameters
+    ----------
+    inputs, outputs : tuple of Signal
+    feedthrough : mapping of output name to input names, or None
+        On which inputs at the same instant an output depends directly (FMI: ModelStructure/Outputs). None: unknown, taken as
+        on all of them.
+    """
+
+    inputs: tuple[Signal, ...] = ()
+    outputs: tuple[Signal, ...] = ()
+    feedthrough: Mapping[str, tuple[str, ...]] | None = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        names = [signal.name for signal in (*self.inputs, *self.outputs)]
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise GraphError(f"signal {twice[0]!r} is declared twice in one interface; every signal needs its own name")
+
+    @property
+    def n_u(self) -> int:
+        """Number of input elements."""
+        return sum(signal.size for signal in self.inputs)
+
+    @property
+    def n_y(self) -> int:
+        """Number of output elements."""
+        return sum(signal.size for signal in self.outputs)
+
+    def feeds(self, output: str) -> tuple[str, ...]:
+        """Names of the inputs on which ``output`` depends directly."""
+        if self.feedthrough is None:
+            return tuple(signal.name for signal in self.inputs)
+        return self.feedthrough.get(output, ())
+
+    def input_columns(self) -> dict[str, slice]:
+        """Where each input stands in the input vector."""
+        return _columns(self.inputs)
+
+    def output_columns(self) -> dict[str, slice]:
+        """Where each output stands in the output vector."""
+        return _columns(self.outputs)
+
+
+def _columns(signals: tuple[Signal, ...]) -> dict[str, slice]:
+    columns, start = {}, 0
+    for signal in signals:
+        columns[signal.name] = slice(start, start + signal.size)
+        start += signal.size
+    return columns
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """One component's contiguous part of a row: its applied inputs, then its outputs."""
+
+    name: str
+    interface: Interface
+    start: int
+    period: int = 1  # communication steps between the rows that the log keeps
+
+    @property
+    def inputs(self) -> slice:
+        """Columns of the applied inputs."""
+        return slice(self.start, self.start + self.interface.n_u)
+
+    @property
+    def outputs(self) -> slice:
+        """Columns of the outputs."""
+        return slice(self.inputs.stop, self.inputs.stop + self.interface.n_y)
+
+    @property
+    def columns(self) -> slice:
+        """All columns of the component."""
+        return slice(self.start, self.outputs.stop)
+
+    @property
+    def signals(self) -> tuple[Signal, ...]:
+        """Inputs, then outputs."""
+        return self.interface.inputs + self.interface.outputs
+
+    def signal_columns(self) -> Iterator[tuple[Signal, slice]]:
+        """Every signal with its columns in the row."""
+        start = self.start
+        for signal in self.signals:
+            yield signal, slice(start, start + signal.size)
+            start += signal.size
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """Where every signal of a graph stands in a row of ``width`` columns."""
+
+    channels: tuple[Channel, ...]
+
+    @property
+    def width(self) -> int:
+        """Number of columns of a row."""
+        return self.channels[-1].columns.stop if self.channels else 0
+
+    def __getitem__(self, component: str) -> Channel:
+        """Give the channel of a component."""
+        return next(channel for channel in self.channels if channel.name == component)

@@ -1,0 +1,94 @@
+"""The errors of cosim.
+
+::
+
+    CosimError
+    ├── UsageError            found before the first step; exit 2
+    │   ├── ScenarioError     a scenario file: every problem of the file in one report
+    │   ├── GraphError        components and connections that do not fit together
+    │   │   └── AlgebraicLoopError
+    │   ├── ClockError        a time, step or period that is off the grid
+    │   ├── AssumptionError   an assumption of the method that does not hold
+    │   ├── FmuError          an FMU that cannot be used, or a model that cannot become one
+    │   └── LogError          a log that cannot be read, or written
+    └── RunError              the run began and could not go on; exit 1
+        ├── NonFiniteError    the first NaN or infinity, with component, signal and time
+        ├── LogWriteError     a full disk, a lost file; what was written stays valid
+        └── Interrupted       Ctrl-C; exit 130
+
+Every message names the thing, what was found, what was needed and the way out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from difflib import get_close_matches
+from typing import ClassVar
+
+
+class CosimError(Exception):
+    """Base of every deliberate error; ``exit_code`` is what the command line returns."""
+
+    exit_code: ClassVar[int] = 1
+
+
+class UsageError(CosimError):
+    """Wrong use, found before the first step."""
+
+    exit_code = 2
+
+
+class ScenarioError(UsageError):
+    """Problems of a scenario file, all of them together."""
+
+
+class GraphError(UsageError):
+    """Components and connections that do not fit together."""
+
+
+class AlgebraicLoopError(GraphError):
+    """Outputs that feed through to each other in a circle."""
+
+
+class ClockError(UsageError):
+    """A time, step or period that is off the integer-nanosecond grid."""
+
+
+class AssumptionError(UsageError):
+    """An assumption of the method that does not hold for the system given."""
+
+
+class FmuError(UsageError):
+    """An FMU that cannot be used here, or a model that cannot become one."""
+
+
+class LogError(UsageError):
+    """A log that cannot be read."""
+
+
+class RunError(CosimError):
+    """The run began and could not go on."""
+
+
+class NonFiniteError(RunError):
+    """A signal became NaN or infinite."""
+
+
+class LogWriteError(RunError):
+    """A log could not be written further; what was written is a valid file."""
+
+
+class Interrupted(RunError):
+    """The user interrupted the run."""
+
+    exit_code = 130
+
+
+def nearest(found: str, known: Iterable[str]) -> str:
+    """Say what was probably meant, and what there is: the tail of a message about an unknown name."""
+    names = list(known)
+    if not names:
+        return "there are none"
+    close = get_close_matches(found, names, n=1, cutoff=0.5)
+    guess = f"did you mean {close[0]!r}? " if close else ""
+    return f"{guess}There is: {', '.join(names)}"

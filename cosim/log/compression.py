@@ -1,0 +1,81 @@
+"""Chunks compressed and, within limits, decompressed.
+
+32 kB of zstd can hold 1 GiB, and a decompressor told to give at most 1000 bytes still gave 100 MiB: the declared size is checked before
+anything is decompressed, and the decompressor is bounded by it.
+"""
+
+from __future__ import annotations
+
+import zlib
+from typing import Literal
+
+import lz4.frame
+import zstandard
+
+Compression = Literal["zstd", "lz4", "none"]
+MOST_BYTES = 64 * 2**20  # a chunk of ours has about 1 MiB
+_LEVEL = 1
+
+
+def compress(data: bytes, compression: Compression) -> bytes:
+    """Compress a chunk's records."""
+    if compression == "zstd":
+        return zstandard.ZstdCompressor(level=_LEVEL).compress(data)
+    if compression == "lz4":
+        return bytes(lz4.frame.compress(data))
+    return data
+
+
+def decompress(data: bytes, compression: str, *, size: int, crc: int) -> bytes:
+    """Decompress a chunk's records and check them.
+
+    Parameters
+    ----------
+    data : bytes
+    compression : str
+        As MCAP writes it: ``"zstd"``, ``"lz4"`` or empty.
+    size : int
+        Declared size of the records [bytes].
+    crc : int
+        Declared CRC-32 of the records; 0: the writer gave none.
+
+    Raises
+    ------
+    ValueError
+        If the chunk is too large, has another size or CRC than declared, or cannot be decompressed.
+    """
+    if size > MOST_BYTES:
+        raise ValueError(f"a chunk of {size} bytes, at most {MOST_BYTES} are read")
+    if compression == "zstd":
+        records = _zstd(data, size)
+    elif compression == "lz4":
+        records = _lz4(data, size)
+    elif not compression:
+        records = data
+    else:
+        raise ValueError(f"compression {compression!r}, needed zstd, lz4 or none")
+    if len(records) != size:
+        raise ValueError(f"a chunk of another size than the {size} bytes declared")
+    if crc and zlib.crc32(records) != crc:
+        raise ValueError("the CRC of a chunk does not fit its content")
+    return records
+
+
+def _zstd(data: bytes, size: int) -> bytes:
+    try:
+        inside = zstandard.get_frame_parameters(data).content_size
+        if inside == zstandard.CONTENTSIZE_UNKNOWN:
+            with zstandard.ZstdDecompressor().stream_reader(data) as stream:
+                return stream.read(size + 1)
+        if inside != size:
+            raise ValueError(f"a chunk of {inside} bytes, {size} declared")
+        return zstandard.ZstdDecompressor().decompress(data, max_output_size=size)
+    except zstandard.ZstdError as error:
+        raise ValueError(f"a chunk cannot be decompressed: {error}") from error
+
+
+def _lz4(data: bytes, size: int) -> bytes:
+    try:
+        return bytes(lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size + 1))
+    except (RuntimeError, EOFError) as error:
+        raise ValueError(f"a chunk cannot be decompressed: {error}") from error

@@ -1,0 +1,38 @@
+"""Where a run was made: versions and processor, for whoever finds other bits elsewhere."""
+
+from __future__ import annotations
+
+import platform
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+_PACKAGES = ("cosim", "numpy", "scipy", "mcap")
+
+
+@cache
+def library() -> str:
+    """Name the program in the header of a log."""
+    return f"cosim/{_version('cosim')} mcap-python/{_version('mcap')}"
+
+
+def environment() -> dict[str, str]:
+    """Describe Python, the packages that compute, the platform and the processor."""
+    packages = {name: _version(name) for name in _PACKAGES}
+    return {**packages, "python": platform.python_version(), "platform": platform.platform(), "processor": _processor()}
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "not installed"
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return platform.processor() or platform.machine()
+    named = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    return next(named, platform.machine())

@@ -1,0 +1,179 @@
+#include "cosim.h"
+
+#include <float.h>
+#include <math.h>
+#include <string.h>
+
+#define RANK_TOLERANCE 1e-13 /* relative to the largest pivot: below it a direction carries rounding, not information */
+
+static double no_value(void)
+{
+    const uint64_t bits = UINT64_C(0x7FF8000000000000); /* the one NaN: equal runs have equal bits */
+    double value;
+    memcpy(&value, &bits, sizeof value);
+    return value;
+}
+
+/* --- regressor (21)-(25) ------------------------------------------------------------------------------------------------- */
+
+static int32_t longest_delay(const cosim_regressor *s)
+{
+    int32_t longest = 0;
+    for (int32_t j = 0; j < s->rows; ++j)
+        longest = s->steps[j] > longest ? s->steps[j] : longest;
+    return longest;
+}
+
+void cosim_regressor_push(const cosim_regressor *s, double t, double delta, double *y)
+{
+    const int32_t longest = longest_delay(s), capacity = longest + 1;
+    const int64_t seen = (int64_t)s->memory[0];
+    double *ring = s->memory + 1, *alpha = ring + capacity;
+    ring[seen % capacity] = delta;
+    s->memory[0] = (double)(seen + 1);
+
+    if (seen < longest) {
+        for (int32_t c = 0; c < s->terms; ++c)
+            y[c] = no_value();
+        return;
+    }
+    for (int32_t b = 0; b < s->blocks; ++b)
+        for (int32_t j = 0; j < s->rows; ++j)
+            alpha[b * s->rows + j] = cosim_evaluate(&s->alphas[b], t - s->delays[j]);
+    for (int32_t c = 0; c < s->terms; ++c) {
+        double product = s->sign[c] * ring[(seen - s->steps[s->row[c]]) % capacity];
+        for (int32_t f = 0; f < s->factors; ++f)
+            product *= alpha[s->factor[c * s->factors + f]];
+        y[c] = product;
+    }
+}
+
+int32_t cosim_regressor_step(void *self, double t0, double t1, double h, const double *u0, const double *u1, double *y)
+{
+    (void)t0, (void)h, (void)u0;
+    cosim_regressor_push(self, t1, u1[0], y);
+    return COSIM_OK;
+}
+
+/* --- least squares (33)-(35) --------------------------------------------------------------------------------------------- */
+
+/* Rotate `row` (destroyed) into the upper triangular R of shape (n, n). */
+static void rotate_in(int32_t n, double *R, double *row)
+{
+    for (int32_t i = 0; i < n; ++i) {
+        if (row[i] == 0.0)
+            continue;
+        double *r = R + i * n;
+        const double norm = sqrt(r[i] * r[i] + row[i] * row[i]);
+        const double c = r[i] / norm, s = row[i] / norm;
+        for (int32_t j = i; j < n; ++j) {
+            const double above = r[j], below = row[j];
+            r[j] = c * above + s * below;
+            row[j] = c * below - s * above;
+        }
+    }
+}
+
+/* Rows (m', p) with p = -mu_0 and m = mu_1..mu_q, times the square root of the quadrature weight. */
+static void accumulate(const cosim_least_squares *s, double weight, const double *mu)
+{
+    const int32_t n = s->unknowns + 1;
+    double *R = s->memory, *row = s->memory + n * n;
+    const double root = sqrt(weight);
+    for (int32_t c = 0; c < s->unknowns; ++c)
+        row[c] = root * mu[c + 1];
+    row[s->unknowns] = -root * mu[0];
+    rotate_in(n, R, row);
+}
+
+static int solve(const cosim_least_squares *s, double *eta)
+{
+    const int32_t n = s->unknowns + 1;
+    const double *R = s->memory;
+    double largest = 0.0;
+    for (int32_t i = 0; i < s->unknowns; ++i)
+        largest = fmax(largest, fabs(R[i * n + i]));
+    for (int32_t i = s->unknowns - 1; i >= 0; --i) {
+        if (!(fabs(R[i * n + i]) > RANK_TOLERANCE * largest))
+            return 0;
+        double sum = R[i * n + s->unknowns];
+        for (int32_t j = i + 1; j < s->unknowns; ++j)
+            sum -= R[i * n + j] * eta[j];
+        eta[i] = sum / R[i * n + i];
+    }
+    return 1;
+}
+
+/* exp(-s spacing) = w gives s = -ln(w)/spacing; there is none where w is not positive. */
+static double exponent(double w, double spacing)
+{
+    return w > 0.0 && w <= DBL_MAX ? -log(w) / spacing : no_value();
+}
+
+static void recover(const cosim_recovery *r, const double *eta, double *theta)
+{
+    double c[3] = {0.0, 0.0, 0.0};
+    const int32_t count = r->kind == COSIM_EXPONENTIAL ? 2 : 3;
+    for (int32_t k = 0; k < count; ++k)
+        c[k] = r->sign[k] * (r->index[k] == 0 ? 1.0 : eta[r->index[k] - 1]);
+
+    if (r->kind == COSIM_EXPONENTIAL) {
+        theta[r->theta[0]] = exponent(-c[0] / c[1], r->spacing);
+    } else if (r->kind == COSIM_EXPONENTIALS) {
+        const double discriminant = c[1] * c[1] - 4.0 * c[0] * c[2];
+        /* the root of the larger magnitude first, the other from the product of both: no cancellation */
+        const double big = -0.5 * (c[1] + copysign(sqrt(discriminant), c[1]));
+        const double first = exponent(big / c[2], r->spacing), second = exponent(c[0] / big, r->spacing);
+        const int known = discriminant >= 0.0 && !isnan(first) && !isnan(second);
+        theta[r->theta[0]] = known ? fmax(first, second) : no_value();
+        theta[r->theta[1]] = known ? fmin(first, second) : no_value();
+    } else {
+        const double cosine = -0.5 * c[1] / c[0];
+        theta[r->theta[0]] = cosine >= -1.0 && cosine <= 1.0 ? acos(cosine) / r->spacing : no_value();
+    }
+}
+
+static void estimate(const cosim_least_squares *s, double *y)
+{
+    double *theta = y, *eta = y + s->parameters;
+    if (!solve(s, eta)) {
+        for (int32_t i = 0; i < s->parameters + s->unknowns; ++i)
+            y[i] = no_value();
+        return;
+    }
+    for (int32_t b = 0; b < s->blocks; ++b)
+        recover(&s->recovery[b], eta, theta);
+}
+
+void cosim_least_squares_start(cosim_least_squares *self, double *y)
+{
+    const int32_t n = self->unknowns + 1;
+    for (int32_t i = 0; i < n * n; ++i)
+        self->memory[i] = 0.0;
+    for (int32_t i = 0; i < self->unknowns; ++i)
+        self->memory[i * n + i] = self->prior;
+    for (int32_t i = 0; i < self->parameters + self->unknowns; ++i)
+        y[i] = no_value();
+}
+
+int32_t cosim_least_squares_step(void *self, double t0, double t1, double h, const double *u0, const double *u1, double *y)
+{
+    const cosim_least_squares *s = self;
+    if (t0 < s->start) {
+        for (int32_t i = 0; i < s->parameters + s->unknowns; ++i)
+            y[i] = no_value();
+        return COSIM_OK;
+    }
+    (void)t1;
+    for (int32_t c = 0; c <= s->unknowns; ++c)
+        if (isnan(u0[c]) || (!s->held && isnan(u1[c])))
+            return COSIM_NO_VALUE;
+    if (s->held) {
+        accumulate(s, h, u0);
+    } else { /* trapezoid */
+        accumulate(s, 0.5 * h, u0);
+        accumulate(s, 0.5 * h, u1);
+    }
+    estimate(s, y);
+    return COSIM_OK;
+}

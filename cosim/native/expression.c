@@ -1,0 +1,70 @@
+#include "cosim.h"
+
+#include <math.h>
+
+/* The order is that of OPERATIONS in expression.py. */
+enum { T, ADD, SUBTRACT, MULTIPLY, DIVIDE, POWER, MINIMUM, MAXIMUM, NEGATE, SIN, COS, TAN, ASIN, ACOS, ATAN, SINH, COSH, TANH,
+       EXP, LOG, SQRT, ABS, SIGN, STEP, OPERATIONS };
+
+static double binary(int32_t operation, double a, double b)
+{
+    switch (operation) {
+    case ADD: return a + b;
+    case SUBTRACT: return a - b;
+    case MULTIPLY: return a * b;
+    case DIVIDE: return a / b;
+    case POWER: return pow(a, b);
+    case MINIMUM: return a < b ? a : b;
+    default: return a > b ? a : b;
+    }
+}
+
+static double unary(int32_t operation, double a)
+{
+    switch (operation) {
+    case NEGATE: return -a;
+    case SIN: return sin(a);
+    case COS: return cos(a);
+    case TAN: return tan(a);
+    case ASIN: return asin(a);
+    case ACOS: return acos(a);
+    case ATAN: return atan(a);
+    case SINH: return sinh(a);
+    case COSH: return cosh(a);
+    case TANH: return tanh(a);
+    case EXP: return exp(a);
+    case LOG: return log(a);
+    case SQRT: return sqrt(a);
+    case ABS: return fabs(a);
+    case SIGN: return (a > 0.0) - (a < 0.0);
+    default: return a >= 0.0 ? 1.0 : 0.0;
+    }
+}
+
+double cosim_evaluate(const cosim_program *program, double t)
+{
+    double stack[COSIM_STACK];
+    int32_t top = -1;
+    for (int32_t i = 0; i < program->length; ++i) {
+        const int32_t code = program->code[i];
+        if (code >= OPERATIONS)
+            stack[++top] = program->constants[code - OPERATIONS];
+        else if (code == T)
+            stack[++top] = t;
+        else if (code < NEGATE) {
+            stack[top - 1] = binary(code, stack[top - 1], stack[top]);
+            --top;
+        } else
+            stack[top] = unary(code, stack[top]);
+    }
+    return stack[0];
+}
+
+int32_t cosim_expression_step(void *self, double t0, double t1, double h, const double *u0, const double *u1, double *y)
+{
+    (void)t0, (void)h, (void)u0, (void)u1;
+    const cosim_expression *s = self;
+    for (int32_t i = 0; i < s->count; ++i)
+        y[i] = cosim_evaluate(&s->programs[i], t1);
+    return COSIM_OK;
+}

@@ -1,0 +1,125 @@
+"""The compiled kernels, loaded through ctypes."""
+
+from __future__ import annotations
+
+import ctypes
+from ctypes import CFUNCTYPE, POINTER, c_double, c_int32, c_int64, c_uint8, c_void_p
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.errors import UsageError
+from cosim.native.build import HERE, LIBRARY
+
+StepFunction = CFUNCTYPE(c_int32, c_void_p, c_double, c_double, c_double, c_void_p, c_void_p, c_void_p)
+
+
+class ProgramStruct(ctypes.Structure):
+    """cosim_program."""
+
+    _fields_ = (("length", c_int32), ("code", c_void_p), ("constants", c_void_p))
+
+
+class LinearStruct(ctypes.Structure):
+    """cosim_linear."""
+
+    _fields_ = (
+        *((name, c_int32) for name in ("n", "m", "p")),
+        *((name, c_void_p) for name in ("Ad", "B0", "B1", "C", "D", "memory")),
+    )
+
+
+class DelayStruct(ctypes.Structure):
+    """cosim_delay."""
+
+    _fields_ = (("steps", c_int32), ("width", c_int32), ("memory", c_void_p))
+
+
+class ExpressionStruct(ctypes.Structure):
+    """cosim_expression."""
+
+    _fields_ = (("count", c_int32), ("programs", c_void_p))
+
+
+class RegressorStruct(ctypes.Structure):
+    """cosim_regressor."""
+
+    _fields_ = (
+        *((name, c_int32) for name in ("rows", "blocks", "terms", "factors")),
+        *((name, c_void_p) for name in ("steps", "delays", "alphas", "row", "factor", "sign", "memory")),
+    )
+
+
+class RecoveryStruct(ctypes.Structure):
+    """cosim_recovery."""
+
+    _fields_ = (
+        ("kind", c_int32),
+        ("index", c_int32 * 3),
+        ("theta", c_int32 * 2),
+        ("sign", c_double * 3),
+        ("spacing", c_double),
+    )
+
+
+class LeastSquaresStruct(ctypes.Structure):
+    """cosim_least_squares."""
+
+    _fields_ = (
+        *((name, c_int32) for name in ("unknowns", "blocks", "parameters", "held")),
+        ("start", c_double),
+        ("prior", c_double),
+        ("recovery", c_void_p),
+        ("memory", c_void_p),
+    )
+
+
+def _load() -> Any:
+    path = HERE / LIBRARY
+    try:
+        library = ctypes.CDLL(str(path))
+    except OSError as error:
+        raise UsageError(f"the compiled kernels {path} cannot be loaded ({error}); run 'pip install -e .' again") from error
+    doubles = c_void_p
+    signatures: dict[str, tuple[Any, list[Any]]] = {
+        "cosim_cascade": (
+            c_int64,
+            [c_void_p, c_void_p, c_int64, doubles, c_double, doubles, c_int64, doubles, c_int64, POINTER(c_int32)],
+        ),
+        "cosim_multiply": (None, [c_int32, c_int32, doubles, doubles, doubles]),
+        "cosim_multiply_add": (None, [c_int32, c_int32, doubles, doubles, doubles]),
+        "cosim_exponential": (None, [c_int32, doubles, doubles, doubles]),
+        "cosim_first_order_hold": (
+            None,
+            [c_int32, c_int32, doubles, doubles, c_double, POINTER(c_uint8), doubles, doubles, doubles, doubles],
+        ),
+        "cosim_evaluate": (c_double, [POINTER(ProgramStruct), c_double]),
+        "cosim_regressor_push": (None, [c_void_p, c_double, c_double, doubles]),
+        "cosim_least_squares_start": (None, [c_void_p, doubles]),
+    }
+    for name, (result, arguments) in signatures.items():
+        function = getattr(library, name)
+        function.restype, function.argtypes = result, arguments
+    return library
+
+
+library = _load()
+
+
+def address(function: str) -> int:
+    """Give the address of a step function of the library."""
+    value = ctypes.cast(getattr(library, function), c_void_p).value
+    assert value is not None
+    return value
+
+
+def pointer(array: NDArray[Any]) -> int:
+    """Give the address of a contiguous array's data; the array must outlive its use."""
+    assert array.flags.c_contiguous
+    return array.ctypes.data
+
+
+def int32(values: Any) -> NDArray[np.int32]:
+    """Copy to a contiguous int32 array."""
+    return np.ascontiguousarray(values, np.int32)

@@ -1,0 +1,129 @@
+#include "cosim.h"
+
+#include <math.h>
+
+#define TAYLOR_TERMS 18 /* with a norm of at most 1/2: 0.5^19 / 19! < 2e-23 */
+
+void cosim_multiply_add(int32_t rows, int32_t columns, const double *M, const double *v, double *y)
+{
+    for (int32_t i = 0; i < rows; ++i) {
+        double sum = y[i];
+        for (int32_t j = 0; j < columns; ++j)
+            sum += M[i * columns + j] * v[j];
+        y[i] = sum;
+    }
+}
+
+void cosim_multiply(int32_t rows, int32_t columns, const double *M, const double *v, double *y)
+{
+    for (int32_t i = 0; i < rows; ++i)
+        y[i] = 0.0;
+    cosim_multiply_add(rows, columns, M, v, y);
+}
+
+static void product(int32_t n, const double *P, const double *Q, double *R)
+{
+    for (int32_t i = 0; i < n; ++i)
+        for (int32_t j = 0; j < n; ++j) {
+            double sum = 0.0;
+            for (int32_t k = 0; k < n; ++k)
+                sum += P[i * n + k] * Q[k * n + j];
+            R[i * n + j] = sum;
+        }
+}
+
+static double infinity_norm(int32_t n, const double *M)
+{
+    double norm = 0.0;
+    for (int32_t i = 0; i < n; ++i) {
+        double sum = 0.0;
+        for (int32_t j = 0; j < n; ++j)
+            sum += fabs(M[i * n + j]);
+        norm = fmax(norm, sum);
+    }
+    return norm;
+}
+
+void cosim_exponential(int32_t n, const double *M, double *E, double *work)
+{
+    double *scaled = work, *term = work + n * n;
+    int exponent = 0;
+    (void)frexp(infinity_norm(n, M), &exponent);
+    const int squarings = exponent >= 0 ? exponent + 1 : 0;
+    const double scale = ldexp(1.0, -squarings);
+
+    for (int32_t i = 0; i < n * n; ++i)
+        scaled[i] = M[i] * scale;
+    /* Horner: E = I + S/1 (I + S/2 (I + ...)) */
+    for (int32_t i = 0; i < n * n; ++i)
+        E[i] = i % (n + 1) == 0 ? 1.0 : 0.0;
+    for (int32_t k = TAYLOR_TERMS; k >= 1; --k) {
+        product(n, scaled, E, term);
+        for (int32_t i = 0; i < n * n; ++i)
+            E[i] = term[i] / k + (i % (n + 1) == 0 ? 1.0 : 0.0);
+    }
+    for (int s = 0; s < squarings; ++s) {
+        product(n, E, E, term);
+        for (int32_t i = 0; i < n * n; ++i)
+            E[i] = term[i];
+    }
+}
+
+/* With v = du/ds constant over the unit interval s = (t - t0)/h, the state (x, u, v) has the generator
+ * [[h A, h B, 0], [0, 0, I], [0, 0, 0]]; the first block row of its exponential is (Ad, G1, G2), and
+ * x(t+h) = Ad x + G1 u0 + G2 (u1 - u0). */
+void cosim_first_order_hold(int32_t n, int32_t m, const double *A, const double *B, double h, const uint8_t *held, double *Ad,
+                            double *B0, double *B1, double *work)
+{
+    const int32_t N = n + 2 * m;
+    double *M = work, *E = work + N * N;
+    for (int32_t i = 0; i < N * N; ++i)
+        M[i] = 0.0;
+    for (int32_t i = 0; i < n; ++i) {
+        for (int32_t j = 0; j < n; ++j)
+            M[i * N + j] = h * A[i * n + j];
+        for (int32_t j = 0; j < m; ++j)
+            M[i * N + n + j] = h * B[i * m + j];
+    }
+    for (int32_t j = 0; j < m; ++j)
+        M[(n + j) * N + n + m + j] = 1.0;
+    cosim_exponential(N, M, E, work + 2 * N * N);
+    for (int32_t i = 0; i < n; ++i) {
+        for (int32_t j = 0; j < n; ++j)
+            Ad[i * n + j] = E[i * N + j];
+        for (int32_t j = 0; j < m; ++j) {
+            const double constant = E[i * N + n + j], slope = E[i * N + n + m + j];
+            B0[i * m + j] = held[j] ? constant : constant - slope;
+            B1[i * m + j] = held[j] ? 0.0 : slope;
+        }
+    }
+}
+
+int32_t cosim_linear_step(void *self, double t0, double t1, double h, const double *u0, const double *u1, double *y)
+{
+    (void)t0, (void)t1, (void)h;
+    const cosim_linear *s = self;
+    double *x = s->memory, *next = s->memory + s->n;
+    cosim_multiply(s->n, s->n, s->Ad, x, next);
+    cosim_multiply_add(s->n, s->m, s->B0, u0, next);
+    cosim_multiply_add(s->n, s->m, s->B1, u1, next);
+    for (int32_t i = 0; i < s->n; ++i)
+        x[i] = next[i];
+    cosim_multiply(s->p, s->n, s->C, x, y);
+    cosim_multiply_add(s->p, s->m, s->D, u1, y);
+    return COSIM_OK;
+}
+
+int32_t cosim_delay_step(void *self, double t0, double t1, double h, const double *u0, const double *u1, double *y)
+{
+    (void)t0, (void)t1, (void)h, (void)u0;
+    const cosim_delay *s = self;
+    const int32_t rows = s->steps + 1, newest = ((int32_t)s->memory[0] + 1) % rows, oldest = (newest + 1) % rows;
+    double *ring = s->memory + 1;
+    for (int32_t i = 0; i < s->width; ++i)
+        ring[newest * s->width + i] = u1[i];
+    for (int32_t i = 0; i < s->width; ++i)
+        y[i] = ring[oldest * s->width + i];
+    s->memory[0] = (double)newest;
+    return COSIM_OK;
+}
