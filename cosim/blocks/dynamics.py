@@ -57,12 +57,11 @@ class Delay:
         """Fill the line."""
         self._step.memory[0] = 0.0
         self._ring[:] = u if self.initial is None else self.initial
-        self._ring[0] = u
         return self.outputs(t, u)
 
     def outputs(self, t: float, u: Vector) -> Vector:
         """Give the oldest sample; ``u`` does not matter."""
-        return self._ring[(int(self._step.memory[0]) + 1) % len(self._ring)].copy()
+        return self._ring[int(self._step.memory[0])].copy()
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
         """Shift K samples through the line."""

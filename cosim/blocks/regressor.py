@@ -49,12 +49,13 @@ class Regressor:
         return {}
 
     def initialize(self, t: float, u: Vector) -> Vector:
-        """Take the first sample."""
-        return self._kernel.start(t, float(u[0]))
+        """Forget the past."""
+        self._kernel.reset()
+        return self._kernel.outputs(t, float(u[0]))
 
     def outputs(self, t: float, u: Vector) -> Vector:
-        """Give mu at the last instant."""
-        return self._kernel.peek(t, float(u[0]))
+        """Give mu at the instant reached."""
+        return self._kernel.outputs(t, float(u[0]))
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
         """Take K samples."""

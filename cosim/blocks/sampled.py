@@ -1,4 +1,4 @@
-"""A component that lives on a larger step of its own."""
+"""Components that answer less often than every communication step."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Sampled:
 
     def initialize(self, t: float, u: Vector) -> Vector:
         """Start the component; its first own step begins here."""
-        self._count, self._t, self._u = 0, t, u.copy()
+        self._count = 0
         self._y = self._component.initialize(t, u)
         return self._y
 
@@ -48,13 +48,66 @@ class Sampled:
         """Buffer K rows; advance the component wherever one of its own steps ends."""
         rows = np.empty((len(t) - 1, len(self._y)))
         for k in range(len(t) - 1):
+            if self._count == 0:
+                self._start = float(t[k]), u[k].copy()
             self._count += 1
             if self._count == self._n:
                 try:
-                    own = np.array([self._t, t[k + 1]]), np.vstack([self._u, u[k + 1]])
-                    self._y = self._component.advance(own[0], h * self._n, own[1])[0]
+                    begin, u0 = self._start
+                    self._y = self._component.advance(np.array([begin, t[k + 1]]), h * self._n, np.vstack([u0, u[k + 1]]))[0]
                 except Stopped as stop:
                     raise Stopped(rows[:k], str(stop), failed=stop.failed) from stop
-                self._count, self._t, self._u = 0, float(t[k + 1]), u[k + 1].copy()
+                self._count = 0
             rows[k] = self._y
+        return rows
+
+
+class Decimated:
+    """Advances a component at every communication step; its outputs are passed on at every n-th only, and hold between.
+
+    Parameters
+    ----------
+    component : Component
+    n : int
+        Communication steps between two answers.
+    """
+
+    def __init__(self, component: Component, n: int) -> None:
+        if n < 1:
+            raise ClockError(f"period: found {n} communication steps, needed at least 1")
+        self._component, self._n = component, n
+        found = component.interface
+        self.interface = Interface(found.inputs, tuple(replace(signal, variability="discrete") for signal in found.outputs))
+
+    def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
+        """Prepare the component."""
+        return self._component.prepare(h, held, recorded)
+
+    def initialize(self, t: float, u: Vector) -> Vector:
+        """Start the component; the first answer is the one at the start."""
+        self._count = 0
+        self._y = self._component.initialize(t, u)
+        return self._y
+
+    def outputs(self, t: float, u: Vector) -> Vector:
+        """Give the last answer."""
+        return self._y
+
+    def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
+        """Advance K steps; pass on the answers that are due."""
+        steps = len(t) - 1
+        stopped = None
+        try:
+            y = self._component.advance(t, h, u)
+        except Stopped as stop:
+            y, stopped = stop.outputs, stop
+        known = np.vstack([self._y, y])
+        count = self._count + np.arange(1, len(y) + 1)
+        last_due = np.arange(1, len(y) + 1) - count % self._n
+        rows = known[np.maximum(last_due, 0)]
+        if len(y):
+            self._y, self._count = rows[-1].copy(), int(count[-1] % self._n)
+        if stopped is not None:
+            raise Stopped(rows, str(stopped), failed=stopped.failed) from stopped
+        assert len(rows) == steps
         return rows

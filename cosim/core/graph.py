@@ -7,7 +7,7 @@ one call. Feedthrough orders only the inside of loops and the start.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from graphlib import TopologicalSorter
 from typing import Literal
@@ -86,10 +86,12 @@ class Graph:
             raise GraphError(f"hold: found {hold!r}; {nearest(hold, ('line', 'start'))}")
         self.components = dict(components)
         self.connections = {to: c if isinstance(c, Connection) else Connection(c) for to, c in connections.items()}
-        self.coupling, self.hold = coupling, hold
-        self.layout = _layout(self.components, periods or {})
+        self.coupling, self.hold, self.periods = coupling, hold, dict(periods or {})
+        self.layout = layout_of(self.components, self.periods)
         self._ports = _Ports(self.layout)
-        self._check()
+        problems = check_connections(self.layout, self.connections)
+        if problems:
+            raise GraphError("\n".join(problems.values()))
         self._members = {name: self._member(name) for name in self.components}
         self.stages = self._order()
 
@@ -130,38 +132,6 @@ class Graph:
     def optional(self) -> Mask:
         """Mark the columns in which NaN means "no value yet"."""
         return np.array([s.optional for c in self.layout.channels for s in c.signals for _ in range(s.size)], dtype=np.bool_)
-
-    # --- checks ---
-
-    def _check(self) -> None:
-        problems = [problem for to, connection in self.connections.items() for problem in self._check_connection(to, connection)]
-        for channel in self.layout.channels:
-            for signal in channel.interface.inputs:
-                if f"{channel.name}.{signal.name}" not in self.connections:
-                    problems.append(f"'{channel.name}.{signal.name}' is not connected; give it a source in [connections]")
-        if problems:
-            raise GraphError("\n".join(problems))
-
-    def _check_connection(self, to: str, connection: Connection) -> Iterable[str]:
-        try:
-            _, target = self._ports.find(to, "input")
-            _, source, columns = self._ports.source(connection.source)
-        except GraphError as error:
-            return [str(error)]
-        size, found = len(range(*columns.indices(self.layout.width))), f"{connection.source} -> {to}: "
-        problems = []
-        if isinstance(connection.gain, tuple):
-            shape = np.shape(connection.gain)
-            if shape != (target.size, size):
-                problems.append(f"{found}gain has shape {shape}, needed ({target.size}, {size})")
-        elif size != target.size:
-            problems.append(f"{found}size {size} [{source.unit or '?'}] cannot drive size {target.size} [{target.unit or '?'}]")
-        unit = connection.unit or source.unit
-        if unit is not None and target.unit is not None and unit != target.unit:
-            problems.append(f"{found}unit {unit!r} cannot drive unit {target.unit!r}; convert with gain, offset and unit = {target.unit!r}")
-        if source.optional and not target.optional:
-            problems.append(f"{found}the source may carry no value (NaN), the input needs one at every step")
-        return problems
 
     # --- structure ---
 
@@ -262,11 +232,54 @@ class _Ports:
         return channel, signal, slice(columns.start + index, columns.start + index + 1)
 
 
-def _layout(components: Mapping[str, Component], periods: Mapping[str, int]) -> Layout:
+def check_connections(layout: Layout, connections: Mapping[str, Connection], missing: Collection[str] = ()) -> dict[str, str]:
+    """Find every problem of the connections, by the input it belongs to.
+
+    ``missing`` names components that are meant to be there but could not be built: what touches them is not judged.
+    """
+    ports, problems = _Ports(layout), {}
+    for to, connection in connections.items():
+        if not {to.rpartition(".")[0], connection.source.rpartition(".")[0]} & set(missing):
+            found = "; ".join(_check_connection(ports, to, connection))
+            if found:
+                problems[to] = found
+    for channel in layout.channels:
+        for signal in channel.interface.inputs:
+            to = f"{channel.name}.{signal.name}"
+            if to not in connections:
+                problems[to] = f"'{to}' is not connected; give it a source in [connections]"
+    return problems
+
+
+def _check_connection(ports: _Ports, to: str, connection: Connection) -> Iterable[str]:
+    found = f"{connection.source} -> {to}"
+    try:
+        _, target = ports.find(to, "input")
+        _, source, columns = ports.source(connection.source)
+    except GraphError as error:
+        return [str(error)]
+    size, problems = columns.stop - columns.start, []
+    if isinstance(connection.gain, tuple):
+        shape = np.shape(connection.gain)
+        if shape != (target.size, size):
+            problems.append(f"{found}: gain has shape {shape}, needed ({target.size}, {size})")
+    elif size != target.size:
+        problems.append(f"{found}: size {size} [{source.unit or '?'}] cannot drive size {target.size} [{target.unit or '?'}]")
+    unit = connection.unit or source.unit
+    if unit is not None and target.unit is not None and unit != target.unit:
+        way = f"convert with {{ from = {connection.source!r}, gain = ..., unit = {target.unit!r} }}"
+        problems.append(f"{found}: unit {unit!r} cannot drive unit {target.unit!r}; {way}")
+    if source.optional and not target.optional:
+        problems.append(f"{found}: the source may carry no value (NaN), the input needs one at every step")
+    return problems
+
+
+def layout_of(components: Mapping[str, Component], periods: Mapping[str, int] | None = None) -> Layout:
+    """Give every component its columns."""
     channels: list[Channel] = []
     for name, component in components.items():
         start = channels[-1].columns.stop if channels else 0
-        channels.append(Channel(name, component.interface, start, periods.get(name, 1)))
+        channels.append(Channel(name, component.interface, start, (periods or {}).get(name, 1)))
     return Layout(tuple(channels))
 
 

@@ -6,23 +6,25 @@ A block costs two copies here, however short it is; the records are filled once 
 from __future__ import annotations
 
 import hashlib
+import struct
 from collections.abc import Mapping, Sequence
 from typing import final
 
 import numpy as np
+from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Nanoseconds
 from cosim.core.contracts import Block
 from cosim.core.signals import Layout
 from cosim.log.content import hashable
-from cosim.log.layout import Part, blank_records, group_columns, record_dtype
+from cosim.log.layout import HEADER, Part, blank_records, group_columns, record_dtype
 from cosim.log.sink import Run
 
 CHUNK_BYTES = 2**20  # of records, uncompressed
 _BUFFER_BYTES = 2**22  # of rows, where long periods leave few of them in a chunk
 
-Hashes = dict[str, "hashlib._Hash"]  # by component
+_MESSAGE = struct.Struct("<BQHIQQ")  # a message record up to its data
 
 
 @final
@@ -98,3 +100,15 @@ class RowBuffer:
             records[name]["value"] = self._rows[kept, first + columns.start : first + columns.stop]
         offsets = np.arange(len(records), dtype=np.int64) * records.itemsize
         return Run(int(blank["channel_id"][0]), records.view(np.uint8).data, time_ns, offsets)
+
+
+def message_run(messages: Sequence[tuple[int, bytes]], *, channel_id: int, step_ns: int) -> Run:
+    """Give the message records of (time [ns], data) pairs of any size."""
+    records, offsets, size = [], [], 0
+    for time_ns, data in messages:
+        length, step = _MESSAGE.size - HEADER + len(data), time_ns // step_ns & 0xFFFFFFFF
+        records.append(_MESSAGE.pack(Opcode.MESSAGE, length, channel_id, step, time_ns, time_ns) + data)
+        offsets.append(size)
+        size += len(records[-1])
+    times = np.array([time_ns for time_ns, _ in messages], dtype=np.int64)
+    return Run(channel_id, b"".join(records), times, np.array(offsets, dtype=np.int64))

@@ -25,9 +25,14 @@ class Rows:
 
     def __init__(self, part: Part, expected: int) -> None:
         self.part = part
-        self._count = 0
+        self.count = 0
         self._time_ns = np.empty(expected, dtype=np.int64)
         self._values = np.empty((expected, part.size))
+
+    @property
+    def component(self) -> str:
+        """Name of the component."""
+        return self.part.channel.name
 
     def append(self, records: Records) -> None:
         """Take message records.
@@ -37,21 +42,21 @@ class Rows:
         ValueError
             If they have other fields than the part, or a time beyond 2**63 - 1 ns.
         """
-        stop = self._count + len(records)
+        stop = self.count + len(records)
         if stop > len(self._time_ns):
-            room = max(stop, 2 * len(self._time_ns), _FIRST_ROWS)
-            self._time_ns = np.resize(self._time_ns, room)
-            self._values = np.concatenate([self._values, np.empty((room - len(self._values), self.part.size))])
+            more = max(stop, 2 * len(self._time_ns), _FIRST_ROWS) - len(self._time_ns)
+            self._time_ns = np.concatenate([self._time_ns, np.empty(more, dtype=np.int64)])
+            self._values = np.concatenate([self._values, np.empty((more, self.part.size))])
         times = records["log_time"].astype(np.int64)
         if (times < 0).any():
             raise ValueError(f"a time beyond {np.iinfo(np.int64).max} ns")
-        self._time_ns[self._count : stop] = times
-        copy_values(records, self._values[self._count : stop])
-        self._count = stop
+        self._time_ns[self.count : stop] = times
+        copy_values(records, self._values[self.count : stop])
+        self.count = stop
 
     def sorted(self) -> tuple[Nanoseconds, Matrix]:
         """Give times (n,) and values (n, size) in the order of time; rows of one time keep their order."""
-        time_ns, values = self._time_ns[: self._count], self._values[: self._count]
+        time_ns, values = self._time_ns[: self.count], self._values[: self.count]
         if (time_ns[1:] < time_ns[:-1]).any():
             order = np.argsort(time_ns, kind="stable")
             return time_ns[order], values[order]

@@ -1,7 +1,7 @@
 """Chunks compressed and, within limits, decompressed.
 
-32 kB of zstd can hold 1 GiB, and a decompressor told to give at most 1000 bytes still gave 100 MiB: the declared size is checked before
-anything is decompressed, and the decompressor is bounded by it.
+32 kB of zstd can hold 1 GiB, and a decompressor told to give at most 1000 bytes still gave 100 MiB: the declared size is
+checked before anything is decompressed, and the decompressor is bounded by it.
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
-"""An MCAP file as a list of places: where its chunks, metadata and attachments stand, checked against the summary.
+"""An MCAP file as checked pieces: chunks, metadata, attachments, channels.
 
-The file is walked from record to record by their lengths; message and chunk indexes are hints that are checked, never trusted. A
-truncated file is told from a damaged one, with the byte.
+Message indexes are not used, chunk indexes only to check what the chunks say of themselves.
 """
 
 from __future__ import annotations
@@ -9,8 +8,7 @@ from __future__ import annotations
 import os
 import struct
 import zlib
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping
 from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO, final
@@ -22,38 +20,17 @@ from mcap.opcode import Opcode
 from mcap.reader import FOOTER_SIZE
 from mcap.stream_reader import StreamReader
 from mcap.summary import Summary
-from mcap.writer import MCAP0_MAGIC
 
 from cosim.errors import LogError
-from cosim.log.compression import decompress
+from cosim.log.compression import MOST_BYTES, decompress
 from cosim.log.layout import HEADER
+from cosim.log.scan import Loose, scan
+from cosim.log.walk import Place, damage, walk
 
 MALFORMED = (McapError, ValueError, KeyError, TypeError, OverflowError, struct.error)  # what parsing bytes from outside may raise
 
-_LOOSE = (Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL)  # records that may stand outside chunks
-_SPAN_BYTES = 2**22  # of loose records that are read at once
+_READ_BYTES = 2**22
 _SIZES = struct.Struct("<QQQI")  # of a chunk: first and last time, size, CRC
-
-
-@dataclass(frozen=True, slots=True)
-class Place:
-    """Where a record, or a span of loose records, stands: from ``start`` to ``stop``, its header included."""
-
-    opcode: int  # 0: a span
-    start: int
-    stop: int
-
-
-@dataclass(slots=True)
-class Contents:
-    """What a file holds, in the order of the file."""
-
-    data: list[Place] = field(default_factory=list)  # chunks and spans
-    metadata: list[Place] = field(default_factory=list)
-    attachments: list[Place] = field(default_factory=list)
-    data_end: int = 0
-    data_crc: int = 0
-    footer: int = 0
 
 
 @final
@@ -75,7 +52,7 @@ class Container:
         try:
             self._identity = _identity(path.stat())
             with path.open("rb") as stream:
-                self.contents = self._walk(stream)
+                self.contents = walk(path, stream)
                 self.summary = self._summary(stream)
                 self._check(stream)
         except OSError as error:
@@ -108,7 +85,29 @@ class Container:
         """
         with self.open() as stream:
             for place in self.contents.data:
-                yield _read(stream, place) if place.opcode == 0 else self._chunk(stream, place)
+                yield self._chunk(stream, place) if place.opcode == Opcode.CHUNK else _read(stream, place)
+
+    def channels(self) -> Mapping[int, records.Channel]:
+        """Give the channels by id: from the summary, or else from outside the chunks, or else from inside."""
+        told: Mapping[int, records.Channel] = self.summary.channels
+        if told:
+            return told
+        with self.open() as stream:
+            found = [_read(stream, place)[HEADER:] for place in self.contents.channels]
+        for block in () if found else self.blocks():
+            inside = (record for record in scan(block, {}) if isinstance(record, Loose))
+            found += [record.content for record in inside if record.opcode == Opcode.CHANNEL]
+        try:
+            parsed = [records.Channel.read(ReadDataStream(BytesIO(content))) for content in found]
+        except MALFORMED as error:
+            raise LogError(f"{self.path} is damaged: a channel cannot be read: {error}") from error
+        return {channel.id: channel for channel in parsed}
+
+    def expected(self, channel_id: int, size: int) -> int:
+        """Say how many messages of ``size`` bytes to make room for: what the summary says, as far as the chunks can hold it."""
+        told = self.summary.statistics.channel_message_counts.get(channel_id, 0) if self.summary.statistics else 0
+        room = sum(MOST_BYTES if place.opcode == Opcode.CHUNK else place.stop - place.start for place in self.contents.data)
+        return min(told, room // size)
 
     def metadata(self) -> Iterator[records.Metadata]:
         """Give the metadata records."""
@@ -150,7 +149,7 @@ class Container:
 
     def damaged(self, offset: int, reason: str) -> LogError:
         """Make the error that says where the file is damaged."""
-        return LogError(f"{self.path} is damaged at byte {offset}: {reason}")
+        return damage(self.path, offset, reason)
 
     def _chunk(self, stream: BinaryIO, place: Place) -> bytes:
         try:
@@ -172,36 +171,6 @@ class Container:
         if stream.tell() + length > place.stop:
             raise ValueError(f"a chunk with {length} bytes of data in a record of {place.stop - place.start}")
         return first, last, size, crc, compression, length
-
-    def _walk(self, stream: BinaryIO) -> Contents:
-        """Go from record to record up to the footer."""
-        size = stream.seek(0, os.SEEK_END)
-        stream.seek(0)
-        magic = stream.read(len(MCAP0_MAGIC))
-        if magic != MCAP0_MAGIC:
-            raise LogError(f"{self.path} is no MCAP file: it begins with {magic!r}, needed {MCAP0_MAGIC!r}")
-        contents, at, opcode = Contents(), len(MCAP0_MAGIC), 0
-        while opcode != Opcode.FOOTER:
-            stream.seek(at)
-            head = stream.read(HEADER)
-            stop = at + HEADER + int.from_bytes(head[1:], "little")
-            if len(head) < HEADER or stop > size:
-                raise self._cut(stream, at, size)
-            opcode = head[0]
-            _sort(contents, Place(opcode, at, stop))
-            if opcode == Opcode.DATA_END and not contents.data_end:
-                contents.data_end, contents.data_crc = at, int.from_bytes(stream.read(4), "little")
-            at = stop
-        stream.seek(at)
-        if stream.read(len(MCAP0_MAGIC) + 1) != MCAP0_MAGIC:
-            raise self._cut(stream, at, size)
-        return contents
-
-    def _cut(self, stream: BinaryIO, at: int, size: int) -> LogError:
-        stream.seek(max(size - len(MCAP0_MAGIC), 0))
-        if stream.read() == MCAP0_MAGIC:
-            return self.damaged(at, "no whole record begins there")
-        return LogError(f"{self.path} is truncated at byte {size}: its last whole record ends at byte {at}, a footer is missing")
 
     def _summary(self, stream: BinaryIO) -> Summary:
         """Read the summary; an empty one if there is none."""
@@ -236,29 +205,9 @@ class Container:
                 )
         if self._indexes.keys() - set(chunks):
             raise self.damaged(min(self._indexes.keys() - set(chunks)), "no chunk there, though its index says so")
-        if len(chunks) < len(self.contents.data) and self.contents.data_crc:
-            if _crc(stream, self.contents.data_end) != self.contents.data_crc:
-                raise self.damaged(self.contents.data_end, "the CRC of the data does not fit")
-
-
-def _sort(contents: Contents, place: Place) -> None:
-    """Put a record where it belongs."""
-    if place.opcode == Opcode.FOOTER:
-        contents.footer = place.start
-    elif contents.data_end:
-        return  # the summary repeats what was there
-    elif place.opcode == Opcode.CHUNK:
-        contents.data.append(place)
-    elif place.opcode == Opcode.METADATA:
-        contents.metadata.append(place)
-    elif place.opcode == Opcode.ATTACHMENT:
-        contents.attachments.append(place)
-    elif place.opcode in _LOOSE:
-        last = contents.data[-1] if contents.data else None
-        if last and last.opcode == 0 and last.stop == place.start and place.stop - last.start <= _SPAN_BYTES:
-            contents.data[-1] = Place(0, last.start, place.stop)
-        else:
-            contents.data.append(Place(0, place.start, place.stop))
+        bare = len(chunks) < len(self.contents.data)
+        if bare and self.contents.data_crc and _crc(stream, self.contents.data_end) != self.contents.data_crc:
+            raise self.damaged(self.contents.data_end, "the CRC of the data does not fit")
 
 
 def _collect(summary: Summary, record: records.McapRecord) -> None:
@@ -287,6 +236,6 @@ def _content(record: bytes) -> ReadDataStream:
 def _crc(stream: BinaryIO, stop: int) -> int:
     stream.seek(0)
     crc = 0
-    for start in range(0, stop, _SPAN_BYTES):
-        crc = zlib.crc32(stream.read(min(_SPAN_BYTES, stop - start)), crc)
+    for start in range(0, stop, _READ_BYTES):
+        crc = zlib.crc32(stream.read(min(_READ_BYTES, stop - start)), crc)
     return crc

@@ -1,7 +1,7 @@
 """The content hash: one number for every bit of every signal of a run.
 
-It covers names, declarations, times and values, in the order of the rows, and nothing else: not the blocks the run was made in, nor the
-chunks, the compression or the order of the components in the file.
+It covers names, declarations, times and values, in the order of the rows, and nothing else: not the blocks the run was made
+in, nor the chunks, the compression or the order of the components in the file.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
-"""How a component becomes MCAP channels: topics, message records as a numpy dtype, and the metadata that gives the component back.
+"""How a component becomes MCAP channels, and how it is found again from their metadata.
 
-A component's row is one protobuf message of doubles, every one always written. All messages of a channel therefore have one size, and a
-run of them is a numpy structured array::
+A component's row is one protobuf message of doubles, every one always written. All messages of a channel therefore have one
+size, and a run of them is a numpy structured array::
 
     opcode u1 | length u8 | channel id u2 | sequence u4 | log time u8 | publish time u8 | tag, double | tag, double | ...
 
-Tags are constant: one byte up to field 15, two up to 2047, three from 2048 on. Protobuf for Python stops at 8190 doubles a message, so a
-component with more than 4096 elements is split into ``/<component>``, ``/<component>.2``, ...
+Tags are constant: one byte up to field 15, two up to 2047, three from 2048 on. Protobuf for Python stops at 8190 doubles a
+message, so a component with more than 4096 elements is split into ``/<component>``, ``/<component>.2``, ...
 """
 
 from __future__ import annotations

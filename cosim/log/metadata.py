@@ -21,7 +21,7 @@ PREFIX = "cosim."
 CHECKSUM = "cosim.sha256"
 
 
-def compact(value: Any) -> str:  # noqa: ANN401 - whatever JSON can say
+def compact(value: Any) -> str:
     """Write JSON without spaces, in ASCII: equal values give equal text."""
     return json.dumps(value, separators=(",", ":"))
 

@@ -1,7 +1,7 @@
 """Find message records in the bytes of a chunk, a run of equal ones at a time.
 
-Our chunks hold one run per channel, and a run is found by comparing whole columns. Chunks of other tools, with the channels' messages
-mixed, are read by the same code, one short run after another.
+Our chunks hold one run per channel, and a run is found by comparing whole columns. Chunks of other tools, with the channels'
+messages mixed, are read by the same code, one short run after another.
 """
 
 from __future__ import annotations

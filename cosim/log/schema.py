@@ -1,8 +1,8 @@
 """Protobuf schemas: legal names for any signal name, and what a component's messages look like.
 
-A protobuf field name is an identifier, and its JSON name drops the underscores and raises the letter behind each. Two fields with one
-JSON name (``x_1`` and ``x1``, ``a_b`` and ``aB``) make the stock decoders refuse the whole channel. So two names never differ by
-underscores and case alone here; the original names stand in the channel's metadata.
+A protobuf field name is an identifier, and its JSON name drops the underscores and raises the letter behind each. Two fields
+with one JSON name (``x_1`` and ``x1``, ``a_b`` and ``aB``) make the stock decoders refuse the whole channel. So two names
+never differ by underscores and case alone here; the original names stand in the channel's metadata.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def _folded(name: str) -> str:
 def component_schema(message: str, elements: Sequence[str]) -> bytes:
     """Describe the message ``cosim.<message>`` with one double per element as a serialised FileDescriptorSet.
 
-    Field numbers are 1 to ``len(elements)``. A channel has at most 4096 elements, so the reserved 19000 to 19999 are never reached.
+    Field numbers are 1 to ``len(elements)``: a channel has at most 4096, so the reserved 19000 to 19999 are never reached.
     """
     file = descriptor_pb2.FileDescriptorProto(name=f"cosim/{message}.proto", package="cosim", syntax="proto3")
     described = file.message_type.add(name=message)
@@ -83,7 +83,7 @@ def decode_log(data: bytes) -> tuple[Level, str, str]:
 
 
 @cache
-def _log_message() -> Any:  # noqa: ANN401 - protobuf makes the class at run time
+def _log_message() -> Any:
     pool = descriptor_pool.DescriptorPool()
     for file in _log_files().file:
         pool.Add(file)

@@ -1,7 +1,7 @@
 """The write path: whole records appended to an MCAP file, and the summary that closes it.
 
-All writes to the disk go through :meth:`Sink.append`, one call for every record or chunk. After a failed write :meth:`Sink.rewind`
-goes back to a mark, so that the file can still be closed.
+All writes to the disk go through :meth:`Sink.append`, one call for every record or chunk. After a failed write
+:meth:`Sink.rewind` goes back to a mark, so that the file can still be closed.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def encoded(*items: records.McapRecord) -> bytes:
     builder = RecordBuilder()
     for item in items:
         item.write(builder)
-    return builder.end()
+    return bytes(builder.end())
 
 
 @final

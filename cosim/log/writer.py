@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import struct
 import time
 from collections import deque
 from collections.abc import Mapping, Sequence
@@ -15,38 +14,26 @@ from types import TracebackType
 from typing import Any, Self, final
 
 import numpy as np
-from mcap.opcode import Opcode
 
 from cosim.arrays import Matrix
 from cosim.core.contracts import Block, Plan, Stopped
 from cosim.core.signals import Interface
 from cosim.errors import Interrupted, LogError, LogWriteError
-from cosim.log.buffer import RowBuffer
+from cosim.log.buffer import RowBuffer, message_run
 from cosim.log.compression import Compression
 from cosim.log.content import combine
-from cosim.log.environment import environment, library
-from cosim.log.layout import Part, signals_json, split
-from cosim.log.metadata import compact, encode_design, seal
-from cosim.log.schema import LOG_SCHEMA, Level, component_schema, encode_log, identifiers, log_schema
-from cosim.log.sink import Mark, Run, Sink, create
+from cosim.log.environment import library
+from cosim.log.layout import signals_json, split
+from cosim.log.metadata import seal
+from cosim.log.preamble import Attachment, write_parts, write_preamble
+from cosim.log.schema import Level, encode_log
+from cosim.log.sink import Mark, Sink, create
 
-FORMAT = "1"
-LOG_TOPIC = "/cosim/log"
 RESULT = "cosim.result"
 RESULT_FILE = "result.json"
 
 _FLUSH_AFTER = 1.0  # s of wall time
-_MESSAGE = struct.Struct("<BQHIQQ")
 _MARKS = 16  # chunks that may be given up to make room for the end of the file on a full disk
-
-
-@dataclass(frozen=True, slots=True)
-class Attachment:
-    """A file that goes into the log."""
-
-    name: str
-    media_type: str
-    data: bytes
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,6 +120,8 @@ class McapRecorder:
         if self._sink is None:
             return
         try:
+            self._sink.rewind(self._saved[-1].mark)  # where an interrupt came within a write
+            self._hashes = _copied(self._saved[-1].hashes)
             self._flush()
             self._close(self._sink, self._saved[-1], _outcome(error))
         except OSError as failure:
@@ -158,7 +147,8 @@ class McapRecorder:
             raise LogError(f"{self.path} cannot be created: {error.strerror or error}") from error
         try:
             sink = Sink(stream, library=library())
-            ids = self._preamble(sink, plan, parts)
+            ids = write_parts(sink, parts)
+            self._log_id = write_preamble(sink, plan, metadata=self._metadata, attachments=self._attachments)
         except OSError as error:
             stream.close()
             self.path.unlink()
@@ -169,16 +159,6 @@ class McapRecorder:
         self._step_ns = plan.step_ns
         self._sink = sink
         self._save()
-
-    def _preamble(self, sink: Sink, plan: Plan, parts: Sequence[Part]) -> list[int]:
-        """Write what is known before the run; give the channel ids of the parts."""
-        ids = [sink.channel(f"/{p.title}", schema=_schema(p, name), metadata=p.metadata) for p, name in _named(parts)]
-        self._log_id = sink.channel(LOG_TOPIC, schema=(LOG_SCHEMA, log_schema()), metadata={})
-        for name, items in self._records(plan).items():
-            sink.metadata(name, seal(name, items))
-        for attachment in self._attachments:
-            sink.attachment(attachment.name, attachment.media_type, attachment.data)
-        return ids
 
     def write(self, block: Block, signals: Matrix) -> None:
         """Take rows 1 to K of ``signals``, shape (K+1, width); of the very first block row 0 too.
@@ -212,31 +192,19 @@ class McapRecorder:
         assert self._sink is not None
         runs = self._buffer.runs()
         if self._messages:
-            runs.append(self._message_run())
+            runs.append(message_run(self._messages, channel_id=self._log_id, step_ns=self._step_ns))
         if runs:
             self._sink.chunk(runs, self._compression)
         self._buffer.hash_into(self._hashes)
+        self._save()
         self._buffer.clear()
         self._messages.clear()
-        self._save()
 
     def _save(self) -> None:
         """Remember what the file holds now, and when."""
         assert self._sink is not None
-        hashes = {name: digest.copy() for name, digest in self._hashes.items()}
-        self._saved.append(_Saved(self._sink.mark(), hashes, self._reached or _Reached(0, 0)))
+        self._saved.append(_Saved(self._sink.mark(), _copied(self._hashes), self._reached or _Reached(0, 0)))
         self._flushed = time.monotonic()
-
-    def _message_run(self) -> Run:
-        records, offsets, size = [], [], 0
-        for time_ns, data in self._messages:
-            step = time_ns // self._step_ns & 0xFFFFFFFF
-            head = _MESSAGE.pack(Opcode.MESSAGE, _MESSAGE.size - 9 + len(data), self._log_id, step, time_ns, time_ns)
-            records.append(head + data)
-            offsets.append(size)
-            size += len(records[-1])
-        times = np.array([time_ns for time_ns, _ in self._messages], dtype=np.int64)
-        return Run(self._log_id, b"".join(records), times, np.array(offsets, dtype=np.int64))
 
     def _fail(self, error: OSError) -> None:
         """Close the file where it was whole last, giving up chunks if the disk has no room for the end.
@@ -270,24 +238,9 @@ class McapRecorder:
         sink.attachment(RESULT_FILE, "application/json", text.encode())
         sink.close()
 
-    def _records(self, plan: Plan) -> dict[str, dict[str, str]]:
-        """Give all metadata records: the caller's, completed by ours."""
-        stages = {"step_ns": str(plan.step_ns), "stages": compact(list(plan.schedule))}
-        ours = {"cosim.run": {"format": FORMAT}, "cosim.env": environment(), "cosim.schedule": stages}
-        for channel in plan.layout.channels:
-            held = [bool(value) for value in plan.held.get(channel.name, ())]
-            design = encode_design(plan.designs.get(channel.name, {}))
-            ours[f"cosim.component.{channel.name}"] = {"cosim.design": design, "cosim.held": compact(held)}
-        names = [*self._metadata, *(name for name in ours if name not in self._metadata)]
-        return {name: {**self._metadata.get(name, {}), **ours.get(name, {})} for name in names}
 
-
-def _named(parts: Sequence[Part]) -> list[tuple[Part, str]]:
-    return list(zip(parts, identifiers([part.title for part in parts]), strict=True))
-
-
-def _schema(part: Part, message: str) -> tuple[str, bytes]:
-    return f"cosim.{message}", component_schema(message, part.elements)
+def _copied(hashes: Mapping[str, hashlib._Hash]) -> dict[str, hashlib._Hash]:
+    return {name: digest.copy() for name, digest in hashes.items()}
 
 
 def _outcome(error: BaseException | None) -> tuple[str, str]:

@@ -43,7 +43,7 @@ typedef struct {
 } cosim_linear;
 int32_t cosim_linear_step(void *self, double t0, double t1, double h, const double *u0, const double *u1, double *y);
 
-/* y(t) = u(t - steps h); memory: index of the newest row, then `steps` + 1 rows of `width`. */
+/* y(t) = u(t - steps h); memory: the row that is due now, then `steps` rows of `width`. */
 typedef struct {
     int32_t steps, width;
     double *memory;
@@ -78,10 +78,10 @@ typedef struct {
     const int32_t *row;                   /* (terms) row of delta */
     const int32_t *factor;                /* (terms, factors) block * rows + row */
     const double *sign;                   /* (terms) */
-    double *memory;                       /* samples seen, ring of (longest delay + 1), then (blocks, rows) of scratch */
+    double *memory;                       /* number of samples before now, ring of the longest delay, (blocks, rows) of scratch */
 } cosim_regressor;
 int32_t cosim_regressor_step(void *self, double t0, double t1, double h, const double *u0, const double *u1, double *y);
-void cosim_regressor_push(const cosim_regressor *self, double t, double delta, double *y);
+void cosim_regressor_outputs(const cosim_regressor *self, double t, double delta, double *y);
 
 /* How theta follows from the estimates for one block: the recurrence sum_k c_k f(t - D - k spacing) = 0. */
 #define COSIM_EXPONENTIAL 1  /* V = 1: one exponential */

@@ -24,15 +24,14 @@ static int32_t longest_delay(const cosim_regressor *s)
     return longest;
 }
 
-void cosim_regressor_push(const cosim_regressor *s, double t, double delta, double *y)
+void cosim_regressor_outputs(const cosim_regressor *s, double t, double delta, double *y)
 {
-    const int32_t longest = longest_delay(s), capacity = longest + 1;
-    const int64_t seen = (int64_t)s->memory[0];
-    double *ring = s->memory + 1, *alpha = ring + capacity;
-    ring[seen % capacity] = delta;
-    s->memory[0] = (double)(seen + 1);
+    const int32_t longest = longest_delay(s);
+    const int64_t now = (int64_t)s->memory[0];
+    const double *ring = s->memory + 1;
+    double *alpha = s->memory + 1 + longest;
 
-    if (seen < longest) {
+    if (now < longest) {
         for (int32_t c = 0; c < s->terms; ++c)
             y[c] = no_value();
         return;
@@ -41,17 +40,25 @@ void cosim_regressor_push(const cosim_regressor *s, double t, double delta, doub
         for (int32_t j = 0; j < s->rows; ++j)
             alpha[b * s->rows + j] = cosim_evaluate(&s->alphas[b], t - s->delays[j]);
     for (int32_t c = 0; c < s->terms; ++c) {
-        double product = s->sign[c] * ring[(seen - s->steps[s->row[c]]) % capacity];
+        const int32_t steps = s->steps[s->row[c]];
+        double product = s->sign[c] * (steps == 0 ? delta : ring[(now - steps) % longest]);
         for (int32_t f = 0; f < s->factors; ++f)
             product *= alpha[s->factor[c * s->factors + f]];
         y[c] = product;
     }
 }
 
+/* Only samples before t1 enter the ring, so that an input that is known late does no harm. */
 int32_t cosim_regressor_step(void *self, double t0, double t1, double h, const double *u0, const double *u1, double *y)
 {
-    (void)t0, (void)h, (void)u0;
-    cosim_regressor_push(self, t1, u1[0], y);
+    (void)t0, (void)h;
+    const cosim_regressor *s = self;
+    const int32_t longest = longest_delay(s);
+    const int64_t now = (int64_t)s->memory[0];
+    if (longest > 0)
+        s->memory[1 + now % longest] = u0[0];
+    s->memory[0] = (double)(now + 1);
+    cosim_regressor_outputs(s, t1, u1[0], y);
     return COSIM_OK;
 }
 

@@ -95,7 +95,7 @@ def _load() -> Any:
             [c_int32, c_int32, doubles, doubles, c_double, POINTER(c_uint8), doubles, doubles, doubles, doubles],
         ),
         "cosim_evaluate": (c_double, [POINTER(ProgramStruct), c_double]),
-        "cosim_regressor_push": (None, [c_void_p, c_double, c_double, doubles]),
+        "cosim_regressor_outputs": (None, [c_void_p, c_double, c_double, doubles]),
         "cosim_least_squares_start": (None, [c_void_p, doubles]),
     }
     for name, (result, arguments) in signatures.items():

@@ -116,14 +116,14 @@ int32_t cosim_linear_step(void *self, double t0, double t1, double h, const doub
 
 int32_t cosim_delay_step(void *self, double t0, double t1, double h, const double *u0, const double *u1, double *y)
 {
-    (void)t0, (void)t1, (void)h, (void)u0;
+    (void)t0, (void)t1, (void)h, (void)u1;
     const cosim_delay *s = self;
-    const int32_t rows = s->steps + 1, newest = ((int32_t)s->memory[0] + 1) % rows, oldest = (newest + 1) % rows;
+    const int32_t newest = (int32_t)s->memory[0], oldest = (newest + 1) % s->steps;
     double *ring = s->memory + 1;
     for (int32_t i = 0; i < s->width; ++i)
-        ring[newest * s->width + i] = u1[i];
+        ring[newest * s->width + i] = u0[i];
     for (int32_t i = 0; i < s->width; ++i)
         y[i] = ring[oldest * s->width + i];
-    s->memory[0] = (double)newest;
+    s->memory[0] = (double)oldest;
     return COSIM_OK;
 }

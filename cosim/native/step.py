@@ -134,8 +134,8 @@ def linear(discrete: HeldDiscretisation, C: Matrix, D: Matrix) -> NativeStep:
 
 
 def delay(steps: int, width: int) -> NativeStep:
-    """Give the input ``steps`` communication steps later; memory: newest row, ring of ``steps + 1`` rows."""
-    memory = np.zeros(1 + (steps + 1) * width)
+    """Give the input ``steps`` communication steps later; memory: the row due now, ring of ``steps`` rows."""
+    memory = np.zeros(1 + steps * width)
     return NativeStep(address("cosim_delay_step"), DelayStruct(steps, width, pointer(memory)), n_y=width, memory=memory)
 
 
@@ -187,7 +187,7 @@ class Regressor:
     ) -> None:
         programs = _programs(alphas)
         arrays = (int32(steps), np.array(delays, np.float64), int32(row), int32(factor), np.array(sign, np.float64))
-        memory = np.zeros(1 + max(steps) + 1 + len(alphas) * len(steps))
+        memory = np.zeros(1 + max(steps) + len(alphas) * len(steps))
         terms, factors = np.shape(factor)
         lags, seconds, rows, table, signs = map(pointer, arrays)
         state = RegressorStruct(
@@ -197,22 +197,14 @@ class Regressor:
             address("cosim_regressor_step"), state, n_y=terms, memory=memory, keep=(programs, *alphas, *arrays)
         )
 
-    def start(self, t: float, delta: float) -> Vector:
-        """Forget the past; take the first sample; give mu at ``t``."""
+    def reset(self) -> None:
+        """Forget the past."""
         self.step.memory[:] = 0.0
-        return self._push(t, delta)
 
-    def peek(self, t: float, delta: float) -> Vector:
-        """Give mu at ``t``, the instant of the newest sample, if that sample were ``delta``; changes nothing."""
-        memory = self.step.save()
-        self.step.memory[0] -= 1.0
-        y = self._push(t, delta)
-        self.step.restore(memory)
-        return y
-
-    def _push(self, t: float, delta: float) -> Vector:
+    def outputs(self, t: float, delta: float) -> Vector:
+        """Give mu at ``t``, the instant reached, where the signal is ``delta``."""
         y = np.empty(self.step.n_y)
-        library.cosim_regressor_push(ctypes.addressof(self.step.state), t, delta, pointer(y))
+        library.cosim_regressor_outputs(ctypes.addressof(self.step.state), t, delta, pointer(y))
         return y
 
 

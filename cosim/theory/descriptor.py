@@ -69,7 +69,7 @@ class DescriptorSystem:
             )
 
     @property
-    def E(self) -> Matrix:  # noqa: N802
+    def E(self) -> Matrix:
         """The matrix of Assumption 1, shape ``(n, n)``."""
         return np.diag([1.0] * self.n_a + [0.0] * (self.A.shape[0] - self.n_a))
 

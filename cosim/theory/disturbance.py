@@ -42,7 +42,7 @@ class Family(Protocol):
     def c(self) -> Vector:
         """Output row, shape ``(v,)``."""
 
-    def G(self, theta: Vector) -> Matrix:  # noqa: N802
+    def G(self, theta: Vector) -> Matrix:
         """System matrix [1/s], shape ``(v, v)``."""
 
     def theta_from_roots(self, z: Sequence[complex], spacing: float) -> Vector:
@@ -63,7 +63,7 @@ class Exponential:
         """Output row, shape ``(1,)``."""
         return np.ones(1)
 
-    def G(self, theta: Vector) -> Matrix:  # noqa: N802
+    def G(self, theta: Vector) -> Matrix:
         """System matrix [1/s], shape ``(1, 1)``."""
         return np.array([[theta[0]]])
 
@@ -89,7 +89,7 @@ class Sine:
         """Output row, shape ``(2,)``."""
         return np.array([1.0, 0.0])
 
-    def G(self, theta: Vector) -> Matrix:  # noqa: N802
+    def G(self, theta: Vector) -> Matrix:
         """System matrix [1/s], shape ``(2, 2)``."""
         return np.array([[0.0, theta[0]], [-theta[0], 0.0]])
 
@@ -132,7 +132,7 @@ def family_named(name: str) -> Family:
     return FAMILIES[name]
 
 
-def K(family: Family, theta: ArrayLike, D: float) -> Vector:  # noqa: N802
+def K(family: Family, theta: ArrayLike, D: float) -> Vector:
     """Give the row `K(theta, D)' = c' expm(-G D)` of (5), shape ``(v,)``.
 
     Parameters

@@ -6,7 +6,8 @@ block b, and for a disturbance of this block alone (25) says
 
     sum over j in S of  sign_j chi_j f(t - D_j) = 0
 
-a recurrence for each of its components. With equal spacing of the delays in S its characteristic roots are `exp(lambda spacing)`.
+a recurrence for each of its components. With equal spacing of the delays in S its characteristic roots are
+`z = exp(lambda spacing)`, `w = 1 / z`.
 The paper's choice for S is the rows the block has in the first term and the last row. For `V_b = 1` this gives exactly (35); for
 `V_b = 2` another S is taken where the delays of this one are not equally spaced.
 """
@@ -34,8 +35,8 @@ EQUAL_SPACING = 1e-9  # relative difference of two spacings that still counts as
 class Kind(IntEnum):
     """How theta of a block follows from the coefficients `c = sign chi` of its recurrence, delays ascending."""
 
-    EXPONENTIAL = 1  # theta = ln(-c1 / c0) / spacing
-    EXPONENTIALS = 2  # c0 z^2 + c1 z + c2 = 0, theta = ln(z) / spacing, the larger z first
+    EXPONENTIAL = 1  # c1 w + c0 = 0, theta = -ln(w) / spacing
+    EXPONENTIALS = 2  # c2 w^2 + c1 w + c0 = 0, theta = -ln(w) / spacing, the larger theta first
     SINE = 3  # 2 cos(theta spacing) = -c1 / c0
 
 
@@ -115,21 +116,12 @@ def plan(terms: Sequence[Term], blocks: Sequence[Block], delays: Sequence[float]
 
 
 def recover(plan: Recovery, eta: Vector) -> Vector:
-    """Recover theta from eta (35), shape ``(n_theta,)``; NaN where eta belongs to no theta."""
+    """Recover theta from eta (35), shape ``(n_theta,)``; NaN for a block where eta belongs to no theta."""
     theta = np.full(plan.n_theta, NAN)
     for block in plan.blocks:
         c = [sign * (float(eta[term - 1]) if term else 1.0) for term, sign in zip(block.terms, block.signs, strict=True)]
-        if not all(map(math.isfinite, c)) or c[0] == 0.0 or c[-1] == 0.0:
-            continue
-        if block.kind is Kind.EXPONENTIAL:
-            # -ln(-c0 / c1), not ln(-c1 / c0): with c1 = 1 this is the paper's ln(eta) / (D_j - D_last) to the last bit
-            theta[block.theta[0]] = -Exponential().theta_from_roots([-c[0] / c[1]], block.spacing)[0]
-            continue
-        z = _roots(*c)
-        if block.kind is Kind.SINE:
-            theta[block.theta[0]] = Sine().theta_from_roots(z, block.spacing)[0]
-        else:
-            theta[list(block.theta)] = [Exponential().theta_from_roots([root], block.spacing)[0] for root in z]
+        if all(map(math.isfinite, c)):
+            theta[list(block.theta)] = _FORMULAS[block.kind](c, block.spacing)
     return theta
 
 
@@ -178,8 +170,8 @@ def _kind(block: Block) -> Kind:
     if names not in known:
         raise AssumptionError(
             f"(35): no formula for theta of the components {list(block.components)} that share alpha {block.alpha!r} "
-            f"({', '.join(names)}); possible for one alpha: one exponential, two exponentials, or one sine; give the others another "
-            "alpha"
+            f"({', '.join(names)}); possible for one alpha: one exponential, two exponentials, or one sine; give the others "
+            "another alpha"
         )
     return known[names]
 
@@ -208,12 +200,30 @@ def _row_sets(b: int, first: Term) -> Iterator[tuple[tuple[int, ...], tuple[tupl
         yield rows, tuple(tuple(rest[i:j]) for i, j in pairwise(ends))
 
 
-def _roots(c0: float, c1: float, c2: float) -> tuple[complex, complex]:
-    """Solve `c0 z^2 + c1 z + c2 = 0` without cancellation, real roots descending."""
-    discriminant = c1 * c1 - 4.0 * c0 * c2
+def _exponential(c: Sequence[float], spacing: float) -> list[float]:
+    # -ln(-c0 / c1), not ln(-c1 / c0): with c1 = 1 this is the paper's ln(eta) / (D_j - D_last) to the last bit
+    return [-Exponential().theta_from_roots([-c[0] / c[1]], spacing)[0]] if c[1] else [NAN]
+
+
+def _exponentials(c: Sequence[float], spacing: float) -> list[float]:
+    if c[0] == 0.0 or c[2] == 0.0:
+        return [NAN, NAN]
+    theta = [-Exponential().theta_from_roots([w], spacing)[0] for w in _roots(c[2], c[1], c[0])]
+    return [NAN, NAN] if any(map(math.isnan, theta)) else sorted(theta, reverse=True)
+
+
+def _sine(c: Sequence[float], spacing: float) -> list[float]:
+    return [Sine().theta_from_roots(_roots(*c), spacing)[0]] if c[0] else [NAN]
+
+
+_FORMULAS = {Kind.EXPONENTIAL: _exponential, Kind.EXPONENTIALS: _exponentials, Kind.SINE: _sine}
+
+
+def _roots(a: float, b: float, c: float) -> tuple[complex, complex]:
+    """Solve `a z^2 + b z + c = 0`, a not 0: the root of larger magnitude first, the other from their product: no cancellation."""
+    discriminant = b * b - 4.0 * a * c
     if discriminant < 0.0:
         root = cmath.sqrt(discriminant)
-        return (-c1 + root) / (2.0 * c0), (-c1 - root) / (2.0 * c0)
-    far = -(c1 + math.copysign(math.sqrt(discriminant), c1)) / 2.0
-    z = (far / c0, c2 / far) if far else (0.0, 0.0)
-    return max(z), min(z)
+        return (-b + root) / (2.0 * a), (-b - root) / (2.0 * a)
+    far = -0.5 * (b + math.copysign(math.sqrt(discriminant), b))
+    return (far / a, c / far) if far else (0.0, 0.0)

@@ -106,7 +106,7 @@ def design(
     fixed_modes = _sorted_eigenvalues(V.T @ M @ V)
     need_detectable(fixed_modes, M)
     observable, seen = W.T @ M @ W, reduced.C3 @ W
-    gain = _gain(L, M.shape[0], reduced.C3.shape[0]) if L is not None else W @ place(observable, seen, poles or (), fixed_modes)
+    gain = _gain(L, reduced.C3.T.shape) if poles is None else W @ place(observable, seen, poles, fixed_modes)
     movable = _sorted_eigenvalues(observable - W.T @ gain @ seen)
     need_hurwitz(movable, M - gain @ reduced.C3, fixed_modes)
     eigenvalues = np.sort_complex(np.concatenate([movable, fixed_modes]))
@@ -220,14 +220,12 @@ def start_time(
     return StartTime(T_obs=T_obs, T_f=T_f, D_max=D_max, T_id=T_obs + T_f + D_max)
 
 
-def _gain(L: ArrayLike, n_a: int, n_y: int) -> Matrix:
+def _gain(L: ArrayLike | None, shape: tuple[int, ...]) -> Matrix:
     gain = np.asarray(L, dtype=np.float64)
-    if gain.ndim == 1 and n_y == 1:
+    if gain.ndim == 1 and shape[1] == 1:
         gain = gain[:, None]
-    if gain.shape != (n_a, n_y):
-        raise AssumptionError(
-            f"(17): L has shape {gain.shape}; needed ({n_a}, {n_y}): one row per dynamic state, one column per output"
-        )
+    if gain.shape != shape:
+        raise AssumptionError(f"(17): L has shape {gain.shape}; needed {shape}: one row per dynamic state, one column per output")
     if not np.isfinite(gain).all():
         raise AssumptionError(f"(17): L = {gain.tolist()}; needed finite numbers")
     return gain

@@ -56,8 +56,8 @@ def place(A: Matrix, C: Matrix, poles: Sequence[complex], fixed_modes: ComplexVe
     scale = np.abs(wanted).max()
     if not np.allclose(np.poly(placed / scale), np.poly(wanted / scale), rtol=PLACED, atol=PLACED):
         raise AssumptionError(
-            f"(17): poles {modes(wanted)} cannot be placed accurately, found {modes(placed)}; choose poles further apart or closer "
-            f"to {modes(np.linalg.eigvals(A).astype(np.complex128))}"
+            f"(17): poles {modes(wanted)} cannot be placed accurately, found {modes(placed)}; choose poles further apart or "
+            f"closer to {modes(np.linalg.eigvals(A).astype(np.complex128))}"
         )
     L: Matrix = gain @ left[:, :k].T
     return L

@@ -55,5 +55,6 @@ def verdict(eigenvalues: Vector, prior: float | None) -> str:
     directions = int((prior >= COMPARABLE * np.asarray(eigenvalues)).sum())
     return (
         f"{compared}: the estimate in that direction is the prior's, not the data's (weight of the prior "
-        f"{ratio / (1.0 + ratio):.2g}); {directions} of {len(eigenvalues)} directions are affected, {condition}; raise P0 or leave it out"
+        f"{ratio / (1.0 + ratio):.2g}); {directions} of {len(eigenvalues)} directions are affected, {condition}; raise P0 or "
+        "leave it out"
     )

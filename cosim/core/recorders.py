@@ -1,8 +1,8 @@
-"""A recorder that keeps everything in memory, and is the recording afterwards; and one that keeps nothing."""
+"""Recorders: one that keeps everything in memory and is the recording afterwards, one that keeps nothing, one that watches."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cached_property
 from types import TracebackType
 from typing import Any, Self
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Nanoseconds
-from cosim.core.contracts import Block, Plan
+from cosim.core.contracts import Block, Plan, Recorder
 from cosim.core.signals import Channel
 from cosim.errors import LogError, nearest
 
@@ -89,3 +89,33 @@ class Nothing:
 
     def write(self, block: Block, signals: Matrix) -> None:
         """Do nothing."""
+
+
+class Watched:
+    """Hands everything on to another recorder, then says how far the run is.
+
+    Parameters
+    ----------
+    recorder : Recorder
+    reached : callable
+        Called with every block after it has been recorded; what it raises ends the run, cleanly.
+    """
+
+    def __init__(self, recorder: Recorder, reached: Callable[[Block], None]) -> None:
+        self._recorder, self._reached = recorder, reached
+
+    def __enter__(self) -> Self:
+        self._recorder.__enter__()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self._recorder.__exit__(kind, error, trace)
+
+    def begin(self, plan: Plan) -> None:
+        """Hand on."""
+        self._recorder.begin(plan)
+
+    def write(self, block: Block, signals: Matrix) -> None:
+        """Hand on, then tell."""
+        self._recorder.write(block, signals)
+        self._reached(block)

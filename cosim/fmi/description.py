@@ -1,0 +1,285 @@
+"""What a unit says about itself: the content of a modelDescription.xml, independent of the FMI version.
+
+``describe`` gives it for a linear model; ``reading.py`` reads it from an FMU, ``writing.py`` writes it.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from cosim.core.contracts import Model
+from cosim.core.signals import Interface, Kind, Signal
+from cosim.core.solver import LinearModel
+from cosim.errors import FmuError, nearest
+from cosim.fmi.unit import References, VariableType
+
+Mode: TypeAlias = Literal["me", "cs"]  # model exchange, co-simulation
+Initial: TypeAlias = Literal["exact", "approx", "calculated"]
+MODES: tuple[Mode, ...] = ("me", "cs")
+MODE_NAMES: Mapping[Mode, str] = {"me": "model exchange", "cs": "co-simulation"}
+LARGEST_EXACT = 2**53  # integers beyond it are not all float64
+
+
+@dataclass(frozen=True, slots=True)
+class Variable:
+    """A variable of a unit (FMI 2.0.4 section 2.2.7, FMI 3.0 section 2.4.7).
+
+    Parameters
+    ----------
+    name : str
+    reference : int
+        Value reference.
+    causality : str
+        ``input``, ``output``, ``parameter``, ``local``, ... as in the standard.
+    type : VariableType
+    variability, initial : str, str or None
+    size : int
+        Number of elements; 1 except for the arrays of FMI 3.
+    unit : str or None
+    start : tuple of float or None
+    minimum, maximum : float
+    derivative_of : str or None
+        The state of which it is the derivative.
+    """
+
+    name: str
+    reference: int
+    causality: str
+    type: VariableType = "Float64"
+    variability: str = "continuous"
+    initial: Initial | None = None
+    size: int = 1
+    unit: str | None = None
+    start: tuple[float, ...] | None = None
+    minimum: float = -math.inf
+    maximum: float = math.inf
+    derivative_of: str | None = None
+
+    @property
+    def settable(self) -> bool:
+        """May a start value be given (FMI 2.0.4 section 2.2.7: initial exact or approx, or an input)?"""
+        return self.variability != "constant" and (self.causality == "input" or self.initial in ("exact", "approx"))
+
+    @property
+    def kind(self) -> Kind:
+        """What its signal carries."""
+        if self.type in ("Float32", "Float64"):
+            return "real"
+        return "boolean" if self.type == "Boolean" else "integer"
+
+
+@dataclass(frozen=True, slots=True)
+class Capabilities:
+    """What one kind of a unit can do (FMI 2.0.4 sections 3.3.1 and 4.3.1, FMI 3.0 sections 3.3.1 and 4.3.1)."""
+
+    identifier: str = ""
+    directional_derivatives: bool = False
+    saves_state: bool = False
+    interpolates_inputs: bool = False  # co-simulation, FMI 2: input derivatives
+    variable_step: bool = False  # co-simulation
+    fixed_step: float | None = None  # co-simulation, FMI 3 [s]
+    completed_step: bool = True  # model exchange: wants completed_integrator_step
+
+
+@dataclass(frozen=True, slots=True)
+class Description:
+    """A unit's description.
+
+    Parameters
+    ----------
+    name, token : str
+        Name of the model; GUID or instantiation token.
+    version : str
+        FMI version.
+    variables : tuple of Variable
+        In the order of the file.
+    states : tuple of str
+        Names of the variables that are continuous states, in the order of the derivatives.
+    dependencies : mapping of output or derivative name to variable names, or to None
+        What each depends on directly; None: not said.
+    capabilities : mapping of Mode to Capabilities
+        The kinds that are there.
+    event_indicators : int
+    refused : tuple of str
+        Names of variables that cannot be carried, by kind: clocks.
+    platforms : tuple of str
+        Folders under ``binaries/`` that hold something.
+    """
+
+    name: str
+    token: str
+    version: str
+    variables: tuple[Variable, ...]
+    states: tuple[str, ...] = ()
+    dependencies: Mapping[str, tuple[str, ...] | None] = field(default_factory=dict)
+    capabilities: Mapping[Mode, Capabilities] = field(default_factory=dict)
+    event_indicators: int = 0
+    clocks: tuple[str, ...] = ()
+    platforms: tuple[str, ...] = ()
+
+    def __getitem__(self, name: str) -> Variable:
+        """Find a variable.
+
+        Raises
+        ------
+        FmuError
+            If there is none of that name; with the nearest one.
+        """
+        for variable in self.variables:
+            if variable.name == name:
+                return variable
+        raise FmuError(f"{self.name}: no variable {name!r}; {nearest(name, [v.name for v in self.variables])}")
+
+    def ports(self, causality: str) -> tuple[tuple[Signal, tuple[Variable, ...]], ...]:
+        """Give the signals of one causality with the variables that carry their elements, in order."""
+        carried = [v for v in self.variables if v.causality == causality and v.type not in ("String", "Binary", "Clock")]
+        return tuple((self._signal(name, group), group) for name, group in _vectors(carried))
+
+    def references(self, causality: str) -> References:
+        """Give the references of all inputs or outputs, in the order of the interface."""
+        return References.of([(v.type, v.reference, v.size) for _, group in self.ports(causality) for v in group])
+
+    def reference(self, names: Iterable[str]) -> References:
+        """Give the references of variables by name."""
+        return References.of([(v.type, v.reference, v.size) for v in map(self.__getitem__, names)])
+
+    @property
+    def interface(self) -> Interface:
+        """Inputs, outputs and feedthrough, vectors put together again."""
+        inputs, outputs = self.ports("input"), self.ports("output")
+        port_of = {v.name: signal.name for signal, group in inputs for v in group}
+        known = {signal.name: self._feeds(group, port_of) for signal, group in outputs}
+        feedthrough: Mapping[str, tuple[str, ...]] | None = None
+        if not known or any(feeds is not None for feeds in known.values()):
+            everything = tuple(signal.name for signal, _ in inputs)
+            feedthrough = {name: everything if feeds is None else feeds for name, feeds in known.items()}
+        return Interface(tuple(s for s, _ in inputs), tuple(s for s, _ in outputs), feedthrough)
+
+    def _feeds(self, group: Sequence[Variable], port_of: Mapping[str, str]) -> tuple[str, ...] | None:
+        found: set[str] = set()
+        for variable in group:
+            names = self.dependencies.get(variable.name)
+            if names is None:
+                return None
+            found.update(port_of[name] for name in names if name in port_of)
+        return tuple(name for name in dict.fromkeys(port_of.values()) if name in found)
+
+    def _signal(self, name: str, group: Sequence[Variable]) -> Signal:
+        first = group[0]
+        is_state = all(v.name in self.states for v in group)
+        return Signal(
+            name,
+            size=sum(v.size for v in group),
+            unit=first.unit,
+            variability="continuous" if first.variability == "continuous" else "discrete",
+            kind=first.kind,
+            role="input" if first.causality == "input" else "state" if is_state else "output",
+        )
+
+
+def _vectors(variables: Sequence[Variable]) -> list[tuple[str, tuple[Variable, ...]]]:
+    """Put scalars ``n[0], n[1], ...`` (or from 1) of equal kind and unit together again; others stand alone."""
+    families: dict[str, dict[int, Variable]] = {}
+    for variable in variables:
+        element = re.fullmatch(r"(.*[^\]])\[(\d+)\]", variable.name)
+        if element and variable.size == 1:
+            families.setdefault(element[1], {})[int(element[2])] = variable
+    names, found, done = {v.name for v in variables}, [], set()
+    for variable in variables:
+        base = variable.name.rpartition("[")[0]
+        family = families.get(base, {})
+        numbers, first = sorted(family), min(family, default=0)
+        alike = len({(v.kind, v.unit, v.variability) for v in family.values()}) == 1
+        if variable in family.values() and alike and first in (0, 1) and base not in names and numbers[-1] - first < len(numbers):
+            if base not in done:
+                found.append((base, tuple(family[i] for i in numbers)))
+                done.add(base)
+        else:
+            found.append((variable.name, (variable,)))
+    return found
+
+
+def describe(model: Model, name: str, linear: LinearModel | None) -> Description:
+    """Describe a model of ours as a unit; value references as in ``c/fmi2.c``.
+
+    Inputs come first, then outputs, derivatives, and the states that are no outputs. An output that is a state, under the
+    state's name, is one variable.
+
+    Raises
+    ------
+    FmuError
+        If a state has the name of another variable.
+    """
+    face, m, p, n = model.interface, model.interface.n_u, model.interface.n_y, len(model.states)
+    outputs = [element for signal in face.outputs for element in signal.elements]
+    state_of = states_of_outputs(linear) if linear else [-1] * p
+    exact = [not row.any() for row in linear.Xu] if linear else [False] * n
+    shown = {outputs[i] for i in range(p) if state_of[i] >= 0}
+
+    def state(index: int) -> tuple[Initial, tuple[float, ...] | None]:
+        return ("exact", (float(linear.X0[index]),)) if linear and exact[index] else ("calculated", None)
+
+    variables = [
+        Variable(element, number, "input", unit=signal.unit, variability=_variability(signal), initial=None, start=(0.0,))
+        for number, (signal, element) in enumerate((s, e) for s in face.inputs for e in s.elements)
+    ]
+    for i, (signal, element) in enumerate((s, e) for s in face.outputs for e in s.elements):
+        initial, start = state(state_of[i]) if state_of[i] >= 0 else ("calculated", None)
+        variables.append(Variable(element, m + i, "output", unit=signal.unit, initial=initial, start=start))
+    units = {v.name: v.unit for v in variables}
+    for j, x in enumerate(model.states):
+        unit = f"{units[x]}/s" if units.get(x) not in (None, "1") and x in shown else "1/s" if units.get(x) == "1" else None
+        variables.append(Variable(f"der({x})", m + p + j, "local", unit=unit, initial="calculated", derivative_of=x))
+    for j, x in enumerate(model.states):
+        if x not in shown:
+            initial, start = state(j)
+            variables.append(Variable(x, m + p + n + j, "local", initial=initial, start=start))
+    names = [v.name for v in variables]
+    twice = next((v for v in names if names.count(v) > 1), None)
+    if twice:
+        raise FmuError(f"{name}: {twice!r} is a state and another variable; give the state a name of its own")
+    return Description(name, "", "2.0", tuple(variables), model.states, _dependencies(model, linear), event_indicators=0)
+
+
+def _variability(signal: Signal) -> str:
+    return "discrete" if signal.variability == "discrete" else "continuous"
+
+
+def states_of_outputs(model: LinearModel) -> list[int]:
+    """Give for every output element the state that it is, by value and by name, or -1."""
+    names = [element for signal in model.interface.outputs for element in signal.elements]
+    found = []
+    for name, c, d in zip(names, model.C, model.D, strict=True):
+        j = model.states.index(name) if name in model.states else -1
+        is_state = j >= 0 and c[j] == 1.0 and np.count_nonzero(c) == 1 and not d.any()
+        found.append(j if is_state else -1)
+    return found
+
+
+def _dependencies(model: Model, linear: LinearModel | None) -> dict[str, tuple[str, ...] | None]:
+    inputs = [element for signal in model.interface.inputs for element in signal.elements]
+    outputs = [element for signal in model.interface.outputs for element in signal.elements]
+    derivatives = [f"der({x})" for x in model.states]
+    if linear is None:
+        return {
+            **{
+                element: tuple(e for s in model.interface.inputs if s.name in model.interface.feeds(signal.name) for e in s.elements)
+                for signal in model.interface.outputs
+                for element in signal.elements
+            },
+            **dict.fromkeys(derivatives),
+        }
+    rows = zip([*outputs, *derivatives], [*linear.C, *linear.A], [*linear.D, *linear.B], strict=True)
+    return {
+        name: (*_nonzero(inputs, of_u), *_nonzero(model.states, of_x)) for name, of_x, of_u in rows
+    }
+
+
+def _nonzero(names: Sequence[str], row: Iterable[float]) -> tuple[str, ...]:
+    return tuple(name for name, value in zip(names, row, strict=True) if value != 0.0)

@@ -1,0 +1,282 @@
+"""A model of ours behind the FMI calls for model exchange, with the call order of the standard enforced.
+
+::
+
+    instantiated --enter_initialization_mode--> initialization --exit_initialization_mode--> event
+    event --enter_continuous_time_mode--> continuous --enter_event_mode--> event
+    event, continuous --terminate--> terminated;  any --reset--> instantiated;  any --free_instance--> freed
+
+(FMI 2.0.4 section 3.2.3, FMI 3.0 section 3.2.1.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Final, Literal, TypeAlias, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.arrays import Vector
+from cosim.core.contracts import Model
+from cosim.core.solver import LinearModel
+from cosim.errors import FmuError
+from cosim.fmi.description import Capabilities, Description, describe, states_of_outputs
+from cosim.fmi.unit import DiscreteStates, References
+from cosim.native.step import affine
+
+Phase: TypeAlias = Literal["instantiated", "initialization", "event", "continuous", "terminated", "freed"]
+
+RUNNING: Final = ("event", "continuous")
+READABLE: Final = ("initialization", "event", "continuous", "terminated")
+ALLOWED: Final[Mapping[str, tuple[str, ...]]] = {
+    "enter_initialization_mode": ("instantiated",),
+    "exit_initialization_mode": ("initialization",),
+    "enter_event_mode": RUNNING,
+    "update_discrete_states": ("event",),
+    "enter_continuous_time_mode": ("event",),
+    "set_time": RUNNING,
+    "set_continuous_states": ("continuous",),
+    "get_continuous_states": READABLE,
+    "get_derivatives": READABLE,
+    "completed_integrator_step": ("continuous",),
+    "set_float64": ("instantiated", "initialization", *RUNNING),
+    "get_float64": ("instantiated", *READABLE),
+    "get_directional_derivative": READABLE,
+    "get_fmu_state": ("instantiated", *READABLE),
+    "set_fmu_state": ("instantiated", *READABLE),
+    "free_fmu_state": ("instantiated", *READABLE, "freed"),
+    "terminate": RUNNING,
+    "reset": ("instantiated", *READABLE),
+    "free_instance": ("instantiated", *READABLE, "freed"),
+}
+
+
+@final
+class GeneratedUnit:
+    """A model as a model exchange unit.
+
+    Parameters
+    ----------
+    model : Model
+        Nothing but its contract is used.
+    name : str
+        Stands in messages and in the description.
+    linear : LinearModel or None
+        The same model, where it is linear: derivatives in any direction are then exact, and the exact solver is there.
+    """
+
+    def __init__(self, model: Model, name: str = "model", *, linear: LinearModel | None = None) -> None:
+        self._model, self._linear, self._name = model, linear, name
+        capabilities = Capabilities(name, directional_derivatives=linear is not None, saves_state=True, completed_step=False)
+        self._description = replace(describe(model, name, linear), capabilities={"me": capabilities})
+        self._n, self._m, self._p = len(model.states), model.interface.n_u, model.interface.n_y
+        self._state_of = states_of_outputs(linear) if linear else [-1] * self._p
+        self._phase: Phase = "instantiated"
+        self._set_defaults()
+
+    @staticmethod
+    def of(model: LinearModel, name: str = "model") -> GeneratedUnit:
+        """Build the unit of a linear model."""
+        return GeneratedUnit(model, name, linear=model)
+
+    @property
+    def description(self) -> Description:
+        """Variables and structure, as the export writes them."""
+        return self._description
+
+    @property
+    def linear(self) -> LinearModel | None:
+        """The model, where it is linear; assigning one of the same shape exchanges its numbers."""
+        return self._linear
+
+    @linear.setter
+    def linear(self, model: LinearModel) -> None:
+        self._model = self._linear = model
+        self._stale = True
+
+    def _set_defaults(self) -> None:
+        self._t, self._x, self._u = 0.0, np.zeros(self._n), np.zeros(self._m)
+        self._starts: dict[int, float] = {}
+        self._values = np.zeros(self._m + self._p + 2 * self._n)
+        self._stale = True
+
+    def _require(self, call: str) -> None:
+        if self._phase not in ALLOWED[call]:
+            raise FmuError(f"{self._name}: {call} is not allowed in mode {self._phase!r}; allowed in: {', '.join(ALLOWED[call])}")
+
+    # --- modes ---
+
+    def reset(self) -> None:
+        """Go back to the state after instantiation."""
+        self._require("reset")
+        self._phase = "instantiated"
+        self._set_defaults()
+
+    def enter_initialization_mode(self, t: float) -> None:
+        """Start at ``t`` [s]."""
+        self._require("enter_initialization_mode")
+        self._phase, self._t = "initialization", t
+
+    def exit_initialization_mode(self) -> None:
+        """End the initialization."""
+        self._require("exit_initialization_mode")
+        self._update()
+        self._phase = "event"
+
+    def enter_event_mode(self) -> None:
+        """Stop time, for discrete changes."""
+        self._require("enter_event_mode")
+        self._phase = "event"
+
+    def update_discrete_states(self) -> DiscreteStates:
+        """Do one event iteration: a model without memory has no discrete states."""
+        self._require("update_discrete_states")
+        return DiscreteStates(need_update=False, terminate=False, states_changed=False, next_event_time=None)
+
+    def enter_continuous_time_mode(self) -> None:
+        """Let time move."""
+        self._require("enter_continuous_time_mode")
+        self._phase = "continuous"
+
+    def completed_integrator_step(self) -> tuple[bool, bool]:
+        """Accept the step: neither an event nor the end."""
+        self._require("completed_integrator_step")
+        return False, False
+
+    def terminate(self) -> None:
+        """End the run."""
+        self._require("terminate")
+        self._phase = "terminated"
+
+    def free_instance(self) -> None:
+        """Let go of everything."""
+        self._require("free_instance")
+        self._phase = "freed"
+
+    # --- values ---
+
+    def set_time(self, t: float) -> None:
+        """Set the time [s]."""
+        self._require("set_time")
+        self._t, self._stale = t, True
+
+    def set_continuous_states(self, x: Vector) -> None:
+        """Set the states, shape (n_x,)."""
+        self._require("set_continuous_states")
+        self._x, self._stale = x.copy(), True
+
+    def get_continuous_states(self) -> Vector:
+        """Give the states, shape (n_x,)."""
+        self._require("get_continuous_states")
+        self._update_states()
+        return self._x.copy()
+
+    def get_derivatives(self) -> Vector:
+        """Give x', shape (n_x,)."""
+        self._require("get_derivatives")
+        self._update_states()
+        return self._model.derivatives(self._t, self._x, self._u)
+
+    def set_float64(self, references: References, values: Vector) -> None:
+        """Set inputs; before the run also start values of states that do not depend on inputs."""
+        self._require("set_float64")
+        for group in references.groups:
+            for reference, value in zip(group.references.tolist(), values[group.columns].tolist(), strict=True):
+                if reference < self._m:
+                    self._u[reference] = value
+                else:
+                    self._set_start(reference, value)
+        self._stale = True
+
+    def _set_start(self, reference: int, value: float) -> None:
+        variable = next(v for v in self._description.variables if v.reference == reference)
+        if not variable.settable or self._phase not in ("instantiated", "initialization"):
+            raise FmuError(f"{self._name}: {variable.name!r} cannot be set in mode {self._phase!r}")
+        self._starts[self._state(reference)] = value
+
+    def _state(self, reference: int) -> int:
+        index = reference - self._m
+        return self._state_of[index] if index < self._p else index - self._p - self._n
+
+    def get_float64(self, references: References) -> Vector:
+        """Get variables as a new vector."""
+        self._require("get_float64")
+        self._update()
+        values = np.empty(references.size)
+        for group in references.groups:
+            values[group.columns] = self._values[group.references]
+        return values
+
+    def _update_states(self) -> None:
+        if self._stale and self._phase in ("instantiated", "initialization"):
+            self._x = self._model.initial(self._t, self._u)
+            for state, value in self._starts.items():
+                self._x[state] = value
+
+    def _update(self) -> None:
+        """Bring every value up to date: u, y, x', x."""
+        if not self._stale:
+            return
+        self._update_states()
+        m, p, n = self._m, self._p, self._n
+        self._values[:m] = self._u
+        self._values[m : m + p] = self._model.outputs(self._t, self._x, self._u)
+        self._values[m + p : m + p + n] = self._model.derivatives(self._t, self._x, self._u)
+        self._values[m + p + n :] = self._x
+        self._stale = False
+
+    # --- directional derivatives and states ---
+
+    def get_directional_derivative(self, unknowns: References, knowns: References, seed: Vector) -> Vector:
+        """Give d(unknowns)/d(knowns) . seed from the matrices (FMI 2.0.4 section 2.1.9).
+
+        Raises
+        ------
+        FmuError
+            If the model is not linear, or a variable is neither known nor unknown.
+        """
+        self._require("get_directional_derivative")
+        if self._linear is None:
+            raise FmuError(f"{self._name}: no directional derivatives; the model is not linear")
+        jacobian = self._jacobian(self._linear)
+        columns = [self._known(reference) for reference in _plain(knowns)]
+        rows = [reference - self._m for reference in _plain(unknowns)]
+        if min(rows, default=0) < 0:
+            raise FmuError(f"{self._name}: the unknowns of a directional derivative are outputs, derivatives and states, not inputs")
+        return affine([(jacobian[rows][:, columns], seed)])
+
+    def _jacobian(self, model: LinearModel) -> NDArray[np.float64]:
+        """d(y, x', x)/d(u, x); in initialization mode x follows the inputs by Xu."""
+        by_x = np.vstack([model.C, model.A, np.eye(self._n)])
+        by_u = np.vstack([model.D, model.B, np.zeros((self._n, self._m))])
+        if self._phase == "initialization":
+            by_u = by_u + np.einsum("ij,jk->ik", by_x, model.Xu)
+        return np.hstack([by_u, by_x])
+
+    def _known(self, reference: int) -> int:
+        if reference < self._m:
+            return reference
+        state = self._state(reference) if not self._m + self._p <= reference < self._m + self._p + self._n else -1
+        if state < 0:
+            raise FmuError(f"{self._name}: the knowns of a directional derivative are inputs and states")
+        return self._m + state
+
+    def get_fmu_state(self) -> object:
+        """Copy the whole state."""
+        self._require("get_fmu_state")
+        return self._phase, self._t, self._x.copy(), self._u.copy(), dict(self._starts)
+
+    def set_fmu_state(self, state: object) -> None:
+        """Go back to a copied state."""
+        self._require("set_fmu_state")
+        self._phase, self._t, x, u, starts = state  # type: ignore[misc]
+        self._x, self._u, self._starts, self._stale = x.copy(), u.copy(), dict(starts), True  # type: ignore[has-type]
+
+    def free_fmu_state(self, state: object) -> None:
+        """Nothing to let go of."""
+
+
+def _plain(references: References) -> list[int]:
+    return [] if not references.groups else references.groups[0].references.tolist()

@@ -1,0 +1,23 @@
+"""Where an FMU keeps the binary for this machine (FMI 2.0.4 section 2.3, FMI 3.0 section 2.5.1.4.1)."""
+
+from __future__ import annotations
+
+import platform
+import sys
+from typing import Final
+
+_ARCHITECTURES: Final = {"AMD64": "x86_64", "arm64": "aarch64"}
+_SYSTEMS: Final = {"linux": "linux", "darwin": "darwin", "win32": "windows"}
+_SHORT: Final = {"linux": "linux64", "darwin": "darwin64", "windows": "win64"}
+
+ARCHITECTURE: Final = _ARCHITECTURES.get(platform.machine(), platform.machine())
+SYSTEM: Final = _SYSTEMS.get(sys.platform, sys.platform)
+SUFFIX: Final = {"linux": ".so", "darwin": ".dylib", "windows": ".dll"}.get(SYSTEM, ".so")
+
+
+def folders(version: str) -> tuple[str, ...]:
+    """Give the folders under ``binaries/`` to look in, the usual one first."""
+    exact = f"{ARCHITECTURE}-{SYSTEM}"
+    if version.startswith("3.") or ARCHITECTURE != "x86_64":
+        return (exact,)
+    return (_SHORT[SYSTEM], exact)

@@ -1,0 +1,177 @@
+"""The FMI calls as a protocol: the standard's names in snake_case, the same for every version and for generated units.
+
+FMI 2.0.4 sections 2.1, 3.2 and 4.2; FMI 3.0 sections 2.2, 3.2 and 4.2. Where the versions differ, the names are those of FMI 3:
+``update_discrete_states`` is fmi2NewDiscreteStates, ``set_float64`` fmi2SetReal. A failed call raises ``RunError``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.arrays import Vector
+from cosim.core.solver import LinearModel
+
+if TYPE_CHECKING:
+    from cosim.fmi.description import Description
+
+VariableType: TypeAlias = Literal[
+    "Float64", "Float32", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64", "Boolean",
+    "String", "Binary", "Clock",
+]  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Group:
+    """Variables of one type, and where their elements stand in the vector."""
+
+    type: VariableType
+    references: NDArray[np.uint32]  # (number of variables,)
+    columns: NDArray[np.intp]  # (number of elements,)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class References:
+    """Variables that are set or got together, in the order of the elements of one float64 vector.
+
+    ``plain``: all are Float64, so that the vector is handed over as it is.
+    """
+
+    groups: tuple[Group, ...]
+    size: int
+    plain: bool
+
+    @staticmethod
+    def of(variables: Sequence[tuple[VariableType, int, int]]) -> References:
+        """Put (type, value reference, size) together by type."""
+        starts = np.concatenate([[0], np.cumsum([size for _, _, size in variables])]).astype(np.intp)
+        groups = []
+        for kind in dict.fromkeys(kind for kind, _, _ in variables):
+            mine = [i for i, variable in enumerate(variables) if variable[0] == kind]
+            columns = np.concatenate([np.arange(starts[i], starts[i + 1], dtype=np.intp) for i in mine])
+            groups.append(Group(kind, np.array([variables[i][1] for i in mine], np.uint32), columns))
+        return References(tuple(groups), int(starts[-1]), len(groups) == 1 and groups[0].type == "Float64")
+
+
+class DiscreteStates(NamedTuple):
+    """What fmi3UpdateDiscreteStates (fmi2NewDiscreteStates) answers."""
+
+    need_update: bool
+    terminate: bool
+    states_changed: bool
+    next_event_time: float | None  # [s]
+
+
+class StepEnd(NamedTuple):
+    """How do_step ended: did it reach the end of the step, and does the unit ask for the end of the run?"""
+
+    completed: bool
+    terminate: bool
+
+
+class Unit(Protocol):
+    """What model exchange and co-simulation have in common."""
+
+    @property
+    def description(self) -> Description:
+        """Variables, structure, capabilities."""
+        ...
+
+    def reset(self) -> None:
+        """Go back to the state after instantiation."""
+        ...
+
+    def enter_initialization_mode(self, t: float) -> None:
+        """Start at ``t`` [s] (FMI 2: setup_experiment before it)."""
+        ...
+
+    def exit_initialization_mode(self) -> None:
+        """End the initialization."""
+        ...
+
+    def set_float64(self, references: References, values: Vector) -> None:
+        """Set variables; integers and Booleans are carried as float64 and converted here."""
+        ...
+
+    def get_float64(self, references: References) -> Vector:
+        """Get variables as a new vector."""
+        ...
+
+    def get_directional_derivative(self, unknowns: References, knowns: References, seed: Vector) -> Vector:
+        """Give d(unknowns)/d(knowns) . seed; only where the capability says so."""
+        ...
+
+    def get_fmu_state(self) -> object:
+        """Copy the whole state; only where the capability says so."""
+        ...
+
+    def set_fmu_state(self, state: object) -> None:
+        """Go back to a copied state."""
+        ...
+
+    def free_fmu_state(self, state: object) -> None:
+        """Let go of a copied state."""
+        ...
+
+    def terminate(self) -> None:
+        """End the run."""
+        ...
+
+    def free_instance(self) -> None:
+        """Let go of everything."""
+        ...
+
+
+class ModelExchangeUnit(Unit, Protocol):
+    """``x' = f(t, x, u)``, ``y = g(t, x, u)`` behind the model exchange calls."""
+
+    linear: LinearModel | None
+    """The model, where its numbers are known: it can then be discretised, and its numbers exchanged for recorded ones."""
+
+    def enter_event_mode(self) -> None:
+        """Stop time, for discrete changes."""
+        ...
+
+    def update_discrete_states(self) -> DiscreteStates:
+        """Do one event iteration."""
+        ...
+
+    def enter_continuous_time_mode(self) -> None:
+        """Let time move."""
+        ...
+
+    def set_time(self, t: float) -> None:
+        """Set the time [s]."""
+        ...
+
+    def set_continuous_states(self, x: Vector) -> None:
+        """Set the states, shape (n_x,)."""
+        ...
+
+    def get_continuous_states(self) -> Vector:
+        """Give the states, shape (n_x,)."""
+        ...
+
+    def get_derivatives(self) -> Vector:
+        """Give x', shape (n_x,), as a new vector."""
+        ...
+
+    def completed_integrator_step(self) -> tuple[bool, bool]:
+        """Accept the step; answers (enter event mode, terminate)."""
+        ...
+
+
+class CoSimulationUnit(Unit, Protocol):
+    """A unit with a solver of its own."""
+
+    def set_input_derivatives(self, references: References, slopes: Vector) -> None:
+        """Set du/dt for the next step; only where the unit interpolates inputs."""
+        ...
+
+    def do_step(self, t: float, h: float) -> StepEnd:
+        """Advance from ``t`` by ``h`` seconds."""
+        ...

@@ -1,0 +1,291 @@
+"""From a document to a graph and a clock, with every problem of the file in one report."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from cosim.blocks.replay import Replay
+from cosim.blocks.sampled import Decimated, Sampled
+from cosim.core.clock import Clock, whole_steps
+from cosim.core.contracts import Component, Recording
+from cosim.core.graph import Connection, Graph, check_connections, layout_of
+from cosim.errors import CosimError, ScenarioError, UsageError, nearest
+from cosim.scenario.document import Document, Key
+from cosim.scenario.kinds import KINDS, Fmu, Kind
+from cosim.scenario.schema import File, flatten_connections, matrix, problems_of
+from cosim.theory.descriptor import DescriptorSystem
+
+Problems = list[tuple[Key, str]]
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A validated scenario file."""
+
+    document: Document
+    file: File
+    specs: Mapping[str, Kind]
+    connections: Mapping[str, Connection]
+    tree: Mapping[str, Any]
+
+    @property
+    def name(self) -> str:
+        """Name of the scenario."""
+        return self.file.scenario.name
+
+    def swap(self, **paths: str | Path) -> Scenario:
+        """Put an FMU (.fmu) or a recorded component (.mcap) in the place of a component."""
+        return parse(self.document.with_swaps({name: str(path) for name, path in paths.items()}))
+
+    def set(self, changes: Mapping[str, Any]) -> Scenario:
+        """Set values by dotted key, such as ``{"observer.filter_rate": 500.0}``."""
+        return parse(self.document.with_changes(changes))
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """A scenario ready to run."""
+
+    scenario: Scenario
+    graph: Graph
+    clock: Clock
+    facts: Mapping[str, Mapping[str, Any]]
+    warnings: tuple[tuple[str, str], ...]
+    reads: Mapping[str, frozenset[str]]  # tables that were read to build each component, but for its own
+    attachments: Mapping[str, str] = field(default_factory=dict)
+
+
+def parse(document: Document) -> Scenario:
+    """Read and validate a document.
+
+    Raises
+    ------
+    ScenarioError
+        With every problem that can be seen without building the components.
+    """
+    scenario, problems = _parse(document)
+    if problems:
+        raise _report(document, problems)
+    return scenario
+
+
+def build(document: Document, resources: ExitStack, *, recording: Recording | None = None, block: int | None = None) -> Experiment:
+    """Build graph and clock.
+
+    Parameters
+    ----------
+    document : Document
+    resources : ExitStack
+        Closes what was opened, FMUs above all, when the run is over.
+    recording : Recording, optional
+        Take from it every component that cannot be computed again from the log: plants, FMUs, files.
+    block : int, optional
+        Fixed number of communication steps in a block.
+
+    Raises
+    ------
+    ScenarioError
+        With every problem of the file.
+    """
+    scenario, problems = _parse(document)
+    site = _Site(scenario, resources, recording)
+    settings = scenario.file.scenario
+    try:
+        clock = Clock(settings.stop, settings.step, block)
+    except CosimError as error:
+        raise _report(document, [*problems, (("scenario", str(error).partition(":")[0]), str(error))]) from error
+    site.step_ns = clock.step_ns
+    components, periods, missing = site.build_all(problems)
+    found = check_connections(layout_of(components), scenario.connections, missing) if components else {}
+    problems += [(("connections", to), text) for to, text in found.items()]
+    problems += _truth_problems(scenario, components, missing)
+    if problems:
+        raise _report(document, problems)
+    try:
+        graph = Graph(
+            components, scenario.connections, coupling=settings.coupling, hold=settings.hold, periods=periods
+        )
+    except CosimError as error:
+        raise _report(document, [(("connections",), str(error))]) from error
+    return Experiment(scenario, graph, clock, site.facts, tuple(site.warnings), site.reads, site.attachments)
+
+
+# --- reading ---
+
+
+def _parse(document: Document) -> tuple[Scenario, Problems]:
+    tree = document.tree()
+    problems: Problems = []
+    connections = tree.get("connections", {})
+    if isinstance(connections, dict):
+        tree["connections"], problems = flatten_connections(connections)
+    try:
+        file = File.model_validate(tree)
+    except ValidationError as error:
+        problems += problems_of(error, File, ())
+        specs, more = _specs(tree.get("components", {}))
+        raise _report(document, [*problems, *more]) from error
+    specs, more = _specs(file.components)
+    wires = {}
+    for to, given in file.connections.items():
+        wires[to] = Connection(given) if isinstance(given, str) else Connection(given.source, given.gain, given.offset, given.unit)
+    return Scenario(document, file, specs, wires, tree), [*problems, *more]
+
+
+def _specs(tables: Any) -> tuple[dict[str, Kind], Problems]:
+    specs: dict[str, Kind] = {}
+    problems: Problems = []
+    for name, table in tables.items() if isinstance(tables, dict) else ():
+        key: Key = ("components", name)
+        if not isinstance(table, dict):
+            continue
+        kind = table.get("kind")
+        if kind not in KINDS:
+            said = "'kind' is missing" if kind is None else f"unknown kind {kind!r}"
+            problems.append((key if kind is None else (*key, "kind"), f"{said}; {nearest(str(kind), KINDS)}"))
+            continue
+        try:
+            specs[name] = KINDS[kind].model_validate(table)
+        except ValidationError as error:
+            problems += problems_of(error, KINDS[kind], key)
+    return specs, problems
+
+
+def _report(document: Document, problems: Problems) -> ScenarioError:
+    lines = []
+    for key, text in problems:
+        where = ".".join(map(str, key))
+        lines += [f"{document.place(key)}: {where}: {line}" for line in text.splitlines()]
+    return ScenarioError("\n".join(dict.fromkeys(lines)))
+
+
+def _truth_problems(scenario: Scenario, components: Mapping[str, Component], missing: set[str]) -> Problems:
+    problems: Problems = []
+    sizes = {f"{n}.{s.name}": s.size for n, c in components.items() for s in (*c.interface.inputs, *c.interface.outputs)}
+    for estimate, truth in scenario.file.truth.items():
+        for port in [estimate, *([truth] if isinstance(truth, str) else [])]:
+            if port not in sizes and port.rpartition(".")[0] not in missing:
+                problems.append((("truth", estimate), f"there is no signal {port!r}; {nearest(port, sizes)}"))
+        true_size = sizes.get(truth) if isinstance(truth, str) else (len(truth) if isinstance(truth, tuple) else 1)
+        if estimate in sizes and true_size is not None and sizes[estimate] != true_size:
+            problems.append((("truth", estimate), f"{estimate!r} has size {sizes[estimate]}, its truth {truth!r} has size {true_size}"))
+    return problems
+
+
+# --- building ---
+
+
+class _Site:
+    """What kinds may know while they are built; keeps note of what each one read."""
+
+    step_ns: int
+
+    def __init__(self, scenario: Scenario, resources: ExitStack, recording: Recording | None) -> None:
+        self._scenario, self._resources, self._recording = scenario, resources, recording
+        self._current = ""
+        self.facts: dict[str, dict[str, Any]] = {}
+        self.warnings: list[tuple[str, str]] = []
+        self.reads: dict[str, frozenset[str]] = {}
+        self.attachments: dict[str, str] = {}
+
+    def build_all(self, problems: Problems) -> tuple[dict[str, Component], dict[str, int], set[str]]:
+        """Build every component that can be built; add what is wrong with the others to ``problems``."""
+        components: dict[str, Component] = {}
+        periods: dict[str, int] = {}
+        for name, spec in self._scenario.specs.items():
+            self._current, self.reads[name] = name, frozenset()
+            try:
+                component = self._build(name, spec)
+                periods[name] = self._period(name, spec)
+                components[name] = _slowed(component, spec, periods[name])
+            except (CosimError, ValueError) as error:
+                problems.append((("components", name), str(error)))
+        return components, periods, set(self._scenario.file.components) - set(components)
+
+    def _build(self, name: str, spec: Kind) -> Component:
+        if self._recording is not None and not spec.computable:
+            return Replay(self._recording, name)
+        return spec.build(name, self)
+
+    def _period(self, name: str, spec: Kind) -> int:
+        return 1 if spec.own_step is None else whole_steps(spec.own_step, self.step_ns, f"period of {name!r}")
+
+    # --- what a kind may ask for ---
+
+    def model(self, name: str) -> DescriptorSystem:
+        models = self._scenario.file.models
+        if name not in models:
+            raise UsageError(f"there is no model {name!r} in [models]; {nearest(name, models)}")
+        self._read(f"models.{name}")
+        table = models[name]
+        arrays = {letter: matrix(getattr(table, letter), f"models.{name}.{letter}") for letter in ("A", "Bu", "Bd", "C")}
+        return DescriptorSystem(n_a=table.n_a, **arrays)
+
+    def spec(self, name: str) -> Kind:
+        self._read(f"components.{name}")
+        if name not in self._scenario.specs:
+            raise UsageError(f"it rests on {name!r}, which is not a valid component")
+        return self._scenario.specs[name]
+
+    def driver(self, to: str) -> str | None:
+        connection = self._scenario.connections.get(to)
+        return connection.source.rpartition(".")[0] if connection is not None else None
+
+    def file(self, path: str) -> Path:
+        return self._scenario.document.folder / path
+
+    def recording(self, path: str) -> Recording:
+        from cosim.log import open_log
+
+        log = open_log(self.file(path))
+        if log.step_ns != self.step_ns:
+            raise UsageError(f"log {path!r} has steps of {log.step_ns / 1e9} s, the scenario of {self.step_ns / 1e9} s; needed the same")
+        return log
+
+    def fmu(self, name: str, spec: Fmu) -> Component:
+        from cosim.fmi.component import load
+
+        loaded = self._resources.enter_context(
+            load(self.file(spec.path), mode=spec.mode, solver=spec.solver, start=spec.start, instance_name=name)
+        )
+        self.note(name, **loaded.facts)
+        self.attachments[f"{name}/modelDescription.xml"] = loaded.xml
+        for text in loaded.messages:
+            self.warn(name, text)
+        return loaded.component
+
+    def note(self, name: str, **facts: Any) -> None:
+        self.facts.setdefault(name, {}).update(facts)
+
+    def warn(self, name: str, text: str) -> None:
+        self.warnings.append((name, text))
+
+    def _read(self, table: str) -> None:
+        self.reads[self._current] |= {table}
+
+
+def _slowed(component: Component, spec: Kind, period: int) -> Component:
+    if period == 1:
+        return component
+    return Sampled(component, period) if spec.sampled else Decimated(component, period)
+
+
+def fingerprint(scenario: Scenario, name: str, reads: frozenset[str]) -> str:
+    """Hash everything that the design of a component rests on: its table, the tables it read, step and hold."""
+    settings = scenario.file.scenario
+    tables = {table: _lookup(scenario.tree, table) for table in sorted({f"components.{name}", *reads})}
+    text = json.dumps([tables, settings.step, settings.hold, settings.coupling], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _lookup(tree: Mapping[str, Any], dotted: str) -> Any:
+    table, _, name = dotted.partition(".")
+    return tree.get(table, {}).get(name)

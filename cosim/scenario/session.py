@@ -1,0 +1,254 @@
+"""Run a scenario, and run it again from its log."""
+
+from __future__ import annotations
+
+import json
+import signal
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from time import perf_counter
+from types import FrameType
+from typing import Any
+
+from cosim.core.contracts import Block, Design, Recorder
+from cosim.core.graph import Graph
+from cosim.core.master import run as run_graph
+from cosim.core.profile import Timed
+from cosim.core.recorders import Memory, Watched
+from cosim.errors import Interrupted, LogError, UsageError
+from cosim.log import Attachment, Log, McapRecorder, open_log
+from cosim.scenario.build import Experiment, Scenario, build, fingerprint, parse
+from cosim.scenario.document import Document, find
+
+SCENARIO_FILE = "scenario.toml"
+Progress = Callable[[float, float], None]  # simulated time, end [s]
+
+
+def load(name: str | Path) -> Scenario:
+    """Load and validate a scenario: a path, or the name of a shipped one.
+
+    Raises
+    ------
+    ScenarioError
+        With every problem of the file.
+    """
+    return parse(find(str(name)))
+
+
+def run(
+    scenario: str | Path | Scenario,
+    *,
+    out: str | Path | None = None,
+    force: bool = False,
+    set: Mapping[str, Any] | None = None,  # noqa: A002 - the word of the command line
+    swap: Mapping[str, str | Path] | None = None,
+    block: int | None = None,
+    progress: Progress | None = None,
+    profile: dict[str, float] | None = None,
+) -> Log | Memory:
+    """Run a scenario.
+
+    Parameters
+    ----------
+    scenario : str, Path or Scenario
+        A shipped name, a path, or what :func:`load` gave.
+    out : str or Path, optional
+        Log file to write; without it the run is kept in memory.
+    force : bool
+        Replace an existing log.
+    set : mapping of dotted key to value, optional
+        Such as ``{"observer.filter_rate": 500.0, "scenario.stop": 10.0}``; applied after ``swap``.
+    swap : mapping of component name to path, optional
+        Components to replace by an FMU or by a recorded log.
+    block : int, optional
+        Communication steps in a block; the result does not depend on it.
+    progress : callable, optional
+        Called with simulated time and end [s] as the run goes on.
+    profile : dict, optional
+        Filled with wall seconds by component.
+
+    Returns
+    -------
+    Log or Memory
+        The recording: the log file if ``out`` is given.
+
+    Raises
+    ------
+    CosimError
+        UsageError before the first step, RunError after it; see :mod:`cosim.errors`.
+    """
+    document = (scenario if isinstance(scenario, Scenario) else load(scenario)).document
+    document = document.with_swaps({name: str(path) for name, path in (swap or {}).items()}).with_changes(set or {})
+    return _execute(document, out=out, force=force, block=block, progress=progress, profile=profile)
+
+
+def replay(
+    log: str | Path | Log,
+    *,
+    out: str | Path | None = None,
+    force: bool = False,
+    set: Mapping[str, Any] | None = None,  # noqa: A002
+    block: int | None = None,
+    progress: Progress | None = None,
+) -> Log | Memory:
+    """Run the scenario of a log again, with the recorded plant in the plant's place; nothing is needed but the log.
+
+    Plants, FMUs and tables from files are taken from the recording; everything else is computed again. Design-time results are
+    taken from the log too, except those of components that ``set`` changes or that rest on one that it changes.
+
+    Raises
+    ------
+    LogError
+        If the log cannot be read or is no log of a scenario.
+    UsageError
+        If ``set`` changes the communication step, or a recorded component.
+    """
+    source = log if isinstance(log, Log) else open_log(log)
+    document = recorded_document(source)
+    changed = document.with_changes(set or {})
+    for key in set or {}:
+        if key.removeprefix("scenario.") == "step":
+            raise UsageError("a replay keeps the recorded communication step; run the scenario to change it")
+    return _execute(changed, out=out, force=force, block=block, progress=progress, source=source, changed=set or {})
+
+
+def recorded_document(log: Log) -> Document:
+    """Give the scenario of a log.
+
+    Raises
+    ------
+    LogError
+        If the log carries none.
+    """
+    edits = log.metadata.get("cosim.run", {}).get("edits")
+    if SCENARIO_FILE not in log.attachments or edits is None:
+        raise LogError(f"the log carries no {SCENARIO_FILE}; needed a log that 'cosim run' wrote")
+    return Document.recorded(log.attachment(SCENARIO_FILE).decode(), edits, Path.cwd())
+
+
+def _execute(
+    document: Document,
+    *,
+    out: str | Path | None,
+    force: bool,
+    block: int | None,
+    progress: Progress | None,
+    profile: dict[str, float] | None = None,
+    source: Log | None = None,
+    changed: Mapping[str, Any] | None = None,
+) -> Log | Memory:
+    with ExitStack() as resources:
+        experiment = build(document, resources, recording=source, block=block)
+        designs = {} if source is None else _recorded_designs(experiment, source, changed or {})
+        graph = experiment.graph if profile is None else _timed(experiment.graph, profile)
+        metadata = _metadata(experiment)
+        recorder: McapRecorder | Memory = Memory(metadata)
+        if out is not None:
+            kinds = {name: spec.kind for name, spec in experiment.scenario.specs.items()}
+            recorder = McapRecorder(out, force=force, kinds=kinds, metadata=metadata, attachments=_attachments(experiment))
+            for name, text in experiment.warnings:
+                recorder.message(0, "warning", name, text)
+        began = perf_counter()
+        with _interruptible() as check:
+            run_graph(graph, experiment.clock, _watched(recorder, experiment, progress, check), designs=designs)
+        if profile is not None:
+            profile["recorder and master"] = perf_counter() - began - sum(profile.values())
+    return open_log(out) if out is not None else recorder  # type: ignore[return-value]
+
+
+def _recorded_designs(experiment: Experiment, source: Log, changed: Mapping[str, Any]) -> dict[str, Design]:
+    designs = {}
+    for name, spec in experiment.scenario.specs.items():
+        recorded = source.metadata.get(f"cosim.component.{name}", {}).get("fingerprint")
+        if not spec.computable:
+            touched = sorted(key for key in changed if key.split(".")[0] == name)
+            if touched:
+                raise UsageError(f"--set {touched[0]}: {name!r} is taken from the recording; run the scenario to change it")
+        if not spec.computable or recorded == fingerprint(experiment.scenario, name, experiment.reads[name]):
+            designs[name] = source.designs[name]
+    return designs
+
+
+def _timed(graph: Graph, profile: dict[str, float]) -> Graph:
+    components = {name: Timed(component, name, profile) for name, component in graph.components.items()}
+    return Graph(components, graph.connections, coupling=graph.coupling, hold=graph.hold, periods=graph.periods)
+
+
+def _watched(recorder: Recorder, experiment: Experiment, progress: Progress | None, check: Callable[[], None]) -> Recorder:
+    end = experiment.clock.stop
+
+    def reached(block: Block) -> None:
+        if progress is not None:
+            progress(float(block.time[-1]), end)
+        check()
+
+    return Watched(recorder, reached)
+
+
+def _metadata(experiment: Experiment) -> dict[str, dict[str, str]]:
+    scenario = experiment.scenario
+    settings = scenario.file.scenario
+    records = {
+        "cosim.run": {
+            "scenario": scenario.name,
+            "edits": scenario.document.edits(),
+            "stop": repr(settings.stop),
+            "step": repr(settings.step),
+            "truth": json.dumps(dict(scenario.file.truth)),
+        },
+        "cosim.connections": {to: json.dumps(_plain(wire)) for to, wire in scenario.connections.items()},
+    }
+    for name in scenario.specs:
+        records[f"cosim.component.{name}"] = {
+            "table": json.dumps(scenario.tree["components"][name]),
+            "facts": json.dumps(experiment.facts.get(name, {})),
+            "fingerprint": fingerprint(scenario, name, experiment.reads[name]),
+        }
+    return records
+
+
+def _plain(wire: Any) -> dict[str, Any]:
+    return {"from": wire.source, "gain": wire.gain, "offset": wire.offset, "unit": wire.unit}
+
+
+def _attachments(experiment: Experiment) -> list[Attachment]:
+    text = experiment.scenario.document.text
+    files = {SCENARIO_FILE: ("application/toml", text)}
+    files |= {name: ("application/xml", xml) for name, xml in experiment.attachments.items()}
+    return [Attachment(name, media, data.encode()) for name, (media, data) in files.items()]
+
+
+@contextmanager
+def _interruptible() -> Iterator[Callable[[], None]]:
+    """Turn the first Ctrl-C into a clean end after the current block; the second one ends at once."""
+    if threading.current_thread() is not threading.main_thread():
+        yield lambda: None
+        return
+    pressed = []
+
+    def press(number: int, frame: FrameType | None) -> None:
+        pressed.append(number)
+        if len(pressed) > 1:
+            raise KeyboardInterrupt
+
+    def check() -> None:
+        if pressed:
+            raise Interrupted("interrupted by the user")
+
+    before = signal.signal(signal.SIGINT, press)
+    try:
+        yield check
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def default_log(name: str, folder: Path = Path("logs")) -> Path:
+    """Give the first free path of ``logs/<name>.mcap``, ``logs/<name>-2.mcap``, ..."""
+    path, number = folder / f"{name}.mcap", 1
+    while path.exists():
+        number += 1
+        path = folder / f"{name}-{number}.mcap"
+    return path
+

@@ -1,0 +1,128 @@
+"""Two runs compared signal by signal."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from cosim.core.signals import Channel, Interface, Layout, Signal
+from cosim.log import open_log
+from cosim.log.diff import Moment, diff
+
+from .recordings import STEP_NS, layout, record
+
+
+class Run:
+    """A recording made by hand."""
+
+    metadata: dict = {}  # noqa: RUF012
+
+    def __init__(self, values, times=None):
+        signals = {name: np.asarray(array, dtype=float) for name, array in values.items()}
+        count = len(next(iter(signals.values())))
+        self._times = np.arange(count) * STEP_NS if times is None else np.asarray(times) * STEP_NS
+        self._signals = signals
+        declared = tuple(Signal(name, 1 if array.ndim == 1 else array.shape[1]) for name, array in signals.items())
+        self.channels = {"c": Channel("c", Interface((), declared), 0)}
+
+    def __getitem__(self, name):
+        return self._signals[name.removeprefix("c.")]
+
+    def time_ns(self, component):
+        assert component == "c"
+        return self._times
+
+
+def test_a_log_equals_itself_and_the_first_difference_is_found(tmp_path):
+    """One bit of one element of one row is told apart, with its time and both values."""
+    rows = record(tmp_path / "a.mcap", steps=100)
+    changed = rows.copy()
+    changed[60, 0] += 1.0
+    changed[40, 6] = np.nextafter(changed[40, 6], np.inf)
+    record(tmp_path / "b.mcap", rows=changed)
+    a, b = open_log(tmp_path / "a.mcap"), open_log(tmp_path / "b.mcap")
+    assert diff(a, a).equal
+    assert diff(a, a).first is None
+    difference = diff(a, b)
+    assert not difference.equal
+    assert not difference.within
+    assert difference.first == Moment("identifier.y[1]", 40 * STEP_NS, rows[40, 6], changed[40, 6])
+    assert {row.signal: row.status for row in difference.rows if row.status != "equal"} == {
+        "plant.u": "outside",
+        "identifier.y": "outside",
+    }
+    assert [row.status for row in diff(a, b, rtol=1e-12).rows if row.signal == "identifier.y"] == ["within"]
+    assert json.loads(json.dumps(difference.to_dict()))["first"]["time_ns"] == 40 * STEP_NS
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "tolerance", "status", "largest"),
+    [
+        (0.0, -0.0, {}, "outside", 0.0),
+        (0.0, -0.0, {"atol": 1e-300}, "within", 0.0),
+        (np.nan, np.nan, {}, "equal", 0.0),
+        (np.nan, -np.nan, {"atol": 1.0}, "within", 0.0),
+        (np.nan, 1.0, {"atol": 1.0}, "outside", np.inf),
+        (np.inf, np.inf, {"atol": 1.0}, "equal", 0.0),
+        (np.inf, 1.0, {"rtol": 1.0}, "outside", np.inf),
+        (1.0, 1.5, {"atol": 0.5}, "within", 0.5),
+        (1.0, 1.5, {"atol": 0.49}, "outside", 0.5),
+        (1.0, 1.5, {"rtol": 0.125}, "within", 0.5),
+        (1.0, 1.5, {"rtol": 0.12}, "outside", 0.5),
+        (1.0, 1.5, {"atol": 0.25, "rtol": 0.0625}, "within", 0.5),
+    ],
+)
+def test_tolerances_are_absolute_plus_relative_to_the_signals_scale(a, b, tolerance, status, largest):
+    """|a - b| <= atol + rtol max|a|, here with max|a| = 4 from another row."""
+    (row,) = diff(Run({"y": [4.0, a]}), Run({"y": [4.0, b]}), **tolerance).rows
+    assert (row.status, row.largest, row.scale) == (status, largest, 4.0)
+    assert row.ratio == largest / 4
+    assert (row.first is not None) == (status == "outside")
+
+
+def test_runs_of_other_length_compare_where_both_have_values():
+    """Other times are reported, even if all values agree."""
+    a, b = Run({"y": [1, 2, 3, 4]}), Run({"y": [3, 4, 5]}, times=[2, 3, 4])
+    (row,) = diff(a, b).rows
+    assert (row.status, row.rows, row.largest) == ("other times", (4, 3, 2), 0.0)
+    assert not diff(a, b, atol=1.0).within
+    (row,) = diff(a, Run({"y": [3, 9]}, times=[2, 3])).rows
+    assert (row.status, row.first) == ("outside", Moment("c.y", 3 * STEP_NS, 4.0, 9.0))
+    (row,) = diff(a, Run({"y": [3]}, times=[9])).rows
+    assert (row.status, row.rows) == ("other times", (4, 1, 0))
+
+
+def test_both_limits_of_a_jump_are_compared_with_their_own():
+    """Rows of one instant pair up in their order."""
+    a = Run({"y": [0, 1, 2, 3]}, times=[0, 1, 1, 2])
+    (row,) = diff(a, Run({"y": [0, 1, 7]}, times=[0, 1, 1])).rows
+    assert (row.rows, row.first) == ((4, 3, 3), Moment("c.y", STEP_NS, 2.0, 7.0))
+
+
+def test_signals_that_only_one_run_has_are_told():
+    """Also a size that changed."""
+    difference = diff(Run({"x": [1.0], "y": [1.0]}), Run({"y": [[1.0, 2.0]], "z": [1.0]}))
+    assert [(row.signal, row.status) for row in difference.rows] == [
+        ("c.x", "only in a"),
+        ("c.y", "other size"),
+        ("c.z", "only in b"),
+    ]
+    assert not difference.within
+
+
+def test_components_that_only_one_run_has_are_told(tmp_path):
+    """A whole component may be missing."""
+    lay = layout()
+    record(tmp_path / "a.mcap", steps=10)
+    record(tmp_path / "b.mcap", steps=10, lay=Layout(lay.channels[:1]), rows=np.zeros((11, 5)))
+    difference = diff(open_log(tmp_path / "b.mcap"), open_log(tmp_path / "a.mcap"))
+    assert [row.status for row in difference.rows[4:]] == ["only in b", "only in b"]
+    assert difference.rows[4].rows == (0, 3, 0)
+
+
+def test_the_ratio_without_a_scale_is_infinite():
+    """Any difference is large beside a signal that is zero."""
+    (row,) = diff(Run({"y": [0.0]}), Run({"y": [1.0]})).rows
+    assert row.ratio == np.inf

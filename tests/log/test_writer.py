@@ -1,0 +1,264 @@
+"""What the recorder writes is an ordinary MCAP file, however the run ends."""
+
+from __future__ import annotations
+
+import errno
+import io
+import json
+import os
+from collections import Counter
+
+import numpy as np
+import pytest
+from google.protobuf import json_format
+from mcap.reader import NonSeekingReader, make_reader
+
+from cosim.core.contracts import Recorder, Stopped
+from cosim.errors import Interrupted, LogError, LogWriteError
+from cosim.log import Attachment, McapRecorder, open_log, writer
+from cosim.log import buffer as row_buffer
+
+from .recordings import STEP_NS, blocks, layout, plan, record, same_bits, table
+from .test_layout import message_class
+
+
+@pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
+def test_stock_readers_see_every_bit(tmp_path, compression):
+    """Mcap's two readers, with CRCs checked, and protobuf decode every message as it was."""
+    rows = record(tmp_path / "a.mcap", steps=300, compression=compression, kinds={"plant": "descriptor"})
+    data = (tmp_path / "a.mcap").read_bytes()
+    for reader in (make_reader(io.BytesIO(data), validate_crcs=True), NonSeekingReader(io.BytesIO(data), validate_crcs=True)):
+        found = {"/plant": [], "/identifier": []}
+        for schema, channel, message in reader.iter_messages():
+            assert message.log_time == message.publish_time == message.sequence * STEP_NS
+            kind = message_class(schema.name, schema.data)
+            decoded = kind.FromString(message.data)
+            found[channel.topic].append([getattr(decoded, field.name) for field in kind.DESCRIPTOR.fields])
+        assert same_bits(np.array(found["/plant"]), rows[:, :5])
+        assert same_bits(np.array(found["/identifier"]), rows[::5, 5:])
+
+
+def test_stock_reader_sees_header_summary_metadata_and_attachments(tmp_path):
+    """Everything is found through the summary."""
+    scenario = Attachment("scenario.toml", "application/toml", b"[scenario]")
+    given = {"cosim.connections": {"plant.u": "u.y"}, "cosim.component.plant": {"m": "1.5"}}
+    record(tmp_path / "a.mcap", attachments=[scenario], metadata=given, messages=[(0, "info", "plant", "ready")])
+    with (tmp_path / "a.mcap").open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        assert reader.get_header().profile == ""
+        summary = reader.get_summary()
+        assert {s.name for s in summary.schemas.values()} == {"cosim.plant", "cosim.identifier", "foxglove.Log"}
+        assert [c.topic for c in summary.channels.values()] == ["/plant", "/identifier", "/cosim/log"]
+        assert summary.statistics.channel_message_counts == {1: 1001, 2: 201, 3: 1}
+        assert (summary.statistics.message_start_time, summary.statistics.message_end_time) == (0, 1000 * STEP_NS)
+        names = Counter(item.name for item in reader.iter_metadata())
+        components = {"cosim.component.plant", "cosim.component.identifier"}
+        assert names == Counter({"cosim.run", "cosim.env", "cosim.schedule", "cosim.connections", "cosim.result"} | components)
+        assert {item.name: item.data for item in reader.iter_attachments()}["scenario.toml"] == b"[scenario]"
+        (said,) = reader.iter_messages(topics="/cosim/log")
+        text = json_format.MessageToDict(message_class("foxglove.Log", said[0].data).FromString(said[2].data))
+        assert text == {"timestamp": "1970-01-01T00:00:00Z", "level": "INFO", "message": "ready", "name": "plant"}
+
+
+def test_message_indexes_lead_to_their_messages(tmp_path, monkeypatch):
+    """A reader that trusts the indexes reads one topic from a time on."""
+    monkeypatch.setattr(row_buffer, "CHUNK_BYTES", 20_000)
+    record(tmp_path / "a.mcap", steps=1000)
+    with (tmp_path / "a.mcap").open("rb") as stream:
+        reader = make_reader(stream)
+        assert len(reader.get_summary().chunk_indexes) > 3
+        for index in reader.get_summary().chunk_indexes:
+            assert set(index.message_index_offsets) == {1, 2}
+            for channel_id, offset in index.message_index_offsets.items():
+                stream.seek(offset)
+                assert stream.read(1) == b"\x07"
+                assert int.from_bytes(stream.read(10)[8:], "little") == channel_id
+        assert sum(1 for _ in reader.iter_messages("/plant", starting_at=900 * STEP_NS)) == 101
+
+
+@pytest.mark.parametrize("period", [1, 5, 7])
+def test_content_does_not_depend_on_blocks_chunks_or_compression(tmp_path, monkeypatch, period):
+    """Equal runs give equal hashes and equal data."""
+    lay, hashes = layout(period=period), set()
+    for number, (size, compression, chunk) in enumerate(
+        [(1, "zstd", 2**20), (7, "zstd", 3000), (1000, "zstd", 2**20), (7, "lz4", 100), (1000, "none", 30_000)]
+    ):
+        monkeypatch.setattr(row_buffer, "CHUNK_BYTES", chunk)
+        path = tmp_path / f"{number}.mcap"
+        rows = record(path, size=size, lay=lay, compression=compression)
+        log = open_log(path)
+        assert same_bits(log.rows("plant"), rows[:, :5])
+        assert same_bits(log.rows("identifier"), rows[::period, 5:])
+        assert np.array_equal(log.time_ns("identifier"), np.arange(0, 1001, period) * STEP_NS)
+        hashes |= {log.content_hash(), log.metadata["cosim.result"]["content_hash"], log.result["content_hash"]}
+    assert len(hashes) == 1
+
+
+def test_content_hash_covers_bits_names_and_times(tmp_path):
+    """One bit of one value changes the hash."""
+    rows = record(tmp_path / "a.mcap")
+    before = open_log(tmp_path / "a.mcap").content_hash()
+    rows.view(np.int64)[500, 2] ^= 1
+    record(tmp_path / "b.mcap", rows=rows)
+    assert open_log(tmp_path / "b.mcap").content_hash() != before
+
+
+def test_chunks_are_written_after_a_second(tmp_path, monkeypatch):
+    """A slow run leaves its rows on the disk once a second."""
+    clock = iter(np.arange(0.0, 1000.0, 0.4))
+    monkeypatch.setattr(writer.time, "monotonic", lambda: next(clock))
+    record(tmp_path / "a.mcap", steps=12, size=1)
+    with (tmp_path / "a.mcap").open("rb") as stream:
+        assert len(make_reader(stream).get_summary().chunk_indexes) > 2
+
+
+@pytest.mark.parametrize(
+    ("error", "status"),
+    [
+        (ValueError("boom"), "failed"),
+        (KeyboardInterrupt(), "interrupted"),
+        (Interrupted("Ctrl-C"), "interrupted"),
+        (Stopped(np.empty((0, 0)), "enough", failed=False), "complete"),
+        (Stopped(np.empty((0, 0)), "burst"), "failed"),
+    ],
+)
+def test_an_error_in_the_run_leaves_a_whole_file(tmp_path, error, status):
+    """Everything written so far is there, and why it ended."""
+    rows = table(layout(), 100)
+
+    def fail():
+        with McapRecorder(tmp_path / "a.mcap") as recorder:
+            recorder.begin(plan())
+            for block, signals in list(blocks(rows, 10))[:5]:
+                recorder.write(block, signals)
+            raise error
+
+    with pytest.raises(type(error)):
+        fail()
+    log = open_log(tmp_path / "a.mcap")
+    assert (log.status, log.result["reason"]) == (status, str(error) or "interrupted by the user")
+    assert (log.result["steps"], log.result["end_ns"]) == (50, 50 * STEP_NS)
+    assert same_bits(log.rows("plant"), rows[:51, :5])
+    assert log.content_hash() == log.result["content_hash"]
+
+
+class FullDisk(io.FileIO):
+    """A file on a disk with room for a number of bytes."""
+
+    def __init__(self, path, room):
+        super().__init__(path, "x+")
+        self.room = room
+
+    def write(self, data):
+        left = self.room - self.tell()
+        if left <= 0:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return super().write(memoryview(data)[:left])
+
+
+@pytest.mark.parametrize("room", range(24_000, 60_000, 4_111))
+def test_a_full_disk_leaves_a_whole_file(tmp_path, monkeypatch, room):
+    """The error names file and reason; what fits is a valid file with a true hash."""
+    monkeypatch.setattr(writer, "create", lambda path: FullDisk(path, room))
+    monkeypatch.setattr(row_buffer, "CHUNK_BYTES", 5000)
+    with pytest.raises(LogWriteError, match=r"a\.mcap cannot be written further: No space left on device; up to \d+ ns"):
+        record(tmp_path / "a.mcap", compression="none")
+    log = open_log(tmp_path / "a.mcap")
+    count = len(log.rows("plant"))
+    assert 0 < count < 1001
+    assert same_bits(log.rows("plant"), table(layout(), 1000)[:count, :5])
+    assert (log.status, log.result["steps"]) == ("failed", count - 1)
+    assert log.content_hash() == log.result["content_hash"]
+    with (tmp_path / "a.mcap").open("rb") as stream:
+        assert sum(1 for _ in NonSeekingReader(stream, validate_crcs=True).iter_messages("/plant")) == count
+
+
+class Interruptible(io.FileIO):
+    """A file whose third chunk is interrupted halfway."""
+
+    writes = 0
+
+    def write(self, data):
+        self.writes += len(data) > 3000
+        if self.writes == 3:
+            self.writes += 1
+            super().write(memoryview(data)[:100])
+            raise KeyboardInterrupt
+        return super().write(data)
+
+
+def test_an_interrupt_within_a_write_loses_nothing(tmp_path, monkeypatch):
+    """The chunk that was torn is written again."""
+    monkeypatch.setattr(writer, "create", lambda path: Interruptible(path, "x+"))
+    monkeypatch.setattr(row_buffer, "CHUNK_BYTES", 5000)
+    with pytest.raises(KeyboardInterrupt):
+        record(tmp_path / "a.mcap", compression="none", size=10)
+    log = open_log(tmp_path / "a.mcap")
+    count = len(log.rows("plant"))
+    assert count > 100
+    assert (log.status, log.result["steps"], log.result["content_hash"]) == ("interrupted", count - 1, log.content_hash())
+
+
+def test_a_disk_full_from_the_start_leaves_nothing(tmp_path, monkeypatch):
+    """A log that cannot even begin is an error before the run."""
+    monkeypatch.setattr(writer, "create", lambda path: FullDisk(path, 1000))
+    with pytest.raises(LogError, match=r"a\.mcap cannot be written: No space left"):
+        record(tmp_path / "a.mcap")
+    assert not (tmp_path / "a.mcap").exists()
+
+
+def test_an_existing_file_needs_force(tmp_path):
+    """Nothing is overwritten unasked; a log that is open stays what it was."""
+    path = tmp_path / "new" / "a.mcap"
+    record(path, steps=10)
+    with pytest.raises(LogError, match=r"a\.mcap exists; .*--force"):
+        record(path)
+    old = open_log(path)
+    record(path, steps=20, force=True)
+    assert len(open_log(path).rows("plant")) == 21
+    with pytest.raises(LogError, match="has changed since it was opened"):
+        old.rows("plant")
+
+
+def test_a_folder_that_cannot_be_made_is_named(tmp_path):
+    """A file in place of the folder is an error before the run."""
+    (tmp_path / "logs").write_text("")
+    with pytest.raises(LogError, match=r"logs/a\.mcap cannot be created"):
+        record(tmp_path / "logs" / "a.mcap")
+
+
+def test_a_run_that_never_begins_leaves_no_file(tmp_path):
+    """Without a plan there is nothing to write."""
+
+    def fail():
+        with McapRecorder(tmp_path / "a.mcap"):
+            raise ValueError
+
+    with pytest.raises(ValueError):  # noqa: PT011
+        fail()
+    assert not (tmp_path / "a.mcap").exists()
+
+
+def test_negative_times_are_refused(tmp_path):
+    """MCAP times are unsigned."""
+    with McapRecorder(tmp_path / "a.mcap") as recorder:
+        recorder.begin(plan())
+        (block, signals), *_ = blocks(table(layout(), 9), 1)
+        block.time_ns[0] = -1
+        with pytest.raises(LogWriteError, match="times of a log begin at 0"):
+            recorder.write(block, signals)
+
+
+def test_the_result_takes_numpy_values(tmp_path):
+    """What the report computes goes to result.json as it is."""
+    with McapRecorder(tmp_path / "a.mcap") as recorder:
+        recorder.begin(plan())
+        recorder.result.update(theta=np.array([1.0, 2.0]), count=np.int64(3), ok=np.True_, path=tmp_path)
+    result = json.loads(open_log(tmp_path / "a.mcap").attachment("result.json"))
+    assert (result["theta"], result["count"], result["ok"], result["path"]) == ([1.0, 2.0], 3, True, str(tmp_path))
+
+
+def test_the_recorder_is_a_recorder(tmp_path):
+    """The contract holds by type; mypy checks the assignment."""
+    recorder: Recorder = McapRecorder(tmp_path / "a.mcap")
+    assert recorder

@@ -1,0 +1,183 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from cosim.errors import AssumptionError
+from cosim.theory.disturbance import Exponential, Sine, coefficients, group
+from cosim.theory.estimators import Kind, least_squares, plan, recover, trapezoid_weights
+from cosim.theory.regression import eta, expand, mu
+from tests.theory.academic import DELAYS, THETA, delayed
+
+
+def gauss(a, b, pieces):
+    """Give times and weights of Gauss-Legendre's rule with 10 points on each piece of [a, b]."""
+    x, w = np.polynomial.legendre.leggauss(10)
+    edges = np.linspace(a, b, pieces + 1)
+    half = np.diff(edges)[:, None] / 2.0
+    return (edges[:-1, None] + half * (x + 1.0)).ravel(), (half * w).ravel()
+
+
+def recovery(alphas, families, delays):
+    blocks = group(alphas, families)
+    terms = expand(tuple(block.size for block in blocks))
+    return terms, blocks, plan(terms, blocks, delays)
+
+
+def exact_eta(terms, blocks, thetas, delays):
+    return eta(terms, [coefficients(block.families, [thetas[i] for i in block.components], delays) for block in blocks])
+
+
+def test_the_papers_formula_is_reproduced_to_the_last_bit(case):
+    """(35): theta_1 = ln(eta_3) / (D_1 - D_3), theta_2 = ln(eta_6) / (D_2 - D_3)."""
+    _, _, the_plan = recovery(["a", "b"], [Exponential()] * 2, DELAYS)
+    assert [block.terms for block in the_plan.blocks] == [(2, 0), (5, 0)]
+    assert [block.signs for block in the_plan.blocks] == [(-1, 1), (-1, 1)]
+    eta_2_to_6 = np.array(case("C03")["expected"]["eta_2_to_6"])
+    found = recover(the_plan, eta_2_to_6)
+    assert found[0] == math.log(eta_2_to_6[1]) / (1.0 - 3.0)
+    assert found[1] == math.log(eta_2_to_6[4]) / (2.0 - 3.0)
+    np.testing.assert_allclose(found, THETA, rtol=0, atol=1e-15)
+
+
+def test_a_sine_is_recovered_from_two_cosines(case):
+    """C08: eta of equal spacing is 2 cos(w spacing)."""
+    reference = case("C08")
+    terms, blocks, the_plan = recovery(["a"], [Sine()], reference["D"])
+    constants = exact_eta(terms, blocks, reference["theta"], reference["D"])
+    expected = reference["expected"]
+    assert abs(constants[[term.row for term in terms[1:]].index(1)] - expected["value"]) <= reference["tol"]
+    np.testing.assert_allclose(recover(the_plan, constants), [expected["omega"]], rtol=0, atol=reference["tol"])
+    assert the_plan.blocks[0].kind is Kind.SINE
+    assert the_plan.blocks[0].limit == math.pi / 0.5
+
+
+def test_two_exponentials_of_one_alpha_are_recovered_from_a_quadratic(case):
+    """C09: the recurrence d(t) - s1 d(t - 1) + s2 d(t - 2), theta sorted descending."""
+    reference = case("C09")
+    terms, blocks, the_plan = recovery(["one", "one"], [Exponential()] * 2, reference["D"])
+    constants = exact_eta(terms, blocks, reference["theta"], reference["D"])
+    chosen = the_plan.blocks[0]
+    c = [sign * np.append(1.0, constants)[term] for term, sign in zip(chosen.terms, chosen.signs, strict=True)]
+    assert abs(-c[1] / c[0] - reference["expected"]["s1"]) <= reference["tol"]
+    assert abs(c[2] / c[0] - reference["expected"]["s2"]) <= reference["tol"]
+    expected = reference["expected"]["recovered_theta_sorted"][::-1]
+    np.testing.assert_allclose(recover(the_plan, constants), expected, rtol=0, atol=reference["tol"])
+
+
+rates = st.floats(0.3, 2.5)  # sines below pi / spacing, away from its ends
+decays = st.floats(-1.0, 0.2)
+COMPONENTS = {
+    "two alphas": (["a", "b"], "ee"),
+    "three alphas": (["a", "b", "c"], "eee"),
+    "a sine": (["a"], "s"),
+    "a pair": (["a", "a"], "ee"),
+    "a sine and an exponential": (["a", "b"], "se"),
+    "an exponential and a sine": (["a", "b"], "es"),
+    "two sines": (["a", "b"], "ss"),
+    "a pair around an exponential": (["a", "b", "a"], "eee"),
+}
+
+
+@given(st.sampled_from(sorted(COMPONENTS)), st.data())
+def test_recovery_inverts_the_expansion(name, data):
+    """From theta to chi to eta and back is the identity, also where the delays of the first term are not equally spaced."""
+    alphas, kinds = COMPONENTS[name]
+    thetas = [data.draw(rates if kind == "s" else decays) for kind in kinds]
+    paired = [theta for alpha, theta in zip(alphas, thetas, strict=True) if alphas.count(alpha) == 2]
+    assume(not paired or paired[0] - paired[1] > 0.1)
+    delays = [1.0 + j for j in range(sum(1 + (kind == "s") for kind in kinds) + 1)]
+    terms, blocks, the_plan = recovery(alphas, [Sine() if kind == "s" else Exponential() for kind in kinds], delays)
+    chi_0_scale = [abs(math.sin(theta)) for theta, kind in zip(thetas, kinds, strict=True) if kind == "s"]
+    assume(all(value > 0.1 for value in chi_0_scale))
+    found = recover(the_plan, exact_eta(terms, blocks, thetas, delays))
+    # minors of numbers up to e^5 divided by gaps of 0.1 in two places: 1e-16 * 150 / 0.1^2 * some
+    np.testing.assert_allclose(found, thetas, rtol=0, atol=1e-10)
+
+
+def test_delays_may_come_in_any_order():
+    """Only their values count: a sine and an exponential with D = (1, 2, 1.5, 3)."""
+    delays = [1.0, 2.0, 1.5, 3.0]
+    terms, blocks, the_plan = recovery(["a", "b"], [Sine(), Exponential()], delays)
+    assert the_plan.blocks[0].spacing == 1.0
+    np.testing.assert_allclose(recover(the_plan, exact_eta(terms, blocks, [1.3, -0.2], delays)), [1.3, -0.2], rtol=0, atol=1e-12)
+
+
+def test_an_eta_that_belongs_to_no_theta_gives_nan():
+    """Logarithm of a non-positive number, complex roots, a cosine beyond one, NaN: no value, block by block."""
+    _, _, two = recovery(["a", "b"], [Exponential()] * 2, DELAYS)
+    found = recover(two, np.array([1.0, -1.0, 1.0, 1.0, math.exp(0.3)]))
+    assert np.isnan(found[0])
+    assert found[1] == math.log(math.exp(0.3)) / (2.0 - 3.0)
+    assert np.isnan(recover(two, np.full(5, np.nan))).all()
+    assert np.isnan(recover(two, np.zeros(5))).all()
+    terms, _, pair = recovery(["a", "a"], [Exponential()] * 2, DELAYS)
+    assert [term.row for term in terms] == [2, 0, 1]
+    assert np.isnan(recover(pair, np.array([1.0, 1.0]))).all()  # z^2 - z + 1
+    assert np.isnan(recover(pair, np.array([-1.0, 0.0]))).all()  # z^2 - 1: only +1 is an exponential
+    assert np.isnan(recover(pair, np.array([0.0, 1.0]))).all()
+    _, _, sine = recovery(["a"], [Sine()], DELAYS)
+    assert np.isnan(recover(sine, np.array([1.0, 2.5]))).all()
+    assert np.isnan(recover(sine, np.array([0.0, 1.0]))).all()
+
+
+@pytest.mark.parametrize(
+    ("alphas", "families", "delays", "message"),
+    [
+        (
+            ["a"] * 3,
+            [Exponential()] * 3,
+            (1, 2, 3, 4),
+            r"no formula .* components \[0, 1, 2\] that share alpha 'a' \(exponential, .*\); possible",
+        ),
+        (
+            ["a"] * 2,
+            [Exponential(), Sine()],
+            (1, 2, 3, 4),
+            r"possible for one alpha: one exponential, two exponentials, or one sine",
+        ),
+        (["a"], [Sine()], (1, 2, 4), r"components \[0\] that share alpha 'a' need 3 equally spaced delays; found 1, 2, 4 s"),
+        (["a", "b"], [Exponential()] * 2, (1, 2, 2), r"D_2 = D_3 = 2 s; needed pairwise distinct"),
+    ],
+)
+def test_a_recovery_that_does_not_exist_is_refused(alphas, families, delays, message):
+    """The message says what is possible."""
+    with pytest.raises(AssumptionError, match=message):
+        recovery(alphas, families, delays)
+
+
+@pytest.mark.parametrize(("name", "prior"), [("C04", 1e-3), ("C05", 1e-9)])
+def test_least_squares_is_the_solution_of_the_papers_equations(case, name, prior):
+    """(33)-(34) from exact delta: with P(0) = 1e3 I theta_2 is wrong in sign, with 1e9 I it is right."""
+    reference = case(name)
+    expected = reference["expected"] if name == "C04" else reference["expected"]["P0_1e9"]
+    _, _, the_plan = recovery(["a", "b"], [Exponential()] * 2, DELAYS)
+    for sample in expected["oracle_delta"]:
+        t, weights = gauss(reference["T_id"], sample["t"], 100)  # pieces below 0.4 s: the rule is exact to rounding
+        found = least_squares(mu(expand((1, 1)), *delayed(t)), weights, prior)
+        np.testing.assert_allclose(found, sample["eta"], rtol=0, atol=1e-9)
+        np.testing.assert_allclose(recover(the_plan, found), sample["theta"], rtol=0, atol=1e-9)
+
+
+def test_least_squares_without_a_prior_is_exact(case):
+    """Exact delta, no prior: eta itself. Condition of the rows is sqrt(3.2e4) = 180."""
+    t = np.linspace(case("C03")["expected"]["T_id"], 40.0, 2000)
+    found = least_squares(mu(expand((1, 1)), *delayed(t)), trapezoid_weights(t))
+    np.testing.assert_allclose(found, case("C03")["expected"]["eta_2_to_6"], rtol=0, atol=1e-11)
+
+
+def test_least_squares_says_when_there_is_no_answer():
+    """Fewer rows than unknowns, or dependent columns: NaN, and a prior makes it finite."""
+    rows = np.array([[1.0, 1.0, 1.0], [2.0, 1.0, 1.0], [3.0, 1.0, 1.0]])
+    assert np.isnan(least_squares(rows[:1], np.ones(1))).all()
+    assert np.isnan(least_squares(rows, np.ones(3))).all()
+    # (1 + 3 s) eta = -6 s for equal etas, s = 1: (1 I + 3 ones) eta = -6 ones, eta = -6 / 7
+    np.testing.assert_allclose(least_squares(rows, np.ones(3), 1.0), [-6 / 7, -6 / 7], rtol=1e-14)
+
+
+def test_trapezoid_weights_integrate_straight_lines():
+    """The sum of weight times a straight line is its integral, on any grid."""
+    t = np.array([0.0, 0.5, 2.0, 2.25])
+    np.testing.assert_allclose(trapezoid_weights(t) @ (3.0 * t + 1.0), 1.5 * 2.25**2 + 2.25, rtol=1e-15)

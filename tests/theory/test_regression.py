@@ -1,0 +1,195 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cosim.errors import AssumptionError
+from cosim.theory.disturbance import FAMILIES, Exponential, Sine, coefficients
+from cosim.theory.regression import Term, alpha_products, check_delays, chi, collinear, count, eta, expand, linear_route, mu
+from tests.theory.academic import DELAYS, THETA, alpha, delayed
+
+SIZES = [[1], [2], [1, 1], [3], [2, 1], [1, 2], [1, 1, 1], [2, 2], [1, 1, 2]]
+
+
+def test_the_number_of_terms_is_known(case):
+    """(l + 1)! / prod V_b!, each term once."""
+    for text, expected in case("C07")["expected"].items():
+        sizes = tuple(int(size) for size in text.strip("[]").split(","))
+        terms = expand(sizes)
+        assert len(terms) == len(set(terms)) == count(sizes) == expected
+
+
+def test_two_exponentials_give_the_papers_six_terms():
+    """(32): mu_1..mu_6 in the paper's order with the paper's signs; rows are D_1, D_2, D_3."""
+    assert expand((1, 1)) == (
+        Term(2, ((0,), (1,)), 1),
+        Term(2, ((1,), (0,)), -1),
+        Term(0, ((2,), (1,)), -1),
+        Term(1, ((2,), (0,)), 1),
+        Term(0, ((1,), (2,)), 1),
+        Term(1, ((0,), (2,)), -1),
+    )
+
+
+def test_the_papers_signals_and_constants_are_reproduced(case):
+    """The signals at t = 10, eta_2..eta_6, and the residual of (26)."""
+    expected, tol = case("C03")["expected"], case("C03")["tol"]
+    terms = expand((1, 1))
+    signals = mu(terms, *delayed(np.array([10.0])))[0]
+    np.testing.assert_allclose(signals, expected["mu_1_to_6_at_t10_true_delta"], rtol=tol["rel"])
+    K = [coefficients([Exponential()], [theta], DELAYS) for theta in THETA]
+    np.testing.assert_allclose(eta(terms, K), expected["eta_2_to_6"], rtol=tol["rel"])
+    residual = -signals[0] - signals[1:] @ eta(terms, K)
+    assert abs(residual - expected["residual_at_t10"]) <= tol["residual"]
+
+
+@pytest.mark.parametrize(("name", "families", "factor"), [("C08", [Sine()], "a"), ("C09", [Exponential()] * 2, "one")])
+def test_one_block_of_two_gives_the_reference_terms(case, name, families, factor):
+    """Rows, signs and chi as computed elsewhere, and the reference signal satisfies (25)."""
+    reference = case(name)
+    terms = expand((2,))
+    constants = chi(terms, [coefficients(families, reference["theta"], reference["D"])])
+    found = {
+        (term.row + 1, tuple(row + 1 for row in term.parts[0])): (term.sign, value)
+        for term, value in zip(terms, constants, strict=True)
+    }
+    assert len(found) == reference["q"] + 1
+    for term in reference["terms_chi"]:
+        sign, value = found[term["row"], tuple(term["parts"][0])]
+        assert sign == term["sign"]
+        assert abs(value - term["chi"]) <= reference["tol"]
+    times = np.array(reference["delta_samples"]["t_minus_D"])
+    alphas = {"a": 1.35 + 0.25 * np.sin(1.7 * times), "one": np.ones_like(times)}[factor]
+    products = mu(terms, np.array(reference["delta_samples"]["values"]), alphas[:, :, None]) * constants
+    relative = np.abs(products.sum(axis=1)) / np.abs(products).sum(axis=1)
+    np.testing.assert_allclose(relative, reference["residual_rel"], rtol=0, atol=reference["tol"])
+
+
+def test_the_columns_of_two_exponentials_collapse_when_alpha_is_shared(case):
+    """Six naive columns have nullity 4: three signals with one recurrence between them."""
+    t = np.linspace(5.0, 20.0, 200)
+    times = np.subtract.outer(t, DELAYS)
+    signals = mu(expand((1, 1)), np.exp(np.multiply.outer(times, THETA)).sum(axis=-1), np.ones((*times.shape, 2)))
+    assert 6 - np.linalg.matrix_rank(signals, tol=1e-10) == case("C09")["expected"]["naive_six_column_nullity"]
+
+
+@st.composite
+def disturbances(draw):
+    """Draw blocks of components with their alphas, parameters, delays and basis values at one instant."""
+    blocks = draw(st.lists(st.lists(st.sampled_from(sorted(FAMILIES)), min_size=1, max_size=2), min_size=1, max_size=2))
+    families = [[FAMILIES[name] for name in block] for block in blocks]
+    sizes = tuple(sum(family.v for family in block) for block in families)
+    thetas = [[draw(st.floats(-1.0, 1.0)) for _ in block] for block in families]
+    delays = [j + draw(st.floats(0.1, 0.9)) for j in range(sum(sizes) + 1)]
+    K = [coefficients(block, theta, delays) for block, theta in zip(families, thetas, strict=True)]
+    values = st.floats(0.1, 2.0)
+    alphas = np.array([[draw(values) for _ in sizes] for _ in delays])
+    Q = [np.array([draw(st.floats(-2.0, 2.0)) for _ in range(size)]) for size in sizes]
+    return sizes, K, alphas, Q
+
+
+@given(disturbances())
+def test_the_regression_holds_for_every_signal_of_the_class(disturbance):
+    """(25) vanishes whatever the amplitudes, the parameters, the delays and the values of alpha."""
+    sizes, K, alphas, Q = disturbance
+    parts = [alphas[:, b] * (K[b] @ Q[b]) for b in range(len(sizes))]
+    delta = np.sum(parts, axis=0)
+    terms = expand(sizes)
+    products = mu(terms, delta[None], alphas[None])[0] * chi(terms, K)
+    # minors lose what cancels inside them: measure against the sums of absolute values, Hadamard's bound of the minors
+    bound = [
+        math.prod(float(np.prod(np.linalg.norm(K[b][list(part)], axis=1))) for b, part in enumerate(term.parts)) for term in terms
+    ]
+    scale = np.abs(alpha_products(terms, alphas[None])[0]) * np.array(bound)
+    size = np.sum([np.abs(alphas[:, b]) * (np.abs(K[b]) @ np.abs(Q[b])) for b in range(len(sizes))], axis=0)
+    assert abs(products.sum()) <= 1e-13 * float(scale @ size[[term.row for term in terms]]) + np.finfo(np.float64).tiny
+
+
+@given(st.sampled_from(SIZES), st.randoms(use_true_random=False))
+def test_the_expansion_is_the_determinant(sizes, random):
+    """For arbitrary numbers the sum of mu chi is the determinant of [delta, alpha_b K_b']."""
+    rows = sum(sizes) + 1
+
+    def normal(*shape):
+        return np.array([random.uniform(-1, 1) for _ in range(math.prod(shape))]).reshape(shape)
+
+    delta, alphas, K = normal(rows), normal(rows, len(sizes)), [normal(rows, size) for size in sizes]
+    terms = expand(tuple(sizes))
+    found = float(mu(terms, delta[None], alphas[None])[0] @ chi(terms, K))
+    matrix = np.column_stack([delta, *(alphas[:, [b]] * K[b] for b in range(len(sizes)))])
+    # at most 60 terms below 1, rounded at 1e-16 each
+    assert abs(found - np.linalg.det(matrix)) <= 1e-13
+
+
+def test_an_empty_expansion_is_refused():
+    """No blocks, or a block without basis functions."""
+    for sizes in ((), (1, 0)):
+        with pytest.raises(AssumptionError, match=r"block sizes \[.*\]; needed at least one block"):
+            expand(sizes)
+
+
+def test_eta_needs_a_first_constant():
+    """chi_0 = sin(w (D_2 - D_1)) vanishes for a sine at rest: eta is not defined."""
+    with pytest.raises(AssumptionError, match=r"\(26\): chi_0 = 0, so eta is not defined"):
+        eta(expand((2,)), [coefficients([Sine()], [0.0], DELAYS)])
+
+
+@pytest.mark.parametrize(
+    ("delays", "message"),
+    [
+        ((1.0, 2.0, 1.0), r"D_1 = D_3 = 1 s; needed pairwise distinct delays"),
+        ((1.0, 2.0), r"2 delays; needed l \+ 1 = 3 for l = 2"),
+        ((1.0, -2.0, 3.0), r"D_2 = -2 s; needed a finite delay, not negative"),
+        ((1.0, 2.0, math.nan), r"D_3 = nan s; needed a finite delay"),
+    ],
+)
+def test_delays_that_do_not_fit_are_refused(delays, message):
+    """Assumption 3: as many as needed, finite, pairwise distinct."""
+    with pytest.raises(AssumptionError, match=message):
+        check_delays(delays, 3)
+
+
+def grid(*functions, delays=DELAYS):
+    times = np.subtract.outer(np.linspace(5.0, 40.0, 400), delays)
+    return np.stack([function(times) for function in functions], axis=-1)
+
+
+def test_the_papers_alphas_are_independent():
+    """Its six columns can be told apart, without any data."""
+    collinear(expand((1, 1)), alpha(np.subtract.outer(np.linspace(5.0, 40.0, 400), DELAYS)), ["a", "b"])
+    check_delays(DELAYS, 3)
+
+
+@pytest.mark.parametrize(
+    ("alphas", "message"),
+    [
+        (
+            grid(np.cos, lambda t: -3.0 * np.cos(t)),
+            r"alpha 'a' and alpha 'b' are proportional; merge their components into one block",
+        ),
+        (
+            grid(lambda t: np.exp(-0.1 * t), lambda t: np.exp(-0.2 * t)),
+            r"the 2 alpha products with delta\(t - D_1\) of 'a', 'b' have rank 1; choose delays",
+        ),
+        (
+            grid(lambda t: 2 + np.sin(2 * np.pi * t), lambda t: 2 + np.cos(2 * np.pi * t)),
+            r"have rank 1; choose delays that are no multiples",
+        ),
+        (grid(np.cos, lambda t: 2 + np.sin(t))[:1], r"1 times; needed at least 2 to tell the alpha products apart"),
+    ],
+)
+def test_dependent_alpha_products_are_refused(alphas, message):
+    """Proportional alphas name the blocks to merge; alphas that a delay scales or repeats are found too."""
+    with pytest.raises(AssumptionError, match=message):
+        collinear(expand((1, 1)), alphas, ["a", "b"])
+
+
+def test_the_limits_of_the_linear_route_are_said():
+    """Nothing to say for l = 2 or one alpha; marginal at l = 3; unusable from l = 4."""
+    assert linear_route((1, 1)) == linear_route((4,)) == ""
+    assert linear_route((2, 1)).startswith("the linear route is marginal: l = 3 with different alphas makes 11 unknowns")
+    assert linear_route((2, 2)).startswith(
+        "the linear route is unusable: l = 4 with different alphas makes 29 unknowns, with a condition of 4e12"
+    )
