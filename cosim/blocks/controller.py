@@ -7,11 +7,11 @@ import numpy as np
 from cosim.arrays import Matrix, Vector
 from cosim.blocks.plant import linear_model
 from cosim.core.signals import Signal
-from cosim.core.solver import Linear
+from cosim.core.solver import LinearModel
 from cosim.errors import UsageError
 
 
-def controller(*, A: Matrix, B: Matrix, C: Matrix, D: Matrix | None = None, x0: Vector | None = None, unit: str | None = None) -> Linear:
+def controller(*, A: Matrix, B: Matrix, C: Matrix, D: Matrix | None = None, x0: Vector | None = None, unit: str | None = None) -> LinearModel:
     """``x' = A x + B u``, ``y = C x + D u``: input u, output y, and the state x as an output.
 
     Raises
@@ -27,15 +27,13 @@ def controller(*, A: Matrix, B: Matrix, C: Matrix, D: Matrix | None = None, x0: 
         if matrix.shape != shape:
             raise UsageError(f"controller: {name} has shape {matrix.shape}, needed {shape}")
     outputs = (Signal("y", p, unit), Signal("x", n, role="state"))
-    return Linear(
-        linear_model(
-            (Signal("u", m, role="input"),),
-            outputs,
-            states=tuple(outputs[1].elements),
-            A=A,
-            B=B,
-            C=np.vstack([C, np.eye(n)]),
-            D=np.vstack([D, np.zeros((n, m))]),
-            X0=x0,
-        )
+    return linear_model(
+        (Signal("u", m, role="input"),),
+        outputs,
+        states=tuple(outputs[1].elements),
+        A=A,
+        B=B,
+        C=np.vstack([C, np.eye(n)]),
+        D=np.vstack([D, np.zeros((n, m))]),
+        X0=x0,
     )

@@ -7,13 +7,13 @@ import numpy as np
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.contracts import Design
 from cosim.core.signals import Interface, Signal
-from cosim.core.solver import Linear, LinearModel
+from cosim.core.solver import LinearModel
 from cosim.errors import UsageError
 from cosim.native.step import delay
 
 
-def lag(*, time_constant: float, start: float | None = None, size: int = 1, unit: str | None = None) -> Linear:
-    """First-order lag ``T y' = u - y``; ``start`` left out: y(0) = u(0), without a transient.
+def lag(*, time_constant: float, start: float | None = None, size: int = 1, unit: str | None = None) -> LinearModel:
+    """First-order lag ``T y' = u - y`` as a model; ``start`` left out: y(0) = u(0), without a transient.
 
     Raises
     ------
@@ -27,7 +27,7 @@ def lag(*, time_constant: float, start: float | None = None, size: int = 1, unit
     signals = Interface((Signal("u", size, unit),), (Signal("y", size, unit, role="state"),))
     states = tuple(signals.outputs[0].elements)
     X0 = np.full(size, 0.0 if start is None else start)
-    return Linear(LinearModel(signals, states, -rate * eye, rate * eye, eye, np.zeros((size, size)), X0, follow))
+    return LinearModel(signals, states, -rate * eye, rate * eye, eye, np.zeros((size, size)), X0, follow)
 
 
 class Delay:

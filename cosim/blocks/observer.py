@@ -1,4 +1,4 @@
-"""The unknown-input observer (18) with disturbance reconstruction (19)-(20) as a component."""
+"""The unknown-input observer (18) with disturbance reconstruction (19)-(20) as a model."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ from numpy.typing import ArrayLike
 
 from cosim.blocks.plant import linear_model
 from cosim.core.signals import Signal
-from cosim.core.solver import Linear
+from cosim.core.solver import LinearModel
 from cosim.theory.descriptor import ReducedSystem
 from cosim.theory.observer import ObserverDesign, realise, start
 
 
-def unknown_input_observer(
+def observer_model(
     reduced: ReducedSystem, design: ObserverDesign, *, x_a0: ArrayLike | None = None, q0: ArrayLike | None = None
-) -> Linear:
-    """Build the observer: inputs u and y; outputs x_a, delta, x_b (estimates), z and q (its states).
+) -> LinearModel:
+    """Write the observer as a model: inputs u and y; outputs x_a, delta, x_b (estimates), z and q (its states).
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ def unknown_input_observer(
     if n_b:
         outputs.append(Signal("x_b", n_b, role="estimate"))
     states = [Signal("z", n, role="state"), Signal("q", n_y, role="state")]
-    model = linear_model(
+    return linear_model(
         (Signal("u", reduced.B_1a.shape[1], role="input"), Signal("y", n_y, role="input")),
         (*outputs, *states),
         states=tuple(element for signal in states for element in signal.elements),
@@ -44,4 +44,3 @@ def unknown_input_observer(
         X0=X0,
         Xu=Xu,
     )
-    return Linear(model)

@@ -80,6 +80,9 @@ class Graph:
     ) -> None:
         if not components:
             raise GraphError("the graph has no components; needed at least one")
+        dotted = [name for name in components if "." in name or not name]
+        if dotted:
+            raise GraphError(f"component {dotted[0]!r}: a component's name must not be empty and has no dot")
         if coupling not in COUPLINGS:
             raise GraphError(f"coupling: found {coupling!r}; {nearest(coupling, COUPLINGS)}")
         if hold not in ("line", "start"):
@@ -209,7 +212,7 @@ class _Ports:
         self.channels = {channel.name: channel for channel in layout.channels}
 
     def find(self, port: str, causality: Literal["input", "output"]) -> tuple[Channel, Signal]:
-        name, _, wanted = port.rpartition(".")
+        name, _, wanted = port.partition(".")
         if name not in self.channels:
             raise GraphError(f"{port!r}: there is no component {name!r}; {nearest(name, self.channels)}")
         channel = self.channels[name]
@@ -219,9 +222,15 @@ class _Ports:
                 return channel, signal
         raise GraphError(f"{port!r}: {name!r} has no {causality} {wanted!r}; {nearest(wanted, [s.name for s in signals])}")
 
+    def has(self, port: str) -> bool:
+        name, _, wanted = port.partition(".")
+        return name in self.channels and any(s.name == wanted for s in self.channels[name].interface.outputs)
+
     def source(self, port: str) -> tuple[Channel, Signal, slice]:
         """Find an output, or one element of it, and its columns in the row."""
         element = re.fullmatch(r"(.*)\[(\d+)\]", port)
+        if element is not None and self.has(port):  # a name of its own that looks like an element
+            element = None
         channel, signal = self.find(element[1] if element else port, "output")
         columns = next(columns for s, columns in channel.signal_columns() if s is signal)
         if element is None:
@@ -239,7 +248,7 @@ def check_connections(layout: Layout, connections: Mapping[str, Connection], mis
     """
     ports, problems = _Ports(layout), {}
     for to, connection in connections.items():
-        if not {to.rpartition(".")[0], connection.source.rpartition(".")[0]} & set(missing):
+        if not {to.partition(".")[0], connection.source.partition(".")[0]} & set(missing):
             found = "; ".join(_check_connection(ports, to, connection))
             if found:
                 problems[to] = found

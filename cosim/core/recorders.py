@@ -54,7 +54,7 @@ class Memory:
 
     def __getitem__(self, signal: str) -> NDArray[np.float64]:
         """Give ``component.signal`` at every recorded row: shape (N,) for size 1, else (N, size)."""
-        name, _, wanted = signal.rpartition(".")
+        name, _, wanted = signal.partition(".")
         channel = self._channel(name)
         for found, columns in channel.signal_columns():
             if found.name == wanted:
@@ -68,7 +68,7 @@ class Memory:
 
     def time(self, signal: str) -> NDArray[np.float64]:
         """Give the instants of a component's, or of a signal's, rows, shape (N,) [s]."""
-        return self.time_ns(signal if signal in self.channels else signal.rpartition(".")[0]) / 1e9
+        return self.time_ns(signal if signal in self.channels else signal.partition(".")[0]) / 1e9
 
     def _channel(self, name: str) -> Channel:
         if name not in self.channels:

@@ -106,8 +106,8 @@ class Description:
     capabilities : mapping of Mode to Capabilities
         The kinds that are there.
     event_indicators : int
-    refused : tuple of str
-        Names of variables that cannot be carried, by kind: clocks.
+    clocks : tuple of str
+        Names of the variables that are clocks.
     platforms : tuple of str
         Folders under ``binaries/`` that hold something.
     """
@@ -148,6 +148,11 @@ class Description:
     def reference(self, names: Iterable[str]) -> References:
         """Give the references of variables by name."""
         return References.of([(v.type, v.reference, v.size) for v in map(self.__getitem__, names)])
+
+    @property
+    def n_states(self) -> int:
+        """Number of continuous state elements."""
+        return sum(self[name].size for name in self.states)
 
     @property
     def interface(self) -> Interface:

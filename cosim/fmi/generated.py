@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Vector
 from cosim.core.contracts import Model
+from cosim.core.signals import Interface
 from cosim.core.solver import LinearModel
 from cosim.errors import FmuError
 from cosim.fmi.description import Capabilities, Description, describe, states_of_outputs
@@ -85,6 +86,11 @@ class GeneratedUnit:
     def description(self) -> Description:
         """Variables and structure, as the export writes them."""
         return self._description
+
+    @property
+    def interface(self) -> Interface:
+        """Inputs, outputs and feedthrough: those of the model."""
+        return self._model.interface
 
     @property
     def linear(self) -> LinearModel | None:

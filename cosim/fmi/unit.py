@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Vector
+from cosim.core.signals import Interface
 from cosim.core.solver import LinearModel
 
 if TYPE_CHECKING:
@@ -79,6 +80,11 @@ class Unit(Protocol):
     @property
     def description(self) -> Description:
         """Variables, structure, capabilities."""
+        ...
+
+    @property
+    def interface(self) -> Interface:
+        """Inputs, outputs and feedthrough."""
         ...
 
     def reset(self) -> None:

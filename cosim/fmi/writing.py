@@ -50,7 +50,7 @@ def write_model_description(
         _variable(variables, variable, numbers)
     _structure(root, description, numbers, initial)
     indent(root)
-    return tostring(root, encoding="unicode", xml_declaration=False).join(('<?xml version="1.0" encoding="UTF-8"?>\n', "\n"))
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{tostring(root, encoding="unicode")}\n'
 
 
 def _capabilities(description: Description, mode: Mode) -> dict[str, str]:

@@ -19,7 +19,7 @@ from cosim.core.contracts import Component, Recording
 from cosim.core.graph import Connection, Graph, check_connections, layout_of
 from cosim.errors import CosimError, ScenarioError, UsageError, nearest
 from cosim.scenario.document import Document, Key
-from cosim.scenario.kinds import KINDS, Fmu, Kind
+from cosim.scenario.kinds import KINDS, Fmu, Kind, Site
 from cosim.scenario.schema import File, flatten_connections, matrix, problems_of
 from cosim.theory.descriptor import DescriptorSystem
 
@@ -118,6 +118,13 @@ def build(document: Document, resources: ExitStack, *, recording: Recording | No
     return Experiment(scenario, graph, clock, site.facts, tuple(site.warnings), site.reads, site.attachments)
 
 
+def build_site(scenario: Scenario, resources: ExitStack) -> Site:
+    """Give what a single kind needs to build its component, outside a run."""
+    site = _Site(scenario, resources, None)
+    site.step_ns = Clock(scenario.file.scenario.stop, scenario.file.scenario.step).step_ns
+    return site
+
+
 # --- reading ---
 
 
@@ -172,7 +179,7 @@ def _truth_problems(scenario: Scenario, components: Mapping[str, Component], mis
     sizes = {f"{n}.{s.name}": s.size for n, c in components.items() for s in (*c.interface.inputs, *c.interface.outputs)}
     for estimate, truth in scenario.file.truth.items():
         for port in [estimate, *([truth] if isinstance(truth, str) else [])]:
-            if port not in sizes and port.rpartition(".")[0] not in missing:
+            if port not in sizes and port.partition(".")[0] not in missing:
                 problems.append((("truth", estimate), f"there is no signal {port!r}; {nearest(port, sizes)}"))
         true_size = sizes.get(truth) if isinstance(truth, str) else (len(truth) if isinstance(truth, tuple) else 1)
         if estimate in sizes and true_size is not None and sizes[estimate] != true_size:
@@ -187,10 +194,12 @@ class _Site:
     """What kinds may know while they are built; keeps note of what each one read."""
 
     step_ns: int
+    hold: str
 
     def __init__(self, scenario: Scenario, resources: ExitStack, recording: Recording | None) -> None:
         self._scenario, self._resources, self._recording = scenario, resources, recording
         self._current = ""
+        self.hold = scenario.file.scenario.hold
         self.facts: dict[str, dict[str, Any]] = {}
         self.warnings: list[tuple[str, str]] = []
         self.reads: dict[str, frozenset[str]] = {}
@@ -237,7 +246,7 @@ class _Site:
 
     def driver(self, to: str) -> str | None:
         connection = self._scenario.connections.get(to)
-        return connection.source.rpartition(".")[0] if connection is not None else None
+        return connection.source.partition(".")[0] if connection is not None else None
 
     def file(self, path: str) -> Path:
         return self._scenario.document.folder / path

@@ -14,13 +14,13 @@ from cosim.arrays import Vector
 from cosim.blocks import arithmetic, dynamics, source
 from cosim.blocks.controller import controller
 from cosim.blocks.identifier import LeastSquaresIdentifier
-from cosim.blocks.observer import unknown_input_observer
+from cosim.blocks.observer import observer_model
 from cosim.blocks.plant import descriptor_model
 from cosim.blocks.regressor import Regressor
 from cosim.blocks.replay import Replay
 from cosim.core.clock import whole_steps
 from cosim.core.contracts import Component
-from cosim.core.solver import SOLVERS
+from cosim.core.solver import SOLVERS, Linear, LinearModel
 from cosim.errors import AssumptionError, UsageError, nearest
 from cosim.native.expression import Program, compile_expression
 from cosim.native.step import evaluate
@@ -30,12 +30,14 @@ from cosim.theory.descriptor import DescriptorSystem, ReducedSystem, reduce
 from cosim.theory.disturbance import Block, family_named, group
 
 Size = Whole
+HELD_LIMIT = 0.05  # filter_rate x step from which held inputs spoil the derivative by more than 2.5 %
 
 
 class Site(Protocol):
     """What a kind may know about the scenario it is built in."""
 
     step_ns: int
+    hold: str
 
     def model(self, name: str) -> DescriptorSystem:
         """Give a model of [models]."""
@@ -88,7 +90,11 @@ class Kind(Table):
 
     def build(self, name: str, site: Site) -> Component:
         """Build the component."""
-        raise NotImplementedError
+        return Linear(self.linear_model(name, site))
+
+    def linear_model(self, name: str, site: Site) -> LinearModel:
+        """Give the component as a linear model, where it is one: what an exact solver steps and an FMU can be made of."""
+        raise UsageError(f"{name!r} is of kind {self.kind!r}, which is no linear model; what can be exported: {', '.join(LINEAR)}")
 
 
 def _vector(value: float | Sequence[float]) -> list[float]:
@@ -312,7 +318,7 @@ class Lag(Kind):
     size: Size = Field(1, ge=1, description="number of elements")
     unit: str | None = None
 
-    def build(self, name: str, site: Site) -> Component:
+    def linear_model(self, name: str, site: Site) -> LinearModel:
         return dynamics.lag(time_constant=self.time_constant, start=self.start, size=self.size, unit=self.unit)
 
 
@@ -347,7 +353,7 @@ class Controller(Kind):
         """Its period [s]."""
         return self.period
 
-    def build(self, name: str, site: Site) -> Component:
+    def linear_model(self, name: str, site: Site) -> LinearModel:
         D = None if self.D is None else matrix(self.D, "D")
         x0 = None if self.x0 is None else np.array(self.x0)
         return controller(A=matrix(self.A, "A"), B=matrix(self.B, "B"), C=matrix(self.C, "C"), D=D, x0=x0, unit=self.unit)
@@ -379,7 +385,10 @@ class Descriptor(Plant):
 
         if self.solver not in SOLVERS:
             raise UsageError(f"solver: found {self.solver!r}; {nearest(self.solver, SOLVERS)}")
-        return ModelExchange(GeneratedUnit(descriptor_model(site.model(self.model), self.x_a0)), solver=self.solver)
+        return ModelExchange(GeneratedUnit(self.linear_model(name, site)), solver=self.solver)
+
+    def linear_model(self, name: str, site: Site) -> LinearModel:
+        return descriptor_model(site.model(self.model), self.x_a0)
 
 
 class Fmu(Plant):
@@ -427,7 +436,7 @@ class UnknownInputObserver(Kind):
     filter_rate: Number = Field(description="lambda_f of the derivative filter (19) [rad/s]")
     q0: Row | None = Field(None, description="start of the filter; left out: at the signal")
 
-    def build(self, name: str, site: Site) -> Component:
+    def linear_model(self, name: str, site: Site) -> LinearModel:
         reduced, design = self.design(site)
         h = site.step_ns / 1e9
         site.note(
@@ -435,9 +444,11 @@ class UnknownInputObserver(Kind):
             eigenvalues=[str(complex(v)) if v.imag else float(v.real) for v in design.eigenvalues],
             fixed_modes=[str(complex(v)) if v.imag else float(v.real) for v in design.fixed_modes],
             lambda_obs=design.lambda_obs,
-            filter_rate_times_step=self.filter_rate * h,
         )
-        return unknown_input_observer(reduced, design, x_a0=self.x_a0, q0=self.q0)
+        if site.hold == "start" and self.filter_rate * h > HELD_LIMIT:
+            site.warn(name, f"filter_rate x step = {self.filter_rate * h:g} with held inputs: the derivative filter reads a ramp "
+                      f"{self.filter_rate * h / -math.expm1(-self.filter_rate * h) - 1.0:.0%} too high; use hold = \"line\"")
+        return observer_model(reduced, design, x_a0=self.x_a0, q0=self.q0)
 
     def design(self, site: Site) -> tuple[ReducedSystem, observer.ObserverDesign]:
         """Design the observer (14)-(18)."""
@@ -553,3 +564,4 @@ KINDS: Mapping[str, type[Kind]] = {
     )
 }  # fmt: skip
 
+LINEAR = ("descriptor", "unknown-input-observer", "controller", "lag")

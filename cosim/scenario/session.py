@@ -197,6 +197,7 @@ def _metadata(experiment: Experiment) -> dict[str, dict[str, str]]:
             "stop": repr(settings.stop),
             "step": repr(settings.step),
             "truth": json.dumps(dict(scenario.file.truth)),
+            "warnings": json.dumps(experiment.warnings),
         },
         "cosim.connections": {to: json.dumps(_plain(wire)) for to, wire in scenario.connections.items()},
     }

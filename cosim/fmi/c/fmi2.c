@@ -37,7 +37,7 @@ static size_t p(void) { return (size_t)model_p; }
 static fmi2Status fail(const Instance *i, const char *message)
 {
     if (i->functions->logger)
-        i->functions->logger(i->functions->componentEnvironment, i->name, fmi2Error, "logStatusError", "%s", message);
+        i->functions->logger(i->functions->componentEnvironment, i->name, fmi2Error, "logStatusError", message); /* no % in any message */
     return fmi2Error;
 }
 

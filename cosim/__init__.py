@@ -1,0 +1,36 @@
+"""Co-simulation of descriptor plants, FMUs, observers and disturbance identifiers.
+
+The names below load what they need when they are first used, so that ``import cosim`` costs nothing.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from cosim.log.diff import diff
+    from cosim.log.reader import open_log
+    from cosim.scenario.session import load, replay, run
+
+__version__ = "0.1.0"
+
+_HOMES = {
+    "diff": "cosim.log.diff",
+    "load": "cosim.scenario.session",
+    "open_log": "cosim.log.reader",
+    "replay": "cosim.scenario.session",
+    "run": "cosim.scenario.session",
+}
+
+__all__ = ["diff", "load", "open_log", "replay", "run"]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'cosim' has no attribute {name!r}")
+    return getattr(import_module(_HOMES[name]), name)
+
+
+def __dir__() -> list[str]:
+    return [*__all__, "__version__"]

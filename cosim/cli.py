@@ -1,0 +1,237 @@
+"""The command line: a thin shell over :mod:`cosim.scenario` and :mod:`cosim.log`.
+
+Data goes to stdout, messages to stderr. Exit codes: 0 fine, 1 a check or the run failed, 2 wrong use, 130 interrupted.
+What a command needs is imported when it runs: ``cosim --help`` needs neither numpy nor fmpy.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from time import perf_counter
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from cosim.errors import CosimError, UsageError
+
+if TYPE_CHECKING:
+    from cosim.scenario.session import Progress
+
+app = typer.Typer(
+    add_completion=False,
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    help="Co-simulation of descriptor plants, FMUs, observers and disturbance identifiers, with logs that replay bit for bit.",
+)
+
+ScenarioArgument = Annotated[str, typer.Argument(metavar="SCENARIO", help="A shipped scenario by name, or a path to a .toml file.")]
+LogArgument = Annotated[Path, typer.Argument(metavar="LOG", help="A log that 'cosim run' wrote (.mcap).")]
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="COMPONENT.PARAMETER=VALUE", help="Set a value, such as observer.filter_rate=500. Repeatable."),
+]
+SwapOption = Annotated[
+    list[str] | None,
+    typer.Option("--swap", metavar="COMPONENT=PATH", help="Put an FMU (.fmu) or a recorded component (.mcap) in its place. Repeatable."),
+]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
+QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
+ForceOption = Annotated[bool, typer.Option("--force", help="Replace a log that exists.")]
+OutOption = Annotated[Path | None, typer.Option("--out", "-o", metavar="PATH", help="Log to write.")]
+
+
+@app.command()
+def run(
+    scenario: ScenarioArgument,
+    out: Annotated[Path | None, typer.Option("--out", "-o", metavar="PATH", help="Log to write; else logs/<scenario>.mcap.")] = None,
+    force: ForceOption = False,
+    changes: SetOption = None,
+    swaps: SwapOption = None,
+    stop: Annotated[float | None, typer.Option(help="End of the run [s]; the same as --set scenario.stop=...")] = None,
+    step: Annotated[float | None, typer.Option(help="Communication step [s]; the same as --set scenario.step=...")] = None,
+    plot: Annotated[Path | None, typer.Option(metavar="FILE", help="Draw the estimates and their truth.")] = None,
+    as_json: JsonOption = False,
+    quiet: QuietOption = False,
+    profile: Annotated[bool, typer.Option("--profile", help="Show where the time went, by component.")] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Check and compare the ports of swapped components; run nothing.")] = False,
+) -> None:
+    """Run a scenario and record every signal to an MCAP log."""
+    from cosim import tables
+    from cosim.scenario.session import default_log, load
+    from cosim.scenario.session import run as run_scenario
+
+    began = perf_counter()
+    edits = _edits(changes) | {f"scenario.{key}": value for key, value in (("stop", stop), ("step", step)) if value is not None}
+    loaded = load(scenario)
+    if dry_run:
+        tables.comparison(loaded, swaps=_pairs(swaps, "--swap"), changes=edits, as_json=as_json)
+        return
+    path = out or default_log(loaded.name)
+    seconds: dict[str, float] | None = {} if profile else None
+    with _progress(quiet or as_json) as progress:
+        log = run_scenario(
+            loaded, out=path, force=force, set=edits, swap=_pairs(swaps, "--swap"), progress=progress, profile=seconds
+        )
+    if plot is not None:
+        from cosim.scenario.plot import plot_run
+
+        plot_run(log, plot)
+    tables.summary(log, path=path, wall=perf_counter() - began, profile=seconds, as_json=as_json, quiet=quiet)
+
+
+@app.command()
+def replay(
+    log: LogArgument,
+    verify: Annotated[bool, typer.Option("--verify", help="Compare every signal bit for bit with the log; exit 1 at a difference.")] = False,
+    out: OutOption = None,
+    force: ForceOption = False,
+    changes: SetOption = None,
+    as_json: JsonOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Run a log's scenario again with the recorded plant in the plant's place; nothing is needed but the log."""
+    from cosim import tables
+    from cosim.log import open_log
+    from cosim.scenario.session import replay as replay_log
+
+    began = perf_counter()
+    source = open_log(log)
+    with _progress(quiet or as_json) as progress:
+        again = replay_log(source, out=out, force=force, set=_edits(changes), progress=progress)
+    if verify:
+        tables.verification(source, again, path=log, as_json=as_json, quiet=quiet)
+    else:
+        tables.summary(again, path=out, wall=perf_counter() - began, profile=None, as_json=as_json, quiet=quiet)
+
+
+@app.command()
+def diff(
+    a: Annotated[Path, typer.Argument(metavar="A", help="A log.")],
+    b: Annotated[Path, typer.Argument(metavar="B", help="Another log.")],
+    atol: Annotated[float, typer.Option(min=0.0, help="Absolute tolerance.")] = 0.0,
+    rtol: Annotated[float, typer.Option(min=0.0, help="Tolerance relative to each signal's largest value.")] = 0.0,
+    as_json: JsonOption = False,
+) -> None:
+    """Compare two logs signal by signal; exit 1 outside the tolerance."""
+    from cosim import tables
+    from cosim.log import open_log
+    from cosim.log.diff import diff as compare
+
+    difference = compare(open_log(a), open_log(b), atol=atol, rtol=rtol)
+    tables.difference(difference, as_json=as_json)
+    if not difference.within:
+        raise typer.Exit(1)
+
+
+@app.command()
+def info(
+    what: Annotated[str, typer.Argument(metavar="LOG|FMU|SCENARIO", help="A log (.mcap), an FMU (.fmu) or a scenario.")],
+    as_json: JsonOption = False,
+) -> None:
+    """Show what a log, an FMU or a scenario contains."""
+    from cosim import tables
+
+    tables.info(what, as_json=as_json)
+
+
+@app.command()
+def plot(
+    log: LogArgument,
+    signals: Annotated[list[str], typer.Argument(metavar="SIGNAL...", help="Signals, such as observer.delta.")],
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="Picture to write (.png, .svg, .pdf).")],
+) -> None:
+    """Draw signals of a log over time."""
+    from cosim.log import open_log
+    from cosim.scenario.plot import plot_signals
+
+    plot_signals(open_log(log), signals, out)
+    typer.echo(str(out))
+
+
+@app.command(name="list")
+def list_(as_json: JsonOption = False) -> None:
+    """List the shipped scenarios, and the component kinds with their parameters."""
+    from cosim import tables
+
+    tables.catalogue(as_json=as_json)
+
+
+@app.command()
+def show(scenario: ScenarioArgument) -> None:
+    """Print a scenario's text: the start of one of your own."""
+    from cosim.scenario.document import find
+
+    typer.echo(find(scenario).text, nl=False)
+
+
+@app.command()
+def export(
+    scenario: ScenarioArgument,
+    component: Annotated[str, typer.Option(metavar="NAME", help="The component to export.")],
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="PATH", help="The .fmu to write.")],
+    force: Annotated[bool, typer.Option("--force", help="Replace a file that exists.")] = False,
+    changes: SetOption = None,
+) -> None:
+    """Export a component as an FMU: FMI 2.0, model exchange and co-simulation in one archive, C source and binary."""
+    from cosim.scenario.exporting import export_component
+
+    for line in export_component(scenario, component, out, force=force, set=_edits(changes)):
+        typer.echo(line)
+
+
+def _pairs(options: list[str] | None, option: str) -> dict[str, str]:
+    pairs = {}
+    for text in options or []:
+        name, equals, value = text.partition("=")
+        if not equals or not name:
+            raise UsageError(f"{option} {text!r}: found no '=', needed NAME=VALUE")
+        pairs[name.strip()] = value.strip()
+    return pairs
+
+
+def _edits(options: list[str] | None) -> dict[str, Any]:
+    from cosim.scenario.document import parse_value
+
+    return {key: parse_value(value) for key, value in _pairs(options, "--set").items()}
+
+
+@contextmanager
+def _progress(hidden: bool) -> Iterator[Progress | None]:
+    """Show simulated time, speed relative to real time and time left on stderr, where that is a terminal."""
+    if hidden or not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.fields[clock]}"), BarColumn(), TextColumn("{task.fields[speed]}"), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("", total=None, clock="", speed="")
+        began = perf_counter()
+
+        def reached(time: float, end: float) -> None:
+            speed = time / max(perf_counter() - began, 1e-9)
+            bar.update(task, completed=time, total=end, clock=f"t = {time:.2f} of {end:g} s", speed=f"{speed:.3g} x real time")
+
+        yield reached
+
+
+def main(arguments: list[str] | None = None, *, leave: Callable[[int], None] = sys.exit) -> None:
+    """Run the command line; every deliberate error becomes one message and an exit code."""
+    try:
+        app(args=arguments, standalone_mode=True)
+    except CosimError as error:
+        lines = str(error).splitlines() or [type(error).__name__]
+        sys.stderr.write("\n".join(f"cosim: {line}" for line in lines) + "\n")
+        leave(error.exit_code)
+    except KeyboardInterrupt:
+        sys.stderr.write("cosim: interrupted\n")
+        leave(130)
+    except BrokenPipeError:
+        sys.stderr.close()
+        leave(0)

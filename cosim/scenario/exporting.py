@@ -1,0 +1,45 @@
+"""Export a component of a scenario as an FMU."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from cosim.errors import UsageError, nearest
+from cosim.fmi.export import export
+from cosim.scenario.build import build_site
+from cosim.scenario.document import find
+from cosim.scenario.session import load
+
+
+def export_component(
+    scenario: str,
+    component: str,
+    out: Path,
+    *,
+    force: bool = False,
+    set: Mapping[str, Any] | None = None,  # noqa: A002
+) -> list[str]:
+    """Write a component as an FMI 2.0 FMU; give lines that say what was written.
+
+    Raises
+    ------
+    UsageError
+        If there is no such component, it is no linear model, or the file exists.
+    """
+    if out.suffix != ".fmu":
+        raise UsageError(f"{out}: needed a path that ends in .fmu")
+    if out.exists() and not force:
+        raise UsageError(f"{out} exists; choose another path, or --force to replace it")
+    loaded = load(scenario).set(set or {})
+    if component not in loaded.specs:
+        raise UsageError(f"there is no component {component!r}; {nearest(component, loaded.specs)}")
+    with ExitStack() as resources:
+        site = build_site(loaded, resources)
+        model = loaded.specs[component].linear_model(component, site)
+    return export(model, out, name=f"{loaded.name}_{component}", description=find(scenario).source)
+
+
+__all__ = ["export_component"]

@@ -1,0 +1,131 @@
+"""What a run says about itself: errors against the truth, estimates, start time, verdict on the information; from a recording alone."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from cosim.arrays import Matrix, Vector
+from cosim.core.contracts import Recording
+from cosim.theory.uncertainty import information, verdict
+
+
+@dataclass(frozen=True)
+class SignalError:
+    """An estimated signal against the signal it should equal."""
+
+    estimate: str
+    truth: str
+    since: float  # s
+    largest: float  # |error| from there on
+    rms: float
+    last: float  # |error| at the end
+
+
+@dataclass(frozen=True)
+class ValueOutcome:
+    """An estimated constant against its true value."""
+
+    estimate: str
+    value: float | None  # None: no value yet
+    truth: float
+    error: float | None
+
+
+@dataclass(frozen=True)
+class Identification:
+    """What the data of an identifier carry."""
+
+    component: str
+    start: float  # s, the communication point it starts at
+    times: Mapping[str, float]  # T_obs, T_f, D_max, T_id where it was computed
+    eigenvalues: tuple[float, ...]  # of the information matrix over the run
+    verdict: str
+
+
+@dataclass(frozen=True)
+class Summary:
+    """Everything the table after a run shows."""
+
+    scenario: str
+    end: float  # s
+    steps: int
+    signals: tuple[SignalError, ...] = ()
+    values: tuple[ValueOutcome, ...] = ()
+    identifications: tuple[Identification, ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Give plain values for JSON."""
+        return asdict(self)
+
+
+def summarise(recording: Recording) -> Summary:
+    """Summarise a run; the truth and the start times come from the recording's metadata."""
+    run = recording.metadata.get("cosim.run", {})
+    truth = json.loads(run.get("truth", "{}"))
+    facts = {name: _facts(recording, name) for name in recording.channels}
+    starts = [found["start"] for found in facts.values() if "start" in found]
+    since = max(starts, default=0.0)
+    any_component = next(iter(recording.channels))
+    time_ns = recording.time_ns(any_component)
+    signals, values = [], []
+    for estimate, true in truth.items():
+        if isinstance(true, str):
+            signals.append(_signal_error(recording, estimate, true, since))
+        else:
+            values += _value_errors(recording, estimate, np.atleast_1d(np.array(true, dtype=np.float64)))
+    return Summary(
+        scenario=run.get("scenario", ""),
+        end=float(time_ns[-1] / 1e9) if len(time_ns) else 0.0,
+        steps=max(0, len(time_ns) - 1),
+        signals=tuple(signals),
+        values=tuple(values),
+        identifications=tuple(_identification(recording, name, found) for name, found in facts.items() if "unknowns" in found),
+    )
+
+
+def _facts(recording: Recording, component: str) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(recording.metadata.get(f"cosim.component.{component}", {}).get("facts", "{}"))
+    return found
+
+
+def _columns(values: Matrix) -> Matrix:
+    return values[:, np.newaxis] if values.ndim == 1 else values
+
+
+def _signal_error(recording: Recording, estimate: str, true: str, since: float) -> SignalError:
+    a, b = (recording.time_ns(port.partition(".")[0]) for port in (estimate, true))
+    shared, i, j = np.intersect1d(a, b, return_indices=True)
+    error = np.abs(_columns(recording[estimate])[i] - _columns(recording[true])[j])
+    window = error[shared / 1e9 >= since] if shared.size and shared[-1] / 1e9 >= since else error
+    rms = float(np.sqrt(np.mean(window**2))) if window.size else float("nan")
+    return SignalError(
+        estimate, true, since, float(window.max(initial=0.0)), rms, float(error[-1].max()) if len(error) else float("nan")
+    )
+
+
+def _value_errors(recording: Recording, estimate: str, true: Vector) -> list[ValueOutcome]:
+    rows = _columns(recording[estimate])
+    found = rows[-1] if len(rows) else np.full(len(true), np.nan)
+    names = [estimate] if len(true) == 1 else [f"{estimate}[{i}]" for i in range(len(true))]
+    return [
+        ValueOutcome(name, None if np.isnan(v) else float(v), float(t), None if np.isnan(v) else float(abs(v - t)))
+        for name, v, t in zip(names, found, true, strict=True)
+    ]
+
+
+def _identification(recording: Recording, component: str, facts: Mapping[str, Any]) -> Identification:
+    """Judge the information in the rows that an identifier was given."""
+    rows = _columns(recording[f"{component}.regressor"])
+    time = recording.time_ns(component) / 1e9
+    used = rows[time >= facts["start"]]
+    times = {key: facts[key] for key in ("T_obs", "T_f", "D_max", "T_id") if key in facts}
+    if len(used) < 2:
+        return Identification(component, facts["start"], times, (), "the run ended before the identification began")
+    eigenvalues = np.linalg.eigvalsh(information(used[:, 1:], float(time[1] - time[0])))
+    prior = None if facts["P0"] is None else 1.0 / facts["P0"]
+    return Identification(component, facts["start"], times, tuple(map(float, eigenvalues)), verdict(eigenvalues, prior))

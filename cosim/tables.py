@@ -1,0 +1,216 @@
+"""What the commands print: tables for people, JSON for programs."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from cosim.errors import UsageError
+
+if TYPE_CHECKING:
+    from cosim.core.contracts import Recording
+    from cosim.log.diff import Difference
+    from cosim.scenario.build import Scenario
+    from cosim.scenario.report import Identification, Summary
+
+WIDTH = 118  # where stdout is no terminal
+
+
+def summary(
+    recording: Recording, *, path: Path | None, wall: float, profile: Mapping[str, float] | None, as_json: bool, quiet: bool
+) -> None:
+    """Print what a run found."""
+    from cosim.scenario.report import summarise
+
+    found = summarise(recording)
+    if as_json:
+        extra: dict[str, Any] = {"wall": wall, "log": None if path is None else str(path)}
+        _json(found.to_dict() | extra | ({} if profile is None else {"profile": dict(profile)}))
+        return
+    if quiet:
+        return
+    for name, text in _warnings(recording):
+        typer.echo(f"warning: {name}: {text}", err=True)
+    console = _console()
+    title = f"{found.scenario}: {found.end:g} s in {found.steps} steps"
+    table = _table(title, ("", "estimate", "truth", "error"))
+    for signal in found.signals:
+        table.add_row(signal.estimate, "", signal.truth, f"{signal.largest:.3g}  (largest for t >= {signal.since:g} s; at the end {signal.last:.3g})")
+    for value in found.values:
+        shown = ("no value", "") if value.value is None else (f"{value.value:+.6f}", f"{value.error:.3g}")
+        table.add_row(value.estimate, shown[0], f"{value.truth:+g}", shown[1])
+    for identification in found.identifications:
+        _identification(table, identification)
+    table.add_section()
+    table.add_row("wall time", f"{wall:.2f} s", "", f"{found.end / wall:.3g} x real time" if wall > 0 else "")
+    if path is not None:
+        table.add_row("log", "", "", str(path))
+    console.print(table)
+    if profile is not None:
+        _profile(console, profile)
+
+
+def _identification(table: Table, found: Identification) -> None:
+    table.add_section()
+    times = found.times
+    made = "given"
+    if "T_id" in times:
+        made = f"T_obs {times['T_obs']:.4f} + T_f {times['T_f']:.4f} + D_max {times['D_max']:g} = {times['T_id']:.4f} s (36)"
+    table.add_row(f"{found.component} starts", f"{found.start:g} s", "", made)
+    if found.eigenvalues:
+        table.add_row("information", "", "", "eigenvalues " + ", ".join(f"{value:.3g}" for value in found.eigenvalues))
+    table.add_row("", "", "", found.verdict)
+
+
+def _profile(console: Console, profile: Mapping[str, float]) -> None:
+    total = sum(profile.values())
+    table = _table("where the time went", ("", "s", "%"))
+    for name, seconds in sorted(profile.items(), key=lambda item: -item[1]):
+        table.add_row(name, f"{seconds:.4f}", f"{100 * seconds / total:.1f}" if total else "")
+    console.print(table)
+
+
+def _warnings(recording: Recording) -> list[tuple[str, str]]:
+    found = json.loads(recording.metadata.get("cosim.run", {}).get("warnings", "[]"))
+    return [(name, text) for name, text in found]
+
+
+def verification(source: Recording, again: Recording, *, path: Path, as_json: bool, quiet: bool) -> None:
+    """Say whether a replay equals its log bit for bit; exit 1 at the first difference."""
+    from cosim.log.diff import diff
+
+    found = diff(source, again)
+    if as_json:
+        _json(found.to_dict())
+    elif found.equal and not quiet:
+        typer.echo(f"{path}: the replay equals the log bit for bit: {len(found.rows)} signals")
+    if found.equal:
+        return
+    if not as_json:
+        first = found.first
+        where = "the logs do not have the same signals and times"
+        if first is not None:
+            where = f"{first.signal} at t = {first.time_ns / 1e9} s: log {first.a!r}, replay {first.b!r}"
+        typer.echo(f"{path}: the replay differs from the log; first: {where}", err=True)
+    raise typer.Exit(1)
+
+
+def difference(found: Difference, *, as_json: bool) -> None:
+    """Print how far two logs are from each other."""
+    if as_json:
+        _json(found.to_dict())
+        return
+    table = _table("", ("signal", "", "largest |a - b|", "largest |a|", "ratio", "first outside"))
+    for row in found.rows:
+        first = "" if row.first is None else f"{row.first.signal} at {row.first.time_ns / 1e9} s: {row.first.a!r}, {row.first.b!r}"
+        table.add_row(row.signal, row.status, f"{row.largest:.3g}", f"{row.scale:.3g}", f"{row.ratio:.3g}", first)
+    _console().print(table)
+    if any(row.status == "outside" and row.signal.endswith(".delta") for row in found.rows):
+        typer.echo("note: a reconstructed disturbance multiplies the last bit of y by filter_rate: compare it with a tolerance of its own")
+
+
+def catalogue(*, as_json: bool) -> None:
+    """List scenarios and component kinds."""
+    from cosim.scenario.document import find, shipped
+    from cosim.scenario.kinds import KINDS
+    from cosim.scenario.session import load
+
+    scenarios = {name: load(name).file.scenario.description for name in shipped()}
+    kinds = {
+        kind: {"does": (cls.__doc__ or "").splitlines()[0], "parameters": _parameters(cls)} for kind, cls in KINDS.items()
+    }
+    if as_json:
+        _json({"scenarios": scenarios, "kinds": kinds})
+        return
+    console = _console()
+    table = _table("shipped scenarios", ("name", "what it is"))
+    for name, text in scenarios.items():
+        table.add_row(name, text or find(name).source)
+    console.print(table)
+    table = _table("component kinds", ("kind", "parameters", "what it does"))
+    for kind, described in kinds.items():
+        lines = [f"{key}{'' if needed == 'required' else f' = {needed}'}" for key, needed in described["parameters"].items()]
+        table.add_row(kind, "\n".join(lines), described["does"])
+        table.add_section()
+    console.print(table)
+
+
+def _parameters(cls: Any) -> dict[str, str]:
+    shown = {}
+    for name, field in cls.model_fields.items():
+        if name != "kind":
+            default = "required" if field.is_required() else repr(field.default).replace("None", "left out")
+            shown[name] = default
+    return shown
+
+
+def info(what: str, *, as_json: bool) -> None:
+    """Show what a log, an FMU or a scenario contains."""
+    from cosim.scenario import inspection
+
+    suffix = Path(what).suffix.lower()
+    describe = {".mcap": inspection.log, ".fmu": inspection.fmu}.get(suffix, inspection.scenario)
+    found = describe(what)
+    if as_json:
+        _json(found)
+        return
+    console = _console()
+    for title, content in found.items():
+        _section(console, title, content)
+
+
+def _section(console: Console, title: str, content: Any) -> None:
+    if isinstance(content, list):
+        columns = list(content[0]) if content else []
+        table = _table(title, columns)
+        for row in content:
+            table.add_row(*(_text(row.get(column)) for column in columns))
+        console.print(table)
+    elif isinstance(content, Mapping):
+        table = _table(title, ("", ""))
+        for key, value in content.items():
+            table.add_row(key, _text(value))
+        console.print(table)
+
+
+def comparison(loaded: Scenario, *, swaps: Mapping[str, str], changes: Mapping[str, Any], as_json: bool) -> None:
+    """Compare the ports of swapped components with those they replace; exit 2 where they cannot be swapped."""
+    from cosim.scenario.inspection import compare
+
+    found, problems = compare(loaded, swaps=swaps, changes=changes)
+    if as_json:
+        _json({"ports": found, "problems": problems})
+    else:
+        console = _console()
+        for name, rows in found.items():
+            _section(console, name, rows)
+        if not problems:
+            typer.echo("dry run: the scenario can run")
+    if problems:
+        raise UsageError("\n".join(problems))
+
+
+def _text(value: Any) -> str:
+    return "" if value is None else value if isinstance(value, str) else json.dumps(value) if isinstance(value, (list, dict)) else str(value)
+
+
+def _table(title: str, columns: Sequence[str]) -> Table:
+    table = Table(title=title or None, title_justify="left", title_style="bold", header_style="", box=None, padding=(0, 2, 0, 0))
+    for column in columns:
+        table.add_column(column, overflow="fold")
+    return table
+
+
+def _console() -> Console:
+    console = Console(highlight=False, markup=False, emoji=False)
+    return console if console.is_terminal else Console(highlight=False, markup=False, emoji=False, width=WIDTH, soft_wrap=False)
+
+
+def _json(content: Any) -> None:
+    typer.echo(json.dumps(content, indent=2, allow_nan=False, default=str))
