@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -213,4 +214,15 @@ def _console() -> Console:
 
 
 def _json(content: Any) -> None:
-    typer.echo(json.dumps(content, indent=2, allow_nan=False, default=str))
+    typer.echo(json.dumps(_strict(content), indent=2, allow_nan=False, default=str))
+
+
+def _strict(content: Any) -> Any:
+    """Write what JSON has no numbers for as the strings "nan", "inf" and "-inf"."""
+    if isinstance(content, float):
+        return content if math.isfinite(content) else str(content)
+    if isinstance(content, Mapping):
+        return {key: _strict(value) for key, value in content.items()}
+    if isinstance(content, (list, tuple)):
+        return [_strict(value) for value in content]
+    return content

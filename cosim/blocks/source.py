@@ -53,22 +53,22 @@ def constant(value: Sequence[float], *, unit: str | None = None) -> Expression:
     return Expression([repr(v) for v in value], unit=unit)
 
 
-def step(*, time: float, before: float, after: float, unit: str | None = None) -> Expression:
+def step(*, time: float, before: float = 0.0, after: float = 1.0, unit: str | None = None) -> Expression:
     """``y = before`` until ``time`` [s], then ``after``: a discrete signal."""
     return Expression([f"{before!r} + {after - before!r}*step(t - {time!r})"], variability="discrete", unit=unit)
 
 
-def ramp(*, slope: float, start: float, offset: float, unit: str | None = None) -> Expression:
+def ramp(*, slope: float, start: float = 0.0, offset: float = 0.0, unit: str | None = None) -> Expression:
     """``y = offset + slope max(0, t - start)``."""
     return Expression([f"{offset!r} + {slope!r}*max(0, t - {start!r})"], unit=unit)
 
 
-def sine(*, amplitude: float, rate: float, phase: float, offset: float, unit: str | None = None) -> Expression:
+def sine(*, rate: float, amplitude: float = 1.0, phase: float = 0.0, offset: float = 0.0, unit: str | None = None) -> Expression:
     """``y = offset + amplitude sin(rate t + phase)``; rate in rad/s."""
     return Expression([f"{offset!r} + {amplitude!r}*sin({rate!r}*t + {phase!r})"], unit=unit)
 
 
-def chirp(*, amplitude: float, rate: float, sweep: float, offset: float, unit: str | None = None) -> Expression:
+def chirp(*, rate: float, sweep: float, amplitude: float = 1.0, offset: float = 0.0, unit: str | None = None) -> Expression:
     """``y = offset + amplitude sin(rate t + sweep t^2 / 2)``: the rate [rad/s] grows by ``sweep`` [rad/s^2]."""
     return Expression([f"{offset!r} + {amplitude!r}*sin(({rate!r} + {0.5 * sweep!r}*t)*t)"], unit=unit)
 

@@ -1,0 +1,28 @@
+"""Contracts, graph, clock and master: what it takes to run components of one's own."""
+
+from cosim.core.clock import Clock
+from cosim.core.contracts import Component, Model, Recorder, Recording, Stopped
+from cosim.core.graph import Connection, Graph
+from cosim.core.master import run
+from cosim.core.recorders import Memory, Nothing, Watched
+from cosim.core.signals import Interface, Signal
+from cosim.core.solver import Linear, LinearModel
+
+__all__ = [
+    "Clock",
+    "Component",
+    "Connection",
+    "Graph",
+    "Interface",
+    "Linear",
+    "LinearModel",
+    "Memory",
+    "Model",
+    "Nothing",
+    "Recorder",
+    "Recording",
+    "Signal",
+    "Stopped",
+    "Watched",
+    "run",
+]

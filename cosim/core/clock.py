@@ -35,7 +35,8 @@ def nanoseconds(seconds: float | str) -> int:
         raise ClockError(f"{seconds} is not a time in seconds; needed a finite number")
     whole = exact.to_integral_value()
     if exact != whole:
-        raise ClockError(f"{seconds} s is not a whole number of nanoseconds; nearest: {float(whole / NANOSECONDS)} s")
+        nearest = float((whole or Decimal(1).copy_sign(exact)) / NANOSECONDS)
+        raise ClockError(f"{seconds} s is not a whole number of nanoseconds; nearest: {nearest} s")
     if abs(whole) > LARGEST_NS:
         raise ClockError(f"{seconds} s does not fit into 64-bit nanoseconds; at most {LARGEST_NS / NANOSECONDS:.3e} s")
     return int(whole)

@@ -273,7 +273,7 @@ def _check_connection(ports: _Ports, to: str, connection: Connection) -> Iterabl
         if shape != (target.size, size):
             problems.append(f"{found}: gain has shape {shape}, needed ({target.size}, {size})")
     elif size != target.size:
-        problems.append(f"{found}: size {size} [{source.unit or '?'}] cannot drive size {target.size} [{target.unit or '?'}]")
+        problems.append(f"{found}: size {size}{_unit(source)} cannot drive size {target.size}{_unit(target)}")
     unit = connection.unit or source.unit
     if unit is not None and target.unit is not None and unit != target.unit:
         way = f"convert with {{ from = {connection.source!r}, gain = ..., unit = {target.unit!r} }}"
@@ -281,6 +281,10 @@ def _check_connection(ports: _Ports, to: str, connection: Connection) -> Iterabl
     if source.optional and not target.optional:
         problems.append(f"{found}: the source may carry no value (NaN), the input needs one at every step")
     return problems
+
+
+def _unit(signal: Signal) -> str:
+    return "" if signal.unit is None else f" [{signal.unit}]"
 
 
 def layout_of(components: Mapping[str, Component], periods: Mapping[str, int] | None = None) -> Layout:

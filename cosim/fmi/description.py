@@ -63,7 +63,7 @@ class Variable:
 
     @property
     def settable(self) -> bool:
-        """May a start value be given (FMI 2.0.4 section 2.2.7: initial exact or approx, or an input)?"""
+        """Whether a start value may be given (FMI 2.0.4 section 2.2.7: initial exact or approx, or an input)."""
         return self.variability != "constant" and (self.causality == "input" or self.initial in ("exact", "approx"))
 
     @property
@@ -274,16 +274,16 @@ def _dependencies(model: Model, linear: LinearModel | None) -> dict[str, tuple[s
     if linear is None:
         return {
             **{
-                element: tuple(e for s in model.interface.inputs if s.name in model.interface.feeds(signal.name) for e in s.elements)
+                element: tuple(
+                    e for s in model.interface.inputs if s.name in model.interface.feeds(signal.name) for e in s.elements
+                )
                 for signal in model.interface.outputs
                 for element in signal.elements
             },
             **dict.fromkeys(derivatives),
         }
     rows = zip([*outputs, *derivatives], [*linear.C, *linear.A], [*linear.D, *linear.B], strict=True)
-    return {
-        name: (*_nonzero(inputs, of_u), *_nonzero(model.states, of_x)) for name, of_x, of_u in rows
-    }
+    return {name: (*_nonzero(inputs, of_u), *_nonzero(model.states, of_x)) for name, of_x, of_u in rows}
 
 
 def _nonzero(names: Sequence[str], row: Iterable[float]) -> tuple[str, ...]:

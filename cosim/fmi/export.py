@@ -20,7 +20,7 @@ from cosim.arrays import Matrix
 from cosim.core.contracts import Model
 from cosim.core.solver import LinearModel
 from cosim.errors import FmuError
-from cosim.fmi.description import Capabilities, Description, describe, states_of_outputs
+from cosim.fmi.description import Capabilities, Description, Mode, describe, states_of_outputs
 from cosim.fmi.platforms import SUFFIX, folders
 from cosim.fmi.writing import write_model_description
 from cosim.native import build
@@ -47,6 +47,12 @@ class Exported:
     path: Path
     platform: str | None
     note: str = ""
+
+    @property
+    def lines(self) -> list[str]:
+        """Say what was written."""
+        inside = f"binary for {self.platform} and C sources" if self.platform else "C sources only"
+        return [f"{self.path}: FMI 2.0, model exchange and co-simulation, {inside}", *([self.note] if self.note else [])]
 
 
 def export(model: Model, path: Path | str, *, name: str, description: str = "") -> Exported:
@@ -77,7 +83,10 @@ def export(model: Model, path: Path | str, *, name: str, description: str = "") 
     constants = _constants(linear, unit, "")
     token = _token(constants, _xml(unit, linear, description), *(text.read_text() for text in _sources().values()))
     unit = replace(unit, token=token)
-    files = {"modelDescription.xml": _xml(unit, linear, description).encode(), "sources/model.c": _constants(linear, unit, token).encode()}
+    files = {
+        "modelDescription.xml": _xml(unit, linear, description).encode(),
+        "sources/model.c": _constants(linear, unit, token).encode(),
+    }
     files |= {f"sources/{file}": source.read_bytes() for file, source in _sources().items()}
     with TemporaryDirectory(prefix="cosim-export-") as folder:
         platform = _compile(files, Path(folder), name)
@@ -91,7 +100,9 @@ def export(model: Model, path: Path | str, *, name: str, description: str = "") 
 
 def _linear(model: Model) -> LinearModel:
     if not isinstance(model, LinearModel):
-        raise FmuError(f"a {type(model).__name__} cannot be exported; linear models can: x' = A x + B u, y = C x + D u (LinearModel)")
+        raise FmuError(
+            f"a {type(model).__name__} cannot be exported; linear models can: x' = A x + B u, y = C x + D u (LinearModel)"
+        )
     for letter, array in model.arrays.items():
         if not np.isfinite(array).all():
             raise FmuError(f"matrix {letter} holds NaN or infinity; an FMU needs finite numbers")
@@ -100,7 +111,7 @@ def _linear(model: Model) -> LinearModel:
 
 def _describe(model: LinearModel, name: str) -> Description:
     both = Capabilities(name, directional_derivatives=True, saves_state=True, completed_step=False)
-    kinds = {"me": both, "cs": replace(both, interpolates_inputs=True, variable_step=True)}
+    kinds: dict[Mode, Capabilities] = {"me": both, "cs": replace(both, interpolates_inputs=True, variable_step=True)}
     return replace(describe(model, name, model), capabilities=kinds)
 
 
@@ -109,9 +120,11 @@ def _xml(unit: Description, model: LinearModel, text: str) -> str:
 
 
 def _initial_unknowns(unit: Description, model: LinearModel) -> dict[str, tuple[str, ...]]:
-    """The unknowns of the initialization depend on inputs, and on states whose start value is given."""
+    """Give what the unknowns of the initialization depend on: inputs, and states whose start value is given."""
     inputs = [v.name for v in unit.variables if v.causality == "input"]
-    through = {x: tuple(u for u, value in zip(inputs, row, strict=True) if value) for x, row in zip(model.states, model.Xu, strict=True)}
+    through = {
+        x: tuple(u for u, value in zip(inputs, row, strict=True) if value) for x, row in zip(model.states, model.Xu, strict=True)
+    }
     unknowns = {}
     for variable in unit.variables:
         if variable.initial != "calculated":
@@ -181,6 +194,6 @@ def _archive(path: Path, files: dict[str, bytes]) -> None:
 def _advice(name: str) -> str:
     flags = " ".join(build.FLAGS)
     return (
-        "no C compiler was found, so the FMU holds sources only. Install one as 'cc' or 'pip install ziglang' and export again, or, in "
-        f"sources/: cc {flags} {' '.join(SOURCES)} -o ../binaries/{folders('2.0')[0]}/{name}{SUFFIX} -lm"
+        "no C compiler was found, so the FMU holds sources only. Install one as 'cc' or 'pip install ziglang' and export again, "
+        f"or, in sources/: cc {flags} {' '.join(SOURCES)} -o ../binaries/{folders('2.0')[0]}/{name}{SUFFIX} -lm"
     )

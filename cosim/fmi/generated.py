@@ -250,7 +250,9 @@ class GeneratedUnit:
         columns = [self._known(reference) for reference in _plain(knowns)]
         rows = [reference - self._m for reference in _plain(unknowns)]
         if min(rows, default=0) < 0:
-            raise FmuError(f"{self._name}: the unknowns of a directional derivative are outputs, derivatives and states, not inputs")
+            raise FmuError(
+                f"{self._name}: the unknowns of a directional derivative are outputs, derivatives and states, not inputs"
+            )
         return affine([(jacobian[rows][:, columns], seed)])
 
     def _jacobian(self, model: LinearModel) -> NDArray[np.float64]:

@@ -33,7 +33,8 @@ _Memory = c_uint8 * 1
 
 def _pointer(array: NDArray[Any]) -> Any:
     """Point to a contiguous array's memory; quicker than ``array.ctypes``."""
-    return _Memory.from_buffer(array) if array.size else None
+    memory: Any = array
+    return _Memory.from_buffer(memory) if array.size else None
 
 
 class _Library:
@@ -58,7 +59,7 @@ class _Library:
         found = self.binding.dll[self.prefix + name]
         found.argtypes, found.restype = (c_void_p, *types), c_int
         instance = self.binding.component
-        return lambda *arguments: found(instance, *arguments)  # type: ignore[no-any-return]
+        return lambda *arguments: int(found(instance, *arguments))
 
     def call(self, name: str, *types: Any) -> Call:
         """Give a function of the instance that raises RunError unless its status is ok or warning."""
@@ -174,7 +175,9 @@ class _Fmi3:
 
     states, derivatives = "FMUState", "GetContinuousStateDerivatives"
     dtypes: dict[str, DTypeLike] = {  # noqa: RUF012
-        **{name: np.dtype(name.lower()) for name in ("Float64", "Float32", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32")},
+        **{
+            name: np.dtype(name.lower()) for name in ("Float64", "Float32", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32")
+        },
         **{"Int64": np.int64, "UInt64": np.uint64, "Boolean": np.bool_},
     }
 
@@ -188,8 +191,9 @@ class _Fmi3:
         self._flags, self._time = [c_bool() for _ in range(5)], c_double()
         pointers = [byref(flag) for flag in self._flags]
         if mode == "me":
-            update, completed = library.call("UpdateDiscreteStates", *[c_void_p] * 6), library.call(
-                "CompletedIntegratorStep", c_bool, c_void_p, c_void_p
+            update, completed = (
+                library.call("UpdateDiscreteStates", *[c_void_p] * 6),
+                library.call("CompletedIntegratorStep", c_bool, c_void_p, c_void_p),
             )
             self._update = lambda: update(*pointers, byref(self._time))
             self._completed = lambda: completed(self._no_way_back, *pointers[:2])
@@ -262,8 +266,8 @@ class LoadedUnit:
         self._calls: _Calls = version(self._library, mode, keep_state=capabilities.saves_state)
         self._n = description.n_states
         call, states = self._library.call, self._calls.states
-        self.exit_initialization_mode = call("ExitInitializationMode")
-        self._reset, self._terminate = call("Reset"), call("Terminate")
+        self._running = False
+        self._exit, self._reset, self._terminate = call("ExitInitializationMode"), call("Reset"), call("Terminate")
         self._get_state, self._set_state = call(f"Get{states}", c_void_p), call(f"Set{states}", c_void_p)
         self._free_state = call(f"Free{states}", c_void_p)
         if mode == "me":
@@ -282,11 +286,17 @@ class LoadedUnit:
 
     def reset(self) -> None:
         """Go back to the state after instantiation."""
+        self._running = False
         self._reset()
 
     def enter_initialization_mode(self, t: float) -> None:
         """Start at ``t`` [s]."""
         self._calls.enter_initialization_mode(t)
+
+    def exit_initialization_mode(self) -> None:
+        """End the initialization."""
+        self._exit()
+        self._running = True
 
     def update_discrete_states(self) -> DiscreteStates:
         """Do one event iteration."""
@@ -297,8 +307,9 @@ class LoadedUnit:
         return self._calls.completed_integrator_step()
 
     def terminate(self) -> None:
-        """End the run; after an error the standard forbids the call."""
-        if self._library.worst < DISCARD and not self._freed:
+        """End the run; the standard forbids the call before its start and after an error."""
+        if self._running and self._library.worst < ERROR and not self._freed:
+            self._running = False
             self._terminate()
 
     def free_instance(self) -> None:
@@ -401,7 +412,9 @@ def _instantiate(
     from fmpy import fmi2, fmi3
 
     version_2 = description.version.startswith("2.")
-    found: dict[Mode, Any] = {"me": fmi2.FMU2Model, "cs": fmi2.FMU2Slave} if version_2 else {"me": fmi3.FMU3Model, "cs": fmi3.FMU3Slave}
+    found: dict[Mode, Any] = (
+        {"me": fmi2.FMU2Model, "cs": fmi2.FMU2Slave} if version_2 else {"me": fmi3.FMU3Model, "cs": fmi3.FMU3Slave}
+    )
     home, binding = Path.cwd(), None
     try:
         binding = found[mode](
@@ -438,5 +451,3 @@ def _callbacks(fmi2: Any, messages: deque[str]) -> Any:
 def _keep(messages: deque[str], status: int, text: bytes | None) -> None:
     label = STATUS[status] if 0 <= status < len(STATUS) else str(status)
     messages.append(f"{label}: {(text or b'').decode('utf-8', 'replace')[:1000]}")
-
-

@@ -8,17 +8,16 @@ from __future__ import annotations
 import hashlib
 import math
 import zipfile
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 from xml.etree import ElementTree
 
 from cosim.errors import FmuError
-from cosim.fmi.description import Capabilities, Description, Mode, Variable
+from cosim.fmi.description import MODE_NAMES, Capabilities, Description, Mode, Variable
 from cosim.fmi.unit import VariableType
 
 XML = "modelDescription.xml"
-_TYPES = {"Real": "Float64", "Integer": "Int32"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +41,46 @@ class Archive:
     xml: str
     members: frozenset[str]
     description: Description
+
+    def to_dict(self) -> dict[str, Any]:
+        """Give sections of plain values: the file, what each kind can do, the variables."""
+        found = self.description
+        about = {
+            "path": str(self.path),
+            "name": found.name,
+            "fmi version": found.version,
+            "kinds": ", ".join(MODE_NAMES[mode] for mode in found.capabilities),
+            "platforms": ", ".join(found.platforms) or None,
+            "continuous states": ", ".join(found.states) or None,
+            "event indicators": found.event_indicators,
+            "sha256": self.sha256,
+        }
+        kinds = {f"as {MODE_NAMES[mode]}": asdict(able) for mode, able in found.capabilities.items()}
+        return {"fmu": about, **kinds, "ports": _ports(found), "variables": [_row(v) for v in found.variables]}
+
+
+def _ports(description: Description) -> list[dict[str, Any]]:
+    face = description.interface
+    known = face.feedthrough is not None
+    rows: list[dict[str, Any]] = [{"port": s.name, "causality": "input", "size": s.size, "unit": s.unit} for s in face.inputs]
+    for s in face.outputs:
+        feeds = ", ".join(face.feeds(s.name)) if known else "unknown"
+        rows.append({"port": s.name, "causality": "output", "size": s.size, "unit": s.unit, "depends directly on": feeds})
+    columns = ("port", "causality", "size", "unit", "depends directly on")
+    return [{column: row.get(column) for column in columns} for row in rows]
+
+
+def _row(variable: Variable) -> dict[str, Any]:
+    start = variable.start
+    return {
+        "name": variable.name,
+        "causality": variable.causality,
+        "variability": variable.variability,
+        "type": variable.type,
+        "unit": variable.unit,
+        "start": start[0] if start and len(start) == 1 else None if start is None else list(start),
+        "settable": variable.settable,
+    }
 
 
 def read(path: Path | str) -> Archive:
@@ -129,9 +168,8 @@ def _names(variables: Any) -> tuple[str, ...] | None:
 
 
 def _variable(found: Any, version: int) -> Variable:
-    kind = _TYPES.get(found.type, found.type)
-    kind = ("Int32" if version == 2 else "Int64") if kind == "Enumeration" else kind
-    assert kind in get_args(VariableType), kind
+    integer: VariableType = "Int32" if version == 2 else "Int64"
+    kind: VariableType = {"Real": "Float64", "Integer": "Int32", "Enumeration": integer}.get(found.type, found.type)
     declared = found.declaredType
 
     def attribute(name: str) -> Any:

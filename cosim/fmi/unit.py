@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Final, Literal, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,9 @@ VariableType: TypeAlias = Literal[
     "Float64", "Float32", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64", "Boolean",
     "String", "Binary", "Clock",
 ]  # fmt: skip
+
+
+TERMINATED: Final = "the unit asks for the end of the run"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,7 +71,7 @@ class DiscreteStates(NamedTuple):
 
 
 class StepEnd(NamedTuple):
-    """How do_step ended: did it reach the end of the step, and does the unit ask for the end of the run?"""
+    """How do_step ended: whether it reached the end of the step, and whether the unit asks for the end of the run."""
 
     completed: bool
     terminate: bool

@@ -31,11 +31,12 @@ def write_model_description(
         fmiVersion="2.0",
         modelName=description.name,
         guid=description.token,
-        **({"description": text} if text else {}),
         generationTool="cosim",
         variableNamingConvention="structured",
         numberOfEventIndicators="0",
     )
+    if text:
+        root.set("description", text)
     for mode, capabilities in description.capabilities.items():
         element = SubElement(root, ELEMENTS[mode], _capabilities(description, mode))
         if sources:

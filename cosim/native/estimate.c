@@ -4,7 +4,7 @@
 #include <math.h>
 #include <string.h>
 
-#define RANK_TOLERANCE 1e-13 /* relative to the largest pivot: below it a direction carries rounding, not information */
+#define RANK_TOLERANCE 0x1p-26 /* pivot over the largest one: below it R'R, the information, is singular to rounding */
 
 static double no_value(void)
 {

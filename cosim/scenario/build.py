@@ -73,7 +73,8 @@ def parse(document: Document) -> Scenario:
     """
     scenario, problems = _parse(document)
     if problems:
-        raise _report(document, problems)
+        with ExitStack() as resources:  # what is wrong with the rest belongs into the same report
+            build(document, resources)
     return scenario
 
 
@@ -101,7 +102,8 @@ def build(document: Document, resources: ExitStack, *, recording: Recording | No
     try:
         clock = Clock(settings.stop, settings.step, block)
     except CosimError as error:
-        raise _report(document, [*problems, (("scenario", str(error).partition(":")[0]), str(error))]) from error
+        key = "stop" if str(error).startswith("stop") else "step"
+        raise _report(document, [*problems, (("scenario", key), str(error))]) from error
     site.step_ns = clock.step_ns
     components, periods, missing = site.build_all(problems)
     found = check_connections(layout_of(components), scenario.connections, missing) if components else {}
@@ -167,11 +169,11 @@ def _specs(tables: Any) -> tuple[dict[str, Kind], Problems]:
 
 
 def _report(document: Document, problems: Problems) -> ScenarioError:
-    lines = []
-    for key, text in problems:
-        where = ".".join(map(str, key))
-        lines += [f"{document.place(key)}: {where}: {line}" for line in text.splitlines()]
-    return ScenarioError("\n".join(dict.fromkeys(lines)))
+    first: dict[str, Key] = {}
+    for key, text in problems:  # one cause that several components run into is told once
+        first.setdefault(text, key)
+    lines = [f"{document.place(key)}: {'.'.join(map(str, key))}: {line}" for text, key in first.items() for line in text.splitlines()]
+    return ScenarioError("\n".join(lines))
 
 
 def _truth_problems(scenario: Scenario, components: Mapping[str, Component], missing: set[str]) -> Problems:
@@ -202,13 +204,18 @@ class _Site:
         self.hold = scenario.file.scenario.hold
         self.facts: dict[str, dict[str, Any]] = {}
         self.warnings: list[tuple[str, str]] = []
-        self.reads: dict[str, frozenset[str]] = {}
+        self.reads: dict[str, frozenset[str]] = {"": frozenset()}
         self.attachments: dict[str, str] = {}
 
     def build_all(self, problems: Problems) -> tuple[dict[str, Component], dict[str, int], set[str]]:
         """Build every component that can be built; add what is wrong with the others to ``problems``."""
         components: dict[str, Component] = {}
         periods: dict[str, int] = {}
+        for name in self._scenario.file.models:
+            try:
+                self.model(name)
+            except (CosimError, ValueError) as error:
+                problems.append((("models", name), str(error)))
         for name, spec in self._scenario.specs.items():
             self._current, self.reads[name] = name, frozenset()
             try:
@@ -260,14 +267,15 @@ class _Site:
         return log
 
     def fmu(self, name: str, spec: Fmu) -> Component:
-        from cosim.fmi.component import load
+        from cosim.fmi.fmu import load
 
         loaded = self._resources.enter_context(
             load(self.file(spec.path), mode=spec.mode, solver=spec.solver, start=spec.start, instance_name=name)
         )
-        self.note(name, **loaded.facts)
-        self.attachments[f"{name}/modelDescription.xml"] = loaded.xml
-        for text in loaded.messages:
+        facts = loaded.metadata
+        self.attachments[f"{name}/modelDescription.xml"] = facts.pop("model_description")
+        self.note(name, **facts)
+        for text in (*loaded.component.notes, *loaded.messages):
             self.warn(name, text)
         return loaded.component
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
@@ -10,7 +11,6 @@ from typing import Any
 from cosim.errors import UsageError, nearest
 from cosim.fmi.export import export
 from cosim.scenario.build import build_site
-from cosim.scenario.document import find
 from cosim.scenario.session import load
 
 
@@ -39,7 +39,12 @@ def export_component(
     with ExitStack() as resources:
         site = build_site(loaded, resources)
         model = loaded.specs[component].linear_model(component, site)
-    return export(model, out, name=f"{loaded.name}_{component}", description=find(scenario).source)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    written = export(model, out, name=_identifier(f"{loaded.name}_{component}"), description=f"{component} of scenario {loaded.name}")
+    kinds = "FMI 2.0, model exchange and co-simulation"
+    return [f"{written.path}: {kinds}, " + (f"binary for {written.platform}" if written.platform else written.note)]
 
 
-__all__ = ["export_component"]
+def _identifier(name: str) -> str:
+    return re.sub(r"\W", "_", name)
+

@@ -380,12 +380,12 @@ class Descriptor(Plant):
     solver: str = Field("exact", description=f"one of: {', '.join(SOLVERS)}")
 
     def build(self, name: str, site: Site) -> Component:
-        from cosim.fmi.component import ModelExchange
         from cosim.fmi.generated import GeneratedUnit
+        from cosim.fmi.model_exchange import ModelExchange
 
         if self.solver not in SOLVERS:
             raise UsageError(f"solver: found {self.solver!r}; {nearest(self.solver, SOLVERS)}")
-        return ModelExchange(GeneratedUnit(self.linear_model(name, site)), solver=self.solver)
+        return ModelExchange(GeneratedUnit.of(self.linear_model(name, site), name), solver=self.solver)
 
     def linear_model(self, name: str, site: Site) -> LinearModel:
         return descriptor_model(site.model(self.model), self.x_a0)

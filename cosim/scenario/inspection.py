@@ -1,0 +1,163 @@
+"""What a log, an FMU or a scenario contains, and how a swapped component compares with the one it replaces: plain values."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from contextlib import ExitStack
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cosim.core.signals import Interface, Signal
+from cosim.errors import CosimError
+from cosim.scenario.build import Scenario, build, build_site, parse
+from cosim.scenario.session import load
+
+if TYPE_CHECKING:
+    from cosim.fmi.compare import Port, PortRow
+
+Section = dict[str, Any]
+
+
+def log(path: str) -> Section:
+    """Describe a log: the run, its components and their signals."""
+    from cosim.log import open_log
+
+    found = open_log(path)
+    result = found.result
+    about = {
+        "scenario": found.metadata.get("cosim.run", {}).get("scenario", ""),
+        "status": found.status,
+        "reason": result.get("reason") or None,
+        "end": f"{int(result['end_ns']) / 1e9} s in {result['steps']} steps of {found.step_ns / 1e9} s",
+        "content hash": result["content_hash"],
+        "schedule": ", ".join(json.loads(found.metadata["cosim.schedule"]["stages"])),
+        "attachments": ", ".join(found.attachments),
+    }
+    rows = [
+        _signal_row(name, found.kinds.get(name, ""), signal, role)
+        for name, channel in found.channels.items()
+        for signal, role in _signals(channel.interface)
+    ]
+    messages = [{"t": m.time_ns / 1e9, "level": m.level, "from": m.name, "text": m.text} for m in found.messages()]
+    facts = {name: json.loads(found.metadata[f"cosim.component.{name}"].get("facts", "{}")) for name in found.channels}
+    return {"run": about, "signals": rows, "facts": {k: v for k, v in facts.items() if v}} | ({"messages": messages} if messages else {})
+
+
+def scenario(name: str) -> Section:
+    """Describe a scenario: its clock, components and connections."""
+    loaded = load(name)
+    with ExitStack() as resources:
+        experiment = build(loaded.document, resources)
+        settings = loaded.file.scenario
+        about = {
+            "name": settings.name,
+            "description": settings.description or None,
+            "clock": f"{settings.stop} s in {experiment.clock.steps} steps of {settings.step} s",
+            "schedule": ", ".join(stage.description for stage in experiment.graph.stages),
+        }
+        rows = [
+            _signal_row(channel.name, loaded.specs[channel.name].kind, signal, role)
+            for channel in experiment.graph.layout.channels
+            for signal, role in _signals(channel.interface)
+        ]
+        wires = {to: wire.source for to, wire in loaded.connections.items()}
+        return {"scenario": about, "signals": rows, "connections": wires, "facts": dict(experiment.facts)}
+
+
+def fmu(path: str) -> Section:
+    """Describe an FMU: kind, capabilities, variables."""
+    from cosim.fmi.description import MODE_NAMES
+    from cosim.fmi.reading import read
+
+    archive = read(path)
+    found = archive.description
+    about = {
+        "name": found.name,
+        "FMI": found.version,
+        "platforms": ", ".join(found.platforms) or None,
+        "states": ", ".join(found.states) or None,
+        "event indicators": found.event_indicators,
+        "sha256": archive.sha256,
+    }
+    capabilities = {
+        MODE_NAMES[mode]: ", ".join(f"{key.replace('_', ' ')}: {value}" for key, value in asdict(able).items() if value is not None)
+        for mode, able in found.capabilities.items()
+    }
+    rows = [
+        {
+            "variable": variable.name,
+            "causality": variable.causality,
+            "type": variable.type,
+            "size": variable.size,
+            "unit": variable.unit,
+            "start": None if variable.start is None else list(variable.start),
+            "depends on": _depends(found.dependencies.get(variable.name, ())),
+        }
+        for variable in found.variables
+    ]
+    return {"fmu": about, "capabilities": capabilities, "variables": rows}
+
+
+def _depends(names: Iterable[str] | None) -> str:
+    return "unknown" if names is None else ", ".join(names)
+
+
+def compare(loaded: Scenario, *, swaps: Mapping[str, str], changes: Mapping[str, Any]) -> tuple[dict[str, list[Section]], list[str]]:
+    """Compare the ports of swapped components with those they replace; give the rows by component, and what prevents the run."""
+    from cosim.fmi.compare import compare_ports
+
+    changed = loaded.document.with_swaps(swaps).with_changes(changes)
+    rows: dict[str, list[Section]] = {}
+    problems: list[str] = []
+    for name in swaps:
+        if name not in loaded.specs:
+            continue
+        with ExitStack() as resources:
+            before = loaded.specs[name].build(name, build_site(loaded, resources)).interface
+            try:
+                swapped = parse(changed)
+                after = swapped.specs[name].build(name, build_site(swapped, resources)).interface
+            except CosimError as error:
+                problems.append(str(error))
+                continue
+            used = {wire.source.partition("[")[0] for wire in loaded.connections.values()} | set(loaded.file.truth)
+            used |= {true for true in loaded.file.truth.values() if isinstance(true, str)}
+            used |= set(loaded.connections)
+            rows[name] = [_port_row(name, row, used) for row in compare_ports(before, after)]
+    with ExitStack() as resources:
+        try:
+            build(changed, resources)
+        except CosimError as error:
+            problems += [line for line in str(error).splitlines() if line not in problems]
+    return rows, problems
+
+
+def _port_row(name: str, row: PortRow, used: set[str]) -> Section:
+    sides = {"before": row.needed, "after": row.found}
+    shown = {side: None if port is None else _port(port) for side, port in sides.items()}
+    return {"port": f"{name}.{row.name}", **shown, "status": row.status, "connected": f"{name}.{row.name}" in used}
+
+
+def _port(port: Port) -> str:
+    through = "unknown" if port.feedthrough is None else ", ".join(port.feedthrough) or "nothing"
+    fed = f", fed through from {through}" if port.causality == "output" else ""
+    return f"{port.causality} of size {port.size}{'' if port.unit is None else f' [{port.unit}]'}{fed}"
+
+
+def _signals(interface: Interface) -> Iterable[tuple[Signal, str]]:
+    yield from ((signal, "input") for signal in interface.inputs)
+    yield from ((signal, signal.role) for signal in interface.outputs)
+
+
+def _signal_row(component: str, kind: str, signal: Signal, role: str) -> Section:
+    return {
+        "signal": f"{component}.{signal.name}",
+        "role": role,
+        "size": signal.size,
+        "unit": signal.unit,
+        "variability": signal.variability,
+        "kind": kind,
+    }
+
