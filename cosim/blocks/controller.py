@@ -11,7 +11,9 @@ from cosim.core.solver import LinearModel
 from cosim.errors import UsageError
 
 
-def controller(*, A: Matrix, B: Matrix, C: Matrix, D: Matrix | None = None, x0: Vector | None = None, unit: str | None = None) -> LinearModel:
+def controller(
+    *, A: Matrix, B: Matrix, C: Matrix, D: Matrix | None = None, x0: Vector | None = None, unit: str | None = None
+) -> LinearModel:
     """``x' = A x + B u``, ``y = C x + D u``: input u, output y, and the state x as an output.
 
     Raises

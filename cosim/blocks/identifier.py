@@ -78,5 +78,3 @@ class LeastSquaresIdentifier:
         """Go back to saved information."""
         memory, self._last = state
         self._kernel.step.restore(memory)
-
-

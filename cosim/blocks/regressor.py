@@ -27,7 +27,9 @@ class Regressor:
         The delays in communication steps and in seconds.
     """
 
-    def __init__(self, terms: Sequence[Term], *, alphas: Sequence[Program], steps: Sequence[int], delays: Sequence[float]) -> None:
+    def __init__(
+        self, terms: Sequence[Term], *, alphas: Sequence[Program], steps: Sequence[int], delays: Sequence[float]
+    ) -> None:
         rows = len(delays)
         factor = np.array([[b * rows + i for b, part in enumerate(term.parts) for i in part] for term in terms])
         self._kernel = Kernel(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-
 import numpy as np
 
 from cosim.arrays import Mask, Matrix, Vector
@@ -59,5 +58,3 @@ class Replay:
         if (index < 0).any():
             raise GraphError(f"the recording begins at {self._time[0]} s, was asked for {t[0]} s")
         return index
-
-

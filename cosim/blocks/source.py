@@ -92,7 +92,9 @@ class Table:
             raise UsageError("table: found NaN or infinity, needed finite numbers")
         late = np.flatnonzero(np.diff(t) <= 0.0)
         if late.size:
-            raise UsageError(f"table: t[{late[0] + 1}] = {t[late[0] + 1]} s does not come after {t[late[0]]} s; needed increasing instants")
+            raise UsageError(
+                f"table: t[{late[0] + 1}] = {t[late[0] + 1]} s does not come after {t[late[0]]} s; needed increasing instants"
+            )
         self.t, self.y, self.hold = t, y, hold
         self.interface = Interface(outputs=(Signal("y", y.shape[1], unit, "discrete" if hold else "continuous"),))
 

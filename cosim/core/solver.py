@@ -176,4 +176,16 @@ def integrator(solver: str, *, rtol: float = 1e-9, atol: float = 1e-12) -> Integ
     return rk4 if solver == "rk4" else adaptive(solver, rtol=rtol, atol=atol)
 
 
-__all__ = ["ADAPTIVE", "SOLVERS", "Derivative", "Integrator", "Linear", "LinearModel", "Stopped", "adaptive", "feedthrough_of", "integrator", "rk4"]
+__all__ = [
+    "ADAPTIVE",
+    "SOLVERS",
+    "Derivative",
+    "Integrator",
+    "Linear",
+    "LinearModel",
+    "Stopped",
+    "adaptive",
+    "feedthrough_of",
+    "integrator",
+    "rk4",
+]

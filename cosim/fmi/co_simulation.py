@@ -82,8 +82,8 @@ class CoSimulation:
             return ()
         verb = "may depend" if self.interface.feedthrough is None else "depend"
         return (
-            f"{self._name}: {', '.join(fed)} {verb} directly on inputs; what is read belongs to the inputs inside the step, not at "
-            "its end (first order in the step), as the unit has no directional derivatives",
+            f"{self._name}: {', '.join(fed)} {verb} directly on inputs; what is read belongs to the inputs inside the step, "
+            "not at its end (first order in the step), as the unit has no directional derivatives",
         )
 
     def initialize(self, t: float, u: Vector) -> Vector:

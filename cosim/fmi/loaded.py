@@ -10,6 +10,7 @@ import os
 from collections import deque
 from collections.abc import Callable
 from ctypes import byref, c_bool, c_double, c_int, c_size_t, c_uint8, c_void_p
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, Protocol, TypeAlias, final
 
@@ -63,10 +64,12 @@ class _Library:
 
     def call(self, name: str, *types: Any) -> Call:
         """Give a function of the instance that raises RunError unless its status is ok or warning."""
-        function = self.function(name, *types)
+        found = self.binding.dll[self.prefix + name]
+        found.argtypes, found.restype = (c_void_p, *types), c_int
+        instance = self.binding.component
 
         def checked(*arguments: Any) -> None:
-            status = function(*arguments)
+            status = found(instance, *arguments)
             if status > WARNING:
                 raise self.failure(name, status)
 
@@ -182,7 +185,7 @@ class _Fmi3:
     }
 
     def __init__(self, library: _Library, mode: Mode, *, keep_state: bool) -> None:
-        self._no_way_back = not keep_state
+        no_way_back = not keep_state
         values = (c_void_p, c_size_t, c_void_p, c_size_t)
         self._access = {(verb, kind): library.call(f"{verb}{kind}", *values) for verb in ("Get", "Set") for kind in self.dtypes}
         self._enter = library.call("EnterInitializationMode", c_bool, c_double, c_double, c_bool, c_double)
@@ -191,15 +194,13 @@ class _Fmi3:
         self._flags, self._time = [c_bool() for _ in range(5)], c_double()
         pointers = [byref(flag) for flag in self._flags]
         if mode == "me":
-            update, completed = (
-                library.call("UpdateDiscreteStates", *[c_void_p] * 6),
-                library.call("CompletedIntegratorStep", c_bool, c_void_p, c_void_p),
-            )
-            self._update = lambda: update(*pointers, byref(self._time))
-            self._completed = lambda: completed(self._no_way_back, *pointers[:2])
+            update = library.call("UpdateDiscreteStates", *[c_void_p] * 6)
+            completed = library.call("CompletedIntegratorStep", c_bool, c_void_p, c_void_p)
+            self._update = partial(update, *pointers, byref(self._time))
+            self._completed = partial(completed, no_way_back, *pointers[:2])
         else:
-            step = library.call("DoStep", c_double, c_double, c_bool, *[c_void_p] * 4)
-            self._step = lambda t, h: step(t, h, self._no_way_back, *pointers[:3], byref(self._time))
+            self._step = library.call("DoStep", c_double, c_double, c_bool, *[c_void_p] * 4)
+            self._rest = (no_way_back, *pointers[:3], byref(self._time))
 
     def enter_initialization_mode(self, t: float) -> None:
         self._enter(False, 0.0, t, False, 0.0)
@@ -226,7 +227,7 @@ class _Fmi3:
         raise FmuError("FMI 3 has no input derivatives")
 
     def do_step(self, t: float, h: float) -> StepEnd:
-        self._step(t, h)
+        self._step(t, h, *self._rest)
         return StepEnd(completed=not self._flags[2].value, terminate=self._flags[1].value)
 
 

@@ -48,7 +48,10 @@ def compile_library(sources: Iterable[Path], target: Path, *, include: Sequence[
     options = [*(f"-I{path}" for path in include), *(f"-D{name}" for name in define)]
     libraries = [] if sys.platform == "win32" else ["-lm"]
     result = subprocess.run(
-        [*command, *FLAGS, *options, *map(str, sources), "-o", str(target), *libraries], capture_output=True, text=True, check=False
+        [*command, *FLAGS, *options, *map(str, sources), "-o", str(target), *libraries],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     if result.returncode:
         raise RuntimeError(f"{' '.join(command)} failed:\n{result.stderr}")

@@ -72,6 +72,8 @@ static void rotate_in(int32_t n, double *R, double *row)
             continue;
         double *r = R + i * n;
         const double norm = sqrt(r[i] * r[i] + row[i] * row[i]);
+        if (norm == 0.0) /* both below 1e-162: no information, and 0/0 otherwise */
+            continue;
         const double c = r[i] / norm, s = row[i] / norm;
         for (int32_t j = i; j < n; ++j) {
             const double above = r[j], below = row[j];

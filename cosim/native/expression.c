@@ -14,8 +14,8 @@ static double binary(int32_t operation, double a, double b)
     case MULTIPLY: return a * b;
     case DIVIDE: return a / b;
     case POWER: return pow(a, b);
-    case MINIMUM: return a < b ? a : b;
-    default: return a > b ? a : b;
+    case MINIMUM: return isnan(a) || a < b ? a : b; /* NaN stays NaN, so that the run stops there */
+    default: return isnan(a) || a > b ? a : b;
     }
 }
 
@@ -36,8 +36,8 @@ static double unary(int32_t operation, double a)
     case LOG: return log(a);
     case SQRT: return sqrt(a);
     case ABS: return fabs(a);
-    case SIGN: return (a > 0.0) - (a < 0.0);
-    default: return a >= 0.0 ? 1.0 : 0.0;
+    case SIGN: return isnan(a) ? a : (a > 0.0) - (a < 0.0);
+    default: return isnan(a) ? a : (a >= 0.0 ? 1.0 : 0.0);
     }
 }
 

@@ -44,7 +44,9 @@ def compile_expression(text: str) -> Program:
         tree = ast.parse(text.strip(), mode="eval")
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         place = f" at column {error.offset}" if isinstance(error, SyntaxError) and error.offset else ""
-        raise UsageError(f"expression {text!r}: not an expression{place}; needed something like '1.35 + 0.25*sin(1.7*t)'") from error
+        raise UsageError(
+            f"expression {text!r}: not an expression{place}; needed something like '1.35 + 0.25*sin(1.7*t)'"
+        ) from error
     compiler = _Compiler(text)
     depth = compiler.emit(tree.body)
     if depth > _STACK:

@@ -63,7 +63,16 @@ class NativeStep:
         y = np.empty((steps, self.n_y))
         status = c_int32()
         done: int = library.cosim_cascade(
-            self.function, self._address, steps, t.ctypes.data, h, u.ctypes.data, u.strides[0] // 8, y.ctypes.data, self.n_y, byref(status)
+            self.function,
+            self._address,
+            steps,
+            t.ctypes.data,
+            h,
+            u.ctypes.data,
+            u.strides[0] // 8,
+            y.ctypes.data,
+            self.n_y,
+            byref(status),
         )
         self.status = status.value
         return y[:done]
@@ -157,9 +166,7 @@ def expression(programs: Sequence[Program]) -> NativeStep:
     """Give the values of expressions in t; no memory."""
     array = _programs(programs)
     state = ExpressionStruct(len(programs), ctypes.addressof(array))
-    return NativeStep(
-        address("cosim_expression_step"), state, n_y=len(programs), memory=np.zeros(0), keep=(array, *programs)
-    )
+    return NativeStep(address("cosim_expression_step"), state, n_y=len(programs), memory=np.zeros(0), keep=(array, *programs))
 
 
 class Regressor:
@@ -191,7 +198,17 @@ class Regressor:
         terms, factors = np.shape(factor)
         lags, seconds, rows, table, signs = map(pointer, arrays)
         state = RegressorStruct(
-            len(steps), len(alphas), terms, factors, lags, seconds, ctypes.addressof(programs), rows, table, signs, pointer(memory)
+            len(steps),
+            len(alphas),
+            terms,
+            factors,
+            lags,
+            seconds,
+            ctypes.addressof(programs),
+            rows,
+            table,
+            signs,
+            pointer(memory),
         )
         self.step = NativeStep(
             address("cosim_regressor_step"), state, n_y=terms, memory=memory, keep=(programs, *alphas, *arrays)

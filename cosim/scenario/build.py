@@ -267,7 +267,7 @@ class _Site:
         return log
 
     def fmu(self, name: str, spec: Fmu) -> Component:
-        from cosim.fmi.fmu import load
+        from cosim.fmi.component import load
 
         loaded = self._resources.enter_context(
             load(self.file(spec.path), mode=spec.mode, solver=spec.solver, start=spec.start, instance_name=name)

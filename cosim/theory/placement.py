@@ -7,7 +7,6 @@ from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.signal import place_poles
 
 from cosim.arrays import Matrix, Vector
 from cosim.errors import AssumptionError
@@ -51,6 +50,8 @@ def place(A: Matrix, C: Matrix, poles: Sequence[complex], fixed_modes: ComplexVe
             )
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # what it warns of, a placement not reached, is checked below
+            from scipy.signal import place_poles  # half a second to import, and seldom needed
+
             gain = place_poles(A.T, rows.T, wanted).gain_matrix.T
     placed = np.sort_complex(np.linalg.eigvals(A - gain @ rows).astype(np.complex128))
     scale = np.abs(wanted).max()
