@@ -37,7 +37,8 @@ class Static:
 
     def outputs(self, t: float, u: Vector) -> Vector:
         """Give y(t)."""
-        return self._function(u[np.newaxis])[0]
+        y: Vector = self._function(u[np.newaxis])[0]
+        return y
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
         """Give y at ``t[1:]``."""

@@ -61,7 +61,8 @@ class Delay:
 
     def outputs(self, t: float, u: Vector) -> Vector:
         """Give the oldest sample; ``u`` does not matter."""
-        return self._ring[int(self._step.memory[0])].copy()
+        y: Vector = self._ring[int(self._step.memory[0])].copy()
+        return y
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
         """Shift K samples through the line."""

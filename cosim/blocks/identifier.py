@@ -38,14 +38,15 @@ class LeastSquaresIdentifier:
         )
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
-        """The start time rests on eigenvalues, so it is recorded."""
+        """Give the start time: it rests on eigenvalues, so it is recorded."""
         design = dict(recorded) or {"start": np.array([self.start])}
+        self._counts_from = float(design["start"][0])
         steps = [
             RecoveryStep(int(block.kind), block.terms, block.theta, block.signs, block.spacing) for block in self.recovery.blocks
         ]
         self._kernel = LeastSquares(
             unknowns=self.recovery.n_eta,
-            start=float(design["start"][0]),
+            start=self._counts_from,
             prior=0.0 if self.P0 is None else 1.0 / self.P0,
             recovery=steps,
             held=bool(held.any()),
@@ -55,11 +56,11 @@ class LeastSquaresIdentifier:
     def initialize(self, t: float, u: Vector) -> Vector:
         """Forget all data; there is no estimate yet."""
         self._last = self._kernel.initialize()
-        return self._last
+        return self._last.copy()
 
     def outputs(self, t: float, u: Vector) -> Vector:
         """Give the last estimate; the rows at this instant do not move it."""
-        return self._last
+        return self._last.copy()
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
         """Take K rows."""
@@ -67,14 +68,15 @@ class LeastSquaresIdentifier:
         if len(y):
             self._last = y[-1].copy()
         if self._kernel.step.status == NO_VALUE:
-            raise Stopped(y, f"the regressor has no value at the start time {self.start} s; start after the longest delay")
+            raise Stopped(y, f"the regressor has no value at the start time {self._counts_from} s; start after the longest delay")
         return y
 
     def save(self) -> tuple[Vector, Vector]:
         """Copy the information and the estimate."""
-        return self._kernel.step.save(), self._last
+        return self._kernel.step.save(), self._last.copy()
 
     def restore(self, state: tuple[Vector, Vector]) -> None:
         """Go back to saved information."""
-        memory, self._last = state
+        memory, last = state
         self._kernel.step.restore(memory)
+        self._last = last.copy()

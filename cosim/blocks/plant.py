@@ -52,7 +52,10 @@ def linear_model(
     return LinearModel(
         Interface(inputs, outputs, feedthrough_of(interface, D)),
         states,
-        *(np.ascontiguousarray(M, np.float64) for M in (A, B, C, D)),
-        np.ascontiguousarray(X0, np.float64),
-        np.zeros(B.shape) if Xu is None else np.ascontiguousarray(Xu, np.float64),
+        A=np.ascontiguousarray(A, np.float64),
+        B=np.ascontiguousarray(B, np.float64),
+        C=np.ascontiguousarray(C, np.float64),
+        D=np.ascontiguousarray(D, np.float64),
+        X0=np.ascontiguousarray(X0, np.float64),
+        Xu=np.zeros(B.shape) if Xu is None else np.ascontiguousarray(Xu, np.float64),
     )

@@ -19,8 +19,8 @@ class Replay:
         A log file, or the memory of a run.
     component : str
         The recorded component.
-    interface : Interface, optional
-        What stands in the graph, if it is not what was recorded.
+    inputs : bool
+        Show the recorded inputs too, so that what fed the component may stay connected; False: a source.
     """
 
     def __init__(self, recording: Recording, component: str, *, inputs: bool = True) -> None:
@@ -43,7 +43,8 @@ class Replay:
 
     def outputs(self, t: float, u: Vector) -> Vector:
         """Give the recorded row at ``t``."""
-        return self._rows[self._index(np.array([t]))[0]]
+        row: Vector = self._rows[self._index(np.array([t]))[0]].copy()
+        return row
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
         """Give the recorded rows at ``t[1:]``; stops at the end of the recording."""

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cosim.arrays import Mask, Matrix, Vector
-from cosim.core.contracts import Design
+from cosim.arrays import Mask, Matrix, Vector, frozen
+from cosim.core.contracts import Design, Stopped
 from cosim.core.signals import Interface, Signal, Variability
 from cosim.errors import UsageError
 from cosim.native.expression import compile_expression
@@ -50,27 +50,29 @@ class Expression:
 
 def constant(value: Sequence[float], *, unit: str | None = None) -> Expression:
     """``y = value``."""
-    return Expression([repr(v) for v in value], unit=unit)
+    return Expression([repr(float(v)) for v in value], unit=unit)
 
 
 def step(*, time: float, before: float = 0.0, after: float = 1.0, unit: str | None = None) -> Expression:
     """``y = before`` until ``time`` [s], then ``after``: a discrete signal."""
-    return Expression([f"{before!r} + {after - before!r}*step(t - {time!r})"], variability="discrete", unit=unit)
+    past = f"step(t - {float(time)!r})"  # products with 0 and 1: both values to the last bit
+    return Expression([f"{float(before)!r}*(1 - {past}) + {float(after)!r}*{past}"], variability="discrete", unit=unit)
 
 
 def ramp(*, slope: float, start: float = 0.0, offset: float = 0.0, unit: str | None = None) -> Expression:
     """``y = offset + slope max(0, t - start)``."""
-    return Expression([f"{offset!r} + {slope!r}*max(0, t - {start!r})"], unit=unit)
+    return Expression([f"{float(offset)!r} + {float(slope)!r}*max(0, t - {float(start)!r})"], unit=unit)
 
 
 def sine(*, rate: float, amplitude: float = 1.0, phase: float = 0.0, offset: float = 0.0, unit: str | None = None) -> Expression:
     """``y = offset + amplitude sin(rate t + phase)``; rate in rad/s."""
-    return Expression([f"{offset!r} + {amplitude!r}*sin({rate!r}*t + {phase!r})"], unit=unit)
+    return Expression([f"{float(offset)!r} + {float(amplitude)!r}*sin({float(rate)!r}*t + {float(phase)!r})"], unit=unit)
 
 
 def chirp(*, rate: float, sweep: float, amplitude: float = 1.0, offset: float = 0.0, unit: str | None = None) -> Expression:
     """``y = offset + amplitude sin(rate t + sweep t^2 / 2)``: the rate [rad/s] grows by ``sweep`` [rad/s^2]."""
-    return Expression([f"{offset!r} + {amplitude!r}*sin(({rate!r} + {0.5 * sweep!r}*t)*t)"], unit=unit)
+    angle = f"({float(rate)!r} + {0.5 * float(sweep)!r}*t)*t"
+    return Expression([f"{float(offset)!r} + {float(amplitude)!r}*sin({angle})"], unit=unit)
 
 
 class Table:
@@ -83,6 +85,13 @@ class Table:
     y : Matrix, shape (N, n)
     hold : bool
         Keep each value until the next instant instead (a discrete signal).
+
+    Raises
+    ------
+    UsageError
+        If the points are no table, or the run starts outside of it.
+    Stopped
+        From ``advance``, where the table ends.
     """
 
     def __init__(self, t: Vector, y: Matrix, *, hold: bool = False, unit: str | None = None) -> None:
@@ -95,7 +104,7 @@ class Table:
             raise UsageError(
                 f"table: t[{late[0] + 1}] = {t[late[0] + 1]} s does not come after {t[late[0]]} s; needed increasing instants"
             )
-        self.t, self.y, self.hold = t, y, hold
+        self.t, self.y, self.hold = frozen(t, 1), frozen(y, 2), hold
         self.interface = Interface(outputs=(Signal("y", y.shape[1], unit, "discrete" if hold else "continuous"),))
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
@@ -108,15 +117,23 @@ class Table:
 
     def outputs(self, t: float, u: Vector) -> Vector:
         """Give y(t)."""
-        return self._at(np.array([t]))[0]
+        if not self.t[0] <= t <= self.t[-1]:
+            raise UsageError(self._beyond(t))
+        y: Vector = self._at(np.array([t]))[0]
+        return y
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
         """Give y at ``t[1:]``."""
-        return self._at(t[1:])
+        inside = t[1:][t[1:] <= self.t[-1]]
+        y = self._at(inside)
+        if len(y) < len(t) - 1:
+            raise Stopped(y, self._beyond(float(t[len(y) + 1])))
+        return y
+
+    def _beyond(self, t: float) -> str:
+        return f"table: covers {self.t[0]} s to {self.t[-1]} s, was asked for {t} s"
 
     def _at(self, t: Vector) -> Matrix:
-        if t[0] < self.t[0] or t[-1] > self.t[-1]:
-            raise UsageError(f"table: covers {self.t[0]} s to {self.t[-1]} s, was asked for {t[0]} s to {t[-1]} s")
         if self.hold:
             return self.y[np.searchsorted(self.t, t, side="right") - 1]
         return np.column_stack([np.interp(t, self.t, column) for column in self.y.T])
@@ -146,16 +163,17 @@ class Noise:
         """Begin the sequence anew."""
         self._generator = np.random.Generator(np.random.PCG64(self.seed))
         self._last = self._draw(1)[0]
-        return self._last
+        return self._last.copy()
 
     def outputs(self, t: float, u: Vector) -> Vector:
         """Give the last value."""
-        return self._last
+        return self._last.copy()
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
         """Draw K values."""
         values = self._draw(len(t) - 1)
-        self._last = values[-1].copy()
+        if len(values):
+            self._last = values[-1].copy()
         return values
 
     def _draw(self, count: int) -> Matrix:

@@ -1,4 +1,4 @@
-"""Contracts, graph, clock and master: what it takes to run components of one's own."""
+"""Contracts, signals, clock, graph, coupling, solvers and master: simulation without knowledge of the method."""
 
 from cosim.core.clock import Clock
 from cosim.core.contracts import Component, Model, Recorder, Recording, Stopped

@@ -1,6 +1,7 @@
 """The contracts: what a model, a component, a recorder and a recording are.
 
-Order of the calls of a component: ``prepare`` once, ``initialize`` one or more times, then ``outputs`` and ``advance`` in any order.
+Order of the calls of a component: ``prepare`` once, ``initialize`` one or more times, then ``outputs`` and ``advance`` in any
+order.
 """
 
 from __future__ import annotations

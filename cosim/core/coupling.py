@@ -156,6 +156,7 @@ class Loop:
         end = slice(1, 2)
         for k in range(block.steps):
             rows, time = signals[k : k + 2], block.time[k : k + 2]
+            ended: Stopped | None = None
             for member in self.members:
                 rows[1, member.outputs] = rows[0, member.outputs]
             for kind, member in plan:
@@ -163,9 +164,15 @@ class Loop:
                 try:
                     member.perform(kind, time, block.h, rows)
                 except Stopped as stop:
-                    raise Stopped(np.empty((k, 0)), str(stop), failed=stop.failed).at(member.name, float(time[0])) from stop
+                    done = 1 if kind == "advance" and stop.steps else 0
+                    ended = Stopped(np.empty((k + done, 0)), str(stop), failed=stop.failed).at(member.name, float(time[done]))
+                    if not done:
+                        raise ended from stop
+                    rows[1, member.outputs] = stop.outputs[0]  # it ends after this step: the others complete it
             for member in self.members:
                 member.gather(rows, end)
+            if ended is not None:
+                raise ended
 
 
 def order_loop(
@@ -193,49 +200,70 @@ def order_loop(
             f"{' -> '.join(circle)}: every output here feeds through; put a component with a state of its own between, "
             "such as a lag or a delay"
         )
-    known: set[Port] = set()
-    operations: list[Operation] = []
-    late: dict[str, frozenset[str]] = {}
-    waiting = list(interfaces)
+    order = _Order(interfaces, sources)
+    if jacobi:
+        for name in interfaces:
+            order.advance(name, late=order.inside(name))
+        for name in interfaces:  # outputs that no late input reaches are right already
+            order.known.update(
+                (name, o.name)
+                for o in interfaces[name].outputs
+                if not order.late[name].intersection(interfaces[name].feeds(o.name))
+            )
+        order.refresh()
+    else:
+        waiting = list(interfaces)
+        while waiting:
+            name = min(waiting, key=order.unknown_feedthrough)
+            waiting.remove(name)
+            order.advance(name, late=frozenset(i for i in order.inside(name) if not order.is_known(name, i)))
+            order.settle(name)
+            order.refresh()
+    return tuple(order.operations), order.late
 
-    def is_known(name: str, signal: str) -> bool:
-        source = sources[name][signal]
-        return source[0] not in interfaces or source in known
 
-    def unknown_feedthrough(name: str) -> int:
-        feeding = {i for output in interfaces[name].outputs for i in interfaces[name].feeds(output.name)}
-        return sum(not is_known(name, signal) for signal in feeding)
+class _Order:
+    """The order of operations of a loop while it is found; ``known``: the outputs at the end of the step that are final."""
 
-    def settle(name: str) -> bool:
-        ports = {
-            (name, o.name) for o in interfaces[name].outputs if all(is_known(name, i) for i in interfaces[name].feeds(o.name))
-        }
-        news = bool(ports - known)
-        known.update(ports)
+    def __init__(self, interfaces: Mapping[str, Interface], sources: Mapping[str, Mapping[str, Port]]) -> None:
+        self.interfaces, self.sources = interfaces, sources
+        self.known: set[Port] = set()
+        self.operations: list[Operation] = []
+        self.late: dict[str, frozenset[str]] = {}
+
+    def inside(self, name: str) -> frozenset[str]:
+        return frozenset(i for i, source in self.sources[name].items() if source[0] in self.interfaces)
+
+    def is_known(self, name: str, signal: str) -> bool:
+        source = self.sources[name][signal]
+        return source[0] not in self.interfaces or source in self.known
+
+    def unknown_feedthrough(self, name: str) -> int:
+        interface = self.interfaces[name]
+        feeding = {i for output in interface.outputs for i in interface.feeds(output.name)}
+        return sum(not self.is_known(name, signal) for signal in feeding)
+
+    def advance(self, name: str, *, late: frozenset[str]) -> None:
+        self.late[name] = late
+        self.operations.append(("advance", name))
+
+    def settle(self, name: str) -> bool:
+        """Take the outputs as known whose feedthrough inputs are; say whether any is new."""
+        interface = self.interfaces[name]
+        ports = {(name, o.name) for o in interface.outputs if all(self.is_known(name, i) for i in interface.feeds(o.name))}
+        news = not ports <= self.known
+        self.known |= ports
         return news
 
-    def refresh() -> None:
+    def refresh(self) -> None:
+        """Evaluate outputs again wherever late inputs have become known, until there is nothing new."""
         progress = True
         while progress:
             progress = False
-            for name in [n for kind, n in operations if kind == "advance"]:
-                if settle(name):
-                    operations.append(("refresh", name))
+            for name in self.late:
+                if self.settle(name):
+                    self.operations.append(("refresh", name))
                     progress = True
-
-    while waiting:
-        name = waiting.pop(0) if jacobi else waiting.pop(min(range(len(waiting)), key=lambda i: unknown_feedthrough(waiting[i])))
-        inside = {i for i, source in sources[name].items() if source[0] in interfaces}
-        late[name] = frozenset(i for i in inside if jacobi or not is_known(name, i))
-        operations.append(("advance", name))
-        if not jacobi:
-            settle(name)
-            refresh()
-    if jacobi:
-        for name in interfaces:  # outputs that no late input reaches are right already
-            known.update((name, o.name) for o in interfaces[name].outputs if not set(interfaces[name].feeds(o.name)) & late[name])
-        refresh()
-    return tuple(operations), late
 
 
 def _algebraic_loop(interfaces: Mapping[str, Interface], sources: Mapping[str, Mapping[str, Port]]) -> list[str]:
@@ -248,22 +276,21 @@ def _algebraic_loop(interfaces: Mapping[str, Interface], sources: Mapping[str, M
             behind[name, output.name] = [(name, signal) for signal in interface.feeds(output.name)]
     done: set[Port] = set()
     for start in behind:
-        path: list[Port] = []
-
-        def visit(port: Port, path: list[Port] = path) -> list[Port]:
-            if port in path:
-                return [*path[path.index(port) :], port]
-            if port in done:
-                return []
-            path.append(port)
-            for other in behind[port]:
-                circle = visit(other)
-                if circle:
-                    return circle
-            done.add(path.pop())
-            return []
-
-        circle = visit(start)
+        circle = _circle_from(start, behind, [], done)
         if circle:
             return [".".join(port) for port in reversed(circle)]
+    return []
+
+
+def _circle_from(port: Port, behind: Mapping[Port, list[Port]], path: list[Port], done: set[Port]) -> list[Port]:
+    if port in path:
+        return [*path[path.index(port) :], port]
+    if port in done:
+        return []
+    path.append(port)
+    for other in behind[port]:
+        circle = _circle_from(other, behind, path, done)
+        if circle:
+            return circle
+    done.add(path.pop())
     return []

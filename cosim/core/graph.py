@@ -13,7 +13,6 @@ from graphlib import TopologicalSorter
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.contracts import Component, Design, Plan
@@ -87,6 +86,11 @@ class Graph:
             raise GraphError(f"coupling: found {coupling!r}; {nearest(coupling, COUPLINGS)}")
         if hold not in ("line", "start"):
             raise GraphError(f"hold: found {hold!r}; {nearest(hold, ('line', 'start'))}")
+        for name, period in (periods or {}).items():
+            if name not in components:
+                raise GraphError(f"periods: there is no component {name!r}; {nearest(name, components)}")
+            if period < 1:
+                raise GraphError(f"periods: found {period} steps for {name!r}, needed at least 1")
         self.components = dict(components)
         self.connections = {to: c if isinstance(c, Connection) else Connection(c) for to, c in connections.items()}
         self.coupling, self.hold, self.periods = coupling, hold, dict(periods or {})
@@ -128,13 +132,24 @@ class Graph:
         moving = [label for label, a, b in zip(self.labels(), before, row, strict=True) if a != b and not np.isnan(b)]
         raise GraphError(f"initial values do not settle: {', '.join(moving)} still change after {len(names) + 1} rounds")
 
+    def first_non_finite(self, stage: Stage, rows: Matrix) -> NonFinite | None:
+        """Find, among the columns of a stage, the first value that is not finite: by row, then by component and signal."""
+        found: NonFinite | None = None
+        for name in stage.names:
+            channel = self.layout[name]
+            if np.isfinite(rows[:, channel.columns]).all():
+                continue
+            for signal, columns in channel.signal_columns():
+                values = rows[: None if found is None else found.row, columns]
+                bad = ~np.isfinite(values) & ~(np.isnan(values) & signal.optional)
+                if bad.any():
+                    row, element = np.unravel_index(int(np.argmax(bad)), bad.shape)
+                    found = NonFinite(int(row), f"{name}.{signal.elements[element]}", float(values[row, element]))
+        return found
+
     def labels(self) -> list[str]:
         """Name every column: ``component.signal`` or ``component.signal[i]``."""
         return [f"{c.name}.{element}" for c in self.layout.channels for signal in c.signals for element in signal.elements]
-
-    def optional(self) -> Mask:
-        """Mark the columns in which NaN means "no value yet"."""
-        return np.array([s.optional for c in self.layout.channels for s in c.signals for _ in range(s.size)], dtype=np.bool_)
 
     # --- structure ---
 
@@ -193,7 +208,7 @@ class Graph:
         return np.array(held, dtype=np.bool_)
 
     def _variability(self, name: str, output: str, seen: frozenset[str] = frozenset()) -> Variability:
-        """An inherited variability is discrete where every input behind it is."""
+        """Resolve an inherited variability: discrete where every input behind it is."""
         _, signal = self._ports.find(f"{name}.{output}", "output")
         if signal.variability != "inherited":
             return signal.variability
@@ -247,11 +262,14 @@ def check_connections(layout: Layout, connections: Mapping[str, Connection], mis
     ``missing`` names components that are meant to be there but could not be built: what touches them is not judged.
     """
     ports, problems = _Ports(layout), {}
+    known = [*ports.channels, *missing]
     for to, connection in connections.items():
-        if not {to.partition(".")[0], connection.source.partition(".")[0]} & set(missing):
-            found = "; ".join(_check_connection(ports, to, connection))
-            if found:
-                problems[to] = found
+        ends = {port: port.partition(".")[0] for port in (to, connection.source)}
+        lost = [f"{port!r}: there is no component {name!r}; {nearest(name, known)}" for port, name in ends.items() if name not in known]
+        judged = not lost and not set(ends.values()) & set(missing)
+        found = "; ".join(_check_connection(ports, to, connection) if judged else lost)
+        if found:
+            problems[to] = found
     for channel in layout.channels:
         for signal in channel.interface.inputs:
             to = f"{channel.name}.{signal.name}"
@@ -296,11 +314,10 @@ def layout_of(components: Mapping[str, Component], periods: Mapping[str, int] | 
     return Layout(tuple(channels))
 
 
-def first_non_finite(rows: Matrix, optional: Mask) -> tuple[int, int] | None:
-    """Find the first row, and in it the first column, that is infinite, or NaN where that is no "no value yet"."""
-    bad: NDArray[np.bool_] = ~np.isfinite(rows)
-    bad[:, optional] &= ~np.isnan(rows[:, optional])
-    if not bad.any():
-        return None
-    row = int(np.argmax(bad.any(axis=1)))
-    return row, int(np.argmax(bad[row]))
+@dataclass(frozen=True, slots=True)
+class NonFinite:
+    """A value that is infinite, or NaN where that does not mean "no value yet": ``label`` names its column."""
+
+    row: int
+    label: str
+    value: float

@@ -8,7 +8,7 @@
         for stage in graph.stages:
             stage.advance(block, signals)       # a cascade: one call; a loop: step by step
             a stage that stops early cuts the block for all
-        find the first value that is not finite; cut the block before it
+            so does the first value that is not finite, before anything downstream sees it
         recorder.write(block, signals)
         stop there, if something stopped
         row 0 <- the last row
@@ -22,7 +22,7 @@ import numpy as np
 
 from cosim.core.clock import Clock
 from cosim.core.contracts import Design, Recorder, Stopped
-from cosim.core.graph import Graph, first_non_finite
+from cosim.core.graph import Graph, NonFinite
 from cosim.errors import NonFiniteError
 
 BLOCK_BYTES = 16 * 2**20  # memory for the rows of one block
@@ -47,29 +47,34 @@ def run(graph: Graph, clock: Clock, recorder: Recorder, *, designs: Mapping[str,
     Stopped
         If a component cannot go on; everything before is recorded.
     """
-    optional, labels = graph.optional(), graph.labels()
     with recorder:
         recorder.begin(graph.prepare(clock.step_ns, designs))
         limit = max(1, BLOCK_BYTES // (8 * graph.layout.width + 8))
         signals = np.zeros((min(limit, clock.steps) + 1, graph.layout.width))
         graph.initialize(0.0, signals[0])
+        for stage in graph.stages:
+            bad = graph.first_non_finite(stage, signals[:1])
+            if bad is not None:
+                raise _non_finite(bad, 0.0)
         for block in clock.blocks(limit):
-            stopped: Stopped | None = None
+            end: Stopped | NonFiniteError | None = None
             for stage in graph.stages:
                 try:
                     stage.advance(block, signals[: block.steps + 1])
                 except Stopped as stop:
-                    stopped, block = stop, block.cut(stop.steps)
-            bad = first_non_finite(signals[: block.steps + 1], optional)
-            if bad is not None:
-                row, column = bad
-                value, time = signals[row, column], block.time[row]
-                if row > 0:
-                    recorder.write(block.cut(row - 1), signals[:row])
-                raise NonFiniteError(f"{labels[column]!r} became {value} at t = {time} s; the log keeps everything before")
+                    end, block = stop, block.cut(stop.steps)
+                bad = graph.first_non_finite(stage, signals[1 : block.steps + 1])
+                if bad is not None:
+                    end, block = _non_finite(bad, float(block.time[bad.row + 1])), block.cut(bad.row)
+                if block.steps == 0:
+                    break
             recorder.write(block, signals[: block.steps + 1])
-            if stopped is not None:
-                if stopped.failed:
-                    raise stopped
-                break
+            if end is not None:
+                if isinstance(end, Stopped) and not end.failed:
+                    break
+                raise end
             signals[0] = signals[block.steps]
+
+
+def _non_finite(bad: NonFinite, t: float) -> NonFiniteError:
+    return NonFiniteError(f"{bad.label!r} became {bad.value} at t = {t} s; the log keeps everything before")

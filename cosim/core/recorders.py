@@ -46,7 +46,8 @@ class Memory:
 
     @cached_property
     def _table(self) -> tuple[Matrix, Nanoseconds]:
-        return np.concatenate(self._rows), np.concatenate(self._times)
+        rows, times = [np.empty((0, self.plan.layout.width)), *self._rows], [np.empty(0, np.int64), *self._times]
+        return np.concatenate(rows), np.concatenate(times)
 
     def _kept(self, channel: Channel) -> NDArray[np.bool_]:
         kept: NDArray[np.bool_] = self._table[1] % (channel.period * self.plan.step_ns) == 0

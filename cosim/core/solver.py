@@ -13,7 +13,7 @@ from typing import Final, TypeAlias
 import numpy as np
 
 from cosim.arrays import Mask, Matrix, Vector
-from cosim.core.contracts import Design, Stopped
+from cosim.core.contracts import Design
 from cosim.core.signals import Interface
 from cosim.errors import GraphError, RunError
 from cosim.native.step import HeldDiscretisation, NativeStep, affine, first_order_hold, linear
@@ -174,18 +174,3 @@ def adaptive(method: str, *, rtol: float = 1e-9, atol: float = 1e-12) -> Integra
 def integrator(solver: str, *, rtol: float = 1e-9, atol: float = 1e-12) -> Integrator:
     """Give a solver by name."""
     return rk4 if solver == "rk4" else adaptive(solver, rtol=rtol, atol=atol)
-
-
-__all__ = [
-    "ADAPTIVE",
-    "SOLVERS",
-    "Derivative",
-    "Integrator",
-    "Linear",
-    "LinearModel",
-    "Stopped",
-    "adaptive",
-    "feedthrough_of",
-    "integrator",
-    "rk4",
-]

@@ -88,7 +88,6 @@ class CoSimulation:
 
     def initialize(self, t: float, u: Vector) -> Vector:
         """Start at ``t``; stays in initialization mode until the first advance."""
-        self._moves = np.ones(self._inputs.size, np.bool_)
         self._read, self._end = self._start.enter(t, u), np.array(u)
         return self._read.copy()
 
@@ -99,7 +98,7 @@ class CoSimulation:
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
         """Step K times; see :class:`cosim.core.contracts.Component`."""
-        u = np.ascontiguousarray(u)
+        u = np.array(u, np.float64, order="C")
         y = np.empty((len(t) - 1, self.interface.n_y))
         for k, t0 in enumerate(t[:-1].tolist()):
             try:

@@ -59,21 +59,22 @@ class Fmu:
         return self._archive.description
 
     @property
-    def facts(self) -> dict[str, Any]:
-        """What a log keeps beside the XML: path and sha256 of the file, FMI version, mode, solver."""
+    def metadata(self) -> dict[str, Any]:
+        """What a log keeps: path, sha256 and modelDescription.xml of the file, FMI version, mode, solver."""
         found = self._archive
-        facts = {"path": str(found.path), "sha256": found.sha256, "fmi_version": found.description.version, "mode": self.mode}
-        return facts | ({"solver": self._solver} if self._solver else {})
-
-    @property
-    def xml(self) -> str:
-        """Its modelDescription.xml."""
-        return self._archive.xml
+        return {
+            "path": str(found.path),
+            "sha256": found.sha256,
+            "fmi_version": found.description.version,
+            "mode": self.mode,
+            **({"solver": self._solver} if self._solver else {}),
+            "model_description": found.xml,
+        }
 
     @property
     def messages(self) -> tuple[str, ...]:
-        """What is to be known about its results, then what the FMU logged last, as ``status: text``."""
-        return (*self.component.notes, *self._unit.messages)
+        """What the FMU logged last, as ``status: text``; what is to be known about its results is in ``component.notes``."""
+        return tuple(self._unit.messages)
 
     def __enter__(self) -> Self:
         return self

@@ -239,8 +239,9 @@ def describe(model: Model, name: str, linear: LinearModel | None) -> Description
         variables.append(Variable(element, m + i, "output", unit=signal.unit, initial=initial, start=start))
     units = {v.name: v.unit for v in variables}
     for j, x in enumerate(model.states):
-        unit = f"{units[x]}/s" if units.get(x) not in (None, "1") and x in shown else "1/s" if units.get(x) == "1" else None
-        variables.append(Variable(f"der({x})", m + p + j, "local", unit=unit, initial="calculated", derivative_of=x))
+        unit = units.get(x) if x in shown else None
+        rate = None if unit is None else f"{unit}/s"
+        variables.append(Variable(f"der({x})", m + p + j, "local", unit=rate, initial="calculated", derivative_of=x))
     for j, x in enumerate(model.states):
         if x not in shown:
             initial, start = state(j)

@@ -48,12 +48,6 @@ class Exported:
     platform: str | None
     note: str = ""
 
-    @property
-    def lines(self) -> list[str]:
-        """Say what was written."""
-        inside = f"binary for {self.platform} and C sources" if self.platform else "C sources only"
-        return [f"{self.path}: FMI 2.0, model exchange and co-simulation, {inside}", *([self.note] if self.note else [])]
-
 
 def export(model: Model, path: Path | str, *, name: str, description: str = "") -> Exported:
     """Write a model as an FMU; an existing file is replaced only when the new one is complete.

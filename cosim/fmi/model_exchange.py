@@ -87,7 +87,7 @@ class ModelExchange:
     def outputs(self, t: float, u: Vector) -> Vector:
         """Give the outputs at ``t``, the time reached, for inputs ``u``."""
         self._leave_initialization(t)
-        self._set_inputs(np.ascontiguousarray(u))
+        self._set_inputs(np.array(u, np.float64, order="C"))
         return self._unit.get_float64(self._outputs)
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
@@ -139,7 +139,7 @@ class ModelExchange:
 
     def _integrate(self, t: Vector, u: Matrix) -> Matrix:
         unit, solve, derivative = self._unit, integrator(self.solver), self._derivative()
-        times, u, held = t.tolist(), np.ascontiguousarray(u), bool(self._held.any())
+        times, u, held = t.tolist(), np.array(u, np.float64, order="C"), bool(self._held.any())
         ends = u[1:]
         if held:
             ends = ends.copy()

@@ -8,13 +8,14 @@ from __future__ import annotations
 import hashlib
 import math
 import zipfile
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 from xml.etree import ElementTree
 
 from cosim.errors import FmuError
-from cosim.fmi.description import MODE_NAMES, Capabilities, Description, Mode, Variable
+from cosim.fmi.description import Capabilities, Description, Mode, Variable
 from cosim.fmi.unit import VariableType
 
 XML = "modelDescription.xml"
@@ -42,46 +43,6 @@ class Archive:
     members: frozenset[str]
     description: Description
 
-    def to_dict(self) -> dict[str, Any]:
-        """Give sections of plain values: the file, what each kind can do, the variables."""
-        found = self.description
-        about = {
-            "path": str(self.path),
-            "name": found.name,
-            "fmi version": found.version,
-            "kinds": ", ".join(MODE_NAMES[mode] for mode in found.capabilities),
-            "platforms": ", ".join(found.platforms) or None,
-            "continuous states": ", ".join(found.states) or None,
-            "event indicators": found.event_indicators,
-            "sha256": self.sha256,
-        }
-        kinds = {f"as {MODE_NAMES[mode]}": asdict(able) for mode, able in found.capabilities.items()}
-        return {"fmu": about, **kinds, "ports": _ports(found), "variables": [_row(v) for v in found.variables]}
-
-
-def _ports(description: Description) -> list[dict[str, Any]]:
-    face = description.interface
-    known = face.feedthrough is not None
-    rows: list[dict[str, Any]] = [{"port": s.name, "causality": "input", "size": s.size, "unit": s.unit} for s in face.inputs]
-    for s in face.outputs:
-        feeds = ", ".join(face.feeds(s.name)) if known else "unknown"
-        rows.append({"port": s.name, "causality": "output", "size": s.size, "unit": s.unit, "depends directly on": feeds})
-    columns = ("port", "causality", "size", "unit", "depends directly on")
-    return [{column: row.get(column) for column in columns} for row in rows]
-
-
-def _row(variable: Variable) -> dict[str, Any]:
-    start = variable.start
-    return {
-        "name": variable.name,
-        "causality": variable.causality,
-        "variability": variable.variability,
-        "type": variable.type,
-        "unit": variable.unit,
-        "start": start[0] if start and len(start) == 1 else None if start is None else list(start),
-        "settable": variable.settable,
-    }
-
 
 def read(path: Path | str) -> Archive:
     """Look into an .fmu.
@@ -108,7 +69,7 @@ def read(path: Path | str) -> Archive:
     except ElementTree.ParseError as error:
         raise FmuError(f"{path}: {XML} is not well-formed: {error}") from error
     _check_version(path, root.get("fmiVersion"))
-    description = _description(path, root, members)
+    description = _description(path, raw, root, members)
     return Archive(path, hashlib.sha256(path.read_bytes()).hexdigest(), raw.decode("utf-8", "replace"), members, description)
 
 
@@ -119,11 +80,13 @@ def _check_version(path: Path, version: str | None) -> None:
         raise FmuError(f"{path}: unknown FMI version {version!r}; FMI 2.0 and 3.0 are supported")
 
 
-def _description(path: Path, root: ElementTree.Element, members: frozenset[str]) -> Description:
+def _description(path: Path, raw: bytes, root: ElementTree.Element, members: frozenset[str]) -> Description:
     from fmpy.model_description import read_model_description
 
     try:
-        found = read_model_description(str(path), validate=False)
+        with TemporaryDirectory(prefix="cosim-xml-") as folder:  # from the archive, fmpy would leave it open where reading fails
+            (file := Path(folder) / XML).write_bytes(raw)
+            found = read_model_description(str(file), validate=False)
         variables = tuple(_variable(v, found.fmiMajorVersion) for v in found.modelVariables if v.alias is None)
         states = tuple(unknown.variable.derivative.name for unknown in found.derivatives)
     except Exception as error:  # fmpy raises what its parsing happens to raise: KeyError, ValueError, Exception, ...
@@ -182,7 +145,7 @@ def _variable(found: Any, version: int) -> Variable:
         reference=found.valueReference,
         causality=found.causality,
         type=kind,
-        variability=found.variability,
+        variability=found.variability if kind in ("Float32", "Float64") or found.variability != "continuous" else "discrete",
         initial=found.initial,
         size=math.prod(found.shape or (1,)),
         unit=attribute("unit"),

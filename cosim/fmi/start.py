@@ -49,7 +49,7 @@ class Start:
                 self._unit.set_float64(self._references, self._values)
             self._unit.enter_initialization_mode(t)
             self.t = t
-        self._unit.set_float64(self._inputs, np.ascontiguousarray(u))
+        self._unit.set_float64(self._inputs, np.array(u, np.float64))
         return self._unit.get_float64(self._outputs)
 
     def leave(self) -> bool:

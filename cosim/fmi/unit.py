@@ -36,6 +36,8 @@ class Group:
     type: VariableType
     references: NDArray[np.uint32]  # (number of variables,)
     columns: NDArray[np.intp]  # (number of elements,)
+    address: int  # of the references, for C
+    count: int  # of the references
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,7 +59,8 @@ class References:
         for kind in dict.fromkeys(kind for kind, _, _ in variables):
             mine = [i for i, variable in enumerate(variables) if variable[0] == kind]
             columns = np.concatenate([np.arange(starts[i], starts[i + 1], dtype=np.intp) for i in mine])
-            groups.append(Group(kind, np.array([variables[i][1] for i in mine], np.uint32), columns))
+            references = np.array([variables[i][1] for i in mine], np.uint32)
+            groups.append(Group(kind, references, columns, references.ctypes.data, len(mine)))
         return References(tuple(groups), int(starts[-1]), len(groups) == 1 and groups[0].type == "Float64")
 
 

@@ -1,7 +1,7 @@
 """Compile the C kernels: a hatchling build hook, and the compiler that FMU export uses too.
 
-``cc`` is used where there is one, else the package ``ziglang``, which the hook then asks for as a build dependency. zig always gets
-a target: without one it emits the instructions of the host, fused multiply-adds among them, and the bits would differ.
+``cc`` is used where there is one, else the package ``ziglang``, which the hook then asks for as a build dependency. zig always
+gets a target: without one it emits the instructions of the host, fused multiply-adds among them, and the bits would differ.
 """
 
 from __future__ import annotations

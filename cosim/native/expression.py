@@ -48,7 +48,10 @@ def compile_expression(text: str) -> Program:
             f"expression {text!r}: not an expression{place}; needed something like '1.35 + 0.25*sin(1.7*t)'"
         ) from error
     compiler = _Compiler(text)
-    depth = compiler.emit(tree.body)
+    try:
+        depth = compiler.emit(tree.body)
+    except RecursionError as error:
+        raise UsageError(f"expression {text!r}: nested too deep to be read; write it with fewer terms") from error
     if depth > _STACK:
         raise UsageError(f"expression {text!r}: nested {depth} deep, at most {_STACK}")
     return Program(text, np.array(compiler.code, np.int32), np.array(compiler.constants or [0.0], np.float64))

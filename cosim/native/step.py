@@ -6,6 +6,7 @@ import ctypes
 from collections.abc import Sequence
 from ctypes import byref, c_int32
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -108,7 +109,7 @@ def first_order_hold(A: Matrix, B: Matrix, h: float, held: Mask) -> HeldDiscreti
         Inputs that keep their value at the start of the step; the others move in straight lines.
     """
     n, m = B.shape
-    A, B = np.ascontiguousarray(A), np.ascontiguousarray(B)
+    A, B = np.ascontiguousarray(A, np.float64), np.ascontiguousarray(B, np.float64)
     Ad, B0, B1 = np.empty((n, n)), np.empty((n, m)), np.empty((n, m))
     work = np.empty(4 * (n + 2 * m) ** 2)
     mask = (ctypes.c_uint8 * max(m, 1))(*map(int, held))
@@ -118,7 +119,7 @@ def first_order_hold(A: Matrix, B: Matrix, h: float, held: Mask) -> HeldDiscreti
 
 def exponential(M: Matrix) -> Matrix:
     """Matrix exponential in fixed order: the same bits on every processor."""
-    M = np.ascontiguousarray(M)
+    M = np.ascontiguousarray(M, np.float64)
     E, work = np.empty_like(M), np.empty(2 * M.size)
     library.cosim_exponential(len(M), pointer(M), pointer(E), pointer(work))
     return E
@@ -135,7 +136,7 @@ def affine(pairs: Sequence[tuple[Matrix, Vector]]) -> Vector:
 
 def linear(discrete: HeldDiscretisation, C: Matrix, D: Matrix) -> NativeStep:
     """Step a discretised linear system; memory: x (n), scratch (n)."""
-    arrays = [np.ascontiguousarray(M) for M in (discrete.Ad, discrete.B0, discrete.B1, C, D)]
+    arrays = [np.ascontiguousarray(M, np.float64) for M in (discrete.Ad, discrete.B0, discrete.B1, C, D)]
     memory = np.zeros(2 * len(discrete.Ad) + 1)
     n, m, p = len(discrete.Ad), discrete.B0.shape[1], len(C)
     state = LinearStruct(n, m, p, *map(pointer, arrays), pointer(memory))
@@ -193,7 +194,13 @@ class Regressor:
         sign: NDArray[np.floating],
     ) -> None:
         programs = _programs(alphas)
-        arrays = (int32(steps), np.array(delays, np.float64), int32(row), int32(factor), np.array(sign, np.float64))
+        arrays: tuple[NDArray[Any], ...] = (
+            int32(steps),
+            np.array(delays, np.float64),
+            int32(row),
+            int32(factor),
+            np.array(sign, np.float64),
+        )
         memory = np.zeros(1 + max(steps) + len(alphas) * len(steps))
         terms, factors = np.shape(factor)
         lags, seconds, rows, table, signs = map(pointer, arrays)

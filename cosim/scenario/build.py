@@ -192,6 +192,10 @@ def _truth_problems(scenario: Scenario, components: Mapping[str, Component], mis
 # --- building ---
 
 
+class _RestsOnAnother(UsageError):
+    """A component cannot be judged because one that it reads is wrong; that one is told."""
+
+
 class _Site:
     """What kinds may know while they are built; keeps note of what each one read."""
 
@@ -222,6 +226,8 @@ class _Site:
                 component = self._build(name, spec)
                 periods[name] = self._period(name, spec)
                 components[name] = _slowed(component, spec, periods[name])
+            except _RestsOnAnother:
+                pass
             except (CosimError, ValueError) as error:
                 problems.append((("components", name), str(error)))
         return components, periods, set(self._scenario.file.components) - set(components)
@@ -248,7 +254,7 @@ class _Site:
     def spec(self, name: str) -> Kind:
         self._read(f"components.{name}")
         if name not in self._scenario.specs:
-            raise UsageError(f"it rests on {name!r}, which is not a valid component")
+            raise _RestsOnAnother
         return self._scenario.specs[name]
 
     def driver(self, to: str) -> str | None:

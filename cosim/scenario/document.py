@@ -90,7 +90,8 @@ class Document:
         if names[:1] == ["components"] and len(names) > 1 and names[1] in self.swaps:
             return f"--swap {names[1]}"
         line = find_line(self.text, names)
-        return f"{self.source}:{line}" if line else self.source
+        inside = [f"--set {change}" for change in self.changes if change.startswith(f"{short}.")]
+        return (f"{self.source}:{line}" if line else self.source) + (f" (with {', '.join(inside)})" if inside else "")
 
     def _syntax(self, error: tomllib.TOMLDecodeError) -> str:
         message = str(error)

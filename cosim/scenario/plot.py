@@ -53,10 +53,10 @@ def plot_run(recording: Recording, out: Path) -> None:
 
 def _limit(axis: Any, recording: Recording, estimate: str, true: Any) -> None:
     """Keep a wild start of an estimate from hiding the rest."""
-    around = np.atleast_1d(recording[true] if isinstance(true, str) else np.array(true, dtype=np.float64))
+    truth = np.atleast_1d(recording[true] if isinstance(true, str) else np.array(true, dtype=np.float64))
     settled = recording[estimate][-max(1, len(recording[estimate]) // 2) :]
-    low = np.nanmin([np.nanmin(around), np.nanmin(settled)])
-    high = np.nanmax([np.nanmax(around), np.nanmax(settled)])
+    values = np.concatenate([truth.ravel(), settled.ravel()])
+    low, high = values[np.isfinite(values)].min(), values[np.isfinite(values)].max()
     margin = 0.15 * (high - low) or 1.0
     axis.set_ylim(low - margin, high + margin)
 

@@ -15,7 +15,7 @@ from typing import Any
 from cosim.core.contracts import Block, Design, Recorder
 from cosim.core.graph import Graph
 from cosim.core.master import run as run_graph
-from cosim.core.profile import Timed
+from cosim.scenario.profile import Timed
 from cosim.core.recorders import Memory, Watched
 from cosim.errors import Interrupted, LogError, UsageError
 from cosim.log import Attachment, Log, McapRecorder, open_log

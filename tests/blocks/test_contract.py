@@ -1,0 +1,256 @@
+"""Every block keeps the contract; a component that breaks a law is told which."""
+
+import numpy as np
+import pytest
+
+from cosim.arrays import NAN
+from cosim.blocks.arithmetic import Static, gain, limit, sum_of
+from cosim.blocks.controller import controller
+from cosim.blocks.dynamics import Delay, lag
+from cosim.blocks.identifier import LeastSquaresIdentifier
+from cosim.blocks.observer import observer_model
+from cosim.blocks.plant import descriptor_model
+from cosim.blocks.regressor import Regressor
+from cosim.blocks.replay import Replay
+from cosim.blocks.sampled import Decimated, Sampled
+from cosim.blocks.source import Expression, Noise, Table, chirp, constant, ramp, sine, step
+from cosim.core.clock import Clock
+from cosim.core.graph import Graph
+from cosim.core.master import run
+from cosim.core.profile import Timed
+from cosim.core.recorders import Memory
+from cosim.core.signals import Interface, Signal
+from cosim.core.solver import Linear
+from cosim.native.expression import compile_expression
+from cosim.testing import check_component, check_rollback
+from cosim.theory.descriptor import reduce
+from cosim.theory.disturbance import Exponential, group
+from cosim.theory.estimators import plan
+from cosim.theory.observer import design
+from cosim.theory.regression import expand
+from tests.theory.academic import academic
+
+H = 1e-3
+
+
+def through():
+    """Give a controller with a state and feedthrough from its first input only."""
+    D = np.array([[0.5, 0.0], [0.0, 0.0]])
+    return Linear(controller(A=np.array([[-3.0, 1.0], [0.0, -2.0]]), B=np.eye(2), C=np.eye(2), D=D))
+
+
+def plant():
+    return Linear(descriptor_model(academic(), [1.0, -1.0]))
+
+
+def observer():
+    reduced = reduce(academic())
+    return Linear(observer_model(reduced, design(reduced, L=[4.0, 0.0], filter_rate=1e3)))
+
+
+def regressor(steps=(2, 4, 6)):
+    alphas = [compile_expression("1.35 + 0.25*sin(1.7*t)"), compile_expression("1.1 + 0.2*cos(2.3*t)")]
+    return Regressor(expand((1, 1)), alphas=alphas, steps=steps, delays=[n * H for n in steps])
+
+
+def identifier(**options):
+    blocks = group(["a", "b"], [Exponential()] * 2)
+    return LeastSquaresIdentifier(plan(expand((1, 1)), blocks, [1.0, 2.0, 3.0]), start=3 * H, **options)
+
+
+def recording():
+    memory = Memory()
+    run(
+        Graph(
+            {"u": sine(amplitude=1.0, rate=900.0, phase=0.1, offset=0.0), "lag": Linear(lag(time_constant=0.01))},
+            {"lag.u": "u.y"},
+        ),
+        Clock(0.03, H),
+        memory,
+    )
+    return memory
+
+
+COMPONENTS = {
+    "constant": lambda: constant([1.5, -2.0]),
+    "step": lambda: step(time=0.01, before=1.0, after=-2.0),
+    "ramp": lambda: ramp(slope=2.0, start=0.01, offset=-1.0),
+    "sine": lambda: sine(amplitude=2.0, rate=300.0, phase=0.4, offset=1.0),
+    "chirp": lambda: chirp(amplitude=2.0, rate=300.0, sweep=1e4, offset=1.0),
+    "expression": lambda: Expression(["t**2", "exp(-t)*cos(500*t)"], variability="discrete"),
+    "table": lambda: Table(np.linspace(0.0, 0.03, 12), np.random.default_rng(1).standard_normal((12, 2))),
+    "held table": lambda: Table(np.linspace(0.0, 0.03, 12), np.random.default_rng(1).standard_normal((12, 2)), hold=True),
+    "noise": lambda: Noise(deviation=2.0, seed=3, size=2),
+    "sum": lambda: sum_of([1.0, -2.0, 0.5], size=2),
+    "gain": lambda: gain(np.array([[1.0, 2.0], [0.0, -1.0], [3.0, 0.5]])),
+    "limit": lambda: limit(lower=-0.5, upper=0.7, size=2),
+    "lag": lambda: Linear(lag(time_constant=0.01, size=2)),
+    "lag from a given start": lambda: Linear(lag(time_constant=0.01, start=2.0)),
+    "delay": lambda: Delay(3, size=2),
+    "delay of one step": lambda: Delay(1),
+    "delay from a given start": lambda: Delay(4, initial=7.0),
+    "controller": through,
+    "plant": plant,
+    "observer": observer,
+    "regressor": regressor,
+    "regressor without delay": lambda: regressor((0, 3, 5)),
+    "least squares": identifier,
+    "least squares with a prior": lambda: identifier(P0=1e3),
+    "replay": lambda: Replay(recording(), "lag"),
+    "replay as a source": lambda: Replay(recording(), "lag", inputs=False),
+    "sampled plant": lambda: Sampled(plant(), 4),
+    "sampled with feedthrough": lambda: Sampled(through(), 3),
+    "sampled at every step": lambda: Sampled(through(), 1),
+    "sampled source": lambda: Sampled(sine(amplitude=2.0, rate=300.0, phase=0.4, offset=1.0), 4),
+    "decimated least squares": lambda: Decimated(identifier(), 4),
+    "decimated with feedthrough": lambda: Decimated(through(), 4),
+    "timed": lambda: Timed(through(), "x", {}),
+}
+ROLLBACK = ["lag", "lag from a given start", "delay", "delay of one step", "controller", "plant", "observer", "regressor",
+            "regressor without delay", "least squares", "least squares with a prior"]  # fmt: skip
+
+
+@pytest.mark.parametrize("name", COMPONENTS)
+def test_every_block_keeps_the_contract(name):
+    """Blocks of any size, outputs that change nothing, a start that forgets, declared feedthrough, late inputs: bit for bit."""
+    check_component(COMPONENTS[name], h=H)
+
+
+@pytest.mark.parametrize("name", ROLLBACK)
+def test_every_block_that_can_go_back_does(name):
+    """Restoring what was saved is the identity."""
+    check_rollback(COMPONENTS[name], h=H)
+
+
+class Broken(Static):
+    """``y = [u0, n]``, n the number of steps; every law can be broken by name."""
+
+    def __init__(self, fault="", *, optional=False, feedthrough=None):
+        outputs = (Signal("y", optional=optional), Signal("n"))
+        super().__init__(Interface((Signal("u"),), outputs, {"y": ("u",)} if feedthrough is None else feedthrough), None)
+        self.fault, self.steps = fault, 0
+        self.made = Broken.count = getattr(Broken, "count", 0) + 1
+
+    def prepare(self, h, held, recorded):
+        self.gain = recorded.get("gain", np.ones(1))[0] * (2.0 if self.fault == "ignores its design" and recorded else 1.0)
+        return {"gain": np.ones(1)}
+
+    def initialize(self, t, u):
+        if self.fault != "remembers":
+            self.steps = 0
+        self.row = self._row(u)
+        return self.outputs(t, u)
+
+    def outputs(self, t, u):
+        if self.fault == "outputs count":
+            self.steps += 1
+        if self.fault == "stale outputs":
+            return self.row.copy()
+        return self._row(u)
+
+    def advance(self, t, h, u):
+        rows = np.empty((len(t) - 1, 2))
+        for k in range(len(rows)):
+            self.steps += 1
+            if self.fault == "sums the end":
+                self.steps += u[k + 1, 0]
+            rows[k] = self._row(u[k + 1])
+        if self.fault == "block size":
+            rows[:, 1] += len(rows)
+            self.steps += len(rows)
+        if self.fault == "writes":
+            u[0] = 0.0
+        if self.fault == "keeps its inputs" and hasattr(self, "kept"):
+            rows[0, 1] += self.kept[0, 0] == 1e3
+        self.kept = u
+        self.row = rows[-1].copy()
+        return rows[:, 0] if self.fault == "shape" else rows.astype(np.float32) if self.fault == "type" else rows
+
+    def _row(self, u):
+        value = {"nan": np.nan, "negative nan": -np.array(NAN), "infinite": np.inf, "by chance": self.made}.get(self.fault, u[0])
+        return np.array([self.gain * value, self.steps])
+
+
+FAULTS = {
+    "ignores its design": "a component takes its recorded design: 'y' at t = 0.0 s",
+    "remembers": "initialize forgets the past, and an earlier initialize with other inputs: 'n'",
+    "outputs count": "outputs",
+    "stale outputs": r"outputs (ignores|gives)",
+    "sums the end": r"the state ignores a held input|advance ignores a held input",
+    "block size": "blocks of 1 give the bits of one block: 'n' at t = 0.001 s: found",
+    "writes": "advance does not write to its arguments",
+    "keeps its inputs": "arguments and results of earlier calls are no part of the state",
+    "shape": r"advance gives float64 of shape \(30, 2\): found float64 of shape \(30,\)",
+    "type": r"advance gives float64 of shape \(30, 2\): found float32",
+    "nan": r"a value is finite, or cosim.arrays.NAN in an optional output: 'y' at t = 0.0 s: found nan",
+    "infinite": "a value is finite, or cosim.arrays.NAN in an optional output: 'y' at t = 0.0 s: found inf",
+    "by chance": "a second component repeats the run: 'y'",
+}
+
+
+def test_a_sound_component_passes():
+    """The one below without a fault keeps every law."""
+    check_component(Broken)
+
+
+@pytest.mark.parametrize("fault", [fault for fault in FAULTS if fault != "stale outputs"])
+def test_a_broken_law_is_named(fault):
+    """One sentence with the law, the signal, the time and the values."""
+    with pytest.raises(AssertionError, match=FAULTS[fault]):
+        check_component(lambda: Broken(fault))
+
+
+def test_stale_outputs_are_noticed_where_inputs_feed_through():
+    """Outputs that do not follow a late input cannot repair a loop."""
+    with pytest.raises(AssertionError, match="the state ignores a held input at the end of the step: 'y'"):
+        check_component(lambda: Broken("stale outputs"))
+
+
+def test_another_nan_is_refused_where_none_may_be():
+    """There is one NaN, so that equal runs have equal bits."""
+    check_component(lambda: Broken("nan", optional=True))
+    with pytest.raises(AssertionError, match=r"a value is finite, or cosim.arrays.NAN in an optional output: 'y'"):
+        check_component(lambda: Broken("negative nan", optional=True))
+
+
+def test_an_undeclared_feedthrough_is_named():
+    """The order of a loop rests on what is declared."""
+    with pytest.raises(
+        AssertionError, match=r"outputs ignores 'u', which is not declared to feed through: 'y' at t = 0.0 s: found"
+    ):
+        check_component(lambda: Broken(feedthrough={}))
+
+
+def test_inputs_of_the_wrong_shape_are_refused():
+    """The inputs given are those of the component."""
+    with pytest.raises(AssertionError, match=r"inputs have shape \(5, 3\), needed \(steps \+ 1, 1\)"):
+        check_component(lambda: Delay(1), inputs=np.zeros((5, 3)))
+
+
+def test_integers_and_booleans_are_given_what_they_take():
+    """Random inputs respect the kind of the signal."""
+    seen = []
+
+    def look(u):
+        seen.append(u.copy())
+        return u[:, :1] + u[:, 1:]
+
+    interface = Interface((Signal("i", kind="integer"), Signal("b", kind="boolean")), (Signal("y"),), None)
+    check_component(lambda: Static(interface, look))
+    given = np.vstack(seen)
+    given = given[(given != 1e3).all(axis=1)]
+    assert np.array_equal(given[:, 0], np.round(given[:, 0]))
+    assert set(given[:, 1]) == {0.0, 1.0}
+
+
+class Forgetful(Delay):
+    """A delay whose saved line is the line itself."""
+
+    def save(self):
+        return self._step.memory
+
+
+def test_a_state_that_is_not_copied_is_noticed():
+    """``restore(save())`` is the identity, also after more steps."""
+    with pytest.raises(AssertionError, match="restore goes back to the outputs at save: 'y'"):
+        check_rollback(lambda: Forgetful(3))

@@ -1,0 +1,203 @@
+"""Regressor and identifier against the theory."""
+
+import math
+
+import numpy as np
+import pytest
+
+from cosim.blocks.identifier import LeastSquaresIdentifier
+from cosim.blocks.regressor import Regressor
+from cosim.core.contracts import Stopped
+from cosim.errors import UsageError
+from cosim.native.expression import compile_expression
+from cosim.testing import check_component
+from cosim.theory.disturbance import Exponential, Sine, coefficients, group
+from cosim.theory.estimators import least_squares, plan, recover, trapezoid_weights
+from cosim.theory.regression import eta, expand, mu
+from tests.blocks.stepping import drive, times
+
+STEP_NS = 10_000_000
+H = 0.01
+A, B = "1.35 + 0.25*sin(1.7*t)", "1.1 + 0.2*cos(2.3*t)"
+
+
+def amplitude(text, t):
+    return 1.35 + 0.25 * np.sin(1.7 * t) if text == A else 1.1 + 0.2 * np.cos(2.3 * t) if text == B else np.ones_like(t)
+
+
+class Example:
+    """A disturbance, its regression and its plan of recovery."""
+
+    def __init__(self, alphas, families, thetas, delays, stop):
+        self.delays, self.thetas = delays, thetas
+        self.blocks = group(alphas, families)
+        self.terms = expand(tuple(block.size for block in self.blocks))
+        self.recovery = plan(self.terms, self.blocks, delays)
+        self.t = times(round(stop / H), STEP_NS)
+        self.steps = [round(D / H) for D in delays]
+        self.delta = sum(
+            amplitude(alpha, self.t)
+            * (np.exp(theta * self.t) if family.v == 1 else 0.8 * np.sin(theta * self.t) + 0.4 * np.cos(theta * self.t))
+            for alpha, family, theta in zip(alphas, families, thetas, strict=True)
+        )
+        first = max(self.steps)
+        late = np.stack([self.delta[first - n : len(self.t) - n] for n in self.steps], axis=1)
+        moments = np.stack([self.t[first:] - D for D in delays], axis=1)
+        self.alpha = np.stack([amplitude(block.alpha, moments) for block in self.blocks], axis=-1)
+        self.mu = np.full((len(self.t), len(self.terms)), np.nan)
+        self.mu[first:] = mu(self.terms, late, self.alpha)
+
+    def regressor(self):
+        programs = [compile_expression(block.alpha) for block in self.blocks]
+        return Regressor(self.terms, alphas=programs, steps=self.steps, delays=self.delays)
+
+    def exact_eta(self):
+        K = [coefficients(block.families, [self.thetas[i] for i in block.components], self.delays) for block in self.blocks]
+        return eta(self.terms, K)
+
+    def expected(self, start, end, prior=None, *, held=False):
+        """Estimate at row ``end`` from the data since ``start`` [s], by the theory."""
+        first = round(start / H)
+        if held:
+            found = least_squares(self.mu[first:end], np.full(end - first, H), prior)
+        else:
+            found = least_squares(self.mu[first : end + 1], trapezoid_weights(self.t[first : end + 1]), prior)
+        return np.concatenate([recover(self.recovery, found), found])
+
+
+EXAMPLES = {
+    "two alphas": Example([A, B], [Exponential()] * 2, [-0.1, -0.3], [1.0, 2.0, 3.0], 12.0),
+    "two exponentials of one alpha": Example(["1", "1"], [Exponential()] * 2, [-0.1, -0.3], [1.0, 2.0, 3.0], 12.0),
+    "a sine": Example([A], [Sine()], [1.3], [0.5, 1.0, 1.5], 10.0),
+    "delays in another order": Example([A, B], [Exponential()] * 2, [-0.1, -0.3], [0.0, 2.0, 1.0], 8.0),
+}
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_mu_is_that_of_the_theory(name):
+    """The kernel's products over its ring of samples are `theory.regression.mu` on delayed samples; no value before."""
+    example = EXAMPLES[name]
+    found = drive(example.regressor(), example.delta[:, None], step_ns=STEP_NS)
+    assert (np.isnan(found) == np.isnan(example.mu)).all()
+    # l factors, each of two functions of t rounded within one last bit by C and numpy, and the products
+    np.testing.assert_allclose(found, example.mu, rtol=1e-15)
+
+
+def test_mu_without_delay_follows_its_input():
+    """Only a delay of nothing feeds through, and is declared to."""
+    assert EXAMPLES["delays in another order"].regressor().interface.feeds("mu") == ("delta",)
+    assert EXAMPLES["two alphas"].regressor().interface.feeds("mu") == ()
+
+
+@pytest.mark.parametrize("held", [False, True], ids=["lines", "held"])
+@pytest.mark.parametrize("P0", [None, 1e3, 1.0], ids=["no prior", "P0 = 1e3", "P0 = 1"])
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_the_identifier_is_the_least_squares_of_the_theory(name, P0, held):
+    """Givens rotations row by row in C give what QR of all rows gives: eta and theta, early and late."""
+    example = EXAMPLES[name]
+    start = max(example.delays) + 0.5
+    identifier = LeastSquaresIdentifier(example.recovery, start=start, P0=P0)
+    found = drive(identifier, example.mu, step_ns=STEP_NS, held=held)
+    n_theta = example.recovery.n_theta
+    first = round(start / H)
+    assert np.isnan(found[: first + 1]).all()
+    for end in (first + 300, len(found) - 1):
+        expected = example.expected(start, end, None if P0 is None else 1.0 / P0, held=held)
+        # both solve the factor of the data to rounding times its condition, about 2e2 for the root of 3e4: 1e-13; theta likewise
+        np.testing.assert_allclose(found[end, n_theta:], expected[n_theta:], rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(found[end, :n_theta], expected[:n_theta], rtol=1e-9, atol=1e-9)
+    if P0 is None:
+        np.testing.assert_allclose(found[-1, n_theta:], example.exact_eta(), rtol=1e-9)
+        np.testing.assert_allclose(found[-1, :n_theta], example.thetas, rtol=1e-9)
+
+
+def test_two_exponentials_of_one_alpha_are_those_of_the_reference(case):
+    """C09: theta from the samples, the larger one first."""
+    reference = case("C09")
+    example = EXAMPLES["two exponentials of one alpha"]
+    for times_, values in zip(reference["delta_samples"]["t_minus_D"], reference["delta_samples"]["values"], strict=True):
+        np.testing.assert_allclose(
+            np.exp(-0.1 * np.array(times_)) + np.exp(-0.3 * np.array(times_)), values, atol=reference["tol"]
+        )
+    found = drive(LeastSquaresIdentifier(example.recovery, start=3.0), example.mu, step_ns=STEP_NS)
+    np.testing.assert_allclose(found[-1, :2], reference["expected"]["recovered_theta_sorted"][::-1], rtol=1e-9)
+
+
+def test_a_sine_is_that_of_the_reference(case):
+    """C08: the rate of a sine of unknown amplitude and phase under a known factor."""
+    reference = case("C08")
+    example = EXAMPLES["a sine"]
+    row = [np.interp(650 - n, range(len(example.t)), example.delta) for n in (0, 50, 100)]
+    np.testing.assert_allclose(row, reference["delta_samples"]["values"][0], rtol=0, atol=reference["tol"])
+    found = drive(LeastSquaresIdentifier(example.recovery, start=1.5), example.mu, step_ns=STEP_NS)
+    assert found[-1, 0] == pytest.approx(reference["expected"]["omega"], rel=1e-9)
+
+
+def test_there_is_no_estimate_before_there_is_information():
+    """Without a prior: no value until the start, nor while fewer rows than unknowns came in; with one: at once."""
+    example = EXAMPLES["two alphas"]
+    bare = drive(LeastSquaresIdentifier(example.recovery, start=3.0), example.mu, step_ns=STEP_NS, held=True)
+    assert np.isnan(bare[: 300 + 5]).all()  # five unknowns: the fifth row arrives at 3.0 s + 5 h
+    assert np.isfinite(bare[300 + 30 :]).all()
+    prior = drive(LeastSquaresIdentifier(example.recovery, start=3.0, P0=10.0), example.mu, step_ns=STEP_NS)
+    assert np.isnan(prior[:301]).all()
+    assert np.isfinite(prior[301:, 2:]).all()
+
+
+def test_a_disturbance_of_nothing_never_gives_an_estimate():
+    """Zero, or so small that its square vanishes: no information, and no 0/0."""
+    example = EXAMPLES["two alphas"]
+    for scale in (0.0, 1e-180):
+        found = drive(LeastSquaresIdentifier(example.recovery, start=3.0), scale * example.mu, step_ns=STEP_NS)
+        assert np.isnan(found).all()
+    tiny = np.where(np.arange(len(example.mu))[:, None] < 500, 1e-180, 1.0) * example.mu
+    found = drive(LeastSquaresIdentifier(example.recovery, start=3.0), tiny, step_ns=STEP_NS)
+    np.testing.assert_allclose(found[-1, :2], example.thetas, rtol=1e-9)
+
+
+def test_no_theta_where_eta_belongs_to_none():
+    """A regression with the opposite sign has no logarithm: eta has a value, theta has none."""
+    example = EXAMPLES["two alphas"]
+    flipped = example.mu * np.array([-1.0, 1, 1, 1, 1, 1])
+    found = drive(LeastSquaresIdentifier(example.recovery, start=3.0), flipped, step_ns=STEP_NS)
+    assert np.isnan(found[-1, :2]).all()
+    np.testing.assert_allclose(found[-1, 2:], -example.exact_eta(), rtol=1e-9)
+
+
+def test_a_start_before_the_longest_delay_stops_the_run():
+    """With the reason, and every row up to there."""
+    example = EXAMPLES["two alphas"]
+    identifier = LeastSquaresIdentifier(example.recovery, start=2.5)
+    text = r"the regressor has no value at the start time 2\.5 s; start after the longest delay"
+    with pytest.raises(Stopped, match=text) as stop:
+        drive(identifier, example.mu, step_ns=STEP_NS)
+    assert stop.value.failed
+    assert stop.value.steps == 250
+    assert np.isnan(stop.value.outputs).all()
+
+
+def test_a_recorded_start_time_is_used():
+    """A replay starts where the run did, whatever the design would give now."""
+    example = EXAMPLES["two alphas"]
+    identifier = LeastSquaresIdentifier(example.recovery, start=3.0)
+    identifier.prepare(H, np.zeros(6, np.bool_), {"start": np.array([5.0])})
+    identifier.initialize(0.0, example.mu[0])
+    found = identifier.advance(example.t, H, example.mu)
+    np.testing.assert_allclose(found[-1], example.expected(5.0, len(example.t) - 1), rtol=1e-9)
+    assert np.isnan(found[499]).all()
+
+
+@pytest.mark.parametrize("P0", [0.0, -1.0, math.inf, math.nan])
+def test_a_prior_that_is_none_is_refused(P0):
+    """P0 is positive and finite, or left out."""
+    with pytest.raises(UsageError, match=r"P0: found .*, needed a positive finite number; leave it out for no prior"):
+        LeastSquaresIdentifier(EXAMPLES["a sine"].recovery, start=2.0, P0=P0)
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_the_identifier_keeps_the_contract_on_data_it_can_use(name):
+    """Also once there is information."""
+    example = EXAMPLES[name]
+    last = max(example.steps) + 30
+    start = last * H - 0.2
+    check_component(lambda: LeastSquaresIdentifier(example.recovery, start=start), inputs=example.mu[: last + 1], h=H)

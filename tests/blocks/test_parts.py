@@ -1,0 +1,138 @@
+"""Sum, gain, limit, lag, delay, controller, replay against closed forms."""
+
+import numpy as np
+import pytest
+
+from cosim.blocks.arithmetic import gain, limit, sum_of
+from cosim.blocks.controller import controller
+from cosim.blocks.dynamics import Delay, lag
+from cosim.blocks.replay import Replay
+from cosim.blocks.source import sine
+from cosim.core.clock import Clock
+from cosim.core.contracts import Stopped
+from cosim.core.graph import Graph
+from cosim.core.master import run
+from cosim.core.recorders import Memory
+from cosim.core.solver import Linear
+from cosim.errors import GraphError, LogError, UsageError
+from tests.blocks.stepping import drive, times
+
+RANDOM = np.random.default_rng(11).standard_normal((60, 2))
+
+
+def test_sum_adds_with_signs():
+    """Gives y = u1 - u2 on vectors, exactly."""
+    found = drive(sum_of([1.0, -1.0]), RANDOM)
+    assert (found[:, 0] == RANDOM[:, 0] - RANDOM[:, 1]).all()
+    with pytest.raises(UsageError, match=r"sum: found no signs, needed one for each input"):
+        sum_of([])
+
+
+def test_gain_multiplies_in_a_fixed_order():
+    """The same bits as a plain loop from left to right."""
+    K = np.array([[0.1, 0.7], [3.0, -0.2], [0.0, 1.0]])
+    expected = [[0.0 + u[0] * row[0] + u[1] * row[1] for row in K] for u in RANDOM]
+    assert (drive(gain(K), RANDOM) == np.array(expected)).all()
+
+
+def test_limit_cuts_off():
+    """Values inside pass unchanged."""
+    found = drive(limit(lower=-0.5, upper=0.25, size=2), RANDOM)
+    assert (found == np.minimum(np.maximum(RANDOM, -0.5), 0.25)).all()
+    with pytest.raises(UsageError, match=r"limit: found lower = 1.0 and upper = 1.0, needed lower < upper"):
+        limit(lower=1.0, upper=1.0)
+
+
+def test_a_lag_answers_a_held_step_exactly():
+    """After a step of u that is held, y = 1 - exp(-t/T) at every communication point."""
+    u = np.ones((201, 1))
+    t = times(200)
+    found = drive(Linear(lag(time_constant=0.05, start=0.0)), u, held=True)[:, 0]
+    # the factor exp(-h/T) carries an error of one unit in the last place, 1.1e-16, which 200 steps add up
+    np.testing.assert_allclose(found, -np.expm1(-t / 0.05), rtol=0, atol=200 * 1.2e-16)
+
+
+def test_a_lag_answers_a_ramp_on_straight_lines_exactly():
+    """For u = t: y = t - T (1 - exp(-t/T)): no error of the step size; held inputs lag by half a step more."""
+    t = times(200)
+    exact = t - 0.05 * -np.expm1(-t / 0.05)
+    lines, held = (drive(Linear(lag(time_constant=0.05)), t[:, None], held=held)[:, 0] for held in (False, True))
+    np.testing.assert_allclose(lines, exact, rtol=0, atol=200 * 1.2e-16)
+    assert held[-1] - exact[-1] == pytest.approx(-0.5e-3, rel=0.03)  # 1 - exp(-4) of it is settled; next term h/(12 T)
+
+
+def test_a_lag_starts_without_a_transient_unless_told():
+    """`start` left out: y(0) = u(0) and stays there; given: y(0) = start, whatever the input."""
+    u = np.full((30, 2), 3.0)
+    # Ad + B0 + B1 = 1 up to rounding, added up over 30 steps of a value of 3
+    np.testing.assert_allclose(drive(Linear(lag(time_constant=0.01, size=2)), u), u, rtol=0, atol=30 * 3 * 2.3e-16)
+    assert (drive(Linear(lag(time_constant=0.01, start=-1.0, size=2)), u)[0] == -1.0).all()
+    with pytest.raises(UsageError, match=r"lag: found time_constant = 0.0 s, needed a positive time"):
+        lag(time_constant=0.0)
+
+
+@pytest.mark.parametrize("n", [1, 2, 7, 59, 80])
+def test_a_delay_gives_the_input_n_steps_later(n):
+    """y(t) = u(t - n h), before that the first input, or what is given."""
+    k = np.maximum(np.arange(len(RANDOM)) - n, 0)
+    assert (drive(Delay(n, size=2), RANDOM) == RANDOM[k]).all()
+    given = np.where((np.arange(len(RANDOM)) < n)[:, None], 9.0, RANDOM[k])
+    assert (drive(Delay(n, initial=9.0, size=2), RANDOM) == given).all()
+
+
+def test_a_delay_of_nothing_is_refused():
+    """It would feed through."""
+    with pytest.raises(UsageError, match=r"delay: found 0 communication steps, needed at least 1"):
+        Delay(0)
+
+
+def test_a_controller_shows_its_state_and_declares_its_feedthrough():
+    """Take x' = -2 x + u with y = 3 x + 0.5 u, u held at 1: x = (1 - exp(-2 t)) / 2."""
+    model = controller(A=np.array([[-2.0]]), B=np.eye(1), C=np.array([[3.0]]), D=np.array([[0.5]]))
+    assert model.interface.feeds("y") == ("u",)
+    assert model.interface.feeds("x") == ()
+    found = drive(Linear(model), np.ones((101, 1)), held=True)
+    x = -np.expm1(-2.0 * times(100)) / 2.0
+    np.testing.assert_allclose(found, np.column_stack([3.0 * x + 0.5, x]), rtol=0, atol=100 * 3 * 1.2e-16)
+    assert controller(A=np.eye(1), B=np.eye(1), C=np.eye(1)).interface.feeds("y") == ()
+
+
+@pytest.mark.parametrize(("name", "shape"), [("B", (3, 1)), ("C", (1, 3)), ("D", (2, 1)), ("x0", (3,))])
+def test_a_controller_of_the_wrong_shape_is_refused(name, shape):
+    """The matrix is named, with both shapes."""
+    matrices = {"A": np.eye(2), "B": np.ones((2, 1)), "C": np.ones((1, 2)), "D": np.zeros((1, 1)), "x0": np.zeros(2)}
+    text = f"controller: {name} has shape {shape}, needed {matrices[name].shape}"
+    with pytest.raises(UsageError) as error:
+        controller(**{**matrices, name: np.zeros(shape)})
+    assert str(error.value) == text
+
+
+@pytest.fixture(scope="module")
+def recording():
+    components = {"u": sine(amplitude=1.0, rate=90.0, phase=0.1, offset=0.0), "lag": Linear(lag(time_constant=0.01))}
+    memory = Memory()
+    run(Graph(components, {"lag.u": "u.y"}), Clock(0.03, 1e-3), memory)
+    return memory
+
+
+def test_a_replay_gives_the_recorded_rows_whatever_its_inputs_are(recording):
+    """Bit for bit, with the recorded inputs shown or hidden."""
+    for inputs in (True, False):
+        replay = Replay(recording, "lag", inputs=inputs)
+        u = np.full((31, replay.interface.n_u), 5.0)
+        assert (drive(replay, u)[:, 0] == recording["lag.y"]).all()
+
+
+def test_a_replay_stops_where_the_recording_ends(recording):
+    """With every row up to there."""
+    with pytest.raises(Stopped, match=r"the recording ends at 0.03 s") as stop:
+        drive(Replay(recording, "u"), np.zeros((36, 0)))
+    assert (stop.value.outputs[:, 0] == recording["u.y"][1:]).all()
+
+
+def test_a_replay_refuses_what_was_not_recorded(recording):
+    """A component that is not there, a time before the recording."""
+    with pytest.raises(LogError, match=r"the log has no component 'lab'; it has: u, lag"):
+        Replay(recording, "lab")
+    with pytest.raises(GraphError, match=r"the recording begins at 0.0 s, was asked for -1.0 s"):
+        Replay(recording, "u").initialize(-1.0, np.zeros(0))

@@ -1,0 +1,33 @@
+from pythonfmu3 import CoSimulation, Float64, Fmi3Causality, Fmi3Initial, Fmi3SlaveBase, Fmi3Variability, ModelExchange
+
+
+class Foreign3(Fmi3SlaveBase, ModelExchange, CoSimulation):
+    """The plant (28) as pythonfmu3 sees it: model exchange, and co-simulation by Heun's method with held inputs."""
+
+    def __init__(self, **kwargs):
+        super().__init__(**kwargs)
+        self.time = self.u = self.delta = 0.0
+        self.x1, self.x2, self.der1, self.der2 = 1.0, -1.0, 0.0, 0.0
+        moving = {"variability": Fmi3Variability.continuous}
+        output, local = {"causality": Fmi3Causality.output, **moving}, {"causality": Fmi3Causality.local, **moving}
+        self.register_variable(Float64("time", causality=Fmi3Causality.independent, **moving))
+        self.register_variable(Float64("u", causality=Fmi3Causality.input, **moving))
+        self.register_variable(Float64("delta", causality=Fmi3Causality.input, **moving))
+        self.register_variable(Float64("x1", start=1, initial=Fmi3Initial.exact, **output))
+        self.register_variable(Float64("der1", derivative=3, **local))
+        self.register_variable(Float64("x2", start=-1, initial=Fmi3Initial.exact, **output))
+        self.register_variable(Float64("der2", derivative=5, **local))
+        self.register_variable(Float64("y", getter=lambda: self.x1 - self.u, **output))
+
+    def get_continuous_state_derivatives(self):
+        self.der1 = -self.x1 + self.x2 - self.u + self.delta
+        self.der2 = -self.x1 - 2.0 * self.x2 + self.u
+        return [self.der1, self.der2]
+
+    def do_step(self, t, h):
+        x1, x2 = self.x1, self.x2
+        a = self.get_continuous_state_derivatives()
+        self.x1, self.x2 = x1 + h * a[0], x2 + h * a[1]
+        b = self.get_continuous_state_derivatives()
+        self.x1, self.x2 = x1 + 0.5 * h * (a[0] + b[0]), x2 + 0.5 * h * (a[1] + b[1])
+        return True

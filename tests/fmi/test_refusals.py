@@ -1,0 +1,140 @@
+"""What is no FMU, or cannot run here, is refused in one sentence and leaves nothing behind."""
+
+import os
+import zipfile
+
+import pytest
+
+from cosim.errors import FmuError
+from cosim.fmi.component import load
+
+CS = "CoSimulation"
+
+
+def refused(path, text, **options):
+    with pytest.raises(FmuError, match=text) as error:
+        load(path, **options)
+    assert error.value.exit_code == 2
+    assert str(path) in str(error.value) or "academic" in str(error.value)
+
+
+@pytest.fixture(autouse=True)
+def nothing_left(temporary, capfd):
+    """No temporary folder, no other working directory, nothing printed."""
+    home = os.getcwd()
+    yield
+    assert list(temporary.iterdir()) == []
+    assert os.getcwd() == home
+    assert capfd.readouterr() == ("", "")
+
+
+def archive(path, content):
+    with zipfile.ZipFile(path, "w") as target:
+        for name, text in content.items():
+            target.writestr(name, text)
+    return path
+
+
+def test_missing_file(tmp_path):
+    refused(tmp_path / "no.fmu", "there is no such file")
+
+
+def test_folder(tmp_path):
+    refused(tmp_path, "needed an .fmu file, found a folder")
+
+
+def test_no_zip(tmp_path):
+    path = tmp_path / "text.fmu"
+    path.write_text("hello")
+    refused(path, "not an FMU, as it is no zip archive")
+
+
+def test_no_description(tmp_path):
+    refused(archive(tmp_path / "x.fmu", {"readme.txt": ""}), "not an FMU, as the archive has no modelDescription.xml")
+
+
+def test_broken_xml(tmp_path):
+    refused(archive(tmp_path / "x.fmu", {"modelDescription.xml": "<fmi"}), "modelDescription.xml is not well-formed")
+
+
+def test_fmi_1(tmp_path):
+    path = archive(tmp_path / "x.fmu", {"modelDescription.xml": '<fmiModelDescription fmiVersion="1.0"/>'})
+    refused(path, "FMI 1.0 is not supported yet; FMI 2.0 and 3.0 are")
+
+
+@pytest.mark.parametrize("version", ['fmiVersion="4.0"', ""])
+def test_unknown_version(tmp_path, version):
+    path = archive(tmp_path / "x.fmu", {"modelDescription.xml": f"<fmiModelDescription {version}/>"})
+    refused(path, "unknown FMI version ('4.0'|None); FMI 2.0 and 3.0 are supported")
+
+
+def test_description_that_makes_no_sense(tmp_path):
+    path = archive(tmp_path / "x.fmu", {"modelDescription.xml": '<fmiModelDescription fmiVersion="2.0"/>'})
+    refused(path, "modelDescription.xml cannot be read")
+
+
+def test_no_binary_for_this_platform(edited):
+    path = edited(without="binaries/", extra={"binaries/riscv64-plan9/academic.so": b""})
+    refused(path, r"no binary for this platform; found binaries for: riscv64-plan9; needed binaries/\S+/academic\.")
+
+
+def test_a_kind_that_is_not_there(edited):
+    path = edited(("<ModelExchange ", "<Unknown "), ("</ModelExchange>", "</Unknown>"))
+    refused(path, r'not for model exchange \(mode = "me"\); it is for co-simulation: mode = "cs"', mode="me")
+    refused(path, 'mode \'both\'; needed "me" or "cs"', mode="both")
+    with load(path) as fmu:
+        assert fmu.mode == "cs"
+
+
+def test_state_events(edited):
+    path = edited(('numberOfEventIndicators="0"', 'numberOfEventIndicators="2"'))
+    refused(path, 'has 2 event indicators; state events are not located yet in model exchange; use mode = "cs"')
+    load(path, mode="cs").close()
+
+
+def test_wrong_identifier(edited):
+    refused(edited(('modelIdentifier="academic"', 'modelIdentifier="../x"')), "modelIdentifier '../x' is no identifier of C")
+
+
+def test_binary_that_is_none(edited, exported):
+    with zipfile.ZipFile(exported) as source:
+        binary = next(name for name in source.namelist() if name.startswith("binaries/"))
+    refused(
+        edited(without="binaries/", extra={binary: b"not a library"}),
+        "the binary .* cannot be used: Failed to load shared library",
+    )
+
+
+def test_binary_of_another_model(edited):
+    refused(
+        edited(('guid="{', 'guid="{0')), "cannot be used: Failed to instantiate model; it said: error: fmi2Instantiate: the GUID"
+    )
+
+
+@pytest.mark.parametrize(
+    ("start", "text"),
+    [
+        ({"x_a[9]": 1.0}, r"no variable 'x_a\[9\]'; did you mean 'x_a\[\d\]'"),
+        ({"y": 1.0}, "'y' cannot be set at the start .causality output, variability continuous, initial calculated."),
+        ({"x_a[0]": float("nan")}, r"start value of 'x_a\[0\]': found nan, needed a finite number"),
+    ],
+)
+def test_start_values(exported, start, text):
+    refused(exported, text, start=start)
+
+
+def test_start_value_outside_its_range(edited):
+    path = edited(('<Real start="1.0" />', '<Real start="1.0" min="0" max="2.5" />'))
+    refused(path, r"start value of 'x_a\[0\]': found 3.0, needed 0.0 to 2.5", start={"x_a[0]": 3.0})
+    load(path, start={"x_a[0]": 2.0}).close()
+
+
+def test_all_wrong_start_values_are_reported_together(exported):
+    with pytest.raises(FmuError, match=r"(?s)'nothing'.*'y' cannot be set"):
+        load(exported, start={"nothing": 1.0, "y": 1.0})
+
+
+def test_solvers(exported):
+    refused(exported, "no solver 'euler'; ", solver="euler")
+    refused(exported, "solver 'exact' needs the matrices of a linear model", solver="exact")
+    refused(exported, "a co-simulation FMU brings its own", solver="rk4", mode="cs")

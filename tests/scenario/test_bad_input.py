@@ -1,0 +1,222 @@
+"""Every bad input gets one clear error before the first step: the place, what was found, what was needed, the nearest name."""
+
+import re
+
+import pytest
+
+import cosim
+from cosim.errors import ScenarioError, UsageError
+from cosim.scenario.document import find
+
+TEXT = find("academic").text
+
+
+def refused(tmp_path, *edits, **changes):
+    """Edit the shipped text, run it, and give the message of the refusal."""
+    text = TEXT
+    for before, after in edits:
+        assert before in text
+        text = text.replace(before, after)
+    path = tmp_path / "mine.toml"
+    path.write_text(text)
+    out = tmp_path / "mine.mcap"
+    with pytest.raises(UsageError) as caught:
+        cosim.run(path, out=out, set=changes)
+    assert caught.value.exit_code == 2
+    assert not out.exists(), "nothing is written before the input is found to be right"
+    return str(caught.value).replace(str(tmp_path), "")
+
+
+CASES = {
+    "unknown key": (
+        [("filter_rate = 1e3", "filter_rat = 1e3")],
+        r"/mine\.toml:39: components\.observer\.filter_rat: unknown key 'filter_rat'; did you mean 'filter_rate'\? There is: L, ",
+    ),
+    "missing key": ([("rate = 1.0  ", "# ")], r"/mine\.toml:17: components\.u: 'rate' is missing; needed angular rate \[rad/s\]"),
+    "unknown kind": ([('kind = "sine"', 'kind = "sin"')], r"/mine\.toml:18: components\.u\.kind: unknown kind 'sin'; did you mean 'sine'\?"),
+    "missing kind": ([('kind = "sine"', "")], r"/mine\.toml:17: components\.u: 'kind' is missing"),
+    "wrong type": ([("amplitude = 1.0", 'amplitude = "1"')], r"components\.u\.amplitude: found '1'; input should be a valid number"),
+    "unknown component": (
+        [('"plant.u" = "u.y"', '"plant.u" = "w.y"')],
+        r"/mine\.toml:55: connections\.plant\.u: 'w\.y': there is no component 'w'; ",
+    ),
+    "unknown signal": (
+        [('"plant.u" = "u.y"', '"plant.u" = "u.x"')],
+        r"connections\.plant\.u: 'u\.x': 'u' has no output 'x'; There is: y",
+    ),
+    "unknown input": ([('"plant.u" =', '"plant.uu" =')], r"'plant\.uu': 'plant' has no input 'uu'; did you mean 'u'\? There is: u, delta"),
+    "unconnected input": ([('"plant.delta" = "delta.y"\n', "")], r"'plant\.delta' is not connected; give it a source in \[connections\]"),
+    "input driven twice": (
+        [('"plant.u" = "u.y"', '"plant.u" = "u.y"\n"plant.u" = "delta.y"')],
+        r'/mine\.toml:56: "plant\.u" is given twice; keep one \(an input is driven by one source\)',
+    ),
+    "input driven twice in two spellings": (
+        [('"plant.u" = "u.y"', '"plant.u" = "u.y"\nplant.u = "delta.y"')],
+        r"connections\.plant\.u: 'plant\.u' is driven twice; an input has one source",
+    ),
+    "size mismatch": (
+        [('"observer.y" = "plant.y"', '"observer.y" = "plant.x_a"')],
+        r"plant\.x_a -> observer\.y: size 2 cannot drive size 1",
+    ),
+    "no value into an input that needs one": (
+        [("[truth]", '[components.k]\nkind = "gain"\nK = [[1.0, 0.0]]\n[connections.k]\nu = "identifier.theta"\n[truth]')],
+        r"identifier\.theta -> k\.u: the source may carry no value \(NaN\), the input needs one at every step",
+    ),
+    "step not whole nanoseconds": (
+        [("step = 1e-3 ", "step = 1.00000000001e-3 ")],
+        r"/mine\.toml:8: scenario\.step: 0\.00100000000001 s is not a whole number of nanoseconds; nearest: 0\.001 s",
+    ),
+    "step of nothing": ([("step = 1e-3 ", "step = 0 ")], r"scenario\.step: step: found 0\.0 s, needed a positive time"),
+    "stop off the grid": (
+        [("stop = 40.0 ", "stop = 40.0005 ")],
+        r"/mine\.toml:7: scenario\.stop: stop: 40\.0005 s is not a whole number of 0\.001 s steps; nearest: 40\.0 s",
+    ),
+    "period not a multiple": (
+        [('method = "least-squares"', 'method = "least-squares"\nperiod = 3.3e-3')],
+        r"period of 'identifier': 0\.0033 s is not a whole number of 0\.001 s steps; nearest: 0\.003 s",
+    ),
+    "delay not a multiple": ([("[1.0, 2.0, 3.0]", "[1.0, 2.0, 3.0005]")], r"delays\[2\]: 3\.0005 s is not a whole number of 0\.001 s steps"),
+    "NaN": ([("amplitude = 1.0", "amplitude = nan")], r"/mine\.toml:19: components\.u\.amplitude: found nan; needed a finite number"),
+    "infinity in a list": ([("x_a0 = [1.0,", "x_a0 = [inf,")], r"components\.plant\.x_a0\.0: found inf; needed a finite number"),
+    "NaN in a matrix": ([("C  = [[2, 0, 1]]", "C  = [[2, nan, 1]]")], r"models\.academic\.C\.0\.1: found nan; needed a finite number"),
+    "matrix of wrong shape": ([("Bu = [[0], [2], [1]]", "Bu = [[0], [2]]")], r"Bu has shape \(2, 1\); needed \(3, n_u\)"),
+    "ragged matrix": (
+        [("[[0, 1, 1],", "[[0, 1],")],
+        r"models\.academic\.A: found rows of lengths \[2, 3, 3\], needed rows of one length",
+    ),
+    "singular A22": ([("[1, 0, 1]]\nBu", "[1, 0, 0]]\nBu")], r"Assumption 2 \(3\): A22 is singular \(rank 0 of 1"),
+    "disturbance reaches the output": (
+        [("Bd = [[1], [0], [0]]", "Bd = [[1], [0], [1]]")],
+        r"Assumption 4 \(11\)",
+    ),
+    "disturbance not decoupled": (
+        [("Bd = [[1], [0], [0]]", "Bd = [[0], [1], [0]]")],
+        r"Assumption 5 \(14\): rank C3 B_2a = 0, needed rank B_2a = 1: the disturbance is not decoupled",
+    ),
+    "observer not Hurwitz because of a zero": (
+        [("[0, -2, 1]", "[0, 2, 1]")],
+        r"M - L C is not Hurwitz: eigenvalue \+2; the invariant zero at \+2 cannot be moved by L",
+    ),
+    "observer not Hurwitz because of L": ([("L = [4.0, 0.0]", "L = [-4.0, 0.0]")], r"M - L C is not Hurwitz: eigenvalue \+4; another L moves it"),
+    "gain of wrong shape": ([("L = [4.0, 0.0]", "L = [4.0]")], r"\(17\): L has shape \(1, 1\); needed \(2, 1\)"),
+    "neither gain nor poles": ([("L = [4.0, 0.0] ", "# ")], r"\(17\): neither L nor poles given"),
+    "equal delays": ([("[1.0, 2.0, 3.0]", "[1.0, 2.0, 2.0]")], r"D_2 = D_3 = 2 s; needed pairwise distinct delays"),
+    "too few delays": ([("[1.0, 2.0, 3.0]", "[1.0, 2.0]")], r"2 delays; needed l \+ 1 = 3"),
+    "proportional alphas": (
+        [('alpha = "1.10 + 0.20*cos(2.3*t)", family = "exponential" }', 'alpha = "2.7 + 0.5*sin(1.7*t)", family = "exponential" }')],
+        r"are proportional; merge their components into one block",
+    ),
+    "unknown family": ([('family = "exponential" },\n]\ndelays', 'family = "exponentail" },\n]\ndelays')], r"no disturbance family 'exponentail'; did you mean 'exponential'\?"),
+    "unknown model": ([('model = "academic" ', 'model = "acedemic" ')], r"there is no model 'acedemic' in \[models\]; did you mean 'academic'\?"),
+    "unknown method": ([('method = "least-squares"', 'method = "rls"')], r"components\.identifier\.method: found 'rls'; There is: least-squares"),
+    "unknown coupling": ([("step = 1e-3 ", 'coupling = "jacoby"\nstep = 1e-3 ')], r"scenario\.coupling: found 'jacoby'; did you mean 'jacobi'\?"),
+    "expression with an unknown name": ([("1.7*t", "1.7*tt")], r"found unknown name 'tt'; did you mean 't'\?"),
+    "truth of an unknown signal": ([('"observer.delta" = "delta.y"\n"identifier', '"observer.dleta" = "delta.y"\n"identifier')], r"truth\.observer\.dleta: there is no signal 'observer\.dleta'; did you mean 'observer\.delta'\?"),
+    "truth of another size": ([("[-0.1, -0.3]", "[-0.1]")], r"'identifier\.theta' has size 2, its truth \(-0\.1,\) has size 1"),
+    "no TOML": ([("stop = 40.0 ", "stop = = ")], r"/mine\.toml:7: not TOML: "),
+    "name with a dot": ([("[components.u]", '[components."u.v"]')], r"found 'u\.v'; needed a name of letters, digits, '_' and '-'"),
+    "identification before there is a regression": (
+        [("start = { epsilon_observer = 1e-3, epsilon_filter = 1e-3 }", "start = 2.0")],
+        r"start: found 2\.0 s, needed at least the longest delay, 3\.0 s",
+    ),
+    "prior that is none": ([('method = "least-squares"', 'method = "least-squares"\nP0 = -1.0')], r"P0: found -1\.0, needed a positive finite number"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_bad_input_is_refused_with_its_place(name, tmp_path):
+    """One clear error each: see CASES."""
+    edits, pattern = CASES[name]
+    message = refused(tmp_path, *edits)
+    assert re.search(pattern, message), message
+
+
+def test_all_errors_of_a_file_come_together(tmp_path):
+    """Errors of values, keys, assumptions and connections are told in one go, each once."""
+    message = refused(
+        tmp_path,
+        ("amplitude = 1.0", "amplitude = nan"),
+        ("delays = [1.0, 2.0, 3.0]", "delays = [1.0, 2.0, 2.0]"),
+        ("L = [4.0, 0.0]", "L = [-4.0, 0.0]"),
+        ('"regressor.delta" = "observer.delta"', '"regressor.delta" = "w.delta"'),
+        ('"plant.delta" = "delta.y"\n', ""),
+    )
+    for pattern in ("amplitude: found nan", "D_2 = D_3", "not Hurwitz", "no component 'w'", "'plant.delta' is not connected"):
+        assert message.count(pattern) == 1, message
+
+
+def test_an_algebraic_loop_names_every_port(tmp_path):
+    """A static gain from y to u closes a path without delay through the plant, whose y feeds through from u."""
+    message = refused(
+        tmp_path,
+        ('"plant.u" = "u.y"', '"plant.u" = "k.y"\n"k.u" = "plant.y"'),
+        ("[connections]", '[components.k]\nkind = "gain"\nK = 0.5\n\n[connections]'),
+    )
+    circle = re.search(r"((?:\S+ -> )+\S+): every output here feeds through", message)
+    assert circle, message
+    assert set(circle[1].split(" -> ")) == {"plant.y", "k.u", "k.y", "plant.u"}
+
+
+def test_units_must_agree_or_be_converted(tmp_path):
+    """A declared unit drives the same unit only; a conversion says what unit it leads to."""
+    text = (
+        '[scenario]\nname = "units"\nstop = 0.1\nstep = 0.01\n[components.u]\nkind = "constant"\nvalue = 2.0\nunit = "mm"\n'
+        '[components.x]\nkind = "lag"\ntime_constant = 1.0\nunit = "m"\n[connections]\n"x.u" = {source}\n'
+    )
+    path = tmp_path / "units.toml"
+    path.write_text(text.replace("{source}", '"u.y"'))
+    with pytest.raises(ScenarioError, match=r"u\.y -> x\.u: unit 'mm' cannot drive unit 'm'; convert with"):
+        cosim.run(path)
+    path.write_text(text.replace("{source}", '{ from = "u.y", gain = 1e-3, unit = "m" }'))
+    assert cosim.run(path)["x.u"][-1] == pytest.approx(2e-3, rel=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("changes", "pattern"),
+    [
+        ({"obs.filter_rate": 1.0}, r"--set obs\.filter_rate: there is no component 'obs'; did you mean 'observer'\?"),
+        ({"observer.filter_rat": 1.0}, r"--set observer\.filter_rat: components\.observer\.filter_rat: unknown key"),
+        ({"filter_rate": 1.0}, r"--set filter_rate: found no dot, needed component\.parameter=value"),
+        ({"plant.x_a0": [1.0]}, r"academic:29 \(with --set plant\.x_a0\): components\.plant: x_a0 has shape \(1,\); needed \(2,\)"),
+        ({"scenario.stop": -1.0}, r"--set scenario\.stop: scenario\.stop: stop: found -1\.0 s, needed a positive time"),
+    ],
+)
+def test_a_bad_change_names_the_change(changes, pattern):
+    """What came from --set is not blamed on the file."""
+    with pytest.raises(ScenarioError, match=pattern):
+        cosim.run("academic", set=changes)
+
+
+@pytest.mark.parametrize(
+    ("swap", "pattern"),
+    [
+        ({"plnt": "x.fmu"}, r"--swap plnt: there is no component 'plnt'; did you mean 'plant'\?"),
+        ({"plant": "x.zip"}, r"--swap plant: found '.*x\.zip', needed a path that ends in \.fmu \(an FMU\) or \.mcap"),
+        ({"plant": "missing.fmu"}, r"--swap plant: components\.plant: .*missing\.fmu: there is no such file"),
+        ({"plant": "missing.mcap"}, r"--swap plant: components\.plant: .*missing\.mcap cannot be read: No such file"),
+    ],
+)
+def test_a_bad_swap_names_the_swap(swap, pattern):
+    """What came from --swap is not blamed on the file."""
+    with pytest.raises(ScenarioError, match=pattern):
+        cosim.run("academic", swap=swap)
+
+
+def test_an_unknown_scenario_names_the_nearest():
+    """A name that is no path and not shipped."""
+    with pytest.raises(ScenarioError, match=r"there is no scenario 'acedemic'; .* did you mean 'academic'\?"):
+        cosim.load("acedemic")
+
+
+def test_a_missing_file_is_refused(tmp_path):
+    """A path that leads nowhere."""
+    with pytest.raises(ScenarioError, match=r"none\.toml: cannot be read \(No such file or directory\)"):
+        cosim.load(tmp_path / "none.toml")
+
+
+def test_a_log_that_lacks_a_component_is_refused(tmp_path):
+    """A recording can only stand for what it recorded."""
+    path = tmp_path / "a.mcap"
+    cosim.run("academic", out=path, set={"scenario.stop": 0.1})
+    with pytest.raises(ScenarioError, match=r"the log has no component 'plnat'; it has: u, delta, plant"):
+        cosim.run("academic", swap={"plant": path}, set={"scenario.stop": 0.1, "plant.component": "plnat"})

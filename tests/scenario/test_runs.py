@@ -1,0 +1,194 @@
+"""Runs are deterministic, independent of blocks, and replay bit for bit."""
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import cosim
+from cosim.core.contracts import Stopped
+from cosim.errors import LogError, NonFiniteError, UsageError
+from cosim.log import open_log
+from cosim.scenario.document import shipped
+from cosim.scenario.session import default_log
+
+SHORT = {"scenario.stop": 8.0}  # past the start of the identification at 6.461 s
+
+
+@pytest.fixture(scope="module", params=shipped())
+def logged(request, tmp_path_factory):
+    """A run of every shipped scenario, as a log."""
+    path = tmp_path_factory.mktemp("logs") / f"{request.param}.mcap"
+    return request.param, path, cosim.run(request.param, out=path, set=SHORT)
+
+
+@pytest.mark.parametrize("block", [1, 7, 1000])
+def test_blocks_do_not_change_a_bit(logged, block, tmp_path):
+    """One call of 1000 steps, 1000 calls of one step, blocks of 7: equal bits in the log."""
+    name, _, log = logged
+    again = cosim.run(name, out=tmp_path / "again.mcap", set=SHORT, block=block)
+    assert again.content_hash() == log.content_hash()
+
+
+def test_two_runs_have_one_content_hash(logged, tmp_path):
+    """The same scenario gives the same log content."""
+    name, _, log = logged
+    assert cosim.run(name, out=tmp_path / "again.mcap", set=SHORT).result["content_hash"] == log.result["content_hash"]
+
+
+def test_replay_is_bit_exact(logged):
+    """The recorded plant in the plant's place, everything else computed again: every signal has the same bits."""
+    _, path, log = logged
+    difference = cosim.diff(log, cosim.replay(path))
+    assert difference.equal
+    assert {row.status for row in difference.rows} == {"equal"}
+
+
+@pytest.mark.parametrize("core", ["Haswell", "SkylakeX", "Nehalem"])
+def test_replay_is_bit_exact_with_another_blas(logged, core):
+    """BLAS kernels of other processors round differently; design-time results come from the log, so the replay does not notice."""
+    _, path, _ = logged
+    done = subprocess.run(
+        [sys.executable, "-m", "cosim", "replay", str(path), "--verify"],
+        env={**os.environ, "OPENBLAS_CORETYPE": core},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "equals the log bit for bit" in done.stdout
+
+
+def test_replay_needs_nothing_but_the_log(tmp_path, monkeypatch):
+    """A scenario with a table from a file replays where the file is gone."""
+    (tmp_path / "u.csv").write_text("t,u\n0,0\n1,1\n")
+    scenario = tmp_path / "mine.toml"
+    scenario.write_text(
+        '[scenario]\nname = "mine"\nstop = 1.0\nstep = 0.01\n[components.u]\nkind = "table"\nfile = "u.csv"\n'
+        '[components.y]\nkind = "lag"\ntime_constant = 0.3\nstart = 0.0\n[connections]\n"y.u" = "u.y"\n'
+    )
+    log = cosim.run(scenario, out=tmp_path / "mine.mcap")
+    (tmp_path / "u.csv").unlink()
+    scenario.unlink()
+    monkeypatch.chdir(tmp_path)
+    assert cosim.diff(log, cosim.replay("mine.mcap")).equal
+
+
+def test_replay_with_other_parameters_changes_what_depends_on_them(logged):
+    """Another filter changes the reconstruction and what follows it, and leaves the recorded plant as it was."""
+    _, path, log = logged
+    again = cosim.replay(path, set={"observer.filter_rate": 500.0})
+    changed = {row.signal for row in cosim.diff(log, again).rows if row.status != "equal"}
+    assert {"observer.delta", "regressor.mu", "identifier.theta"} <= changed
+    assert not any(signal in changed for signal in ("plant.y", "plant.x_a", "delta.y"))
+
+
+def test_replay_with_a_prior_equals_the_run_with_that_prior(tmp_path):
+    """What-if by replay and by run agree bit for bit: the plant does not depend on the identifier."""
+    path = tmp_path / "a.mcap"
+    cosim.run("academic", out=path, set=SHORT)
+    by_replay = cosim.replay(path, set={"identifier.P0": 1e3})
+    by_run = cosim.run("academic-as-printed", set=SHORT)
+    assert np.array_equal(by_replay["identifier.theta"], by_run["identifier.theta"], equal_nan=True)
+
+
+def test_replay_refuses_another_step(logged):
+    """Recorded rows exist at the recorded instants only."""
+    _, path, _ = logged
+    with pytest.raises(UsageError, match="a replay keeps the recorded communication step"):
+        cosim.replay(path, set={"scenario.step": 5e-4})
+
+
+def test_replay_refuses_to_change_what_is_recorded(logged):
+    """A parameter of the plant cannot matter in a replay, so setting it is an error."""
+    _, path, _ = logged
+    with pytest.raises(UsageError, match=r"'plant' is taken from the recording; run the scenario to change it"):
+        cosim.replay(path, set={"plant.x_a0": [0.0, 0.0]})
+
+
+def test_a_longer_replay_stops_at_the_end_of_the_recording(logged):
+    """There is nothing to replay beyond the end."""
+    _, path, _ = logged
+    with pytest.raises(Stopped, match="the recording ends at 8.0 s"):
+        cosim.replay(path, set={"scenario.stop": 9.0})
+
+
+
+
+def test_a_log_of_something_else_is_refused(tmp_path):
+    """A log without a scenario cannot be replayed."""
+    from cosim.blocks.source import sine
+    from cosim.core import Clock, Graph, run
+    from cosim.log import McapRecorder
+
+    path = tmp_path / "bare.mcap"
+    run(Graph({"u": sine(rate=1.0)}, {}), Clock(1.0, 0.1), McapRecorder(path))
+    with pytest.raises(LogError, match=r"carries no scenario\.toml; needed a log that 'cosim run' wrote"):
+        cosim.replay(path)
+
+
+def test_a_run_swaps_in_a_recorded_plant(tmp_path):
+    """A log is a component: in the plant's place it gives the recorded signals."""
+    path = tmp_path / "a.mcap"
+    log = cosim.run("academic", out=path, set=SHORT)
+    again = cosim.run("academic", swap={"plant": path}, set=SHORT)
+    assert cosim.diff(log, again).equal
+
+
+def test_a_recorded_plant_with_another_step_is_refused(tmp_path):
+    """Recorded rows exist at the recorded instants only."""
+    path = tmp_path / "a.mcap"
+    cosim.run("academic", out=path, set={"scenario.stop": 0.1})
+    with pytest.raises(UsageError, match=r"has steps of 0\.001 s, the scenario of 0\.002 s; needed the same"):
+        cosim.run("academic", swap={"plant": path}, set={"scenario.stop": 0.1, "scenario.step": 2e-3})
+
+
+def test_a_memory_run_equals_a_logged_run(tmp_path):
+    """Where the rows go does not change them."""
+    log = cosim.run("academic", out=tmp_path / "a.mcap", set=SHORT)
+    assert cosim.diff(log, cosim.run("academic", set=SHORT)).equal
+
+
+def test_an_existing_log_needs_force(tmp_path):
+    """Nothing recorded is overwritten by accident."""
+    path = tmp_path / "a.mcap"
+    cosim.run("academic", out=path, set={"scenario.stop": 0.1})
+    with pytest.raises(LogError, match="--force"):
+        cosim.run("academic", out=path, set={"scenario.stop": 0.1})
+    assert cosim.run("academic", out=path, set={"scenario.stop": 0.2}, force=True).time("plant")[-1] == 0.2
+
+
+def test_default_logs_count_up(tmp_path):
+    """Without a path, logs are numbered."""
+    assert default_log("a", tmp_path).name == "a.mcap"
+    (tmp_path / "a.mcap").touch()
+    assert default_log("a", tmp_path).name == "a-2.mcap"
+    (tmp_path / "a-2.mcap").touch()
+    assert default_log("a", tmp_path).name == "a-3.mcap"
+
+
+def test_a_log_carries_what_it_takes_to_check_it(logged):
+    """Scenario text, parameters, designs, schedule and result are in the file."""
+    name, path, _ = logged
+    log = open_log(path)
+    assert log.status == "complete"
+    assert f'name = "{name}"' in log.attachment("scenario.toml").decode()
+    assert log.designs["observer"]["Ad"].shape == (3, 3)
+    assert set(log.metadata) >= {"cosim.run", "cosim.env", "cosim.schedule", "cosim.connections", "cosim.result"}
+
+
+def test_a_non_finite_value_stops_the_run_and_keeps_what_was_before(tmp_path):
+    """The first NaN names component, signal and time; the log ends just before it and is valid."""
+    scenario = tmp_path / "mine.toml"
+    scenario.write_text(
+        '[scenario]\nname = "mine"\nstop = 1.0\nstep = 0.01\n[components.u]\nkind = "expression"\ny = "1/(t - 0.5)"\n'
+        '[components.y]\nkind = "gain"\nK = 2.0\n[connections]\n"y.u" = "u.y"\n'
+    )
+    with pytest.raises(NonFiniteError, match=r"'u\.y' became inf at t = 0\.5 s; the log keeps everything before"):
+        cosim.run(scenario, out=tmp_path / "mine.mcap")
+    log = open_log(tmp_path / "mine.mcap")
+    assert log.status == "failed"
+    assert log.time("u")[-1] == 0.49

@@ -1,0 +1,237 @@
+"""The command line: exit codes, what goes where, and what it costs to ask for help."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+
+import pytest
+
+import cosim
+from cosim.cli import main
+
+SHORT = ["--stop", "0.1"]
+
+
+@pytest.fixture
+def call(tmp_path, monkeypatch, capsys):
+    """Run a command in a fresh folder; give exit code, stdout and stderr."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(*arguments):
+        with pytest.raises(SystemExit) as left:
+            main([str(argument) for argument in arguments])
+        output = capsys.readouterr()
+        return left.value.code or 0, output.out, output.err
+
+    return run
+
+
+def test_run_writes_numbered_logs_and_says_where(call, tmp_path):
+    """Without --out a run writes logs/<scenario>.mcap, then -2, -3."""
+    for name in ("academic.mcap", "academic-2.mcap", "academic-3.mcap"):
+        code, out, _ = call("run", "academic", *SHORT)
+        assert code == 0
+        assert f"logs/{name}" in out
+        assert (tmp_path / "logs" / name).is_file()
+
+
+def test_run_shows_errors_estimates_and_start_time(call):
+    """The table carries what a run is for."""
+    _, out, _ = call("run", "academic", "--out", "a.mcap")
+    for text in ("observer.x_a", "observer.delta", "identifier.theta[1]", "T_obs 3.4539 + T_f 0.0069 + D_max 3 = 6.4608 s", "wall time"):
+        assert text in out
+
+
+def test_as_printed_says_why_it_does_not_converge(call):
+    """The summary names the prior and the information it outweighs."""
+    _, out, _ = call("run", "academic-as-printed", "--out", "a.mcap")
+    words = " ".join(out.split())
+    assert "eigenvalues 0.00176, 0.0052, 0.32, 0.797, 54.9" in words
+    assert "the prior 1/P0 = 0.001 is 0.57 of the smallest information eigenvalue" in words
+
+
+def test_json_is_json_and_complete(call):
+    """--json prints one JSON document with the same content."""
+    code, out, err = call("run", "academic", *SHORT, "--json", "--profile")
+    found = json.loads(out)
+    assert (code, err) == (0, "")
+    assert found["steps"] == 100
+    assert found["values"][0] == {"estimate": "identifier.theta[0]", "value": None, "truth": -0.1, "error": None}
+    assert set(found["profile"]) >= {"plant", "observer", "recorder and master"}
+
+
+def test_quiet_prints_nothing(call):
+    """--quiet is quiet."""
+    assert call("run", "academic", *SHORT, "--quiet") == (0, "", "")
+
+
+def test_set_step_and_stop_reach_the_run(call):
+    """--set, --step and --stop change the scenario."""
+    call("run", "academic", "--stop", "0.2", "--step", "0.002", "--set", "observer.filter_rate=500", "--out", "a.mcap")
+    log = cosim.open_log("a.mcap")
+    assert (log.step_ns, log.time("plant")[-1]) == (2_000_000, 0.2)
+    assert json.loads(log.metadata["cosim.component.observer"]["table"])["filter_rate"] == 500
+
+
+def test_an_existing_log_is_refused_with_exit_2(call):
+    """Wrong use is exit 2, on stderr, without a traceback."""
+    call("run", "academic", *SHORT, "--out", "a.mcap")
+    code, out, err = call("run", "academic", *SHORT, "--out", "a.mcap")
+    assert (code, out) == (2, "")
+    assert err == "cosim: a.mcap exists; choose another path, or --force to replace it\n"
+    assert call("run", "academic", *SHORT, "--out", "a.mcap", "--force")[0] == 0
+
+
+def test_a_failed_run_is_exit_1_and_leaves_a_valid_log(call, tmp_path):
+    """A value that is not finite ends the run; the log keeps everything before and says so."""
+    (tmp_path / "bad.toml").write_text(
+        '[scenario]\nname = "bad"\nstop = 1.0\nstep = 0.01\n[components.u]\nkind = "expression"\ny = "log(0.5 - t)"\n'
+    )
+    code, _, err = call("run", "bad.toml", "--out", "bad.mcap")
+    assert code == 1
+    assert err == "cosim: 'u.y' became -inf at t = 0.5 s; the log keeps everything before\n"
+    code, out, _ = call("info", "bad.mcap", "--json")
+    assert json.loads(out)["run"]["status"] == "failed"
+
+
+def test_verify_finds_the_first_difference(call):
+    """A log that was not written by this scenario fails the check, naming signal, time and both values."""
+    call("run", "academic", *SHORT, "--out", "a.mcap")
+    assert call("replay", "a.mcap", "--verify")[0] == 0
+    code, out, err = call("replay", "a.mcap", "--verify", "--set", "observer.x_a0=[0.5, 0.0]")
+    assert (code, out) == (1, "")
+    assert "first: observer.x_a[0] at t = 0.0 s: log 0.0, replay 0.5" in err
+
+
+def test_diff_is_exit_1_outside_the_tolerance(call):
+    """Exit 1 outside, 0 within; the table names every signal."""
+    call("run", "academic", *SHORT, "--out", "a.mcap")
+    call("run", "academic", *SHORT, "--out", "b.mcap", "--set", "plant.x_a0=[1.0, -1.001]")
+    code, out, _ = call("diff", "a.mcap", "b.mcap", "--atol", "1e-6")
+    assert code == 1
+    assert "plant.x_a" in out
+    assert "outside" in out
+    assert call("diff", "a.mcap", "b.mcap", "--atol", "10")[0] == 0
+    code, out, _ = call("diff", "a.mcap", "b.mcap", "--json")
+    assert code == 1
+    assert json.loads(out)
+
+
+def test_info_of_a_log_a_scenario_and_an_fmu(call):
+    """info shows what each contains, as tables and as JSON."""
+    call("run", "academic", *SHORT, "--out", "a.mcap")
+    call("export", "academic", "--component", "plant", "--out", "plant.fmu")
+    for what, text in (("a.mcap", "content hash"), ("closed-loop", "gauss-seidel controller plant observer"), ("plant.fmu", "der(x_a[0])")):
+        code, out, _ = call("info", what)
+        assert code == 0
+        assert text in " ".join(out.split())
+        assert json.loads(call("info", what, "--json")[1])
+
+
+def test_plot_writes_pictures(call, tmp_path):
+    """plot and run --plot write files of the format asked for, and refuse others."""
+    pytest.importorskip("matplotlib")
+    call("run", "academic", *SHORT, "--out", "a.mcap", "--plot", "run.png")
+    assert call("plot", "a.mcap", "observer.delta", "plant.x_a", "--out", "two.svg") == (0, "two.svg\n", "")
+    assert (tmp_path / "run.png").read_bytes().startswith(b"\x89PNG")
+    assert b"<svg" in (tmp_path / "two.svg").read_bytes()[:1000]
+    code, _, err = call("plot", "a.mcap", "observer.delta", "--out", "two.xyz")
+    assert code == 2
+    assert "two.xyz" in err
+    assert call("plot", "a.mcap", "observer.dleta", "--out", "x.png")[0] == 2
+
+
+def test_list_names_scenarios_and_kinds_with_their_parameters(call):
+    """Everything that can stand in a scenario is listed."""
+    code, out, _ = call("list", "--json")
+    found = json.loads(out)
+    assert code == 0
+    assert set(found["scenarios"]) == {"academic", "academic-as-printed", "closed-loop"}
+    assert found["kinds"]["unknown-input-observer"]["parameters"]["filter_rate"] == "required"
+    assert "closed-loop" in call("list")[1]
+
+
+def test_show_gives_a_scenario_to_start_from(call, tmp_path):
+    """cosim show academic > mine.toml && cosim run mine.toml."""
+    _, out, _ = call("show", "academic")
+    (tmp_path / "mine.toml").write_text(out)
+    assert call("run", "mine.toml", *SHORT, "--quiet")[0] == 0
+
+
+def test_export_refuses_what_is_no_linear_model(call):
+    """The message says what can be exported."""
+    code, _, err = call("export", "academic", "--component", "identifier", "--out", "i.fmu")
+    assert code == 2
+    assert "'identifier' is of kind 'identifier', which is no linear model; what can be exported: descriptor" in err
+    code, _, err = call("export", "academic", "--component", "plnt", "--out", "i.fmu")
+    assert "there is no component 'plnt'; did you mean 'plant'?" in err
+
+
+@pytest.mark.parametrize(
+    ("make", "pattern"),
+    [
+        (lambda path: path.write_bytes(b"no log"), "is no MCAP file"),
+        (lambda path: path.write_bytes(b""), "is no MCAP file"),
+        (lambda path: path.write_bytes(path.read_bytes()[:-400]), "truncated"),
+    ],
+)
+def test_a_log_that_is_none_is_refused(call, tmp_path, make, pattern):
+    """No MCAP, empty, truncated: exit 2 with the reason, for every command that reads logs."""
+    call("run", "academic", *SHORT, "--out", "a.mcap")
+    make(tmp_path / "a.mcap")
+    for command in (["replay", "a.mcap"], ["info", "a.mcap"], ["diff", "a.mcap", "a.mcap"], ["plot", "a.mcap", "u.y", "-o", "x.png"]):
+        code, _, err = call(*command)
+        assert code == 2
+        assert pattern in err
+
+
+def run_python(code, *arguments):
+    return subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True, check=True, timeout=60).stdout
+
+
+def test_help_imports_neither_numpy_nor_fmpy():
+    """Asking for help costs no scientific stack."""
+    code = (
+        "import sys\nfrom cosim.cli import main\ntry:\n    main(['--help'])\nexcept SystemExit:\n    pass\n"
+        "print([name for name in ('numpy', 'fmpy', 'scipy', 'mcap', 'pydantic') if name in sys.modules], file=sys.stderr)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
+    assert "Usage" in done.stdout
+    assert done.stderr.strip() == "[]"
+
+
+def test_a_run_without_fmus_does_not_import_fmpy(tmp_path):
+    """An FMU library is paid for where there is an FMU."""
+    code = (
+        "import sys, cosim\ncosim.run('academic', set={'scenario.stop': 0.01}, out=sys.argv[1])\n"
+        "print([name for name in ('fmpy', 'matplotlib', 'scipy.signal', 'scipy.integrate') if name in sys.modules])\n"
+    )
+    assert run_python(code, str(tmp_path / "a.mcap")).strip() == "[]"
+
+
+def test_ctrl_c_ends_the_run_cleanly_with_exit_130(tmp_path):
+    """An interrupted run leaves a valid log with everything up to that moment; its status says so."""
+    path = tmp_path / "long.mcap"
+    command = [sys.executable, "-m", "cosim", "run", "closed-loop", "--stop", "10000", "--out", str(path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        for _ in range(3000):  # until the first chunk is in the file
+            if path.exists() and path.stat().st_size > 100_000:
+                break
+            try:
+                process.wait(0.01)
+            except subprocess.TimeoutExpired:
+                continue
+            pytest.fail(f"ended early: {process.communicate()}")
+        os.kill(process.pid, signal.SIGINT)
+        out, err = process.communicate(timeout=60)
+    assert (process.returncode, out, err) == (130, "", "cosim: interrupted by the user\n")
+    log = cosim.open_log(path)
+    assert log.status == "interrupted"
+    assert len(log["plant.y"]) == log.result["steps"] + 1
+
+
+def test_progress_is_gone_where_stderr_is_no_terminal(call):
+    """Nothing but messages reaches a stderr that is a file."""
+    assert call("run", "academic", *SHORT)[2] == ""
