@@ -6,7 +6,6 @@ What a command needs is imported when it runs: ``cosim --help`` needs neither nu
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -29,7 +28,9 @@ app = typer.Typer(
     help="Co-simulation of descriptor plants, FMUs, observers and disturbance identifiers, with logs that replay bit for bit.",
 )
 
-ScenarioArgument = Annotated[str, typer.Argument(metavar="SCENARIO", help="A shipped scenario by name, or a path to a .toml file.")]
+ScenarioArgument = Annotated[
+    str, typer.Argument(metavar="SCENARIO", help="A shipped scenario by name, or a path to a .toml file.")
+]
 LogArgument = Annotated[Path, typer.Argument(metavar="LOG", help="A log that 'cosim run' wrote (.mcap).")]
 SetOption = Annotated[
     list[str] | None,
@@ -37,7 +38,9 @@ SetOption = Annotated[
 ]
 SwapOption = Annotated[
     list[str] | None,
-    typer.Option("--swap", metavar="COMPONENT=PATH", help="Put an FMU (.fmu) or a recorded component (.mcap) in its place. Repeatable."),
+    typer.Option(
+        "--swap", metavar="COMPONENT=PATH", help="Put an FMU (.fmu) or a recorded component (.mcap) in its place. Repeatable."
+    ),
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
@@ -48,7 +51,9 @@ OutOption = Annotated[Path | None, typer.Option("--out", "-o", metavar="PATH", h
 @app.command()
 def run(
     scenario: ScenarioArgument,
-    out: Annotated[Path | None, typer.Option("--out", "-o", metavar="PATH", help="Log to write; else logs/<scenario>.mcap.")] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", metavar="PATH", help="Log to write; else logs/<scenario>.mcap.")
+    ] = None,
     force: ForceOption = False,
     changes: SetOption = None,
     swaps: SwapOption = None,
@@ -58,7 +63,9 @@ def run(
     as_json: JsonOption = False,
     quiet: QuietOption = False,
     profile: Annotated[bool, typer.Option("--profile", help="Show where the time went, by component.")] = False,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Check and compare the ports of swapped components; run nothing.")] = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Check and compare the ports of swapped components; run nothing.")
+    ] = False,
 ) -> None:
     """Run a scenario and record every signal to an MCAP log."""
     from cosim import tables
@@ -87,7 +94,9 @@ def run(
 @app.command()
 def replay(
     log: LogArgument,
-    verify: Annotated[bool, typer.Option("--verify", help="Compare every signal bit for bit with the log; exit 1 at a difference.")] = False,
+    verify: Annotated[
+        bool, typer.Option("--verify", help="Compare every signal bit for bit with the log; exit 1 at a difference.")
+    ] = False,
     out: OutOption = None,
     force: ForceOption = False,
     changes: SetOption = None,

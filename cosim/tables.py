@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from cosim.core.contracts import Recording
     from cosim.log.diff import Difference
     from cosim.scenario.build import Scenario
-    from cosim.scenario.report import Identification, Summary
+    from cosim.scenario.report import Identification
 
 WIDTH = 118  # where stdout is no terminal
 
@@ -42,7 +42,12 @@ def summary(
     title = f"{found.scenario}: {found.end:g} s in {found.steps} steps"
     table = _table(title, ("", "estimate", "truth", "error"))
     for signal in found.signals:
-        table.add_row(signal.estimate, "", signal.truth, f"{signal.largest:.3g}  (largest for t >= {signal.since:g} s; at the end {signal.last:.3g})")
+        table.add_row(
+            signal.estimate,
+            "",
+            signal.truth,
+            f"{signal.largest:.3g}  (largest for t >= {signal.since:g} s; at the end {signal.last:.3g})",
+        )
     for value in found.values:
         shown = ("no value", "") if value.value is None else (f"{value.value:+.6f}", f"{value.error:.3g}")
         table.add_row(value.estimate, shown[0], f"{value.truth:+g}", shown[1])
@@ -109,11 +114,15 @@ def difference(found: Difference, *, as_json: bool) -> None:
         return
     table = _table("", ("signal", "", "largest |a - b|", "largest |a|", "ratio", "first outside"))
     for row in found.rows:
-        first = "" if row.first is None else f"{row.first.signal} at {row.first.time_ns / 1e9} s: {row.first.a!r}, {row.first.b!r}"
+        first = (
+            "" if row.first is None else f"{row.first.signal} at {row.first.time_ns / 1e9} s: {row.first.a!r}, {row.first.b!r}"
+        )
         table.add_row(row.signal, row.status, f"{row.largest:.3g}", f"{row.scale:.3g}", f"{row.ratio:.3g}", first)
     _console().print(table)
-    if any(row.status == "outside" and row.signal.endswith(".delta") for row in found.rows):
-        typer.echo("note: a reconstructed disturbance multiplies the last bit of y by filter_rate: compare it with a tolerance of its own")
+    if any(row.largest > 0.0 and row.signal.endswith(".delta") for row in found.rows):
+        typer.echo(
+            "note: a reconstructed disturbance multiplies the last bit of y by filter_rate; give it a tolerance of its own"
+        )
 
 
 def catalogue(*, as_json: bool) -> None:
@@ -123,10 +132,10 @@ def catalogue(*, as_json: bool) -> None:
     from cosim.scenario.session import load
 
     scenarios = {name: load(name).file.scenario.description for name in shipped()}
-    kinds = {
-        kind: {"does": (cls.__doc__ or "").splitlines()[0], "parameters": _parameters(cls)} for kind, cls in KINDS.items()
-    }
+    does = {kind: (cls.__doc__ or "").splitlines()[0] for kind, cls in KINDS.items()}
+    parameters = {kind: _parameters(cls) for kind, cls in KINDS.items()}
     if as_json:
+        kinds = {kind: {"does": does[kind], "parameters": parameters[kind]} for kind in KINDS}
         _json({"scenarios": scenarios, "kinds": kinds})
         return
     console = _console()
@@ -135,9 +144,9 @@ def catalogue(*, as_json: bool) -> None:
         table.add_row(name, text or find(name).source)
     console.print(table)
     table = _table("component kinds", ("kind", "parameters", "what it does"))
-    for kind, described in kinds.items():
-        lines = [f"{key}{'' if needed == 'required' else f' = {needed}'}" for key, needed in described["parameters"].items()]
-        table.add_row(kind, "\n".join(lines), described["does"])
+    for kind in KINDS:
+        lines = [f"{key}{'' if default == 'required' else f' = {default}'}" for key, default in parameters[kind].items()]
+        table.add_row(kind, "\n".join(lines), does[kind])
         table.add_section()
     console.print(table)
 
@@ -198,7 +207,15 @@ def comparison(loaded: Scenario, *, swaps: Mapping[str, str], changes: Mapping[s
 
 
 def _text(value: Any) -> str:
-    return "" if value is None else value if isinstance(value, str) else json.dumps(value) if isinstance(value, (list, dict)) else str(value)
+    return (
+        ""
+        if value is None
+        else value
+        if isinstance(value, str)
+        else json.dumps(value)
+        if isinstance(value, (list, dict))
+        else str(value)
+    )
 
 
 def _table(title: str, columns: Sequence[str]) -> Table:

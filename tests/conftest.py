@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-REFERENCE = Path(__file__).parent / "reference" / "cases.json"
+HERE = Path(__file__).parent
+REFERENCE = HERE / "reference" / "cases.json"
 
 
 @pytest.fixture(scope="session")
@@ -17,3 +20,24 @@ def case() -> Callable[[str], dict[str, Any]]:
     """Look up a case of `tests/reference/cases.json` by its id: `case("C01")`."""
     cases = {entry["id"]: entry for entry in json.loads(REFERENCE.read_text(encoding="utf-8"))["cases"]}
     return cases.__getitem__
+
+
+def _build(tool: str, script: str, folder: Path) -> Path:
+    subprocess.run(
+        [sys.executable, "-m", tool, "build", "-f", str(HERE / "fmi" / script), "-d", str(folder)],
+        check=True,
+        capture_output=True,
+    )
+    return next(folder.glob("*.fmu"))
+
+
+@pytest.fixture(scope="session")
+def foreign2(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """FMI 2, co-simulation, by pythonfmu."""
+    return _build("pythonfmu", "foreign2.py", tmp_path_factory.mktemp("foreign2"))
+
+
+@pytest.fixture(scope="session")
+def foreign3(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """FMI 3, model exchange and co-simulation, by pythonfmu3."""
+    return _build("pythonfmu3", "foreign3.py", tmp_path_factory.mktemp("foreign3"))

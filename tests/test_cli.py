@@ -40,7 +40,13 @@ def test_run_writes_numbered_logs_and_says_where(call, tmp_path):
 def test_run_shows_errors_estimates_and_start_time(call):
     """The table carries what a run is for."""
     _, out, _ = call("run", "academic", "--out", "a.mcap")
-    for text in ("observer.x_a", "observer.delta", "identifier.theta[1]", "T_obs 3.4539 + T_f 0.0069 + D_max 3 = 6.4608 s", "wall time"):
+    for text in (
+        "observer.x_a",
+        "observer.delta",
+        "identifier.theta[1]",
+        "T_obs 3.4539 + T_f 0.0069 + D_max 3 = 6.4608 s",
+        "wall time",
+    ):
         assert text in out
 
 
@@ -123,7 +129,11 @@ def test_info_of_a_log_a_scenario_and_an_fmu(call):
     """info shows what each contains, as tables and as JSON."""
     call("run", "academic", *SHORT, "--out", "a.mcap")
     call("export", "academic", "--component", "plant", "--out", "plant.fmu")
-    for what, text in (("a.mcap", "content hash"), ("closed-loop", "gauss-seidel controller plant observer"), ("plant.fmu", "der(x_a[0])")):
+    for what, text in (
+        ("a.mcap", "content hash"),
+        ("closed-loop", "gauss-seidel controller plant observer"),
+        ("plant.fmu", "der(x_a[0])"),
+    ):
         code, out, _ = call("info", what)
         assert code == 0
         assert text in " ".join(out.split())
@@ -181,7 +191,12 @@ def test_a_log_that_is_none_is_refused(call, tmp_path, make, pattern):
     """No MCAP, empty, truncated: exit 2 with the reason, for every command that reads logs."""
     call("run", "academic", *SHORT, "--out", "a.mcap")
     make(tmp_path / "a.mcap")
-    for command in (["replay", "a.mcap"], ["info", "a.mcap"], ["diff", "a.mcap", "a.mcap"], ["plot", "a.mcap", "u.y", "-o", "x.png"]):
+    for command in (
+        ["replay", "a.mcap"],
+        ["info", "a.mcap"],
+        ["diff", "a.mcap", "a.mcap"],
+        ["plot", "a.mcap", "u.y", "-o", "x.png"],
+    ):
         code, _, err = call(*command)
         assert code == 2
         assert pattern in err

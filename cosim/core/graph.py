@@ -265,7 +265,11 @@ def check_connections(layout: Layout, connections: Mapping[str, Connection], mis
     known = [*ports.channels, *missing]
     for to, connection in connections.items():
         ends = {port: port.partition(".")[0] for port in (to, connection.source)}
-        lost = [f"{port!r}: there is no component {name!r}; {nearest(name, known)}" for port, name in ends.items() if name not in known]
+        lost = [
+            f"{port!r}: there is no component {name!r}; {nearest(name, known)}"
+            for port, name in ends.items()
+            if name not in known
+        ]
         judged = not lost and not set(ends.values()) & set(missing)
         found = "; ".join(_check_connection(ports, to, connection) if judged else lost)
         if found:

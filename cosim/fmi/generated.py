@@ -98,7 +98,8 @@ class GeneratedUnit:
         return self._linear
 
     @linear.setter
-    def linear(self, model: LinearModel) -> None:
+    def linear(self, model: LinearModel | None) -> None:
+        assert model is not None  # numbers are exchanged, never taken away
         self._model = self._linear = model
         self._stale = True
 

@@ -53,6 +53,8 @@ class LoadedUnit:
         self._states: list[c_void_p] = []
         self._calls = bind(self._library, description, mode)
         self._n = description.n_states
+        self._x = np.empty(self._n)
+        self._x_memory = pointer(self._x)
         call, states = self._library.call, self._calls.states
         self._running = False
         self._exit, self._reset, self._terminate = call("ExitInitializationMode"), call("Reset"), call("Terminate")
@@ -146,7 +148,8 @@ class LoadedUnit:
 
     def set_continuous_states(self, x: Vector) -> None:
         """Set the states, shape (n_x,)."""
-        self._set_states(pointer(x), self._n)
+        self._x[:] = x  # solvers hand over strided views
+        self._set_states(self._x_memory, self._n)
 
     def get_continuous_states(self) -> Vector:
         """Give the states, shape (n_x,)."""

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from pydantic import ValidationError
 
 from cosim.blocks.replay import Replay
@@ -57,6 +58,7 @@ class Experiment:
     scenario: Scenario
     graph: Graph
     clock: Clock
+    truth: Mapping[str, Any]  # what the report compares
     facts: Mapping[str, Mapping[str, Any]]
     warnings: tuple[tuple[str, str], ...]
     reads: Mapping[str, frozenset[str]]  # tables that were read to build each component, but for its own
@@ -78,7 +80,9 @@ def parse(document: Document) -> Scenario:
     return scenario
 
 
-def build(document: Document, resources: ExitStack, *, recording: Recording | None = None, block: int | None = None) -> Experiment:
+def build(
+    document: Document, resources: ExitStack, *, recording: Recording | None = None, block: int | None = None
+) -> Experiment:
     """Build graph and clock.
 
     Parameters
@@ -108,16 +112,24 @@ def build(document: Document, resources: ExitStack, *, recording: Recording | No
     components, periods, missing = site.build_all(problems)
     found = check_connections(layout_of(components), scenario.connections, missing) if components else {}
     problems += [(("connections", to), text) for to, text in found.items()]
-    problems += _truth_problems(scenario, components, missing)
+    truth, wrong = _judge_truth(scenario, components, site)
+    problems += wrong
     if problems:
         raise _report(document, problems)
     try:
-        graph = Graph(
-            components, scenario.connections, coupling=settings.coupling, hold=settings.hold, periods=periods
-        )
+        graph = Graph(components, scenario.connections, coupling=settings.coupling, hold=settings.hold, periods=periods)
     except CosimError as error:
         raise _report(document, [(("connections",), str(error))]) from error
-    return Experiment(scenario, graph, clock, site.facts, tuple(site.warnings), site.reads, site.attachments)
+    return Experiment(
+        scenario,
+        graph,
+        clock,
+        truth=truth,
+        facts=site.facts,
+        warnings=tuple(site.warnings),
+        reads=site.reads,
+        attachments=site.attachments,
+    )
 
 
 def build_site(scenario: Scenario, resources: ExitStack) -> Site:
@@ -145,7 +157,9 @@ def _parse(document: Document) -> tuple[Scenario, Problems]:
     specs, more = _specs(file.components)
     wires = {}
     for to, given in file.connections.items():
-        wires[to] = Connection(given) if isinstance(given, str) else Connection(given.source, given.gain, given.offset, given.unit)
+        wires[to] = (
+            Connection(given) if isinstance(given, str) else Connection(given.source, given.gain, given.offset, given.unit)
+        )
     return Scenario(document, file, specs, wires, tree), [*problems, *more]
 
 
@@ -156,10 +170,10 @@ def _specs(tables: Any) -> tuple[dict[str, Kind], Problems]:
         key: Key = ("components", name)
         if not isinstance(table, dict):
             continue
-        kind = table.get("kind")
+        kind = str(table.get("kind"))
         if kind not in KINDS:
-            said = "'kind' is missing" if kind is None else f"unknown kind {kind!r}"
-            problems.append((key if kind is None else (*key, "kind"), f"{said}; {nearest(str(kind), KINDS)}"))
+            said = f"unknown kind {kind!r}" if "kind" in table else "'kind' is missing"
+            problems.append(((*key, "kind") if "kind" in table else key, f"{said}; {nearest(kind, KINDS)}"))
             continue
         try:
             specs[name] = KINDS[kind].model_validate(table)
@@ -172,21 +186,33 @@ def _report(document: Document, problems: Problems) -> ScenarioError:
     first: dict[str, Key] = {}
     for key, text in problems:  # one cause that several components run into is told once
         first.setdefault(text, key)
-    lines = [f"{document.place(key)}: {'.'.join(map(str, key))}: {line}" for text, key in first.items() for line in text.splitlines()]
+    lines = [
+        f"{document.place(key)}: {'.'.join(map(str, key))}: {line}" for text, key in first.items() for line in text.splitlines()
+    ]
     return ScenarioError("\n".join(lines))
 
 
-def _truth_problems(scenario: Scenario, components: Mapping[str, Component], missing: set[str]) -> Problems:
+def _judge_truth(scenario: Scenario, components: Mapping[str, Component], site: _Site) -> tuple[dict[str, Any], Problems]:
+    """Give the truths that can be compared; a swapped component need not have the signals that only the report asks for."""
+    kept: dict[str, Any] = {}
     problems: Problems = []
     sizes = {f"{n}.{s.name}": s.size for n, c in components.items() for s in (*c.interface.inputs, *c.interface.outputs)}
     for estimate, truth in scenario.file.truth.items():
-        for port in [estimate, *([truth] if isinstance(truth, str) else [])]:
-            if port not in sizes and port.partition(".")[0] not in missing:
-                problems.append((("truth", estimate), f"there is no signal {port!r}; {nearest(port, sizes)}"))
-        true_size = sizes.get(truth) if isinstance(truth, str) else (len(truth) if isinstance(truth, tuple) else 1)
-        if estimate in sizes and true_size is not None and sizes[estimate] != true_size:
-            problems.append((("truth", estimate), f"{estimate!r} has size {sizes[estimate]}, its truth {truth!r} has size {true_size}"))
-    return problems
+        ports = [estimate, truth] if isinstance(truth, str) else [estimate]
+        unknown = [port for port in ports if port not in sizes]
+        swapped = [port for port in unknown if port.partition(".")[0] in scenario.document.swaps]
+        size = sizes.get(truth) if isinstance(truth, str) else len(np.atleast_1d(truth))
+        if swapped:
+            site.warn(swapped[0].partition(".")[0], f"has no {swapped[0]!r}: the report leaves out {estimate!r}")
+        elif unknown:
+            problems += [(("truth", estimate), f"there is no signal {port!r}; {nearest(port, sizes)}") for port in unknown]
+        elif sizes[estimate] != size:
+            text = f"{estimate!r} has size {sizes[estimate]}, its truth {truth!r} has size {size}"
+            problems.append((("truth", estimate), text))
+        else:
+            kept[estimate] = truth
+    missing = set(scenario.file.components) - set(components)
+    return kept, [(key, text) for key, text in problems if not any(f"'{name}." in text for name in missing)]
 
 
 # --- building ---
@@ -269,7 +295,9 @@ class _Site:
 
         log = open_log(self.file(path))
         if log.step_ns != self.step_ns:
-            raise UsageError(f"log {path!r} has steps of {log.step_ns / 1e9} s, the scenario of {self.step_ns / 1e9} s; needed the same")
+            raise UsageError(
+                f"log {path!r} has steps of {log.step_ns / 1e9} s, the scenario of {self.step_ns / 1e9} s; needed the same"
+            )
         return log
 
     def fmu(self, name: str, spec: Fmu) -> Component:

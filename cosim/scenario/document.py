@@ -116,13 +116,17 @@ def find(name: str) -> Document:
         try:
             return Document(path.read_text(encoding="utf-8"), str(path), path.absolute().parent)
         except OSError as error:
-            raise ScenarioError(f"{name}: cannot be read ({error.strerror}); needed a scenario file, or one of: {', '.join(shipped())}") from error
+            raise ScenarioError(
+                f"{name}: cannot be read ({error.strerror}); needed a scenario file, or one of: {', '.join(shipped())}"
+            ) from error
         except UnicodeDecodeError as error:
             raise ScenarioError(f"{name}: is no text in UTF-8 ({error}); needed a scenario in TOML") from error
     if name in shipped():
         text = (resources.files("cosim.scenario") / "library" / f"{name}{SUFFIX}").read_text(encoding="utf-8")
         return Document(text, name, Path.cwd())
-    raise ScenarioError(f"there is no scenario {name!r}; give a path to a .toml file, or a shipped one. {nearest(name, shipped())}")
+    raise ScenarioError(
+        f"there is no scenario {name!r}; give a path to a .toml file, or a shipped one. {nearest(name, shipped())}"
+    )
 
 
 def shipped() -> list[str]:
@@ -174,7 +178,7 @@ def _change(tree: dict[str, Any], key: str, value: Any) -> str | None:
     first, *rest = key.split(".")
     if not rest:
         return f"--set {key}: found no dot, needed component.parameter=value, such as observer.filter_rate=500"
-    if first in ("scenario", "models", "components"):
+    if first in ("scenario", "models", "components", "connections", "truth"):
         table, path = tree.setdefault(first, {}), rest
     else:
         table, path = tree.get("components", {}), [first, *rest]

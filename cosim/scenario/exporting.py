@@ -20,7 +20,7 @@ def export_component(
     out: Path,
     *,
     force: bool = False,
-    set: Mapping[str, Any] | None = None,  # noqa: A002
+    set: Mapping[str, Any] | None = None,
 ) -> list[str]:
     """Write a component as an FMI 2.0 FMU; give lines that say what was written.
 
@@ -40,11 +40,12 @@ def export_component(
         site = build_site(loaded, resources)
         model = loaded.specs[component].linear_model(component, site)
     out.parent.mkdir(parents=True, exist_ok=True)
-    written = export(model, out, name=_identifier(f"{loaded.name}_{component}"), description=f"{component} of scenario {loaded.name}")
+    written = export(
+        model, out, name=_identifier(f"{loaded.name}_{component}"), description=f"{component} of scenario {loaded.name}"
+    )
     kinds = "FMI 2.0, model exchange and co-simulation"
     return [f"{written.path}: {kinds}, " + (f"binary for {written.platform}" if written.platform else written.note)]
 
 
 def _identifier(name: str) -> str:
     return re.sub(r"\W", "_", name)
-

@@ -6,7 +6,6 @@ import json
 from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
 from dataclasses import asdict
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cosim.core.signals import Interface, Signal
@@ -42,7 +41,9 @@ def log(path: str) -> Section:
     ]
     messages = [{"t": m.time_ns / 1e9, "level": m.level, "from": m.name, "text": m.text} for m in found.messages()]
     facts = {name: json.loads(found.metadata[f"cosim.component.{name}"].get("facts", "{}")) for name in found.channels}
-    return {"run": about, "signals": rows, "facts": {k: v for k, v in facts.items() if v}} | ({"messages": messages} if messages else {})
+    return {"run": about, "signals": rows, "facts": {k: v for k, v in facts.items() if v}} | (
+        {"messages": messages} if messages else {}
+    )
 
 
 def scenario(name: str) -> Section:
@@ -82,7 +83,9 @@ def fmu(path: str) -> Section:
         "sha256": archive.sha256,
     }
     capabilities = {
-        MODE_NAMES[mode]: ", ".join(f"{key.replace('_', ' ')}: {value}" for key, value in asdict(able).items() if value is not None)
+        MODE_NAMES[mode]: ", ".join(
+            f"{key.replace('_', ' ')}: {value}" for key, value in asdict(able).items() if value is not None
+        )
         for mode, able in found.capabilities.items()
     }
     rows = [
@@ -104,7 +107,9 @@ def _depends(names: Iterable[str] | None) -> str:
     return "unknown" if names is None else ", ".join(names)
 
 
-def compare(loaded: Scenario, *, swaps: Mapping[str, str], changes: Mapping[str, Any]) -> tuple[dict[str, list[Section]], list[str]]:
+def compare(
+    loaded: Scenario, *, swaps: Mapping[str, str], changes: Mapping[str, Any]
+) -> tuple[dict[str, list[Section]], list[str]]:
     """Compare the ports of swapped components with those they replace; give the rows by component, and what prevents the run."""
     from cosim.fmi.compare import compare_ports
 
@@ -160,4 +165,3 @@ def _signal_row(component: str, kind: str, signal: Signal, role: str) -> Section
         "variability": signal.variability,
         "kind": kind,
     }
-

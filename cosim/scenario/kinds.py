@@ -94,7 +94,9 @@ class Kind(Table):
 
     def linear_model(self, name: str, site: Site) -> LinearModel:
         """Give the component as a linear model, where it is one: what an exact solver steps and an FMU can be made of."""
-        raise UsageError(f"{name!r} is of kind {self.kind!r}, which is no linear model; what can be exported: {', '.join(LINEAR)}")
+        raise UsageError(
+            f"{name!r} is of kind {self.kind!r}, which is no linear model; what can be exported: {', '.join(LINEAR)}"
+        )
 
 
 def _vector(value: float | Sequence[float]) -> list[float]:
@@ -332,7 +334,9 @@ class Delay(Kind):
     unit: str | None = None
 
     def build(self, name: str, site: Site) -> Component:
-        return dynamics.Delay(whole_steps(self.delay, site.step_ns, "delay"), initial=self.initial, size=self.size, unit=self.unit)
+        return dynamics.Delay(
+            whole_steps(self.delay, site.step_ns, "delay"), initial=self.initial, size=self.size, unit=self.unit
+        )
 
 
 class Controller(Kind):
@@ -397,7 +401,9 @@ class Fmu(Plant):
     sampled: ClassVar[bool] = True
     kind: Literal["fmu"]
     path: str = Field(description="path of the .fmu")
-    mode: Literal["me", "cs"] | None = Field(None, description="model exchange or co-simulation; left out: me where it is offered")
+    mode: Literal["me", "cs"] | None = Field(
+        None, description="model exchange or co-simulation; left out: me where it is offered"
+    )
     solver: str | None = Field(None, description=f"for model exchange, one of: {', '.join(SOLVERS)}")
     start: dict[str, Number] = Field({}, description="start values by variable")
     period: Number | None = Field(None, description="its own step [s]; left out: the communication step")
@@ -446,8 +452,11 @@ class UnknownInputObserver(Kind):
             lambda_obs=design.lambda_obs,
         )
         if site.hold == "start" and self.filter_rate * h > HELD_LIMIT:
-            site.warn(name, f"filter_rate x step = {self.filter_rate * h:g} with held inputs: the derivative filter reads a ramp "
-                      f"{self.filter_rate * h / -math.expm1(-self.filter_rate * h) - 1.0:.0%} too high; use hold = \"line\"")
+            site.warn(
+                name,
+                f"filter_rate x step = {self.filter_rate * h:g} with held inputs: the derivative filter reads a ramp "
+                f'{self.filter_rate * h / -math.expm1(-self.filter_rate * h) - 1.0:.0%} too high; use hold = "line"',
+            )
         return observer_model(reduced, design, x_a0=self.x_a0, q0=self.q0)
 
     def design(self, site: Site) -> tuple[ReducedSystem, observer.ObserverDesign]:
@@ -550,7 +559,9 @@ class Identifier(Kind):
         else:
             wanted = float(self.start)
         if wanted < longest:
-            raise AssumptionError(f"start: found {wanted} s, needed at least the longest delay, {longest} s: before it the regressor has no value")
+            raise AssumptionError(
+                f"start: found {wanted} s, needed at least the longest delay, {longest} s: before it the regressor has no value"
+            )
         first = math.ceil(round(wanted * 1e9, 3) / site.step_ns) * site.step_ns / 1e9
         site.note(name, start=first)
         return first

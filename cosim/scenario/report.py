@@ -1,4 +1,4 @@
-"""What a run says about itself: errors against the truth, estimates, start time, verdict on the information; from a recording alone."""
+"""What a run says about itself, from its recording alone: errors against the truth, estimates, start times, a verdict."""
 
 from __future__ import annotations
 
@@ -126,6 +126,6 @@ def _identification(recording: Recording, component: str, facts: Mapping[str, An
     times = {key: facts[key] for key in ("T_obs", "T_f", "D_max", "T_id") if key in facts}
     if len(used) < 2:
         return Identification(component, facts["start"], times, (), "the run ended before the identification began")
-    eigenvalues = np.linalg.eigvalsh(information(used[:, 1:], float(time[1] - time[0])))
+    eigenvalues: Vector = np.linalg.eigvalsh(information(used[:, 1:], float(time[1] - time[0]))).astype(np.float64)
     prior = None if facts["P0"] is None else 1.0 / facts["P0"]
     return Identification(component, facts["start"], times, tuple(map(float, eigenvalues)), verdict(eigenvalues, prior))

@@ -76,7 +76,9 @@ def flatten_connections(tree: Mapping[str, Any]) -> tuple[dict[str, Any], list[t
         pairs = {f"{key}.{name}": one for name, one in value.items()} if nested else {key: value}
         for to, one in pairs.items():
             if to in flat:
-                problems.append((("connections", to), f"'{to}' is driven twice; an input has one source (add signals with a 'sum')"))
+                problems.append(
+                    (("connections", to), f"'{to}' is driven twice; an input has one source (add signals with a 'sum')")
+                )
             flat[to] = one
     return flat, problems
 
@@ -87,7 +89,9 @@ def problems_of(error: ValidationError, table: type[BaseModel], prefix: Key) -> 
 
 
 def _problem(found: Mapping[str, Any], table: type[BaseModel], prefix: Key) -> tuple[Key, str]:
-    at: Key = tuple(part for part in found["loc"] if not (isinstance(part, str) and part.startswith(("function-", "tuple[", "float"))))
+    at: Key = tuple(
+        part for part in found["loc"] if not (isinstance(part, str) and part.startswith(("function-", "tuple[", "float")))
+    )
     key = (*prefix, *at)
     kind, value = found["type"], found.get("input")
     if kind == "extra_forbidden":
@@ -154,4 +158,3 @@ def matrix(rows: Rows, name: str) -> np.ndarray[Any, np.dtype[np.float64]]:
     if not rows or len(set(lengths)) != 1 or lengths[0] == 0:
         raise ValueError(f"{name}: found rows of lengths {lengths}, needed rows of one length, like [[0, 1], [2, 3]]")
     return np.array(rows, dtype=np.float64)
-

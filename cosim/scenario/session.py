@@ -15,12 +15,12 @@ from typing import Any
 from cosim.core.contracts import Block, Design, Recorder
 from cosim.core.graph import Graph
 from cosim.core.master import run as run_graph
-from cosim.scenario.profile import Timed
 from cosim.core.recorders import Memory, Watched
 from cosim.errors import Interrupted, LogError, UsageError
 from cosim.log import Attachment, Log, McapRecorder, open_log
 from cosim.scenario.build import Experiment, Scenario, build, fingerprint, parse
 from cosim.scenario.document import Document, find
+from cosim.scenario.profile import Timed
 
 SCENARIO_FILE = "scenario.toml"
 Progress = Callable[[float, float], None]  # simulated time, end [s]
@@ -42,7 +42,7 @@ def run(
     *,
     out: str | Path | None = None,
     force: bool = False,
-    set: Mapping[str, Any] | None = None,  # noqa: A002 - the word of the command line
+    set: Mapping[str, Any] | None = None,
     swap: Mapping[str, str | Path] | None = None,
     block: int | None = None,
     progress: Progress | None = None,
@@ -89,7 +89,7 @@ def replay(
     *,
     out: str | Path | None = None,
     force: bool = False,
-    set: Mapping[str, Any] | None = None,  # noqa: A002
+    set: Mapping[str, Any] | None = None,
     block: int | None = None,
     progress: Progress | None = None,
 ) -> Log | Memory:
@@ -196,7 +196,7 @@ def _metadata(experiment: Experiment) -> dict[str, dict[str, str]]:
             "edits": scenario.document.edits(),
             "stop": repr(settings.stop),
             "step": repr(settings.step),
-            "truth": json.dumps(dict(scenario.file.truth)),
+            "truth": json.dumps(dict(experiment.truth)),
             "warnings": json.dumps(experiment.warnings),
         },
         "cosim.connections": {to: json.dumps(_plain(wire)) for to, wire in scenario.connections.items()},
@@ -252,4 +252,3 @@ def default_log(name: str, folder: Path = Path("logs")) -> Path:
         number += 1
         path = folder / f"{name}-{number}.mcap"
     return path
-

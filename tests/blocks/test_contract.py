@@ -17,7 +17,6 @@ from cosim.blocks.source import Expression, Noise, Table, chirp, constant, ramp,
 from cosim.core.clock import Clock
 from cosim.core.graph import Graph
 from cosim.core.master import run
-from cosim.core.profile import Timed
 from cosim.core.recorders import Memory
 from cosim.core.signals import Interface, Signal
 from cosim.core.solver import Linear
@@ -104,7 +103,6 @@ COMPONENTS = {
     "sampled source": lambda: Sampled(sine(amplitude=2.0, rate=300.0, phase=0.4, offset=1.0), 4),
     "decimated least squares": lambda: Decimated(identifier(), 4),
     "decimated with feedthrough": lambda: Decimated(through(), 4),
-    "timed": lambda: Timed(through(), "x", {}),
 }
 ROLLBACK = ["lag", "lag from a given start", "delay", "delay of one step", "controller", "plant", "observer", "regressor",
             "regressor without delay", "least squares", "least squares with a prior"]  # fmt: skip

@@ -36,7 +36,7 @@ def test_sampled_is_the_component_on_its_own_grid(held):
 
 
 def test_sampled_agrees_with_the_exact_step_response():
-    """x' = -20 (x - u) from 0 with u held at 1: 1 - exp(-20 t) at the ends of the slow steps."""
+    """Take x' = -20 (x - u) from 0 with u held at 1: 1 - exp(-20 t) at the ends of the slow steps."""
     found = drive(Sampled(Linear(lag(time_constant=0.05, start=0.0)), N), np.ones((10 * N + 1, 1)), held=True)[:, 0]
     t = (np.arange(10 * N + 1) // N) * N * 1e-3
     np.testing.assert_allclose(found, -np.expm1(-20.0 * t), rtol=0, atol=10 * 2.3e-16)  # ten steps, one last bit each
@@ -91,7 +91,7 @@ def test_a_period_of_nothing_is_refused(kind):
 @pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
 @pytest.mark.parametrize("kind", [Sampled, Decimated])
 def test_a_slow_component_with_feedthrough_works_in_a_loop(kind, coupling):
-    """y of the slow component is 2 u of the sample instant, also where u is known late, for every size of the blocks."""
+    """The output of the slow component is 2 u of the sample instant, also where u is known late, for every size of the blocks."""
     tables = []
     for block in (1, 1000):
         memory = Memory()

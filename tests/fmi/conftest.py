@@ -1,7 +1,5 @@
-"""FMUs that the tests use, built once: our export, and the same plant written by pythonfmu and pythonfmu3."""
+"""The FMU that these tests use, built once, and edited copies of it."""
 
-import subprocess
-import sys
 import tempfile
 import zipfile
 from pathlib import Path
@@ -11,31 +9,10 @@ import pytest
 from cosim.fmi.export import export
 from tests.fmi.plant import model
 
-HERE = Path(__file__).parent
-
 
 @pytest.fixture(scope="session")
 def exported(tmp_path_factory) -> Path:
     return export(model(), tmp_path_factory.mktemp("export") / "academic.fmu", name="academic").path
-
-
-def _build(tool: str, script: str, folder: Path) -> Path:
-    subprocess.run(
-        [sys.executable, "-m", tool, "build", "-f", str(HERE / script), "-d", str(folder)], check=True, capture_output=True
-    )
-    return next(folder.glob("*.fmu"))
-
-
-@pytest.fixture(scope="session")
-def foreign2(tmp_path_factory) -> Path:
-    """FMI 2, co-simulation, by pythonfmu."""
-    return _build("pythonfmu", "foreign2.py", tmp_path_factory.mktemp("foreign2"))
-
-
-@pytest.fixture(scope="session")
-def foreign3(tmp_path_factory) -> Path:
-    """FMI 3, model exchange and co-simulation, by pythonfmu3."""
-    return _build("pythonfmu3", "foreign3.py", tmp_path_factory.mktemp("foreign3"))
 
 
 @pytest.fixture

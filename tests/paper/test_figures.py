@@ -38,7 +38,7 @@ def test_held_inputs_are_warned_of():
 def test_coupling_error_is_of_second_order():
     """Halving the communication step divides the coupling error of the plant and of the reconstruction by four.
 
-    The reference is the same scenario at an eighth of the finer step: its own error is 1/64 of it, inside the margin of 3.5 to 4.5.
+    The reference is the same scenario at an eighth of the finer step: its own error is 1/64 of it, inside the margin.
     """
     runs = {h: cosim.run("academic", set={"scenario.step": h, "scenario.stop": 10.0}) for h in (2e-3, 1e-3, 1.25e-4)}
     fine = runs[1.25e-4]

@@ -51,7 +51,10 @@ def test_reconstructed_disturbance_follows_the_exact_filter(fine, case):
 
 
 def test_rms_error_of_the_reconstruction_is_the_methods_own(fine, case):
-    """C02: the rms of delta_hat - delta over [9, 40] s is 2.78e-4, three digits, once the coupling error (order 2) is extrapolated away."""
+    """C02: the rms of delta_hat - delta over [9, 40] s is 2.78e-4 in three digits.
+
+    The coupling error, of order 2, is extrapolated away from two steps.
+    """
     coarse = cosim.run("academic", set={"observer.q0": [0.0], "scenario.step": 5e-4})
     rms = []
     for run in (coarse, fine):
@@ -60,8 +63,8 @@ def test_rms_error_of_the_reconstruction_is_the_methods_own(fine, case):
     assert (4.0 * rms[1] - rms[0]) / 3.0 == pytest.approx(case("C02")["expected_rms_delta_err_9_40"], abs=5e-7)
 
 
-# The derivative filter reads a straight line for a curve, filter_rate h^2 / 12 y'' = 8e-7 y'' at 0.1 ms, and at t = 10 s theta2 still
-# answers to that with 4e-5, twice the tolerance; a quarter of the error at half the step is within it.
+# The derivative filter reads a straight line for a curve, filter_rate h^2 / 12 y'' = 8e-7 y'' at 0.1 ms, and at t = 10 s theta2
+# still answers to that with 4e-5, twice the tolerance; a quarter of the error at half the step is within it.
 @pytest.mark.parametrize(
     ("name", "key", "P0", "step", "times"),
     [

@@ -1,3 +1,4 @@
+# ruff: noqa: E501 - a table of messages reads best with one message a line
 """Every bad input gets one clear error before the first step: the place, what was found, what was needed, the nearest name."""
 
 import re
@@ -177,7 +178,10 @@ def test_units_must_agree_or_be_converted(tmp_path):
         ({"obs.filter_rate": 1.0}, r"--set obs\.filter_rate: there is no component 'obs'; did you mean 'observer'\?"),
         ({"observer.filter_rat": 1.0}, r"--set observer\.filter_rat: components\.observer\.filter_rat: unknown key"),
         ({"filter_rate": 1.0}, r"--set filter_rate: found no dot, needed component\.parameter=value"),
-        ({"plant.x_a0": [1.0]}, r"academic:29 \(with --set plant\.x_a0\): components\.plant: x_a0 has shape \(1,\); needed \(2,\)"),
+        (
+            {"plant.x_a0": [1.0]},
+            r"academic:29 \(with --set plant\.x_a0\): components\.plant: x_a0 has shape \(1,\); needed \(2,\)",
+        ),
         ({"scenario.stop": -1.0}, r"--set scenario\.stop: scenario\.stop: stop: found -1\.0 s, needed a positive time"),
     ],
 )

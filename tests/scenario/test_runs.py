@@ -19,7 +19,7 @@ SHORT = {"scenario.stop": 8.0}  # past the start of the identification at 6.461 
 
 @pytest.fixture(scope="module", params=shipped())
 def logged(request, tmp_path_factory):
-    """A run of every shipped scenario, as a log."""
+    """Run every shipped scenario to a log."""
     path = tmp_path_factory.mktemp("logs") / f"{request.param}.mcap"
     return request.param, path, cosim.run(request.param, out=path, set=SHORT)
 
@@ -48,7 +48,7 @@ def test_replay_is_bit_exact(logged):
 
 @pytest.mark.parametrize("core", ["Haswell", "SkylakeX", "Nehalem"])
 def test_replay_is_bit_exact_with_another_blas(logged, core):
-    """BLAS kernels of other processors round differently; design-time results come from the log, so the replay does not notice."""
+    """BLAS kernels of other processors round differently; design-time results come from the log, so it does not matter."""
     _, path, _ = logged
     done = subprocess.run(
         [sys.executable, "-m", "cosim", "replay", str(path), "--verify"],
@@ -112,10 +112,8 @@ def test_replay_refuses_to_change_what_is_recorded(logged):
 def test_a_longer_replay_stops_at_the_end_of_the_recording(logged):
     """There is nothing to replay beyond the end."""
     _, path, _ = logged
-    with pytest.raises(Stopped, match="the recording ends at 8.0 s"):
+    with pytest.raises(Stopped, match=r"the recording ends at 8\.0 s"):
         cosim.replay(path, set={"scenario.stop": 9.0})
-
-
 
 
 def test_a_log_of_something_else_is_refused(tmp_path):

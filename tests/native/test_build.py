@@ -1,0 +1,192 @@
+"""The kernels compile without a warning, run without undefined behaviour, and say what is missing."""
+
+import importlib.util
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+
+from cosim.native import build
+from cosim.native.expression import FUNCTIONS, OPERATIONS, compile_expression
+
+SOURCES = [build.HERE / name for name in build.SOURCES]
+needs_cc = pytest.mark.skipif(shutil.which("cc") is None, reason="no cc")
+
+
+@needs_cc
+def test_the_kernels_compile_without_a_warning(tmp_path):
+    """All of -Wall -Wextra -Wconversion are errors here."""
+    for source in SOURCES:
+        command = ["cc", "-std=c11", "-O2", "-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Werror", "-c", source]
+        result = subprocess.run([*command, "-o", tmp_path / "kernel.o"], capture_output=True, text=True, check=False)
+        assert result.returncode == 0, result.stderr
+
+
+def test_the_operations_are_numbered_as_in_c():
+    """Python and C agree on the order, by name."""
+    text = (build.HERE / "expression.c").read_text(encoding="utf-8")
+    names = text[text.index("enum {") + 6 : text.index("};")].replace("\n", " ").split(",")
+    in_c = [name.strip().lower().replace("minimum", "min").replace("maximum", "max") for name in names]
+    assert in_c == [*OPERATIONS, "operations"]
+    assert OPERATIONS[-len(FUNCTIONS) :] == FUNCTIONS
+
+
+MAIN = r"""
+#include "cosim.h"
+#include <math.h>
+#include <stdlib.h>
+
+/* Every array is a heap block of exactly the documented size, so that one element too many is found. */
+static double *doubles(size_t n) { return calloc(n ? n : 1, n ? sizeof(double) : 1); }
+
+static int32_t drive(cosim_step step, void *self, int n_u, int n_y, int steps)
+{
+    double *t = doubles((size_t)steps + 1), *u = doubles((size_t)((steps + 1) * n_u)), *y = doubles((size_t)(steps * n_y));
+    int32_t status;
+    for (int k = 0; k <= steps; ++k) {
+        t[k] = 0.1 * k;
+        for (int j = 0; j < n_u; ++j)
+            u[k * n_u + j] = sin(1.0 + k * (j + 0.7));
+    }
+    cosim_cascade(step, self, steps, t, 0.1, u, n_u, y, n_y, &status);
+    free(t), free(u), free(y);
+    return status;
+}
+
+static void linear(int n, int m, int p)
+{
+    const int N = n + 2 * m;
+    double *A = doubles((size_t)(n * n)), *B = doubles((size_t)(n * m)), *C = doubles((size_t)(p * n)), *D = doubles((size_t)(p * m));
+    double *Ad = doubles((size_t)(n * n)), *B0 = doubles((size_t)(n * m)), *B1 = doubles((size_t)(n * m));
+    double *work = doubles((size_t)(4 * N * N)), *memory = doubles((size_t)(2 * n));
+    uint8_t *held = calloc((size_t)m + 1, 1);
+    for (int i = 0; i < n * n; ++i) A[i] = sin(i);
+    for (int i = 0; i < n * m; ++i) B[i] = cos(i);
+    held[0] = 1;
+    cosim_first_order_hold(n, m, A, B, 0.1, held, Ad, B0, B1, work);
+    cosim_linear self = {n, m, p, Ad, B0, B1, C, D, memory};
+    drive(cosim_linear_step, &self, m, p, 20);
+    free(A), free(B), free(C), free(D), free(Ad), free(B0), free(B1), free(work), free(memory), free(held);
+}
+
+static void least_squares(const cosim_recovery *recovery, int blocks, int unknowns, int parameters, int held, double prior)
+{
+    double *memory = doubles((size_t)((unknowns + 1) * (unknowns + 3))), *y = doubles((size_t)(parameters + unknowns));
+    cosim_least_squares self = {unknowns, blocks, parameters, held, 0.3, prior, recovery, memory};
+    cosim_least_squares_start(&self, y);
+    drive(cosim_least_squares_step, &self, unknowns + 1, parameters + unknowns, 40);
+    free(memory), free(y);
+}
+
+int main(void)
+{
+    const int sizes[][3] = {{3, 2, 4}, {0, 2, 1}, {2, 0, 2}, {1, 1, 0}, {0, 0, 0}};
+    for (size_t i = 0; i < sizeof sizes / sizeof sizes[0]; ++i)
+        linear(sizes[i][0], sizes[i][1], sizes[i][2]);
+
+    double *line = doubles(1 + 3 * 2);
+    cosim_delay delay = {3, 2, line};
+    drive(cosim_delay_step, &delay, 2, 2, 20);
+
+    const int32_t code[] = {CODE};
+    const double constants[] = {CONSTANTS};
+    cosim_program *programs = malloc(2 * sizeof *programs);
+    programs[0] = programs[1] = (cosim_program){sizeof code / sizeof code[0], code, constants};
+    cosim_expression expression = {2, programs};
+    drive(cosim_expression_step, &expression, 0, 2, 20);
+
+    const int32_t steps[] = {0, 4, 2}, row[] = {2, 0, 1, 1, 0, 2}, factor[] = {0, 4, 1, 5, 0, 5, 2, 3, 2, 4, 1, 3};
+    const double delays[] = {0.0, 0.4, 0.2}, sign[] = {1, -1, 1, -1, 1, -1};
+    double *samples = doubles(1 + 4 + 2 * 3);
+    cosim_regressor regressor = {3, 2, 6, 2, steps, delays, programs, row, factor, sign, samples};
+    drive(cosim_regressor_step, &regressor, 1, 6, 20);
+
+    const cosim_recovery two[] = {{COSIM_EXPONENTIAL, {2, 0, 0}, {1, 0}, {-1, 1, 0}, 2.0}, {COSIM_EXPONENTIAL, {5, 0, 0}, {0, 0}, {-1, 1, 0}, 1.0}};
+    const cosim_recovery pair = {COSIM_EXPONENTIALS, {1, 2, 0}, {0, 1}, {1, -1, 1}, 1.0};
+    const cosim_recovery sine = {COSIM_SINE, {1, 2, 0}, {0, 0}, {1, -1, 1}, 0.5};
+    for (int held = 0; held < 2; ++held) {
+        least_squares(two, 2, 5, 2, held, 0.0);
+        least_squares(&pair, 1, 2, 2, held, 0.1);
+        least_squares(&sine, 1, 2, 1, held, 0.0);
+    }
+    free(line), free(programs), free(samples);
+    return 0;
+}
+"""
+
+
+@needs_cc
+def test_the_kernels_run_clean_under_the_sanitizers(tmp_path):
+    """No access outside the documented sizes, no leak into undefined behaviour, for every kernel and for empty systems."""
+    sanitizers = "-fsanitize=address,undefined"
+    (tmp_path / "probe.c").write_text("int main(void) { return 0; }\n")
+    probe = subprocess.run(["cc", sanitizers, tmp_path / "probe.c", "-o", tmp_path / "probe"], capture_output=True, check=False)
+    if probe.returncode or subprocess.run([tmp_path / "probe"], capture_output=True, check=False).returncode:
+        pytest.skip("the compiler lacks the sanitizers")
+    text = " + ".join(f"{name}(t)" for name in FUNCTIONS) + " - min(t, 2)*max(t, 3)/(-t)**2 + " + "t + (" * 50 + "t" + ")" * 50
+    program = compile_expression(text)
+    code, constants = (", ".join(map(repr, array.tolist())) for array in (program.code, program.constants))
+    (tmp_path / "main.c").write_text(MAIN.replace("CODE", code, 1).replace("CONSTANTS", constants, 1), encoding="utf-8")
+    options = ["-std=c11", "-g", "-O1", sanitizers, "-fno-sanitize-recover=all", f"-I{build.HERE}"]
+    compiled = subprocess.run(
+        ["cc", *options, tmp_path / "main.c", *SOURCES, "-o", tmp_path / "main", "-lm"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert compiled.returncode == 0, compiled.stderr
+    # leaks need ptrace, which containers refuse; what is freed is not the kernels' business
+    result = subprocess.run(
+        [tmp_path / "main"], capture_output=True, text=True, env={"ASAN_OPTIONS": "detect_leaks=0"}, check=False
+    )
+    assert result.returncode == 0, result.stderr
+
+
+def hook(tmp_path):
+    return build.KernelBuildHook(str(tmp_path), {}, None, None, str(tmp_path), "wheel")
+
+
+def test_the_build_asks_for_a_compiler_only_where_there_is_none(tmp_path, monkeypatch):
+    """`cc` is used where there is one; else ziglang becomes a build dependency."""
+    pytest.importorskip("hatchling")
+    monkeypatch.setattr(shutil, "which", lambda name: f"/usr/bin/{name}")
+    assert hook(tmp_path).dependencies() == []
+    assert build.compiler() == ["/usr/bin/cc"]
+    monkeypatch.setattr(shutil, "which", lambda name: None)
+    assert hook(tmp_path).dependencies() == ["ziglang"]
+
+
+def test_zig_is_always_given_a_target(monkeypatch):
+    """Without one it emits the instructions of the host, and the bits would differ."""
+    monkeypatch.setattr(shutil, "which", lambda name: None)
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: object())
+    command = build.compiler()
+    assert command[1:5] == ["-m", "ziglang", "cc", "-target"]
+    assert "-" in command[5]
+
+
+def test_no_compiler_at_all_is_an_error_with_the_way_out(tmp_path, monkeypatch):
+    """It names both ways to get one."""
+    monkeypatch.setattr(shutil, "which", lambda name: None)
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(RuntimeError, match="no C compiler: install one as 'cc', or 'pip install ziglang'"):
+        build.compile_library(SOURCES, tmp_path / "x.so")
+
+
+@needs_cc
+def test_what_the_compiler_says_is_passed_on(tmp_path):
+    """The file, the line and its words."""
+    source = tmp_path / "wrong.c"
+    source.write_text('#error "this is wrong"\n', encoding="utf-8")
+    with pytest.raises(RuntimeError, match=r"(?s)cc failed:.*wrong\.c:1.*this is wrong"):
+        build.compile_library([source], tmp_path / "x.so")
+
+
+@needs_cc
+def test_the_library_in_use_is_that_of_its_sources(tmp_path):
+    """Compiled again, the same expression has the same bits: no flag was forgotten."""
+    target = tmp_path / build.LIBRARY
+    build.compile_library(SOURCES, target)
+    assert target.read_bytes()[:4] == (build.HERE / build.LIBRARY).read_bytes()[:4]
+    assert np.float64(0.1 * 3.0).hex() == "0x1.3333333333334p-2"

@@ -1,0 +1,141 @@
+"""The expression language against Python's own arithmetic."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cosim.errors import UsageError
+from cosim.native.expression import FUNCTIONS, compile_expression
+from cosim.native.step import evaluate
+
+NAMES = {
+    **{name: getattr(math, name) for name in FUNCTIONS if hasattr(math, name)},
+    "abs": abs,
+    "sign": lambda x: (x > 0) - (x < 0),
+    "step": lambda x: float(x >= 0),
+    "min": min,
+    "max": max,
+    "pi": math.pi,
+    "e": math.e,
+}
+numbers = st.one_of(st.floats(0.0, 1e6), st.integers(0, 100)).map(repr)
+leaves = st.one_of(numbers, st.sampled_from(["t", "pi", "e"]))
+
+
+def extend(inner):
+    return st.one_of(
+        st.tuples(inner, st.sampled_from(["+", "-", "*", "/", "**"]), inner).map(lambda p: f"({p[0]} {p[1]} {p[2]})"),
+        st.tuples(st.sampled_from(["+", "-"]), inner).map(lambda p: f"({p[0]}{p[1]})"),
+        st.tuples(st.sampled_from(FUNCTIONS), inner).map(lambda p: f"{p[0]}({p[1]})"),
+        st.tuples(st.sampled_from(["min", "max"]), inner, inner).map(lambda p: f"{p[0]}({p[1]}, {p[2]})"),
+    )
+
+
+@given(st.recursive(leaves, extend, max_leaves=12), st.floats(-10.0, 10.0))
+def test_every_expression_is_what_python_makes_of_it(text, t):
+    """Bit for bit: both use the C library's functions. Where Python raises or leaves the real numbers, NaN or infinity."""
+    found = evaluate(compile_expression(text), t)
+    try:
+        expected = eval(text, {"__builtins__": {}}, {**NAMES, "t": t})
+        expected = float(expected) if not isinstance(expected, complex) else math.nan
+    except (ArithmeticError, ValueError):
+        return  # an infinity inside may vanish again outside: 1/(1/0) is 0 in C
+    except TypeError:  # a complex number inside
+        return
+    if all(map(math.isfinite, (expected, found))):
+        assert np.float64(found).view(np.uint64) == np.float64(expected).view(np.uint64) or found == expected
+    else:
+        assert math.isnan(expected) == math.isnan(found) or "**" in text
+
+
+def test_powers_bind_as_in_python():
+    """-t**2 is -(t**2), 2**3**2 is 2**9, t**-1 is 1/t."""
+    assert evaluate(compile_expression("-t**2"), 3.0) == -9.0
+    assert evaluate(compile_expression("2**3**2"), 0.0) == 512.0
+    assert evaluate(compile_expression("t**-1"), 4.0) == 0.25
+    assert evaluate(compile_expression("  1 - 2 - 3 "), 0.0) == -4.0
+
+
+@pytest.mark.parametrize(
+    "text", ["min(sqrt(-1), 0)", "max(0, sqrt(-1))", "max(sqrt(-1), 0)", "step(sqrt(-1))", "sign(log(-1))", "abs(0/0)"]
+)
+def test_nan_is_not_swallowed(text):
+    """What is no number stays none, so that the run stops there instead of going on with 0."""
+    assert math.isnan(evaluate(compile_expression(text), 0.0))
+
+
+REFUSED = {
+    "sn(t)": "found unknown function 'sn'; did you mean 'sin'? There is: sin, ",
+    "2*x": "found unknown name 'x'; did you mean 'max'? There is: t, pi, e, sin",
+    "thet + 1": "found unknown name 'thet'",
+    "t.real": "found 't.real'; only numbers, t, pi, e, + - * / ** and functions are allowed",
+    "().__class__": "found '().__class__'; only numbers",
+    "__import__('os')": "found unknown function '__import__'",
+    "(lambda: 1)()": "; only numbers",
+    "f(t)(t)": "found 'f(t)(t)'; only numbers",
+    "sin(x=t)": "found 'sin(x=t)'; only numbers",
+    "sin(*t)": "found '*t'; only numbers",
+    "t < 1": "found 't < 1'; only numbers",
+    "t and 1": "found 't and 1'; only numbers",
+    "1 if t else 2": "found '1 if t else 2'; only numbers",
+    "t // 2": "found 't // 2'; only numbers",
+    "~t": "found '~t'; only numbers",
+    "[t]": "found '[t]'; only numbers",
+    "...": "found '...'; only numbers",
+    "'text'": "found 'text'; needed a real number",
+    "sin('t')": "found 't'; needed a real number",
+    "2j": "found 2j; needed a real number",
+    "True": "found True; needed a real number",
+    "None": "found None; needed a real number",
+    "1e999": "found inf; needed a finite number",
+    "1" * 400: "; needed a finite number",
+    "": "not an expression",
+    "   ": "not an expression",
+    "1 +": "not an expression; needed something like",
+    "t = 1": "not an expression at column",
+    "sin t": "not an expression at column",
+    "\0": "not an expression",
+    "sin()": "found sin with 0 arguments; needed 1",
+    "sin(t, t)": "found sin with 2 arguments; needed 1",
+    "min(t)": "found min with 1 arguments; needed 2",
+    "nan": "found unknown name 'nan'",
+    "inf": "found unknown name 'inf'",
+}
+
+
+@pytest.mark.parametrize("text", REFUSED, ids=lambda text: repr(text[:20]))
+def test_whatever_is_not_in_the_language_is_refused(text):
+    """With what was found and what is there instead; nothing is evaluated, imported or called."""
+    with pytest.raises(UsageError) as error:
+        compile_expression(text)
+    assert str(error.value).startswith(f"expression {text!r}: ")
+    assert REFUSED[text] in str(error.value)
+
+
+def nested(depth):
+    """Give a sum that needs a stack of ``depth``."""
+    return "t + (" * (depth - 1) + "t" + ")" * (depth - 1)
+
+
+def test_a_stack_that_is_too_deep_is_refused():
+    """64 is the kernel's stack; one more would write beyond it."""
+    assert evaluate(compile_expression(nested(64)), 1.0) == 64.0
+    with pytest.raises(UsageError, match="nested 65 deep, at most 64"):
+        compile_expression(nested(65))
+
+
+def test_a_long_sum_needs_no_deep_stack():
+    """Sums from left to right keep two values."""
+    assert evaluate(compile_expression("+".join(["t"] * 200)), 1.0) == 200.0
+
+
+@pytest.mark.parametrize(
+    "text", ["-" * 3000 + "1", "+".join(["1"] * 20000), "(" * 1000 + "1" + ")" * 1000], ids=["signs", "sum", "parentheses"]
+)
+def test_what_is_too_deep_to_be_read_is_refused(text):
+    """The parser's limits are not the user's traceback."""
+    with pytest.raises(UsageError, match=r"not an expression|nested too deep to be read"):
+        compile_expression(text)

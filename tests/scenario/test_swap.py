@@ -1,0 +1,160 @@
+"""One plant for another, by name: generated, real FMUs of four makes, a recorded log."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import cosim
+from cosim.cli import main
+from cosim.errors import ScenarioError
+from cosim.scenario.build import parse
+from cosim.scenario.document import find
+from cosim.scenario.exporting import export_component
+
+ONE = {"components.one": {"kind": "constant", "value": 1.0}}
+FOREIGN2 = {**ONE, "connections.plant.gain": "one.y", "connections.plant.sign": "one.y"}  # inputs that the scenario does not have
+
+
+@pytest.fixture(scope="module")
+def plant(tmp_path_factory):
+    """Export the plant of the example as a real FMU: C source and binary."""
+    path = tmp_path_factory.mktemp("fmus") / "academic.fmu"
+    export_component("academic", "plant", path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def generated():
+    return cosim.run("academic", set={"plant.solver": "rk4", "scenario.stop": 10.0})
+
+
+def relative(run, other, signal):
+    """Largest difference of a signal relative to its largest value."""
+    return abs(run[signal] - other[signal]).max() / abs(run[signal]).max()
+
+
+@pytest.mark.parametrize("mode", ["me", "cs"])
+def test_an_exported_plant_takes_the_plants_place(plant, generated, mode):
+    """The plant's outputs within 1e-12 of each signal's largest value; delta_hat multiplies the last bit of y by 1000.
+
+    Model exchange with the same solver, rk4; co-simulation solves exactly, which rk4 at 1 ms misses by (3 h)^4 / 120 = 7e-13 h.
+    """
+    run = cosim.run("academic", swap={"plant": plant}, set={"plant.mode": mode, "scenario.stop": 10.0})
+    for signal in ("plant.y", "plant.x_a", "plant.x_b"):
+        assert relative(generated, run, signal) <= 1e-12, signal
+    assert relative(generated, run, "observer.delta") <= 1e-9
+
+
+def test_model_exchange_with_the_same_solver_has_the_same_bits(plant, generated):
+    """One arithmetic in two homes: the generated unit and the FMU call the same C."""
+    run = cosim.run("academic", swap={"plant": plant}, set={"plant.solver": "rk4", "scenario.stop": 10.0})
+    assert cosim.diff(generated, run).equal
+
+
+def test_co_simulation_has_the_bits_of_the_exact_solver(plant):
+    """The FMU discretises with the same C as the generated plant."""
+    exact = cosim.run("academic", set={"scenario.stop": 10.0})
+    run = cosim.run("academic", swap={"plant": plant}, set={"plant.mode": "cs", "scenario.stop": 10.0})
+    assert cosim.diff(exact, run).equal
+
+
+def test_a_model_exchange_fmu_that_others_made_takes_the_plants_place(foreign3):
+    """FMI 3 model exchange by pythonfmu3: our solver, its derivatives; the results differ by rounding.
+
+    Rounding in y, 1e-16, times filter_rate is 1e-13 in delta_hat, and theta2 answers to that with less than 1e2 times as much.
+    """
+    run = cosim.run("academic", swap={"plant": foreign3}, set={"plant.mode": "me"})
+    reference = cosim.run("academic", set={"plant.solver": "rk4"})
+    assert relative(reference, run, "plant.y") <= 1e-12
+    assert abs(run["identifier.theta"][-1] - reference["identifier.theta"][-1]).max() <= 1e-9
+
+
+@pytest.mark.parametrize(
+    ("make", "changes"), [("foreign2", FOREIGN2), ("foreign3", {"plant.mode": "cs"})], ids=["pythonfmu CS 2", "pythonfmu3 CS 3"]
+)
+def test_a_co_simulation_fmu_that_others_made_takes_the_plants_place(make, changes, request):
+    """Without input interpolation and dependencies, y = x1 - u belongs to the mean input: known, first order, and reported.
+
+    The generated plant with just that error added to y, (u(t) - u(t - h))/2, identifies the same theta. What remains is of second
+    order: the mean of the inputs, h^2/12, and the FMU's own solver, h^2/6 at most (Heun), for signals up to 2.7 in all 7e-7.
+    Theta2 answers to an error of y at the rates of these signals with about nine times as much (5e-4 moves it by 6e-3, as 7e-4 in
+    delta_hat): 6e-6.
+    """
+    run = cosim.run("academic", swap={"plant": request.getfixturevalue(make)}, set=changes)
+    late = {
+        "components.late": {"kind": "expression", "y": "0.5*(sin(t) - sin(t - 0.001))*step(t - 0.0005)"},
+        "components.measured": {"kind": "sum", "signs": [1.0, 1.0]},
+        "connections.measured.u1": "plant.y",
+        "connections.measured.u2": "late.y",
+    }
+    text = find("academic")
+    document = replace(text, text=text.text.replace('"observer.y" = "plant.y"', '"observer.y" = "measured.y"'))
+    reference = cosim.run(parse(document.with_changes(late)))
+    assert abs(run["plant.y"] - reference["measured.y"]).max() <= 1e-6
+    assert abs(run["identifier.theta"][-1] - reference["identifier.theta"][-1]).max() <= 6e-6
+
+
+def test_an_fmu_without_dependencies_is_warned_of(foreign2):
+    """What is not known about feedthrough is said, not guessed."""
+    run = cosim.run("academic", swap={"plant": foreign2}, set={**FOREIGN2, "scenario.stop": 0.01})
+    warnings = json.loads(run.metadata["cosim.run"]["warnings"])
+    assert any(name == "plant" and "may depend directly on inputs" in text for name, text in warnings), warnings
+
+
+def test_a_log_of_an_fmu_replays_without_the_fmu(plant, tmp_path):
+    """The FMU's signals come from the log."""
+    copy = tmp_path / "copy.fmu"
+    copy.write_bytes(plant.read_bytes())
+    log = cosim.run("academic", swap={"plant": copy}, set={"scenario.stop": 8.0}, out=tmp_path / "a.mcap")
+    copy.unlink()
+    assert cosim.diff(log, cosim.replay(tmp_path / "a.mcap")).equal
+    assert "plant/modelDescription.xml" in log.attachments
+    assert json.loads(log.metadata["cosim.component.plant"]["facts"])["sha256"]
+
+
+def test_a_sampled_fmu_answers_at_its_own_step(plant, tmp_path):
+    """With a period the FMU lives on that step; its outputs hold between, and its channel keeps the rows of that step."""
+    changes = {"plant.mode": "cs", "plant.period": 0.01, "scenario.stop": 1.0}
+    log = cosim.run("academic", swap={"plant": plant}, set=changes, out=tmp_path / "a.mcap")
+    assert np.array_equal(np.unique(np.diff(log.time_ns("plant"))), [10_000_000])
+    assert cosim.diff(log, cosim.replay(tmp_path / "a.mcap")).equal
+
+
+def test_a_dry_run_compares_port_by_port(plant, foreign2, tmp_path, monkeypatch, capsys):
+    """Nothing runs; every port is shown, what is missing or has another causality stops with exit 2."""
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as left:
+        main(["run", "academic", "--swap", f"plant={plant}", "--dry-run"])
+    assert not left.value.code
+    assert "dry run: the scenario can run" in capsys.readouterr().out
+    with pytest.raises(SystemExit) as left:
+        main(["run", "academic", "--swap", f"plant={foreign2}", "--dry-run", "--json"])
+    assert left.value.code == 2
+    output = capsys.readouterr()
+    rows = {row["port"]: row["status"] for row in json.loads(output.out)["ports"]["plant"]}
+    assert rows["plant.gain"] == "extra"
+    assert rows["plant.y"] == "ok"
+    assert "'plant.gain' is not connected" in output.err
+    assert not (tmp_path / "logs").exists()
+
+
+def test_a_missing_output_is_refused_before_the_run(tmp_path):
+    """An FMU without the port that the scenario connects cannot stand there."""
+    path = tmp_path / "observer.fmu"
+    export_component("academic", "observer", path)
+    with pytest.raises(ScenarioError, match=r"'plant' has no input 'delta'; There is: u, y"):
+        cosim.run("academic", swap={"plant": path})
+
+
+def test_a_start_value_of_the_fmu_can_be_set(plant):
+    """Start values come from the FMU unless set."""
+    run = cosim.run("academic", swap={"plant": plant}, set={"plant.start": {"x_a[0]": 2.0}, "scenario.stop": 0.01})
+    assert list(run["plant.x_a"][0]) == [2.0, -1.0]
+
+
+def test_an_unknown_start_value_names_the_nearest(plant):
+    """A misspelt variable is refused before the run."""
+    with pytest.raises(ScenarioError, match=r"x_a\[2\].*did you mean"):
+        cosim.run("academic", swap={"plant": plant}, set={"plant.start": {"x_a[2]": 2.0}})
