@@ -24,14 +24,20 @@ WIDTH = 118  # where stdout is no terminal
 
 
 def summary(
-    recording: Recording, *, path: Path | None, wall: float, profile: Mapping[str, float] | None, as_json: bool, quiet: bool
+    recording: Recording,
+    *,
+    path: Path | None,
+    wall: Mapping[str, float],
+    profile: Mapping[str, float] | None,
+    as_json: bool,
+    quiet: bool,
 ) -> None:
     """Print what a run found."""
     from cosim.scenario.report import summarise
 
     found = summarise(recording)
     if as_json:
-        extra: dict[str, Any] = {"wall": wall, "log": None if path is None else str(path)}
+        extra: dict[str, Any] = {"wall": dict(wall), "log": None if path is None else str(path)}
         _json(found.to_dict() | extra | ({} if profile is None else {"profile": dict(profile)}))
         return
     if quiet:
@@ -54,7 +60,9 @@ def summary(
     for identification in found.identifications:
         _identification(table, identification)
     table.add_section()
-    table.add_row("wall time", f"{wall:.2f} s", "", f"{found.end / wall:.3g} x real time" if wall > 0 else "")
+    total = sum(wall.values())
+    parts = ", ".join(f"{part} {seconds:.2f} s" for part, seconds in wall.items())
+    table.add_row("wall time", f"{total:.2f} s", "", f"{parts}: {found.end / total:.3g} x real time")
     if path is not None:
         table.add_row("log", "", "", str(path))
     console.print(table)

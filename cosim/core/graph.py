@@ -130,7 +130,10 @@ class Graph:
             if np.array_equal(before, row, equal_nan=True):
                 return
         moving = [label for label, a, b in zip(self.labels(), before, row, strict=True) if a != b and not np.isnan(b)]
-        raise GraphError(f"initial values do not settle: {', '.join(moving)} still change after {len(names) + 1} rounds")
+        raise GraphError(
+            f"initial values do not settle: {', '.join(moving)} still change after {len(names) + 1} rounds; "
+            "give a lag or a delay among them a start value of its own"
+        )
 
     def first_non_finite(self, stage: Stage, rows: Matrix) -> NonFinite | None:
         """Find, among the columns of a stage, the first value that is not finite: by row, then by component and signal."""

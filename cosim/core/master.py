@@ -47,7 +47,7 @@ def run(graph: Graph, clock: Clock, recorder: Recorder, *, designs: Mapping[str,
     Stopped
         If a component cannot go on; everything before is recorded.
     """
-    with recorder:
+    with recorder, np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # what is not finite is found and named below
         recorder.begin(graph.prepare(clock.step_ns, designs))
         limit = max(1, BLOCK_BYTES // (8 * graph.layout.width + 8))
         signals = np.zeros((min(limit, clock.steps) + 1, graph.layout.width))

@@ -20,7 +20,8 @@ from numpy.typing import DTypeLike, NDArray
 from cosim.arrays import Vector
 from cosim.errors import FmuError, RunError
 from cosim.fmi.description import Description, Mode
-from cosim.fmi.unit import DiscreteStates, Group, StepEnd
+from cosim.fmi.references import Group
+from cosim.fmi.unit import DiscreteStates, StepEnd
 
 Call: TypeAlias = Callable[..., None]
 

@@ -23,9 +23,10 @@ from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.contracts import Design, Stopped
 from cosim.errors import FmuError, RunError
 from cosim.fmi.description import Description
+from cosim.fmi.references import References
 from cosim.fmi.saved import SavedState, save
 from cosim.fmi.start import Start
-from cosim.fmi.unit import TERMINATED, CoSimulationUnit, References, StepEnd
+from cosim.fmi.unit import TERMINATED, CoSimulationUnit, StepEnd
 
 
 @final

@@ -17,7 +17,7 @@ from cosim.core.contracts import Model
 from cosim.core.signals import Interface, Kind, Signal
 from cosim.core.solver import LinearModel
 from cosim.errors import FmuError, nearest
-from cosim.fmi.unit import References, VariableType
+from cosim.fmi.references import References, VariableType
 
 Mode: TypeAlias = Literal["me", "cs"]  # model exchange, co-simulation
 Initial: TypeAlias = Literal["exact", "approx", "calculated"]

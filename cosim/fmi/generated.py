@@ -24,7 +24,8 @@ from cosim.core.signals import Interface
 from cosim.core.solver import LinearModel
 from cosim.errors import FmuError
 from cosim.fmi.description import Capabilities, Description, describe, states_of_outputs
-from cosim.fmi.unit import DiscreteStates, References
+from cosim.fmi.references import References
+from cosim.fmi.unit import DiscreteStates
 from cosim.native.step import affine
 
 Phase: TypeAlias = Literal["instantiated", "initialization", "event", "continuous", "terminated", "freed"]

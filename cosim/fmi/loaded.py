@@ -16,7 +16,8 @@ from cosim.core.solver import LinearModel
 from cosim.errors import RunError
 from cosim.fmi.binding import ERROR, FATAL, MESSAGES, Library, bind, instantiate, pointer
 from cosim.fmi.description import LARGEST_EXACT, Description, Mode
-from cosim.fmi.unit import DiscreteStates, References, StepEnd
+from cosim.fmi.references import References
+from cosim.fmi.unit import DiscreteStates, StepEnd
 
 
 @final

@@ -22,9 +22,10 @@ from cosim.core.contracts import Design, Stopped
 from cosim.core.solver import SOLVERS, Linear, LinearModel, integrator
 from cosim.errors import FmuError, RunError, nearest
 from cosim.fmi.description import Description
+from cosim.fmi.references import References
 from cosim.fmi.saved import SavedState, save
 from cosim.fmi.start import Start
-from cosim.fmi.unit import TERMINATED, ModelExchangeUnit, References
+from cosim.fmi.unit import TERMINATED, ModelExchangeUnit
 
 EVENT_ITERATIONS: Final = 100
 

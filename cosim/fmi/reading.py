@@ -16,7 +16,7 @@ from xml.etree import ElementTree
 
 from cosim.errors import FmuError
 from cosim.fmi.description import Capabilities, Description, Mode, Variable
-from cosim.fmi.unit import VariableType
+from cosim.fmi.references import VariableType
 
 XML = "modelDescription.xml"
 

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import ValidationError
@@ -20,7 +20,7 @@ from cosim.core.contracts import Component, Recording
 from cosim.core.graph import Connection, Graph, check_connections, layout_of
 from cosim.errors import CosimError, ScenarioError, UsageError, nearest
 from cosim.scenario.document import Document, Key
-from cosim.scenario.kinds import KINDS, Fmu, Kind, Site
+from cosim.scenario.kinds import KINDS, Kind, Site
 from cosim.scenario.schema import File, flatten_connections, matrix, problems_of
 from cosim.theory.descriptor import DescriptorSystem
 
@@ -300,12 +300,12 @@ class _Site:
             )
         return log
 
-    def fmu(self, name: str, spec: Fmu) -> Component:
+    def fmu(
+        self, name: str, path: str, *, mode: Literal["me", "cs"] | None, solver: str | None, start: Mapping[str, float]
+    ) -> Component:
         from cosim.fmi.component import load
 
-        loaded = self._resources.enter_context(
-            load(self.file(spec.path), mode=spec.mode, solver=spec.solver, start=spec.start, instance_name=name)
-        )
+        loaded = self._resources.enter_context(load(self.file(path), mode=mode, solver=solver, start=start, instance_name=name))
         facts = loaded.metadata
         self.attachments[f"{name}/modelDescription.xml"] = facts.pop("model_description")
         self.note(name, **facts)

@@ -1,0 +1,83 @@
+"""What every component kind has: its table, and what it takes to build the component."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, ClassVar, Literal, Protocol
+
+from cosim.core.contracts import Component
+from cosim.core.solver import Linear, LinearModel
+from cosim.errors import UsageError
+from cosim.scenario.schema import Table
+from cosim.theory.descriptor import DescriptorSystem
+
+LINEAR = ("descriptor", "unknown-input-observer", "controller", "lag")  # the kinds that are linear models
+
+
+class Site(Protocol):
+    """What a kind may know about the scenario it is built in."""
+
+    step_ns: int
+    hold: str
+
+    def model(self, name: str) -> DescriptorSystem:
+        """Give a model of [models]."""
+        ...
+
+    def spec(self, name: str) -> Kind:
+        """Give the table of another component."""
+        ...
+
+    def driver(self, to: str) -> str | None:
+        """Give the component that drives an input, ``component.input``."""
+        ...
+
+    def file(self, path: str) -> Path:
+        """Find a file named in the scenario."""
+        ...
+
+    def recording(self, path: str) -> Any:
+        """Open a log."""
+        ...
+
+    def fmu(
+        self, name: str, path: str, *, mode: Literal["me", "cs"] | None, solver: str | None, start: Mapping[str, float]
+    ) -> Component:
+        """Load an FMU; it is freed when the run is over."""
+        ...
+
+    def note(self, name: str, **facts: Any) -> None:
+        """Record a fact about a component for reports and the log."""
+        ...
+
+    def warn(self, name: str, text: str) -> None:
+        """Say that a result will be right but poorly conditioned or costly."""
+        ...
+
+
+class Kind(Table):
+    """A component's table."""
+
+    sampled: ClassVar[bool] = False  # with a period: True, it lives on that step; False, it only answers less often
+    kind: str
+
+    @property
+    def computable(self) -> bool:
+        """Whether a log alone is enough to compute it again; if not, a replay takes it from the recording."""
+        return True
+
+    @property
+    def own_step(self) -> float | None:
+        """Its period [s], where it has one."""
+        return None
+
+    def build(self, name: str, site: Site) -> Component:
+        """Build the component."""
+        return Linear(self.linear_model(name, site))
+
+    def linear_model(self, name: str, site: Site) -> LinearModel:
+        """Give the component as a linear model, where it is one: what an exact solver steps and an FMU can be made of."""
+        raise UsageError(
+            f"{name!r} is of kind {self.kind!r}, which is no linear model; what can be exported: {', '.join(LINEAR)}"
+        )

@@ -1,0 +1,163 @@
+"""The method of the paper: observer, regressor, identifier."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from cosim.blocks.identifier import LeastSquaresIdentifier
+from cosim.blocks.observer import observer_model
+from cosim.blocks.regressor import Regressor
+from cosim.core.clock import whole_steps
+from cosim.core.contracts import Component
+from cosim.core.solver import LinearModel
+from cosim.errors import AssumptionError, UsageError
+from cosim.native.expression import Program, compile_expression
+from cosim.native.step import evaluate
+from cosim.scenario.kinds.base import Kind, Site
+from cosim.scenario.schema import Number, Row, Rows, Table
+from cosim.theory import estimators, observer, regression
+from cosim.theory.descriptor import ReducedSystem, reduce
+from cosim.theory.disturbance import Block, family_named, group
+
+HELD_LIMIT = 0.05  # filter_rate x step from which held inputs spoil the derivative by more than 2.5 %
+
+
+class UnknownInputObserver(Kind):
+    """Unknown-input observer with disturbance reconstruction (18)-(20)."""
+
+    kind: Literal["unknown-input-observer"]
+    model: str = Field(description="name of a table in [models]: what the observer believes")
+    L: Row | Rows | None = Field(None, description="gain; or give poles")
+    poles: Row | None = Field(None, description="eigenvalues of M - L C3 that L can move [1/s]")
+    x_a0: Row | None = Field(None, description="first estimate; left out: consistent with y(0)")
+    filter_rate: Number = Field(description="lambda_f of the derivative filter (19) [rad/s]")
+    q0: Row | None = Field(None, description="start of the filter; left out: at the signal")
+
+    def linear_model(self, name: str, site: Site) -> LinearModel:
+        reduced, design = self.design(site)
+        h = site.step_ns / 1e9
+        site.note(
+            name,
+            eigenvalues=[str(complex(v)) if v.imag else float(v.real) for v in design.eigenvalues],
+            fixed_modes=[str(complex(v)) if v.imag else float(v.real) for v in design.fixed_modes],
+            lambda_obs=design.lambda_obs,
+        )
+        if site.hold == "start" and self.filter_rate * h > HELD_LIMIT:
+            site.warn(
+                name,
+                f"filter_rate x step = {self.filter_rate * h:g} with held inputs: the derivative filter reads a ramp "
+                f'{self.filter_rate * h / -math.expm1(-self.filter_rate * h) - 1.0:.0%} too high; use hold = "line"',
+            )
+        return observer_model(reduced, design, x_a0=self.x_a0, q0=self.q0)
+
+    def design(self, site: Site) -> tuple[ReducedSystem, observer.ObserverDesign]:
+        """Design the observer (14)-(18)."""
+        reduced = reduce(site.model(self.model))
+        L = None if self.L is None else np.array(self.L, dtype=np.float64)
+        return reduced, observer.design(reduced, L=L, poles=self.poles, filter_rate=self.filter_rate)
+
+
+class RegressorTerm(Table):
+    """One component of the disturbance class (4), its parameter unknown."""
+
+    alpha: str = Field("1", description="known function of t")
+    family: str = Field(description="exponential or sine")
+
+
+class RegressorKind(Kind):
+    """From delta to the known signals mu of the regression (21)-(25)."""
+
+    kind: Literal["regressor"]
+    terms: tuple[RegressorTerm, ...] = Field(description="list of { alpha, family }")
+    delays: Row = Field(description="D_j [s], one more than basis functions, whole communication steps")
+
+    def build(self, name: str, site: Site) -> Component:
+        blocks, terms = self.regression()
+        steps = [whole_steps(delay, site.step_ns, f"delays[{j}]") for j, delay in enumerate(self.delays)]
+        programs = [compile_expression(block.alpha) for block in blocks]
+        if len(blocks) > 1:
+            regression.collinear(terms, self._alphas(programs), [block.alpha for block in blocks])
+        warning = regression.linear_route([block.size for block in blocks])
+        if warning:
+            site.warn(name, warning)
+        return Regressor(terms, alphas=programs, steps=steps, delays=self.delays)
+
+    def regression(self) -> tuple[tuple[Block, ...], tuple[regression.Term, ...]]:
+        """Expand the determinant for the terms given."""
+        families = [family_named(term.family) for term in self.terms]
+        blocks = group([term.alpha for term in self.terms], families)
+        sizes = tuple(block.size for block in blocks)
+        regression.check_delays(self.delays, sum(sizes) + 1)
+        return blocks, regression.expand(sizes)
+
+    def _alphas(self, programs: Sequence[Program]) -> Any:
+        """Sample alpha_b(t - D_j) on a grid that no period of the alphas divides."""
+        grid = np.arange(512) * math.sqrt(2.0) / 7.0
+        return np.array([[[evaluate(p, t - D) for p in programs] for D in self.delays] for t in grid])
+
+
+class StartTable(Table):
+    """Start of identification by (36)-(38)."""
+
+    epsilon_observer: Number = Field(description="fraction of the first observer error that may remain, in (0, 1)")
+    epsilon_filter: Number = Field(description="fraction of the first filter transient that may remain, in (0, 1)")
+
+
+class Identifier(Kind):
+    """Identifier of theta by least squares (33)-(35)."""
+
+    kind: Literal["identifier"]
+    method: Literal["least-squares"] = Field(description='how theta is estimated: "least-squares"')
+    P0: Number | None = Field(None, description="P(0) = P0 I (34); left out: no prior")
+    start: Number | StartTable = Field(description="T_id [s], or { epsilon_observer, epsilon_filter } for (36)-(38)")
+    period: Number | None = Field(None, description="seconds between two answers; left out: every communication step")
+
+    @property
+    def own_step(self) -> float | None:
+        """Its period [s]."""
+        return self.period
+
+    def build(self, name: str, site: Site) -> Component:
+        source_name = site.driver(f"{name}.regressor")
+        spec = site.spec(source_name) if source_name is not None else None
+        if not isinstance(spec, RegressorKind):
+            raise UsageError("'regressor' must be driven directly by a component of kind 'regressor', whose terms it identifies")
+        assert source_name is not None
+        blocks, terms = spec.regression()
+        recovery = estimators.plan(terms, blocks, spec.delays)
+        start = self._start(name, source_name, spec, site)
+        site.note(name, P0=self.P0, unknowns=recovery.n_eta)
+        return LeastSquaresIdentifier(recovery, start=start, P0=self.P0)
+
+    def _start(self, name: str, regressor: str, spec: RegressorKind, site: Site) -> float:
+        """Give the first communication point not before T_id."""
+        longest = max(spec.delays)
+        if isinstance(self.start, StartTable):
+            observer_name = site.driver(f"{regressor}.delta")
+            found = site.spec(observer_name) if observer_name is not None else None
+            if not isinstance(found, UnknownInputObserver):
+                raise UsageError("start: (36)-(38) need an observer that drives the regressor; give start as a time in s instead")
+            _, design = found.design(site)
+            times = observer.start_time(
+                lambda_obs=design.lambda_obs,
+                filter_rate=found.filter_rate,
+                delays=spec.delays,
+                epsilon_observer=self.start.epsilon_observer,
+                epsilon_filter=self.start.epsilon_filter,
+            )
+            site.note(name, T_obs=times.T_obs, T_f=times.T_f, D_max=times.D_max, T_id=times.T_id)
+            wanted = times.T_id
+        else:
+            wanted = float(self.start)
+        if wanted < longest:
+            raise AssumptionError(
+                f"start: found {wanted} s, needed at least the longest delay, {longest} s: before it the regressor has no value"
+            )
+        first = math.ceil(round(wanted * 1e9, 3) / site.step_ns) * site.step_ns / 1e9
+        site.note(name, start=first)
+        return first

@@ -1,0 +1,105 @@
+"""Small parts that every scenario needs."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Literal
+
+import numpy as np
+from pydantic import Field
+
+from cosim.blocks import arithmetic, dynamics
+from cosim.blocks.controller import controller
+from cosim.core.clock import whole_steps
+from cosim.core.contracts import Component
+from cosim.core.solver import LinearModel
+from cosim.scenario.kinds.base import Kind, Site
+from cosim.scenario.schema import Number, Row, Rows, Whole, matrix
+
+
+class Sum(Kind):
+    """y = signs[0] u1 + signs[1] u2 + ..."""
+
+    kind: Literal["sum"]
+    signs: Row = Field(description="one number an input, like [1, -1]")
+    size: Whole = Field(1, ge=1, description="number of elements of every signal")
+    unit: str | None = None
+
+    def build(self, name: str, site: Site) -> Component:
+        return arithmetic.sum_of(self.signs, size=self.size, unit=self.unit)
+
+
+class Gain(Kind):
+    """y = K u."""
+
+    kind: Literal["gain"]
+    K: Number | Rows = Field(description="a number, or a matrix")
+    unit: str | None = None
+
+    def build(self, name: str, site: Site) -> Component:
+        K = np.array([[self.K]]) if isinstance(self.K, (int, float)) else matrix(self.K, "K")
+        return arithmetic.gain(K, unit=self.unit)
+
+
+class Limit(Kind):
+    """y = u within lower and upper."""
+
+    kind: Literal["limit"]
+    lower: Number = Field(description="lower limit")
+    upper: Number = Field(description="upper limit")
+    size: Whole = Field(1, ge=1, description="number of elements")
+    unit: str | None = None
+
+    def build(self, name: str, site: Site) -> Component:
+        return arithmetic.limit(lower=self.lower, upper=self.upper, size=self.size, unit=self.unit)
+
+
+class Lag(Kind):
+    """First-order lag: time_constant y' = u - y."""
+
+    kind: Literal["lag"]
+    time_constant: Number = Field(description="time constant [s]")
+    start: Number | None = Field(None, description="y(0); left out: u(0)")
+    size: Whole = Field(1, ge=1, description="number of elements")
+    unit: str | None = None
+
+    def linear_model(self, name: str, site: Site) -> LinearModel:
+        return dynamics.lag(time_constant=self.time_constant, start=self.start, size=self.size, unit=self.unit)
+
+
+class Delay(Kind):
+    """y(t) = u(t - delay)."""
+
+    kind: Literal["delay"]
+    delay: Number = Field(description="a whole number of communication steps [s]")
+    initial: Number | None = Field(None, description="y until then; left out: u(0)")
+    size: Whole = Field(1, ge=1, description="number of elements")
+    unit: str | None = None
+
+    def build(self, name: str, site: Site) -> Component:
+        return dynamics.Delay(
+            whole_steps(self.delay, site.step_ns, "delay"), initial=self.initial, size=self.size, unit=self.unit
+        )
+
+
+class Controller(Kind):
+    """Linear controller x' = A x + B u, y = C x + D u."""
+
+    sampled: ClassVar[bool] = True
+    kind: Literal["controller"]
+    A: Rows = Field(description="matrix (n, n)")
+    B: Rows = Field(description="matrix (n, inputs)")
+    C: Rows = Field(description="matrix (outputs, n)")
+    D: Rows | None = Field(None, description="matrix (outputs, inputs); left out: zero")
+    x0: Row | None = Field(None, description="x(0); left out: zero")
+    period: Number | None = Field(None, description="its own step [s]; left out: the communication step")
+    unit: str | None = None
+
+    @property
+    def own_step(self) -> float | None:
+        """Its period [s]."""
+        return self.period
+
+    def linear_model(self, name: str, site: Site) -> LinearModel:
+        D = None if self.D is None else matrix(self.D, "D")
+        x0 = None if self.x0 is None else np.array(self.x0)
+        return controller(A=matrix(self.A, "A"), B=matrix(self.B, "B"), C=matrix(self.C, "C"), D=D, x0=x0, unit=self.unit)

@@ -1,0 +1,77 @@
+"""Plants: generated, real FMUs, recordings."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Literal
+
+from pydantic import Field
+
+from cosim.blocks.plant import descriptor_model
+from cosim.blocks.replay import Replay
+from cosim.core.contracts import Component
+from cosim.core.solver import SOLVERS, LinearModel
+from cosim.errors import UsageError, nearest
+from cosim.scenario.kinds.base import Kind, Site
+from cosim.scenario.schema import Number, Row
+
+
+class Plant(Kind):
+    """What a replay takes from the recording."""
+
+    @property
+    def computable(self) -> bool:
+        """It is not."""
+        return False
+
+
+class Descriptor(Plant):
+    """Plant generated from a descriptor model: E x' = A x + Bu u + Bd delta, y = C x."""
+
+    kind: Literal["descriptor"]
+    model: str = Field(description="name of a table in [models]")
+    x_a0: Row = Field(description="dynamic states at the start")
+    solver: str = Field("exact", description=f"one of: {', '.join(SOLVERS)}")
+
+    def build(self, name: str, site: Site) -> Component:
+        from cosim.fmi.generated import GeneratedUnit
+        from cosim.fmi.model_exchange import ModelExchange
+
+        if self.solver not in SOLVERS:
+            raise UsageError(f"solver: found {self.solver!r}; {nearest(self.solver, SOLVERS)}")
+        return ModelExchange(GeneratedUnit.of(self.linear_model(name, site), name), solver=self.solver)
+
+    def linear_model(self, name: str, site: Site) -> LinearModel:
+        return descriptor_model(site.model(self.model), self.x_a0)
+
+
+class Fmu(Plant):
+    """A real FMU, FMI 2.0 or 3.0."""
+
+    sampled: ClassVar[bool] = True
+    kind: Literal["fmu"]
+    path: str = Field(description="path of the .fmu")
+    mode: Literal["me", "cs"] | None = Field(
+        None, description="model exchange or co-simulation; left out: me where it is offered"
+    )
+    solver: str | None = Field(None, description=f"for model exchange, one of: {', '.join(SOLVERS)}")
+    start: dict[str, Number] = Field({}, description="start values by variable")
+    period: Number | None = Field(None, description="its own step [s]; left out: the communication step")
+
+    @property
+    def own_step(self) -> float | None:
+        """Its period [s]."""
+        return self.period
+
+    def build(self, name: str, site: Site) -> Component:
+        return site.fmu(name, self.path, mode=self.mode, solver=self.solver, start=self.start)
+
+
+class Recording(Plant):
+    """A component out of a recorded log."""
+
+    kind: Literal["recording"]
+    log: str = Field(description="path of the .mcap")
+    component: str = Field(description="name of the component in the log")
+
+    def build(self, name: str, site: Site) -> Component:
+        return Replay(site.recording(self.log), self.component)

@@ -1,0 +1,188 @@
+"""Sources: kinds without inputs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from cosim.arrays import Vector
+from cosim.blocks import source
+from cosim.core.contracts import Component
+from cosim.errors import UsageError, nearest
+from cosim.native.expression import compile_expression
+from cosim.scenario.kinds.base import Kind, Site
+from cosim.scenario.schema import Flag, Number, Row, Rows, Table, Whole, matrix
+from cosim.theory.disturbance import family_named
+
+
+def _vector(value: float | Sequence[float]) -> list[float]:
+    return [float(value)] if isinstance(value, (int, float)) else [float(v) for v in value]
+
+
+class Constant(Kind):
+    """y = value."""
+
+    kind: Literal["constant"]
+    value: Number | Row = Field(description="value, or values")
+    unit: str | None = None
+
+    def build(self, name: str, site: Site) -> Component:
+        return source.constant(_vector(self.value), unit=self.unit)
+
+
+class Step(Kind):
+    """y jumps from before to after at time."""
+
+    kind: Literal["step"]
+    time: Number = Field(description="when it jumps [s]")
+    before: Number = 0.0
+    after: Number = 1.0
+    unit: str | None = None
+
+    def build(self, name: str, site: Site) -> Component:
+        return source.step(time=self.time, before=self.before, after=self.after, unit=self.unit)
+
+
+class Ramp(Kind):
+    """y = offset + slope max(0, t - start)."""
+
+    kind: Literal["ramp"]
+    slope: Number = Field(description="slope [1/s]")
+    start: Number = Field(0.0, description="when it begins [s]")
+    offset: Number = 0.0
+    unit: str | None = None
+
+    def build(self, name: str, site: Site) -> Component:
+        return source.ramp(slope=self.slope, start=self.start, offset=self.offset, unit=self.unit)
+
+
+class Sine(Kind):
+    """y = offset + amplitude sin(rate t + phase)."""
+
+    kind: Literal["sine"]
+    amplitude: Number = 1.0
+    rate: Number = Field(description="angular rate [rad/s]")
+    phase: Number = Field(0.0, description="phase [rad]")
+    offset: Number = 0.0
+    unit: str | None = None
+
+    def build(self, name: str, site: Site) -> Component:
+        return source.sine(amplitude=self.amplitude, rate=self.rate, phase=self.phase, offset=self.offset, unit=self.unit)
+
+
+class Chirp(Kind):
+    """y = offset + amplitude sin(rate t + sweep t^2 / 2)."""
+
+    kind: Literal["chirp"]
+    amplitude: Number = 1.0
+    rate: Number = Field(description="angular rate at t = 0 [rad/s]")
+    sweep: Number = Field(description="growth of the rate [rad/s^2]")
+    offset: Number = 0.0
+    unit: str | None = None
+
+    def build(self, name: str, site: Site) -> Component:
+        return source.chirp(amplitude=self.amplitude, rate=self.rate, sweep=self.sweep, offset=self.offset, unit=self.unit)
+
+
+class Expression(Kind):
+    """y = expressions in t."""
+
+    kind: Literal["expression"]
+    y: str | tuple[str, ...] = Field(description='an expression, like "1 + 0.5*sin(2*t)", or several')
+    discrete: Flag = Field(False, description="holds its value over a step")
+    unit: str | None = None
+
+    def build(self, name: str, site: Site) -> Component:
+        texts = [self.y] if isinstance(self.y, str) else list(self.y)
+        return source.Expression(texts, variability="discrete" if self.discrete else "continuous", unit=self.unit)
+
+
+class TableSource(Kind):
+    """y on straight lines between given points: arrays, or a CSV file with a header line."""
+
+    kind: Literal["table"]
+    t: Row | None = Field(None, description="instants [s]")
+    y: Row | Rows | None = Field(None, description="values, or rows of values, at those instants")
+    file: str | None = Field(None, description="CSV file instead: first line names the columns")
+    time: str = Field("t", description="column of the instants")
+    columns: tuple[str, ...] | None = Field(None, description="columns of the values; all others if left out")
+    hold: Flag = Field(False, description="keep each value until the next instant")
+    unit: str | None = None
+
+    @property
+    def computable(self) -> bool:
+        """A file is not in the log."""
+        return self.file is None
+
+    def build(self, name: str, site: Site) -> Component:
+        if (self.file is None) == (self.t is None or self.y is None):
+            raise UsageError("table: needed either t and y, or file")
+        t, y = self._read(site.file(self.file)) if self.file is not None else self._given()
+        return source.Table(t, y, hold=self.hold, unit=self.unit)
+
+    def _given(self) -> tuple[Vector, Any]:
+        y = self.y or ()
+        rows = [row if isinstance(row, tuple) else (row,) for row in y]
+        return np.array(self.t), matrix(tuple(rows), "y")
+
+    def _read(self, path: Path) -> tuple[Vector, Any]:
+        try:
+            with path.open(encoding="utf-8") as stream:
+                header = [cell.strip() for cell in stream.readline().split(",")]
+                values = np.loadtxt(stream, delimiter=",", ndmin=2)
+        except OSError as error:
+            raise UsageError(f"file {str(path)!r} cannot be read: {error.strerror}") from error
+        except ValueError as error:
+            raise UsageError(f"file {str(path)!r} is no table of numbers separated by commas: {error}") from error
+        wanted = list(self.columns) if self.columns is not None else [column for column in header if column != self.time]
+        for column in (self.time, *wanted):
+            if column not in header:
+                raise UsageError(f"file {str(path)!r} has no column {column!r}; {nearest(column, header)}")
+        if values.shape[1] != len(header):
+            raise UsageError(f"file {str(path)!r} has {len(header)} names and {values.shape[1]} columns; needed as many of both")
+        return values[:, header.index(self.time)], values[:, [header.index(column) for column in wanted]]
+
+
+class Noise(Kind):
+    """y = Gaussian noise, a new value at every communication point."""
+
+    kind: Literal["noise"]
+    deviation: Number = Field(ge=0.0, description="standard deviation")
+    seed: Whole = Field(ge=0, description="seed of the generator")
+    size: Whole = Field(1, ge=1, description="number of elements")
+    unit: str | None = None
+
+    def build(self, name: str, site: Site) -> Component:
+        return source.Noise(deviation=self.deviation, seed=self.seed, size=self.size, unit=self.unit)
+
+
+class DisturbanceTerm(Table):
+    """One component alpha(t) f(theta, t) of (4)."""
+
+    alpha: str = Field("1", description="known function of t")
+    family: str = Field(description="exponential or sine")
+    theta: Number = Field(description="the parameter: exponent [1/s], or rate [rad/s]")
+    amplitude: Number = 1.0
+    phase: Number = Field(0.0, description="of a sine [rad]")
+
+
+class Disturbance(Kind):
+    """y = sum of alpha(t) f(theta, t), the disturbance class (4)."""
+
+    kind: Literal["disturbance"]
+    terms: tuple[DisturbanceTerm, ...] = Field(description="list of { alpha, family, theta }")
+    unit: str | None = None
+
+    def build(self, name: str, site: Site) -> Component:
+        texts = []
+        for term in self.terms:
+            compile_expression(term.alpha)
+            family_named(term.family)
+            shape = f"exp({term.theta!r}*t)" if term.family == "exponential" else f"sin({term.theta!r}*t + {term.phase!r})"
+            texts.append(f"({term.alpha})*{term.amplitude!r}*{shape}")
+        site.note(name, theta=[term.theta for term in self.terms])
+        return source.Expression([" + ".join(texts)], unit=self.unit)

@@ -1,0 +1,64 @@
+"""Small components to build graphs from."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cosim.blocks.arithmetic import gain
+from cosim.blocks.controller import controller
+from cosim.blocks.dynamics import lag
+from cosim.core.contracts import Stopped
+from cosim.core.signals import Interface, Signal
+from cosim.core.solver import Linear, LinearModel
+
+
+def integrator(rate: float = 1.0, start: float = 0.0) -> Linear:
+    """Give x' = rate (u - x), y = x: no feedthrough."""
+    return Linear(lag(time_constant=1.0 / rate, start=start))
+
+
+def through(D: float = 0.5) -> Linear:
+    """Give x' = -2 x + u, y = x + D u, x."""
+    return Linear(controller(A=np.array([[-2.0]]), B=np.eye(1), C=np.eye(1), D=np.array([[D]]), x0=np.array([0.3])))
+
+
+def times(K: float):
+    """Give y = K u."""
+    return gain(np.array([[K]]))
+
+
+def half_through() -> Linear:
+    """Give a plant x' = -3 x + u with the outputs v = x, without feedthrough, and y = 2 x + 0.5 u, with it."""
+    interface = Interface((Signal("u"),), (Signal("v"), Signal("y")), {"v": (), "y": ("u",)})
+    C, D = np.array([[1.0], [2.0]]), np.array([[0.0], [0.5]])
+    return Linear(LinearModel(interface, ("x",), -3.0 * np.eye(1), np.eye(1), C, D, np.array([1.0]), np.zeros((1, 1))))
+
+
+class Scripted:
+    """Gives ``values[k]`` at step k, and raises what stands there if it is an exception; takes any inputs."""
+
+    def __init__(self, values, *, optional=False, inputs=0):
+        self.values = values
+        self.interface = Interface(tuple(Signal(f"u{i}") for i in range(inputs)), (Signal("y", optional=optional),))
+
+    def prepare(self, h, held, recorded):
+        return {}
+
+    def initialize(self, t, u):
+        self.k = 0
+        return self.outputs(t, u)
+
+    def outputs(self, t, u):
+        return np.array([self.values[self.k]], np.float64)
+
+    def advance(self, t, h, u):
+        rows = []
+        for _ in range(len(t) - 1):
+            value = self.values[self.k + 1]
+            if isinstance(value, Stopped):
+                raise Stopped(np.reshape([*rows, *value.outputs], (-1, 1)), str(value), failed=value.failed)
+            if isinstance(value, Exception):
+                raise value
+            self.k += 1
+            rows.append([value])
+        return np.array(rows, np.float64).reshape(-1, 1)

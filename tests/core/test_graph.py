@@ -1,0 +1,188 @@
+"""What does not fit together is refused before the first step, everything at once."""
+
+import numpy as np
+import pytest
+
+from cosim.blocks.arithmetic import gain, sum_of
+from cosim.blocks.dynamics import Delay, lag
+from cosim.blocks.source import Noise, Table, constant, sine
+from cosim.core.clock import Clock
+from cosim.core.graph import Connection, Graph
+from cosim.core.master import run
+from cosim.core.recorders import Memory
+from cosim.core.signals import Interface, Signal
+from cosim.core.solver import Linear
+from cosim.errors import AlgebraicLoopError, GraphError
+from tests.core.parts import Scripted, integrator, through, times
+
+
+def graph(connections, **options):
+    components = {
+        "u": constant([1.0, 2.0, 3.0], unit="m"),
+        "one": constant([4.0]),
+        "lag": Linear(lag(time_constant=1.0, size=3, unit="m")),
+        "small": Linear(lag(time_constant=1.0, unit="s")),
+    }
+    return Graph(components, {"lag.u": "u.y", "small.u": "one.y", **connections}, **options)
+
+
+@pytest.mark.parametrize(
+    ("connections", "text"),
+    [
+        ({"lab.u": "u.y"}, "'lab.u': there is no component 'lab'; did you mean 'lag'? There is: u, one, lag, small"),
+        ({"lag.u": "v.y"}, "'v.y': there is no component 'v'; There is: u, one, lag, small"),
+        ({"lag.yy": "u.y"}, "'lag.yy': 'lag' has no input 'yy'; There is: u"),
+        ({"lag.u": "small.yy"}, "'small.yy': 'small' has no output 'yy'; did you mean 'y'? There is: y"),
+        ({"u.x": "one.y"}, "'u.x': 'u' has no input 'x'; there are none"),
+        ({"lag": "u.y"}, "'lag': 'lag' has no input ''"),
+        ({"lag.u": "one.y"}, "one.y -> lag.u: size 1 cannot drive size 3 [m]"),
+        ({"small.u": "u.y[3]"}, "'u.y[3]': 'u.y' has 3 elements, numbered from 0"),
+        (
+            {"small.u": "u.y[1]"},
+            "u.y[1] -> small.u: unit 'm' cannot drive unit 's'; convert with { from = 'u.y[1]', gain = ..., unit = 's' }",
+        ),
+        ({"lag.u": Connection("u.y", unit="mm")}, "u.y -> lag.u: unit 'mm' cannot drive unit 'm'"),
+        ({"lag.u": Connection("u.y", ((1.0, 2.0, 3.0),))}, "u.y -> lag.u: gain has shape (1, 3), needed (3, 3)"),
+        ({"small.u": Connection("u.y", ((1.0,),), unit="s")}, "u.y -> small.u: gain has shape (1, 1), needed (1, 3)"),
+    ],
+)
+def test_a_connection_that_does_not_fit_is_refused(connections, text):
+    """With both ends, what was found and what was needed, and the nearest name."""
+    with pytest.raises(GraphError) as error:
+        graph(connections)
+    assert text in str(error.value)
+
+
+def test_several_problems_are_reported_together():
+    """One line each."""
+    with pytest.raises(GraphError) as error:
+        Graph({"a": integrator(), "b": integrator(), "c": constant([1.0, 2.0])}, {"a.u": "c.y", "b.v": "c.y", "x.u": "c.y"})
+    lines = str(error.value).splitlines()
+    assert len(lines) == 4
+    assert lines[0].startswith("c.y -> a.u: size 2 cannot drive size 1")
+    assert lines[3] == "'b.u' is not connected; give it a source in [connections]"
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ({"coupling": "newtonian"}, "coupling: found 'newtonian'; There is: gauss-seidel, jacobi"),
+        ({"coupling": "gauss-seidl"}, "coupling: found 'gauss-seidl'; did you mean 'gauss-seidel'?"),
+        ({"hold": "lines"}, "hold: found 'lines'; did you mean 'line'? There is: line, start"),
+        ({"periods": {"lab": 2}}, "periods: there is no component 'lab'; did you mean 'lag'?"),
+        ({"periods": {"lag": 0}}, "periods: found 0 steps for 'lag', needed at least 1"),
+    ],
+)
+def test_an_option_that_is_none_is_refused(options, text):
+    """With the names there are."""
+    with pytest.raises(GraphError) as error:
+        graph({}, **options)
+    assert text in str(error.value)
+
+
+def test_names_and_numbers_are_checked():
+    """No components, a dot in a name, a signal of no size, one declared twice."""
+    with pytest.raises(GraphError, match="the graph has no components; needed at least one"):
+        Graph({}, {})
+    with pytest.raises(GraphError, match=r"component 'a\.b': a component's name must not be empty and has no dot"):
+        Graph({"a.b": constant([1.0])}, {})
+    with pytest.raises(GraphError, match="component '': a component's name must not be empty"):
+        Graph({"": constant([1.0])}, {})
+    with pytest.raises(GraphError, match="signal 'y': size 0, needed at least 1"):
+        Signal("y", 0)
+    with pytest.raises(GraphError, match="signal 'y' is declared twice in one interface"):
+        Interface((Signal("y"),), (Signal("y"),))
+
+
+def test_an_optional_output_drives_only_what_takes_no_value():
+    """NaN means "no value yet" and must not reach an input that needs one."""
+    with pytest.raises(
+        GraphError, match=r"a\.y -> b\.u: the source may carry no value \(NaN\), the input needs one at every step"
+    ):
+        Graph({"a": Scripted([0.0], optional=True), "b": integrator()}, {"b.u": "a.y"})
+
+
+def test_elements_gains_offsets_and_matrices_reach_the_input():
+    """`x[1]` is one element; a gain and an offset act on each; a matrix maps; a name that looks like an element is a name."""
+    odd = Interface((), (Signal("x[1]"), Signal("x", 2)), {})
+    memory = Memory()
+    components = {"c": constant([1.0, 2.0, 4.0]), "odd": Scripted([0.0] * 9), "a": Delay(1), "b": Delay(1), "m": Delay(1, size=2)}
+    components["odd"].interface = odd
+    components["odd"].outputs = lambda t, u: np.array([7.0, 8.0, 9.0])
+    components["odd"].advance = lambda t, h, u: np.tile([7.0, 8.0, 9.0], (len(t) - 1, 1))
+    components["n"] = Delay(1)
+    connections = {
+        "a.u": Connection("c.y[2]", 3.0, 0.5),
+        "b.u": "odd.x[1]",
+        "n.u": "odd.x[0]",
+        "m.u": Connection("c.y", ((1.0, 0.0, -1.0), (0.0, 2.0, 0.25)), 10.0),
+    }
+    run(Graph(components, connections), Clock(0.002, 1e-3), memory)
+    assert (memory["a.u"] == 12.5).all()
+    assert (memory["b.u"] == 7.0).all()
+    assert (memory["n.u"] == 8.0).all()
+    assert (memory["m.u"] == [7.0, 15.0]).all()
+
+
+def test_an_algebraic_loop_names_every_port():
+    """In the order of the signal's way, closed; also through a connection of a component to itself."""
+    with pytest.raises(AlgebraicLoopError) as error:
+        Graph(
+            {"r": constant([1.0]), "s": sum_of([1.0, -1.0]), "k": times(2.0), "p": through()},
+            {"s.u1": "r.y", "s.u2": "p.y", "k.u": "s.y", "p.u": "k.y"},
+        )
+    circle, _, way = str(error.value).partition(
+        ": every output here feeds through; put a component with a state of its own between"
+    )
+    assert way
+    ports = circle.split(" -> ")
+    assert ports[0] == ports[-1]
+    assert set(ports) == {"s.u2", "s.y", "k.u", "k.y", "p.u", "p.y"}
+    order = ["s.u2", "s.y", "k.u", "k.y", "p.u", "p.y"]
+    start = order.index(ports[0])
+    assert ports[:-1] == order[start:] + order[:start]
+    with pytest.raises(AlgebraicLoopError, match=r"k\.(u|y) -> k\.(y|u) -> k\.(u|y): "):
+        Graph({"k": times(0.5)}, {"k.u": "k.y"})
+
+
+def test_feedthrough_that_is_unknown_counts_as_full():
+    """Then the circle is closed; with the outputs declared it is not."""
+    component = through(0.0)
+    assert Graph({"a": component, "k": times(1.0)}, {"a.u": "k.y", "k.u": "a.y"})
+    component.interface = Interface(component.interface.inputs, component.interface.outputs, None)
+    with pytest.raises(AlgebraicLoopError):
+        Graph({"a": component, "k": times(1.0)}, {"a.u": "k.y", "k.u": "a.y"})
+
+
+def test_initial_values_that_do_not_settle_are_refused():
+    """A lag that starts at its input, driven by one more than itself, chases its own tail."""
+    looped = Graph({"lag": Linear(lag(time_constant=1.0))}, {"lag.u": Connection("lag.y", 1.0, 1.0)})
+    text = r"initial values do not settle: lag\.u, lag\.y still change after 2 rounds"
+    memory = Memory()
+    with pytest.raises(GraphError, match=text):
+        run(looped, Clock(1.0, 0.1), memory)
+    assert len(memory["lag.y"]) == 0
+
+
+def test_what_holds_over_a_step_follows_variability():
+    """Discrete sources hold, continuous ones are lines, inherited ones are what drives them, `hold = "start"` holds all."""
+    components = {
+        "line": sine(amplitude=1.0, rate=1.0, phase=0.0, offset=0.0),
+        "noise": Noise(deviation=1.0, seed=1),
+        "table": Table(np.array([0.0, 9.0]), np.ones((2, 1)), hold=True),
+        "both": sum_of([1.0, 1.0]),
+        "discrete": sum_of([1.0, 1.0]),
+        "delayed": Delay(2),
+        "sink": gain(np.eye(3)),
+        "last": gain(np.ones((1, 4))),
+    }
+    connections = {
+        "both.u1": "line.y", "both.u2": "noise.y", "discrete.u1": "table.y", "discrete.u2": "noise.y", "delayed.u": "discrete.y",
+        "sink.u": Connection("discrete.y", ((1.0,), (1.0,), (1.0,))), "last.u": Connection("both.y", ((1.0,),) * 4),
+    }  # fmt: skip
+    held = {name: mask.tolist() for name, mask in Graph(components, connections).prepare(10**6).held.items()}
+    assert held == {
+        "line": [], "noise": [], "table": [], "both": [False, True], "discrete": [True, True], "delayed": [True],
+        "sink": [True] * 3, "last": [False] * 4,
+    }  # fmt: skip
+    assert all(mask.all() for mask in Graph(components, connections, hold="start").prepare(10**6).held.values())

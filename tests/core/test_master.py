@@ -1,0 +1,257 @@
+"""What ends a run, and what is recorded then."""
+
+import numpy as np
+import pytest
+
+from cosim.blocks.arithmetic import gain, sum_of
+from cosim.blocks.dynamics import Delay
+from cosim.blocks.sampled import Decimated
+from cosim.blocks.source import Noise, Table, sine
+from cosim.core.clock import Clock
+from cosim.core.contracts import Stopped
+from cosim.core.graph import Connection, Graph
+from cosim.core.master import run
+from cosim.core.recorders import Memory, Nothing, Watched
+from cosim.errors import LogError, NonFiniteError, RunError
+from tests.core.parts import Scripted, integrator, times
+
+BLOCKS = [1, 3, 1000]
+
+
+class Guarded(Memory):
+    """Notes how often it was entered and left."""
+
+    def __init__(self):
+        super().__init__()
+        self.calls = []
+
+    def __enter__(self):
+        self.calls.append("enter")
+        return self
+
+    def __exit__(self, kind, error, trace):
+        self.calls.append(kind)
+
+
+def attempt(components, connections, expected=None, *, block=None, steps=10, text=".*", **options):
+    """Run for ``steps`` of 0.1 s; give the recorder, which was closed."""
+    memory = Guarded()
+    clock = Clock(steps / 10, 0.1, block)
+    if expected is None:
+        run(Graph(components, connections, **options), clock, memory)
+    else:
+        with pytest.raises(expected, match=text):
+            run(Graph(components, connections, **options), clock, memory)
+    assert memory.calls == ["enter", expected]
+    return memory
+
+
+def script(value, at, **options):
+    """Give 0, 1, 2, ... with ``value`` at step ``at``."""
+    return Scripted([*range(at), value, *range(at + 1, 12)], **options)
+
+
+def stop(*, failed=True, done=()):
+    return Stopped(np.reshape(np.array(done, np.float64), (-1, 1)), "enough", failed=failed)
+
+
+@pytest.mark.parametrize("block", BLOCKS)
+def test_a_stop_cuts_the_block_for_all(block):
+    """Before, beside and behind the component that stops: everything up to there is recorded, nothing after it."""
+    components = {
+        "early": sine(amplitude=1.0, rate=1.0, phase=0.0, offset=0.0),
+        "x": script(stop(), 5, inputs=1),
+        "behind": integrator(),
+        "n": Noise(deviation=1.0, seed=1),
+    }
+    memory = attempt(
+        components, {"x.u0": "early.y", "behind.u": "x.y"}, Stopped, block=block, text=r"'x' stopped at t = 0\.4 s: enough"
+    )
+    for name in components:
+        assert memory.time(name).tolist() == [0.0, 0.1, 0.2, 0.3, 0.4]
+    assert memory["x.y"].tolist() == [0, 1, 2, 3, 4]
+
+
+@pytest.mark.parametrize("block", BLOCKS)
+@pytest.mark.parametrize("behind", [integrator, lambda: Delay(2), lambda: Decimated(integrator(), 2), lambda: times(2.0)])
+def test_a_stop_in_the_very_first_step_leaves_the_start(behind, block):
+    """Components behind are not asked for steps that are not there."""
+    components = {
+        "x": script(stop(), 1),
+        "behind": behind(),
+        "n": Noise(deviation=1.0, seed=1),
+        "t": Table(np.array([0.0, 9.0]), np.ones((2, 1))),
+    }
+    memory = attempt(components, {"behind.u": "x.y"}, Stopped, block=block)
+    assert memory.time("n").tolist() == [0.0]
+
+
+@pytest.mark.parametrize("block", BLOCKS)
+def test_a_regular_end_is_no_error(block):
+    """A component that asks for the end gets it, with the step it completed."""
+    memory = attempt({"x": script(stop(failed=False, done=[7.0]), 5), "a": integrator()}, {"a.u": "x.y"}, block=block)
+    assert memory["x.y"].tolist() == [0, 1, 2, 3, 4, 7]
+    assert len(memory["a.y"]) == 6
+
+
+@pytest.mark.parametrize("block", BLOCKS)
+def test_the_first_of_two_stops_counts(block):
+    """By time, whoever is asked first."""
+    late, early = script(stop(), 6), script(stop(failed=False), 4)
+    assert len(attempt({"late": late, "early": early}, {}, block=block)["late.y"]) == 4
+    late, early = script(stop(failed=False), 6), script(stop(), 4)
+    attempt({"late": late, "early": early}, {}, Stopped, block=block, text=r"'early' stopped at t = 0\.3\d* s: enough")
+
+
+@pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
+@pytest.mark.parametrize("block", BLOCKS)
+def test_a_loop_stops_with_everything_before(block, coupling):
+    """A failed step is not recorded; a step completed before a regular end is, for every component of the loop."""
+    for failed, done, rows in ((True, [], 5), (False, [], 5), (False, [7.0], 6)):
+        components = {"x": script(stop(failed=failed, done=done), 5, inputs=1), "a": integrator(), "behind": times(1.0)}
+        memory = attempt(
+            components,
+            {"a.u": "x.y", "x.u0": "a.y", "behind.u": "a.y"},
+            Stopped if failed else None,
+            block=block,
+            coupling=coupling,
+        )
+        assert memory["x.y"].tolist() == [0, 1, 2, 3, 4, *done]
+        assert len(memory["a.y"]) == len(memory["behind.y"]) == rows
+        assert (memory["a.u"] == memory["x.y"]).all()
+        assert (memory["x.u0"] == memory["a.y"]).all()
+
+
+@pytest.mark.parametrize("block", BLOCKS)
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_a_value_that_is_not_finite_stops_the_run(value, block):
+    """It is named where it arose, not where it was seen first; everything before is recorded."""
+    components = {"behind": times(2.0), "x": script(value, 5), "b": integrator()}
+    text = rf"^'x\.y' became {value} at t = 0\.5 s; the log keeps everything before$"
+    memory = attempt(components, {"behind.u": "x.y", "b.u": "x.y"}, NonFiniteError, block=block, text=text)
+    assert memory["x.y"].tolist() == [0, 1, 2, 3, 4]
+    assert len(memory["behind.y"]) == 5
+
+
+@pytest.mark.parametrize("block", BLOCKS)
+def test_the_first_value_that_is_not_finite_is_named(block):
+    """By time; an element of a vector by its number."""
+    vector = {"a": script(np.nan, 7), "b": script(np.nan, 4), "v": gain(np.array([[0.0], [1.0]]))}
+    attempt(vector, {"v.u": "a.y"}, NonFiniteError, block=block, text=r"^'b\.y' became nan at t = 0\.4 s")
+    big = {"a": Scripted([1e300] * 12), "v": gain(np.array([[0.0], [1e10]]))}
+    attempt(big, {"v.u": "a.y"}, NonFiniteError, block=block, text=r"^'v\.y\[1\]' became inf at t = 0\.0 s")
+
+
+@pytest.mark.parametrize("block", BLOCKS)
+def test_what_a_gain_makes_infinite_is_named_at_the_input(block):
+    """The output before it is sound."""
+    components = {"a": script(1e300, 3), "b": times(1.0)}
+    attempt(
+        components, {"b.u": Connection("a.y", 1e10)}, NonFiniteError, block=block, text=r"^'b\.u' became inf at t = 0\.3\d* s"
+    )
+
+
+def test_a_start_that_is_not_finite_leaves_nothing():
+    """At t = 0 there is nothing before."""
+    memory = attempt({"x": script(np.nan, 0)}, {}, NonFiniteError, text=r"'x\.y' became nan at t = 0\.0 s")
+    assert memory["x.y"].shape == (0,)
+    assert memory.time_ns("x").shape == (0,)
+
+
+@pytest.mark.parametrize("block", BLOCKS)
+def test_no_value_yet_passes_where_it_may(block):
+    """NaN in an optional output goes on; infinity does not."""
+    memory = attempt({"x": script(np.nan, 5, optional=True)}, {}, block=block)
+    assert np.isnan(memory["x.y"]).tolist() == [k == 5 for k in range(11)]
+    attempt({"x": script(np.inf, 5, optional=True)}, {}, NonFiniteError, block=block, text=r"'x\.y' became inf at t = 0\.5 s")
+
+
+class Fussy(Scripted):
+    """Stops at an input that is NaN, as an FMU may."""
+
+    def advance(self, t, h, u):
+        bad = np.flatnonzero(np.isnan(u[1:, 0]))
+        if bad.size:
+            raise Stopped(super().advance(t[: bad[0] + 1], h, u), "my input is NaN")
+        return super().advance(t, h, u)
+
+
+@pytest.mark.parametrize("block", BLOCKS)
+def test_the_cause_is_named_not_who_suffers(block):
+    """A component behind never sees the value that is not finite, so that its complaint does not hide where it arose."""
+    components = {"x": script(np.nan, 5), "fussy": Fussy(list(range(12)), inputs=1)}
+    attempt(components, {"fussy.u0": "x.y"}, NonFiniteError, block=block, text=r"'x\.y' became nan at t = 0\.5 s")
+
+
+@pytest.mark.parametrize("block", [1, 3])
+def test_an_exception_inside_a_component_leaves_the_recorder_closed(block):
+    """With every block before it."""
+    memory = attempt({"x": script(ZeroDivisionError("mine"), 5)}, {}, ZeroDivisionError, block=block, text="mine")
+    assert memory["x.y"].tolist() == list(range(5 if block == 1 else 4))
+
+
+def test_a_keyboard_interrupt_leaves_the_recorder_closed():
+    """It is no exception of ours, and passes through."""
+
+    class Pressed(Scripted):
+        def advance(self, t, h, u):
+            raise KeyboardInterrupt
+
+    attempt({"x": Pressed([0.0])}, {}, KeyboardInterrupt)
+
+
+# --- recorders ---
+
+
+def small():
+    components = {
+        "u": sine(amplitude=1.0, rate=1.0, phase=0.0, offset=0.0),
+        "s": sum_of([1.0, 1.0], size=1),
+        "d": Decimated(integrator(), 3),
+    }
+    return Graph(components, {"s.u1": "u.y", "s.u2": "u.y", "d.u": "s.y"}, periods={"d": 3})
+
+
+def test_memory_keeps_the_rows_of_a_period():
+    """Every third row of a component that answers at every third."""
+    memory = Memory({"name": "small"})
+    run(small(), Clock(1.0, 0.1, 4), memory)
+    assert memory.time_ns("u").tolist() == [k * 10**8 for k in range(11)]
+    assert memory.time_ns("d").tolist() == [0, 3 * 10**8, 6 * 10**8, 9 * 10**8]
+    assert len(memory["d.y"]) == len(memory["d.u"]) == 4
+    assert memory.time("d.y").tolist() == memory.time("d").tolist() == [0.0, 0.3, 0.6, 0.9]
+    assert memory.metadata == {"name": "small"}
+    assert list(memory.channels) == ["u", "s", "d"]
+
+
+def test_memory_names_what_was_not_recorded():
+    """With the nearest name."""
+    memory = Memory()
+    run(small(), Clock(1.0, 0.1), memory)
+    with pytest.raises(LogError, match="the run has no component 'x'; There is: u, s, d"):
+        memory["x.y"]
+    with pytest.raises(LogError, match=r"'s\.u3': 's' has no signal 'u3'; did you mean 'u2'\? There is: u1, u2, y"):
+        memory["s.u3"]
+
+
+def test_nothing_keeps_nothing():
+    """It only takes."""
+    run(small(), Clock(1.0, 0.1), Nothing())
+
+
+@pytest.mark.parametrize("block", BLOCKS)
+def test_watched_tells_after_recording_and_may_end_the_run(block):
+    """What was told is recorded, and the recorder is closed."""
+    memory, told = Guarded(), []
+
+    def reached(block):
+        told.append(block.time_ns[-1])
+        assert memory._times[-1][-1] == block.time_ns[-1]
+        if block.time_ns[-1] >= 5 * 10**8:
+            raise RunError("that will do")
+
+    with pytest.raises(RunError, match="that will do"):
+        run(small(), Clock(1.0, 0.1, block), Watched(memory, reached))
+    assert memory.calls == ["enter", RunError]
+    assert memory.time_ns("u")[-1] == told[-1]
+    assert told[-1] == {1: 5, 3: 6, 1000: 10}[block] * 10**8
