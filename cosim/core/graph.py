@@ -179,7 +179,7 @@ class Graph:
         for name in names:
             for driver in self._drivers(name):
                 reach[number[driver], number[name]] = True
-        for _ in names:
+        for _ in range(len(names).bit_length()):  # paths of twice the length each time
             reach = reach @ reach
         together = reach & reach.T
         group = [int(np.argmax(together[i])) for i in range(len(names))]

@@ -10,7 +10,7 @@
             a stage that stops early cuts the block for all
             so does the first value that is not finite, before anything downstream sees it
         recorder.write(block, signals)
-        stop there, if something stopped
+        end there, if something stopped
         row 0 <- the last row
 """
 
@@ -45,35 +45,38 @@ def run(graph: Graph, clock: Clock, recorder: Recorder, *, designs: Mapping[str,
     NonFiniteError
         At the first NaN or infinity outside an optional signal; everything before is recorded.
     Stopped
-        If a component cannot go on; everything before is recorded.
+        If a component cannot go on; everything before is recorded. A regular stop ends the run without an error; its reason is
+        told to the recorder.
     """
-    with recorder, np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # what is not finite is found and named below
-        recorder.begin(graph.prepare(clock.step_ns, designs))
-        limit = max(1, BLOCK_BYTES // (8 * graph.layout.width + 8))
-        signals = np.zeros((min(limit, clock.steps) + 1, graph.layout.width))
-        graph.initialize(0.0, signals[0])
-        for stage in graph.stages:
-            bad = graph.first_non_finite(stage, signals[:1])
-            if bad is not None:
-                raise _non_finite(bad, 0.0)
-        for block in clock.blocks(limit):
-            end: Stopped | NonFiniteError | None = None
+    try:
+        with recorder, np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # what is not finite is named below
+            recorder.begin(graph.prepare(clock.step_ns, designs))
+            limit = max(1, BLOCK_BYTES // (8 * graph.layout.width + 8))
+            signals = np.zeros((min(limit, clock.steps) + 1, graph.layout.width))
+            graph.initialize(0.0, signals[0])
             for stage in graph.stages:
-                try:
-                    stage.advance(block, signals[: block.steps + 1])
-                except Stopped as stop:
-                    end, block = stop, block.cut(stop.steps)
-                bad = graph.first_non_finite(stage, signals[1 : block.steps + 1])
+                bad = graph.first_non_finite(stage, signals[:1])
                 if bad is not None:
-                    end, block = _non_finite(bad, float(block.time[bad.row + 1])), block.cut(bad.row)
-                if block.steps == 0:
-                    break
-            recorder.write(block, signals[: block.steps + 1])
-            if end is not None:
-                if isinstance(end, Stopped) and not end.failed:
-                    break
-                raise end
-            signals[0] = signals[block.steps]
+                    raise _non_finite(bad, 0.0)
+            for block in clock.blocks(limit):
+                end: Stopped | NonFiniteError | None = None
+                for stage in graph.stages:
+                    try:
+                        stage.advance(block, signals[: block.steps + 1])
+                    except Stopped as stop:
+                        end, block = stop, block.cut(stop.steps)
+                    bad = graph.first_non_finite(stage, signals[1 : block.steps + 1])
+                    if bad is not None:
+                        end, block = _non_finite(bad, float(block.time[bad.row + 1])), block.cut(bad.row)
+                    if block.steps == 0:
+                        break
+                recorder.write(block, signals[: block.steps + 1])
+                if end is not None:
+                    raise end
+                signals[0] = signals[block.steps]
+    except Stopped as stop:
+        if stop.failed:
+            raise
 
 
 def _non_finite(bad: NonFinite, t: float) -> NonFiniteError:

@@ -110,6 +110,8 @@ class Description:
         Names of the variables that are clocks.
     platforms : tuple of str
         Folders under ``binaries/`` that hold something.
+    read : tuple of str
+        Local variables that are read with the outputs: the states of a loaded unit, since a log holds every state.
     """
 
     name: str
@@ -122,6 +124,7 @@ class Description:
     event_indicators: int = 0
     clocks: tuple[str, ...] = ()
     platforms: tuple[str, ...] = ()
+    read: tuple[str, ...] = ()
 
     def __getitem__(self, name: str) -> Variable:
         """Find a variable.
@@ -137,8 +140,12 @@ class Description:
         raise FmuError(f"{self.name}: no variable {name!r}; {nearest(name, [v.name for v in self.variables])}")
 
     def ports(self, causality: str) -> tuple[tuple[Signal, tuple[Variable, ...]], ...]:
-        """Give the signals of one causality with the variables that carry their elements, in order."""
-        carried = [v for v in self.variables if v.causality == causality and v.type not in ("String", "Binary", "Clock")]
+        """Give the signals of one causality with the variables that carry their elements, in order.
+
+        What is ``read`` beside the outputs stands behind them.
+        """
+        beside = [self[name] for name in self.read] if causality == "output" else []
+        carried = [v for v in self.variables if v.causality == causality and v.type not in ("String", "Binary", "Clock")] + beside
         return tuple((self._signal(name, group), group) for name, group in _vectors(carried))
 
     def references(self, causality: str) -> References:
@@ -169,7 +176,7 @@ class Description:
     def _feeds(self, group: Sequence[Variable], port_of: Mapping[str, str]) -> tuple[str, ...] | None:
         found: set[str] = set()
         for variable in group:
-            names = self.dependencies.get(variable.name)
+            names = () if variable.name in self.states else self.dependencies.get(variable.name)
             if names is None:
                 return None
             found.update(port_of[name] for name in names if name in port_of)

@@ -91,6 +91,7 @@ def _description(path: Path, raw: bytes, root: ElementTree.Element, members: fro
         states = tuple(unknown.variable.derivative.name for unknown in found.derivatives)
     except Exception as error:  # fmpy raises what its parsing happens to raise: KeyError, ValueError, Exception, ...
         raise FmuError(f"{path}: {XML} cannot be read: {type(error).__name__}: {error}") from error
+    causality = {variable.name: variable.causality for variable in variables}
     kinds: dict[Mode, Any] = {"me": found.modelExchange, "cs": found.coSimulation}
     return Description(
         name=found.modelName or path.stem,
@@ -103,6 +104,7 @@ def _description(path: Path, raw: bytes, root: ElementTree.Element, members: fro
         event_indicators=found.numberOfEventIndicators,
         clocks=tuple(v.name for v in variables if v.type == "Clock"),
         platforms=tuple(sorted({name.split("/")[1] for name in members if name.startswith("binaries/") and name.count("/") > 1})),
+        read=tuple(name for name in states if causality.get(name) == "local"),
     )
 
 

@@ -52,6 +52,7 @@ class Scripted:
         return np.array([self.values[self.k]], np.float64)
 
     def advance(self, t, h, u):
+        assert len(t) > 1, "asked to advance over no step"
         rows = []
         for _ in range(len(t) - 1):
             value = self.values[self.k + 1]

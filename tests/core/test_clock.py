@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cosim.core.clock import LARGEST_NS, Clock, nanoseconds, seconds, whole_steps
@@ -53,6 +53,7 @@ def test_seconds_are_never_accumulated():
     assert (seconds(np.array([15_345_000_000])) == 15.345).all()
 
 
+@settings(deadline=None)
 @given(st.integers(1, 3000), st.integers(1, 10**7), st.one_of(st.none(), st.integers(1, 4000)), st.integers(1, 4000))
 def test_blocks_cover_the_grid_once_whatever_their_size(steps, step_ns, size, limit):
     """Each begins at the last point of the one before; none is longer than the limit or the size."""

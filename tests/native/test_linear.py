@@ -32,6 +32,7 @@ def exact_exponential(M):
     return (E / one).astype(np.float64)
 
 
+@settings(deadline=None)
 @given(squares)
 def test_exponential_agrees_with_exact_arithmetic(M):
     """Any matrix of norm up to 24."""
@@ -111,7 +112,7 @@ def test_a_double_integrator_is_discretised_exactly():
     np.testing.assert_allclose(found.B1, [[h**2 / 6], [h / 2]], rtol=4 * EPS)
 
 
-@settings(max_examples=30)
+@settings(max_examples=20, deadline=None)
 @given(squares, st.data())
 def test_first_order_hold_agrees_with_quadrature(A, data):
     """Ad = e^(hA), B0 + B1 = int e^(As) ds B and B1 = int e^(As) (1 - s/h) ds B, by Gauss-Legendre, for any matrix."""

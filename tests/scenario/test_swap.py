@@ -1,6 +1,8 @@
 """One plant for another, by name: generated, real FMUs of four makes, a recorded log."""
 
 import json
+import re
+import zipfile
 from dataclasses import replace
 
 import numpy as np
@@ -158,3 +160,26 @@ def test_an_unknown_start_value_names_the_nearest(plant):
     """A misspelt variable is refused before the run."""
     with pytest.raises(ScenarioError, match=r"x_a\[2\].*did you mean"):
         cosim.run("academic", swap={"plant": plant}, set={"plant.start": {"x_a[2]": 2.0}})
+
+
+def test_states_that_are_no_outputs_are_logged_too(tmp_path):
+    """A log holds every state: an FMU's continuous states are read even where they are no outputs."""
+    path = tmp_path / "lag.fmu"
+    scenario = tmp_path / "lag.toml"
+    scenario.write_text(
+        '[scenario]\nname = "lag"\nstop = 0.1\nstep = 0.01\n[components.u]\nkind = "constant"\nvalue = 1.0\n'
+        '[components.c]\nkind = "controller"\nA = [[-1.0]]\nB = [[1.0]]\nC = [[2.0]]\n[connections]\n"c.u" = "u.y"\n'
+    )
+    export_component(str(scenario), "c", path)
+    hidden = tmp_path / "hidden.fmu"
+    with zipfile.ZipFile(path) as source, zipfile.ZipFile(hidden, "w") as target:
+        for name in source.namelist():
+            content = source.read(name)
+            if name == "modelDescription.xml":
+                text, count = re.subn(r'(name="x"[^>]*)causality="output"', r'\1causality="local"', content.decode())
+                assert count == 1
+                content = re.sub(r'<Unknown index="3"[^>]*/>', "", text, count=1).encode()
+            target.writestr(name, content)
+    for mode in ("me", "cs"):
+        run = cosim.run(scenario, swap={"c": hidden}, set={"c.mode": mode})
+        assert run["c.x"][-1] == pytest.approx(1.0 - np.exp(-0.1), rel=1e-9)
