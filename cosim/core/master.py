@@ -20,10 +20,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from cosim.arrays import Matrix
 from cosim.core.clock import Clock
-from cosim.core.contracts import Design, Recorder, Stopped
+from cosim.core.contracts import Block, Design, Recorder, Stopped
 from cosim.core.graph import Graph, NonFinite
-from cosim.errors import NonFiniteError
+from cosim.errors import NonFiniteError, RunError
 
 BLOCK_BYTES = 16 * 2**20  # memory for the rows of one block
 
@@ -54,29 +55,39 @@ def run(graph: Graph, clock: Clock, recorder: Recorder, *, designs: Mapping[str,
             limit = max(1, BLOCK_BYTES // (8 * graph.layout.width + 8))
             signals = np.zeros((min(limit, clock.steps) + 1, graph.layout.width))
             graph.initialize(0.0, signals[0])
-            for stage in graph.stages:
-                bad = graph.first_non_finite(stage, signals[:1])
-                if bad is not None:
-                    raise _non_finite(bad, 0.0)
+            _need_finite_start(graph, signals[:1])
             for block in clock.blocks(limit):
-                end: Stopped | NonFiniteError | None = None
-                for stage in graph.stages:
-                    try:
-                        stage.advance(block, signals[: block.steps + 1])
-                    except Stopped as stop:
-                        end, block = stop, block.cut(stop.steps)
-                    bad = graph.first_non_finite(stage, signals[1 : block.steps + 1])
-                    if bad is not None:
-                        end, block = _non_finite(bad, float(block.time[bad.row + 1])), block.cut(bad.row)
-                    if block.steps == 0:
-                        break
-                recorder.write(block, signals[: block.steps + 1])
+                done, end = _advance(graph, block, signals)
+                recorder.write(done, signals[: done.steps + 1])
                 if end is not None:
                     raise end
-                signals[0] = signals[block.steps]
+                signals[0] = signals[done.steps]
     except Stopped as stop:
         if stop.failed:
             raise
+
+
+def _advance(graph: Graph, block: Block, signals: Matrix) -> tuple[Block, RunError | None]:
+    """Advance stage after stage; give the block as far as all of them came, and what ended it there."""
+    end: RunError | None = None
+    for stage in graph.stages:
+        try:
+            stage.advance(block, signals[: block.steps + 1])
+        except Stopped as stop:
+            end, block = stop, block.cut(stop.steps)
+        bad = graph.first_non_finite(stage, signals[1 : block.steps + 1])
+        if bad is not None:
+            end, block = _non_finite(bad, float(block.time[bad.row + 1])), block.cut(bad.row)
+        if block.steps == 0:
+            break
+    return block, end
+
+
+def _need_finite_start(graph: Graph, signals: Matrix) -> None:
+    for stage in graph.stages:
+        bad = graph.first_non_finite(stage, signals)
+        if bad is not None:
+            raise _non_finite(bad, 0.0)
 
 
 def _non_finite(bad: NonFinite, t: float) -> NonFiniteError:
