@@ -238,6 +238,9 @@ class _Ports:
         for signal in signals:
             if signal.name == wanted:
                 return channel, signal
+        other = "input" if causality == "output" else "output"
+        if wanted in (signal.name for signal in channel.signals):
+            raise GraphError(f"{port!r} is an {other} of {name!r}; needed an {causality}. There is: {_names(signals)}")
         raise GraphError(f"{port!r}: {name!r} has no {causality} {wanted!r}; {nearest(wanted, [s.name for s in signals])}")
 
     def has(self, port: str) -> bool:
@@ -306,6 +309,10 @@ def _check_connection(ports: _Ports, to: str, connection: Connection) -> Iterabl
     if source.optional and not target.optional:
         problems.append(f"{found}: the source may carry no value (NaN), the input needs one at every step")
     return problems
+
+
+def _names(signals: Iterable[Signal]) -> str:
+    return ", ".join(signal.name for signal in signals) or "none"
 
 
 def _unit(signal: Signal) -> str:

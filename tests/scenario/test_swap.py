@@ -142,11 +142,12 @@ def test_a_dry_run_compares_port_by_port(plant, foreign2, tmp_path, monkeypatch,
     assert not (tmp_path / "logs").exists()
 
 
-def test_a_missing_output_is_refused_before_the_run(tmp_path):
-    """An FMU without the port that the scenario connects cannot stand there."""
-    path = tmp_path / "observer.fmu"
-    export_component("academic", "observer", path)
-    with pytest.raises(ScenarioError, match=r"'plant' has no input 'delta'; There is: u, y"):
+def test_a_missing_output_is_refused_before_the_run(plant, tmp_path):
+    """An FMU without the port that the scenario connects cannot stand there; the nearest is named."""
+    path = rewritten(plant, tmp_path / "renamed.fmu", ('name="y"', 'name="y_m"'))
+    with pytest.raises(
+        ScenarioError, match=r"'plant\.y': 'plant' has no output 'y'; (did you mean 'y_m'\? )?There is: y_m, x_a, x_b"
+    ):
         cosim.run("academic", swap={"plant": path})
 
 
@@ -183,3 +184,43 @@ def test_states_that_are_no_outputs_are_logged_too(tmp_path):
     for mode in ("me", "cs"):
         run = cosim.run(scenario, swap={"c": hidden}, set={"c.mode": mode})
         assert run["c.x"][-1] == pytest.approx(1.0 - np.exp(-0.1), rel=1e-9)
+
+
+def rewritten(path, target, *edits, members=lambda name: True):
+    """Copy an FMU with its modelDescription.xml edited and some members left out."""
+    with zipfile.ZipFile(path) as source, zipfile.ZipFile(target, "w") as copy:
+        for name in filter(members, source.namelist()):
+            content = source.read(name)
+            if name == "modelDescription.xml":
+                for before, after in edits:
+                    assert before.encode() in content
+                    content = content.replace(before.encode(), after.encode())
+            copy.writestr(name, content)
+    return target
+
+
+def test_a_binary_for_another_platform_is_refused_before_the_run(plant, tmp_path):
+    """The message names what is there and what would be needed."""
+    bare = rewritten(plant, tmp_path / "bare.fmu", members=lambda name: not name.startswith("binaries/"))
+    with zipfile.ZipFile(bare, "a") as archive:
+        archive.writestr("binaries/win64/academic_plant.dll", b"MZ")
+    with pytest.raises(
+        ScenarioError, match=r"--swap plant: .*no binary for this platform; found binaries for: win64; needed binaries/"
+    ):
+        cosim.run("academic", swap={"plant": bare})
+
+
+def test_a_wrong_causality_is_refused_before_the_run(tmp_path):
+    """The observer has delta as an output and y as an input: the other way round from the plant."""
+    path = tmp_path / "observer.fmu"
+    export_component("academic", "observer", path)
+    with pytest.raises(ScenarioError) as caught:
+        cosim.run("academic", swap={"plant": path})
+    assert "'plant.delta' is an output of 'plant'; needed an input. There is: u, y" in str(caught.value)
+    assert "'plant.y' is an input of 'plant'; needed an output. There is: x_a, delta" in str(caught.value)
+
+
+def test_an_output_driven_as_an_input_says_so():
+    """The name is right, the causality is not."""
+    with pytest.raises(ScenarioError, match=r"'plant\.y' is an output of 'plant'; needed an input\. There is: u, delta"):
+        cosim.run("academic", set={"connections.plant.y": "u.y"})
