@@ -60,7 +60,8 @@ class Sampled:
                     begin, u0 = self._start
                     y = self._component.advance(np.array([begin, t[k + 1]]), self._own(h), np.vstack([u0, u[k + 1]]))
                 except Stopped as stop:
-                    raise Stopped(rows[:k], str(stop), failed=stop.failed) from stop
+                    rows[k : k + stop.steps] = stop.outputs  # it may have completed its step before it ends
+                    raise Stopped(rows[: k + stop.steps], str(stop), failed=stop.failed) from stop
                 self._y, self._count = y[0].copy(), 0
             rows[k] = self._y
         return rows

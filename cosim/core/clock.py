@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
+from fractions import Fraction
 from time import perf_counter
 
 import numpy as np
@@ -16,7 +17,7 @@ from cosim.errors import ClockError
 NANOSECONDS = 1_000_000_000
 LARGEST_NS = 2**63 - 1
 BLOCK_WORK = 0.05  # s of wall time that a block should take
-FIRST_BLOCK = 256
+FIRST_BLOCK = 1  # grows fourfold; a slow component must not keep the first report waiting
 
 
 def nanoseconds(seconds: float | str) -> int:
@@ -28,18 +29,16 @@ def nanoseconds(seconds: float | str) -> int:
         If ``seconds`` is not a number, not a whole number of nanoseconds, or beyond 292 years.
     """
     try:
-        exact = Decimal(str(seconds)) * NANOSECONDS
-    except InvalidOperation:
-        exact = Decimal("nan")
-    if not exact.is_finite():
-        raise ClockError(f"{seconds} is not a time in seconds; needed a finite number")
-    whole = exact.to_integral_value()
+        exact = Fraction(Decimal(str(seconds))) * NANOSECONDS
+    except (InvalidOperation, ValueError, OverflowError) as error:  # no number, NaN, infinity
+        raise ClockError(f"{seconds} is not a time in seconds; needed a finite number") from error
+    whole = round(exact)
     if exact != whole:
-        nearest = float((whole or Decimal(1).copy_sign(exact)) / NANOSECONDS)
+        nearest = (whole or (1 if exact > 0 else -1)) / NANOSECONDS
         raise ClockError(f"{seconds} s is not a whole number of nanoseconds; nearest: {nearest} s")
     if abs(whole) > LARGEST_NS:
         raise ClockError(f"{seconds} s does not fit into 64-bit nanoseconds; at most {LARGEST_NS / NANOSECONDS:.3e} s")
-    return int(whole)
+    return whole
 
 
 def seconds(ns: Nanoseconds) -> Vector:

@@ -12,14 +12,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from graphlib import CycleError, TopologicalSorter
 from typing import Literal, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
 from cosim.core.contracts import Block, Component, Stopped
 from cosim.core.signals import Interface
-from cosim.errors import AlgebraicLoopError
+from cosim.errors import AlgebraicLoopError, RunError
 
 Port = tuple[str, str]  # component, signal
 Operation = tuple[Literal["advance", "refresh"], str]
@@ -35,10 +37,10 @@ class Wire:
     offset: float
 
     @staticmethod
-    def of(to: slice, source: slice, gain: float | tuple[tuple[float, ...], ...], offset: float) -> Wire:
-        """Build a wire; a plain copy where the gain is 1 and the offset 0."""
-        if isinstance(gain, tuple):
-            return Wire(to, source, np.array(gain, np.float64), offset)
+    def of(to: slice, source: slice, gain: NDArray[np.float64], offset: float) -> Wire:
+        """Build a wire from a number or a matrix; a plain copy where the gain is 1 and the offset 0."""
+        if gain.ndim == 2:
+            return Wire(to, source, gain, offset)
         plain = gain == 1.0 and offset == 0.0
         return Wire(to, source, None if plain else gain * np.eye(to.stop - to.start), offset)
 
@@ -163,11 +165,12 @@ class Loop:
                 member.gather(rows, end)
                 try:
                     member.perform(kind, time, block.h, rows)
-                except Stopped as stop:
+                except RunError as error:
+                    stop = error if isinstance(error, Stopped) else Stopped(np.empty((0, 0)), str(error))
                     done = 1 if kind == "advance" and stop.steps else 0
                     ended = Stopped(np.empty((k + done, 0)), str(stop), failed=stop.failed).at(member.name, float(time[done]))
                     if not done:
-                        raise ended from stop
+                        raise ended from error
                     rows[1, member.outputs] = stop.outputs[0]  # it ends after this step: the others complete it
             for member in self.members:
                 member.gather(rows, end)
@@ -274,23 +277,8 @@ def _algebraic_loop(interfaces: Mapping[str, Interface], sources: Mapping[str, M
             behind[name, signal] = [source] if source[0] in interfaces else []
         for output in interface.outputs:
             behind[name, output.name] = [(name, signal) for signal in interface.feeds(output.name)]
-    done: set[Port] = set()
-    for start in behind:
-        circle = _circle_from(start, behind, [], done)
-        if circle:
-            return [".".join(port) for port in reversed(circle)]
-    return []
-
-
-def _circle_from(port: Port, behind: Mapping[Port, list[Port]], path: list[Port], done: set[Port]) -> list[Port]:
-    if port in path:
-        return [*path[path.index(port) :], port]
-    if port in done:
-        return []
-    path.append(port)
-    for other in behind[port]:
-        circle = _circle_from(other, behind, path, done)
-        if circle:
-            return circle
-    done.add(path.pop())
+    try:
+        TopologicalSorter(behind).prepare()
+    except CycleError as error:
+        return [".".join(port) for port in error.args[1]]
     return []

@@ -13,11 +13,13 @@ from graphlib import TopologicalSorter
 from typing import Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.contracts import Component, Design, Plan
 from cosim.core.coupling import Cascade, Loop, Member, Stage, Wire, order_loop
 from cosim.core.signals import Channel, Layout, Signal, Variability
+from cosim.core.units import same_unit
 from cosim.errors import GraphError, nearest
 
 Coupling = Literal["gauss-seidel", "jacobi"]
@@ -25,7 +27,7 @@ Hold = Literal["line", "start"]
 COUPLINGS: tuple[str, ...] = ("gauss-seidel", "jacobi")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Connection:
     """``to = gain from + offset``.
 
@@ -40,9 +42,20 @@ class Connection:
     """
 
     source: str
-    gain: float | tuple[tuple[float, ...], ...] = 1.0
+    gain: float | ArrayLike = 1.0
     offset: float = 0.0
     unit: str | None = None
+
+    def __post_init__(self) -> None:
+        try:
+            gain = np.array(self.gain, np.float64)
+        except ValueError as error:
+            raise GraphError(f"{self.source!r}: gain has rows of different lengths; needed a number or a matrix") from error
+        if gain.ndim not in (0, 2) or not np.isfinite(gain).all() or not np.isfinite(self.offset):
+            raise GraphError(
+                f"{self.source!r}: found gain {self.gain} and offset {self.offset}; needed finite numbers or a matrix"
+            )
+        object.__setattr__(self, "gain", gain)
 
 
 class Graph:
@@ -163,7 +176,7 @@ class Graph:
             connection = self.connections.get(f"{name}.{signal.name}")
             if connection is not None:
                 _, _, source = self._ports.source(connection.source)
-                wires.append(Wire.of(columns, source, connection.gain, connection.offset))
+                wires.append(Wire.of(columns, source, np.asarray(connection.gain), connection.offset))
         return Member(name, self.components[name], channel.inputs, channel.outputs, tuple(wires))
 
     def _drivers(self, name: str) -> set[str]:
@@ -296,14 +309,14 @@ def _check_connection(ports: _Ports, to: str, connection: Connection) -> Iterabl
     except GraphError as error:
         return [str(error)]
     size, problems = columns.stop - columns.start, []
-    if isinstance(connection.gain, tuple):
-        shape = np.shape(connection.gain)
+    shape = np.shape(connection.gain)
+    if shape:
         if shape != (target.size, size):
             problems.append(f"{found}: gain has shape {shape}, needed ({target.size}, {size})")
     elif size != target.size:
         problems.append(f"{found}: size {size}{_unit(source)} cannot drive size {target.size}{_unit(target)}")
     unit = connection.unit or source.unit
-    if unit is not None and target.unit is not None and unit != target.unit:
+    if not same_unit(unit, target.unit):
         way = f"convert with {{ from = {connection.source!r}, gain = ..., unit = {target.unit!r} }}"
         problems.append(f"{found}: unit {unit!r} cannot drive unit {target.unit!r}; {way}")
     if source.optional and not target.optional:

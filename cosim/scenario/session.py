@@ -211,7 +211,7 @@ def _metadata(experiment: Experiment) -> dict[str, dict[str, str]]:
 
 
 def _plain(wire: Any) -> dict[str, Any]:
-    return {"from": wire.source, "gain": wire.gain, "offset": wire.offset, "unit": wire.unit}
+    return {"from": wire.source, "gain": wire.gain.tolist(), "offset": wire.offset, "unit": wire.unit}
 
 
 def _attachments(experiment: Experiment) -> list[Attachment]:
