@@ -59,6 +59,8 @@ def summary(
         table.add_row(value.estimate, shown[0], f"{value.truth:+g}", shown[1])
     for identification in found.identifications:
         _identification(table, identification)
+    for loop in found.loops:
+        table.add_row("loop", "", "", f"{loop}: step by step, so with an error of first order in the step; compare with --step")
     table.add_section()
     total = sum(wall.values())
     parts = ", ".join(f"{part} {seconds:.2f} s" for part, seconds in wall.items())
@@ -78,8 +80,9 @@ def _identification(table: Table, found: Identification) -> None:
         made = f"T_obs {times['T_obs']:.4f} + T_f {times['T_f']:.4f} + D_max {times['D_max']:g} = {times['T_id']:.4f} s (36)"
     table.add_row(f"{found.component} starts", f"{found.start:g} s", "", made)
     if found.eigenvalues:
-        table.add_row("information", "", "", "eigenvalues " + ", ".join(f"{value:.3g}" for value in found.eigenvalues))
-    table.add_row("", "", "", found.verdict)
+        table.add_row("information in delta", "", "", "eigenvalues " + ", ".join(f"{value:.3g}" for value in found.eigenvalues))
+    for text in (found.verdict, *found.remarks):
+        table.add_row("", "", "", text)
 
 
 def _profile(console: Console, profile: Mapping[str, float]) -> None:

@@ -8,10 +8,11 @@ import pytest
 import cosim
 
 ROOT = Path(cosim.__file__).parent
-BASE = {"errors", "arrays"}
+BASE = {"errors", "arrays", "units"}
 ALLOWED = {
     "errors": set(),
     "arrays": set(),
+    "units": set(),
     "native": BASE,
     "theory": BASE | {"native"},
     "core": BASE | {"native"},

@@ -153,29 +153,31 @@ class Loop:
 
     def advance(self, block: Block, signals: Matrix) -> None:
         """Advance step by step."""
-        members = {member.name: member for member in self.members}
-        plan = [(kind, members[name]) for kind, name in self.operations]
-        end = slice(1, 2)
         for k in range(block.steps):
-            rows, time = signals[k : k + 2], block.time[k : k + 2]
-            ended: Stopped | None = None
-            for member in self.members:
-                rows[1, member.outputs] = rows[0, member.outputs]
-            for kind, member in plan:
-                member.gather(rows, end)
-                try:
-                    member.perform(kind, time, block.h, rows)
-                except RunError as error:
-                    stop = error if isinstance(error, Stopped) else Stopped(np.empty((0, 0)), str(error))
-                    done = 1 if kind == "advance" and stop.steps else 0
-                    ended = Stopped(np.empty((k + done, 0)), str(stop), failed=stop.failed).at(member.name, float(time[done]))
-                    if not done:
-                        raise ended from error
-                    rows[1, member.outputs] = stop.outputs[0]  # it ends after this step: the others complete it
-            for member in self.members:
-                member.gather(rows, end)
+            ended = self._step(block.time[k : k + 2], block.h, signals[k : k + 2])
             if ended is not None:
-                raise ended
+                raise Stopped(np.empty((k + ended.steps, 0)), str(ended), failed=ended.failed)
+
+    def _step(self, time: Vector, h: float, rows: Matrix) -> Stopped | None:
+        """Fill row 1; give what ended the run there, with a row of outputs if the step was completed all the same."""
+        members, end = {member.name: member for member in self.members}, slice(1, 2)
+        ended: Stopped | None = None
+        for member in self.members:
+            rows[1, member.outputs] = rows[0, member.outputs]
+        for kind, name in self.operations:
+            member = members[name]
+            member.gather(rows, end)
+            try:
+                member.perform(kind, time, h, rows)
+            except RunError as error:
+                stop = error if isinstance(error, Stopped) else Stopped(np.empty((0, 0)), str(error))
+                ended = stop.at(name, float(time[stop.steps]))
+                if not ended.steps:
+                    return ended
+                rows[1, member.outputs] = ended.outputs[0]
+        for member in self.members:
+            member.gather(rows, end)
+        return ended
 
 
 def order_loop(

@@ -19,8 +19,8 @@ from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.contracts import Component, Design, Plan
 from cosim.core.coupling import Cascade, Loop, Member, Stage, Wire, order_loop
 from cosim.core.signals import Channel, Layout, Signal, Variability
-from cosim.core.units import same_unit
 from cosim.errors import GraphError, nearest
+from cosim.units import same_unit
 
 Coupling = Literal["gauss-seidel", "jacobi"]
 Hold = Literal["line", "start"]
@@ -114,15 +114,16 @@ class Graph:
             raise GraphError("\n".join(problems.values()))
         self._members = {name: self._member(name) for name in self.components}
         self.stages = self._order()
+        self.held = {name: self._held(name) for stage in self.stages for name in stage.names}  # which inputs keep their value
 
     def prepare(self, step_ns: int, recorded: Mapping[str, Design] | None = None) -> Plan:
         """Let every component compute its design for the communication step; say what was decided."""
         h = step_ns / 1e9
-        held = {name: self._held(name) for stage in self.stages for name in stage.names}
         designs = {
-            name: component.prepare(h, held[name], (recorded or {}).get(name, {})) for name, component in self.components.items()
+            name: component.prepare(h, self.held[name], (recorded or {}).get(name, {}))
+            for name, component in self.components.items()
         }
-        return Plan(self.layout, step_ns, designs, held, tuple(stage.description for stage in self.stages))
+        return Plan(self.layout, step_ns, designs, self.held, tuple(stage.description for stage in self.stages))
 
     def initialize(self, t: float, row: Vector) -> None:
         """Fill the first row: initialise every component with its inputs, again until no input changes.

@@ -171,9 +171,7 @@ class Fmi2:
         info = self._info
         self._update(byref(info))
         time = info.nextEventTime if info.nextEventTimeDefined else None
-        return DiscreteStates(
-            bool(info.newDiscreteStatesNeeded), bool(info.terminateSimulation), bool(info.valuesOfContinuousStatesChanged), time
-        )
+        return DiscreteStates(bool(info.newDiscreteStatesNeeded), bool(info.terminateSimulation), time)
 
     def completed_integrator_step(self) -> tuple[bool, bool]:
         """Accept the step; answers (enter event mode, terminate)."""
@@ -242,8 +240,8 @@ class Fmi3:
     def update_discrete_states(self) -> DiscreteStates:
         """Do one event iteration."""
         self._update()
-        need, terminate, _, changed, has_time = (flag.value for flag in self._flags)
-        return DiscreteStates(need, terminate, changed, self._time.value if has_time else None)
+        need, terminate, _, _, has_time = (flag.value for flag in self._flags)
+        return DiscreteStates(need, terminate, self._time.value if has_time else None)
 
     def completed_integrator_step(self) -> tuple[bool, bool]:
         """Accept the step; answers (enter event mode, terminate)."""

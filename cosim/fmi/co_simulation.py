@@ -4,7 +4,7 @@ One communication step from t0 to t1::
 
     interpolating unit:   set inputs u0; set_input_derivatives (u1 - u0)/h; do_step     its outputs belong to u_end = u1
     any other:            set inputs (u0 + u1)/2; do_step                               its outputs belong to u_end = (u0 + u1)/2
-    (held inputs:         u0, no slope                                                  u_end = u0)
+    (held and discrete:   u0, no slope                                                  u_end = u0)
     y <- outputs + D (u1 - u_end), where the unit gives D by directional derivatives at t1
 
 The mean makes the states second order. FMI forbids setting inputs and then reading outputs without a step between (FMI 2.0.4
@@ -54,7 +54,7 @@ class CoSimulation:
         self._inputs, self._outputs = unit.description.references("input"), unit.description.references("output")
         self._interpolates = self._capabilities.interpolates_inputs and self._inputs.plain
         self._direct = _Direct.of(unit) if self._capabilities.directional_derivatives else None
-        self._moves = np.ones(self._inputs.size, np.bool_)
+        self._moves = ~unit.description.discrete_inputs
         self._read, self._end = np.zeros(self._outputs.size), np.zeros(self._inputs.size)
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
@@ -71,20 +71,24 @@ class CoSimulation:
                 f"{self._name}: the communication step {h} s is not a whole number of the unit's inner steps of {fixed} s; "
                 f"nearest: {max(1, round(h / fixed)) * fixed} s"
             )
-        self._moves = ~held
+        self._moves = ~(held | self._unit.description.discrete_inputs)
         return {}
 
     @property
     def notes(self) -> tuple[str, ...]:
         """What is to be known about the results."""
         fed = [output.name for output in self.interface.outputs if self.interface.feeds(output.name)]
-        exact = self._interpolates and bool(self._moves.all())
-        if not fed or self._direct or exact:
+        if not fed or self._direct:
             return ()
         verb = "may depend" if self.interface.feedthrough is None else "depend"
+        where = (
+            "where inputs are held, what is read belongs to their value"
+            if self._interpolates
+            else "what is read belongs to the inputs"
+        )
         return (
-            f"{self._name}: {', '.join(fed)} {verb} directly on inputs; what is read belongs to the inputs inside the step, "
-            "not at its end (first order in the step), as the unit has no directional derivatives",
+            f"{self._name}: {', '.join(fed)} {verb} directly on inputs; {where} inside the step, not at its end (first order in "
+            "the step), as the unit has no directional derivatives",
         )
 
     def initialize(self, t: float, u: Vector) -> Vector:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 from cosim.core.signals import Interface, Signal
-from cosim.core.units import same_unit
+from cosim.units import same_unit
 
 Status: TypeAlias = Literal["ok", "missing", "wrong causality", "other size", "other unit", "extra"]
 Causality: TypeAlias = Literal["input", "output"]

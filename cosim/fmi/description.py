@@ -13,6 +13,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
+from cosim.arrays import Mask
 from cosim.core.contracts import Model
 from cosim.core.signals import Interface, Kind, Signal
 from cosim.core.solver import LinearModel
@@ -155,6 +156,13 @@ class Description:
     def reference(self, names: Iterable[str]) -> References:
         """Give the references of variables by name."""
         return References.of([(v.type, v.reference, v.size) for v in map(self.__getitem__, names)])
+
+    @property
+    def discrete_inputs(self) -> Mask:
+        """Which elements of the input vector hold their value between events, shape (n_u,)."""
+        return np.array(
+            [v.variability != "continuous" for _, group in self.ports("input") for v in group for _ in range(v.size)], np.bool_
+        )
 
     @property
     def n_states(self) -> int:

@@ -141,7 +141,7 @@ class GeneratedUnit:
     def update_discrete_states(self) -> DiscreteStates:
         """Do one event iteration: a model without memory has no discrete states."""
         self._require("update_discrete_states")
-        return DiscreteStates(need_update=False, terminate=False, states_changed=False, next_event_time=None)
+        return DiscreteStates(need_update=False, terminate=False, next_event_time=None)
 
     def enter_continuous_time_mode(self) -> None:
         """Let time move."""

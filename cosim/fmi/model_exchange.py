@@ -1,11 +1,15 @@
 """A model exchange unit, generated or loaded, with a solver: a component.
 
-One communication step from t0 to t1 (inputs in straight lines, held ones at u0)::
+One communication step from t0 to t1 (inputs in straight lines, held and discrete ones at u0)::
 
-    x <- solver(x' = get_derivatives after set_time, set_continuous_states, set inputs)
-    set_time(t1); set_continuous_states(x); set inputs; completed_integrator_step
-    event mode, where the unit asks for it or an input jumps at t1: set inputs, update_discrete_states until settled
+    event at t0, where a held or discrete input is not what the unit was given last (it was late)
+    x <- solver(x' = get_derivatives after set_time, set_continuous_states, set continuous inputs)
+    set_time(t1); set_continuous_states(x); set continuous inputs; completed_integrator_step
+    event at t1, where the unit asks for it or a held or discrete input changes
     y <- outputs
+    (event:         enter event mode, set inputs, update_discrete_states until settled)
+
+The end of the run that a unit asks for in an event is remembered, and comes with the next ``advance`` at the latest.
 """
 
 from __future__ import annotations
@@ -15,14 +19,11 @@ from dataclasses import replace
 from typing import Final, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.contracts import Design, Stopped
 from cosim.core.solver import SOLVERS, Linear, LinearModel, integrator
 from cosim.errors import FmuError, RunError, nearest
-from cosim.fmi.description import Description
-from cosim.fmi.references import References
 from cosim.fmi.saved import SavedState, save
 from cosim.fmi.start import Start
 from cosim.fmi.unit import TERMINATED, ModelExchangeUnit
@@ -62,15 +63,19 @@ class ModelExchange:
         self.notes: tuple[str, ...] = ()
         self._start = Start(unit, starts or {})
         self._outputs = unit.description.references("output")
-        self._moving, self._columns = _continuous_inputs(unit.description)
-        self._inputs = unit.description.references("input")
+        self._inputs, self._discrete = unit.description.references("input"), unit.description.discrete_inputs
+        moving = (v for _, group in unit.description.ports("input") for v in group if v.variability == "continuous")
+        self._moving, self._columns = unit.description.reference(v.name for v in moving), np.flatnonzero(~self._discrete)
         self._capabilities = unit.description.capabilities["me"]
         self._exact: Linear | None = None
         self._x = np.zeros(unit.description.n_states)
+        self._given = np.zeros(self._inputs.size)  # of the inputs that jump: what the unit was given last
+        self._ended = False  # the unit asked for the end of the run
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Discretise for the exact solver; a known model's numbers are recorded, and taken from the record."""
-        self._held = held
+        held = held | self._discrete
+        self._jumping = np.flatnonzero(held)
         model = self._unit.linear
         if model is None:
             return {}
@@ -83,20 +88,28 @@ class ModelExchange:
 
     def initialize(self, t: float, u: Vector) -> Vector:
         """Start at ``t``; stays in initialization mode until the first advance."""
+        self._given, self._ended = np.array(u, np.float64), False
         return self._start.enter(t, u)
 
     def outputs(self, t: float, u: Vector) -> Vector:
-        """Give the outputs at ``t``, the time reached, for inputs ``u``."""
+        """Give the outputs at ``t``, the time reached, for inputs ``u``; those that jump go through an event.
+
+        A unit with discrete states of its own keeps what that event does to them.
+        """
         self._leave_initialization(t)
-        self._set_inputs(np.array(u, np.float64, order="C"))
+        self._set_inputs(t, np.array(u, np.float64, order="C"))
         return self._unit.get_float64(self._outputs)
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
         """Step K times; see :class:`cosim.core.contracts.Component`."""
         try:
             self._leave_initialization(float(t[0]))
+            if self._jumps(u[0]):
+                self._event(float(t[0]), np.array(u[0], np.float64))
         except RunError as error:
             raise Stopped(np.empty((0, self.interface.n_y)), str(error)) from error
+        if self._ended:
+            raise Stopped(np.empty((0, self.interface.n_y)), TERMINATED, failed=False)
         return self._advance_exactly(self._exact, t, h, u) if self._exact else self._integrate(t, u)
 
     def save(self) -> SavedState:
@@ -107,21 +120,20 @@ class ModelExchange:
         FmuError
             If the unit cannot.
         """
-        return save(self._unit, self._capabilities, (self._start.t, self._x.copy()))
+        return save(self._unit, self._capabilities, (self._start.t, self._x.copy(), self._given.copy(), self._ended))
 
     def restore(self, state: SavedState) -> None:
         """Go back to a saved state."""
         self._unit.set_fmu_state(state.unit)
-        self._start.t, self._x = state.own[0], np.array(state.own[1])  # type: ignore[assignment]
+        self._start.t, x, given, self._ended = state.own  # type: ignore[assignment]
+        self._x, self._given = np.array(x), np.array(given)
         if self._exact:
             self._exact.state[:] = self._x
 
     def _leave_initialization(self, t: float) -> None:
         if not self._start.leave():
             return
-        _settle(self._unit, t)
-        self._unit.enter_continuous_time_mode()
-        self._x = self._unit.get_continuous_states()
+        self._settle(t)
         if self._exact:
             self._exact.state[:] = self._x
 
@@ -132,7 +144,7 @@ class ModelExchange:
         self._x = exact.state.copy()
         self._unit.set_time(float(t[-1]))
         self._unit.set_continuous_states(self._x)
-        self._set_inputs(u[-1].copy())
+        self._set_inputs(float(t[-1]), u[-1].copy())
         self._unit.completed_integrator_step()
         return y
 
@@ -140,30 +152,29 @@ class ModelExchange:
 
     def _integrate(self, t: Vector, u: Matrix) -> Matrix:
         unit, solve, derivative = self._unit, integrator(self.solver), self._derivative()
-        times, u, held = t.tolist(), np.array(u, np.float64, order="C"), bool(self._held.any())
-        ends = u[1:]
-        if held:
-            ends = ends.copy()
-            ends[:, self._held] = u[:-1, self._held]
+        times, u = t.tolist(), np.array(u, np.float64, order="C")
+        ends = u[1:].copy()
+        ends[:, self._jumping] = u[:-1, self._jumping]
         y = np.empty((len(times) - 1, self.interface.n_y))
         for k, t1 in enumerate(times[1:]):
             try:
                 self._x = solve(derivative, times[k], t1, self._x, u[k], ends[k])
                 unit.set_time(t1)
                 unit.set_continuous_states(self._x)
-                self._set_inputs(ends[k])
-                event, terminate = unit.completed_integrator_step() if self._capabilities.completed_step else (False, False)
-                if event or (held and (ends[k] != u[k + 1]).any()):
-                    terminate = self._event(t1, u[k + 1]) or terminate
+                self._set_continuous(ends[k])
+                event, end = unit.completed_integrator_step() if self._capabilities.completed_step else (False, False)
+                self._ended |= end
+                if event or self._jumps(u[k + 1]):
+                    self._event(t1, u[k + 1])
                 y[k] = unit.get_float64(self._outputs)
             except RunError as error:
                 raise Stopped(y[:k].copy(), str(error)) from error
-            if terminate:
+            if self._ended:
                 raise Stopped(y[: k + 1].copy(), TERMINATED, failed=False)
         return y
 
     def _derivative(self) -> Callable[[float, Vector, Vector], Vector]:
-        unit, set_inputs = self._unit, self._set_inputs
+        unit, set_inputs = self._unit, self._set_continuous
 
         def derivative(t: float, x: Vector, u: Vector) -> Vector:
             unit.set_time(t)
@@ -173,36 +184,42 @@ class ModelExchange:
 
         return derivative
 
-    def _set_inputs(self, u: Vector) -> None:
-        """Set what may change while time moves; discrete inputs wait for event mode."""
-        if self._columns is None:
+    # --- inputs and events ---
+
+    def _set_inputs(self, t: float, u: Vector) -> None:
+        if self._jumps(u):
+            self._event(t, u)
+        else:
+            self._set_continuous(u)
+
+    def _set_continuous(self, u: Vector) -> None:
+        """Set what may change while time moves."""
+        if self._columns.size == u.size:
             self._unit.set_float64(self._moving, u)
-        elif self._moving.size:
+        elif self._columns.size:
             self._unit.set_float64(self._moving, u[self._columns])
 
-    def _event(self, t: float, u: Vector) -> bool:
-        """Set inputs that jump at ``t`` and let the discrete states settle; True: it is the end of the run."""
+    def _jumps(self, u: Vector) -> bool:
+        """Whether a held or discrete input is not what the unit was given last."""
+        return self._jumping.size > 0 and bool((u[self._jumping] != self._given[self._jumping]).any())
+
+    def _event(self, t: float, u: Vector) -> None:
+        """Set the inputs at ``t`` and let the discrete states settle."""
         self._unit.enter_event_mode()
         self._unit.set_float64(self._inputs, u)
-        terminate = _settle(self._unit, t)
+        self._given = u.copy()
+        self._settle(t)
+
+    def _settle(self, t: float) -> None:
+        """Iterate the discrete states, hear whether it is the end of the run, let time move again."""
+        self._ended |= _settle(self._unit, t)
         self._unit.enter_continuous_time_mode()
         self._x = self._unit.get_continuous_states()
-        return terminate
 
 
 def _with_numbers(model: LinearModel, numbers: Design) -> LinearModel:
     A, B, C, D, X0, Xu = (numbers[name] for name in ("A", "B", "C", "D", "X0", "Xu"))
     return replace(model, A=A, B=B, C=C, D=D, X0=X0, Xu=Xu)
-
-
-def _continuous_inputs(description: Description) -> tuple[References, NDArray[np.intp] | None]:
-    """Give the inputs that may be set in continuous-time mode and their columns; None: all of them."""
-    variables = [v for _, group in description.ports("input") for v in group]
-    continuous = [v.variability == "continuous" for v in variables]
-    if all(continuous):
-        return description.references("input"), None
-    columns = np.repeat(continuous, [v.size for v in variables]).nonzero()[0]
-    return description.reference(v.name for v, moves in zip(variables, continuous, strict=True) if moves), columns
 
 
 def _settle(unit: ModelExchangeUnit, t: float) -> bool:

@@ -22,7 +22,6 @@ class DiscreteStates(NamedTuple):
 
     need_update: bool
     terminate: bool
-    states_changed: bool
     next_event_time: float | None  # [s]
 
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from cosim.fmi.description import Description, Mode, Variable
-from cosim.core.units import BASE, base_unit
+from cosim.units import BASE, base_unit
 
 ELEMENTS: dict[Mode, str] = {"me": "ModelExchange", "cs": "CoSimulation"}
 

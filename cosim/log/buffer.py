@@ -19,6 +19,7 @@ from cosim.core.contracts import Block
 from cosim.core.signals import Layout
 from cosim.log.content import hashable
 from cosim.log.layout import HEADER, Part, blank_records, group_columns, record_dtype
+from cosim.log.result import Reached
 from cosim.log.sink import Run
 
 CHUNK_BYTES = 2**20  # of records, uncompressed
@@ -54,6 +55,12 @@ class RowBuffer:
     def full(self) -> bool:
         """Whether there is no room for another row."""
         return self._count == self._capacity
+
+    @property
+    def reached(self) -> Reached | None:
+        """The last row taken; None: there is none."""
+        last = self._count - 1
+        return None if last < 0 else Reached(int(self._step[last]), int(self._time_ns[last]))
 
     def take(self, block: Block, signals: Matrix, start: int) -> int:
         """Copy rows of a block from ``start`` on, as many as there is room for; give the row to go on at."""

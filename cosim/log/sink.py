@@ -11,7 +11,6 @@ import struct
 import zlib
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import final
 
 import numpy as np
@@ -45,11 +44,6 @@ class Mark:
     chunks: int
     metadata: int
     attachments: int
-
-
-def create(path: Path) -> io.RawIOBase:
-    """Create a file that is not there yet, unbuffered."""
-    return path.open("xb", buffering=0)
 
 
 def encoded(*items: records.McapRecord) -> bytes:

@@ -3,45 +3,34 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import time
 from collections import deque
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
+from io import RawIOBase
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, final
 
-import numpy as np
-
 from cosim.arrays import Matrix
-from cosim.core.contracts import Block, Plan, Stopped
+from cosim.core.contracts import Block, Plan
 from cosim.core.signals import Interface
-from cosim.errors import Interrupted, LogError, LogWriteError
+from cosim.errors import LogError, LogWriteError, RunError
 from cosim.log.buffer import RowBuffer, message_run
 from cosim.log.compression import Compression
 from cosim.log.content import combine
+from cosim.log.draft import Draft
 from cosim.log.environment import library
+from cosim.log.interrupts import uninterrupted
 from cosim.log.layout import signals_json, split
-from cosim.log.metadata import seal
 from cosim.log.preamble import Attachment, write_parts, write_preamble
+from cosim.log.result import Outcome, Reached, outcome, write_result
 from cosim.log.schema import Level, encode_log
-from cosim.log.sink import Mark, Sink, create
-
-RESULT = "cosim.result"
-RESULT_FILE = "result.json"
+from cosim.log.sink import Mark, Sink
 
 _FLUSH_AFTER = 1.0  # s of wall time
 _MARKS = 16  # chunks that may be given up to make room for the end of the file on a full disk
-
-
-@dataclass(frozen=True, slots=True)
-class _Reached:
-    """The last row of a run."""
-
-    steps: int
-    end_ns: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,21 +39,23 @@ class _Saved:
 
     mark: Mark
     hashes: dict[str, hashlib._Hash]
-    reached: _Reached
+    reached: Reached
 
 
 @final
 class McapRecorder:
     """Record a run to an MCAP file.
 
-    The file is created by :meth:`begin` and completed when the ``with`` block ends, however it ends.
+    The file is created by :meth:`begin` under a hidden name, stands at its path from the first :meth:`write` on, and is
+    completed when the ``with`` block ends, however it ends. A run that is refused before its first row leaves nothing, and an
+    existing log as it was; one that failed at its start, or had no rows, leaves a log without rows.
 
     Parameters
     ----------
     path : Path or str
         File to write; missing folders are created.
     force : bool
-        Replace a file that exists.
+        Replace a file that exists, at the first row.
     compression : {"zstd", "lz4", "none"}
     kinds : mapping of component name to str
         Kinds of the components, as the scenario calls them.
@@ -92,10 +83,11 @@ class McapRecorder:
         self.result: dict[str, Any] = {}
         self._force, self._compression = force, compression
         self._kinds, self._metadata, self._attachments = kinds or {}, metadata or {}, attachments
+        self._draft = Draft(self.path, force=force)
         self._sink: Sink | None = None
         self._saved: deque[_Saved] = deque(maxlen=_MARKS)
         self._messages: list[tuple[int, bytes]] = []
-        self._reached: _Reached | None = None
+        self._reached = Reached()
 
     def __enter__(self) -> Self:
         """Refuse a path that exists.
@@ -103,30 +95,31 @@ class McapRecorder:
         Raises
         ------
         LogError
-            If the file exists and ``force`` is false.
+            If the file exists and ``force`` is false, or the path is a folder.
         """
+        if self.path.is_dir():
+            raise LogError(f"{self.path} is a folder; name a file, such as {self.path / 'run.mcap'}")
         if not self._force and self.path.exists():
             raise LogError(f"{self.path} exists; choose another path, or --force to replace it")
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        """Write what is buffered, the result and the summary.
+        """Write what is buffered, the result and the summary; remove what was refused.
 
         Raises
         ------
+        LogError
+            If a log without rows cannot get its path.
         LogWriteError
             If the file cannot be written to.
         """
-        if self._sink is None:
-            return
-        try:
-            self._sink.rewind(self._saved[-1].mark)  # where an interrupt came within a write
-            self._hashes = _copied(self._saved[-1].hashes)
-            self._flush()
-            self._close(self._sink, self._saved[-1], _outcome(error))
-        except OSError as failure:
-            self._fail(failure)
-        self._sink = None
+        with uninterrupted():
+            try:
+                if self._sink is not None and self._wanted(error):
+                    self._complete(self._sink, outcome(error))
+            finally:
+                self._draft.discard()
+                self._sink = None
 
     def begin(self, plan: Plan) -> None:
         """Create the file and write everything known before the run.
@@ -136,22 +129,17 @@ class McapRecorder:
         LogError
             If the file cannot be created.
         """
+        with uninterrupted():
+            self._begin(plan, self._draft.create())
+
+    def _begin(self, plan: Plan, stream: RawIOBase) -> None:
         channels = plan.layout.channels
         parts = [p for c in channels for p in split(c, kind=self._kinds.get(c.name, ""), step_ns=plan.step_ns)]
-        try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            if self._force:
-                self.path.unlink(missing_ok=True)  # whoever has the old file open keeps it whole
-            stream = create(self.path)
-        except OSError as error:
-            raise LogError(f"{self.path} cannot be created: {error.strerror or error}") from error
         try:
             sink = Sink(stream, library=library())
             ids = write_parts(sink, parts)
             self._log_id = write_preamble(sink, plan, metadata=self._metadata, attachments=self._attachments)
         except OSError as error:
-            stream.close()
-            self.path.unlink()
             raise LogError(f"{self.path} cannot be written: {error.strerror or error}") from error
         self._interfaces: dict[str, Interface] = {channel.name: channel.interface for channel in channels}
         self._hashes = {channel.name: hashlib.sha256() for channel in channels}
@@ -165,15 +153,19 @@ class McapRecorder:
 
         Raises
         ------
+        LogError
+            If another file has come to stand at the path before the first row.
         LogWriteError
             If the file cannot be written to, or a time is negative.
         """
         if block.time_ns[0] < 0:
             raise LogWriteError(f"{self.path}: time {block.time_ns[0]} ns; the times of a log begin at 0")
-        row = 0 if block.index == 0 and self._reached is None else 1
+        row = 0 if block.index == 0 and not self._draft.published else 1
+        if not self._draft.published:
+            with uninterrupted():
+                self._draft.publish()
         while row <= block.steps:
             row = self._buffer.take(block, signals, row)
-            self._reached = _Reached(block.index + row - 1, int(block.time_ns[row - 1]))
             if self._buffer.full or time.monotonic() - self._flushed >= _FLUSH_AFTER:
                 self._write_chunk()
 
@@ -182,10 +174,11 @@ class McapRecorder:
         self._messages.append((time_ns, encode_log(time_ns, level, name, text)))
 
     def _write_chunk(self) -> None:
-        try:
-            self._flush()
-        except OSError as error:
-            self._fail(error)
+        with uninterrupted():  # between the mark and the cleared buffer, an interrupt would write the rows twice
+            try:
+                self._flush()
+            except OSError as error:
+                self._fail(error)
 
     def _flush(self) -> None:
         """Write what is buffered as one chunk."""
@@ -196,6 +189,7 @@ class McapRecorder:
         if runs:
             self._sink.chunk(runs, self._compression)
         self._buffer.hash_into(self._hashes)
+        self._reached = self._buffer.reached or self._reached
         self._save()
         self._buffer.clear()
         self._messages.clear()
@@ -203,7 +197,7 @@ class McapRecorder:
     def _save(self) -> None:
         """Remember what the file holds now, and when."""
         assert self._sink is not None
-        self._saved.append(_Saved(self._sink.mark(), _copied(self._hashes), self._reached or _Reached(0, 0)))
+        self._saved.append(_Saved(self._sink.mark(), _copied(self._hashes), self._reached))
         self._flushed = time.monotonic()
 
     def _fail(self, error: OSError) -> None:
@@ -221,7 +215,7 @@ class McapRecorder:
             saved = self._saved.pop()
             with suppress(OSError):
                 sink.rewind(saved.mark)
-                self._close(sink, saved, ("failed", f"the log could not be written further: {reason}"))
+                self._close(sink, saved, Outcome("failed", f"the log could not be written further: {reason}"))
                 whole = f"up to {saved.reached.end_ns} ns it is a valid file"
                 break
         else:
@@ -229,33 +223,27 @@ class McapRecorder:
             whole = "it has no end"
         raise LogWriteError(f"{self.path} cannot be written further: {reason}; {whole}") from error
 
-    def _close(self, sink: Sink, saved: _Saved, outcome: tuple[str, str]) -> None:
+    def _wanted(self, error: BaseException | None) -> bool:
+        """Say whether the run leaves a log, and see that it stands at its path."""
+        if not self._draft.published and (error is None or isinstance(error, RunError)):
+            self._draft.publish()
+        return self._draft.published
+
+    def _complete(self, sink: Sink, end: Outcome) -> None:
+        try:
+            sink.rewind(self._saved[-1].mark)  # where a write was not finished
+            self._hashes = _copied(self._saved[-1].hashes)
+            self._flush()
+            self._close(sink, self._saved[-1], end)
+        except OSError as failure:
+            self._fail(failure)
+
+    def _close(self, sink: Sink, saved: _Saved, end: Outcome) -> None:
         """Write the result and the end of the file."""
         digests = [(name, signals_json(self._interfaces[name]), digest.hexdigest()) for name, digest in saved.hashes.items()]
-        items = {"status": outcome[0], "reason": outcome[1], **asdict(saved.reached), "content_hash": combine(digests)}
-        sink.metadata(RESULT, seal(RESULT, {key: str(value) for key, value in items.items()}))
-        text = json.dumps({**self.result, **items}, default=_plain, indent=2)
-        sink.attachment(RESULT_FILE, "application/json", text.encode())
+        write_result(sink, end, saved.reached, content_hash=combine(digests), more=self.result)
         sink.close()
 
 
 def _copied(hashes: Mapping[str, hashlib._Hash]) -> dict[str, hashlib._Hash]:
     return {name: digest.copy() for name, digest in hashes.items()}
-
-
-def _outcome(error: BaseException | None) -> tuple[str, str]:
-    """Name how the run ended, and why."""
-    match error:
-        case None:
-            return "complete", ""
-        case Stopped(failed=False):
-            return "complete", str(error)
-        case KeyboardInterrupt() | Interrupted():
-            return "interrupted", str(error) or "interrupted by the user"
-        case _:
-            return "failed", str(error) or type(error).__name__
-
-
-def _plain(value: object) -> object:
-    """Give numpy values and paths as JSON can say them."""
-    return value.tolist() if isinstance(value, (np.ndarray, np.generic)) else str(value)

@@ -21,7 +21,8 @@ from cosim.core.graph import Connection, Graph, check_connections, layout_of
 from cosim.errors import CosimError, ScenarioError, UsageError, nearest
 from cosim.scenario.document import Document, Key
 from cosim.scenario.kinds import KINDS, Kind, Site
-from cosim.scenario.schema import File, flatten_connections, matrix, problems_of
+from cosim.scenario.problems import problems_of
+from cosim.scenario.schema import File, flatten, matrix
 from cosim.theory.descriptor import DescriptorSystem
 
 Problems = list[tuple[Key, str]]
@@ -120,6 +121,11 @@ def build(
         graph = Graph(components, scenario.connections, coupling=settings.coupling, hold=settings.hold, periods=periods)
     except CosimError as error:
         raise _report(document, [(("connections",), str(error))]) from error
+    for name, spec in scenario.specs.items():
+        columns = components[name].interface.input_columns()
+        held = {signal: bool(graph.held[name][at].any()) for signal, at in columns.items()}
+        for text in spec.advice(held, clock.step_ns / 1e9):
+            site.warn(name, text)
     return Experiment(
         scenario,
         graph,
@@ -145,13 +151,14 @@ def build_site(scenario: Scenario, resources: ExitStack) -> Site:
 def _parse(document: Document) -> tuple[Scenario, Problems]:
     tree = document.tree()
     problems: Problems = []
-    connections = tree.get("connections", {})
-    if isinstance(connections, dict):
-        tree["connections"], problems = flatten_connections(connections)
+    for table in ("connections", "truth"):
+        if isinstance(tree.get(table), dict):
+            tree[table], more = flatten(tree[table], table)
+            problems += more
     try:
         file = File.model_validate(tree)
     except ValidationError as error:
-        problems += problems_of(error, File, ())
+        problems += problems_of(error, File, tree, ())
         specs, more = _specs(tree.get("components", {}))
         raise _report(document, [*problems, *more]) from error
     specs, more = _specs(file.components)
@@ -178,7 +185,7 @@ def _specs(tables: Any) -> tuple[dict[str, Kind], Problems]:
         try:
             specs[name] = KINDS[kind].model_validate(table)
         except ValidationError as error:
-            problems += problems_of(error, KINDS[kind], key)
+            problems += problems_of(error, KINDS[kind], table, key)
     return specs, problems
 
 
@@ -226,12 +233,12 @@ class _Site:
     """What kinds may know while they are built; keeps note of what each one read."""
 
     step_ns: int
-    hold: str
+    stop: float
 
     def __init__(self, scenario: Scenario, resources: ExitStack, recording: Recording | None) -> None:
         self._scenario, self._resources, self._recording = scenario, resources, recording
         self._current = ""
-        self.hold = scenario.file.scenario.hold
+        self.stop = scenario.file.scenario.stop
         self.facts: dict[str, dict[str, Any]] = {}
         self.warnings: list[tuple[str, str]] = []
         self.reads: dict[str, frozenset[str]] = {"": frozenset()}

@@ -16,6 +16,8 @@ from cosim.errors import ScenarioError, nearest
 
 Key = tuple[str | int, ...]
 SUFFIX = ".toml"
+FLAT = ("connections", "truth")  # tables whose keys are dotted names of signals
+TABLES = ("scenario", "models", *FLAT)  # what a dotted key may begin with, beside a component
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,8 +50,8 @@ class Document:
         return replace(self, swaps={**self.swaps, **absolute})
 
     def with_changes(self, changes: Mapping[str, Any]) -> Document:
-        """Set values."""
-        return replace(self, changes={**self.changes, **changes})
+        """Set values; ``components.observer.L`` and ``observer.L`` are the same key."""
+        return replace(self, changes={**self.changes, **{short(key): value for key, value in changes.items()}})
 
     def edits(self) -> str:
         """Give swaps and changes as JSON, for the log."""
@@ -83,14 +85,14 @@ class Document:
     def place(self, key: Key) -> str:
         """Say where a key stands: file and line, or the option that set it."""
         names = [str(part) for part in key]
-        short = ".".join(names[1:] if names[:1] == ["components"] else names)
+        dotted = short(".".join(names))
         for change in self.changes:
-            if short == change or short.startswith(f"{change}."):
+            if dotted == change or dotted.startswith(f"{change}."):
                 return f"--set {change}"
         if names[:1] == ["components"] and len(names) > 1 and names[1] in self.swaps:
             return f"--swap {names[1]}"
         line = find_line(self.text, names)
-        inside = [f"--set {change}" for change in self.changes if change.startswith(f"{short}.")]
+        inside = [f"--set {change}" for change in self.changes if change.startswith(f"{dotted}.")]
         return (f"{self.source}:{line}" if line else self.source) + (f" (with {', '.join(inside)})" if inside else "")
 
     def _syntax(self, error: tomllib.TOMLDecodeError) -> str:
@@ -135,6 +137,11 @@ def shipped() -> list[str]:
     return sorted(entry.name.removesuffix(SUFFIX) for entry in folder.iterdir() if entry.name.endswith(SUFFIX))
 
 
+def short(key: str) -> str:
+    """Give the short form of a dotted key: that of a component's parameter begins with the component."""
+    return key.removeprefix("components.")
+
+
 def parse_value(text: str) -> Any:
     """Read a value from the command line: TOML where it is TOML, else a string."""
     try:
@@ -176,17 +183,27 @@ def _swap(tree: dict[str, Any], name: str, path: str) -> str | None:
 
 def _change(tree: dict[str, Any], key: str, value: Any) -> str | None:
     first, *rest = key.split(".")
-    if not rest:
+    if first in FLAT and rest:
+        _set_flat(tree.setdefault(first, {}), rest, value)
+        return None
+    if not rest and not isinstance(value, dict):
         return f"--set {key}: found no dot, needed component.parameter=value, such as observer.filter_rate=500"
-    if first in ("scenario", "models", "components", "connections", "truth"):
+    if first in TABLES and rest:
         table, path = tree.setdefault(first, {}), rest
     else:
         table, path = tree.get("components", {}), [first, *rest]
-        if first not in table:
-            return f"--set {key}: there is no component {first!r}; {nearest(first, [*table, 'scenario', 'models'])}"
+        if first not in table and len(path) > 1:
+            return f"--set {key}: there is no component {first!r}; {nearest(first, [*table, *TABLES])}"
     for part in path[:-1]:
         if not isinstance(table.setdefault(part, {}), dict):
             table[part] = {}
         table = table[part]
     table[path[-1]] = value
     return None
+
+
+def _set_flat(table: dict[str, Any], signal: list[str], value: Any) -> None:
+    """Set the entry of a signal, in whichever of the two spellings it was written."""
+    if isinstance(nested := table.get(signal[0]), dict):
+        nested.pop(".".join(signal[1:]), None)
+    table[".".join(signal)] = value

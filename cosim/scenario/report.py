@@ -43,8 +43,9 @@ class Identification:
     component: str
     start: float  # s, the communication point it starts at
     times: Mapping[str, float]  # T_obs, T_f, D_max, T_id where it was computed
-    eigenvalues: tuple[float, ...]  # of the information matrix over the run
+    eigenvalues: tuple[float, ...]  # of the information matrix of delta as it was reconstructed
     verdict: str
+    remarks: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -57,6 +58,7 @@ class Summary:
     signals: tuple[SignalError, ...] = ()
     values: tuple[ValueOutcome, ...] = ()
     identifications: tuple[Identification, ...] = ()
+    loops: tuple[str, ...] = ()  # stages that advance step by step: an error of first order in the step
 
     def to_dict(self) -> dict[str, Any]:
         """Give plain values for JSON."""
@@ -72,6 +74,7 @@ def summarise(recording: Recording) -> Summary:
     since = max(starts, default=0.0)
     any_component = next(iter(recording.channels))
     time_ns = recording.time_ns(any_component)
+    loops = tuple(stage for stage in json.loads(run.get("schedule", "[]")) if not stage.startswith("cascade "))
     signals, values = [], []
     for estimate, true in truth.items():
         if isinstance(true, str):
@@ -85,6 +88,7 @@ def summarise(recording: Recording) -> Summary:
         signals=tuple(signals),
         values=tuple(values),
         identifications=tuple(_identification(recording, name, found) for name, found in facts.items() if "unknowns" in found),
+        loops=loops,
     )
 
 
@@ -124,8 +128,9 @@ def _identification(recording: Recording, component: str, facts: Mapping[str, An
     time = recording.time_ns(component) / 1e9
     used = rows[time >= facts["start"]]
     times = {key: facts[key] for key in ("T_obs", "T_f", "D_max", "T_id") if key in facts}
+    remarks = tuple(facts.get("remarks", ()))
     if len(used) < 2:
-        return Identification(component, facts["start"], times, (), "the run ended before the identification began")
+        return Identification(component, facts["start"], times, (), "the run ended before the identification began", remarks)
     eigenvalues: Vector = np.linalg.eigvalsh(information(used[:, 1:], float(time[1] - time[0]))).astype(np.float64)
     prior = None if facts["P0"] is None else 1.0 / facts["P0"]
-    return Identification(component, facts["start"], times, tuple(map(float, eigenvalues)), verdict(eigenvalues, prior))
+    return Identification(component, facts["start"], times, tuple(map(float, eigenvalues)), verdict(eigenvalues, prior), remarks)

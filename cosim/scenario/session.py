@@ -12,6 +12,8 @@ from time import perf_counter
 from types import FrameType
 from typing import Any
 
+import numpy as np
+
 from cosim.core.contracts import Block, Design, Recorder
 from cosim.core.graph import Graph
 from cosim.core.master import run as run_graph
@@ -19,7 +21,7 @@ from cosim.core.recorders import Memory, Watched
 from cosim.errors import Interrupted, LogError, UsageError
 from cosim.log import Attachment, Log, McapRecorder, open_log
 from cosim.scenario.build import Experiment, Scenario, build, fingerprint, parse
-from cosim.scenario.document import Document, find
+from cosim.scenario.document import Document, find, short
 from cosim.scenario.profile import Timed
 
 SCENARIO_FILE = "scenario.toml"
@@ -106,12 +108,17 @@ def replay(
         If ``set`` changes the communication step, or a recorded component.
     """
     source = log if isinstance(log, Log) else open_log(log)
-    document = recorded_document(source)
-    changed = document.with_changes(set or {})
-    for key in set or {}:
-        if key.removeprefix("scenario.") == "step":
-            raise UsageError("a replay keeps the recorded communication step; run the scenario to change it")
-    return _execute(changed, out=out, force=force, block=block, progress=progress, source=source, changed=set or {})
+    changes = {short(key): value for key, value in (set or {}).items()}
+    if "scenario.step" in changes:
+        raise UsageError("a replay keeps the recorded communication step; run the scenario to change it")
+    recorded_end = int(source.result["end_ns"]) / 1e9
+    if recorded_end == 0.0:
+        raise LogError("the log ends at its first row: there is no step to replay")
+    stop = changes.setdefault("scenario.stop", recorded_end)
+    if isinstance(stop, (int, float)) and stop > recorded_end:
+        raise UsageError(f"--set scenario.stop: found {stop} s, the recording ends at {recorded_end} s; needed no more than that")
+    document = recorded_document(source).with_changes(changes)
+    return _execute(document, out=out, force=force, block=block, progress=progress, source=source, changed=set or {})
 
 
 def recorded_document(log: Log) -> Document:
@@ -159,14 +166,15 @@ def _execute(
 
 
 def _recorded_designs(experiment: Experiment, source: Log, changed: Mapping[str, Any]) -> dict[str, Design]:
+    """Give the recorded designs that still hold: nothing that they rest on has changed, nor which inputs are held."""
     designs = {}
     for name, spec in experiment.scenario.specs.items():
+        touched = sorted(key for key in changed if short(key).split(".")[0] == name)
+        if touched and not spec.computable:
+            raise UsageError(f"--set {touched[0]}: {name!r} is taken from the recording; run the scenario to change it")
         recorded = source.metadata.get(f"cosim.component.{name}", {}).get("fingerprint")
-        if not spec.computable:
-            touched = sorted(key for key in changed if key.split(".")[0] == name)
-            if touched:
-                raise UsageError(f"--set {touched[0]}: {name!r} is taken from the recording; run the scenario to change it")
-        if not spec.computable or recorded == fingerprint(experiment.scenario, name, experiment.reads[name]):
+        same = recorded == fingerprint(experiment.scenario, name, experiment.reads[name])
+        if not spec.computable or (same and np.array_equal(source.held[name], experiment.graph.held[name])):
             designs[name] = source.designs[name]
     return designs
 
@@ -197,6 +205,7 @@ def _metadata(experiment: Experiment) -> dict[str, dict[str, str]]:
             "stop": repr(settings.stop),
             "step": repr(settings.step),
             "truth": json.dumps(dict(experiment.truth)),
+            "schedule": json.dumps([stage.description for stage in experiment.graph.stages]),
             "warnings": json.dumps(experiment.warnings),
         },
         "cosim.connections": {to: json.dumps(_plain(wire)) for to, wire in scenario.connections.items()},
@@ -223,7 +232,7 @@ def _attachments(experiment: Experiment) -> list[Attachment]:
 
 @contextmanager
 def _interruptible() -> Iterator[Callable[[], None]]:
-    """Turn the first Ctrl-C into a clean end after the current block; the second one ends at once."""
+    """Turn the first Ctrl-C, or a request to terminate, into a clean end after the current block; the second ends at once."""
     if threading.current_thread() is not threading.main_thread():
         yield lambda: None
         return
@@ -236,13 +245,14 @@ def _interruptible() -> Iterator[Callable[[], None]]:
 
     def check() -> None:
         if pressed:
-            raise Interrupted("interrupted by the user")
+            raise Interrupted("interrupted by the user" if pressed[0] == signal.SIGINT else "terminated from outside")
 
-    before = signal.signal(signal.SIGINT, press)
+    before = {number: signal.signal(number, press) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield check
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def default_log(name: str, folder: Path = Path("logs")) -> Path:

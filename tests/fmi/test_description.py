@@ -9,7 +9,7 @@ from cosim.errors import FmuError
 from cosim.fmi.compare import Port, PortRow, compare_ports
 from cosim.fmi.description import Description, Variable
 from cosim.fmi.reading import read
-from cosim.core.units import base_unit, same_unit
+from cosim.units import base_unit, same_unit
 from tests.fmi.plant import FACE
 
 

@@ -130,9 +130,7 @@ class Eventful:
     def update_discrete_states(self):
         self.updates += 1
         answer = self._answers.pop(0) if len(self._answers) > 1 else self._answers[0]
-        return DiscreteStates(
-            **{"need_update": False, "terminate": False, "states_changed": False, "next_event_time": None} | answer
-        )
+        return DiscreteStates(**{"need_update": False, "terminate": False, "next_event_time": None} | answer)
 
     def completed_integrator_step(self):
         return self._step

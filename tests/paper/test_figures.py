@@ -1,9 +1,12 @@
 """The figures that the method is held to, at the shipped step of 1 ms."""
 
+import json
+
 import numpy as np
 import pytest
 
 import cosim
+from cosim.scenario.report import summarise
 
 
 def error_of_delta(run) -> float:
@@ -29,10 +32,43 @@ def test_held_inputs_spoil_the_disturbance():
     assert error_of_delta(held) == pytest.approx(0.353, abs=5e-3)
 
 
-def test_held_inputs_are_warned_of():
-    """filter_rate x step = 1 with held inputs: the warning says what it costs."""
-    held = cosim.run("academic", set={"scenario.hold": "start", "scenario.stop": 0.01})
-    assert "58% too high" in held.metadata["cosim.run"]["warnings"]
+@pytest.mark.parametrize(
+    ("scenario", "changes", "which"),
+    [
+        ("academic", {"scenario.hold": "start"}, "u and y held"),
+        ("academic", {"components.u": {"kind": "step", "time": 8.0}}, "u held"),
+        ("closed-loop", {"scenario.coupling": "jacobi"}, "u and y held"),
+        ("closed-loop", {"controller.period": 0.01}, "u held"),
+    ],
+)
+def test_held_inputs_are_warned_of(scenario, changes, which):
+    """Held from the start, discrete, late in a loop, sampled: with filter_rate x step = 1 the warning says what it costs."""
+    run = cosim.run(scenario, set={**changes, "scenario.stop": 0.1})
+    warnings = dict(json.loads(run.metadata["cosim.run"]["warnings"]))
+    assert which in warnings["observer"]
+    assert "58% too high" in warnings["observer"]
+
+
+def test_straight_lines_are_not_warned_of(academic):
+    """No warning without a reason."""
+    assert json.loads(academic.metadata["cosim.run"]["warnings"]) == []
+
+
+def test_what_a_sine_cannot_tell_apart_is_said():
+    """C08: a rate is unique only below pi / spacing of the delays."""
+    terms = [{"alpha": "1.35 + 0.25*sin(1.7*t)", "family": "sine"}]
+    truth = [{**terms[0], "theta": 7.0}]
+    changes = {
+        "components.delta": {"kind": "disturbance", "terms": truth},
+        "regressor.terms": terms,
+        "regressor.delays": [0.5, 1.0, 1.5],
+        "truth.identifier.theta": [7.0],
+        "scenario.stop": 10.0,
+    }
+    run = cosim.run("academic", set=changes)
+    (found,) = summarise(run).identifications
+    assert found.remarks == ("theta[0]: a rate above 6.283 rad/s is taken for a slower one (delays 0.5 s apart)",)
+    assert run["identifier.theta"][-1] == pytest.approx(2 * np.pi / 0.5 - 7.0, abs=1e-3)
 
 
 def test_coupling_error_is_of_second_order():

@@ -36,11 +36,18 @@ CASES = {
     "missing key": ([("rate = 1.0  ", "# ")], r"/mine\.toml:17: components\.u: 'rate' is missing; needed angular rate \[rad/s\]"),
     "unknown kind": ([('kind = "sine"', 'kind = "sin"')], r"/mine\.toml:18: components\.u\.kind: unknown kind 'sin'; did you mean 'sine'\?"),
     "missing kind": ([('kind = "sine"', "")], r"/mine\.toml:17: components\.u: 'kind' is missing"),
-    "wrong type": ([("amplitude = 1.0", 'amplitude = "1"')], r"components\.u\.amplitude: found '1'; input should be a valid number"),
+    "wrong type": ([("amplitude = 1.0", 'amplitude = "1"')], r"components\.u\.amplitude: found '1'; needed a number"),
     "unknown component": (
         [('"plant.u" = "u.y"', '"plant.u" = "w.y"')],
         r"/mine\.toml:55: connections\.plant\.u: 'w\.y': there is no component 'w'; ",
     ),
+    "connection that is none": ([('"plant.u" = "u.y"', '"plant.u" = 3')], r"connections\.plant\.u: found 3; needed a string or a table"),
+    "connection with an unknown key": (
+        [('"plant.u" = "u.y"', '"plant.u" = { from = "u.y", gian = 2.0 }')],
+        r"connections\.plant\.u\.gian: unknown key 'gian'; did you mean 'gain'\? There is: from, gain, offset, unit",
+    ),
+    "connection without a source": ([('"plant.u" = "u.y"', '"plant.u" = { gain = 2.0 }')], r"connections\.plant\.u: 'from' is missing"),
+    "ragged gain": ([("L = [4.0, 0.0]", "L = [[4.0], [0.0, 1.0]]")], r"L: found rows of lengths \[1, 2\], needed rows of one length"),
     "unknown signal": (
         [('"plant.u" = "u.y"', '"plant.u" = "u.x"')],
         r"connections\.plant\.u: 'u\.x': 'u' has no output 'x'; There is: y",
@@ -53,7 +60,7 @@ CASES = {
     ),
     "input driven twice in two spellings": (
         [('"plant.u" = "u.y"', '"plant.u" = "u.y"\nplant.u = "delta.y"')],
-        r"connections\.plant\.u: 'plant\.u' is driven twice; an input has one source",
+        r"connections\.plant\.u: 'plant\.u' is given twice; an input has one source",
     ),
     "size mismatch": (
         [('"observer.y" = "plant.y"', '"observer.y" = "plant.x_a"')],
@@ -224,3 +231,13 @@ def test_a_log_that_lacks_a_component_is_refused(tmp_path):
     cosim.run("academic", out=path, set={"scenario.stop": 0.1})
     with pytest.raises(ScenarioError, match=r"the log has no component 'plnat'; it has: u, delta, plant"):
         cosim.run("academic", swap={"plant": path}, set={"scenario.stop": 0.1, "plant.component": "plnat"})
+
+
+@pytest.mark.parametrize(("start", "end"), [(0.5, 50.0), (0.0, 39.0)])
+def test_a_table_must_cover_the_whole_run(start, end):
+    """Beyond its ends a table has no value; that is known before the first step."""
+    table = {"kind": "table", "t": [start, end], "y": [0.0, 1.0]}
+    with pytest.raises(
+        ScenarioError, match=rf"components\.u: table: covers {start} s to {end} s; needed 0 s to 40\.0 s, the whole run"
+    ):
+        cosim.run("academic", set={"components.u": table})

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import cosim
-from cosim.core.contracts import Stopped
 from cosim.errors import LogError, NonFiniteError, UsageError
 from cosim.log import open_log
 from cosim.scenario.document import shipped
@@ -109,11 +108,42 @@ def test_replay_refuses_to_change_what_is_recorded(logged):
         cosim.replay(path, set={"plant.x_a0": [0.0, 0.0]})
 
 
-def test_a_longer_replay_stops_at_the_end_of_the_recording(logged):
-    """There is nothing to replay beyond the end."""
+def test_a_longer_replay_is_refused(logged):
+    """There is nothing to replay beyond the end, and that is known before the first step."""
     _, path, _ = logged
-    with pytest.raises(Stopped, match=r"the recording ends at 8\.0 s"):
+    with pytest.raises(UsageError, match=r"scenario\.stop: found 9\.0 s, the recording ends at 8\.0 s; needed no more than that"):
         cosim.replay(path, set={"scenario.stop": 9.0})
+
+
+def test_a_run_that_failed_replays_up_to_its_end(tmp_path):
+    """What was recorded before a failure can be verified like any other log."""
+    path = tmp_path / "a.mcap"
+    changes = {"components.bad": {"kind": "expression", "y": "1/(t - 7.0)"}, "scenario.stop": 8.0}
+    with pytest.raises(NonFiniteError, match=r"'bad\.y' became inf"):
+        cosim.run("academic", out=path, set=changes)
+    log = open_log(path)
+    assert (log.status, log.time("plant")[-1]) == ("failed", 6.999)
+    assert cosim.diff(log, cosim.replay(path)).equal
+
+
+@pytest.mark.parametrize("prefix", ["", "components."])
+def test_both_spellings_of_a_recorded_parameter_are_refused(logged, prefix):
+    """components.plant.x_a0 is plant.x_a0."""
+    _, path, _ = logged
+    with pytest.raises(UsageError, match=r"'plant' is taken from the recording"):
+        cosim.replay(path, set={f"{prefix}plant.x_a0": [5.0, 5.0]})
+
+
+def test_a_design_is_not_reused_where_an_input_is_held_now(tmp_path):
+    """A recorded discretisation is for straight lines; what if u were discrete is computed anew, and equals a run."""
+    smooth = {"components.u": {"kind": "expression", "y": "sin(t)"}, "scenario.stop": 8.0}
+    cosim.run("academic", out=tmp_path / "a.mcap", set=smooth)
+    by_replay = cosim.replay(tmp_path / "a.mcap", set={"u.discrete": True})
+    by_run = cosim.run("academic", set={**smooth, "u.discrete": True, "plant.solver": "exact"})
+    held_plant = np.array_equal(by_replay["plant.y"], by_run["plant.y"])
+    assert not held_plant  # the plant is the recorded one
+    observer = cosim.run("academic", swap={"plant": tmp_path / "a.mcap"}, set={**smooth, "u.discrete": True})
+    assert np.array_equal(by_replay["observer.delta"], observer["observer.delta"])
 
 
 def test_a_log_of_something_else_is_refused(tmp_path):

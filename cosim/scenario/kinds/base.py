@@ -19,7 +19,7 @@ class Site(Protocol):
     """What a kind may know about the scenario it is built in."""
 
     step_ns: int
-    hold: str
+    stop: float
 
     def model(self, name: str) -> DescriptorSystem:
         """Give a model of [models]."""
@@ -71,6 +71,10 @@ class Kind(Table):
     def own_step(self) -> float | None:
         """Its period [s], where it has one."""
         return None
+
+    def advice(self, held: Mapping[str, bool], h: float) -> list[str]:
+        """Warn of what will be right but costly or poor, given which inputs are held over a communication step of ``h`` [s]."""
+        return []
 
     def build(self, name: str, site: Site) -> Component:
         """Build the component."""

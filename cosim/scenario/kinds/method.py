@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -19,7 +19,7 @@ from cosim.errors import AssumptionError, UsageError
 from cosim.native.expression import Program, compile_expression
 from cosim.native.step import evaluate
 from cosim.scenario.kinds.base import Kind, Site
-from cosim.scenario.schema import Number, Row, Rows, Table
+from cosim.scenario.schema import Number, Row, Rows, Table, matrix
 from cosim.theory import estimators, observer, regression
 from cosim.theory.descriptor import ReducedSystem, reduce
 from cosim.theory.disturbance import Block, family_named, group
@@ -40,25 +40,30 @@ class UnknownInputObserver(Kind):
 
     def linear_model(self, name: str, site: Site) -> LinearModel:
         reduced, design = self.design(site)
-        h = site.step_ns / 1e9
         site.note(
             name,
             eigenvalues=[str(complex(v)) if v.imag else float(v.real) for v in design.eigenvalues],
             fixed_modes=[str(complex(v)) if v.imag else float(v.real) for v in design.fixed_modes],
             lambda_obs=design.lambda_obs,
         )
-        if site.hold == "start" and self.filter_rate * h > HELD_LIMIT:
-            site.warn(
-                name,
-                f"filter_rate x step = {self.filter_rate * h:g} with held inputs: the derivative filter reads a ramp "
-                f'{self.filter_rate * h / -math.expm1(-self.filter_rate * h) - 1.0:.0%} too high; use hold = "line"',
-            )
         return observer_model(reduced, design, x_a0=self.x_a0, q0=self.q0)
+
+    def advice(self, held: Mapping[str, bool], h: float) -> list[str]:
+        product = self.filter_rate * h
+        names = [name for name, is_held in held.items() if is_held]
+        if not names or product <= HELD_LIMIT:
+            return []
+        gain = product / -math.expm1(-product) - 1.0
+        return [
+            f"{' and '.join(names)} held over the step (discrete, late in a loop, or by hold), filter_rate x step = {product:g}: "
+            f"the derivative filter reads a ramp {gain:.0%} too high and a jump filter_rate times; do not trust delta"
+        ]
 
     def design(self, site: Site) -> tuple[ReducedSystem, observer.ObserverDesign]:
         """Design the observer (14)-(18)."""
         reduced = reduce(site.model(self.model))
-        L = None if self.L is None else np.array(self.L, dtype=np.float64)
+        rows = [row if isinstance(row, tuple) else (row,) for row in self.L or ()]
+        L = None if self.L is None else matrix(tuple(rows), "L")
         return reduced, observer.design(reduced, L=L, poles=self.poles, filter_rate=self.filter_rate)
 
 
@@ -131,7 +136,7 @@ class Identifier(Kind):
         blocks, terms = spec.regression()
         recovery = estimators.plan(terms, blocks, spec.delays)
         start = self._start(name, source_name, spec, site)
-        site.note(name, P0=self.P0, unknowns=recovery.n_eta)
+        site.note(name, P0=self.P0, unknowns=recovery.n_eta, remarks=_remarks(recovery))
         return LeastSquaresIdentifier(recovery, start=start, P0=self.P0)
 
     def _start(self, name: str, regressor: str, spec: RegressorKind, site: Site) -> float:
@@ -161,3 +166,17 @@ class Identifier(Kind):
         first = math.ceil(round(wanted * 1e9, 3) / site.step_ns) * site.step_ns / 1e9
         site.note(name, start=first)
         return first
+
+
+def _remarks(recovery: estimators.Recovery) -> list[str]:
+    """Say what the recovery of theta cannot tell apart."""
+    remarks = []
+    for block in recovery.blocks:
+        at = ", ".join(f"theta[{i}]" for i in block.theta)
+        if block.kind is estimators.Kind.SINE:
+            remarks.append(
+                f"{at}: a rate above {block.limit:.4g} rad/s is taken for a slower one (delays {block.spacing:g} s apart)"
+            )
+        if block.kind is estimators.Kind.EXPONENTIALS:
+            remarks.append(f"{at}: two exponentials under one alpha come back the larger first")
+    return remarks

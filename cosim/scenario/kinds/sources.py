@@ -122,6 +122,8 @@ class TableSource(Kind):
         if (self.file is None) == (self.t is None or self.y is None):
             raise UsageError("table: needed either t and y, or file")
         t, y = self._read(site.file(self.file)) if self.file is not None else self._given()
+        if len(t) and not t[0] <= 0.0 <= site.stop <= t[-1]:
+            raise UsageError(f"table: covers {t[0]} s to {t[-1]} s; needed 0 s to {site.stop} s, the whole run")
         return source.Table(t, y, hold=self.hold, unit=self.unit)
 
     def _given(self) -> tuple[Vector, Any]:

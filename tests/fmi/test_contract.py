@@ -1,0 +1,196 @@
+"""Units keep the contract of a component, whatever the variability of their inputs."""
+
+import numpy as np
+import pytest
+
+from cosim.core.contracts import Stopped
+from cosim.core.signals import Interface, Signal
+from cosim.core.solver import Linear, LinearModel
+from cosim.fmi.component import ModelExchange, load
+from cosim.fmi.export import export
+from cosim.fmi.generated import GeneratedUnit
+from cosim.fmi.unit import DiscreteStates
+from cosim.testing import check_component, check_rollback
+
+A, X0 = np.array([[-1.0, 1.0], [-1.0, -2.0]]), np.array([1.0, -1.0])
+C = np.array([[1.0, 0.0], [1.0, 0.0]])  # v feeds through, w is the state
+VARIABILITIES = {"discrete": ("discrete",), "continuous": ("continuous",), "both": ("continuous", "discrete")}
+
+
+def model(inputs) -> LinearModel:
+    """x' = A x + B u, v = x_1 + u_1 (+ u_2), w = x_1: every input feeds through to v, none to w."""
+    names = VARIABILITIES[inputs]
+    face = Interface(
+        tuple(Signal(name[0], variability=name) for name in names), (Signal("v"), Signal("w")), {"v": tuple(n[0] for n in names)}
+    )
+    B, D = np.ones((2, len(names))), np.vstack([np.ones(len(names)), np.zeros(len(names))])
+    return LinearModel(face, ("x[0]", "x[1]"), A, B, C, D, X0, np.zeros((2, len(names))))
+
+
+@pytest.fixture(scope="module", params=VARIABILITIES)
+def inputs(request):
+    return request.param
+
+
+@pytest.fixture(scope="module")
+def path(inputs, tmp_path_factory):
+    return export(model(inputs), tmp_path_factory.mktemp(inputs) / "unit.fmu", name="unit").path
+
+
+@pytest.mark.parametrize("solver", ["exact", "rk4"])
+def test_generated_units_keep_the_contract(inputs, solver):
+    """With discrete inputs, continuous ones and both."""
+    check_component(lambda: ModelExchange(GeneratedUnit.of(model(inputs)), solver))
+    check_rollback(lambda: ModelExchange(GeneratedUnit.of(model(inputs)), solver))
+
+
+@pytest.mark.parametrize("mode", ["me", "cs"])
+def test_loaded_units_keep_the_contract(path, mode):
+    """Both kinds: the co-simulation unit corrects its outputs by D, so that they follow the inputs."""
+    loaded = []
+
+    def make():
+        loaded.append(load(path, mode=mode))
+        return loaded[-1].component
+
+    check_component(make)
+    check_rollback(make)
+    for fmu in loaded:
+        fmu.close()
+
+
+@pytest.mark.parametrize("able", ["neither D nor input derivatives", "no D"])
+def test_co_simulation_units_without_D_keep_the_contract(edited, able):
+    """Their outputs do not follow the inputs at the end of a step.
+
+    FMI 2.0.4 section 4.2.4 forbids setting inputs and reading outputs without a step between; so "outputs ignores" holds for
+    all inputs, and that outputs follow those that feed through cannot be asked for (``notes`` tells).
+    """
+    lost = [(' providesDirectionalDerivative="true"', "")]
+    if able != "no D":
+        lost.append((' canInterpolateInputs="true"', ""))
+    file, loaded = edited(*lost), []
+
+    def make():
+        loaded.append(load(file, mode="cs"))
+        return loaded[-1].component
+
+    check_component(make)
+    for fmu in loaded:
+        fmu.close()
+
+
+def test_a_co_simulation_unit_of_others_keeps_the_contract(foreign2):
+    """By pythonfmu: integer and Boolean inputs, no D, no saved states."""
+    loaded = []
+
+    def make():
+        loaded.append(load(foreign2))
+        return loaded[-1].component
+
+    check_component(make, steps=10)
+    for fmu in loaded:
+        fmu.close()
+
+
+def drive_late(component, u, held):
+    """Advance as a loop does: a held input at the end of a step is that of its start, and outputs repairs what feeds through."""
+    t = np.arange(len(u)) * 0.01
+    component.prepare(0.01, held, {})
+    rows = [component.initialize(0.0, u[0])]
+    for k in range(len(u) - 1):
+        component.advance(t[k : k + 2], 0.01, np.vstack([u[k], np.where(held, u[k], u[k + 1])]))
+        rows.append(component.outputs(float(t[k + 1]), u[k + 1]))
+    return np.array(rows)
+
+
+def test_inputs_that_are_late_reach_the_unit(inputs, path):
+    """Solver rk4 at 10 ms errs by h^5/5! a step, 1e-12, for inputs near 1; Linear has no unit that could miss an input."""
+    u = np.random.default_rng(1).standard_normal((40, len(VARIABILITIES[inputs])))
+    held = np.ones(u.shape[1], np.bool_)
+    expected = drive_late(Linear(model(inputs)), u, held)
+    assert np.array_equal(drive_late(ModelExchange(GeneratedUnit.of(model(inputs)), "exact"), u, held), expected)
+    assert abs(drive_late(ModelExchange(GeneratedUnit.of(model(inputs)), "rk4"), u, held) - expected).max() < 1e-8
+    with load(path) as fmu:
+        assert abs(drive_late(fmu.component, u, held)[:, :2] - expected).max() < 1e-8
+
+
+def test_discrete_inputs_are_held_whoever_drives_them(path, inputs):
+    """A straight line cannot go into a discrete input: its value from the start of the step counts, in every kind."""
+    names = VARIABILITIES[inputs]
+    u = np.random.default_rng(2).standard_normal((40, len(names)))
+    discrete, free = np.array([name == "discrete" for name in names]), np.zeros(len(names), np.bool_)
+    t = np.arange(40) * 0.01
+
+    def run(component, held):
+        component.prepare(0.01, held, {})
+        component.initialize(0.0, u[0])
+        return component.advance(t, 0.01, u)[:, :2]
+
+    expected = run(Linear(model(inputs)), discrete)
+    for solver in ("exact", "rk4"):
+        assert abs(run(ModelExchange(GeneratedUnit.of(model(inputs)), solver), free) - expected).max() < 1e-8
+    for mode in ("me", "cs"):
+        with load(path, mode=mode) as fmu:
+            assert abs(run(fmu.component, free) - expected).max() < 1e-8
+
+
+class Watched:
+    """A generated unit that notes in which mode its inputs are set, and may ask for the end."""
+
+    def __init__(self, inputs, end_at=None):
+        self._unit, self._end_at = GeneratedUnit.of(model(inputs), "watched"), end_at
+        self._events, self._event, self.wrong = 0, True, []
+        self._discrete = {v.reference for v in self._unit.description.variables if v.variability == "discrete"}
+
+    def __getattr__(self, name):
+        return getattr(self._unit, name)
+
+    def enter_event_mode(self):
+        self._event = True
+        self._unit.enter_event_mode()
+
+    def enter_continuous_time_mode(self):
+        self._event = False
+        self._unit.enter_continuous_time_mode()
+
+    def set_float64(self, references, values):
+        if not self._event:
+            self.wrong += [r for group in references.groups for r in group.references.tolist() if r in self._discrete]
+        self._unit.set_float64(references, values)
+
+    def update_discrete_states(self):
+        self._events += 1
+        return DiscreteStates(need_update=False, terminate=self._events == self._end_at, next_event_time=None)
+
+
+def test_discrete_inputs_are_set_in_event_mode_only(inputs):
+    """FMI 2.0.4 section 3.2.3: in continuous-time mode only continuous inputs may be set."""
+    unit = Watched(inputs)
+    u = np.random.default_rng(3).standard_normal((10, len(VARIABILITIES[inputs])))
+    drive_late(ModelExchange(unit, "rk4"), u, np.ones(u.shape[1], np.bool_))
+    assert unit.wrong == []
+
+
+@pytest.mark.parametrize("solver", ["exact", "rk4"])
+def test_the_wish_to_end_is_heard_in_every_event(solver):
+    """In the first one no step is made; in one that a late input makes the run ends where it is."""
+    t, u = np.arange(4) * 0.01, np.zeros((4, 1))
+    for call in ("advance", "outputs"):
+        component = ModelExchange(Watched("discrete", end_at=1), solver)
+        component.prepare(0.01, np.ones(1, np.bool_), {})
+        component.initialize(0.0, u[0])
+        if call == "outputs":
+            component.outputs(0.0, u[0])
+        with pytest.raises(Stopped, match="the unit asks for the end of the run") as stop:
+            component.advance(t, 0.01, u)
+        assert (stop.value.failed, stop.value.outputs.shape) == (False, (0, 2))
+    component = ModelExchange(Watched("discrete", end_at=2), solver)
+    component.prepare(0.01, np.ones(1, np.bool_), {})
+    component.initialize(0.0, u[0])
+    component.advance(t[:2], 0.01, u[:2])
+    with pytest.raises(Stopped, match="the unit asks for the end of the run") as stop:
+        component.advance(t[1:], 0.01, u[1:] + 1.0)
+    assert (stop.value.failed, stop.value.steps) == (False, 0)
+    component.initialize(0.0, u[0])
+    assert len(component.advance(t, 0.01, u)) == 3, "a new run has no end yet"
