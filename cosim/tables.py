@@ -101,6 +101,7 @@ def _warnings(recording: Recording) -> list[tuple[str, str]]:
 def verification(source: Recording, again: Recording, *, path: Path, as_json: bool, quiet: bool) -> None:
     """Say whether a replay equals its log bit for bit; exit 1 at the first difference."""
     from cosim.log.diff import diff
+    from cosim.log.environment import other_environment
 
     found = diff(source, again)
     if as_json:
@@ -115,6 +116,8 @@ def verification(source: Recording, again: Recording, *, path: Path, as_json: bo
         if first is not None:
             where = f"{first.signal} at t = {first.time_ns / 1e9} s: log {first.a!r}, replay {first.b!r}"
         typer.echo(f"{path}: the replay differs from the log; first: {where}", err=True)
+        for key, (then, now) in other_environment(source).items():
+            typer.echo(f"note: {key} was {then}, is {now}; sin, exp and log may differ in their last bit", err=True)
     raise typer.Exit(1)
 
 

@@ -1,7 +1,10 @@
 """The command line: exit codes, what goes where, and what it costs to ask for help."""
 
+import contextlib
 import json
 import os
+import pty
+import re
 import signal
 import subprocess
 import sys
@@ -226,8 +229,11 @@ def test_a_run_without_fmus_does_not_import_fmpy(tmp_path):
     assert run_python(code, str(tmp_path / "a.mcap")).strip() == "[]"
 
 
-def test_ctrl_c_ends_the_run_cleanly_with_exit_130(tmp_path):
-    """An interrupted run leaves a valid log with everything up to that moment; its status says so."""
+@pytest.mark.parametrize(
+    ("number", "reason"), [(signal.SIGINT, "interrupted by the user"), (signal.SIGTERM, "terminated from outside")]
+)
+def test_an_interrupt_ends_the_run_cleanly_with_exit_130(tmp_path, number, reason):
+    """Ctrl-C, and a request to terminate, leave a valid log with everything up to that moment; its status says so."""
     path = tmp_path / "long.mcap"
     command = [sys.executable, "-m", "cosim", "run", "closed-loop", "--stop", "10000", "--out", str(path)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
@@ -239,12 +245,35 @@ def test_ctrl_c_ends_the_run_cleanly_with_exit_130(tmp_path):
             except subprocess.TimeoutExpired:
                 continue
             pytest.fail(f"ended early: {process.communicate()}")
-        os.kill(process.pid, signal.SIGINT)
+        os.kill(process.pid, number)
         out, err = process.communicate(timeout=60)
-    assert (process.returncode, out, err) == (130, "", "cosim: interrupted by the user\n")
+    assert (process.returncode, out, err) == (130, "", f"cosim: {reason}\n")
     log = cosim.open_log(path)
     assert log.status == "interrupted"
     assert len(log["plant.y"]) == log.result["steps"] + 1
+    assert cosim.diff(log, cosim.replay(path)).equal
+
+
+def test_progress_shows_time_speed_and_time_left_on_a_terminal(tmp_path):
+    """On a terminal the bar stands on stderr while the run goes on, and is gone at the end."""
+    reader, writer = pty.openpty()
+    command = [sys.executable, "-m", "cosim", "run", "closed-loop", "--stop", "60", "--out", str(tmp_path / "a.mcap")]
+    environment = {**os.environ, "TERM": "xterm", "COLUMNS": "120"}
+    seen = b""
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=writer, env=environment) as process:
+        os.close(writer)
+        with contextlib.suppress(OSError):  # the terminal is closed when the process ends
+            while chunk := os.read(reader, 4096):
+                seen += chunk
+        out, _ = process.communicate(timeout=60)
+    os.close(reader)
+    assert process.returncode == 0
+    text = seen.decode(errors="replace")
+    assert re.search(r"t = \d+\.\d\d of 60 s", text)
+    assert re.search(r"\d x real time", text)
+    assert re.search(r"0:00:\d\d", text)
+    assert b"real time" in out  # the table, on stdout, has no bar in it
+    assert b"\x1b[" not in out
 
 
 def test_progress_is_gone_where_stderr_is_no_terminal(call):

@@ -23,19 +23,22 @@ class Sampled:
     component : Component
     n : int
         Communication steps in one of its own.
+    hold : bool
+        It samples its inputs at the start of its own step and holds them, as a digital controller does; else they move in straight
+        lines from there to the end of its own step, as far as they are not held anyway.
     """
 
-    def __init__(self, component: Component, n: int) -> None:
+    def __init__(self, component: Component, n: int, *, hold: bool = False) -> None:
         if n < 1:
             raise ClockError(f"period: found {n} communication steps, needed at least 1")
-        self._component, self._n = component, n
+        self._component, self._n, self._hold = component, n, hold
         found = component.interface
         outputs = tuple(replace(signal, variability="discrete") for signal in found.outputs)
         self.interface = Interface(found.inputs, outputs, found.feedthrough)
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Prepare the component for its own step."""
-        return self._component.prepare(self._own(h), held, recorded)
+        return self._component.prepare(self._own(h), held | self._hold, recorded)
 
     def initialize(self, t: float, u: Vector) -> Vector:
         """Start the component; its first own step begins here."""

@@ -135,7 +135,7 @@ class Graph:
         """
         names = [name for stage in self.stages for name in stage.names]
         rows = row[np.newaxis]
-        for _ in range(len(names) + 1):
+        for _ in range(len(names) + 2):  # the longest chain, once more where it closes, and once to see that nothing moves
             before = row.copy()
             for name in names:
                 member = self._members[name]
@@ -145,7 +145,7 @@ class Graph:
                 return
         moving = [label for label, a, b in zip(self.labels(), before, row, strict=True) if a != b and not np.isnan(b)]
         raise GraphError(
-            f"initial values do not settle: {', '.join(moving)} still change after {len(names) + 1} rounds; "
+            f"initial values do not settle: {', '.join(moving)} still change after {len(names) + 2} rounds; "
             "give a lag or a delay among them a start value of its own"
         )
 

@@ -16,6 +16,44 @@ from cosim.core.signals import Channel
 from cosim.errors import LogError, nearest
 
 
+def find_signal(channels: Mapping[str, Channel], signal: str, *, source: str) -> tuple[Channel, slice]:
+    """Find a recorded ``component.signal``: its channel and its columns in the row.
+
+    Parameters
+    ----------
+    channels : mapping of component name to Channel
+    signal : str
+        The first dot ends the component's name; the signal's own may have more.
+    source : str
+        What was recorded to, for the message.
+
+    Raises
+    ------
+    LogError
+        If there is no such component or signal; names the nearest.
+    """
+    name, _, wanted = signal.partition(".")
+    channel = find_channel(channels, name, source=source)
+    for found, columns in channel.signal_columns():
+        if found.name == wanted:
+            return channel, columns
+    known = nearest(wanted, [found.name for found in channel.signals])
+    raise LogError(f"{source} has no {signal!r}: {name!r} has no signal {wanted!r}; {known}")
+
+
+def find_channel(channels: Mapping[str, Channel], component: str, *, source: str) -> Channel:
+    """Find a recorded component.
+
+    Raises
+    ------
+    LogError
+        If there is none of that name; names the nearest.
+    """
+    if component not in channels:
+        raise LogError(f"{source} has no component {component!r}; {nearest(component, channels)}")
+    return channels[component]
+
+
 class Memory:
     """Keeps every row of a run in memory; implements Recorder and Recording."""
 
@@ -23,6 +61,7 @@ class Memory:
         self.metadata: Mapping[str, Any] = metadata or {}
         self._rows: list[Matrix] = []
         self._times: list[Nanoseconds] = []
+        self._steps: list[NDArray[np.int64]] = []
 
     def __enter__(self) -> Self:
         return self
@@ -35,9 +74,12 @@ class Memory:
 
     def write(self, block: Block, signals: Matrix) -> None:
         """Copy the new rows."""
-        first = 0 if block.index == 0 else 1
+        first = 0 if block.index == 0 and not self._rows else 1
+        if first > block.steps:
+            return
         self._rows.append(signals[first:].copy())
-        self._times.append(block.time_ns[first:])
+        self._times.append(block.time_ns[first:].copy())
+        self._steps.append(np.arange(block.index + first, block.index + block.steps + 1))
 
     @property
     def channels(self) -> Mapping[str, Channel]:
@@ -45,36 +87,39 @@ class Memory:
         return {channel.name: channel for channel in self.plan.layout.channels}
 
     @cached_property
-    def _table(self) -> tuple[Matrix, Nanoseconds]:
-        rows, times = [np.empty((0, self.plan.layout.width)), *self._rows], [np.empty(0, np.int64), *self._times]
-        return np.concatenate(rows), np.concatenate(times)
+    def _table(self) -> tuple[Matrix, Nanoseconds, NDArray[np.int64]]:
+        none = np.empty(0, np.int64)
+        rows = np.concatenate([np.empty((0, self.plan.layout.width)), *self._rows])
+        return rows, np.concatenate([none, *self._times]), np.concatenate([none, *self._steps])
 
     def _kept(self, channel: Channel) -> NDArray[np.bool_]:
-        kept: NDArray[np.bool_] = self._table[1] % (channel.period * self.plan.step_ns) == 0
+        kept: NDArray[np.bool_] = self._table[2] % channel.period == 0
         return kept
 
     def __getitem__(self, signal: str) -> NDArray[np.float64]:
         """Give ``component.signal`` at every recorded row: shape (N,) for size 1, else (N, size)."""
-        name, _, wanted = signal.partition(".")
-        channel = self._channel(name)
-        for found, columns in channel.signal_columns():
-            if found.name == wanted:
-                values = self._table[0][self._kept(channel), columns]
-                return values[:, 0] if found.size == 1 else values
-        raise LogError(f"{signal!r}: {name!r} has no signal {wanted!r}; {nearest(wanted, [s.name for s in channel.signals])}")
+        channel, columns = find_signal(self.channels, signal, source="the run")
+        values = self._table[0][self._kept(channel), columns]
+        return values[:, 0] if values.shape[1] == 1 else values
 
     def time_ns(self, component: str) -> Nanoseconds:
         """Give the instants of a component's rows, shape (N,) [ns]."""
-        return self._table[1][self._kept(self._channel(component))]
+        return self._table[1][self._kept(find_channel(self.channels, component, source="the run"))]
 
-    def time(self, signal: str) -> NDArray[np.float64]:
-        """Give the instants of a component's, or of a signal's, rows, shape (N,) [s]."""
-        return self.time_ns(signal if signal in self.channels else signal.partition(".")[0]) / 1e9
+    def time(self, name: str) -> NDArray[np.float64]:
+        """Give the instants of a signal's or component's rows, shape (N,) [s]."""
+        channel = find_signal(self.channels, name, source="the run")[0] if "." in name else None
+        return self.time_ns(channel.name if channel else name) / 1e9
 
-    def _channel(self, name: str) -> Channel:
-        if name not in self.channels:
-            raise LogError(f"the run has no component {name!r}; {nearest(name, self.channels)}")
-        return self.channels[name]
+    @property
+    def end_ns(self) -> int:
+        """The last recorded instant [ns]; 0 if there is none."""
+        return int(self._times[-1][-1]) if self._times else 0
+
+    @property
+    def steps(self) -> int:
+        """Number of the last recorded communication step."""
+        return int(self._steps[-1][-1]) if self._steps else 0
 
 
 class Nothing:

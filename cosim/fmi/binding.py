@@ -26,8 +26,9 @@ from cosim.fmi.unit import DiscreteStates, StepEnd
 Call: TypeAlias = Callable[..., None]
 
 STATUS: Final = ("ok", "warning", "discard", "error", "fatal", "pending")
+LEVELS: Final = ("info", "warning", "warning", "error", "fatal", "info")  # of a message, by status
 WARNING, DISCARD, ERROR, FATAL = 1, 2, 3, 4
-MESSAGES = 100  # how many of the FMU's log messages are kept
+MESSAGES = 100  # how many of the FMU's log messages are kept until they are fetched
 _Memory = c_uint8 * 1
 
 
@@ -35,6 +36,36 @@ def pointer(array: NDArray[Any]) -> Any:
     """Point to a contiguous array's memory; quicker than ``array.ctypes``."""
     memory: Any = array
     return _Memory.from_buffer(memory) if array.size else None
+
+
+class Messages:
+    """What an FMU logs, kept until it is fetched: the last ``MESSAGES`` of it, 1000 characters each.
+
+    FMI 2 hands over a printf format and its arguments, which cannot be read from Python: the format is kept as it is.
+    """
+
+    def __init__(self) -> None:
+        self._kept: deque[tuple[str, str]] = deque(maxlen=MESSAGES)
+        self._dropped = 0
+
+    def add(self, status: int, text: bytes | None) -> None:
+        """Keep a message."""
+        self._dropped += len(self._kept) == MESSAGES
+        level = LEVELS[status] if 0 <= status < len(LEVELS) else "warning"
+        self._kept.append((level, (text or b"").decode("utf-8", "replace")[:1000]))
+
+    @property
+    def tail(self) -> str:
+        """The last one that was not fetched yet, as the tail of an error; empty where there is none."""
+        return f"; it said: {': '.join(self._kept[-1])}" if self._kept else ""
+
+    def drain(self) -> list[tuple[str, str]]:
+        """Give (level, text) since the last call, and how many were dropped."""
+        lost = [("warning", f"{self._dropped} earlier messages of the FMU were dropped")] if self._dropped else []
+        found = lost + list(self._kept)
+        self._kept.clear()
+        self._dropped = 0
+        return found
 
 
 class Library:
@@ -46,20 +77,21 @@ class Library:
     prefix : {"fmi2", "fmi3"}
     name : str
         Stands in messages.
-    messages : deque of str
-        What the FMU logged.
+    messages : Messages
+        What the FMU logs.
     """
 
-    def __init__(self, binding: Any, prefix: str, name: str, messages: deque[str]) -> None:
+    def __init__(self, binding: Any, prefix: str, name: str, messages: Messages) -> None:
         self.binding, self.prefix, self.name, self.messages = binding, prefix, name, messages
-        self.worst = 0  # the worst status so far
+        self.failed = False  # an error or worse: terminate is no longer allowed
+        self.lost = False  # fatal: no call is allowed any more
 
     def function(self, name: str, *types: Any) -> Callable[..., int]:
         """Give a function of the instance that returns its status."""
         found = self.binding.dll[self.prefix + name]
         found.argtypes, found.restype = (c_void_p, *types), c_int
         instance = self.binding.component
-        return lambda *arguments: int(found(instance, *arguments))
+        return lambda *arguments: self._heed(found(instance, *arguments))
 
     def call(self, name: str, *types: Any) -> Call:
         """Give a function of the instance that raises RunError unless its status is ok or warning."""
@@ -68,22 +100,27 @@ class Library:
         instance = self.binding.component
 
         def checked(*arguments: Any) -> None:
-            status = found(instance, *arguments)
+            status = self._heed(found(instance, *arguments))
             if status > WARNING:
                 raise self.failure(name, status)
 
         return checked
 
+    def _heed(self, status: int) -> int:
+        """Remember what forbids later calls."""
+        if status >= ERROR:
+            self.failed = True
+            self.lost |= status == FATAL
+        return status
+
     def failure(self, name: str, status: int) -> RunError:
         """Name the FMU, the call, the status and the FMU's last words."""
-        self.worst = max(self.worst, status)
         label = STATUS[status] if status < len(STATUS) else "no status of the standard"
-        words = f"; it said: {self.messages[-1]}" if self.messages else ""
-        return RunError(f"{self.name}: {self.prefix}{name} returned {status} ({label}){words}")
+        return RunError(f"{self.name}: {self.prefix}{name} returned {status} ({label}){self.messages.tail}")
 
     def free(self) -> None:
         """Free the instance, unless it is lost, and unload the library."""
-        if self.binding.component and self.worst < FATAL:
+        if self.binding.component and not self.lost:
             free = self.binding.dll[f"{self.prefix}FreeInstance"]
             free.argtypes, free.restype = (c_void_p,), None
             free(self.binding.component)
@@ -259,7 +296,7 @@ class Fmi3:
 
 
 def instantiate(
-    folder: Path, library: Path, description: Description, *, mode: Mode, name: str, label: str, messages: deque[str]
+    folder: Path, library: Path, description: Description, *, mode: Mode, name: str, label: str, messages: Messages
 ) -> tuple[Any, Literal["fmi2", "fmi3"]]:
     """Load the library and instantiate it, through fmpy; give fmpy's object and the prefix of the functions.
 
@@ -286,30 +323,24 @@ def instantiate(
         if version_2:
             binding.instantiate(callbacks=_callbacks(fmi2, messages))
         else:
-            binding.instantiate(logMessage=lambda _, status, category, text: _keep(messages, status, text))
+            binding.instantiate(logMessage=lambda _, status, category, text: messages.add(status, text))
     except Exception as error:  # fmpy raises plain Exceptions, ctypes OSError and AttributeError
         if binding is not None:
             binding.freeLibrary()
-        words = f"; it said: {messages[-1]}" if messages else ""
-        raise FmuError(f"{label}: the binary {library.name} cannot be used: {error}{words}") from error
+        raise FmuError(f"{label}: the binary {library.name} cannot be used: {error}{messages.tail}") from error
     finally:
         os.chdir(home)  # fmpy leaves it changed where loading fails
     return binding, "fmi2" if version_2 else "fmi3"
 
 
-def _callbacks(fmi2: Any, messages: deque[str]) -> Any:
+def _callbacks(fmi2: Any, messages: Messages) -> Any:
     from fmpy import calloc, free
 
     callbacks = fmi2.fmi2CallbackFunctions()
-    callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(lambda _, instance, status, category, text: _keep(messages, status, text))
+    callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(lambda _, instance, status, category, text: messages.add(status, text))
     callbacks.allocateMemory = fmi2.fmi2CallbackAllocateMemoryTYPE(calloc)
     callbacks.freeMemory = fmi2.fmi2CallbackFreeMemoryTYPE(free)
     return callbacks
-
-
-def _keep(messages: deque[str], status: int, text: bytes | None) -> None:
-    label = STATUS[status] if 0 <= status < len(STATUS) else str(status)
-    messages.append(f"{label}: {(text or b'').decode('utf-8', 'replace')[:1000]}")
 
 
 def bind(library: Library, description: Description, mode: Mode) -> Calls:

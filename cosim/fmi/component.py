@@ -9,7 +9,6 @@ from __future__ import annotations
 import re
 import shutil
 import tempfile
-import zipfile
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -17,6 +16,7 @@ from types import TracebackType
 from typing import Any, Self, TypeAlias, final
 
 from cosim.errors import FmuError, RunError
+from cosim.fmi.archive import unpack
 from cosim.fmi.co_simulation import CoSimulation
 from cosim.fmi.compare import compare_ports
 from cosim.fmi.description import MODE_NAMES, MODES, Description, Mode
@@ -71,10 +71,19 @@ class Fmu:
             "model_description": found.xml,
         }
 
+    def drain(self) -> list[tuple[str, str]]:
+        """Give what the FMU logged since the last call as (level, text), and how many messages were dropped.
+
+        The level is "debug", "info", "warning", "error" or "fatal", from the FMI status. The text of FMI 2 is a printf format
+        whose arguments cannot be read from Python: it is given as it is. What is to be known about the FMU's results is in
+        ``component.notes``.
+        """
+        return self._unit.messages.drain()
+
     @property
     def messages(self) -> tuple[str, ...]:
-        """What the FMU logged last, as ``status: text``; what is to be known about its results is in ``component.notes``."""
-        return tuple(self._unit.messages)
+        """What ``drain`` gives, as ``level: text``."""
+        return tuple(": ".join(message) for message in self.drain())
 
     def __enter__(self) -> Self:
         return self
@@ -128,8 +137,7 @@ def load(
     folder = Path(tempfile.mkdtemp(prefix="cosim-fmu-"))
     unit: LoadedUnit | None = None
     try:
-        with zipfile.ZipFile(archive.path) as content:
-            content.extractall(folder)
+        unpack(archive.path, folder)
         name = instance_name or description.name
         unit = LoadedUnit(folder, folder / library, description, mode=mode, name=name, label=str(archive.path))
         solver = solver or ("rk4" if mode == "me" else None)

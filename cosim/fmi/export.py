@@ -17,7 +17,6 @@ from uuid import UUID
 import numpy as np
 
 from cosim.arrays import Matrix
-from cosim.core.contracts import Model
 from cosim.core.solver import LinearModel
 from cosim.errors import FmuError
 from cosim.fmi.description import Capabilities, Description, Mode, describe, states_of_outputs
@@ -49,7 +48,7 @@ class Exported:
     note: str = ""
 
 
-def export(model: Model, path: Path | str, *, name: str, description: str = "") -> Exported:
+def export(model: LinearModel, path: Path | str, *, name: str, description: str = "") -> Exported:
     """Write a model as an FMU; an existing file is replaced only when the new one is complete.
 
     Parameters
@@ -64,7 +63,7 @@ def export(model: Model, path: Path | str, *, name: str, description: str = "") 
     Raises
     ------
     FmuError
-        If the model is not a LinearModel, holds a number that is not finite, the name is no identifier, or the folder of
+        If the model holds a number that is not finite, the name is no identifier, or the folder of
         ``path`` is missing.
     """
     path = Path(path)
@@ -72,14 +71,13 @@ def export(model: Model, path: Path | str, *, name: str, description: str = "") 
         raise FmuError(f"name {name!r}: needed an identifier of C: letters, digits and _, no digit first")
     if not path.parent.is_dir():
         raise FmuError(f"{path}: there is no folder {path.parent}; make it first")
-    linear = _linear(model)
-    unit = _describe(linear, name)
-    constants = _constants(linear, unit, "")
-    token = _token(constants, _xml(unit, linear, description), *(text.read_text() for text in _sources().values()))
+    _need_finite(model)
+    unit = _describe(model, name)
+    token = _token(_constants(model, ""), _xml(unit, model, description), *(text.read_text() for text in _sources().values()))
     unit = replace(unit, token=token)
     files = {
-        "modelDescription.xml": _xml(unit, linear, description).encode(),
-        "sources/model.c": _constants(linear, unit, token).encode(),
+        "modelDescription.xml": _xml(unit, model, description).encode(),
+        "sources/model.c": _constants(model, token).encode(),
     }
     files |= {f"sources/{file}": source.read_bytes() for file, source in _sources().items()}
     with TemporaryDirectory(prefix="cosim-export-") as folder:
@@ -92,15 +90,10 @@ def export(model: Model, path: Path | str, *, name: str, description: str = "") 
     return Exported(path, platform, "" if platform else _advice(name))
 
 
-def _linear(model: Model) -> LinearModel:
-    if not isinstance(model, LinearModel):
-        raise FmuError(
-            f"a {type(model).__name__} cannot be exported; linear models can: x' = A x + B u, y = C x + D u (LinearModel)"
-        )
+def _need_finite(model: LinearModel) -> None:
     for letter, array in model.arrays.items():
         if not np.isfinite(array).all():
             raise FmuError(f"matrix {letter} holds NaN or infinity; an FMU needs finite numbers")
-    return model
 
 
 def _describe(model: LinearModel, name: str) -> Description:
@@ -131,13 +124,12 @@ def _initial_unknowns(unit: Description, model: LinearModel) -> dict[str, tuple[
     return unknowns
 
 
-def _constants(model: LinearModel, unit: Description, token: str) -> str:
+def _constants(model: LinearModel, token: str) -> str:
     """Write model.c: every number as a hexadecimal float, which is exact."""
     settable = [int(not row.any()) for row in model.Xu]
     lines = ['#include "model.h"', "", f'const char *const model_guid = "{token}";']
     lines += [f"const int32_t model_n = {len(model.states)}, model_m = {model.interface.n_u}, model_p = {model.interface.n_y};"]
     lines += [_doubles(letter, array) for letter, array in model.arrays.items()]
-    lines += [_doubles("u0", np.zeros(model.interface.n_u))]
     lines += [_integers("is_exact", settable), _integers("state_of", states_of_outputs(model))]
     return "\n".join(lines) + "\n"
 

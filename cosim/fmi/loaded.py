@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections import deque
 from ctypes import byref, c_double, c_size_t, c_void_p
 from pathlib import Path
 from typing import Any, final
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from cosim.arrays import Vector
 from cosim.core.signals import Interface
 from cosim.core.solver import LinearModel
 from cosim.errors import RunError
-from cosim.fmi.binding import ERROR, FATAL, MESSAGES, Library, bind, instantiate, pointer
+from cosim.fmi.binding import Library, Messages, bind, instantiate, pointer
 from cosim.fmi.description import LARGEST_EXACT, Description, Mode
 from cosim.fmi.references import References
 from cosim.fmi.unit import DiscreteStates, StepEnd
@@ -47,7 +46,7 @@ class LoadedUnit:
 
     def __init__(self, folder: Path, library: Path, description: Description, *, mode: Mode, name: str, label: str) -> None:
         self.description = description
-        self.messages: deque[str] = deque(maxlen=MESSAGES)
+        self.messages = Messages()
         binding, prefix = instantiate(folder, library, description, mode=mode, name=name, label=label, messages=self.messages)
         self._library = Library(binding, prefix, label, self.messages)
         self._freed = False
@@ -99,7 +98,7 @@ class LoadedUnit:
 
     def terminate(self) -> None:
         """End the run; the standard forbids the call before its start and after an error."""
-        if self._running and self._library.worst < ERROR and not self._freed:
+        if self._running and not self._library.failed and not self._freed:
             self._running = False
             self._terminate()
 
@@ -119,7 +118,7 @@ class LoadedUnit:
             self._calls.access("Set", references.groups[0], values)
             return
         for group in references.groups:
-            own = self._to(group.type, values[group.columns])
+            own = to_own(self._library.name, group.type, self._calls.dtypes[group.type], values[group.columns])
             self._calls.access("Set", group, own)
 
     def get_float64(self, references: References) -> Vector:
@@ -131,21 +130,8 @@ class LoadedUnit:
         for group in references.groups:
             own = np.empty(len(group.columns), self._calls.dtypes[group.type])
             self._calls.access("Get", group, own)
-            if group.type in ("Int64", "UInt64") and (np.abs(own.astype(np.float64)) > LARGEST_EXACT).any():
-                raise RunError(f"{self._library.name}: an integer beyond 2**53 cannot be carried exactly: {own.tolist()}")
-            values[group.columns] = own
+            values[group.columns] = from_own(self._library.name, own)
         return values
-
-    def _to(self, kind: str, values: Vector) -> NDArray[Any]:
-        """Convert to the type of the FMU, exactly or not at all."""
-        if kind == "Float32":
-            return values.astype(np.float32)
-        if not np.isfinite(values).all():
-            raise RunError(f"{self._library.name}: {values.tolist()} cannot be set: needed numbers of type {kind}")
-        own = values.astype(self._calls.dtypes[kind])
-        if (own.astype(np.float64) != values).any() or (kind == "Boolean" and not np.isin(values, (0.0, 1.0)).all()):
-            raise RunError(f"{self._library.name}: {values.tolist()} cannot be set: needed numbers of type {kind}")
-        return own
 
     def set_continuous_states(self, x: Vector) -> None:
         """Set the states, shape (n_x,)."""
@@ -198,5 +184,36 @@ class LoadedUnit:
         mine = next((i for i, known in enumerate(self._states) if known is state), None)
         if mine is not None:
             known = self._states.pop(mine)
-            if self._library.worst < FATAL:
+            if not self._library.lost:
                 self._free_state(byref(known))
+
+
+def to_own(name: str, kind: str, dtype: DTypeLike, values: Vector) -> NDArray[Any]:
+    """Convert to a type of the FMU; to integers and Booleans exactly or not at all.
+
+    Raises
+    ------
+    RunError
+        If a value is no number of that type, or an integer beyond 2**53.
+    """
+    with np.errstate(invalid="ignore", over="ignore"):  # what does not fit is found below
+        own = values.astype(dtype)
+    if kind in ("Float32", "Float64"):
+        return own
+    exact = (own == values) & (np.abs(values) <= LARGEST_EXACT)
+    if not exact.all() or (kind == "Boolean" and not np.isin(values, (0.0, 1.0)).all()):
+        raise RunError(f"{name}: {values.tolist()} cannot be set: needed numbers of type {kind}")
+    return own
+
+
+def from_own(name: str, own: NDArray[Any]) -> Vector:
+    """Convert from a type of the FMU, exactly.
+
+    Raises
+    ------
+    RunError
+        If an integer is too large for that.
+    """
+    if own.dtype.kind in "iu" and ((own > LARGEST_EXACT) | (own < -LARGEST_EXACT)).any():
+        raise RunError(f"{name}: an integer beyond 2**53 cannot be carried exactly: {own.tolist()}")
+    return own.astype(np.float64)

@@ -75,7 +75,7 @@ class ModelExchange:
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Discretise for the exact solver; a known model's numbers are recorded, and taken from the record."""
         held = held | self._discrete
-        self._jumping = np.flatnonzero(held)
+        self._jumping = np.flatnonzero(self._discrete if self.solver == "exact" else held)  # exact: a jump is in the matrices
         model = self._unit.linear
         if model is None:
             return {}

@@ -1,13 +1,12 @@
 """Read what an .fmu says about itself, without unpacking it; refuse what is no FMU.
 
-The archive is judged here (FMI 2.0.4 section 2.3, FMI 3.0 section 2.5); the XML is parsed by fmpy.
+``archive.py`` judges the archive; the XML is parsed by fmpy.
 """
 
 from __future__ import annotations
 
 import hashlib
 import math
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -15,6 +14,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 from cosim.errors import FmuError
+from cosim.fmi.archive import look
 from cosim.fmi.description import Capabilities, Description, Mode, Variable
 from cosim.fmi.references import VariableType
 
@@ -50,23 +50,18 @@ def read(path: Path | str) -> Archive:
     Raises
     ------
     FmuError
-        If the file is missing, no zip archive, without modelDescription.xml, or the XML is broken or of a version that is
-        not supported.
+        If the file is missing, no zip archive or one that cannot be unpacked, without modelDescription.xml, or the XML is
+        broken or of a version that is not supported.
     """
     path = Path(path)
     if not path.is_file():
         raise FmuError(f"{path}: there is no such file" if not path.exists() else f"{path}: needed an .fmu file, found a folder")
-    try:
-        with zipfile.ZipFile(path) as archive:
-            members = frozenset(archive.namelist())
-            raw = archive.read(XML) if XML in members else None
-    except (zipfile.BadZipFile, NotImplementedError) as error:
-        raise FmuError(f"{path}: not an FMU, as it is no zip archive ({error})") from error
+    members, raw = look(path, XML)
     if raw is None:
         raise FmuError(f"{path}: not an FMU, as the archive has no {XML}")
     try:
         root = ElementTree.fromstring(raw)
-    except ElementTree.ParseError as error:
+    except (ElementTree.ParseError, LookupError, ValueError) as error:  # the last two: an encoding that is not known
         raise FmuError(f"{path}: {XML} is not well-formed: {error}") from error
     _check_version(path, root.get("fmiVersion"))
     description = _description(path, raw, root, members)
@@ -87,14 +82,18 @@ def _description(path: Path, raw: bytes, root: ElementTree.Element, members: fro
         with TemporaryDirectory(prefix="cosim-xml-") as folder:  # from the archive, fmpy would leave it open where reading fails
             (file := Path(folder) / XML).write_bytes(raw)
             found = read_model_description(str(file), validate=False)
-        variables = tuple(_variable(v, found.fmiMajorVersion) for v in found.modelVariables if v.alias is None)
-        states = tuple(unknown.variable.derivative.name for unknown in found.derivatives)
+        return _described(found, root, members, path.stem)
     except Exception as error:  # fmpy raises what its parsing happens to raise: KeyError, ValueError, Exception, ...
         raise FmuError(f"{path}: {XML} cannot be read: {type(error).__name__}: {error}") from error
+
+
+def _described(found: Any, root: ElementTree.Element, members: frozenset[str], stem: str) -> Description:
+    variables = tuple(_variable(v, found.fmiMajorVersion) for v in found.modelVariables if v.alias is None)
+    states = tuple(unknown.variable.derivative.name for unknown in found.derivatives)
     causality = {variable.name: variable.causality for variable in variables}
     kinds: dict[Mode, Any] = {"me": found.modelExchange, "cs": found.coSimulation}
     return Description(
-        name=found.modelName or path.stem,
+        name=found.modelName or stem,
         token=found.guid or "",
         version=found.fmiVersion,
         variables=variables,
@@ -116,16 +115,24 @@ def _capabilities(kind: Any, root: ElementTree.Element, mode: Mode) -> Capabilit
         return any(element.get(name) in ("true", "1") for name in names)
 
     needs_step = flag("needsCompletedIntegratorStep") if str(root.get("fmiVersion")).startswith("3.") else True
-    fixed = element.get("fixedInternalStepSize")
     return Capabilities(
         identifier=kind.modelIdentifier,
         directional_derivatives=flag("providesDirectionalDerivative", "providesDirectionalDerivatives"),
         saves_state=flag("canGetAndSetFMUstate", "canGetAndSetFMUState"),
         interpolates_inputs=flag("canInterpolateInputs"),
         variable_step=flag("canHandleVariableCommunicationStepSize"),
-        fixed_step=float(fixed) if fixed else None,
+        fixed_step=_fixed_step(element.get("fixedInternalStepSize")),
         completed_step=needs_step and not flag("completedIntegratorStepNotNeeded"),
     )
+
+
+def _fixed_step(text: str | None) -> float | None:
+    if text is None:
+        return None
+    step = float(text)
+    if not 0.0 < step < math.inf:
+        raise ValueError(f"fixedInternalStepSize: found {text}, needed a positive number")
+    return step
 
 
 def _names(variables: Any) -> tuple[str, ...] | None:

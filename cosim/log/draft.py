@@ -21,7 +21,7 @@ def create(path: Path) -> io.RawIOBase:
 
 @final
 class Draft:
-    """A file to be published once, or discarded.
+    """A file to be published, or discarded.
 
     Parameters
     ----------
@@ -54,13 +54,15 @@ class Draft:
         return self._stream
 
     def publish(self) -> None:
-        """Give the file its path; it stays open.
+        """Give the file its path, the first time this is called; it stays open.
 
         Raises
         ------
         LogError
             If something has come to stand there meanwhile and ``force`` is false, or the file cannot be moved.
         """
+        if self.published:
+            return
         assert self._hidden is not None
         try:
             if self._force:

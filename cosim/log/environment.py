@@ -7,18 +7,21 @@ from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-_PACKAGES = ("cosim", "numpy", "scipy", "mcap")
+import cosim
+from cosim.core.contracts import Recording
+
+_PACKAGES = ("numpy", "scipy", "mcap")
 
 
 @cache
 def library() -> str:
     """Name the program in the header of a log."""
-    return f"cosim/{_version('cosim')} mcap-python/{_version('mcap')}"
+    return f"cosim/{cosim.__version__} mcap-python/{_version('mcap')}"
 
 
 def environment() -> dict[str, str]:
     """Describe Python, the packages that compute, the platform and the processor."""
-    packages = {name: _version(name) for name in _PACKAGES}
+    packages = {"cosim": cosim.__version__, **{name: _version(name) for name in _PACKAGES}}
     return {**packages, "python": platform.python_version(), "platform": platform.platform(), "processor": _processor()}
 
 
@@ -36,3 +39,9 @@ def _processor() -> str:
         return platform.processor() or platform.machine()
     named = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
     return next(named, platform.machine())
+
+
+def other_environment(recording: Recording) -> dict[str, tuple[str, str]]:
+    """Give what was different on the machine that wrote a log: name, then and now."""
+    then, now = recording.metadata.get("cosim.env", {}), environment()
+    return {key: (str(then[key]), value) for key, value in now.items() if key in then and then[key] != value}

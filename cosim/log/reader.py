@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Matrix, Nanoseconds, Vector
 from cosim.core.contracts import Design
+from cosim.core.recorders import find_channel, find_signal
 from cosim.core.signals import Channel
 from cosim.errors import GraphError, LogError, nearest
 from cosim.log.columns import Rows
@@ -24,9 +25,9 @@ from cosim.log.content import combine, hashable
 from cosim.log.layout import Part, read_part, record_dtype, signals_json
 from cosim.log.metadata import decode_design, unseal
 from cosim.log.preamble import LOG_TOPIC
+from cosim.log.result import RESULT, RESULT_FILE
 from cosim.log.scan import Loose, scan
 from cosim.log.schema import Level, decode_log
-from cosim.log.writer import RESULT, RESULT_FILE
 
 _TIME = slice(6, 14)  # of a message record's content
 
@@ -74,7 +75,6 @@ class Log:
         self._channels = self._read_channels()
         self._metadata = self._read_metadata()
         self._attachments = self._file.attachments()
-        self._columns = _columns(self._channels)
         self._rows: dict[str, tuple[Nanoseconds, Matrix]] = {}
 
     @property
@@ -108,6 +108,16 @@ class Log:
         return self._metadata.get(RESULT, {}).get("status", "unknown")
 
     @property
+    def end_ns(self) -> int:
+        """The last recorded instant [ns], as the result tells it; 0 if there are no rows."""
+        return self._told("end_ns")
+
+    @property
+    def steps(self) -> int:
+        """Number of the last recorded communication step, as the result tells it."""
+        return self._told("steps")
+
+    @property
     def result(self) -> Mapping[str, Any]:
         """What ``result.json`` says; empty if there is none."""
         if RESULT_FILE not in self._attachments:
@@ -130,16 +140,12 @@ class Log:
 
     def signals(self) -> list[str]:
         """Names of all signals, ``component.signal``."""
-        return list(self._columns)
+        return [f"{name}.{signal.name}" for name, channel in self._channels.items() for signal in channel.signals]
 
     def __getitem__(self, signal: str) -> NDArray[np.float64]:
         """Give ``component.signal`` at every recorded row: shape (N,) for size 1, else (N, size); read-only."""
-        if signal not in self._columns:
-            component = signal.partition(".")[0]
-            known = [name for name in self._columns if name.startswith(f"{component}.")] or self.signals()
-            raise LogError(f"{self.path} has no signal {signal!r}; {nearest(signal, known)}")
-        component, columns = self._columns[signal]
-        values = self.rows(component)[:, columns]
+        channel, columns = find_signal(self._channels, signal, source=str(self.path))
+        values = self.rows(channel.name)[:, columns.start - channel.start : columns.stop - channel.start]
         return values[:, 0] if values.shape[1] == 1 else values
 
     def rows(self, component: str) -> Matrix:
@@ -152,8 +158,8 @@ class Log:
 
     def time(self, name: str) -> Vector:
         """Give the instants of a signal's or component's rows, shape (N,) [s]."""
-        component = self._columns[name][0] if name in self._columns else name
-        return self.time_ns(component) / 1e9
+        channel = find_signal(self._channels, name, source=str(self.path))[0] if "." in name else None
+        return self.time_ns(channel.name if channel else name) / 1e9
 
     def load(self, *components: str) -> None:
         """Read several components in one pass over the file; none named: all."""
@@ -192,8 +198,7 @@ class Log:
         return combine(digests)
 
     def _loaded(self, component: str) -> tuple[Nanoseconds, Matrix]:
-        if component not in self._channels:
-            raise LogError(f"{self.path} has no component {component!r}; {nearest(component, self._channels)}")
+        find_channel(self._channels, component, source=str(self.path))
         self.load(component)
         return self._rows[component]
 
@@ -260,21 +265,18 @@ class Log:
         except ValueError as error:
             raise LogError(f"{self.path}: {error}") from error
 
+    def _told(self, key: str) -> int:
+        try:
+            return int(self._metadata[RESULT][key])
+        except MALFORMED as error:
+            raise LogError(f"{self.path} does not tell {key!r}: needed a {RESULT} record, which cosim writes") from error
+
     def _component_metadata(self, component: str, key: str, default: Any, parse: Any) -> Any:
         text = self._metadata.get(f"cosim.component.{component}", {}).get(key)
         try:
             return default if text is None else parse(text)
         except MALFORMED as error:
             raise LogError(f"{self.path}: {key} of {component!r} cannot be understood: {error}") from error
-
-
-def _columns(channels: Mapping[str, Channel]) -> dict[str, tuple[str, slice]]:
-    """Say for every signal which columns of which component's rows it has."""
-    found = {}
-    for name, channel in channels.items():
-        for signal, columns in channel.signal_columns():
-            found[f"{name}.{signal.name}"] = name, slice(columns.start - channel.start, columns.stop - channel.start)
-    return found
 
 
 def _joined(parts: list[Rows]) -> tuple[Nanoseconds, Matrix]:

@@ -60,7 +60,7 @@ def walk(path: Path, stream: BinaryIO) -> Contents:
         head = stream.read(HEADER)
         stop = at + HEADER + int.from_bytes(head[1:], "little")
         if len(head) < HEADER or stop > size:
-            raise _cut(path, stream, at, size)
+            raise _cut(path, stream, contents, (at, size))
         opcode = head[0]
         _sort(contents, Place(opcode, at, stop))
         if opcode == Opcode.DATA_END and not contents.data_end:
@@ -68,15 +68,30 @@ def walk(path: Path, stream: BinaryIO) -> Contents:
         at = stop
     stream.seek(at)
     if stream.read(len(MCAP0_MAGIC) + 1) != MCAP0_MAGIC:
-        raise _cut(path, stream, at, size)
+        raise _cut(path, stream, contents, (at, size))
     return contents
 
 
-def _cut(path: Path, stream: BinaryIO, at: int, size: int) -> LogError:
+def _cut(path: Path, stream: BinaryIO, contents: Contents, end: tuple[int, int]) -> LogError:
+    """Make the error of a file without its end, of which what stands before the first byte of ``end`` is whole."""
+    at, size = end
     stream.seek(max(size - len(MCAP0_MAGIC), 0))
     if stream.read() == MCAP0_MAGIC:
         return damage(path, at, "no whole record begins there")
-    return LogError(f"{path} is truncated at byte {size}: its last whole record ends at byte {at}, a footer is missing")
+    return LogError(
+        f"{path} is truncated at byte {size}: the run was killed before it could close the log, or still goes on, and there is no"
+        f" complete summary; {_whole(stream, contents)}"
+    )
+
+
+def _whole(stream: BinaryIO, contents: Contents) -> str:
+    """Say how much is there, and what to do."""
+    chunks = [place for place in contents.data if place.opcode == Opcode.CHUNK]
+    if not chunks:
+        return "no row is whole: run it again"
+    stream.seek(chunks[-1].start + HEADER + 8)  # behind the time of its first message
+    end_ns = int.from_bytes(stream.read(8), "little")
+    return f"it is whole up to t = {end_ns / 1e9} s: run it again, or save that with 'mcap recover'"
 
 
 def damage(path: Path, offset: int, reason: str) -> LogError:

@@ -115,7 +115,9 @@ class McapRecorder:
         """
         with uninterrupted():
             try:
-                if self._sink is not None and self._wanted(error):
+                wanted = self._draft.published or error is None or isinstance(error, RunError)
+                if self._sink is not None and wanted:
+                    self._draft.publish()
                     self._complete(self._sink, outcome(error))
             finally:
                 self._draft.discard()
@@ -160,10 +162,11 @@ class McapRecorder:
         """
         if block.time_ns[0] < 0:
             raise LogWriteError(f"{self.path}: time {block.time_ns[0]} ns; the times of a log begin at 0")
-        row = 0 if block.index == 0 and not self._draft.published else 1
-        if not self._draft.published:
+        first = not self._draft.published
+        if first:
             with uninterrupted():
                 self._draft.publish()
+        row = 0 if first and block.index == 0 else 1
         while row <= block.steps:
             row = self._buffer.take(block, signals, row)
             if self._buffer.full or time.monotonic() - self._flushed >= _FLUSH_AFTER:
@@ -222,12 +225,6 @@ class McapRecorder:
             sink.abandon()
             whole = "it has no end"
         raise LogWriteError(f"{self.path} cannot be written further: {reason}; {whole}") from error
-
-    def _wanted(self, error: BaseException | None) -> bool:
-        """Say whether the run leaves a log, and see that it stands at its path."""
-        if not self._draft.published and (error is None or isinstance(error, RunError)):
-            self._draft.publish()
-        return self._draft.published
 
     def _complete(self, sink: Sink, end: Outcome) -> None:
         try:

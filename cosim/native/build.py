@@ -12,7 +12,7 @@ import shutil
 import subprocess
 import sys
 import sysconfig
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +34,7 @@ def compiler() -> list[str]:
     return []
 
 
-def compile_library(sources: Iterable[Path], target: Path, *, include: Sequence[Path] = (), define: Sequence[str] = ()) -> None:
+def compile_library(sources: Iterable[Path], target: Path) -> None:
     """Compile C sources to a shared library.
 
     Raises
@@ -45,10 +45,9 @@ def compile_library(sources: Iterable[Path], target: Path, *, include: Sequence[
     command = compiler()
     if not command:
         raise RuntimeError("no C compiler: install one as 'cc', or 'pip install ziglang'")
-    options = [*(f"-I{path}" for path in include), *(f"-D{name}" for name in define)]
     libraries = [] if sys.platform == "win32" else ["-lm"]
     result = subprocess.run(
-        [*command, *FLAGS, *options, *map(str, sources), "-o", str(target), *libraries],
+        [*command, *FLAGS, *map(str, sources), "-o", str(target), *libraries],
         capture_output=True,
         text=True,
         check=False,
@@ -57,11 +56,8 @@ def compile_library(sources: Iterable[Path], target: Path, *, include: Sequence[
         raise RuntimeError(f"{' '.join(command)} failed:\n{result.stderr}")
 
 
-try:
+if "hatchling" in sys.modules:  # a build; elsewhere only the compiler above is wanted, and importing hatchling costs time
     from hatchling.builders.hooks.plugin.interface import BuildHookInterface
-except ImportError:  # outside a build: only the compiler above is wanted
-    pass
-else:
 
     class KernelBuildHook(BuildHookInterface):  # type: ignore[type-arg,misc,unused-ignore]
         """Put the compiled kernels into the wheel, or beside their sources for an editable install."""

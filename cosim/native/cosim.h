@@ -101,7 +101,7 @@ typedef struct {
     double start; /* [s] */
     double prior; /* square root of 1 / P0; 0: none */
     const cosim_recovery *recovery;
-    double *memory; /* R (q+1, q+1), then 2 (q+1) of scratch */
+    double *memory; /* R (q+1, q+1), then q + 1 of scratch */
 } cosim_least_squares;
 int32_t cosim_least_squares_step(void *self, double t0, double t1, double h, const double *u0, const double *u1, double *y);
 void cosim_least_squares_start(cosim_least_squares *self, double *y);

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from ctypes import CFUNCTYPE, POINTER, c_double, c_int32, c_int64, c_uint8, c_void_p
+from ctypes import POINTER, c_double, c_int32, c_int64, c_uint8, c_void_p
 from typing import Any
 
 import numpy as np
@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from cosim.errors import UsageError
 from cosim.native.build import HERE, LIBRARY
-
-StepFunction = CFUNCTYPE(c_int32, c_void_p, c_double, c_double, c_double, c_void_p, c_void_p, c_void_p)
 
 
 class ProgramStruct(ctypes.Structure):

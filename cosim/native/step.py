@@ -271,7 +271,7 @@ class LeastSquares:
             plan.sign[: len(step.sign)] = step.sign
         n = unknowns + 1
         parameters = sum(len(step.theta) for step in recovery)
-        memory = np.zeros(n * n + 2 * n)
+        memory = np.zeros(n * n + n)
         state = LeastSquaresStruct(
             unknowns, len(recovery), parameters, int(held), start, float(np.sqrt(prior)), ctypes.addressof(plans), pointer(memory)
         )

@@ -8,13 +8,12 @@ from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from pydantic import ValidationError
 
 from cosim.blocks.replay import Replay
-from cosim.blocks.sampled import Decimated, Sampled
 from cosim.core.clock import Clock, whole_steps
 from cosim.core.contracts import Component, Recording
 from cosim.core.graph import Connection, Graph, check_connections, layout_of
@@ -26,6 +25,14 @@ from cosim.scenario.schema import File, flatten, matrix
 from cosim.theory.descriptor import DescriptorSystem
 
 Problems = list[tuple[Key, str]]
+
+
+class Speaker(Protocol):
+    """An opened FMU, as far as its messages go."""
+
+    def drain(self) -> list[tuple[str, str]]:
+        """Give what it said since the last call, as (level, text)."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -64,6 +71,7 @@ class Experiment:
     warnings: tuple[tuple[str, str], ...]
     reads: Mapping[str, frozenset[str]]  # tables that were read to build each component, but for its own
     attachments: Mapping[str, str] = field(default_factory=dict)
+    fmus: Mapping[str, Speaker] = field(default_factory=dict)  # what was opened for this run and may have something to say
 
 
 def parse(document: Document) -> Scenario:
@@ -135,6 +143,7 @@ def build(
         warnings=tuple(site.warnings),
         reads=site.reads,
         attachments=site.attachments,
+        fmus=site.fmus,
     )
 
 
@@ -193,9 +202,10 @@ def _report(document: Document, problems: Problems) -> ScenarioError:
     first: dict[str, Key] = {}
     for key, text in problems:  # one cause that several components run into is told once
         first.setdefault(text, key)
-    lines = [
-        f"{document.place(key)}: {'.'.join(map(str, key))}: {line}" for text, key in first.items() for line in text.splitlines()
-    ]
+    lines = []
+    for text, key in first.items():
+        where = ": ".join(filter(None, [document.place(key), ".".join(map(str, key))]))
+        lines += [f"{where}: {line}" for line in text.splitlines()]
     return ScenarioError("\n".join(lines))
 
 
@@ -243,6 +253,7 @@ class _Site:
         self.warnings: list[tuple[str, str]] = []
         self.reads: dict[str, frozenset[str]] = {"": frozenset()}
         self.attachments: dict[str, str] = {}
+        self.fmus: dict[str, Speaker] = {}
 
     def build_all(self, problems: Problems) -> tuple[dict[str, Component], dict[str, int], set[str]]:
         """Build every component that can be built; add what is wrong with the others to ``problems``."""
@@ -258,7 +269,7 @@ class _Site:
             try:
                 component = self._build(name, spec)
                 periods[name] = self._period(name, spec)
-                components[name] = _slowed(component, spec, periods[name])
+                components[name] = component if periods[name] == 1 else spec.slowed(component, periods[name])
             except _RestsOnAnother:
                 pass
             except (CosimError, ValueError) as error:
@@ -316,8 +327,9 @@ class _Site:
         facts = loaded.metadata
         self.attachments[f"{name}/modelDescription.xml"] = facts.pop("model_description")
         self.note(name, **facts)
-        for text in (*loaded.component.notes, *loaded.messages):
+        for text in loaded.component.notes:
             self.warn(name, text)
+        self.fmus[name] = loaded
         return loaded.component
 
     def note(self, name: str, **facts: Any) -> None:
@@ -328,12 +340,6 @@ class _Site:
 
     def _read(self, table: str) -> None:
         self.reads[self._current] |= {table}
-
-
-def _slowed(component: Component, spec: Kind, period: int) -> Component:
-    if period == 1:
-        return component
-    return Sampled(component, period) if spec.sampled else Decimated(component, period)
 
 
 def fingerprint(scenario: Scenario, name: str, reads: frozenset[str]) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import signal
 import threading
 from collections.abc import Callable, Iterator, Mapping
@@ -19,12 +18,12 @@ from cosim.core.graph import Graph
 from cosim.core.master import run as run_graph
 from cosim.core.recorders import Memory, Watched
 from cosim.errors import Interrupted, LogError, UsageError
-from cosim.log import Attachment, Log, McapRecorder, open_log
+from cosim.log import Log, McapRecorder, open_log
 from cosim.scenario.build import Experiment, Scenario, build, fingerprint, parse
 from cosim.scenario.document import Document, find, short
 from cosim.scenario.profile import Timed
+from cosim.scenario.records import SCENARIO_FILE, Narrated, attachments_of, metadata_of
 
-SCENARIO_FILE = "scenario.toml"
 Progress = Callable[[float, float], None]  # simulated time, end [s]
 
 
@@ -108,6 +107,8 @@ def replay(
         If ``set`` changes the communication step, or a recorded component.
     """
     source = log if isinstance(log, Log) else open_log(log)
+    if out is not None and Path(out).resolve() == Path(source.path).resolve():
+        raise UsageError(f"{out} is the log that is replayed; choose another path")
     changes = {short(key): value for key, value in (set or {}).items()}
     if "scenario.step" in changes:
         raise UsageError("a replay keeps the recorded communication step; run the scenario to change it")
@@ -150,19 +151,19 @@ def _execute(
         experiment = build(document, resources, recording=source, block=block)
         designs = {} if source is None else _recorded_designs(experiment, source, changed or {})
         graph = experiment.graph if profile is None else _timed(experiment.graph, profile)
-        metadata = _metadata(experiment)
-        recorder: McapRecorder | Memory = Memory(metadata)
+        metadata = metadata_of(experiment)
+        memory = Memory(metadata)
+        recorder: Recorder = memory
         if out is not None:
             kinds = {name: spec.kind for name, spec in experiment.scenario.specs.items()}
-            recorder = McapRecorder(out, force=force, kinds=kinds, metadata=metadata, attachments=_attachments(experiment))
-            for name, text in experiment.warnings:
-                recorder.message(0, "warning", name, text)
+            log = McapRecorder(out, force=force, kinds=kinds, metadata=metadata, attachments=attachments_of(experiment))
+            recorder = Narrated(log, experiment)
         began = perf_counter()
         with _interruptible() as check:
             run_graph(graph, experiment.clock, _watched(recorder, experiment, progress, check), designs=designs)
         if profile is not None:
             profile["recorder and master"] = perf_counter() - began - sum(profile.values())
-    return open_log(out) if out is not None else recorder  # type: ignore[return-value]
+    return memory if out is None else open_log(out)
 
 
 def _recorded_designs(experiment: Experiment, source: Log, changed: Mapping[str, Any]) -> dict[str, Design]:
@@ -193,41 +194,6 @@ def _watched(recorder: Recorder, experiment: Experiment, progress: Progress | No
         check()
 
     return Watched(recorder, reached)
-
-
-def _metadata(experiment: Experiment) -> dict[str, dict[str, str]]:
-    scenario = experiment.scenario
-    settings = scenario.file.scenario
-    records = {
-        "cosim.run": {
-            "scenario": scenario.name,
-            "edits": scenario.document.edits(),
-            "stop": repr(settings.stop),
-            "step": repr(settings.step),
-            "truth": json.dumps(dict(experiment.truth)),
-            "schedule": json.dumps([stage.description for stage in experiment.graph.stages]),
-            "warnings": json.dumps(experiment.warnings),
-        },
-        "cosim.connections": {to: json.dumps(_plain(wire)) for to, wire in scenario.connections.items()},
-    }
-    for name in scenario.specs:
-        records[f"cosim.component.{name}"] = {
-            "table": json.dumps(scenario.tree["components"][name]),
-            "facts": json.dumps(experiment.facts.get(name, {})),
-            "fingerprint": fingerprint(scenario, name, experiment.reads[name]),
-        }
-    return records
-
-
-def _plain(wire: Any) -> dict[str, Any]:
-    return {"from": wire.source, "gain": wire.gain.tolist(), "offset": wire.offset, "unit": wire.unit}
-
-
-def _attachments(experiment: Experiment) -> list[Attachment]:
-    text = experiment.scenario.document.text
-    files = {SCENARIO_FILE: ("application/toml", text)}
-    files |= {name: ("application/xml", xml) for name, xml in experiment.attachments.items()}
-    return [Attachment(name, media, data.encode()) for name, (media, data) in files.items()]
 
 
 @contextmanager

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector, frozen
 from cosim.errors import AssumptionError
-from cosim.theory.geometry import output_nulling, rank
+from cosim.theory.geometry import output_nulling, rank, without_rounding
 
 ComplexVector: TypeAlias = NDArray[np.complex128]  # shape (n,)
 ComplexMatrix: TypeAlias = NDArray[np.complex128]  # shape (n, m)
@@ -106,7 +106,8 @@ class ReducedSystem:
 def reduce(system: DescriptorSystem) -> ReducedSystem:
     """Eliminate the algebraic states (8)-(10).
 
-    An entry of C5 that is smaller than the rounding error of computing it is stored as zero, so that (11) can be decided exactly.
+    An entry that is smaller than the rounding error of computing it is stored as zero, so that (11) can be decided exactly and
+    feedthrough is structure, not rounding.
 
     Raises
     ------
@@ -122,16 +123,21 @@ def reduce(system: DescriptorSystem) -> ReducedSystem:
             f"not determined by the algebraic equation; {_pencil_verdict(system)}"
         )
     K = 0.0 - np.linalg.solve(A[b, b], np.hstack([A[b, a], Bu[b], Bd[b]]))
+    sums = np.abs(np.linalg.inv(A[b, b])) @ np.abs(np.hstack([A[b, a], Bu[b], Bd[b]])) if A[b, b].size else np.abs(K)
+    K = without_rounding(K, sums, condition)
     Kx, Ku, Kd = np.split(K, [system.n_a, system.n_a + Bu.shape[1]], axis=1)
-    C5 = C[:, b] @ Kd
-    rounding = 8.0 * np.finfo(np.float64).eps * condition * (np.abs(C[:, b]) @ np.abs(Kd))
+
+    def through(direct: Matrix, left: Matrix, right: Matrix) -> Matrix:
+        return without_rounding(direct + left @ right, np.abs(direct) + np.abs(left) @ np.abs(right), condition)
+
+    no_u, no_d = np.zeros((len(C), Bu.shape[1])), np.zeros((len(C), Bd.shape[1]))
     return ReducedSystem(
-        A_a=A[a, a] + A[a, b] @ Kx,
-        B_1a=Bu[a] + A[a, b] @ Ku,
-        B_2a=Bd[a] + A[a, b] @ Kd,
-        C3=C[:, a] + C[:, b] @ Kx,
-        C4=C[:, b] @ Ku,
-        C5=np.where(np.abs(C5) > rounding, C5, 0.0),
+        A_a=through(A[a, a], A[a, b], Kx),
+        B_1a=through(Bu[a], A[a, b], Ku),
+        B_2a=through(Bd[a], A[a, b], Kd),
+        C3=through(C[:, a], C[:, b], Kx),
+        C4=through(no_u, C[:, b], Ku),
+        C5=through(no_d, C[:, b], Kd),
         Kx=Kx,
         Ku=Ku,
         Kd=Kd,

@@ -29,6 +29,7 @@ from cosim.errors import AssumptionError
 from cosim.theory.disturbance import Block, Exponential, Sine
 from cosim.theory.regression import Term, check_delays
 
+RANK = 2.0**-26  # pivot over the largest one: below it R'R, the information, is singular to rounding (estimate.c too)
 EQUAL_SPACING = 1e-9  # relative difference of two spacings that still counts as none
 
 
@@ -158,7 +159,7 @@ def least_squares(mu: Matrix, weights: Vector, prior: float | None = None) -> Ve
         rows = np.vstack([math.sqrt(prior) * np.eye(q, q + 1), rows])
     R: Matrix = np.linalg.qr(rows)[1]
     diagonal = np.abs(np.diag(R)[:q])
-    if len(R) < q or not diagonal.min() > np.finfo(np.float64).eps * diagonal.max():
+    if len(R) < q or not diagonal.min() > RANK * diagonal.max():
         return np.full(q, NAN)
     eta: Vector = solve_triangular(R[:q, :q], R[:q, q])
     return eta

@@ -24,6 +24,11 @@ def rank(matrix: Matrix, rtol: float = RANK_TOLERANCE) -> int:
     return int(np.linalg.matrix_rank(matrix, rtol=rtol)) if matrix.size else 0
 
 
+def without_rounding(sums: Matrix, magnitudes: Matrix, condition: float = 1.0) -> Matrix:
+    """Set to zero what is smaller than the rounding error of a sum whose terms have these magnitudes in all."""
+    return np.where(np.abs(sums) > 8.0 * np.finfo(np.float64).eps * condition * magnitudes, sums, 0.0)
+
+
 def null_space(matrix: Matrix, tolerance: float = RANK_TOLERANCE) -> Matrix:
     """Give an orthonormal basis ``(n, k)`` of the vectors that ``matrix`` ``(m, n)`` shortens below ``tolerance``."""
     values, rows = np.linalg.svd(matrix, full_matrices=True)[1:]

@@ -25,7 +25,7 @@ from cosim.arrays import Matrix, Vector, frozen
 from cosim.errors import AssumptionError
 from cosim.theory.conditions import decoupling, need_detectable, need_hurwitz
 from cosim.theory.descriptor import ComplexVector, ReducedSystem
-from cosim.theory.geometry import orthogonal_complement, output_nulling
+from cosim.theory.geometry import orthogonal_complement, output_nulling, without_rounding
 from cosim.theory.placement import place
 
 
@@ -137,7 +137,7 @@ def realise(reduced: ReducedSystem, observer: ObserverDesign) -> StateSpace:
     Y = np.hstack([-reduced.C4, np.eye(p)])  # w = y - C4 u
     Z, Q = np.eye(n, n + p), np.eye(n + p)[n:]  # z, q of (z, q)
     closed = observer.M - observer.L @ reduced.C3
-    x_hat = Z, F @ Y
+    x_hat = Z, without_rounding(F @ Y, np.abs(F) @ np.abs(Y))
     w_dot = -rate * Q, rate * Y
     delta_hat = (
         G @ (w_dot[0] - reduced.C3 @ reduced.A_a @ x_hat[0]),
@@ -145,7 +145,10 @@ def realise(reduced: ReducedSystem, observer: ObserverDesign) -> StateSpace:
     )
     x_b_hat = (
         reduced.Kx @ x_hat[0] + reduced.Kd @ delta_hat[0],
-        reduced.Kx @ x_hat[1] + reduced.Ku @ U + reduced.Kd @ delta_hat[1],
+        without_rounding(
+            reduced.Kx @ x_hat[1] + reduced.Ku @ U + reduced.Kd @ delta_hat[1],
+            np.abs(reduced.Kx) @ np.abs(x_hat[1]) + np.abs(reduced.Ku) @ U + np.abs(reduced.Kd) @ np.abs(delta_hat[1]),
+        ),
     )
     return StateSpace(
         A=frozen(np.vstack([closed @ x_hat[0], w_dot[0]]), 2),

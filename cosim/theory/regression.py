@@ -108,10 +108,11 @@ def chi(terms: Sequence[Term], K: Sequence[Matrix]) -> Vector:
     Vector
         Shape ``(q + 1,)``.
     """
-    minors = [
-        {part: float(np.linalg.det(rows[list(part)])) for part in {term.parts[block] for term in terms}}
-        for block, rows in enumerate(K)
-    ]
+    with np.errstate(divide="ignore"):  # the logarithm inside det of a minor that underflows to zero
+        minors = [
+            {part: float(np.linalg.det(rows[list(part)])) for part in {term.parts[block] for term in terms}}
+            for block, rows in enumerate(K)
+        ]
     return np.array([math.prod(minors[block][part] for block, part in enumerate(term.parts)) for term in terms])
 
 

@@ -77,6 +77,7 @@ static void co_simulation(void)
     CHECK(fmi2GetFMUstate(c, &state) == fmi2OK && fmi2Reset(c) == fmi2OK && fmi2GetReal(c, inputs, 2, first) == fmi2OK);
     CHECK(fmi2FreeFMUstate(c, &state) == fmi2OK && !state && fmi2FreeFMUstate(c, &copy) == fmi2OK);
     CHECK(fmi2SetFMUstate(c, NULL) == fmi2Error);
+    CHECK(fmi2FreeFMUstate(c, &state) == fmi2OK && fmi2FreeFMUstate(c, NULL) == fmi2OK); /* nothing is done */
     free(bytes);
     fmi2FreeInstance(c);
     fmi2FreeInstance(other);

@@ -128,6 +128,18 @@ def test_co_simulation_with_mean_inputs_and_unknown_D_is_first_order_where_it_fe
     )
 
 
+def test_an_interpolating_unit_without_D_warns_of_held_inputs_whenever_it_is_asked(edited):
+    """Which inputs are held is known after prepare only; the warning names the condition, so it is right before it too."""
+    with load(edited(DERIVATIVES), mode="cs") as fmu:
+        before = fmu.component.notes
+        fmu.component.prepare(1e-3, np.array([True, False]), {})
+        assert fmu.component.notes == before
+    assert before == (
+        "academic: y, x_b depend directly on inputs; where inputs are held, what is read belongs to their value inside the step, "
+        "not at its end (first order in the step), as the unit has no directional derivatives",
+    )
+
+
 @pytest.mark.parametrize("mode", ["me", "cs"])
 @pytest.mark.parametrize("mask", [(True, False), (True, True)])
 def test_held_inputs_keep_their_value_and_reach_the_outputs_at_the_end(exported, mode, mask):

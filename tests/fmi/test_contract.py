@@ -93,6 +93,20 @@ def test_a_co_simulation_unit_of_others_keeps_the_contract(foreign2):
         fmu.close()
 
 
+@pytest.mark.parametrize("mode", ["me", "cs"])
+def test_an_fmi_3_unit_of_others_keeps_the_contract(foreign3, mode):
+    """By pythonfmu3: dependencies unknown, no D, no saved states."""
+    loaded = []
+
+    def make():
+        loaded.append(load(foreign3, mode=mode))
+        return loaded[-1].component
+
+    check_component(make, steps=10)
+    for fmu in loaded:
+        fmu.close()
+
+
 def drive_late(component, u, held):
     """Advance as a loop does: a held input at the end of a step is that of its start, and outputs repairs what feeds through."""
     t = np.arange(len(u)) * 0.01

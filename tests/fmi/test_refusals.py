@@ -57,6 +57,100 @@ def test_broken_xml(tmp_path):
     refused(archive(tmp_path / "x.fmu", {"modelDescription.xml": "<fmi"}), "modelDescription.xml is not well-formed")
 
 
+@pytest.mark.parametrize("encoding", ["klingon", "utf-7"])
+def test_xml_in_an_unknown_encoding(tmp_path, encoding):
+    path = archive(tmp_path / "x.fmu", {"modelDescription.xml": f'<?xml version="1.0" encoding="{encoding}"?><fmi/>'})
+    refused(path, "modelDescription.xml is not well-formed: ")
+
+
+def overwritten(path, where, content):
+    """Change bytes of a file."""
+    data = bytearray(path.read_bytes())
+    data[where : where + len(content)] = content
+    path.write_bytes(data)
+    return path
+
+
+def test_encrypted_entry(tmp_path):
+    """Bit 0 of the flags, in the local header and in the central directory."""
+    path = archive(tmp_path / "x.fmu", {"modelDescription.xml": "<fmi/>"})
+    central = path.read_bytes().index(b"PK\x01\x02")
+    refused(
+        overwritten(overwritten(path, 6, b"\x01"), central + 8, b"\x01"),
+        r"x\.fmu: the archive cannot be unpacked: RuntimeError: File 'modelDescription.xml' is encrypted",
+    )
+
+
+@pytest.mark.parametrize(
+    ("method", "kind"), [(zipfile.ZIP_STORED, "BadZipFile: Bad CRC-32"), (zipfile.ZIP_DEFLATED, "error: Error -3")]
+)
+def test_damaged_description(tmp_path, method, kind):
+    """A stored entry fails by its sum, a compressed one by its code."""
+    with zipfile.ZipFile(path := tmp_path / "x.fmu", "w") as target:
+        target.writestr("modelDescription.xml", "<fmi/>" * 100, method)
+    refused(overwritten(path, 30 + len("modelDescription.xml"), b"\xff" * 4), f"the archive cannot be unpacked: {kind}")
+
+
+def test_damaged_binary(edited, exported):
+    """Found when it is unpacked; nothing is left behind."""
+    path = edited()
+    with zipfile.ZipFile(path) as source:
+        binary = next(entry for entry in source.infolist() if entry.filename.startswith("binaries/"))
+    refused(overwritten(path, binary.header_offset + 100, b"\xff" * 4), "the archive cannot be unpacked: BadZipFile: Bad CRC-32")
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("/etc/evil", "an entry with an absolute path: '/etc/evil'"),
+        ("\\\\evil", "an entry with an absolute path: "),
+        ("C:/evil", "an entry with an absolute path: 'C:/evil'"),
+        ("resources/../../evil", r"an entry that leads out of it: 'resources/\.\./\.\./evil'"),
+        ("..\\evil", "an entry that leads out of it: "),
+    ],
+)
+def test_entries_that_lead_out_of_the_archive(edited, tmp_path, name, text):
+    refused(edited(extra={name: b"x"}), f"the archive has {text}")
+    assert not [file for file in tmp_path.rglob("*") if "evil" in file.name]
+
+
+def test_links(tmp_path, edited):
+    with zipfile.ZipFile(path := edited(), "a") as target:
+        link = zipfile.ZipInfo("resources/link")
+        link.create_system, link.external_attr = 3, 0o120777 << 16
+        target.writestr(link, "/etc/passwd")
+    refused(path, "the archive has a link: 'resources/link'; needed files and folders only")
+
+
+def test_too_many_entries(edited):
+    refused(
+        edited(extra={f"resources/{i}": b"" for i in range(10_000)}), r"the archive has 100\d\d entries; needed at most 10000"
+    )
+
+
+def test_too_large(edited):
+    """The size that an entry declares is enough."""
+    path = edited(extra={"resources/bomb": b"x"})
+    data = path.read_bytes()
+    central = data.rindex(b"PK\x01\x02")  # the last entry
+    refused(
+        overwritten(path, central + 24, (2**30).to_bytes(4, "little")),
+        r"unpacked, the archive would have 107\d{7} bytes; needed at most 1073741824",
+    )
+
+
+@pytest.mark.parametrize(
+    ("step", "text"),
+    [
+        ("abc", "ValueError: could not convert string to float: 'abc'"),
+        ("-1", "fixedInternalStepSize: found -1, needed a positive number"),
+        ("nan", "fixedInternalStepSize: found nan, needed a positive number"),
+    ],
+)
+def test_fixed_step_that_is_none(edited, step, text):
+    refused(edited(("<CoSimulation ", f'<CoSimulation fixedInternalStepSize="{step}" ')), f"cannot be read: .*{text}")
+
+
 def test_fmi_1(tmp_path):
     path = archive(tmp_path / "x.fmu", {"modelDescription.xml": '<fmiModelDescription fmiVersion="1.0"/>'})
     refused(path, "FMI 1.0 is not supported yet; FMI 2.0 and 3.0 are")

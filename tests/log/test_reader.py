@@ -7,6 +7,7 @@ import os
 import struct
 import tracemalloc
 import zlib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,11 +18,13 @@ from mcap.records import Chunk
 from mcap.writer import CompressionType, IndexType, Writer
 
 from cosim.core.contracts import Recording
+from cosim.core.recorders import Memory
+from cosim.core.signals import Channel, Interface, Layout, Signal
 from cosim.errors import LogError
 from cosim.log import McapRecorder, open_log
 from cosim.log import buffer as row_buffer
 
-from .recordings import STEP_NS, layout, plan, record, same_bits
+from .recordings import STEP_NS, blocks, layout, plan, record, same_bits, table
 
 
 def rewrite(source, target, *, order=lambda messages: messages, **options):
@@ -171,9 +174,71 @@ def test_truncated_files_are_refused_with_the_byte(tmp_path, share):
     path = tmp_path / "a.mcap"
     record(path)
     os.truncate(path, int(path.stat().st_size * share))
-    found = rf"a\.mcap is truncated at byte {path.stat().st_size}: its last whole record ends at byte \d+" if share else ""
-    with pytest.raises(LogError, match=found or "is no MCAP file"):
+    told = (
+        rf"a\.mcap is truncated at byte {path.stat().st_size}: the run was killed before it could close the log, .*: run it again"
+    )
+    with pytest.raises(LogError, match=told if share else "is no MCAP file"):
         open_log(path)
+
+
+@pytest.mark.parametrize(("whole", "more"), [(2, 0), (1, -1), (0, -1)])
+def test_a_truncated_file_says_how_much_is_there(tmp_path, monkeypatch, whole, more):
+    """The time up to which its chunks are whole."""
+    monkeypatch.setattr(row_buffer, "CHUNK_BYTES", 5000)
+    path = tmp_path / "a.mcap"
+    record(path)
+    with path.open("rb") as stream:
+        chunks = make_reader(stream).get_summary().chunk_indexes
+    last = chunks[1] if whole else chunks[0]
+    os.truncate(path, last.chunk_start_offset + last.chunk_length + more)
+    told = (
+        f"it is whole up to t = {chunks[whole - 1].message_end_time / 1e9} s: run it again, or"
+        if whole
+        else "no row is whole: run it"
+    )
+    with pytest.raises(LogError, match=f"no complete summary; {told}"):
+        open_log(path)
+
+
+def test_the_end_of_a_run_is_told_without_reading_rows(tmp_path):
+    """Also of a run whose last step no component kept, and of one without rows; a log without a result has none to tell."""
+    record(tmp_path / "a.mcap", steps=123)
+    log = open_log(tmp_path / "a.mcap")
+    assert (log.steps, log.end_ns, log._rows) == (123, 123 * STEP_NS, {})
+    assert log.end_ns == log.time_ns("plant")[-1]
+    with McapRecorder(tmp_path / "b.mcap") as recorder:
+        recorder.begin(plan())
+    log = open_log(tmp_path / "b.mcap")
+    assert (log.steps, log.end_ns) == (0, 0)
+    log._metadata.pop("cosim.result")
+    with pytest.raises(LogError, match=r"b\.mcap does not tell 'end_ns': needed a cosim\.result record, which cosim writes"):
+        _ = log.end_ns
+
+
+def test_a_log_and_the_memory_keep_the_same_rows(tmp_path):
+    """By the number of the step, whatever its time; also signals whose names have dots, and their refusals."""
+    dotted = Interface((), (Signal("a.b.c", 2), Signal("a")))
+    lay = Layout((Channel("x", dotted, 0, 3), Channel("y", Interface((), (Signal("z"),)), 3, 1)))
+    rows = table(lay, 20)
+    memory = Memory()
+    with McapRecorder(tmp_path / "a.mcap") as recorder:
+        for each in (memory, recorder):
+            each.begin(plan(lay))
+            for block, signals in blocks(rows, 4):
+                each.write(replace(block, time_ns=block.time_ns * 7 + 5), signals)
+    log = open_log(tmp_path / "a.mcap")
+    for recording in (log, memory):
+        assert same_bits(recording["x.a.b.c"], rows[::3, :2])
+        assert same_bits(recording["x.a"], rows[::3, 2])
+        assert recording.time_ns("x").tolist() == [7 * k * STEP_NS + 5 for k in range(0, 21, 3)]
+        assert recording.time("x.a.b.c").tolist() == recording.time("x").tolist()
+        assert (recording.steps, recording.end_ns) == (20, 7 * 20 * STEP_NS + 5)
+        with pytest.raises(
+            LogError, match=r" has no 'x\.a\.b': 'x' has no signal 'a\.b'; did you mean 'a\.b\.c'\? There is: a\.b\.c, a"
+        ):
+            recording["x.a.b"]
+        with pytest.raises(LogError, match=r" has no component 'w'; There is: x, y"):
+            recording.time("w.z")
 
 
 def bomb(path, declared, size=2**28):
@@ -240,9 +305,11 @@ def test_unknown_names_are_answered_with_the_nearest(tmp_path):
     """Signals, components and attachments."""
     record(tmp_path / "a.mcap", steps=5)
     log = open_log(tmp_path / "a.mcap")
-    with pytest.raises(LogError, match=r"no signal 'plant\.x_b'; did you mean 'plant\.x_a'\? There is: plant\.u, "):
+    with pytest.raises(
+        LogError, match=r"a\.mcap has no 'plant\.x_b': 'plant' has no signal 'x_b'; did you mean 'x_a'\? There is: u, "
+    ):
         log["plant.x_b"]
-    with pytest.raises(LogError, match=r"no signal 'plamt\.u'; did you mean 'plant\.u'\?"):
+    with pytest.raises(LogError, match=r"a\.mcap has no component 'plamt'; did you mean 'plant'\?"):
         log["plamt.u"]
     with pytest.raises(LogError, match="no component 'plan'; did you mean 'plant'"):
         log.time_ns("plan")

@@ -13,9 +13,10 @@ import pytest
 from google.protobuf import json_format
 from mcap.reader import NonSeekingReader, make_reader
 
+import cosim
 from cosim.core.contracts import Recorder, Stopped
 from cosim.errors import Interrupted, LogError, LogWriteError
-from cosim.log import Attachment, McapRecorder, open_log, writer
+from cosim.log import Attachment, McapRecorder, draft, open_log, writer
 from cosim.log import buffer as row_buffer
 
 from .recordings import STEP_NS, blocks, layout, plan, record, same_bits, table
@@ -46,6 +47,8 @@ def test_stock_reader_sees_header_summary_metadata_and_attachments(tmp_path):
     with (tmp_path / "a.mcap").open("rb") as stream:
         reader = make_reader(stream, validate_crcs=True)
         assert reader.get_header().profile == ""
+        assert reader.get_header().library.startswith(f"cosim/{cosim.__version__} mcap-python/")
+        assert {item.name: item.metadata for item in reader.iter_metadata()}["cosim.env"]["cosim"] == cosim.__version__
         summary = reader.get_summary()
         assert {s.name for s in summary.schemas.values()} == {"cosim.plant", "cosim.identifier", "foxglove.Log"}
         assert [c.topic for c in summary.channels.values()] == ["/plant", "/identifier", "/cosim/log"]
@@ -159,7 +162,7 @@ class FullDisk(io.FileIO):
 @pytest.mark.parametrize("room", range(24_000, 60_000, 4_111))
 def test_a_full_disk_leaves_a_whole_file(tmp_path, monkeypatch, room):
     """The error names file and reason; what fits is a valid file with a true hash."""
-    monkeypatch.setattr(writer, "create", lambda path: FullDisk(path, room))
+    monkeypatch.setattr(draft, "create", lambda path: FullDisk(path, room))
     monkeypatch.setattr(row_buffer, "CHUNK_BYTES", 5000)
     with pytest.raises(LogWriteError, match=r"a\.mcap cannot be written further: No space left on device; up to \d+ ns"):
         record(tmp_path / "a.mcap", compression="none")
@@ -189,7 +192,7 @@ class Interruptible(io.FileIO):
 
 def test_an_interrupt_within_a_write_loses_nothing(tmp_path, monkeypatch):
     """The chunk that was torn is written again."""
-    monkeypatch.setattr(writer, "create", lambda path: Interruptible(path, "x+"))
+    monkeypatch.setattr(draft, "create", lambda path: Interruptible(path, "x+"))
     monkeypatch.setattr(row_buffer, "CHUNK_BYTES", 5000)
     with pytest.raises(KeyboardInterrupt):
         record(tmp_path / "a.mcap", compression="none", size=10)
@@ -201,10 +204,10 @@ def test_an_interrupt_within_a_write_loses_nothing(tmp_path, monkeypatch):
 
 def test_a_disk_full_from_the_start_leaves_nothing(tmp_path, monkeypatch):
     """A log that cannot even begin is an error before the run."""
-    monkeypatch.setattr(writer, "create", lambda path: FullDisk(path, 1000))
+    monkeypatch.setattr(draft, "create", lambda path: FullDisk(path, 1000))
     with pytest.raises(LogError, match=r"a\.mcap cannot be written: No space left"):
         record(tmp_path / "a.mcap")
-    assert not (tmp_path / "a.mcap").exists()
+    assert not list(tmp_path.iterdir())
 
 
 def test_an_existing_file_needs_force(tmp_path):

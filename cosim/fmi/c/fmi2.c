@@ -61,7 +61,7 @@ static void set_defaults(Instance *i)
     *i->mode = INSTANTIATED;
     memcpy(i->x0, model_X0, n() * sizeof(double));
     memcpy(i->x, model_X0, n() * sizeof(double));
-    memcpy(i->u, model_u0, m() * sizeof(double));
+    memset(i->u, 0, m() * sizeof(double));
     memset(i->slope, 0, m() * sizeof(double));
     i->stale = 1;
 }
@@ -368,8 +368,10 @@ fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate state)
 fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *state)
 {
     (void)c;
-    free(*state);
-    *state = NULL;
+    if (state) {
+        free(*state);
+        *state = NULL;
+    }
     return fmi2OK;
 }
 

@@ -13,7 +13,6 @@
 extern const char *const model_guid;
 extern const int32_t model_n, model_m, model_p; /* states, inputs, outputs */
 extern const double model_A[], model_B[], model_C[], model_D[], model_X0[], model_Xu[];
-extern const double model_u0[];          /* (m) start values of the inputs */
 extern const int32_t model_is_exact[];   /* (n) the start value of this state may be set */
 extern const int32_t model_state_of[];   /* (p) the state that this output is, or -1 */
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, ClassVar, Literal, Protocol
+from typing import Any, Literal, Protocol
 
+from cosim.blocks.sampled import Decimated
 from cosim.core.contracts import Component
 from cosim.core.solver import Linear, LinearModel
 from cosim.errors import UsageError
@@ -59,7 +60,6 @@ class Site(Protocol):
 class Kind(Table):
     """A component's table."""
 
-    sampled: ClassVar[bool] = False  # with a period: True, it lives on that step; False, it only answers less often
     kind: str
 
     @property
@@ -75,6 +75,10 @@ class Kind(Table):
     def advice(self, held: Mapping[str, bool], h: float) -> list[str]:
         """Warn of what will be right but costly or poor, given which inputs are held over a communication step of ``h`` [s]."""
         return []
+
+    def slowed(self, component: Component, n: int) -> Component:
+        """Put the component on a period of ``n`` communication steps: it goes on at every step and answers at every n-th."""
+        return Decimated(component, n)
 
     def build(self, name: str, site: Site) -> Component:
         """Build the component."""

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 from pydantic import Field
 
 from cosim.blocks import arithmetic, dynamics
 from cosim.blocks.controller import controller
+from cosim.blocks.sampled import Sampled
 from cosim.core.clock import whole_steps
 from cosim.core.contracts import Component
 from cosim.core.solver import LinearModel
@@ -82,22 +83,24 @@ class Delay(Kind):
 
 
 class Controller(Kind):
-    """Linear controller x' = A x + B u, y = C x + D u."""
+    """Linear controller x' = A x + B u, y = C x + D u; with a period it samples u and holds it (zero-order hold)."""
 
-    sampled: ClassVar[bool] = True
     kind: Literal["controller"]
     A: Rows = Field(description="matrix (n, n)")
     B: Rows = Field(description="matrix (n, inputs)")
     C: Rows = Field(description="matrix (outputs, n)")
     D: Rows | None = Field(None, description="matrix (outputs, inputs); left out: zero")
     x0: Row | None = Field(None, description="x(0); left out: zero")
-    period: Number | None = Field(None, description="its own step [s]; left out: the communication step")
+    period: Number | None = Field(None, description="its own step [s], u sampled and held; left out: the communication step")
     unit: str | None = None
 
     @property
     def own_step(self) -> float | None:
         """Its period [s]."""
         return self.period
+
+    def slowed(self, component: Component, n: int) -> Component:
+        return Sampled(component, n, hold=True)
 
     def linear_model(self, name: str, site: Site) -> LinearModel:
         D = None if self.D is None else matrix(self.D, "D")

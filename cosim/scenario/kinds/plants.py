@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal
+from typing import Literal
 
 from pydantic import Field
 
 from cosim.blocks.plant import descriptor_model
 from cosim.blocks.replay import Replay
+from cosim.blocks.sampled import Sampled
 from cosim.core.contracts import Component
 from cosim.core.solver import SOLVERS, LinearModel
 from cosim.errors import UsageError, nearest
@@ -47,7 +48,6 @@ class Descriptor(Plant):
 class Fmu(Plant):
     """A real FMU, FMI 2.0 or 3.0."""
 
-    sampled: ClassVar[bool] = True
     kind: Literal["fmu"]
     path: str = Field(description="path of the .fmu")
     mode: Literal["me", "cs"] | None = Field(
@@ -61,6 +61,9 @@ class Fmu(Plant):
     def own_step(self) -> float | None:
         """Its period [s]."""
         return self.period
+
+    def slowed(self, component: Component, n: int) -> Component:
+        return Sampled(component, n)
 
     def build(self, name: str, site: Site) -> Component:
         return site.fmu(name, self.path, mode=self.mode, solver=self.solver, start=self.start)

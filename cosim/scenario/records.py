@@ -1,0 +1,86 @@
+"""What a log keeps of an experiment beside its signals, and what the run and its FMUs have to say while it is written."""
+
+from __future__ import annotations
+
+import json
+from types import TracebackType
+from typing import Any, Self
+
+from cosim.arrays import Matrix
+from cosim.core.contracts import Block, Plan, Stopped
+from cosim.log import Attachment, McapRecorder
+from cosim.scenario.build import Experiment, fingerprint
+
+SCENARIO_FILE = "scenario.toml"
+
+
+class Narrated:
+    """Hands everything on to the recorder of a log, and puts the messages of the run and of its FMUs on ``/cosim/log``."""
+
+    def __init__(self, recorder: McapRecorder, experiment: Experiment) -> None:
+        self._recorder, self._experiment, self._reached = recorder, experiment, 0
+
+    def __enter__(self) -> Self:
+        self._recorder.__enter__()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self._tell()
+        if error is not None:
+            regular = isinstance(error, Stopped) and not error.failed
+            self._recorder.message(self._reached, "info" if regular else "error", "run", str(error) or type(error).__name__)
+        self._recorder.__exit__(kind, error, trace)
+
+    def begin(self, plan: Plan) -> None:
+        """Hand on, then tell what is to be known before the first step."""
+        self._recorder.begin(plan)
+        for name, text in self._experiment.warnings:
+            self._recorder.message(0, "warning", name, text)
+
+    def write(self, block: Block, signals: Matrix) -> None:
+        """Tell what was said in this block, and hand on."""
+        self._reached = int(block.time_ns[-1])
+        self._tell()
+        self._recorder.write(block, signals)
+
+    def _tell(self) -> None:
+        for name, fmu in self._experiment.fmus.items():
+            for level, text in fmu.drain():
+                self._recorder.message(self._reached, level, name, text)
+
+
+def metadata_of(experiment: Experiment) -> dict[str, dict[str, str]]:
+    """Give the metadata records of a run: scenario, edits, connections, and each component's table, facts and fingerprint."""
+    scenario = experiment.scenario
+    settings = scenario.file.scenario
+    records = {
+        "cosim.run": {
+            "scenario": scenario.name,
+            "edits": scenario.document.edits(),
+            "stop": repr(settings.stop),
+            "step": repr(settings.step),
+            "truth": json.dumps(dict(experiment.truth)),
+            "schedule": json.dumps([stage.description for stage in experiment.graph.stages]),
+            "warnings": json.dumps(experiment.warnings),
+        },
+        "cosim.connections": {to: json.dumps(_plain(wire)) for to, wire in scenario.connections.items()},
+    }
+    for name in scenario.specs:
+        records[f"cosim.component.{name}"] = {
+            "table": json.dumps(scenario.tree["components"][name]),
+            "facts": json.dumps(experiment.facts.get(name, {})),
+            "fingerprint": fingerprint(scenario, name, experiment.reads[name]),
+        }
+    return records
+
+
+def _plain(wire: Any) -> dict[str, Any]:
+    return {"from": wire.source, "gain": wire.gain.tolist(), "offset": wire.offset, "unit": wire.unit}
+
+
+def attachments_of(experiment: Experiment) -> list[Attachment]:
+    """Give the files that go into the log: the scenario's text, and each FMU's modelDescription.xml."""
+    text = experiment.scenario.document.text
+    files = {SCENARIO_FILE: ("application/toml", text)}
+    files |= {name: ("application/xml", xml) for name, xml in experiment.attachments.items()}
+    return [Attachment(name, media, data.encode()) for name, (media, data) in files.items()]

@@ -1,0 +1,171 @@
+"""A log stands at its path from its first row on; before that, what stood there is untouched."""
+
+from __future__ import annotations
+
+import errno
+import os
+
+import pytest
+
+from cosim.errors import GraphError, Interrupted, LogError, LogWriteError, NonFiniteError
+from cosim.log import McapRecorder, draft, open_log, writer
+
+from .recordings import blocks, layout, plan, record, table
+from .test_writer import FullDisk
+
+
+@pytest.fixture(params=[False, True], ids=["new", "force"])
+def force(request):
+    """Write to a free path, or in place of an old log."""
+    return request.param
+
+
+@pytest.fixture
+def path(tmp_path, force):
+    """Name the log; with ``force`` an old one of 10 steps stands there."""
+    if force:
+        record(tmp_path / "a.mcap", steps=10)
+    return tmp_path / "a.mcap"
+
+
+def untouched(path, force):
+    """Say whether nothing is left but the old log, if there was one."""
+    return list(path.parent.iterdir()) == [path] * force and (not force or open_log(path).steps == 10)
+
+
+def attempt(path, force, *, error=None, rows=0):
+    """Begin a run, write some rows and end it with an error."""
+    with McapRecorder(path, force=force) as recorder:
+        recorder.begin(plan())
+        for block, signals in list(blocks(table(layout(), 100), 10))[:rows]:
+            recorder.write(block, signals)
+        if error is not None:
+            raise error
+
+
+@pytest.mark.parametrize("error", [GraphError("no"), LogError("no"), ValueError("bug"), KeyboardInterrupt()])
+def test_a_run_refused_before_its_first_row_leaves_no_trace(path, force, error):
+    """Whatever stood there stays, and no other file."""
+    with pytest.raises(type(error)):
+        attempt(path, force, error=error)
+    assert untouched(path, force)
+
+
+@pytest.mark.parametrize("error", [NonFiniteError("y became nan"), LogWriteError("negative"), Interrupted("Ctrl-C")])
+def test_a_run_that_failed_at_its_start_leaves_a_log(path, force, error):
+    """It has no rows, and says why."""
+    with pytest.raises(type(error)):
+        attempt(path, force, error=error)
+    assert list(path.parent.iterdir()) == [path]
+    log = open_log(path)
+    assert (log.steps, len(log.rows("plant")), log.result["reason"]) == (0, 0, str(error))
+
+
+def test_a_complete_run_without_rows_leaves_a_log(path, force):
+    """A run over no time is a run."""
+    attempt(path, force)
+    assert list(path.parent.iterdir()) == [path]
+    assert (open_log(path).status, len(open_log(path).rows("plant"))) == ("complete", 0)
+
+
+def test_the_log_stands_at_its_path_from_the_first_row_on(path, force):
+    """The same file under a hidden name before, and under no other after."""
+    with McapRecorder(path, force=force) as recorder:
+        recorder.begin(plan())
+        (hidden,) = set(path.parent.iterdir()) - {path}
+        assert hidden.name.startswith(".a.mcap.")
+        assert path.exists() == force
+        assert not force or open_log(path).steps == 10
+        growing = hidden.stat().st_ino
+        block, signals = next(blocks(table(layout(), 100), 10))
+        recorder.write(block, signals)
+        assert list(path.parent.iterdir()) == [path]
+        assert path.stat().st_ino == growing
+    assert path.stat().st_ino == growing
+
+
+@pytest.mark.parametrize("linked", [True, False])
+@pytest.mark.parametrize("rows", [0, 1])
+def test_a_file_that_came_meanwhile_is_not_replaced(tmp_path, monkeypatch, rows, linked):
+    """With and without hard links, at the first row and at the end of a run without any."""
+    path = tmp_path / "a.mcap"
+    if not linked:
+        monkeypatch.setattr(draft.os, "link", no_links)
+
+    def fail():
+        with McapRecorder(path) as recorder:
+            recorder.begin(plan())
+            path.write_text("mine")
+            for block, signals in list(blocks(table(layout(), 10), 10))[:rows]:
+                recorder.write(block, signals)
+
+    with pytest.raises(LogError, match=r"a\.mcap exists by now; choose another path, or --force"):
+        fail()
+    assert path.read_text() == "mine"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def no_links(source, target):
+    """Fail as on a file system without hard links."""
+    raise PermissionError(errno.EPERM, os.strerror(errno.EPERM))
+
+
+def test_a_file_system_without_hard_links_will_do(tmp_path, monkeypatch):
+    """The name is reserved and then replaced."""
+    monkeypatch.setattr(draft.os, "link", no_links)
+    record(tmp_path / "a.mcap", steps=20)
+    assert open_log(tmp_path / "a.mcap").steps == 20
+    assert list(tmp_path.iterdir()) == [tmp_path / "a.mcap"]
+
+
+def test_a_folder_lost_before_the_first_row_is_an_error(tmp_path):
+    """There is nowhere to put the log."""
+
+    def fail():
+        with McapRecorder(tmp_path / "logs" / "a.mcap") as recorder:
+            recorder.begin(plan())
+            (hidden,) = (tmp_path / "logs").iterdir()
+            hidden.unlink()
+            (tmp_path / "logs").rmdir()
+            recorder.write(*next(blocks(table(layout(), 10), 10)))
+
+    with pytest.raises(LogError, match=r"a\.mcap cannot be created: No such file or directory"):
+        fail()
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), MemoryError()])
+@pytest.mark.parametrize("place", ["write_parts", "write_preamble", "RowBuffer", "library"])
+def test_an_interrupt_in_begin_leaves_no_trace(path, force, monkeypatch, place, error):
+    """Wherever it comes."""
+
+    def interrupt(*args, **kwargs):
+        raise error
+
+    monkeypatch.setattr(writer, place, interrupt)
+    with pytest.raises(type(error)):
+        attempt(path, force)
+    assert untouched(path, force)
+
+
+def test_a_disk_full_from_the_start_leaves_the_old_log(path, force, monkeypatch):
+    """What cannot even begin replaces nothing."""
+    monkeypatch.setattr(draft, "create", lambda path: FullDisk(path, 1000))
+    with pytest.raises(LogError, match=r"a\.mcap cannot be written: No space left"):
+        attempt(path, force)
+    assert untouched(path, force)
+
+
+@pytest.mark.parametrize("force", [False, True])
+def test_a_folder_is_no_path_for_a_log(tmp_path, force):
+    """It is refused at once, with force too."""
+    with pytest.raises(LogError, match=r"is a folder; name a file, such as .*/run\.mcap"):
+        attempt(tmp_path, force)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_long_name_leaves_room_for_the_hidden_one(tmp_path):
+    """A file's name may have 255 bytes."""
+    path = tmp_path / ("ü" * 125 + ".mcap")
+    record(path, steps=5)
+    assert open_log(path).steps == 5

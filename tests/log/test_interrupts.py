@@ -1,0 +1,139 @@
+"""Ctrl-C at any instant leaves every row once, or the tail cut."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+
+import cosim.log
+from cosim.log import McapRecorder, open_log
+from cosim.log import buffer as row_buffer
+from cosim.log.interrupts import uninterrupted
+
+from .recordings import STEP_NS, blocks, layout, plan, same_bits, table
+
+FOLDER = Path(cosim.log.__file__).parent
+BY_BYTECODE = {str(FOLDER / name) for name in ("writer.py", "interrupts.py", "draft.py")}
+SEEN = {str(path) for path in FOLDER.glob("*.py")} | {contextlib.__file__}
+SWITCH = {"_write_chunk", "_flush", "_save", "clear", "uninterrupted"}
+
+
+class Press:
+    """Press Ctrl-C at the n-th instant of some functions, or all, of the log: a bytecode of the writer, a line of the rest."""
+
+    def __init__(self, instant, functions):
+        self.left, self._functions = instant, functions
+
+    def __call__(self, frame, event, arg):
+        code = frame.f_code
+        if code.co_filename not in SEEN or (self._functions and code.co_name not in self._functions):
+            return None
+        frame.f_trace_opcodes = code.co_filename in BY_BYTECODE
+        self.left -= 1
+        if self.left == 0:
+            signal.raise_signal(signal.SIGINT)
+        return self
+
+
+def run(path, rows, instant=0, functions=None):
+    """Record chunks of rows and messages, with Ctrl-C at an instant before the end; say whether that came."""
+    press, before = Press(instant, functions), sys.gettrace()
+    try:
+        with McapRecorder(path, compression="none") as recorder:
+            sys.settrace(press if instant else before)
+            recorder.begin(plan())
+            for number, (block, signals) in enumerate(blocks(rows, 4)):
+                recorder.message(int(block.time_ns[0]), "info", "run", f"block {number}")
+                recorder.write(block, signals)
+            sys.settrace(before)
+    finally:
+        sys.settrace(before)
+    return press.left <= 0
+
+
+def is_whole(path, rows):
+    """Say whether a log has each row once, up to the end that it tells, with their hash, and each message once."""
+    log = open_log(path)
+    count = len(log.rows("plant"))
+    told = [message.text for message in log.messages()]
+    return (
+        same_bits(log.rows("plant"), rows[:count, :5])
+        and same_bits(log.rows("identifier"), rows[:count:5, 5:])
+        and (log.steps, log.end_ns) == (max(count - 1, 0), max(count - 1, 0) * STEP_NS)
+        and log.content_hash() == log.result["content_hash"]
+        and told == [f"block {number}" for number in range(len(told))]
+    )
+
+
+@pytest.mark.parametrize(("functions", "stride"), [(SWITCH, 1), (None, 17)])
+def test_an_interrupt_at_any_instant_keeps_every_row_once(tmp_path, monkeypatch, functions, stride):
+    """At every one around the writing of a chunk, at some of all others: the file is whole or not there, and no other is left."""
+    monkeypatch.setattr(row_buffer, "CHUNK_BYTES", 700)
+    rows, path = table(layout(), 12), tmp_path / "a.mcap"
+    instant, came, kept = 1, True, 0
+    while came:
+        with contextlib.suppress(KeyboardInterrupt):
+            came = run(path, rows, instant, functions)
+        assert set(tmp_path.iterdir()) <= {path}, instant
+        if path.exists():
+            assert is_whole(path, rows), instant
+            kept += 1
+            path.unlink()
+        instant += stride
+    assert kept > 50
+
+
+def test_an_interrupt_within_is_handed_on_at_the_end():
+    """Every press of it, to the handler that was there."""
+    pressed = []
+    before = signal.signal(signal.SIGINT, lambda number, frame: pressed.append(number))
+    try:
+        with uninterrupted():
+            with uninterrupted():
+                signal.raise_signal(signal.SIGINT)
+            signal.raise_signal(signal.SIGINT)
+            assert not pressed
+        assert pressed == [signal.SIGINT] * 2
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def test_the_block_ends_before_the_interrupt():
+    """Also where it ends with an error."""
+    done = []
+
+    def fail():
+        with uninterrupted():
+            signal.raise_signal(signal.SIGINT)
+            done.append(True)
+            raise ValueError
+
+    with pytest.raises(KeyboardInterrupt) as found:
+        fail()
+    assert done
+    assert isinstance(found.value.__context__, ValueError)
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+@pytest.mark.parametrize("handler", [signal.SIG_IGN, signal.SIG_DFL])
+def test_what_cannot_raise_is_left_alone(handler):
+    """Ignored stays ignored, and what kills still kills."""
+    before = signal.signal(signal.SIGINT, handler)
+    try:
+        with uninterrupted():
+            assert signal.getsignal(signal.SIGINT) is handler
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def test_other_threads_write_logs_too(tmp_path):
+    """They get no interrupts, and may set no handlers."""
+    thread = threading.Thread(target=run, args=(tmp_path / "a.mcap", table(layout(), 12)))
+    thread.start()
+    thread.join()
+    assert open_log(tmp_path / "a.mcap").steps == 12
