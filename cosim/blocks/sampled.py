@@ -24,8 +24,8 @@ class Sampled:
     n : int
         Communication steps in one of its own.
     hold : bool
-        It samples its inputs at the start of its own step and holds them, as a digital controller does; else they move in straight
-        lines from there to the end of its own step, as far as they are not held anyway.
+        It samples its inputs at the start of its own step and holds them, as a digital controller does; else those that are not
+        held anyway move in straight lines from there to the end of its own step.
     """
 
     def __init__(self, component: Component, n: int, *, hold: bool = False) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Any, Protocol, Self, TypeAlias
+from typing import Any, Literal, Protocol, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from cosim.core.signals import Channel, Interface, Layout
 from cosim.errors import RunError
 
 Design: TypeAlias = Mapping[str, NDArray[np.float64]]
+Level: TypeAlias = Literal["debug", "info", "warning", "error", "fatal"]  # of a message
 
 
 class Component(Protocol):

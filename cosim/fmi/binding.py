@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from cosim.arrays import Vector
+from cosim.core.contracts import Level
 from cosim.errors import FmuError, RunError
 from cosim.fmi.description import Description, Mode
 from cosim.fmi.references import Group
@@ -26,7 +27,7 @@ from cosim.fmi.unit import DiscreteStates, StepEnd
 Call: TypeAlias = Callable[..., None]
 
 STATUS: Final = ("ok", "warning", "discard", "error", "fatal", "pending")
-LEVELS: Final = ("info", "warning", "warning", "error", "fatal", "info")  # of a message, by status
+LEVELS: Final[tuple[Level, ...]] = ("info", "warning", "warning", "error", "fatal", "info")  # of a message, by status
 WARNING, DISCARD, ERROR, FATAL = 1, 2, 3, 4
 MESSAGES = 100  # how many of the FMU's log messages are kept until they are fetched
 _Memory = c_uint8 * 1
@@ -45,13 +46,13 @@ class Messages:
     """
 
     def __init__(self) -> None:
-        self._kept: deque[tuple[str, str]] = deque(maxlen=MESSAGES)
+        self._kept: deque[tuple[Level, str]] = deque(maxlen=MESSAGES)
         self._dropped = 0
 
     def add(self, status: int, text: bytes | None) -> None:
         """Keep a message."""
         self._dropped += len(self._kept) == MESSAGES
-        level = LEVELS[status] if 0 <= status < len(LEVELS) else "warning"
+        level: Level = LEVELS[status] if 0 <= status < len(LEVELS) else "warning"
         self._kept.append((level, (text or b"").decode("utf-8", "replace")[:1000]))
 
     @property
@@ -59,10 +60,11 @@ class Messages:
         """The last one that was not fetched yet, as the tail of an error; empty where there is none."""
         return f"; it said: {': '.join(self._kept[-1])}" if self._kept else ""
 
-    def drain(self) -> list[tuple[str, str]]:
+    def drain(self) -> list[tuple[Level, str]]:
         """Give (level, text) since the last call, and how many were dropped."""
-        lost = [("warning", f"{self._dropped} earlier messages of the FMU were dropped")] if self._dropped else []
-        found = lost + list(self._kept)
+        lost = f"{self._dropped} earlier messages of the FMU were dropped"
+        found: list[tuple[Level, str]] = [("warning", lost)] if self._dropped else []
+        found += self._kept
         self._kept.clear()
         self._dropped = 0
         return found

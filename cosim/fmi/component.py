@@ -15,6 +15,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, TypeAlias, final
 
+from cosim.core.contracts import Level
 from cosim.errors import FmuError, RunError
 from cosim.fmi.archive import unpack
 from cosim.fmi.co_simulation import CoSimulation
@@ -71,7 +72,7 @@ class Fmu:
             "model_description": found.xml,
         }
 
-    def drain(self) -> list[tuple[str, str]]:
+    def drain(self) -> list[tuple[Level, str]]:
         """Give what the FMU logged since the last call as (level, text), and how many messages were dropped.
 
         The level is "debug", "info", "warning", "error" or "fatal", from the FMI status. The text of FMI 2 is a printf format
@@ -79,11 +80,6 @@ class Fmu:
         ``component.notes``.
         """
         return self._unit.messages.drain()
-
-    @property
-    def messages(self) -> tuple[str, ...]:
-        """What ``drain`` gives, as ``level: text``."""
-        return tuple(": ".join(message) for message in self.drain())
 
     def __enter__(self) -> Self:
         return self

@@ -15,7 +15,7 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Matrix, Nanoseconds, Vector
-from cosim.core.contracts import Design
+from cosim.core.contracts import Design, Level
 from cosim.core.recorders import find_channel, find_signal
 from cosim.core.signals import Channel
 from cosim.errors import GraphError, LogError, nearest
@@ -27,7 +27,7 @@ from cosim.log.metadata import decode_design, unseal
 from cosim.log.preamble import LOG_TOPIC
 from cosim.log.result import RESULT, RESULT_FILE
 from cosim.log.scan import Loose, scan
-from cosim.log.schema import Level, decode_log
+from cosim.log.schema import decode_log
 
 _TIME = slice(6, 14)  # of a message record's content
 

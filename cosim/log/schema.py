@@ -10,11 +10,12 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from functools import cache
-from typing import Any, Literal
+from typing import Any
 
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, timestamp_pb2
 
-Level = Literal["debug", "info", "warning", "error", "fatal"]
+from cosim.core.contracts import Level
+
 LEVELS: tuple[Level, ...] = ("debug", "info", "warning", "error", "fatal")  # foxglove.Log.Level 1 to 5
 LOG_SCHEMA = "foxglove.Log"
 

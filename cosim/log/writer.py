@@ -14,7 +14,7 @@ from types import TracebackType
 from typing import Any, Self, final
 
 from cosim.arrays import Matrix
-from cosim.core.contracts import Block, Plan
+from cosim.core.contracts import Block, Level, Plan
 from cosim.core.signals import Interface
 from cosim.errors import LogError, LogWriteError, RunError
 from cosim.log.buffer import RowBuffer, message_run
@@ -26,7 +26,7 @@ from cosim.log.interrupts import uninterrupted
 from cosim.log.layout import signals_json, split
 from cosim.log.preamble import Attachment, write_parts, write_preamble
 from cosim.log.result import Outcome, Reached, outcome, write_result
-from cosim.log.schema import Level, encode_log
+from cosim.log.schema import encode_log
 from cosim.log.sink import Mark, Sink
 
 _FLUSH_AFTER = 1.0  # s of wall time

@@ -15,7 +15,7 @@ from pydantic import ValidationError
 
 from cosim.blocks.replay import Replay
 from cosim.core.clock import Clock, whole_steps
-from cosim.core.contracts import Component, Recording
+from cosim.core.contracts import Component, Level, Recording
 from cosim.core.graph import Connection, Graph, check_connections, layout_of
 from cosim.errors import CosimError, ScenarioError, UsageError, nearest
 from cosim.scenario.document import Document, Key
@@ -30,7 +30,7 @@ Problems = list[tuple[Key, str]]
 class Speaker(Protocol):
     """An opened FMU, as far as its messages go."""
 
-    def drain(self) -> list[tuple[str, str]]:
+    def drain(self) -> list[tuple[Level, str]]:
         """Give what it said since the last call, as (level, text)."""
         ...
 

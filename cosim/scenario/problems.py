@@ -39,15 +39,20 @@ def problems_of(error: ValidationError, table: type[BaseModel], data: Any, prefi
     return [((*prefix, *path), text) for path, texts in problems.items() for text in texts]
 
 
+def _children(data: Any) -> Mapping[Any, Any]:
+    if isinstance(data, (list, tuple)):
+        return dict(enumerate(data))
+    return data if isinstance(data, Mapping) else {}
+
+
 def _path(loc: tuple[int | str, ...], data: Any) -> Key:
     """Keep of pydantic's location what is a key of the data; the rest are names of types."""
     path: list[int | str] = []
     for part in loc:
-        if (isinstance(data, Mapping) and part in data) or (isinstance(data, (list, tuple)) and isinstance(part, int)):
-            data = data[part]
-        else:
-            continue
-        path.append(part)
+        children = _children(data)
+        if part in children:
+            data = children[part]
+            path.append(part)
     return tuple(path)
 
 

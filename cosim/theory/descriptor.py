@@ -123,7 +123,8 @@ def reduce(system: DescriptorSystem) -> ReducedSystem:
             f"not determined by the algebraic equation; {_pencil_verdict(system)}"
         )
     K = 0.0 - np.linalg.solve(A[b, b], np.hstack([A[b, a], Bu[b], Bd[b]]))
-    sums = np.abs(np.linalg.inv(A[b, b])) @ np.abs(np.hstack([A[b, a], Bu[b], Bd[b]])) if A[b, b].size else np.abs(K)
+    inverse: Matrix = np.abs(np.linalg.inv(A[b, b])).astype(np.float64)
+    sums = inverse @ np.abs(np.hstack([A[b, a], Bu[b], Bd[b]]))
     K = without_rounding(K, sums, condition)
     Kx, Ku, Kd = np.split(K, [system.n_a, system.n_a + Bu.shape[1]], axis=1)
 
