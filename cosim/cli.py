@@ -47,21 +47,24 @@ SwapOption = Annotated[
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
 ForceOption = Annotated[bool, typer.Option("--force", help="Replace a log that exists.")]
-OutOption = Annotated[Path | None, typer.Option("--out", "-o", metavar="PATH", help="Log to write.")]
+OutOption = Annotated[Path | None, typer.Option("--out", "-o", metavar="PATH", help="Log to write (.mcap).")]
+StopOption = Annotated[float | None, typer.Option(help="End of the run [s]; the same as --set scenario.stop=...")]
+PlotOption = Annotated[Path | None, typer.Option(metavar="FILE", help="Draw the estimates and their truth.")]
 
 
 @app.command()
 def run(
     scenario: ScenarioArgument,
     out: Annotated[
-        Path | None, typer.Option("--out", "-o", metavar="PATH", help="Log to write; else logs/<scenario>.mcap.")
+        Path | None,
+        typer.Option("--out", "-o", metavar="PATH", help="Log to write (.mcap); else logs/<scenario>.mcap, -2, -3, ..."),
     ] = None,
     force: ForceOption = False,
     changes: SetOption = None,
     swaps: SwapOption = None,
-    stop: Annotated[float | None, typer.Option(help="End of the run [s]; the same as --set scenario.stop=...")] = None,
+    stop: StopOption = None,
     step: Annotated[float | None, typer.Option(help="Communication step [s]; the same as --set scenario.step=...")] = None,
-    plot: Annotated[Path | None, typer.Option(metavar="FILE", help="Draw the estimates and their truth.")] = None,
+    plot: PlotOption = None,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
     profile: Annotated[bool, typer.Option("--profile", help="Show where the time went, by component.")] = False,
@@ -81,6 +84,7 @@ def run(
         tables.comparison(loaded, swaps=_pairs(swaps, "--swap"), changes=edits, as_json=as_json)
         return
     path = out or default_log(loaded.name)
+    _need_plot(plot)
     seconds: dict[str, float] | None = {} if profile else None
     with _progress(quiet or as_json) as progress:
         log = run_scenario(
@@ -103,18 +107,25 @@ def replay(
     out: OutOption = None,
     force: ForceOption = False,
     changes: SetOption = None,
+    stop: StopOption = None,
+    plot: PlotOption = None,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Run a log's scenario again with the recorded plant in the plant's place; nothing is needed but the log."""
     from cosim import tables
     from cosim.log import open_log
+    from cosim.scenario.plot import plot_run
     from cosim.scenario.session import replay as replay_log
 
     imported = perf_counter()
     source = open_log(log)
+    edits = _edits(changes) | ({} if stop is None else {"scenario.stop": stop})
+    _need_plot(plot)
     with _progress(quiet or as_json) as progress:
-        again = replay_log(source, out=out, force=force, set=_edits(changes), progress=progress)
+        again = replay_log(source, out=out, force=force, set=edits, progress=progress)
+    if plot is not None:
+        plot_run(again, plot)
     if verify:
         tables.verification(source, again, path=log, as_json=as_json, quiet=quiet)
     else:
@@ -197,6 +208,13 @@ def export(
         typer.echo(line)
 
 
+def _need_plot(out: Path | None) -> None:
+    from cosim.scenario.plot import need_plot
+
+    if out is not None:
+        need_plot(out)
+
+
 def _pairs(options: list[str] | None, option: str) -> dict[str, str]:
     pairs = {}
     for text in options or []:
@@ -248,3 +266,6 @@ def main(arguments: list[str] | None = None, *, leave: Callable[[int], None] = s
     except BrokenPipeError:
         sys.stderr.close()
         leave(0)
+    except OSError as error:  # stdout on a full disk, a folder that is gone
+        sys.stderr.write(f"cosim: {error.filename or 'output'}: {error.strerror or error}\n")
+        leave(1)

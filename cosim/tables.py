@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from cosim.core.contracts import Recording
     from cosim.log.diff import Difference
     from cosim.scenario.build import Scenario
-    from cosim.scenario.report import Identification
+    from cosim.scenario.report import Identification, Summary
 
 WIDTH = 118  # where stdout is no terminal
 
@@ -44,19 +44,8 @@ def summary(
         return
     for name, text in _warnings(recording):
         typer.echo(f"warning: {name}: {text}", err=True)
-    console = _console()
     title = f"{found.scenario}: {found.end:g} s in {found.steps} steps"
-    table = _table(title, ("", "estimate", "truth", "error"))
-    for signal in found.signals:
-        table.add_row(
-            signal.estimate,
-            "",
-            signal.truth,
-            f"{signal.largest:.3g}  (largest for t >= {signal.since:g} s; at the end {signal.last:.3g})",
-        )
-    for value in found.values:
-        shown = ("no value", "") if value.value is None else (f"{value.value:+.6f}", f"{value.error:.3g}")
-        table.add_row(value.estimate, shown[0], f"{value.truth:+g}", shown[1])
+    table = _errors(title, found) if found.signals or found.values else _last_values(title, recording)
     for identification in found.identifications:
         _identification(table, identification)
     for loop in found.loops:
@@ -67,9 +56,32 @@ def summary(
     table.add_row("wall time", f"{total:.2f} s", "", f"{parts}: {found.end / total:.3g} x real time")
     if path is not None:
         table.add_row("log", "", "", str(path))
+    console = _console()
     console.print(table)
     if profile is not None:
         _profile(console, profile)
+
+
+def _errors(title: str, found: Summary) -> Table:
+    table = _table(title, ("", "estimate", "truth", "error"))
+    for signal in found.signals:
+        text = f"{signal.largest:.3g}  (largest for t >= {signal.since:g} s; at the end {signal.last:.3g})"
+        table.add_row(signal.estimate, "", signal.truth, text)
+    for value in found.values:
+        shown = ("no value", "") if value.value is None else (f"{value.value:+.6f}", f"{value.error:.3g}")
+        table.add_row(value.estimate, shown[0], f"{value.truth:+g}", shown[1])
+    return table
+
+
+def _last_values(title: str, recording: Recording) -> Table:
+    """Where there is no truth to compare with, show what the outputs ended with."""
+    table = _table(title, ("", "at the end", "", ""))
+    for name, channel in recording.channels.items():
+        for signal in channel.interface.outputs:
+            rows = recording[f"{name}.{signal.name}"]
+            last = " ".join(f"{value:.6g}" for value in rows[-1:].ravel())
+            table.add_row(f"{name}.{signal.name}", last, "", signal.unit or "")
+    return table
 
 
 def _identification(table: Table, found: Identification) -> None:
@@ -190,6 +202,8 @@ def info(what: str, *, as_json: bool) -> None:
 
 
 def _section(console: Console, title: str, content: Any) -> None:
+    if not content:
+        return
     if isinstance(content, list):
         columns = list(content[0]) if content else []
         table = _table(title, columns)

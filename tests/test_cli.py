@@ -279,3 +279,52 @@ def test_progress_shows_time_speed_and_time_left_on_a_terminal(tmp_path):
 def test_progress_is_gone_where_stderr_is_no_terminal(call):
     """Nothing but messages reaches a stderr that is a file."""
     assert call("run", "academic", *SHORT)[2] == ""
+
+
+def test_a_picture_that_cannot_be_drawn_is_refused_before_the_run(call, tmp_path):
+    """No run and no log for an ending that is none of a picture."""
+    code, _, err = call("run", "academic", *SHORT, "--plot", "run.xyz")
+    assert code == 2
+    assert "run.xyz: found the ending '.xyz', needed one of: " in err
+    assert not (tmp_path / "logs").exists()
+
+
+def test_elements_can_be_plotted(call, tmp_path):
+    """x_a[1] is one line of two; a wrong element is refused."""
+    call("run", "academic", *SHORT, "--out", "a.mcap")
+    assert call("plot", "a.mcap", "plant.x_a[1]", "identifier.theta", "--out", "x.png")[0] == 0
+    assert (tmp_path / "x.png").stat().st_size > 1000
+    code, _, err = call("plot", "a.mcap", "plant.x_a[2]", "--out", "y.png")
+    assert code == 2
+    assert "plant.x_a[2]" in err
+
+
+def test_replay_stops_and_plots_like_run(call, tmp_path):
+    """--stop and --plot mean the same."""
+    call("run", "academic", *SHORT, "--out", "a.mcap")
+    code, out, _ = call("replay", "a.mcap", "--stop", "0.05", "--plot", "again.png")
+    assert code == 0
+    assert "0.05 s in 50 steps" in out
+    assert (tmp_path / "again.png").is_file()
+
+
+def test_without_truth_the_last_values_are_shown(call, tmp_path):
+    """A scenario without [truth] ends with what its outputs ended with."""
+    (tmp_path / "u.toml").write_text(
+        '[scenario]\nname = "u"\nstop = 1.0\nstep = 0.1\n[components.u]\nkind = "ramp"\nslope = 2.0\n'
+    )
+    _, out, _ = call("run", "u.toml", "--out", "u.mcap")
+    assert re.search(r"u\.y +2\b", out)
+
+
+def test_what_cannot_be_written_is_one_line(call, tmp_path):
+    """A folder where a file should be, and a disk that is full: no traceback."""
+    (tmp_path / "folder.fmu").mkdir()
+    code, _, err = call("export", "academic", "--component", "plant", "--out", "folder.fmu", "--force")
+    assert code == 2
+    assert err.startswith("cosim: folder.fmu cannot be written: ")
+    with open("/dev/full", "w") as stream:
+        command = [sys.executable, "-m", "cosim", "list"]
+        done = subprocess.run(command, stdout=stream, stderr=subprocess.PIPE, text=True, check=False)
+    assert done.returncode == 1
+    assert done.stderr.startswith("cosim: output: ")

@@ -76,9 +76,17 @@ class Member:
     def perform(self, kind: Literal["advance", "refresh"], time: Vector, h: float, rows: Matrix) -> None:
         """Carry out one operation of a loop over one step, from row 0 to row 1."""
         if kind == "advance":
-            rows[1:, self.outputs] = self.component.advance(time, h, rows[:, self.inputs])
+            rows[1:, self.outputs] = self.advance(time, h, rows)
         else:
             rows[1, self.outputs] = self.component.outputs(float(time[1]), rows[1, self.inputs])
+
+    def advance(self, time: Vector, h: float, rows: Matrix) -> Matrix:
+        """Let the component advance; its rows must have the shape that its interface promises."""
+        y = self.component.advance(time, h, rows[:, self.inputs])
+        needed = (len(time) - 1, self.outputs.stop - self.outputs.start)
+        if np.shape(y) != needed:
+            raise RunError(f"{self.name!r}: advance gave an array of shape {np.shape(y)}, its interface needs {needed}")
+        return y
 
 
 class Stage(Protocol):
@@ -126,7 +134,7 @@ class Cascade:
         member = self.member
         member.gather(signals, slice(1, None))
         try:
-            signals[1:, member.outputs] = member.component.advance(block.time, block.h, signals[:, member.inputs])
+            signals[1:, member.outputs] = member.advance(block.time, block.h, signals)
         except Stopped as stop:
             signals[1 : stop.steps + 1, member.outputs] = stop.outputs
             raise stop.at(member.name, float(block.time[stop.steps])) from stop

@@ -320,6 +320,9 @@ def _check_connection(ports: _Ports, to: str, connection: Connection) -> Iterabl
     if not same_unit(unit, target.unit):
         way = f"convert with {{ from = {connection.source!r}, gain = ..., unit = {target.unit!r} }}"
         problems.append(f"{found}: unit {unit!r} cannot drive unit {target.unit!r}; {way}")
+    plain = not shape and connection.gain == 1.0 and connection.offset == 0.0
+    if plain and not same_unit(source.unit, connection.unit):
+        problems.append(f"{found}: the source has unit {source.unit!r}; unit = {connection.unit!r} needs its gain")
     if source.optional and not target.optional:
         problems.append(f"{found}: the source may carry no value (NaN), the input needs one at every step")
     return problems

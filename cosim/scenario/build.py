@@ -50,6 +50,11 @@ class Scenario:
         """Name of the scenario."""
         return self.file.scenario.name
 
+    def driver(self, to: str) -> str | None:
+        """Give the component that drives an input, ``component.input``."""
+        connection = self.connections.get(to)
+        return connection.source.partition(".")[0] if connection is not None else None
+
     def swap(self, **paths: str | Path) -> Scenario:
         """Put an FMU (.fmu) or a recorded component (.mcap) in the place of a component."""
         return parse(self.document.with_swaps({name: str(path) for name, path in paths.items()}))
@@ -302,8 +307,7 @@ class _Site:
         return self._scenario.specs[name]
 
     def driver(self, to: str) -> str | None:
-        connection = self._scenario.connections.get(to)
-        return connection.source.partition(".")[0] if connection is not None else None
+        return self._scenario.driver(to)
 
     def file(self, path: str) -> Path:
         return self._scenario.document.folder / path

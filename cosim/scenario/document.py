@@ -12,6 +12,8 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from cosim.errors import ScenarioError, nearest
 
 Key = tuple[str | int, ...]
@@ -51,7 +53,7 @@ class Document:
 
     def with_changes(self, changes: Mapping[str, Any]) -> Document:
         """Set values; ``components.observer.L`` and ``observer.L`` are the same key."""
-        return replace(self, changes={**self.changes, **{short(key): value for key, value in changes.items()}})
+        return replace(self, changes={**self.changes, **{short(key): plain(value) for key, value in changes.items()}})
 
     def edits(self) -> str:
         """Give swaps and changes as JSON, for the log."""
@@ -135,6 +137,19 @@ def shipped() -> list[str]:
     """List the names of the shipped scenarios."""
     folder = resources.files("cosim.scenario") / "library"
     return sorted(entry.name.removesuffix(SUFFIX) for entry in folder.iterdir() if entry.name.endswith(SUFFIX))
+
+
+def plain(value: Any) -> Any:
+    """Give arrays and tuples as the lists that TOML would have."""
+    match value:
+        case np.ndarray() | np.generic():
+            return value.tolist()
+        case Mapping():
+            return {key: plain(one) for key, one in value.items()}
+        case list() | tuple():
+            return [plain(one) for one in value]
+        case _:
+            return value
 
 
 def short(key: str) -> str:

@@ -39,10 +39,12 @@ def export_component(
     with ExitStack() as resources:
         site = build_site(loaded, resources)
         model = loaded.specs[component].linear_model(component, site)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    written = export(
-        model, out, name=_identifier(f"{loaded.name}_{component}"), description=f"{component} of scenario {loaded.name}"
-    )
+    name, description = _identifier(f"{loaded.name}_{component}"), f"{component} of scenario {loaded.name}"
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        written = export(model, out, name=name, description=description)
+    except OSError as error:
+        raise UsageError(f"{out} cannot be written: {error.strerror or error}") from error
     kinds = "FMI 2.0, model exchange and co-simulation"
     return [f"{written.path}: {kinds}, " + (f"binary for {written.platform}" if written.platform else written.note)]
 

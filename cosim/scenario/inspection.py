@@ -8,6 +8,8 @@ from contextlib import ExitStack
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from cosim.core.signals import Interface, Signal
 from cosim.errors import CosimError
 from cosim.scenario.build import Scenario, build, build_site, parse
@@ -124,8 +126,7 @@ def compare(
             try:
                 swapped = parse(changed)
                 after = swapped.specs[name].build(name, build_site(swapped, resources)).interface
-            except CosimError as error:
-                problems.append(str(error))
+            except CosimError:  # told below, with everything else that is wrong
                 continue
             used = {wire.source.partition("[")[0] for wire in loaded.connections.values()} | set(loaded.file.truth)
             used |= {true for true in loaded.file.truth.values() if isinstance(true, str)}
@@ -133,9 +134,11 @@ def compare(
             rows[name] = [_port_row(name, row, used) for row in compare_ports(before, after)]
     with ExitStack() as resources:
         try:
-            build(changed, resources)
+            experiment = build(changed, resources)
+            experiment.graph.prepare(experiment.clock.step_ns)
+            experiment.graph.initialize(0.0, np.zeros(experiment.graph.layout.width))
         except CosimError as error:
-            problems += [line for line in str(error).splitlines() if line not in problems]
+            problems += str(error).splitlines()
     return rows, problems
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,19 @@ import numpy as np
 from cosim.core.contracts import Recording
 from cosim.errors import UsageError
 
-POINTS = 4000  # a signal is thinned to about this many points; a picture has no more
+
+def need_plot(out: Path) -> None:
+    """Refuse a picture that could not be drawn, before anything is run for it.
+
+    Raises
+    ------
+    UsageError
+        If matplotlib is not there, or the ending of ``out`` is none of a picture.
+    """
+    figure, _ = _panels(1)
+    formats = figure.canvas.get_supported_filetypes()
+    if out.suffix.lower().removeprefix(".") not in formats:
+        raise UsageError(f"{out}: found the ending {out.suffix!r}, needed one of: {', '.join(sorted(formats))}")
 
 
 def plot_signals(recording: Recording, signals: Sequence[str], out: Path) -> None:
@@ -25,6 +38,7 @@ def plot_signals(recording: Recording, signals: Sequence[str], out: Path) -> Non
     LogError
         If a signal is unknown.
     """
+    need_plot(out)
     figure, axes = _panels(len(signals))
     for axis, signal in zip(axes, signals, strict=True):
         _draw(axis, recording, signal)
@@ -37,6 +51,7 @@ def plot_run(recording: Recording, out: Path) -> None:
     truth = json.loads(recording.metadata.get("cosim.run", {}).get("truth", "{}"))
     if not truth:
         raise UsageError("the scenario has no [truth], so there is no standard picture; use 'cosim plot LOG SIGNAL...'")
+    need_plot(out)
     figure, axes = _panels(len(truth))
     for axis, (estimate, true) in zip(axes, truth.items(), strict=True):
         if isinstance(true, str):
@@ -71,10 +86,20 @@ def _panels(count: int) -> tuple[Any, list[Any]]:
 
 
 def _draw(axis: Any, recording: Recording, signal: str, **style: Any) -> None:
-    values = recording[signal]
-    time = recording.time_ns(signal.partition(".")[0]) / 1e9
-    every = max(1, len(time) // POINTS)
-    axis.plot(time[::every], values[::every], **({"linewidth": 1.2} | style))
+    """Draw a signal, or one element of it, as what it is between two rows: straight lines, or held values."""
+    component, element = signal.partition(".")[0], re.fullmatch(r"(.*)\[(\d+)\]", signal)
+    known = {f"{name}.{s.name}": s for name, channel in recording.channels.items() for s in channel.signals}
+    if element is not None and signal not in known and element[1] in known and int(element[2]) < known[element[1]].size:
+        values, found = _columns(recording[element[1]])[:, int(element[2])], known[element[1]]
+    else:
+        values = recording[signal]
+        found = known[signal]
+    shape = {"drawstyle": "steps-post"} if found.variability == "discrete" else {}
+    axis.plot(recording.time_ns(component) / 1e9, values, **({"linewidth": 1.2} | shape | style))
+
+
+def _columns(values: Any) -> Any:
+    return values[:, np.newaxis] if values.ndim == 1 else values
 
 
 def _save(figure: Any, axes: Sequence[Any], out: Path) -> None:

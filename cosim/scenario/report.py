@@ -105,7 +105,9 @@ def _signal_error(recording: Recording, estimate: str, true: str, since: float) 
     a, b = (recording.time_ns(port.partition(".")[0]) for port in (estimate, true))
     shared, i, j = np.intersect1d(a, b, return_indices=True)
     error = np.abs(_columns(recording[estimate])[i] - _columns(recording[true])[j])
-    window = error[shared / 1e9 >= since] if shared.size and shared[-1] / 1e9 >= since else error
+    if not shared.size or shared[-1] / 1e9 < since:  # the run ended before the identification began
+        since = 0.0
+    window = error[shared / 1e9 >= since]
     rms = float(np.sqrt(np.mean(window**2))) if window.size else float("nan")
     return SignalError(
         estimate, true, since, float(window.max(initial=0.0)), rms, float(error[-1].max()) if len(error) else float("nan")

@@ -6,6 +6,7 @@ import signal
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 from types import FrameType
@@ -112,7 +113,7 @@ def replay(
     changes = {short(key): value for key, value in (set or {}).items()}
     if "scenario.step" in changes:
         raise UsageError("a replay keeps the recorded communication step; run the scenario to change it")
-    recorded_end = int(source.result["end_ns"]) / 1e9
+    recorded_end = source.end_ns / 1e9
     if recorded_end == 0.0:
         raise LogError("the log ends at its first row: there is no step to replay")
     stop = changes.setdefault("scenario.stop", recorded_end)
@@ -147,8 +148,12 @@ def _execute(
     source: Log | None = None,
     changed: Mapping[str, Any] | None = None,
 ) -> Log | Memory:
+    if out is not None and Path(out).suffix != ".mcap":
+        raise UsageError(f"{out}: a log needs a path that ends in .mcap")
     with ExitStack() as resources:
         experiment = build(document, resources, recording=source, block=block)
+        if source is not None:
+            experiment = replace(experiment, warnings=(*experiment.warnings, *_cut_off(experiment, changed or {})))
         designs = {} if source is None else _recorded_designs(experiment, source, changed or {})
         graph = experiment.graph if profile is None else _timed(experiment.graph, profile)
         metadata = metadata_of(experiment)
@@ -178,6 +183,22 @@ def _recorded_designs(experiment: Experiment, source: Log, changed: Mapping[str,
         if not spec.computable or (same and np.array_equal(source.held[name], experiment.graph.held[name])):
             designs[name] = source.designs[name]
     return designs
+
+
+def _cut_off(experiment: Experiment, changed: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Warn of recorded components behind something that was changed: their inputs change, their outputs do not."""
+    scenario, keys = experiment.scenario, [short(key).split(".") for key in changed]
+    rewired = {parts[1] for parts in keys if parts[0] == "connections"}
+    models = {".".join(parts[:2]) for parts in keys if parts[0] == "models"}
+    behind = rewired | {parts[0] for parts in keys} | {name for name in scenario.specs if experiment.reads[name] & models}
+    drivers: dict[str, set[str | None]] = {name: set() for name in scenario.specs}
+    for to in scenario.connections:
+        drivers[to.partition(".")[0]].add(scenario.driver(to))
+    recorded = {name for name, spec in scenario.specs.items() if not spec.computable}
+    while more := {name for name in drivers.keys() - behind - recorded if drivers[name] & behind}:
+        behind |= more
+    text = "is taken from the recording: it does not answer to what was changed before it; run the scenario for that"
+    return [(name, text) for name in scenario.specs if name in recorded and (name in rewired or drivers[name] & behind)]
 
 
 def _timed(graph: Graph, profile: dict[str, float]) -> Graph:

@@ -122,7 +122,7 @@ def reduce(system: DescriptorSystem) -> ReducedSystem:
             f"Assumption 2 (3): A22 is singular (rank {rank(A[b, b])} of {len(A[b, b])}, condition {condition:.3g}), so x_b is "
             f"not determined by the algebraic equation; {_pencil_verdict(system)}"
         )
-    K = 0.0 - np.linalg.solve(A[b, b], np.hstack([A[b, a], Bu[b], Bd[b]]))
+    K: Matrix = (0.0 - np.linalg.solve(A[b, b], np.hstack([A[b, a], Bu[b], Bd[b]]))).astype(np.float64)
     inverse: Matrix = np.abs(np.linalg.inv(A[b, b])).astype(np.float64)
     sums = inverse @ np.abs(np.hstack([A[b, a], Bu[b], Bd[b]]))
     K = without_rounding(K, sums, condition)

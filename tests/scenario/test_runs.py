@@ -1,5 +1,6 @@
 """Runs are deterministic, independent of blocks, and replay bit for bit."""
 
+import json
 import os
 import subprocess
 import sys
@@ -286,3 +287,41 @@ def test_a_non_finite_value_stops_the_run_and_keeps_what_was_before(tmp_path):
     log = open_log(tmp_path / "mine.mcap")
     assert log.status == "failed"
     assert log.time("u")[-1] == 0.49
+
+
+def test_a_replay_says_where_the_recording_cuts_a_loop(tmp_path):
+    """A changed controller drives a recorded plant that does not answer: the replay says so; an identifier drives nothing."""
+    path = tmp_path / "a.mcap"
+    cosim.run("closed-loop", out=path, set={"scenario.stop": 0.1})
+    for changes, warned in (
+        ({"controller.B": [[5.0]]}, True),
+        ({"observer.filter_rate": 500.0}, True),
+        ({"identifier.P0": 1.0}, False),
+    ):
+        warnings = dict(json.loads(cosim.replay(path, set=changes).metadata["cosim.run"]["warnings"]))
+        assert ("does not answer to what was changed" in warnings.get("plant", "")) is warned, changes
+
+
+def test_a_log_is_never_written_over_what_is_no_log(tmp_path):
+    """A log ends in .mcap, so a slip of the hand does not replace a scenario or an FMU; nor the log that is being replayed."""
+    with pytest.raises(UsageError, match=r"mine\.toml: a log needs a path that ends in \.mcap"):
+        cosim.run("academic", out=tmp_path / "mine.toml", set={"scenario.stop": 0.1}, force=True)
+    cosim.run("academic", out=tmp_path / "a.mcap", set={"scenario.stop": 0.1})
+    with pytest.raises(UsageError, match="is the log that is replayed; choose another path"):
+        cosim.replay(tmp_path / "a.mcap", out=tmp_path / "a.mcap", force=True)
+
+
+def test_messages_of_the_run_are_in_the_log(tmp_path):
+    """Warnings and the reason of the end stand on /cosim/log, with their time."""
+    path = tmp_path / "a.mcap"
+    changes = {"components.bad": {"kind": "expression", "y": "1/(t - 0.05)"}, "scenario.hold": "start", "scenario.stop": 0.1}
+    with pytest.raises(NonFiniteError):
+        cosim.run("academic", out=path, set=changes)
+    found = [(message.time_ns, message.level, message.name) for message in open_log(path).messages()]
+    assert found == [(0, "warning", "observer"), (49_000_000, "error", "run")]
+
+
+def test_values_from_numpy_can_be_set():
+    """Arrays and numpy numbers mean what they hold."""
+    run = cosim.run("academic", set={"observer.L": np.array([8.0, 0.0]), "scenario.stop": np.float64(0.1)})
+    assert np.array_equal(run.plan.designs["observer"]["A"][0, :1], [-8.0])

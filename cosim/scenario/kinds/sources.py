@@ -133,9 +133,12 @@ class TableSource(Kind):
 
     def _read(self, path: Path) -> tuple[Vector, Any]:
         try:
-            with path.open(encoding="utf-8") as stream:
+            with path.open(encoding="utf-8-sig") as stream:  # Excel writes a byte order mark
                 header = [cell.strip() for cell in stream.readline().split(",")]
-                values = np.loadtxt(stream, delimiter=",", ndmin=2)
+                lines = [line for line in stream if line.strip()]
+            if not lines:
+                raise UsageError(f"file {str(path)!r} has no rows of numbers; needed a line of names and at least two rows")
+            values = np.loadtxt(lines, delimiter=",", ndmin=2)
         except OSError as error:
             raise UsageError(f"file {str(path)!r} cannot be read: {error.strerror}") from error
         except ValueError as error:
