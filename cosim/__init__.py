@@ -11,16 +11,16 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from cosim.log.diff import diff
     from cosim.log.reader import open_log
-    from cosim.scenario.session import load, replay, run
+    from cosim.scenario.execution import load, replay, run
 
 __version__ = "0.1.0"
 
 _HOMES = {
     "diff": "cosim.log.diff",
-    "load": "cosim.scenario.session",
+    "load": "cosim.scenario.execution",
     "open_log": "cosim.log.reader",
-    "replay": "cosim.scenario.session",
-    "run": "cosim.scenario.session",
+    "replay": "cosim.scenario.execution",
+    "run": "cosim.scenario.execution",
 }
 
 __all__ = ["diff", "load", "open_log", "replay", "run"]

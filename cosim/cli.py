@@ -18,7 +18,7 @@ import typer
 from cosim.errors import CosimError, UsageError
 
 if TYPE_CHECKING:
-    from cosim.scenario.session import Progress
+    from cosim.scenario.execution import Progress
 
 BEGAN = perf_counter()
 
@@ -74,8 +74,8 @@ def run(
 ) -> None:
     """Run a scenario and record every signal to an MCAP log."""
     from cosim import tables
-    from cosim.scenario.session import default_log, load
-    from cosim.scenario.session import run as run_scenario
+    from cosim.scenario.execution import default_log, load
+    from cosim.scenario.execution import run as run_scenario
 
     imported = perf_counter()
     edits = _edits(changes) | {f"scenario.{key}": value for key, value in (("stop", stop), ("step", step)) if value is not None}
@@ -115,8 +115,8 @@ def replay(
     """Run a log's scenario again with the recorded plant in the plant's place; nothing is needed but the log."""
     from cosim import tables
     from cosim.log import open_log
+    from cosim.scenario.execution import replay as replay_log
     from cosim.scenario.plot import plot_run
-    from cosim.scenario.session import replay as replay_log
 
     imported = perf_counter()
     source = open_log(log)

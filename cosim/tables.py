@@ -154,8 +154,8 @@ def difference(found: Difference, *, as_json: bool) -> None:
 def catalogue(*, as_json: bool) -> None:
     """List scenarios and component kinds."""
     from cosim.scenario.document import find, shipped
+    from cosim.scenario.execution import load
     from cosim.scenario.kinds import KINDS
-    from cosim.scenario.session import load
 
     scenarios = {name: load(name).file.scenario.description for name in shipped()}
     does = {kind: (cls.__doc__ or "").splitlines()[0] for kind, cls in KINDS.items()}

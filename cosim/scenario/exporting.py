@@ -11,7 +11,7 @@ from typing import Any
 from cosim.errors import UsageError, nearest
 from cosim.fmi.export import export
 from cosim.scenario.build import build_site
-from cosim.scenario.session import load
+from cosim.scenario.execution import load
 
 
 def export_component(

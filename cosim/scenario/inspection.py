@@ -13,7 +13,7 @@ import numpy as np
 from cosim.core.signals import Interface, Signal
 from cosim.errors import CosimError
 from cosim.scenario.build import Scenario, build, build_site, parse
-from cosim.scenario.session import load
+from cosim.scenario.execution import load
 
 if TYPE_CHECKING:
     from cosim.fmi.compare import Port, PortRow

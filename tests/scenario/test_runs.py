@@ -12,8 +12,8 @@ import cosim
 from cosim.errors import LogError, NonFiniteError, UsageError
 from cosim.log import open_log
 from cosim.scenario.document import shipped
+from cosim.scenario.execution import default_log
 from cosim.scenario.exporting import export_component
-from cosim.scenario.session import default_log
 
 SHORT = {"scenario.stop": 8.0}  # past the start of the identification at 6.461 s
 
