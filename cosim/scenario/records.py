@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
+import math
 from types import TracebackType
 from typing import Any, Self
 
-from cosim.arrays import Matrix
+from cosim.arrays import Matrix, Vector
 from cosim.core.contracts import Block, Plan, Stopped
 from cosim.log import Attachment, McapRecorder
 from cosim.scenario.build import Experiment, fingerprint
@@ -19,6 +20,7 @@ class Narrated:
 
     def __init__(self, recorder: McapRecorder, experiment: Experiment) -> None:
         self._recorder, self._experiment, self._reached = recorder, experiment, 0
+        self._last: Vector | None = None
 
     def __enter__(self) -> Self:
         self._recorder.__enter__()
@@ -29,6 +31,9 @@ class Narrated:
         if error is not None:
             regular = isinstance(error, Stopped) and not error.failed
             self._recorder.message(self._reached, "info" if regular else "error", "run", str(error) or type(error).__name__)
+        if self._last is not None:
+            values = zip(self._experiment.graph.labels(), self._last.tolist(), strict=True)
+            self._recorder.result["last"] = {label: value if math.isfinite(value) else None for label, value in values}
         self._recorder.__exit__(kind, error, trace)
 
     def begin(self, plan: Plan) -> None:
@@ -42,6 +47,7 @@ class Narrated:
         self._reached = int(block.time_ns[-1])
         self._tell()
         self._recorder.write(block, signals)
+        self._last = signals[-1].copy()
 
     def _tell(self) -> None:
         for name, fmu in self._experiment.fmus.items():

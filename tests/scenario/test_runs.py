@@ -272,6 +272,8 @@ def test_a_log_carries_what_it_takes_to_check_it(logged):
     assert log.status == "complete"
     assert f'name = "{name}"' in log.attachment("scenario.toml").decode()
     assert log.designs["observer"]["Ad"].shape == (3, 3)
+    last = json.loads(log.attachment("result.json"))["last"]
+    assert last["plant.x_a[1]"] == log["plant.x_a"][-1, 1]
     assert set(log.metadata) >= {"cosim.run", "cosim.env", "cosim.schedule", "cosim.connections", "cosim.result"}
 
 
