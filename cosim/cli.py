@@ -7,7 +7,7 @@ What a command needs is imported when it runs: ``cosim --help`` needs neither nu
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from time import perf_counter
@@ -18,6 +18,7 @@ import typer
 from cosim.errors import CosimError, UsageError
 
 if TYPE_CHECKING:
+    from cosim.scenario.build import Scenario
     from cosim.scenario.execution import Progress
 
 BEGAN = perf_counter()
@@ -83,13 +84,12 @@ def run(
     if dry_run:
         tables.comparison(loaded, swaps=_pairs(swaps, "--swap"), changes=edits, as_json=as_json)
         return
-    path = out or default_log(loaded.name)
-    _need_plot(plot)
+    edited = loaded.edit(swap=_pairs(swaps, "--swap"), set=edits)
+    path = out or default_log(edited.name)
+    _need_plot(plot, edited)
     seconds: dict[str, float] | None = {} if profile else None
     with _progress(quiet or as_json) as progress:
-        log = run_scenario(
-            loaded, out=path, force=force, set=edits, swap=_pairs(swaps, "--swap"), progress=progress, profile=seconds
-        )
+        log = run_scenario(edited, out=path, force=force, progress=progress, profile=seconds)
     wall = {"imports": imported - BEGAN, "run and log": perf_counter() - imported}
     if plot is not None:
         from cosim.scenario.plot import plot_run
@@ -115,13 +115,17 @@ def replay(
     """Run a log's scenario again with the recorded plant in the plant's place; nothing is needed but the log."""
     from cosim import tables
     from cosim.log import open_log
+    from cosim.scenario.build import parse
+    from cosim.scenario.execution import recorded_document
     from cosim.scenario.execution import replay as replay_log
     from cosim.scenario.plot import plot_run
 
     imported = perf_counter()
     source = open_log(log)
+    if verify and stop is not None:
+        raise UsageError("--verify compares the whole log; leave out --stop")
     edits = _edits(changes) | ({} if stop is None else {"scenario.stop": stop})
-    _need_plot(plot)
+    _need_plot(plot, parse(recorded_document(source)))
     with _progress(quiet or as_json) as progress:
         again = replay_log(source, out=out, force=force, set=edits, progress=progress)
     if plot is not None:
@@ -208,11 +212,11 @@ def export(
         typer.echo(line)
 
 
-def _need_plot(out: Path | None) -> None:
+def _need_plot(out: Path | None, scenario: Scenario) -> None:
     from cosim.scenario.plot import need_plot
 
     if out is not None:
-        need_plot(out)
+        need_plot(out, scenario.file.truth)
 
 
 def _pairs(options: list[str] | None, option: str) -> dict[str, str]:
@@ -252,20 +256,14 @@ def _progress(hidden: bool) -> Iterator[Progress | None]:
         yield reached
 
 
-def main(arguments: list[str] | None = None, *, leave: Callable[[int], None] = sys.exit) -> None:
+def main(arguments: list[str] | None = None) -> None:
     """Run the command line; every deliberate error becomes one message and an exit code."""
     try:
-        app(args=arguments, standalone_mode=True)
+        app(args=arguments)
     except CosimError as error:
         lines = str(error).splitlines() or [type(error).__name__]
         sys.stderr.write("\n".join(f"cosim: {line}" for line in lines) + "\n")
-        leave(error.exit_code)
-    except KeyboardInterrupt:
-        sys.stderr.write("cosim: interrupted\n")
-        leave(130)
-    except BrokenPipeError:
-        sys.stderr.close()
-        leave(0)
+        sys.exit(error.exit_code)
     except OSError as error:  # stdout on a full disk, a folder that is gone
         sys.stderr.write(f"cosim: {error.filename or 'output'}: {error.strerror or error}\n")
-        leave(1)
+        sys.exit(1)

@@ -328,3 +328,33 @@ def test_what_cannot_be_written_is_one_line(call, tmp_path):
         done = subprocess.run(command, stdout=stream, stderr=subprocess.PIPE, text=True, check=False)
     assert done.returncode == 1
     assert done.stderr.startswith("cosim: output: ")
+
+
+def test_a_sampled_controller_is_not_exported_as_a_continuous_one(call):
+    """What lives in discrete time would be something else as a continuous FMU."""
+    code, _, err = call("export", "closed-loop", "--component", "controller", "--set", "controller.period=0.1", "--out", "c.fmu")
+    assert code == 2
+    assert "'controller' has a period, so it is discrete" in err
+
+
+def test_verify_compares_the_whole_log(call):
+    """A shorter replay is no verification."""
+    call("run", "academic", *SHORT, "--out", "a.mcap")
+    code, _, err = call("replay", "a.mcap", "--verify", "--stop", "0.05")
+    assert (code, err) == (2, "cosim: --verify compares the whole log; leave out --stop\n")
+
+
+def test_a_refused_run_leaves_the_old_log_as_it_was(call, tmp_path):
+    """--force replaces a log by a run, not by a refusal: exit 2 means that nothing was done."""
+    call("run", "academic", *SHORT, "--out", "a.mcap")
+    before = (tmp_path / "a.mcap").read_bytes()
+    head = '[scenario]\nname = "x"\nstop = 1.0\nstep = 0.1\n'
+    loop = '[components.x]\nkind = "gain"\nK = 2.0\n[connections]\n"x.u" = "x.y"\n'
+    chase = '[components.x]\nkind = "lag"\ntime_constant = 1.0\n[connections]\n"x.u" = { from = "x.y", offset = 1.0 }\n'
+    (tmp_path / "loop.toml").write_text(head + loop)
+    (tmp_path / "chase.toml").write_text(head + chase)
+    no_truth = ["chase.toml", "--set", "x.start=0.0", "--plot", "x.png"]
+    for arguments in (["loop.toml"], ["chase.toml"], ["academic", "--plot", "x.xyz"], no_truth):
+        assert call("run", *arguments, "--out", "a.mcap", "--force")[0] == 2, arguments
+        assert (tmp_path / "a.mcap").read_bytes() == before
+    assert not list(tmp_path.glob(".a*"))

@@ -30,6 +30,9 @@ def lag(*, time_constant: float, start: float | None = None, size: int = 1, unit
     return LinearModel(signals, states, -rate * eye, rate * eye, eye, np.zeros((size, size)), X0, follow)
 
 
+LARGEST = 2**27  # values in a delay line, 1 GiB
+
+
 class Delay:
     """``y(t) = u(t - n h)``; before that ``initial``.
 
@@ -44,6 +47,8 @@ class Delay:
     def __init__(self, steps: int, *, initial: float | None = None, size: int = 1, unit: str | None = None) -> None:
         if steps < 1:
             raise UsageError(f"delay: found {steps} communication steps, needed at least 1")
+        if steps * size > LARGEST:
+            raise UsageError(f"delay: {steps} communication steps of {size} values do not fit; at most {LARGEST} values")
         self.initial = initial
         self.interface = Interface((Signal("u", size, unit),), (Signal("y", size, unit, "inherited"),))
         self._size = size

@@ -27,6 +27,8 @@ class Replay:
         channel = recording.channels.get(component)
         if channel is None:
             raise LogError(f"the log has no component {component!r}; it has: {', '.join(recording.channels)}")
+        if not len(recording.time_ns(component)):
+            raise LogError(f"the log has no rows of {component!r}; needed at least the one at t = 0")
         found = channel.interface
         self.interface = found if inputs else Interface((), found.outputs, {})
         columns = [np.atleast_2d(recording[f"{component}.{signal.name}"].T).T for signal in found.outputs]

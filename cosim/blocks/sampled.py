@@ -10,7 +10,7 @@ from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.clock import NANOSECONDS
 from cosim.core.contracts import Component, Design, Stopped
 from cosim.core.signals import Interface
-from cosim.errors import ClockError
+from cosim.errors import ClockError, RunError
 
 
 class Sampled:
@@ -54,20 +54,25 @@ class Sampled:
         """Buffer K rows; advance the component wherever one of its own steps ends."""
         rows = np.empty((len(t) - 1, len(self._y)))
         for k in range(len(t) - 1):
-            if self._count == 0:
-                self._start = float(t[k]), u[k].copy()
-                self._y = self._component.outputs(float(t[k]), u[k])
-            self._count += 1
-            if self._count == self._n:
-                try:
-                    begin, u0 = self._start
-                    y = self._component.advance(np.array([begin, t[k + 1]]), self._own(h), np.vstack([u0, u[k + 1]]))
-                except Stopped as stop:
-                    rows[k : k + stop.steps] = stop.outputs  # it may have completed its step before it ends
-                    raise Stopped(rows[: k + stop.steps], str(stop), failed=stop.failed) from stop
-                self._y, self._count = y[0].copy(), 0
-            rows[k] = self._y
+            try:
+                rows[k] = self._step(t[k : k + 2], h, u[k : k + 2])
+            except Stopped as stop:
+                rows[k : k + stop.steps] = stop.outputs  # it may have completed its step before it ends
+                raise Stopped(rows[: k + stop.steps], str(stop), failed=stop.failed) from stop
+            except RunError as error:
+                raise Stopped(rows[:k], str(error)) from error
         return rows
+
+    def _step(self, t: Vector, h: float, u: Matrix) -> Vector:
+        if self._count == 0:
+            self._start = float(t[0]), u[0].copy()
+            self._y = self._component.outputs(float(t[0]), u[0])
+        self._count += 1
+        if self._count == self._n:
+            begin, u0 = self._start
+            self._y = self._component.advance(np.array([begin, t[1]]), self._own(h), np.vstack([u0, u[1]]))[0].copy()
+            self._count = 0
+        return self._y
 
     def _own(self, h: float) -> float:
         """Give its own step [s], from whole nanoseconds."""
@@ -108,13 +113,16 @@ class Decimated:
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
         """Advance K steps; pass on the answers that are due."""
-        stopped = None
-        if self._count == 0:  # what a loop knew late is known now
-            self._y = self._component.outputs(float(t[0]), u[0])
+        stopped: Stopped | None = None
+        y = np.empty((0, len(self._y)))
         try:
+            if self._count == 0:  # what a loop knew late is known now
+                self._y = self._component.outputs(float(t[0]), u[0])
             y = self._component.advance(t, h, u)
         except Stopped as stop:
             y, stopped = stop.outputs, stop
+        except RunError as error:
+            stopped = Stopped(y, str(error))
         known = np.vstack([self._y, y])
         count = self._count + np.arange(1, len(y) + 1)
         last_due = np.arange(1, len(y) + 1) - count % self._n

@@ -230,6 +230,16 @@ class Recording(Protocol):
         ...
 
     @property
+    def steps(self) -> int:
+        """Number of communication steps."""
+        ...
+
+    @property
+    def end_ns(self) -> int:
+        """The last recorded instant [ns]."""
+        ...
+
+    @property
     def metadata(self) -> Mapping[str, Any]:
         """What was recorded beside the signals."""
         ...

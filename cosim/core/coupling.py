@@ -85,7 +85,7 @@ class Member:
         y = self.component.advance(time, h, rows[:, self.inputs])
         needed = (len(time) - 1, self.outputs.stop - self.outputs.start)
         if np.shape(y) != needed:
-            raise RunError(f"{self.name!r}: advance gave an array of shape {np.shape(y)}, its interface needs {needed}")
+            raise RunError(f"advance gave an array of shape {np.shape(y)}, its interface needs {needed}")
         return y
 
 
@@ -135,9 +135,11 @@ class Cascade:
         member.gather(signals, slice(1, None))
         try:
             signals[1:, member.outputs] = member.advance(block.time, block.h, signals)
-        except Stopped as stop:
-            signals[1 : stop.steps + 1, member.outputs] = stop.outputs
-            raise stop.at(member.name, float(block.time[stop.steps])) from stop
+        except RunError as error:
+            stop = _stop(error)
+            if stop.steps:
+                signals[1 : stop.steps + 1, member.outputs] = stop.outputs
+            raise stop.at(member.name, float(block.time[stop.steps])) from error
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,7 +180,7 @@ class Loop:
             try:
                 member.perform(kind, time, h, rows)
             except RunError as error:
-                stop = error if isinstance(error, Stopped) else Stopped(np.empty((0, 0)), str(error))
+                stop = _stop(error)
                 ended = stop.at(name, float(time[stop.steps]))
                 if not ended.steps:
                     return ended
@@ -186,6 +188,11 @@ class Loop:
         for member in self.members:
             member.gather(rows, end)
         return ended
+
+
+def _stop(error: RunError) -> Stopped:
+    """Take an error of a component that does not say how far it came as a stop before the first step."""
+    return error if isinstance(error, Stopped) else Stopped(np.empty((0, 0)), str(error))
 
 
 def order_loop(

@@ -77,6 +77,7 @@ class Memory:
         first = 0 if block.index == 0 and not self._rows else 1
         if first > block.steps:
             return
+        self.__dict__.pop("_table", None)  # what was read while the run went on
         self._rows.append(signals[first:].copy())
         self._times.append(block.time_ns[first:].copy())
         self._steps.append(np.arange(block.index + first, block.index + block.steps + 1))

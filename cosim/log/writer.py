@@ -214,12 +214,13 @@ class McapRecorder:
         sink, self._sink = self._sink, None
         assert sink is not None
         reason = error.strerror or str(error)
+        self.result.pop("last", None)  # rows may have to be given up
         while self._saved:
             saved = self._saved.pop()
             with suppress(OSError):
                 sink.rewind(saved.mark)
                 self._close(sink, saved, Outcome("failed", f"the log could not be written further: {reason}"))
-                whole = f"up to {saved.reached.end_ns} ns it is a valid file"
+                whole = f"up to t = {saved.reached.end_ns / 1e9} s it is a valid file"
                 break
         else:
             sink.abandon()

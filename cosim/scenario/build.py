@@ -55,13 +55,18 @@ class Scenario:
         connection = self.connections.get(to)
         return connection.source.partition(".")[0] if connection is not None else None
 
+    def edit(self, *, swap: Mapping[str, str | Path] | None = None, set: Mapping[str, Any] | None = None) -> Scenario:
+        """Swap components, then set values; what is wrong with both together is told together."""
+        paths = {name: str(path) for name, path in (swap or {}).items()}
+        return parse(self.document.with_swaps(paths).with_changes(set or {}))
+
     def swap(self, **paths: str | Path) -> Scenario:
         """Put an FMU (.fmu) or a recorded component (.mcap) in the place of a component."""
-        return parse(self.document.with_swaps({name: str(path) for name, path in paths.items()}))
+        return self.edit(swap=paths)
 
     def set(self, changes: Mapping[str, Any]) -> Scenario:
         """Set values by dotted key, such as ``{"observer.filter_rate": 500.0}``."""
-        return parse(self.document.with_changes(changes))
+        return self.edit(set=changes)
 
 
 @dataclass(frozen=True)
@@ -77,6 +82,7 @@ class Experiment:
     reads: Mapping[str, frozenset[str]]  # tables that were read to build each component, but for its own
     attachments: Mapping[str, str] = field(default_factory=dict)
     fmus: Mapping[str, Speaker] = field(default_factory=dict)  # what was opened for this run and may have something to say
+    files: frozenset[Path] = frozenset()  # what is read besides the scenario
 
 
 def parse(document: Document) -> Scenario:
@@ -117,11 +123,7 @@ def build(
     scenario, problems = _parse(document)
     site = _Site(scenario, resources, recording)
     settings = scenario.file.scenario
-    try:
-        clock = Clock(settings.stop, settings.step, block)
-    except CosimError as error:
-        key = "stop" if str(error).startswith("stop") else "step"
-        raise _report(document, [*problems, (("scenario", key), str(error))]) from error
+    clock = _clock(scenario, block, problems)
     site.step_ns = clock.step_ns
     components, periods, missing = site.build_all(problems)
     found = check_connections(layout_of(components), scenario.connections, missing) if components else {}
@@ -149,7 +151,19 @@ def build(
         reads=site.reads,
         attachments=site.attachments,
         fmus=site.fmus,
+        files=frozenset(site.files),
     )
+
+
+def _clock(scenario: Scenario, block: int | None, problems: Problems) -> Clock:
+    """Make the clock; without one nothing else can be judged, so what is wrong with it is told with what is known already."""
+    settings = scenario.file.scenario
+    for key, attempt in (("step", (settings.step, settings.step)), ("stop", (settings.stop, settings.step))):
+        try:
+            Clock(*attempt)
+        except CosimError as error:
+            raise _report(scenario.document, [*problems, (("scenario", key), str(error))]) from error
+    return Clock(settings.stop, settings.step, block)
 
 
 def build_site(scenario: Scenario, resources: ExitStack) -> Site:
@@ -178,9 +192,12 @@ def _parse(document: Document) -> tuple[Scenario, Problems]:
     specs, more = _specs(file.components)
     wires = {}
     for to, given in file.connections.items():
-        wires[to] = (
-            Connection(given) if isinstance(given, str) else Connection(given.source, given.gain, given.offset, given.unit)
-        )
+        parts = (given,) if isinstance(given, str) else (given.source, given.gain, given.offset, given.unit)
+        try:
+            wires[to] = Connection(*parts)
+        except CosimError as error:
+            more.append((("connections", to), str(error)))
+            wires[to] = Connection(parts[0])
     return Scenario(document, file, specs, wires, tree), [*problems, *more]
 
 
@@ -259,6 +276,7 @@ class _Site:
         self.reads: dict[str, frozenset[str]] = {"": frozenset()}
         self.attachments: dict[str, str] = {}
         self.fmus: dict[str, Speaker] = {}
+        self.files: set[Path] = set()
 
     def build_all(self, problems: Problems) -> tuple[dict[str, Component], dict[str, int], set[str]]:
         """Build every component that can be built; add what is wrong with the others to ``problems``."""
@@ -310,7 +328,9 @@ class _Site:
         return self._scenario.driver(to)
 
     def file(self, path: str) -> Path:
-        return self._scenario.document.folder / path
+        found = self._scenario.document.folder / path
+        self.files.add(found.resolve())
+        return found
 
     def recording(self, path: str) -> Recording:
         from cosim.log import open_log

@@ -201,7 +201,7 @@ def _change(tree: dict[str, Any], key: str, value: Any) -> str | None:
     if first in FLAT and rest:
         _set_flat(tree.setdefault(first, {}), rest, value)
         return None
-    if not rest and not isinstance(value, dict):
+    if not rest and (first in TABLES or not isinstance(value, dict)):
         return f"--set {key}: found no dot, needed component.parameter=value, such as observer.filter_rate=500"
     if first in TABLES and rest:
         table, path = tree.setdefault(first, {}), rest

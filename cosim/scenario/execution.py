@@ -81,9 +81,8 @@ def run(
     CosimError
         UsageError before the first step, RunError after it; see :mod:`cosim.errors`.
     """
-    document = (scenario if isinstance(scenario, Scenario) else load(scenario)).document
-    document = document.with_swaps({name: str(path) for name, path in (swap or {}).items()}).with_changes(set or {})
-    return _execute(document, out=out, force=force, block=block, progress=progress, profile=profile)
+    edited = (scenario if isinstance(scenario, Scenario) else load(scenario)).edit(swap=swap, set=set)
+    return _execute(edited.document, out=out, force=force, block=block, progress=progress, profile=profile)
 
 
 def replay(
@@ -112,10 +111,11 @@ def replay(
         raise UsageError(f"{out} is the log that is replayed; choose another path")
     changes = {short(key): value for key, value in (set or {}).items()}
     if "scenario.step" in changes:
-        raise UsageError("a replay keeps the recorded communication step; run the scenario to change it")
+        found, needed = changes["scenario.step"], source.step_ns / 1e9
+        raise UsageError(f"scenario.step: found {found} s, a replay keeps the recorded {needed} s; run the scenario to change it")
     recorded_end = source.end_ns / 1e9
     if recorded_end == 0.0:
-        raise LogError("the log ends at its first row: there is no step to replay")
+        raise LogError("the log has no step to replay; it ends where it begins")
     stop = changes.setdefault("scenario.stop", recorded_end)
     if isinstance(stop, (int, float)) and stop > recorded_end:
         raise UsageError(f"--set scenario.stop: found {stop} s, the recording ends at {recorded_end} s; needed no more than that")
@@ -152,6 +152,8 @@ def _execute(
         raise UsageError(f"{out}: a log needs a path that ends in .mcap")
     with ExitStack() as resources:
         experiment = build(document, resources, recording=source, block=block)
+        if out is not None and Path(out).resolve() in experiment.files:
+            raise UsageError(f"{out} is read in this run; choose another path for the log")
         if source is not None:
             experiment = replace(experiment, warnings=(*experiment.warnings, *_cut_off(experiment, changed or {})))
         designs = {} if source is None else _recorded_designs(experiment, source, changed or {})
@@ -197,6 +199,8 @@ def _cut_off(experiment: Experiment, changed: Mapping[str, Any]) -> list[tuple[s
     recorded = {name for name, spec in scenario.specs.items() if not spec.computable}
     while more := {name for name in drivers.keys() - behind - recorded if drivers[name] & behind}:
         behind |= more
+    if {"scenario.hold", "scenario.coupling"} & {".".join(parts) for parts in keys}:
+        behind |= set(scenario.specs)
     text = "is taken from the recording: it does not answer to what was changed before it; run the scenario for that"
     return [(name, text) for name in scenario.specs if name in recorded and (name in rewired or drivers[name] & behind)]
 

@@ -36,6 +36,8 @@ def export_component(
     loaded = load(scenario).set(set or {})
     if component not in loaded.specs:
         raise UsageError(f"there is no component {component!r}; {nearest(component, loaded.specs)}")
+    if loaded.specs[component].own_step is not None:
+        raise UsageError(f"{component!r} has a period, so it is discrete; only what is continuous can be exported: leave it out")
     with ExitStack() as resources:
         site = build_site(loaded, resources)
         model = loaded.specs[component].linear_model(component, site)

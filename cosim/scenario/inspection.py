@@ -122,11 +122,11 @@ def compare(
         if name not in loaded.specs:
             continue
         with ExitStack() as resources:
-            before = loaded.specs[name].build(name, build_site(loaded, resources)).interface
             try:
+                before = loaded.specs[name].build(name, build_site(loaded, resources)).interface
                 swapped = parse(changed)
                 after = swapped.specs[name].build(name, build_site(swapped, resources)).interface
-            except CosimError:  # told below, with everything else that is wrong
+            except CosimError:  # the run's own problems are told below; those of what is replaced do not matter
                 continue
             used = {wire.source.partition("[")[0] for wire in loaded.connections.values()} | set(loaded.file.truth)
             used |= {true for true in loaded.file.truth.values() if isinstance(true, str)}

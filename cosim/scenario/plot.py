@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,15 +13,23 @@ import numpy as np
 from cosim.core.contracts import Recording
 from cosim.errors import UsageError
 
+NO_TRUTH = "the scenario has no [truth], so there is no standard picture; use 'cosim plot LOG SIGNAL...'"
 
-def need_plot(out: Path) -> None:
-    """Refuse a picture that could not be drawn, before anything is run for it.
+
+def need_plot(out: Path, truth: Collection[str]) -> None:
+    """Refuse a picture of a run that could not be drawn, before anything is run for it.
 
     Raises
     ------
     UsageError
-        If matplotlib is not there, or the ending of ``out`` is none of a picture.
+        If there is no ``truth``, matplotlib is not there, or the ending of ``out`` is none of a picture.
     """
+    if not truth:
+        raise UsageError(NO_TRUTH)
+    _need_format(out)
+
+
+def _need_format(out: Path) -> None:
     figure, _ = _panels(1)
     formats = figure.canvas.get_supported_filetypes()
     if out.suffix.lower().removeprefix(".") not in formats:
@@ -38,7 +46,7 @@ def plot_signals(recording: Recording, signals: Sequence[str], out: Path) -> Non
     LogError
         If a signal is unknown.
     """
-    need_plot(out)
+    _need_format(out)
     figure, axes = _panels(len(signals))
     for axis, signal in zip(axes, signals, strict=True):
         _draw(axis, recording, signal)
@@ -49,9 +57,7 @@ def plot_signals(recording: Recording, signals: Sequence[str], out: Path) -> Non
 def plot_run(recording: Recording, out: Path) -> None:
     """Draw every estimate with its truth, one panel each: the standard picture of a run."""
     truth = json.loads(recording.metadata.get("cosim.run", {}).get("truth", "{}"))
-    if not truth:
-        raise UsageError("the scenario has no [truth], so there is no standard picture; use 'cosim plot LOG SIGNAL...'")
-    need_plot(out)
+    need_plot(out, truth)
     figure, axes = _panels(len(truth))
     for axis, (estimate, true) in zip(axes, truth.items(), strict=True):
         if isinstance(true, str):

@@ -8,8 +8,10 @@ from types import TracebackType
 from typing import Any, Self
 
 from cosim.arrays import Matrix, Vector
-from cosim.core.contracts import Block, Plan, Stopped
+from cosim.core.contracts import Block, Level, Plan, Stopped
+from cosim.errors import Interrupted
 from cosim.log import Attachment, McapRecorder
+from cosim.log.interrupts import uninterrupted
 from cosim.scenario.build import Experiment, fingerprint
 
 SCENARIO_FILE = "scenario.toml"
@@ -27,14 +29,19 @@ class Narrated:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        try:
+            with uninterrupted():
+                self._conclude(error)
+        finally:
+            self._recorder.__exit__(kind, error, trace)
+
+    def _conclude(self, error: BaseException | None) -> None:
         self._tell()
         if error is not None:
-            regular = isinstance(error, Stopped) and not error.failed
-            self._recorder.message(self._reached, "info" if regular else "error", "run", str(error) or type(error).__name__)
+            self._recorder.message(self._reached, _level(error), "run", str(error) or type(error).__name__)
         if self._last is not None:
             values = zip(self._experiment.graph.labels(), self._last.tolist(), strict=True)
             self._recorder.result["last"] = {label: value if math.isfinite(value) else None for label, value in values}
-        self._recorder.__exit__(kind, error, trace)
 
     def begin(self, plan: Plan) -> None:
         """Hand on, then tell what is to be known before the first step."""
@@ -53,6 +60,16 @@ class Narrated:
         for name, fmu in self._experiment.fmus.items():
             for level, text in fmu.drain():
                 self._recorder.message(self._reached, level, name, text)
+
+
+def _level(error: BaseException) -> Level:
+    match error:
+        case Stopped(failed=False):
+            return "info"
+        case Interrupted() | KeyboardInterrupt():
+            return "warning"
+        case _:
+            return "error"
 
 
 def metadata_of(experiment: Experiment) -> dict[str, dict[str, str]]:

@@ -72,8 +72,6 @@ def summarise(recording: Recording) -> Summary:
     facts = {name: _facts(recording, name) for name in recording.channels}
     starts = [found["start"] for found in facts.values() if "start" in found]
     since = max(starts, default=0.0)
-    any_component = next(iter(recording.channels))
-    time_ns = recording.time_ns(any_component)
     loops = tuple(stage for stage in json.loads(run.get("schedule", "[]")) if not stage.startswith("cascade "))
     signals, values = [], []
     for estimate, true in truth.items():
@@ -83,8 +81,8 @@ def summarise(recording: Recording) -> Summary:
             values += _value_errors(recording, estimate, np.atleast_1d(np.array(true, dtype=np.float64)))
     return Summary(
         scenario=run.get("scenario", ""),
-        end=float(time_ns[-1] / 1e9) if len(time_ns) else 0.0,
-        steps=max(0, len(time_ns) - 1),
+        end=recording.end_ns / 1e9,
+        steps=recording.steps,
         signals=tuple(signals),
         values=tuple(values),
         identifications=tuple(_identification(recording, name, found) for name, found in facts.items() if "unknowns" in found),

@@ -5,13 +5,14 @@ import pytest
 
 from cosim.blocks.arithmetic import gain, sum_of
 from cosim.blocks.dynamics import Delay
-from cosim.blocks.sampled import Decimated
+from cosim.blocks.sampled import Decimated, Sampled
 from cosim.blocks.source import Noise, Table, sine
 from cosim.core.clock import Clock
 from cosim.core.contracts import Stopped
 from cosim.core.graph import Connection, Graph
 from cosim.core.master import run
 from cosim.core.recorders import Memory, Nothing, Watched
+from cosim.core.signals import Interface, Signal
 from cosim.errors import LogError, NonFiniteError, RunError
 from tests.core.parts import Scripted, integrator, times
 
@@ -259,3 +260,51 @@ def test_watched_tells_after_recording_and_may_end_the_run(block):
     assert memory.calls == ["enter", RunError]
     assert memory.time_ns("u")[-1] == told[-1]
     assert told[-1] == {1: 5, 3: 6, 1000: 10}[block] * 10**8
+
+
+class Refusing:
+    """Counts its steps; refuses to be asked for outputs, or to advance, from t = 0.5 s on, without saying how far it came."""
+
+    interface = Interface((), (Signal("y"),))
+
+    def __init__(self, *, asked):
+        self.asked = asked
+
+    def prepare(self, h, held, recorded):
+        return {}
+
+    def initialize(self, t, u):
+        self.y = 0.0
+        return np.zeros(1)
+
+    def outputs(self, t, u):
+        if self.asked and t > 0.45:
+            raise RunError("no outputs")
+        return np.array([self.y])
+
+    def advance(self, t, h, u):
+        rows = np.empty((len(t) - 1, 1))
+        for k in range(len(rows)):
+            if not self.asked and t[k] > 0.45:
+                raise Stopped(rows[:k].copy(), "no step")
+            self.y += 1.0
+            rows[k] = self.y
+        return rows
+
+
+@pytest.mark.parametrize(
+    ("wrap", "asked"),
+    [
+        (lambda part: Sampled(part, 1), True),
+        (lambda part: Sampled(part, 2), True),
+        (lambda part: Sampled(part, 2), False),
+        (lambda part: Decimated(part, 2), False),  # Decimated asks for outputs where a block begins, and only there
+    ],
+)
+def test_what_a_failing_component_leaves_does_not_depend_on_the_block(wrap, asked):
+    """An error of a component behind a period keeps the rows before it, whatever the block, and names component and time."""
+    kept = []
+    for block in (1, 7, 1000):
+        memory = attempt({"c": wrap(Refusing(asked=asked))}, {}, Stopped, block=block, text="'c' stopped at t = ")
+        kept.append(memory["c.y"].tolist())
+    assert kept[0] == kept[1] == kept[2]

@@ -241,3 +241,31 @@ def test_a_table_must_cover_the_whole_run(start, end):
         ScenarioError, match=rf"components\.u: table: covers {start} s to {end} s; needed 0 s to 40\.0 s, the whole run"
     ):
         cosim.run("academic", set={"components.u": table})
+
+
+@pytest.mark.parametrize(
+    ("changes", "pattern"),
+    [
+        (
+            {"components.u": {"kind": "step", "time": 1.0005}},
+            r"time: 1\.0005 s is not a whole number of 0\.001 s steps; nearest: 1\.0 s",
+        ),
+        (
+            {"components.d": {"kind": "delay", "delay": 1e9}},
+            r"delay: \d+ communication steps of 1 values do not fit; at most \d+ values",
+        ),
+        ({"scenario": {"stop": 2.0}}, r"--set scenario: found no dot, needed component\.parameter=value"),
+        (
+            {"connections.plant.u": {"from": "u.y", "gain": [[1.0, 2.0], [3.0]]}},
+            r"connections\.plant\.u: 'u\.y': gain has rows of different",
+        ),
+        (
+            {"scenario.stop": 1e12},
+            r"--set scenario\.stop: scenario\.stop: 1000000000000\.0 s does not fit into 64-bit nanoseconds",
+        ),
+    ],
+)
+def test_what_is_off_the_grid_or_too_large_is_refused(changes, pattern):
+    """Nothing is rounded to the grid, and nothing is tried that cannot fit."""
+    with pytest.raises(ScenarioError, match=pattern):
+        cosim.run("academic", set=changes)

@@ -14,6 +14,7 @@ from cosim.log import open_log
 from cosim.scenario.document import shipped
 from cosim.scenario.execution import default_log
 from cosim.scenario.exporting import export_component
+from cosim.scenario.report import summarise
 
 SHORT = {"scenario.stop": 8.0}  # past the start of the identification at 6.461 s
 
@@ -164,7 +165,7 @@ def test_replay_with_a_prior_equals_the_run_with_that_prior(tmp_path):
 def test_replay_refuses_another_step(logged):
     """Recorded rows exist at the recorded instants only."""
     _, path, _ = logged
-    with pytest.raises(UsageError, match="a replay keeps the recorded communication step"):
+    with pytest.raises(UsageError, match=r"scenario\.step: found 0\.0005 s, a replay keeps the recorded 0\.001 s"):
         cosim.replay(path, set={"scenario.step": 5e-4})
 
 
@@ -327,3 +328,32 @@ def test_values_from_numpy_can_be_set():
     """Arrays and numpy numbers mean what they hold."""
     run = cosim.run("academic", set={"observer.L": np.array([8.0, 0.0]), "scenario.stop": np.float64(0.1)})
     assert np.array_equal(run.plan.designs["observer"]["A"][0, :1], [-8.0])
+
+
+def test_a_recording_must_cover_the_run_and_is_not_written_over(tmp_path):
+    """Too short, without a row, or the very log that is to be written: known before the first step."""
+    path, empty = tmp_path / "a.mcap", tmp_path / "empty.mcap"
+    cosim.run("academic", out=path, set={"scenario.stop": 0.1})
+    with pytest.raises(UsageError, match=r"ends at 0\.1 s; needed 0\.2 s, the whole run"):
+        cosim.run("academic", swap={"plant": path}, set={"scenario.stop": 0.2})
+    with pytest.raises(UsageError, match="is read in this run; choose another path for the log"):
+        cosim.run("academic", swap={"plant": path}, set={"scenario.stop": 0.1}, out=path, force=True)
+    with pytest.raises(NonFiniteError):
+        cosim.run("academic", out=empty, set={"u.offset": 1e308, "u.phase": 1.6, "u.amplitude": 1e308, "scenario.stop": 0.1})
+    with pytest.raises(LogError, match="the log has no step to replay"):
+        cosim.replay(empty)
+
+
+def test_another_hold_or_coupling_is_a_change_before_every_recorded_component(tmp_path):
+    """A replay with held inputs does not hold those of the recorded plant, and says so."""
+    path = tmp_path / "a.mcap"
+    cosim.run("academic", out=path, set={"scenario.stop": 0.1})
+    warnings = json.loads(cosim.replay(path, set={"scenario.hold": "start"}).metadata["cosim.run"]["warnings"])
+    assert any(name == "plant" and "does not answer" in text for name, text in warnings)
+
+
+def test_the_summary_counts_steps_not_rows():
+    """Whatever period the first component has."""
+    changes = {"identifier.period": 0.1, "scenario.stop": 1.0}
+    found = summarise(cosim.run("academic", set=changes))
+    assert (found.steps, found.end) == (1000, 1.0)

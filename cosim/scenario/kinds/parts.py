@@ -22,7 +22,7 @@ class Sum(Kind):
 
     kind: Literal["sum"]
     signs: Row = Field(description="one number an input, like [1, -1]")
-    size: Whole = Field(1, ge=1, description="number of elements of every signal")
+    size: Whole = Field(1, ge=1, le=100_000, description="number of elements of every signal")
     unit: str | None = None
 
     def build(self, name: str, site: Site) -> Component:
@@ -47,7 +47,7 @@ class Limit(Kind):
     kind: Literal["limit"]
     lower: Number = Field(description="lower limit")
     upper: Number = Field(description="upper limit")
-    size: Whole = Field(1, ge=1, description="number of elements")
+    size: Whole = Field(1, ge=1, le=100_000, description="number of elements")
     unit: str | None = None
 
     def build(self, name: str, site: Site) -> Component:
@@ -60,7 +60,7 @@ class Lag(Kind):
     kind: Literal["lag"]
     time_constant: Number = Field(description="time constant [s]")
     start: Number | None = Field(None, description="y(0); left out: u(0)")
-    size: Whole = Field(1, ge=1, description="number of elements")
+    size: Whole = Field(1, ge=1, le=100_000, description="number of elements")
     unit: str | None = None
 
     def linear_model(self, name: str, site: Site) -> LinearModel:
@@ -73,7 +73,7 @@ class Delay(Kind):
     kind: Literal["delay"]
     delay: Number = Field(description="a whole number of communication steps [s]")
     initial: Number | None = Field(None, description="y until then; left out: u(0)")
-    size: Whole = Field(1, ge=1, description="number of elements")
+    size: Whole = Field(1, ge=1, le=100_000, description="number of elements")
     unit: str | None = None
 
     def build(self, name: str, site: Site) -> Component:

@@ -77,4 +77,7 @@ class Recording(Plant):
     component: str = Field(description="name of the component in the log")
 
     def build(self, name: str, site: Site) -> Component:
-        return Replay(site.recording(self.log), self.component)
+        recording = site.recording(self.log)
+        if recording.end_ns / 1e9 < site.stop:
+            raise UsageError(f"log {self.log!r} ends at {recording.end_ns / 1e9} s; needed {site.stop} s, the whole run")
+        return Replay(recording, self.component)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -11,6 +12,7 @@ from pydantic import Field
 
 from cosim.arrays import Vector
 from cosim.blocks import source
+from cosim.core.clock import whole_steps
 from cosim.core.contracts import Component
 from cosim.errors import UsageError, nearest
 from cosim.native.expression import compile_expression
@@ -44,6 +46,7 @@ class Step(Kind):
     unit: str | None = None
 
     def build(self, name: str, site: Site) -> Component:
+        whole_steps(self.time, site.step_ns, "time")
         return source.step(time=self.time, before=self.before, after=self.after, unit=self.unit)
 
 
@@ -134,7 +137,7 @@ class TableSource(Kind):
     def _read(self, path: Path) -> tuple[Vector, Any]:
         try:
             with path.open(encoding="utf-8-sig") as stream:  # Excel writes a byte order mark
-                header = [cell.strip() for cell in stream.readline().split(",")]
+                header = [cell.strip() for cell in next(csv.reader([stream.readline()]), [])]
                 lines = [line for line in stream if line.strip()]
             if not lines:
                 raise UsageError(f"file {str(path)!r} has no rows of numbers; needed a line of names and at least two rows")
@@ -143,6 +146,9 @@ class TableSource(Kind):
             raise UsageError(f"file {str(path)!r} cannot be read: {error.strerror}") from error
         except ValueError as error:
             raise UsageError(f"file {str(path)!r} is no table of numbers separated by commas: {error}") from error
+        twice = sorted({name for name in header if header.count(name) > 1})
+        if twice:
+            raise UsageError(f"file {str(path)!r} has two columns {twice[0]!r}; needed a name of its own for each")
         wanted = list(self.columns) if self.columns is not None else [column for column in header if column != self.time]
         for column in (self.time, *wanted):
             if column not in header:
@@ -158,7 +164,7 @@ class Noise(Kind):
     kind: Literal["noise"]
     deviation: Number = Field(ge=0.0, description="standard deviation")
     seed: Whole = Field(ge=0, description="seed of the generator")
-    size: Whole = Field(1, ge=1, description="number of elements")
+    size: Whole = Field(1, ge=1, le=100_000, description="number of elements")
     unit: str | None = None
 
     def build(self, name: str, site: Site) -> Component:
