@@ -8,12 +8,12 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from cosim.version import __version__
+
 if TYPE_CHECKING:
     from cosim.log.diff import diff
     from cosim.log.reader import open_log
     from cosim.scenario.execution import load, replay, run
-
-__version__ = "0.1.0"
 
 _HOMES = {
     "diff": "cosim.log.diff",
@@ -23,7 +23,7 @@ _HOMES = {
     "run": "cosim.scenario.execution",
 }
 
-__all__ = ["diff", "load", "open_log", "replay", "run"]
+__all__ = ["__version__", "diff", "load", "open_log", "replay", "run"]
 
 
 def __getattr__(name: str) -> Any:
@@ -33,4 +33,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return [*__all__, "__version__"]
+    return list(__all__)

@@ -8,11 +8,12 @@ import pytest
 import cosim
 
 ROOT = Path(cosim.__file__).parent
-BASE = {"errors", "arrays", "units"}
+BASE = {"errors", "arrays", "units", "version"}
 ALLOWED = {
     "errors": set(),
     "arrays": set(),
     "units": set(),
+    "version": set(),
     "native": BASE,
     "theory": BASE | {"native"},
     "core": BASE | {"native"},
@@ -24,7 +25,7 @@ ALLOWED = {
     "tables": {"errors", "core", "scenario", "log"},
     "cli": {"errors", "scenario", "log", "tables"},
     "__main__": {"cli"},
-    "__init__": {"scenario", "log"},
+    "__init__": {"scenario", "log", "version"},
 }
 OUTSIDE = {
     "fmpy": {"fmi"},

@@ -7,8 +7,8 @@ from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-import cosim
 from cosim.core.contracts import Recording
+from cosim.version import __version__
 
 _PACKAGES = ("numpy", "scipy", "mcap")
 
@@ -16,12 +16,12 @@ _PACKAGES = ("numpy", "scipy", "mcap")
 @cache
 def library() -> str:
     """Name the program in the header of a log."""
-    return f"cosim/{cosim.__version__} mcap-python/{_version('mcap')}"
+    return f"cosim/{__version__} mcap-python/{_version('mcap')}"
 
 
 def environment() -> dict[str, str]:
     """Describe Python, the packages that compute, the platform and the processor."""
-    packages = {"cosim": cosim.__version__, **{name: _version(name) for name in _PACKAGES}}
+    packages = {"cosim": __version__, **{name: _version(name) for name in _PACKAGES}}
     return {**packages, "python": platform.python_version(), "platform": platform.platform(), "processor": _processor()}
 
 
