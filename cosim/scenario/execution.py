@@ -12,18 +12,17 @@ from time import perf_counter
 from types import FrameType
 from typing import Any
 
-import numpy as np
-
-from cosim.core.contracts import Block, Design, Recorder
+from cosim.core.contracts import Block, Recorder
 from cosim.core.graph import Graph
 from cosim.core.master import run as run_graph
 from cosim.core.recorders import Memory, Watched
 from cosim.errors import Interrupted, LogError, UsageError
 from cosim.log import Log, McapRecorder, open_log
-from cosim.scenario.build import Experiment, Scenario, build, fingerprint, parse
+from cosim.scenario.build import Experiment, Scenario, build, parse
 from cosim.scenario.document import Document, find, short
 from cosim.scenario.profile import Timed
 from cosim.scenario.records import SCENARIO_FILE, Narrated, attachments_of, metadata_of
+from cosim.scenario.replaying import cut_off, designs_that_hold
 
 Progress = Callable[[float, float], None]  # simulated time, end [s]
 
@@ -155,8 +154,8 @@ def _execute(
         if out is not None and Path(out).resolve() in experiment.files:
             raise UsageError(f"{out} is read in this run; choose another path for the log")
         if source is not None:
-            experiment = replace(experiment, warnings=(*experiment.warnings, *_cut_off(experiment, changed or {})))
-        designs = {} if source is None else _recorded_designs(experiment, source, changed or {})
+            experiment = replace(experiment, warnings=(*experiment.warnings, *cut_off(experiment, changed or {})))
+        designs = {} if source is None else designs_that_hold(experiment, source, changed or {})
         graph = experiment.graph if profile is None else _timed(experiment.graph, profile)
         metadata = metadata_of(experiment)
         memory = Memory(metadata)
@@ -171,38 +170,6 @@ def _execute(
         if profile is not None:
             profile["recorder and master"] = perf_counter() - began - sum(profile.values())
     return memory if out is None else open_log(out)
-
-
-def _recorded_designs(experiment: Experiment, source: Log, changed: Mapping[str, Any]) -> dict[str, Design]:
-    """Give the recorded designs that still hold: nothing that they rest on has changed, nor which inputs are held."""
-    designs = {}
-    for name, spec in experiment.scenario.specs.items():
-        touched = sorted(key for key in changed if short(key).split(".")[0] == name)
-        if touched and not spec.computable:
-            raise UsageError(f"--set {touched[0]}: {name!r} is taken from the recording; run the scenario to change it")
-        recorded = source.metadata.get(f"cosim.component.{name}", {}).get("fingerprint")
-        same = recorded == fingerprint(experiment.scenario, name, experiment.reads[name])
-        if not spec.computable or (same and np.array_equal(source.held[name], experiment.graph.held[name])):
-            designs[name] = source.designs[name]
-    return designs
-
-
-def _cut_off(experiment: Experiment, changed: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Warn of recorded components behind something that was changed: their inputs change, their outputs do not."""
-    scenario, keys = experiment.scenario, [short(key).split(".") for key in changed]
-    rewired = {parts[1] for parts in keys if parts[0] == "connections"}
-    models = {".".join(parts[:2]) for parts in keys if parts[0] == "models"}
-    behind = rewired | {parts[0] for parts in keys} | {name for name in scenario.specs if experiment.reads[name] & models}
-    drivers: dict[str, set[str | None]] = {name: set() for name in scenario.specs}
-    for to in scenario.connections:
-        drivers[to.partition(".")[0]].add(scenario.driver(to))
-    recorded = {name for name, spec in scenario.specs.items() if not spec.computable}
-    while more := {name for name in drivers.keys() - behind - recorded if drivers[name] & behind}:
-        behind |= more
-    if {"scenario.hold", "scenario.coupling"} & {".".join(parts) for parts in keys}:
-        behind |= set(scenario.specs)
-    text = "is taken from the recording: it does not answer to what was changed before it; run the scenario for that"
-    return [(name, text) for name in scenario.specs if name in recorded and (name in rewired or drivers[name] & behind)]
 
 
 def _timed(graph: Graph, profile: dict[str, float]) -> Graph:
