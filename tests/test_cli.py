@@ -323,6 +323,7 @@ def test_what_cannot_be_written_is_one_line(call, tmp_path):
     code, _, err = call("export", "academic", "--component", "plant", "--out", "folder.fmu", "--force")
     assert code == 2
     assert err.startswith("cosim: folder.fmu cannot be written: ")
+    assert not list(tmp_path.glob(".*.part"))
     with open("/dev/full", "w") as stream:
         command = [sys.executable, "-m", "cosim", "list"]
         done = subprocess.run(command, stdout=stream, stderr=subprocess.PIPE, text=True, check=False)

@@ -82,11 +82,12 @@ def export(model: LinearModel, path: Path | str, *, name: str, description: str 
     files |= {f"sources/{file}": source.read_bytes() for file, source in _sources().items()}
     with TemporaryDirectory(prefix="cosim-export-") as folder:
         platform = _compile(files, Path(folder), name)
-        temporary = Path(folder) / "unit.fmu"
-        _archive(temporary, files)
-        partial = path.with_name(f".{path.name}.part")
-        partial.write_bytes(temporary.read_bytes())
+    partial = path.with_name(f".{path.name}.part")
+    try:
+        _archive(partial, files)
         partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
     return Exported(path, platform, "" if platform else _advice(name))
 
 
