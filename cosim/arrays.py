@@ -28,3 +28,8 @@ def frozen(values: ArrayLike, ndim: int) -> NDArray[np.float64]:
         raise ValueError(f"found {array.ndim} axes, needed {ndim}")
     array.setflags(write=False)
     return array
+
+
+def as_columns(values: NDArray[np.float64]) -> Matrix:
+    """Give a recorded signal as a matrix with a column an element, shape (N, size), also where its size is 1."""
+    return values[:, np.newaxis] if values.ndim == 1 else values

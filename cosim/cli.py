@@ -7,7 +7,7 @@ What a command needs is imported when it runs: ``cosim --help`` needs neither nu
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from time import perf_counter
@@ -18,7 +18,6 @@ import typer
 from cosim.errors import CosimError, UsageError
 
 if TYPE_CHECKING:
-    from cosim.scenario.build import Scenario
     from cosim.scenario.execution import Progress
 
 BEGAN = perf_counter()
@@ -86,7 +85,7 @@ def run(
         return
     edited = loaded.edit(swap=_pairs(swaps, "--swap"), set=edits)
     path = out or default_log(edited.name)
-    _need_plot(plot, edited)
+    _need_plot(plot, edited.file.truth)
     seconds: dict[str, float] | None = {} if profile else None
     with _progress(quiet or as_json) as progress:
         log = run_scenario(edited, out=path, force=force, progress=progress, profile=seconds)
@@ -115,17 +114,16 @@ def replay(
     """Run a log's scenario again with the recorded plant in the plant's place; nothing is needed but the log."""
     from cosim import tables
     from cosim.log import open_log
-    from cosim.scenario.build import parse
-    from cosim.scenario.execution import recorded_document
     from cosim.scenario.execution import replay as replay_log
     from cosim.scenario.plot import plot_run
+    from cosim.scenario.report import truth_of
 
     imported = perf_counter()
     source = open_log(log)
     if verify and stop is not None:
         raise UsageError("--verify compares the whole log; leave out --stop")
     edits = _edits(changes) | ({} if stop is None else {"scenario.stop": stop})
-    _need_plot(plot, parse(recorded_document(source)))
+    _need_plot(plot, truth_of(source))
     with _progress(quiet or as_json) as progress:
         again = replay_log(source, out=out, force=force, set=edits, progress=progress)
     if plot is not None:
@@ -212,11 +210,11 @@ def export(
         typer.echo(line)
 
 
-def _need_plot(out: Path | None, scenario: Scenario) -> None:
+def _need_plot(out: Path | None, truth: Collection[str]) -> None:
     from cosim.scenario.plot import need_plot
 
     if out is not None:
-        need_plot(out, scenario.file.truth)
+        need_plot(out, truth)
 
 
 def _pairs(options: list[str] | None, option: str) -> dict[str, str]:

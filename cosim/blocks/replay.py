@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cosim.arrays import Mask, Matrix, Vector
+from cosim.arrays import Mask, Matrix, Vector, as_columns
 from cosim.core.contracts import Design, Recording, Stopped
 from cosim.core.signals import Interface
 from cosim.errors import GraphError, LogError
@@ -31,7 +31,7 @@ class Replay:
             raise LogError(f"the log has no rows of {component!r}; needed at least the one at t = 0")
         found = channel.interface
         self.interface = found if inputs else Interface((), found.outputs, {})
-        columns = [np.atleast_2d(recording[f"{component}.{signal.name}"].T).T for signal in found.outputs]
+        columns = [as_columns(recording[f"{component}.{signal.name}"]) for signal in found.outputs]
         self._rows = np.hstack(columns) if columns else np.zeros((len(recording.time_ns(component)), 0))
         self._time = recording.time_ns(component) / 1e9
 

@@ -13,6 +13,19 @@ from cosim.core.signals import Interface
 from cosim.errors import ClockError, RunError
 
 
+def _held_between(interface: Interface, n: int) -> Interface:
+    """Give the interface of a component that answers at every n-th step: its outputs hold between.
+
+    Raises
+    ------
+    ClockError
+        If n is less than 1.
+    """
+    if n < 1:
+        raise ClockError(f"period: found {n} communication steps, needed at least 1")
+    return replace(interface, outputs=tuple(replace(signal, variability="discrete") for signal in interface.outputs))
+
+
 class Sampled:
     """Advances a component by steps of n communication steps; its outputs change when such a step has ended, and hold between.
 
@@ -29,12 +42,8 @@ class Sampled:
     """
 
     def __init__(self, component: Component, n: int, *, hold: bool = False) -> None:
-        if n < 1:
-            raise ClockError(f"period: found {n} communication steps, needed at least 1")
+        self.interface = _held_between(component.interface, n)
         self._component, self._n, self._hold = component, n, hold
-        found = component.interface
-        outputs = tuple(replace(signal, variability="discrete") for signal in found.outputs)
-        self.interface = Interface(found.inputs, outputs, found.feedthrough)
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Prepare the component for its own step."""
@@ -90,12 +99,8 @@ class Decimated:
     """
 
     def __init__(self, component: Component, n: int) -> None:
-        if n < 1:
-            raise ClockError(f"period: found {n} communication steps, needed at least 1")
+        self.interface = _held_between(component.interface, n)
         self._component, self._n = component, n
-        found = component.interface
-        outputs = tuple(replace(signal, variability="discrete") for signal in found.outputs)
-        self.interface = Interface(found.inputs, outputs, found.feedthrough)
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Prepare the component."""

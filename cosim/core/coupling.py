@@ -24,7 +24,8 @@ from cosim.core.signals import Interface
 from cosim.errors import AlgebraicLoopError, RunError
 
 Port = tuple[str, str]  # component, signal
-Operation = tuple[Literal["advance", "refresh"], str]
+Kind = Literal["advance", "refresh"]
+Operation = tuple[Kind, str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +74,7 @@ class Member:
         for wire in self.wires:
             wire.copy(signals, rows)
 
-    def perform(self, kind: Literal["advance", "refresh"], time: Vector, h: float, rows: Matrix) -> None:
+    def perform(self, kind: Kind, time: Vector, h: float, rows: Matrix) -> None:
         """Carry out one operation of a loop over one step, from row 0 to row 1."""
         if kind == "advance":
             rows[1:, self.outputs] = self.advance(time, h, rows)
@@ -148,18 +149,18 @@ class Loop:
 
     coupling: str
     members: tuple[Member, ...]
-    operations: tuple[Operation, ...]
+    operations: tuple[tuple[Kind, Member], ...]
     late: Mapping[str, frozenset[str]]
 
     @property
     def names(self) -> tuple[str, ...]:
         """The components, in the order they advance."""
-        return tuple(name for operation, name in self.operations if operation == "advance")
+        return tuple(member.name for kind, member in self.operations if kind == "advance")
 
     @property
     def description(self) -> str:
         """For the log."""
-        return f"{self.coupling} {' '.join(f'{name}' if kind == 'advance' else f'({name})' for kind, name in self.operations)}"
+        return " ".join([self.coupling, *(m.name if kind == "advance" else f"({m.name})" for kind, m in self.operations)])
 
     def advance(self, block: Block, signals: Matrix) -> None:
         """Advance step by step."""
@@ -170,18 +171,17 @@ class Loop:
 
     def _step(self, time: Vector, h: float, rows: Matrix) -> Stopped | None:
         """Fill row 1; give what ended the run there, with a row of outputs if the step was completed all the same."""
-        members, end = {member.name: member for member in self.members}, slice(1, 2)
+        end = slice(1, 2)
         ended: Stopped | None = None
         for member in self.members:
             rows[1, member.outputs] = rows[0, member.outputs]
-        for kind, name in self.operations:
-            member = members[name]
+        for kind, member in self.operations:
             member.gather(rows, end)
             try:
                 member.perform(kind, time, h, rows)
             except RunError as error:
                 stop = _stop(error)
-                ended = stop.at(name, float(time[stop.steps]))
+                ended = stop.at(member.name, float(time[stop.steps]))
                 if not ended.steps:
                     return ended
                 rows[1, member.outputs] = ended.outputs[0]

@@ -210,7 +210,8 @@ class Graph:
         inputs = {name: {s.name: self._source_port(name, s) for s in self.layout[name].interface.inputs} for name in names}
         interfaces = {name: self.layout[name].interface for name in names}
         operations, late = order_loop(interfaces, inputs, jacobi=self.coupling == "jacobi")
-        return Loop(self.coupling, tuple(self._members[name] for name in names), operations, late)
+        plan = tuple((kind, self._members[name]) for kind, name in operations)
+        return Loop(self.coupling, tuple(self._members[name] for name in names), plan, late)
 
     def _source_port(self, name: str, signal: Signal) -> tuple[str, str]:
         channel, source, _ = self._ports.source(self.connections[f"{name}.{signal.name}"].source)

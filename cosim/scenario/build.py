@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -128,7 +128,7 @@ def build(
     components, periods, missing = site.build_all(problems)
     found = check_connections(layout_of(components), scenario.connections, missing) if components else {}
     problems += [(("connections", to), text) for to, text in found.items()]
-    truth, wrong = _judge_truth(scenario, components, site)
+    truth, wrong = _judge_truth(scenario, components, missing, site)
     problems += wrong
     if problems:
         raise _report(document, problems)
@@ -231,18 +231,25 @@ def _report(document: Document, problems: Problems) -> ScenarioError:
     return ScenarioError("\n".join(lines))
 
 
-def _judge_truth(scenario: Scenario, components: Mapping[str, Component], site: _Site) -> tuple[dict[str, Any], Problems]:
-    """Give the truths that can be compared; a swapped component need not have the signals that only the report asks for."""
+def _judge_truth(
+    scenario: Scenario, components: Mapping[str, Component], missing: Collection[str], site: _Site
+) -> tuple[dict[str, Any], Problems]:
+    """Give the truths that can be compared; a swapped component need not have the signals that only the report asks for.
+
+    ``missing`` names components that could not be built: what touches them is not judged.
+    """
     kept: dict[str, Any] = {}
     problems: Problems = []
     sizes = {f"{n}.{s.name}": s.size for n, c in components.items() for s in (*c.interface.inputs, *c.interface.outputs)}
     for estimate, truth in scenario.file.truth.items():
-        ports = [estimate, truth] if isinstance(truth, str) else [estimate]
+        ports = {port: port.partition(".")[0] for port in ([estimate, truth] if isinstance(truth, str) else [estimate])}
         unknown = [port for port in ports if port not in sizes]
-        swapped = [port for port in unknown if port.partition(".")[0] in scenario.document.swaps]
+        swapped = [port for port in unknown if ports[port] in scenario.document.swaps]
         size = sizes.get(truth) if isinstance(truth, str) else len(np.atleast_1d(truth))
+        if set(ports.values()) & set(missing):
+            continue
         if swapped:
-            site.warn(swapped[0].partition(".")[0], f"has no {swapped[0]!r}: the report leaves out {estimate!r}")
+            site.warn(ports[swapped[0]], f"has no {swapped[0]!r}: the report leaves out {estimate!r}")
         elif unknown:
             problems += [(("truth", estimate), f"there is no signal {port!r}; {nearest(port, sizes)}") for port in unknown]
         elif sizes[estimate] != size:
@@ -250,8 +257,7 @@ def _judge_truth(scenario: Scenario, components: Mapping[str, Component], site: 
             problems.append((("truth", estimate), text))
         else:
             kept[estimate] = truth
-    missing = set(scenario.file.components) - set(components)
-    return kept, [(key, text) for key, text in problems if not any(f"'{name}." in text for name in missing)]
+    return kept, problems
 
 
 # --- building ---

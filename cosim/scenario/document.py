@@ -77,7 +77,6 @@ class Document:
             tree = tomllib.loads(self.text)
         except tomllib.TOMLDecodeError as error:
             raise ScenarioError(self._syntax(error)) from error
-        tree = deepcopy(tree)
         problems = [problem for name, path in self.swaps.items() if (problem := _swap(tree, name, path))]
         problems += [problem for key, value in self.changes.items() if (problem := _change(tree, key, value))]
         if problems:
@@ -203,7 +202,7 @@ def _change(tree: dict[str, Any], key: str, value: Any) -> str | None:
         return None
     if not rest and (first in TABLES or not isinstance(value, dict)):
         return f"--set {key}: found no dot, needed component.parameter=value, such as observer.filter_rate=500"
-    if first in TABLES and rest:
+    if first in TABLES:
         table, path = tree.setdefault(first, {}), rest
     else:
         table, path = tree.get("components", {}), [first, *rest]
@@ -213,7 +212,7 @@ def _change(tree: dict[str, Any], key: str, value: Any) -> str | None:
         if not isinstance(table.setdefault(part, {}), dict):
             table[part] = {}
         table = table[part]
-    table[path[-1]] = value
+    table[path[-1]] = deepcopy(value)  # a later change may reach into it
     return None
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Collection, Sequence
 from pathlib import Path
@@ -10,8 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from cosim.arrays import as_columns
 from cosim.core.contracts import Recording
 from cosim.errors import UsageError
+from cosim.scenario.report import truth_of
 
 NO_TRUTH = "the scenario has no [truth], so there is no standard picture; use 'cosim plot LOG SIGNAL...'"
 
@@ -56,7 +57,7 @@ def plot_signals(recording: Recording, signals: Sequence[str], out: Path) -> Non
 
 def plot_run(recording: Recording, out: Path) -> None:
     """Draw every estimate with its truth, one panel each: the standard picture of a run."""
-    truth = json.loads(recording.metadata.get("cosim.run", {}).get("truth", "{}"))
+    truth = truth_of(recording)
     need_plot(out, truth)
     figure, axes = _panels(len(truth))
     for axis, (estimate, true) in zip(axes, truth.items(), strict=True):
@@ -96,16 +97,12 @@ def _draw(axis: Any, recording: Recording, signal: str, **style: Any) -> None:
     component, element = signal.partition(".")[0], re.fullmatch(r"(.*)\[(\d+)\]", signal)
     known = {f"{name}.{s.name}": s for name, channel in recording.channels.items() for s in channel.signals}
     if element is not None and signal not in known and element[1] in known and int(element[2]) < known[element[1]].size:
-        values, found = _columns(recording[element[1]])[:, int(element[2])], known[element[1]]
+        values, found = as_columns(recording[element[1]])[:, int(element[2])], known[element[1]]
     else:
         values = recording[signal]
         found = known[signal]
     shape = {"drawstyle": "steps-post"} if found.variability == "discrete" else {}
     axis.plot(recording.time_ns(component) / 1e9, values, **({"linewidth": 1.2} | shape | style))
-
-
-def _columns(values: Any) -> Any:
-    return values[:, np.newaxis] if values.ndim == 1 else values
 
 
 def _save(figure: Any, axes: Sequence[Any], out: Path) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.arrays import Matrix, Vector
+from cosim.arrays import Vector, as_columns
 from cosim.core.contracts import Recording
 from cosim.theory.uncertainty import information, verdict
 
@@ -65,10 +65,16 @@ class Summary:
         return asdict(self)
 
 
+def truth_of(recording: Recording) -> dict[str, Any]:
+    """Give what each estimate of a run should equal: the name of a signal, or values."""
+    truth: dict[str, Any] = json.loads(recording.metadata.get("cosim.run", {}).get("truth", "{}"))
+    return truth
+
+
 def summarise(recording: Recording) -> Summary:
     """Summarise a run; the truth and the start times come from the recording's metadata."""
     run = recording.metadata.get("cosim.run", {})
-    truth = json.loads(run.get("truth", "{}"))
+    truth = truth_of(recording)
     facts = {name: _facts(recording, name) for name in recording.channels}
     starts = [found["start"] for found in facts.values() if "start" in found]
     since = max(starts, default=0.0)
@@ -95,14 +101,10 @@ def _facts(recording: Recording, component: str) -> dict[str, Any]:
     return found
 
 
-def _columns(values: Matrix) -> Matrix:
-    return values[:, np.newaxis] if values.ndim == 1 else values
-
-
 def _signal_error(recording: Recording, estimate: str, true: str, since: float) -> SignalError:
     a, b = (recording.time_ns(port.partition(".")[0]) for port in (estimate, true))
     shared, i, j = np.intersect1d(a, b, return_indices=True)
-    error = np.abs(_columns(recording[estimate])[i] - _columns(recording[true])[j])
+    error = np.abs(as_columns(recording[estimate])[i] - as_columns(recording[true])[j])
     if not shared.size or shared[-1] / 1e9 < since:  # the run ended before the identification began
         since = 0.0
     window = error[shared / 1e9 >= since]
@@ -113,7 +115,7 @@ def _signal_error(recording: Recording, estimate: str, true: str, since: float) 
 
 
 def _value_errors(recording: Recording, estimate: str, true: Vector) -> list[ValueOutcome]:
-    rows = _columns(recording[estimate])
+    rows = as_columns(recording[estimate])
     found = rows[-1] if len(rows) else np.full(len(true), np.nan)
     names = [estimate] if len(true) == 1 else [f"{estimate}[{i}]" for i in range(len(true))]
     return [
@@ -124,7 +126,7 @@ def _value_errors(recording: Recording, estimate: str, true: Vector) -> list[Val
 
 def _identification(recording: Recording, component: str, facts: Mapping[str, Any]) -> Identification:
     """Judge the information in the rows that an identifier was given."""
-    rows = _columns(recording[f"{component}.regressor"])
+    rows = as_columns(recording[f"{component}.regressor"])
     time = recording.time_ns(component) / 1e9
     used = rows[time >= facts["start"]]
     times = {key: facts[key] for key in ("T_obs", "T_f", "D_max", "T_id") if key in facts}
