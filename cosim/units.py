@@ -33,10 +33,11 @@ DERIVED: Final[Mapping[str, tuple[float, Mapping[str, int]]]] = {
 
 @dataclass(frozen=True, slots=True)
 class BaseUnit:
-    """``factor`` times a product of powers of the base units ``BASE``."""
+    """A value in it is ``factor * value + offset`` in a product of powers of ``BASE`` (FMI 2.0.4 section 2.2.2)."""
 
     exponents: tuple[int, ...]
     factor: float = 1.0
+    offset: float = 0.0
 
 
 def base_unit(unit: str) -> BaseUnit | None:

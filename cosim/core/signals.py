@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from cosim.errors import GraphError
+from cosim.units import BaseUnit, base_unit
 
 Variability = Literal["continuous", "discrete", "inherited"]
 Kind = Literal["real", "integer", "boolean"]
@@ -34,6 +35,10 @@ class Signal:
         Carried as float64 all the same.
     role : {"input", "output", "state", "estimate"}
         What it is to a reader of the log.
+    base : BaseUnit or None
+        What the unit is in SI, where a definition says so; None: what its name says.
+    start : tuple of float
+        Of an input: its elements as long as nothing drives it yet at the start; empty: zeros.
     """
 
     name: str
@@ -43,10 +48,17 @@ class Signal:
     optional: bool = False
     kind: Kind = "real"
     role: Role = "output"
+    base: BaseUnit | None = None
+    start: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         if self.size < 1:
             raise GraphError(f"signal {self.name!r}: size {self.size}, needed at least 1")
+
+    @property
+    def si(self) -> BaseUnit | None:
+        """What its unit is in SI; None: no unit, or not known."""
+        return self.base or (None if self.unit is None else base_unit(self.unit))
 
     @property
     def elements(self) -> list[str]:
@@ -61,14 +73,18 @@ class Interface:
     Parameters
     ----------
     inputs, outputs : tuple of Signal
-    feedthrough : mapping of output name to input names, or None
-        On which inputs at the same instant an output depends directly (FMI: ModelStructure/Outputs). None: unknown, taken as
-        on all of them.
+    feedthrough : mapping of output name to input names or None
+        On which inputs at the same instant an output depends directly (FMI: ModelStructure/Outputs); on none where not named.
+        None: unknown, so possibly on any of them.
+    initial : mapping of output name to input names or None
+        The same at the start, where the state may depend on inputs too (FMI: ModelStructure/InitialUnknowns); as feedthrough
+        where not named.
     """
 
     inputs: tuple[Signal, ...] = ()
     outputs: tuple[Signal, ...] = ()
-    feedthrough: Mapping[str, tuple[str, ...]] | None = field(default_factory=dict)
+    feedthrough: Mapping[str, tuple[str, ...] | None] = field(default_factory=dict)
+    initial: Mapping[str, tuple[str, ...] | None] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         names = [signal.name for signal in (*self.inputs, *self.outputs)]
@@ -87,10 +103,19 @@ class Interface:
         return sum(signal.size for signal in self.outputs)
 
     def feeds(self, output: str) -> tuple[str, ...]:
-        """Names of the inputs on which ``output`` depends directly."""
-        if self.feedthrough is None:
-            return tuple(signal.name for signal in self.inputs)
-        return self.feedthrough.get(output, ())
+        """Names of the inputs on which ``output`` depends directly, or may depend."""
+        return self._all_if_unknown(self.feedthrough.get(output, ()))
+
+    def feeds_at_start(self, output: str) -> tuple[str, ...]:
+        """Names of the inputs on which ``output`` depends at the start, or may depend."""
+        return self._all_if_unknown(self.initial.get(output, self.feedthrough.get(output, ())))
+
+    def knows(self, output: str) -> bool:
+        """Whether it is known on which inputs ``output`` depends directly."""
+        return self.feedthrough.get(output, ()) is not None
+
+    def _all_if_unknown(self, names: tuple[str, ...] | None) -> tuple[str, ...]:
+        return tuple(signal.name for signal in self.inputs) if names is None else names
 
     def input_columns(self) -> dict[str, slice]:
         """Where each input stands in the input vector."""

@@ -80,7 +80,7 @@ class CoSimulation:
         fed = [output.name for output in self.interface.outputs if self.interface.feeds(output.name)]
         if not fed or self._direct:
             return ()
-        verb = "may depend" if self.interface.feedthrough is None else "depend"
+        verb = "depend" if all(self.interface.knows(name) for name in fed) else "may depend"
         where = (
             "where inputs are held, what is read belongs to their value"
             if self._interpolates

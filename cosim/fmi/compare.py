@@ -73,7 +73,7 @@ def _ports(interface: Interface) -> dict[str, Port]:
     def port(signal: Signal, causality: Causality) -> Port:
         feeds: tuple[str, ...] | None = ()
         if causality == "output":
-            feeds = None if interface.feedthrough is None else interface.feeds(signal.name)
+            feeds = interface.feeds(signal.name) if interface.knows(signal.name) else None
         return Port(causality, signal.size, signal.unit, feeds)
 
     inputs = {signal.name: port(signal, "input") for signal in interface.inputs}

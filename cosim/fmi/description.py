@@ -19,6 +19,7 @@ from cosim.core.signals import Interface, Kind, Signal
 from cosim.core.solver import LinearModel
 from cosim.errors import FmuError, nearest
 from cosim.fmi.references import References, VariableType
+from cosim.units import BaseUnit
 
 Mode: TypeAlias = Literal["me", "cs"]  # model exchange, co-simulation
 Initial: TypeAlias = Literal["exact", "approx", "calculated"]
@@ -43,10 +44,24 @@ class Variable:
     size : int
         Number of elements; 1 except for the arrays of FMI 3.
     unit : str or None
+    base : BaseUnit or None
+        What the unit is in SI, by its definition (offset 0 for a relative quantity).
     start : tuple of float or None
+        Of numbers and Booleans.
+    text : tuple of str or None
+        Start of a String; of a Binary in hexadecimal.
     minimum, maximum : float
+    nominal : float or None
     derivative_of : str or None
         The state of which it is the derivative.
+    dimensions : tuple of int or str
+        Of an array (FMI 3): numbers, or names of structural parameters; ``size`` is their product at the start.
+    items : mapping of str to int
+        Names and values of an enumeration.
+    alias_of : str or None
+        The variable whose other name it is (FMI 3).
+    doc : str
+        What it is, for people.
     """
 
     name: str
@@ -57,10 +72,17 @@ class Variable:
     initial: Initial | None = None
     size: int = 1
     unit: str | None = None
+    base: BaseUnit | None = None
     start: tuple[float, ...] | None = None
+    text: tuple[str, ...] | None = None
     minimum: float = -math.inf
     maximum: float = math.inf
+    nominal: float | None = None
     derivative_of: str | None = None
+    dimensions: tuple[int | str, ...] = ()
+    items: Mapping[str, int] = field(default_factory=dict)
+    alias_of: str | None = None
+    doc: str = ""
 
     @property
     def settable(self) -> bool:
@@ -81,11 +103,17 @@ class Capabilities:
 
     identifier: str = ""
     directional_derivatives: bool = False
+    adjoint_derivatives: bool = False  # FMI 3
     saves_state: bool = False
-    interpolates_inputs: bool = False  # co-simulation, FMI 2: input derivatives
+    serializes_state: bool = False
+    interpolates_inputs: bool = False  # co-simulation: input derivatives (FMI 1 and 2), Intermediate Update (FMI 3)
     variable_step: bool = False  # co-simulation
     fixed_step: float | None = None  # co-simulation, FMI 3 [s]
+    event_mode: bool = False  # co-simulation, FMI 3
+    early_return: bool = False  # co-simulation, FMI 3: may return early of its own
     completed_step: bool = True  # model exchange: wants completed_integrator_step
+    once_per_process: bool = False
+    needs_tool: bool = False  # to run
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,15 +132,22 @@ class Description:
         Names of the variables that are continuous states, in the order of the derivatives.
     dependencies : mapping of output or derivative name to variable names, or to None
         What each depends on directly; None: not said.
+    initial_dependencies : mapping of unknown name to variable names, or to None
+        The same in initialization mode (InitialUnknowns), for the unknowns that are listed there.
     capabilities : mapping of Mode to Capabilities
         The kinds that are there.
     event_indicators : int
+        Number of their elements.
     clocks : tuple of str
         Names of the variables that are clocks.
     platforms : tuple of str
         Folders under ``binaries/`` that hold something.
     read : tuple of str
         Local variables that are read with the outputs: the states of a loaded unit, since a log holds every state.
+    default_step, default_tolerance : float or None
+        Of DefaultExperiment.
+    tool : str
+        What made it.
     """
 
     name: str
@@ -121,11 +156,15 @@ class Description:
     variables: tuple[Variable, ...]
     states: tuple[str, ...] = ()
     dependencies: Mapping[str, tuple[str, ...] | None] = field(default_factory=dict)
+    initial_dependencies: Mapping[str, tuple[str, ...] | None] = field(default_factory=dict)
     capabilities: Mapping[Mode, Capabilities] = field(default_factory=dict)
     event_indicators: int = 0
     clocks: tuple[str, ...] = ()
     platforms: tuple[str, ...] = ()
     read: tuple[str, ...] = ()
+    default_step: float | None = None
+    default_tolerance: float | None = None
+    tool: str = ""
 
     def __getitem__(self, name: str) -> Variable:
         """Find a variable.
@@ -174,11 +213,7 @@ class Description:
         """Inputs, outputs and feedthrough, vectors put together again."""
         inputs, outputs = self.ports("input"), self.ports("output")
         port_of = {v.name: signal.name for signal, group in inputs for v in group}
-        known = {signal.name: self._feeds(group, port_of) for signal, group in outputs}
-        feedthrough: Mapping[str, tuple[str, ...]] | None = None
-        if not known or any(feeds is not None for feeds in known.values()):
-            everything = tuple(signal.name for signal, _ in inputs)
-            feedthrough = {name: everything if feeds is None else feeds for name, feeds in known.items()}
+        feedthrough = {signal.name: self._feeds(group, port_of) for signal, group in outputs}
         return Interface(tuple(s for s, _ in inputs), tuple(s for s, _ in outputs), feedthrough)
 
     def _feeds(self, group: Sequence[Variable], port_of: Mapping[str, str]) -> tuple[str, ...] | None:

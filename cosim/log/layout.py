@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from cosim.arrays import Matrix
 from cosim.core.signals import Channel, Interface, Signal
 from cosim.log.metadata import compact, seal, unseal
+from cosim.units import BaseUnit
 
 MOST_ELEMENTS = 4096
 HEADER = 9  # bytes: opcode u1, length u8
@@ -112,32 +113,36 @@ def read_part(metadata: Mapping[str, str]) -> Part:
 def signals_json(interface: Interface) -> str:
     """Describe all signals, inputs first: the text that the content hash covers.
 
-    ``feedthrough`` lists the inputs an output depends on directly; null where the whole interface does not know.
+    ``feedthrough`` and ``initial`` list the inputs an output depends on directly, and at the start; null: unknown. What a signal
+    leaves at its default is left out.
     """
-    known = interface.feedthrough
     entries = []
     for signal in (*interface.inputs, *interface.outputs):
         entry: dict[str, Any] = {"causality": "input" if signal in interface.inputs else "output", **asdict(signal)}
-        if known is None:
-            entry["feedthrough"] = None
-        elif signal.name in known:
-            entry["feedthrough"] = list(known[signal.name])
+        for name in ("base", "start"):
+            if not entry[name]:
+                del entry[name]
+        for name, known in (("feedthrough", interface.feedthrough), ("initial", interface.initial)):
+            if signal.name in known:
+                entry[name] = known[signal.name]
         entries.append(entry)
     return compact(entries)
 
 
 def _interface(entries: list[dict[str, Any]]) -> Interface:
     sides: dict[str, list[Signal]] = {"input": [], "output": []}
-    feedthrough: dict[str, tuple[str, ...]] | None = {}
+    depends: dict[str, dict[str, tuple[str, ...] | None]] = {"feedthrough": {}, "initial": {}}
     for entry in entries:
         signal = dict(entry)
-        side, feeds = signal.pop("causality"), signal.pop("feedthrough", ...)
-        sides[side].append(Signal(**signal))
-        if feeds is None:
-            feedthrough = None
-        elif feeds is not ... and feedthrough is not None:
-            feedthrough[signal["name"]] = tuple(feeds)
-    return Interface(tuple(sides["input"]), tuple(sides["output"]), feedthrough)
+        side = signal.pop("causality")
+        for name, known in depends.items():
+            feeds = signal.pop(name, ...)
+            if feeds is not ...:
+                known[signal["name"]] = None if feeds is None else tuple(feeds)
+        if "base" in signal:
+            signal["base"] = BaseUnit(**signal["base"] | {"exponents": tuple(signal["base"]["exponents"])})
+        sides[side].append(Signal(**signal | {"start": tuple(signal.get("start", ()))}))
+    return Interface(tuple(sides["input"]), tuple(sides["output"]), **depends)
 
 
 def record_dtype(size: int) -> np.dtype[np.void]:

@@ -34,8 +34,8 @@ def compiler() -> list[str]:
     return []
 
 
-def compile_library(sources: Iterable[Path], target: Path) -> None:
-    """Compile C sources to a shared library.
+def compile_library(sources: Iterable[Path], target: Path, options: Iterable[str] = ()) -> None:
+    """Compile C sources to a shared library; ``options`` go to the compiler as they are.
 
     Raises
     ------
@@ -47,7 +47,7 @@ def compile_library(sources: Iterable[Path], target: Path) -> None:
         raise RuntimeError("no C compiler: install one as 'cc', or 'pip install ziglang'")
     libraries = [] if sys.platform == "win32" else ["-lm"]
     result = subprocess.run(
-        [*command, *FLAGS, *map(str, sources), "-o", str(target), *libraries],
+        [*command, *FLAGS, *options, *map(str, sources), "-o", str(target), *libraries],
         capture_output=True,
         text=True,
         check=False,

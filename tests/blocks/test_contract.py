@@ -233,7 +233,7 @@ def test_integers_and_booleans_are_given_what_they_take():
         seen.append(u.copy())
         return u[:, :1] + u[:, 1:]
 
-    interface = Interface((Signal("i", kind="integer"), Signal("b", kind="boolean")), (Signal("y"),), None)
+    interface = Interface((Signal("i", kind="integer"), Signal("b", kind="boolean")), (Signal("y"),), {"y": None})
     check_component(lambda: Static(interface, look))
     given = np.vstack(seen)
     given = given[(given != 1e3).all(axis=1)]

@@ -149,7 +149,9 @@ def test_feedthrough_that_is_unknown_counts_as_full():
     """Then the circle is closed; with the outputs declared it is not."""
     component = through(0.0)
     assert Graph({"a": component, "k": times(1.0)}, {"a.u": "k.y", "k.u": "a.y"})
-    component.interface = Interface(component.interface.inputs, component.interface.outputs, None)
+    component.interface = Interface(
+        component.interface.inputs, component.interface.outputs, {o.name: None for o in component.interface.outputs}
+    )
     with pytest.raises(AlgebraicLoopError):
         Graph({"a": component, "k": times(1.0)}, {"a.u": "k.y", "k.u": "a.y"})
 

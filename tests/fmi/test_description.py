@@ -34,11 +34,13 @@ def test_arrays_of_fmi_3_are_vectors():
 
 
 def test_feedthrough_is_unknown_where_nothing_is_said():
-    """None where no output has dependencies; all inputs for the one that says nothing beside others that do."""
+    """An output that says nothing may depend on every input, also beside others that say what they depend on."""
     variables = (Variable("u", 0, "input"), Variable("y", 1, "output"), Variable("z", 2, "output"))
-    assert Description("m", "", "2.0", variables).interface.feedthrough is None
+    assert Description("m", "", "2.0", variables).interface.feedthrough == {"y": None, "z": None}
     mixed = Description("m", "", "2.0", variables, dependencies={"y": ()}).interface
-    assert mixed.feedthrough == {"y": (), "z": ("u",)}
+    assert mixed.feedthrough == {"y": (), "z": None}
+    assert mixed.feeds("z") == ("u",)
+    assert not mixed.knows("z")
 
 
 def test_a_file_is_read_without_unpacking_it(exported):

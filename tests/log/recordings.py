@@ -18,7 +18,9 @@ def layout(*, period=5, wide=0):
         (Signal("x_a", 2, role="state"), Signal("der(x)", unit="1"), Signal("n", kind="integer", variability="discrete")),
         {"x_a": (), "der(x)": ("u",)},
     )
-    identifier = Interface((Signal("y", 3, role="input"),), (Signal("theta", 2, optional=True, role="estimate"),), None)
+    identifier = Interface(
+        (Signal("y", 3, role="input"),), (Signal("theta", 2, optional=True, role="estimate"),), {"theta": None}
+    )
     interfaces = [("plant", plant, 1), ("identifier", identifier, period)]
     if wide:
         interfaces.append(("wide", Interface((), (Signal("y", wide),)), 1))

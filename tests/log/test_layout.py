@@ -15,6 +15,7 @@ from cosim.core.signals import Channel, Interface, Signal
 from cosim.log.layout import blank_records, copy_values, group_columns, read_part, record_dtype, split
 from cosim.log.metadata import decode_design, encode_design, seal, unseal
 from cosim.log.schema import component_schema, decode_log, encode_log, identifiers
+from cosim.units import BASE, BaseUnit
 
 from .recordings import layout, plan, same_bits
 
@@ -99,6 +100,7 @@ def test_records_with_other_fields_are_refused():
         copy_values(records, np.empty((2, 3)))
 
 
+bases = st.builds(BaseUnit, st.tuples(*[st.integers(-3, 3)] * len(BASE)), st.floats(1e-9, 1e9), st.floats(-1e3, 1e3))
 signals = st.builds(
     Signal,
     name=st.text(st.characters(exclude_categories=["Cs"]), max_size=8),
@@ -108,6 +110,8 @@ signals = st.builds(
     optional=st.booleans(),
     kind=st.sampled_from(["real", "integer", "boolean"]),
     role=st.sampled_from(["input", "output", "state", "estimate"]),
+    base=st.none() | bases,
+    start=st.lists(st.floats(-1e9, 1e9), max_size=3).map(tuple),
 )
 
 
@@ -120,8 +124,8 @@ def channels(draw):
     feeds = (
         st.lists(st.sampled_from(inputs), unique=True).map(lambda some: tuple(s.name for s in some)) if inputs else st.just(())
     )
-    known = st.fixed_dictionaries({}, optional={signal.name: feeds for signal in outputs})
-    interface = Interface(inputs, outputs, draw(st.none() | known))
+    known = st.fixed_dictionaries({}, optional={signal.name: st.none() | feeds for signal in outputs})
+    interface = Interface(inputs, outputs, draw(known), draw(known))
     return Channel(draw(st.text(max_size=5)), interface, draw(st.integers(0, 9)), draw(st.integers(1, 1000)))
 
 

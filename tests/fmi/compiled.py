@@ -1,0 +1,36 @@
+"""FMUs of C, compiled for the tests: what no generator of Python FMUs can show."""
+
+import zipfile
+from pathlib import Path
+
+import fmpy
+
+from cosim.fmi.platforms import SUFFIX, folders
+from cosim.native import build
+
+HERE = Path(__file__).parent / "c"
+HEADERS = Path(fmpy.__file__).parent / "c-code"
+
+
+def compile_fmu(path: Path, xml: str, *sources: str | Path, name: str = "model", defines: tuple[str, ...] = ()) -> Path:
+    """Write an FMU: its modelDescription.xml, and a binary for this machine of C sources.
+
+    Parameters
+    ----------
+    path : Path
+        The .fmu to write; its folder takes the intermediate files.
+    xml : str
+    sources : str or Path
+        Names of files in ``tests/fmi/c``, or paths.
+    name : str
+        The modelIdentifier, so also the name of the binary.
+    defines : tuple of str
+        Such as ``"STEPS=3"``.
+    """
+    library = path.with_suffix(SUFFIX)
+    version = xml.split('fmiVersion="')[1].split('"')[0]
+    build.compile_library([HERE / source for source in sources], library, [f"-I{HEADERS}", *(f"-D{d}" for d in defines)])
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("modelDescription.xml", xml)
+        archive.write(library, f"binaries/{folders(version)[0]}/{name}{SUFFIX}")
+    return path
