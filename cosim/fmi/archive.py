@@ -156,7 +156,7 @@ def _kind_problem(entry: zipfile.ZipInfo) -> str | None:
     kind, folder = stat.S_IFMT(entry.external_attr >> 16), entry.orig_filename.endswith("/")
     if kind == stat.S_IFLNK:
         return "a link, where it may have files and folders only"
-    if kind not in (0, stat.S_IFDIR if folder else stat.S_IFREG):
+    if kind not in (0, stat.S_IFREG) and not (folder and kind == stat.S_IFDIR):
         return "a special file, where it may have files and folders only"
     if folder and entry.file_size:
         return "a folder with content of its own"
