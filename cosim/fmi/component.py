@@ -18,6 +18,7 @@ from cosim.errors import FmuError, RunError
 from cosim.fmi.co_simulation import CoSimulation
 from cosim.fmi.compare import compare_ports
 from cosim.fmi.description import MODE_NAMES, MODES, Description, Mode
+from cosim.fmi.events import EventList
 from cosim.fmi.loaded import LoadedUnit
 from cosim.fmi.messages import Message
 from cosim.fmi.model_exchange import ModelExchange
@@ -44,12 +45,23 @@ class Fmu:
         Where it was unpacked.
     solver : str or None
         Of a model exchange FMU.
+    events : EventList
+        What happened in it.
     """
 
     def __init__(
-        self, archive: Archive, mode: Mode, *, unit: LoadedUnit, component: FmuComponent, folder: Path, solver: str | None
+        self,
+        archive: Archive,
+        mode: Mode,
+        *,
+        unit: LoadedUnit,
+        component: FmuComponent,
+        folder: Path,
+        solver: str | None,
+        events: EventList,
     ) -> None:
         self.component, self.mode, self._solver = component, mode, solver
+        self._events = events
         self._archive, self._unit, self._folder = archive, unit, folder
 
     @property
@@ -71,12 +83,12 @@ class Fmu:
         }
 
     def drain(self) -> list[Message]:
-        """Give what the FMU logged since the last call, and how many messages were dropped.
+        """Give what the FMU logged and which events it had since the last call, and how many messages were dropped.
 
-        The level is "info", "warning", "error" or "fatal", from the FMI status. What is to be known about the FMU's results is
-        in ``component.notes``.
+        The level is "info", "warning", "error" or "fatal", from the FMI status, and "debug" of an event. What is to be known
+        about the FMU's results is in ``component.notes``.
         """
-        return self._unit.messages.drain()
+        return self._unit.messages.drain() + self._events.drain()
 
     def __enter__(self) -> Self:
         return self
@@ -120,6 +132,7 @@ def load(
         If it is no FMU, cannot run here or in this mode, or a start value is wrong. Nothing is left behind.
     """
     folder = Path(tempfile.mkdtemp(prefix="cosim-fmu-"))
+    events = EventList()
     unit: LoadedUnit | None = None
     try:
         archive = read(path, into=folder)
@@ -135,13 +148,15 @@ def load(
         name = instance_name or description.name
         unit = LoadedUnit(folder, folder / library, description, mode=mode, name=name, label=str(archive.path))
         solver = solver or ("rk4" if mode == "me" else None)
-        component = ModelExchange(unit, solver, starts=starts) if mode == "me" else CoSimulation(unit, starts=starts)
+        component = (
+            ModelExchange(unit, solver, starts=starts, events=events) if mode == "me" else CoSimulation(unit, starts=starts)
+        )
     except BaseException:
         if unit is not None:
             unit.free_instance()
         shutil.rmtree(folder, ignore_errors=True)
         raise
-    return Fmu(archive, mode, unit=unit, component=component, folder=folder, solver=solver)
+    return Fmu(archive, mode, unit=unit, component=component, folder=folder, solver=solver, events=events)
 
 
 def _mode(archive: Archive, wanted: Mode | None) -> Mode:
