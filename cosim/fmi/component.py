@@ -21,7 +21,7 @@ from cosim.fmi.description import MODE_NAMES, MODES, Description, Mode
 from cosim.fmi.events import EventList
 from cosim.fmi.loaded import LoadedUnit
 from cosim.fmi.messages import Message
-from cosim.fmi.model_exchange import ModelExchange
+from cosim.fmi.model_exchange import RTOL, ModelExchange
 from cosim.fmi.platforms import SUFFIX, folders
 from cosim.fmi.reading import Archive, read
 from cosim.fmi.start import check_start
@@ -109,6 +109,7 @@ def load(
     *,
     mode: Mode | None = None,
     solver: str | None = None,
+    rtol: float = RTOL,
     start: Mapping[str, float] | None = None,
     instance_name: str | None = None,
 ) -> Fmu:
@@ -121,6 +122,8 @@ def load(
         Model exchange or co-simulation; None: the one that is there, model exchange where both are.
     solver : str or None
         Of a model exchange FMU; see :class:`ModelExchange`.
+    rtol : float
+        Relative tolerance of the states of a model exchange FMU, for the solvers that keep one.
     start : mapping of variable name to float
         Start values to set instead of the FMU's own.
     instance_name : str or None
@@ -149,7 +152,9 @@ def load(
         unit = LoadedUnit(folder, folder / library, description, mode=mode, name=name, label=str(archive.path))
         solver = solver or ("rk4" if mode == "me" else None)
         component = (
-            ModelExchange(unit, solver, starts=starts, events=events) if mode == "me" else CoSimulation(unit, starts=starts)
+            ModelExchange(unit, solver, starts=starts, rtol=rtol, events=events)
+            if mode == "me"
+            else CoSimulation(unit, starts=starts)
         )
     except BaseException:
         if unit is not None:

@@ -57,7 +57,7 @@ def locate(indicators: Callable[[float], Vector], a: float, za: Vector, b: float
     while b - a > resolution:
         width, middle = b - a, 0.5 * (a + b)
         change = np.flatnonzero((za > 0.0) != (zb > 0.0))
-        secant = min((a + width * _root(za[j], zb[j]) for j in change.tolist()), default=middle)
+        secant = min((a + width * _root(float(za[j]), float(zb[j])) for j in change.tolist()), default=middle)
         truncation = max(scale * width * width, 0.5 * resolution)
         toward = math.copysign(1.0, middle - secant)
         t = secant + toward * truncation if truncation <= abs(middle - secant) else middle
