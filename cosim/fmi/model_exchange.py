@@ -40,6 +40,7 @@ from cosim.fmi.start import Start
 from cosim.fmi.unit import TERMINATED, ModelExchangeUnit
 
 RTOL: Final = 1e-9
+CLOSEST: Final = 1e-13  # what rounding leaves of a relative tolerance
 NONE: Final = np.empty(0)
 
 
@@ -77,7 +78,8 @@ class ModelExchange:
     Raises
     ------
     FmuError
-        If there is no such solver, it needs what the unit or the machine does not have, or a start value is wrong.
+        If there is no such solver, it needs what the unit or the machine does not have, the tolerance is none that rounding allows,
+        or a start value is wrong.
     """
 
     def __init__(
@@ -97,6 +99,8 @@ class ModelExchange:
             raise FmuError(
                 f"{self._name}: solver 'exact' needs the matrices of a linear model, an FMU does not show them; use 'rk4'"
             )
+        if not CLOSEST <= rtol < 1.0:
+            raise FmuError(f"{self._name}: relative tolerance {rtol}; needed at least {CLOSEST} and less than 1")
         self.interface = unit.interface
         self.notes: tuple[str, ...] = ()
         self._events = events or EventList()

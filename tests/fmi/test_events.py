@@ -41,7 +41,7 @@ def test_a_bouncing_ball_is_the_closed_form(solver, version):
         rows = run(2.0, 0.01)
         found = np.array(run.events("state event"))
     times, speeds = bounces(len(found))
-    assert len(found) == 5
+    assert len(found) == 4
     assert abs(found - times).max() < 1e-9
     flight = 2.0 - times[-1]
     # an error of 1e-9 in the time is one of 5e-9 in the height at the greatest speed, and of 1e-8 in the speed
@@ -95,7 +95,7 @@ def test_of_several_crossings_in_one_step_the_earliest_comes_first(solver):
     assert rows[-1, 1] == found[-1], "the unit sees the domains changed, at the time that is told"
 
 
-def switched(steps, stop=1.0, u=(1.0, 2.0), start=0.0, level=0.5):
+def switched(stop=1.0, u=(3.0, 1.0), start=0.0, level=0.5):
     """Solve x' = u0 + u1 t - x until x = level, and then u0 + u1 t - 4 x, in closed form."""
 
     def flow(t, x, begin, rate):
@@ -111,25 +111,24 @@ def switched(steps, stop=1.0, u=(1.0, 2.0), start=0.0, level=0.5):
 
 def test_rk4_is_of_fourth_order_with_an_event_inside():
     """The step is cut at the event, and goes on with the rest: halving it divides the errors of time and state by 16."""
-    when, expected = switched(1)
+    when, expected = switched()
 
     def errors(steps):
         with Run("SWITCH", p=0.5) as run:
-            x = run(1.0, 1.0 / steps, u=lambda t: 1.0 + 2.0 * t)[-1, 0]
+            x = run(1.0, 1.0 / steps, u=lambda t: 3.0 + t)[-1, 0]
             return abs(np.array([run.events("state event")[0] - when, x - expected]))
 
-    # the part of the step before the event differs between both, so that the ratio is 16 only about
-    ratio = errors(10) / errors(20)
-    assert ((ratio > 8.0) & (ratio < 32.0)).all()
+    ratio = errors(40) / errors(80)
+    assert ((ratio > 14.0) & (ratio < 18.5)).all()
 
 
 @pytest.mark.parametrize("solver", STEPPING)
 def test_a_switched_system_is_the_closed_form(solver):
     """An exponential before and after the event, with the input on a straight line over 100 communication steps."""
-    when, expected = switched(1)
-    with Run("SWITCH", solver, p=0.5, rtol=1e-2 * tolerance(solver)) as run:
-        x = run(1.0, 0.01, u=lambda t: 1.0 + 2.0 * t)[-1, 0]
-        # rk4: h^4 = 1e-8 times a constant below 0.1; the others: some hundreds of steps with 1e-11 each
+    when, expected = switched()
+    with Run("SWITCH", solver, p=0.5, rtol=1e-12) as run:
+        x = run(1.0, 0.01, u=lambda t: 3.0 + t)[-1, 0]
+        # rk4: h^4 = 1e-8 times a constant below 0.1; the others: some hundreds of steps with 1e-12 each
         assert run.events("state event") == pytest.approx([when], abs=3e-9)
         assert x == pytest.approx(expected, abs=3e-9)
 
@@ -243,16 +242,22 @@ def making(model, solver, version=2):
             run.fmu.close()
 
 
-@pytest.mark.parametrize("solver", STEPPING)
-@pytest.mark.parametrize("model", CASES)
+# every model with rk4, every solver with the most eventful one; the rest is a longer campaign
+PAIRS = [(model, solver) for model in CASES for solver in STEPPING]
+SHORT = [(model, solver) for model, solver in PAIRS if solver == "rk4" or (model == "FRICTION" and solver != "BDF")]
+
+
+@pytest.mark.parametrize(
+    ("model", "solver"), [pytest.param(*pair, marks=() if pair in SHORT else pytest.mark.campaign) for pair in PAIRS]
+)
 def test_units_with_events_keep_the_contract(model, solver):
     """Blocks of 1, 7 and all steps give the same bits, outputs changes nothing, restore(save()) is the identity: with memory too.
 
-    Steps of 20 ms: the ball bounces once, the mass slips and sticks, ticks lie between the points, some of them in one step.
+    Steps of 30 ms: the ball bounces once, the mass slips and sticks, ticks lie between the points, some of them in one step.
     """
     with making(model, solver, version=3 if model in ("TWO", "FRICTION") else 2) as make:
-        check_component(make, inputs=pieces(30, 0.02), h=0.02)
-        check_rollback(make, inputs=pieces(30, 0.02), h=0.02)
+        check_component(make, inputs=pieces(16, 0.03), h=0.03)
+        check_rollback(make, inputs=pieces(16, 0.03), h=0.03)
 
 
 @pytest.mark.parametrize("solver", STEPPING)
@@ -306,7 +311,7 @@ def test_completed_integrator_step_is_called_after_every_step_of_the_solver():
 
 @pytest.mark.parametrize(("solver", "ratio"), [("RK45", 1.2), ("DOP853", 1.1), ("Radau", 1.1), ("BDF", 2.0), ("CVode", 2.0)])
 def test_solvers_run_on_over_communication_points(solver, ratio):
-    """Evaluations over 0.2 s in steps of 1 ms, against those where ``save`` and ``restore`` ... start anew by a jump of the input."""
+    """Evaluations over 0.2 s in steps of 1 ms, against those where the input jumps by 1e-12 at every point."""
 
     def evaluations(wobble):
         with Run("SWITCH", solver, p=10.0) as run:

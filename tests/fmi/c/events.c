@@ -4,7 +4,7 @@
  * FRICTION v' = u - q p while it slips (q = -1, 1), v = 0 while it sticks (q = 0): Coulomb friction, force u, level p
  * SAW      x' = 1, and x -> 0 at the times k p; count of them
  * COUNTER  no states; count of the times k p, which are announced by adding p to the last one
- * TWO      x' = 1; indicators x - 0.53, x - 0.51, x - 0.53; q: number of the indicators that events saw positive, v: time of the last
+ * TWO      x' = 1; indicators x - 0.53, x - 0.51, x - 0.53; q: number of the indicators that events saw positive, v: time at which it grew
  * SLIDE    x' = -1 above x = p, 1 below: a relay without hysteresis, which chatters
  * ENDLESS  x' = 1; above x = p discrete states always need an update
  * ENDS     x' = 1; asks for the end above x = p, and refuses to let time move after that
@@ -101,8 +101,9 @@ static Answer update(Unit *unit)
         tick(unit);
     } else if (MODEL == TWO) {
         indicate(unit, z);
-        v[Q] = (z[0] > 0.0) + (z[1] > 0.0) + (z[2] > 0.0);
-        v[V] = unit->t;
+        double positive = (z[0] > 0.0) + (z[1] > 0.0) + (z[2] > 0.0);
+        v[V] = positive > v[Q] ? unit->t : v[V];
+        v[Q] = positive;
     } else if (MODEL == SLIDE) {
         v[Q] = v[X] > v[P] ? -1.0 : 1.0;
     } else if (MODEL == ENDLESS) {
