@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cosim.core.connections import Connection
+from cosim.core.connections import Connection, Ports, unit_reached
 from cosim.core.graph import Graph
 from cosim.core.signals import Interface, Signal
 from cosim.errors import CosimError
@@ -75,8 +75,16 @@ def _wire_row(graph: Graph, to: str, wire: Connection) -> Section:
     """Show one connection: its map where it has one, and its conversion of units where they differ."""
     shown = "" if not np.ndim(wire.gain) and wire.gain == 1.0 else f"{np.asarray(wire.gain).tolist()} v"
     shown += f" + {wire.offset}" if wire.offset else ""
-    conversion = graph.conversions.get(to)
-    return {"to": to, "from": wire.source, "map": shown or None, "unit": wire.unit, "converted": conversion and str(conversion)}
+    ports, conversion = Ports(graph.layout), graph.conversions.get(to)
+    (_, target), (_, source, _) = ports.find(to, "input"), ports.source(wire.source)
+    unit = unit_reached(wire, source, target).name
+    return {
+        "to": to,
+        "from": wire.source,
+        "map": shown or None,
+        "unit": unit if conversion is None else f"{unit} -> {target.unit}",
+        "conversion": conversion and str(conversion),
+    }
 
 
 def fmu(path: str) -> Section:
