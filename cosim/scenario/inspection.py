@@ -73,15 +73,16 @@ def scenario(name: str) -> Section:
 
 def _wire_row(graph: Graph, to: str, wire: Connection) -> Section:
     """Show one connection: its map where it has one, and its conversion of units where they differ."""
-    shown = "" if not np.ndim(wire.gain) and wire.gain == 1.0 else f"{np.asarray(wire.gain).tolist()} v"
-    shown += f" + {wire.offset}" if wire.offset else ""
+    shown = "v" if not np.ndim(wire.gain) and wire.gain == 1.0 else f"{np.asarray(wire.gain).tolist()} v"
+    if wire.offset:
+        shown += f" {'-' if wire.offset < 0.0 else '+'} {abs(wire.offset)}"
     ports, conversion = Ports(graph.layout), graph.conversions.get(to)
     (_, target), (_, source, _) = ports.find(to, "input"), ports.source(wire.source)
     unit = unit_reached(wire, source, target).name
     return {
         "to": to,
         "from": wire.source,
-        "map": shown or None,
+        "map": None if shown == "v" else shown,
         "unit": unit if conversion is None else f"{unit} -> {target.unit}",
         "conversion": conversion and str(conversion),
     }

@@ -94,7 +94,7 @@ def test_info_shows_what_is_converted(units, capsys):
         "to": "sensor.u", "from": "room.y", "map": None, "unit": "degC -> K",
         "conversion": "((v * 1.0 + 273.15) - 0.0) / 1.0",
     }  # fmt: skip
-    assert (rows["readout.u"]["map"], rows["readout.u"]["unit"]) == ("2.0 v + -3.0", "K -> degC")
+    assert (rows["readout.u"]["map"], rows["readout.u"]["unit"]) == ("2.0 v - 3.0", "K -> degC")
 
 
 def test_units_that_cannot_be_converted_are_refused(units):
