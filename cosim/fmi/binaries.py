@@ -50,15 +50,8 @@ def built_for(head: bytes) -> tuple[str, str] | None:
 _VALUES_1 = [f"{verb}{kind}" for verb in ("Set", "Get") for kind in ("Real", "Integer", "Boolean", "String")]
 _STATES_2 = ["GetFMUstate", "SetFMUstate", "FreeFMUstate"]
 _SERIAL_2 = ["SerializedFMUstateSize", "SerializeFMUstate", "DeSerializeFMUstate"]
-_KINDS_3 = (
-    "Float32",
-    "Float64",
-    *(f"{u}Int{n}" for n in (8, 16, 32, 64) for u in ("", "U")),
-    "Boolean",
-    "String",
-    "Binary",
-    "Clock",
-)
+_WIDTHS = tuple(f"{sign}Int{width}" for width in (8, 16, 32, 64) for sign in ("", "U"))
+_KINDS_3 = ("Float32", "Float64", *_WIDTHS, "Boolean", "String", "Binary", "Clock")
 _STATES_3 = ["GetFMUState", "SetFMUState", "FreeFMUState"]
 _SERIAL_3 = ["SerializedFMUStateSize", "SerializeFMUState", "DeserializeFMUState"]
 _STATUS = ["GetStatus", *(f"Get{kind}Status" for kind in ("Real", "Integer", "Boolean", "String"))]

@@ -72,7 +72,8 @@ def _schema(raw: bytes, version: int) -> list[Finding]:
     from lxml import etree
 
     package = importlib.util.find_spec("fmpy")
-    assert package is not None and package.origin is not None
+    assert package is not None
+    assert package.origin is not None
     schema = etree.XMLSchema(file=str(Path(package.origin).parent / "schema" / SCHEMAS[version]))
     document = etree.fromstring(raw, etree.XMLParser(resolve_entities=False, no_network=True, huge_tree=True))
     schema.validate(document)
