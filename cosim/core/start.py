@@ -29,14 +29,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Vector
-from cosim.core.coupling import Member, Port, Wire, find_circle
+from cosim.core.coupling import Member, Wire
 from cosim.core.fixed_point import Found, SingularError, judge, newton, newton_step, settle
+from cosim.core.order import Behind, Port, circles, find_circle
 from cosim.core.signals import Channel, Interface, Layout
 from cosim.errors import GraphError
 
 SWEEPS: Final = 100  # of a circle with discrete signals, beyond one a port
 
-Behind: TypeAlias = Mapping[Port, Collection[Port]]
 Columns: TypeAlias = NDArray[np.intp]
 
 
@@ -84,7 +84,7 @@ class Start:
         self.columns = {(c.name, signal.name): columns for c in layout.channels for signal, columns in c.signal_columns()}
         self.wires = {port: wire for port, wire in _wires(layout, members)}
         behind = _behind(layout.channels, sources)
-        circle_of, groups = _circles(behind), dict[Port, list[Port]]()
+        circle_of, groups = circles(behind), dict[Port, list[Port]]()
         for port, circle in circle_of.items():
             groups.setdefault(circle, []).append(port)
         between = {circle: {circle_of[b] for p in ports for b in behind[p]} - {circle} for circle, ports in groups.items()}
@@ -243,19 +243,6 @@ def _behind(channels: Iterable[Channel], sources: Mapping[str, Mapping[str, Port
         behind |= {(c.name, signal): (source,) for signal, source in sources[c.name].items()}
         behind |= {(c.name, o.name): tuple((c.name, i) for i in c.interface.feeds_at_start(o.name)) for o in c.interface.outputs}
     return behind
-
-
-def _circles(behind: Behind) -> dict[Port, Port]:
-    """Give for every port one that stands for its circle; a port outside every circle stands for itself."""
-    of = {port: port for port in behind}
-    while True:
-        joined: dict[Port, set[Port]] = {circle: set() for circle in of.values()}
-        for port, ports in behind.items():
-            joined[of[port]] |= {of[b] for b in ports} - {of[port]}
-        circle = find_circle(joined)
-        if not circle:
-            return of
-        of = {port: circle[0] if of[port] in circle else of[port] for port in of}
 
 
 def _inputs_first(behind: Behind, inputs: Collection[Port]) -> Iterable[Port]:
