@@ -211,5 +211,6 @@ def circles(behind: Behind) -> dict[Port, Port]:
 
 
 def _some(names: list[str], most: int = 6) -> str:
+    """List the first names, and how many more there are."""
     more = len(names) - most
     return ", ".join(names) if more <= 0 else f"{', '.join(names[:most])} and {more} more"

@@ -186,10 +186,11 @@ class _Values:
             return self._row[circle.columns].copy()
 
         kept, v = self._row.copy(), self._row[circle.columns].copy()
-        sweep(v)
-        if circle.path in self._solved and self._unmoved(circle, kept):
-            self._row[:] = kept
-            return
+        if circle.path in self._solved:
+            sweep(v)
+            if self._unmoved(circle, kept):
+                self._row[:] = kept
+                return
         self._solved.add(circle.path)
         found = settle(sweep, v, len(circle.order) + (SWEEPS if circle.discrete else 0))
         try:
@@ -206,10 +207,8 @@ class _Values:
 
     def _largest(self, circle: Circle) -> float:
         """Give the largest value among the components of a circle."""
-        part = np.concatenate(
-            [self._row[self._start.layout[name].columns] for name in sorted({name for name, _ in circle.order})]
-        )
-        return float(np.abs(part[np.isfinite(part)]).max(initial=0.0))
+        values = np.concatenate([self._row[self._start.layout[name].columns] for name, _ in circle.order])
+        return float(np.abs(values[np.isfinite(values)]).max(initial=0.0))
 
     def _unmoved(self, circle: Circle, kept: Vector) -> bool:
         """Say whether a sweep gave again what is there: nothing that the circle depends on has changed."""

@@ -9,7 +9,9 @@ import pytest
 import cosim
 from cosim.cli import main
 from cosim.errors import ScenarioError
+from cosim.fmi.reading import read
 from cosim.scenario.exporting import export_component
+from cosim.units import base_unit
 
 UNITS = """
 [scenario]
@@ -149,6 +151,15 @@ def test_units_of_an_fmu_are_what_it_defines(tmp_path):
     assert (run["readout.u"] == run["plant.y"] * 0.25 / 1e-3).all()
     assert cosim.diff(run, cosim.replay(log)).equal
     assert cosim.open_log(log).channels["plant"].interface.inputs[0].base.offset == 255.0
+
+
+def test_an_exported_fmu_defines_its_units(units, tmp_path):
+    """Factor and offset too: the readout in degC is connected to K as the component is."""
+    path = tmp_path / "readout.fmu"
+    export_component(str(units), "readout", path)
+    face = read(path).description.interface
+    assert [signal.base for signal in (*face.inputs, *face.outputs)] == [base_unit("degC")] * 2
+    assert base_unit("degC").offset == 273.15
 
 
 def test_units_that_cannot_be_converted_are_refused(units):
