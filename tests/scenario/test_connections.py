@@ -190,6 +190,44 @@ def test_a_loop_through_an_fmu_without_dependencies_runs_with_a_warning(coupling
     assert cosim.diff(log, cosim.replay(path)).equal
 
 
+CIRCLE = """
+[scenario]
+name = "circle"
+stop = 0.1
+step = 0.01
+[components.r]
+kind = "constant"
+value = 1.1
+[components.s]
+kind = "sum"
+signs = [1.0, -1.0]
+[components.lag]
+kind = "lag"
+time_constant = 1.0
+[components.k]
+kind = "gain"
+K = 3.3
+[connections]
+"s.u1" = "r.y"
+"s.u2" = "k.y"
+"k.u" = "lag.y"
+"lag.u" = "s.y"
+"""
+
+
+@pytest.mark.parametrize("mode", ["me", "cs"])
+def test_a_circle_at_the_start_through_an_fmu_is_solved_and_replayed(mode, tmp_path):
+    """The lag starts at its input, y = 1.1 - 3.3 y = 1.1 / 4.3, as a component and as an FMU by its InitialUnknowns."""
+    scenario, fmu, path = tmp_path / "circle.toml", tmp_path / "lag.fmu", tmp_path / "circle.mcap"
+    scenario.write_text(CIRCLE)
+    export_component(str(scenario), "lag", fmu)
+    own = cosim.run(scenario)
+    run = cosim.run(scenario, out=path, swap={"lag": fmu}, set={"lag.mode": mode})
+    assert abs(own["lag.y"][0] - 1.1 / 4.3) <= 1e-15
+    assert (run["lag.y"][0], run["k.y"][0]) == (own["lag.y"][0], own["k.y"][0])
+    assert cosim.diff(run, cosim.replay(path)).equal
+
+
 def test_an_fmu_without_dependencies_in_a_cascade_needs_no_warning(foreign2, tmp_path):
     """What is unknown matters only in a circle."""
     text = LOOP.format(coupling="jacobi", path=foreign2).replace('"k.u" = "plant.y"', '"k.u" = "one.y"')
