@@ -25,7 +25,7 @@ ALLOWED = {
     "tables": {"errors", "core", "scenario", "log"},
     "cli": {"errors", "scenario", "log", "tables"},
     "__main__": {"cli"},
-    "__init__": {"scenario", "log", "version"},
+    "__init__": {"scenario", "log", "fmi", "version"},
 }
 OUTSIDE = {
     "fmpy": {"fmi"},

@@ -26,6 +26,7 @@ from cosim.fmi.model_exchange import ModelExchange
 from cosim.fmi.platforms import SUFFIX, folders
 from cosim.fmi.reading import Archive, read
 from cosim.fmi.start import check_start
+from cosim.fmi.unit import ModelExchangeUnit
 
 __all__ = ["CoSimulation", "Fmu", "ModelExchange", "compare_ports", "load"]
 
@@ -58,6 +59,19 @@ class Fmu:
     def description(self) -> Description:
         """Variables, structure, capabilities."""
         return self._archive.description
+
+    @property
+    def unit(self) -> ModelExchangeUnit:
+        """The instance itself, for what is asked of model exchange outside a run.
+
+        Raises
+        ------
+        FmuError
+            If it was opened for co-simulation.
+        """
+        if self.mode != "me":
+            raise FmuError(f'{self._archive.path}: opened for co-simulation; its unit is there with mode = "me"')
+        return self._unit
 
     @property
     def metadata(self) -> dict[str, Any]:
