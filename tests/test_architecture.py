@@ -22,7 +22,7 @@ ALLOWED = {
     "log": BASE | {"core"},
     "testing": BASE | {"core"},
     "scenario": BASE | {"native", "theory", "core", "blocks", "fmi", "log"},
-    "tables": {"errors", "core", "scenario", "log"},
+    "tables": {"errors", "arrays", "core", "fmi", "scenario", "log"},
     "cli": {"errors", "scenario", "log", "tables"},
     "__main__": {"cli"},
     "__init__": {"scenario", "log", "fmi", "version"},

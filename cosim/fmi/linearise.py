@@ -499,10 +499,11 @@ def _result(point: _Point, jacobian: Matrix, error: Matrix | None, method: Metho
     parts = {"A": (top, top), "B": (top, bottom), "C": (bottom, top), "D": (bottom, bottom)}
     matrices = {letter: np.ascontiguousarray(jacobian[part]) for letter, part in parts.items()}
     errors = {letter: None if error is None else float(error[part].max(initial=0.0)) for letter, part in parts.items()}
+    sizes = {letter: float(np.linalg.norm(jacobian[rows])) for letter, (rows, _) in parts.items()}  # of A and B, of C and D
     poor = [
         f"{letter} by central differences: error up to {wrong:.1g}"
         for letter, wrong in errors.items()
-        if wrong is not None and wrong > GOOD * np.linalg.norm(matrices[letter])
+        if wrong is not None and wrong > GOOD * sizes[letter] > 0.0
     ]
     count = description.event_indicators
     events = f"has {count} event indicators: linearised within the mode it is in" if count else ""
