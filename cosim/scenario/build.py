@@ -33,8 +33,8 @@ Problems = list[tuple[Key, str]]
 class Speaker(Protocol):
     """An opened FMU, as far as its messages go."""
 
-    def drain(self) -> list[tuple[Level, str]]:
-        """Give what it said since the last call, as (level, text)."""
+    def drain(self) -> Sequence[tuple[Level, str, str]]:
+        """Give what it said since the last call, as (level, category, text)."""
         ...
 
 
