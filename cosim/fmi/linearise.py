@@ -36,6 +36,7 @@ Method: TypeAlias = Literal["directional derivatives", "central differences"]
 METHODS: Final[tuple[Method, ...]] = ("directional derivatives", "central differences")
 
 SOLVER: Final = "LSODA"  # to the operating point: stiff or not
+NOWHERE: Final = -1  # the value reference of what has none: the states of FMI 1
 GOOD: Final = 1e-7  # relative error from which central differences are told to be poor
 SINGULAR: Final = 1e-12  # reciprocal condition of A below which there is no static gain
 
@@ -222,11 +223,6 @@ class _Element:
         return self.variable.type, self.variable.reference, self.index
 
     @property
-    def scale(self) -> float:
-        """Its nominal value."""
-        return abs(self.variable.nominal or 1.0)
-
-    @property
     def moves(self) -> bool:
         """Whether it is real and continuous."""
         return self.variable.kind == "real" and self.variable.variability == "continuous"
@@ -242,7 +238,9 @@ class _Element:
 
 def _elements(port: str, variable: Variable) -> Iterator[_Element]:
     for i in range(variable.size):
-        yield _Element(variable.name if variable.size == 1 else f"{variable.name}[{i}]", port, variable, i)
+        yield _Element(
+            variable.name if variable.size == 1 and variable.reference != NOWHERE else f"{variable.name}[{i}]", port, variable, i
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -265,7 +263,9 @@ class _Chosen:
     ) -> _Chosen:
         """Find what is named."""
         label = description.name
-        all_states = tuple(e for name in description.states for e in _elements(name.rpartition("[")[0], description[name]))
+        unnamed = Variable("state", NOWHERE, "local", size=description.unnamed_states)
+        variables = [*map(description.__getitem__, description.states), *([unnamed] if unnamed.size else [])]
+        all_states = tuple(e for v in variables for e in _elements(v.name.rpartition("[")[0], v))
         all_inputs, all_outputs = (
             tuple(e for signal, group in description.ports(causality) for v in group for e in _elements(signal.name, v))
             for causality in ("input", "output")
@@ -415,9 +415,10 @@ class _Point:
         chosen = self.chosen
         jacobian = np.empty((len(chosen.states) + len(chosen.outputs), len(chosen.columns)))
         error = np.empty_like(jacobian)
+        nominals = [*self.unit.get_nominals()[self._x_at].tolist(), *(e.variable.nominal for e in chosen.inputs)]
         for column, known in enumerate(chosen.columns):
             f, z = self._along(column)
-            scale = max(known.scale, abs(z))
+            scale = max(abs(nominals[column] or 1.0), abs(z))
             found, wrong = differentiate(f, z, scale=scale, room=self._room(known, z))
             if not np.isfinite(wrong).all():
                 raise FmuError(f"{self.unit.description.name}: nothing finite around {known.name!r} = {z}; choose another point")
@@ -506,7 +507,7 @@ def _result(point: _Point, jacobian: Matrix, error: Matrix | None, method: Metho
         if wrong is not None and wrong > GOOD * sizes[letter] > 0.0
     ]
     count = description.event_indicators
-    events = f"has {count} event indicators: linearised within the mode it is in" if count else ""
+    events = f"event indicators ({count}): linearised within the mode it is in" if count else ""
     return Linearisation(
         name=description.name,
         states=tuple(e.name for e in chosen.states),
