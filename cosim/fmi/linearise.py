@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, Final, Literal, Self, TypeAlias
 
@@ -31,6 +31,7 @@ from cosim.fmi.model_exchange import ModelExchange
 from cosim.fmi.reading import read
 from cosim.fmi.references import References
 from cosim.fmi.unit import ModelExchangeUnit
+from cosim.units import BaseUnit
 
 Method: TypeAlias = Literal["directional derivatives", "central differences"]
 METHODS: Final[tuple[Method, ...]] = ("directional derivatives", "central differences")
@@ -62,6 +63,10 @@ class Linearisation:
         Estimate of the largest error of an entry; None: all are the unit's own derivatives, taken at their word.
     notes : tuple of str
         What is to be known about the result.
+    units : mapping of element name to str
+        Where one is declared.
+    bases : mapping of element name to BaseUnit
+        What such a unit is in SI, where the unit defines it.
     """
 
     name: str
@@ -80,6 +85,8 @@ class Linearisation:
     made: Mapping[str, Method]
     errors: Mapping[str, float | None]
     notes: tuple[str, ...] = ()
+    units: Mapping[str, str] = field(default_factory=dict)
+    bases: Mapping[str, BaseUnit] = field(default_factory=dict)
 
     @property
     def poles(self) -> NDArray[np.complex128]:
@@ -119,7 +126,10 @@ class Linearisation:
         """Build it from what :meth:`to_dict` gave, also by way of JSON."""
         n_x, n_u, n_y = (len(plain[name]) for name in ("states", "inputs", "outputs"))
         shapes = {"A": (n_x, n_x), "B": (n_x, n_u), "C": (n_y, n_x), "D": (n_y, n_u), **dict.fromkeys(("x", "u", "y", "dx"), -1)}
-        found = {field.name: plain[field.name] for field in fields(cls)}
+        found = {entry.name: plain[entry.name] for entry in fields(cls)}
+        found["bases"] = {
+            name: BaseUnit(**base | {"exponents": tuple(base["exponents"])}) for name, base in plain["bases"].items()
+        }
         found |= {name: np.array(plain[name], np.float64).reshape(shape) for name, shape in shapes.items()}
         return cls(**found | {name: tuple(plain[name]) for name in ("states", "inputs", "outputs", "notes")})
 
@@ -506,6 +516,7 @@ def _result(point: _Point, jacobian: Matrix, error: Matrix | None, method: Metho
         for letter, wrong in errors.items()
         if wrong is not None and wrong > GOOD * sizes[letter] > 0.0
     ]
+    shown = (*chosen.columns, *chosen.outputs)
     count = description.event_indicators
     events = f"event indicators ({count}): linearised within the mode it is in" if count else ""
     return Linearisation(
@@ -521,5 +532,7 @@ def _result(point: _Point, jacobian: Matrix, error: Matrix | None, method: Metho
         dx=point.dx,
         made={e.name: method for e in chosen.columns},
         errors=errors,
+        units={e.name: e.variable.unit for e in shown if e.variable.unit is not None},
+        bases={e.name: e.variable.base for e in shown if e.variable.base is not None},
         notes=(*([events] if events else []), *chosen.notes, *poor),
     )

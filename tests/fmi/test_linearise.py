@@ -192,6 +192,9 @@ def test_plain_values_carry_every_bit(swinging):
     again = Linearisation.of(json.loads(json.dumps(found.to_dict())))
     assert again.to_dict() == {**found.to_dict(), "made": dict(found.made)}
     assert again.A.tobytes() == found.A.tobytes()
+    assert again.units == {"torque": "N.m", "wind": "N.m", "reach": "rev"}
+    assert again.bases == found.bases
+    assert again.bases["reach"].factor == math.tau
     empty = cosim.linearize(swinging, outputs=[], inputs=[])
     assert Linearisation.of(empty.to_dict()).D.shape == (0, 0)
 
