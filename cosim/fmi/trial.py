@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
 from cosim.errors import CosimError
 
 if TYPE_CHECKING:
+    from cosim.arrays import Matrix, Vector
     from cosim.fmi.component import Fmu
     from cosim.fmi.description import Description, Mode
     from cosim.fmi.reading import Archive
@@ -167,10 +168,10 @@ def run(story: _Story, path: str, mode: Mode) -> None:
     with _opened(story, path, mode) as fmu:
         component, h = fmu.component, _step(fmu.description, mode)
         names = [element for signal in component.interface.outputs for element in signal.elements]
-        t, u = np.arange(STEPS + 1) * h, _inputs(fmu, STEPS + 1)
+        t, u = _times(h, STEPS), _inputs(fmu, STEPS)
         story.at("initialisation")
         y = component.initialize(0.0, u[0])
-        _check_starts(story, fmu.description, names, y)
+        _check_starts(story, fmu.description, y)
         story.at(f"steps of {h:g} s")
         rows = component.advance(t, h, u)
         for name, values in zip(names, rows.T, strict=True):
@@ -182,11 +183,9 @@ def run(story: _Story, path: str, mode: Mode) -> None:
 
 def rollback(story: _Story, path: str, mode: Mode) -> None:
     """Save, step, restore and step again, also after other inputs: the same bits each time."""
-    import numpy as np
-
     with _opened(story, path, mode) as fmu:
         component, h = fmu.component, _step(fmu.description, mode)
-        t, u = np.arange(2 * STEPS + 1) * h, _inputs(fmu, 2 * STEPS + 1)
+        t, u = _times(h, 2 * STEPS), _inputs(fmu, 2 * STEPS)
         story.at("initialisation")
         component.initialize(0.0, u[0])
         story.at("steps before the state is saved")
@@ -232,15 +231,21 @@ def _step(description: Description, mode: Mode) -> float:
     return description.capabilities[mode].fixed_step or description.default_step or STEP
 
 
-def _inputs(fmu: Fmu, rows: int) -> Any:
+def _times(h: float, steps: int) -> Vector:
+    import numpy as np
+
+    return np.array([k * h for k in range(steps + 1)], np.float64)
+
+
+def _inputs(fmu: Fmu, steps: int) -> Matrix:
     """Hold every input at its start value."""
     import numpy as np
 
     starts = [value for signal in fmu.component.interface.inputs for value in (signal.start or (0.0,) * signal.size)]
-    return np.tile(np.array(starts, np.float64), (rows, 1))
+    return np.tile(np.array(starts, np.float64), (steps + 1, 1))
 
 
-def _check_starts(story: _Story, description: Description, names: Sequence[str], y: Any) -> None:
+def _check_starts(story: _Story, description: Description, y: Vector) -> None:
     """Compare outputs whose start values are exact with what the unit gives."""
     column = 0
     for _, group in description.ports("output"):

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cosim.core.connections import Connection, Ports, unit_reached
+from cosim.core.graph import Graph
 from cosim.core.signals import Interface, Signal
 from cosim.errors import CosimError
 from cosim.scenario.build import Scenario, build, build_site, parse
@@ -68,8 +70,25 @@ def scenario(name: str) -> Section:
             for channel in experiment.graph.layout.channels
             for signal, role in _signals(channel.interface)
         ]
-        wires = {to: wire.source for to, wire in loaded.connections.items()}
+        wires = [_wire_row(experiment.graph, to, wire) for to, wire in loaded.connections.items()]
         return {"scenario": about, "signals": rows, "connections": wires, "facts": dict(experiment.facts)}
+
+
+def _wire_row(graph: Graph, to: str, wire: Connection) -> Section:
+    """Show one connection: its map where it has one, and its conversion of units where they differ."""
+    shown = "v" if not np.ndim(wire.gain) and wire.gain == 1.0 else f"{np.asarray(wire.gain).tolist()} v"
+    if wire.offset:
+        shown += f" {'-' if wire.offset < 0.0 else '+'} {abs(wire.offset)}"
+    ports, conversion = Ports(graph.layout), graph.conversions.get(to)
+    (_, target), (_, source, _) = ports.find(to, "input"), ports.source(wire.source)
+    unit = unit_reached(wire, source, target).name
+    return {
+        "to": to,
+        "from": wire.source,
+        "map": None if shown == "v" else shown,
+        "unit": unit if conversion is None else f"{unit} -> {target.unit}",
+        "conversion": conversion and str(conversion),
+    }
 
 
 def fmu(path: str) -> Section:
