@@ -385,3 +385,10 @@ def test_states_without_names_are_numbered():
     found = linearise(unit, start={"state[0]": 0.5})
     assert found.states == ("state[0]",)
     assert (found.x[0], found.A[0, 0]) == (0.5, pytest.approx(-1.0, rel=1e-10))
+
+
+def test_fmi_1_is_linearised_by_differences(model1):
+    """x' = u, y = 2 x + u (``c/probe1.c``); FMI 1.0 has neither names of states nor directional derivatives."""
+    found = cosim.linearize(model1, start={"state[0]": 3.0})
+    assert (found.states, found.x.tolist()) == (("state[0]",), [3.0])
+    assert distance(found, ([[0.0]], [[1.0]], [[1.0], [2.0]], [[0.0], [1.0]])) <= 1e-13
