@@ -31,7 +31,8 @@ FMI1 = """<?xml version="1.0"?>
   <ScalarVariable name="v" valueReference="2" causality="output"><Real/><DirectDependency/></ScalarVariable>
   <ScalarVariable name="k" valueReference="3" variability="parameter"><Real start="2"/></ScalarVariable>
   <ScalarVariable name="guess" valueReference="4"><Real start="2" fixed="false"/></ScalarVariable>
-  <ScalarVariable name="mode" valueReference="5" variability="constant"><Enumeration declaredType="Mode" start="2"/></ScalarVariable>
+  <ScalarVariable name="mode" valueReference="5" variability="constant"><Enumeration declaredType="Mode" start="2"/>
+  </ScalarVariable>
   <ScalarVariable name="text" valueReference="6" causality="none"><String start="a b"/></ScalarVariable>
   <ScalarVariable name="n" valueReference="7" causality="output"><Integer/></ScalarVariable>
 </ModelVariables>{implementation}
@@ -61,8 +62,8 @@ FMI2 = """<?xml version="1.0"?>
   </ScalarVariable>
   <ScalarVariable name="x" valueReference="2" causality="output" initial="approx"><Real start="1.5"/></ScalarVariable>
   <ScalarVariable name="der(x)" valueReference="3"><Real derivative="3"/></ScalarVariable>
-  <ScalarVariable name="mode" valueReference="4" causality="parameter" variability="fixed"><Enumeration declaredType="Mode" start="7"/>
-  </ScalarVariable>
+  <ScalarVariable name="mode" valueReference="4" causality="parameter" variability="fixed">
+    <Enumeration declaredType="Mode" start="7"/></ScalarVariable>
   <ScalarVariable name="path" valueReference="5" causality="parameter" variability="fixed"><String start="a b"/></ScalarVariable>
   <ScalarVariable name="h" valueReference="6"><Real derivative="8"/></ScalarVariable>
   <ScalarVariable name="hidden" valueReference="7" initial="exact"><Real start="4" unit="kN"/></ScalarVariable>
@@ -84,20 +85,22 @@ FMI3 = """<?xml version="1.0"?>
 <CoSimulation modelIdentifier="three" providesIntermediateUpdate="true" mightReturnEarlyFromDoStep="true" hasEventMode="true"
   canHandleVariableCommunicationStepSize="true" fixedInternalStepSize="0.5" canBeInstantiatedOnlyOncePerProcess="true"/>
 <UnitDefinitions><Unit name="mm"><BaseUnit m="1" factor="0.001"/></Unit></UnitDefinitions>
-<TypeDefinitions><EnumerationType name="Mode"><Item name="off" value="0"/><Item name="on" value="9007199254740993"/></EnumerationType>
+<TypeDefinitions>
+  <EnumerationType name="Mode"><Item name="off" value="0"/><Item name="on" value="9007199254740993"/></EnumerationType>
   <UInt8Type name="Small" max="9"/></TypeDefinitions>
 <ModelVariables>
   <Float64 name="time" valueReference="0" causality="independent"/>
   <UInt64 name="n" valueReference="1" causality="structuralParameter" start="3" min="1" max="5"/>
-  <Float64 name="u" valueReference="2" causality="input" start="0.5" unit="mm"><Dimension valueReference="1"/><Dimension start="2"/>
-    <Alias name="second" description="the same"/></Float64>
+  <Float64 name="u" valueReference="2" causality="input" start="0.5" unit="mm"><Dimension valueReference="1"/>
+    <Dimension start="2"/><Alias name="second" description="the same"/></Float64>
   <Float32 name="y" valueReference="3" causality="output"><Dimension valueReference="1"/></Float32>
   <Float64 name="x" valueReference="4" start="1 2 3" initial="exact"><Dimension valueReference="1"/></Float64>
   <Float64 name="dx" valueReference="5" derivative="4"><Dimension valueReference="1"/></Float64>
   <Float64 name="z" valueReference="6"><Dimension valueReference="1"/></Float64>
   <UInt8 name="small" valueReference="7" causality="parameter" declaredType="Small" start="4"/>
   <Int64 name="large" valueReference="8" causality="parameter" start="9007199254740993"/>
-  <String name="words" valueReference="9" causality="parameter"><Dimension start="2"/><Start value="a b"/><Start value="c"/></String>
+  <String name="words" valueReference="9" causality="parameter"><Dimension start="2"/>
+    <Start value="a b"/><Start value="c"/></String>
   <Binary name="bytes" valueReference="10" causality="parameter"><Start value="00ff"/></Binary>
   <Enumeration name="mode" valueReference="11" declaredType="Mode" causality="output"/>
   <Boolean name="on" valueReference="12" causality="parameter" start="true false"><Dimension start="2"/></Boolean>
@@ -270,8 +273,8 @@ BROKEN = [
     (FMI2, 'stepSize="0.01"', 'stepSize="fast"', "DefaultExperiment: stepSize: found 'fast', needed a number"),
     (FMI3, 'instantiationToken="{3}"', "", "the attribute instantiationToken is missing"),
     (FMI3, 'derivative="4"', 'derivative="44"', "variable 'dx': derivative=44 is no variable"),
-    (FMI3, 'Dimension valueReference="1"', 'Dimension valueReference="77"', "variable 'u': Dimension: found size None, needed a number"),
-    (FMI3, 'Dimension start="2"', 'Dimension start="99999999"', "variable 'u': Dimension: found size 99999999, needed .* at most 16777216"),
+    (FMI3, 'Dimension valueReference="1"', 'Dimension valueReference="77"', "variable 'u': Dimension: found size None"),
+    (FMI3, 'Dimension start="2"', 'Dimension start="99999999"', "found size 99999999, needed .* at most 16777216"),
     (FMI3, 'Start value="00ff"', 'Start value="00f"', "variable 'bytes': start: needed hexadecimal digits, two for every byte"),
     (FMI3, 'Size="0.5"', 'Size="abc"', "CoSimulation: fixedInternalStepSize: found 'abc', needed a number"),
     (FMI3, 'Size="0.5"', 'Size="-1"', r"CoSimulation: fixedInternalStepSize: found -1\.0, needed a positive number"),
