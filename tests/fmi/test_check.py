@@ -9,6 +9,7 @@ from pathlib import Path
 import fmpy
 import pytest
 
+from cosim.errors import FmuError
 from cosim.fmi import trial
 from cosim.fmi.binaries import built_for, functions, machine_of
 from cosim.fmi.check import check
@@ -380,4 +381,5 @@ def test_what_cannot_be_read_has_one_finding(tmp_path, xml, text):
 def test_no_archive(tmp_path):
     (tmp_path / "x.fmu").write_text("hello")
     assert found(tmp_path / "x.fmu")[0].startswith("archive: not an FMU, as it is no zip archive")
-    assert found(tmp_path / "no.fmu") == ["archive: there is no such file"]
+    with pytest.raises(FmuError, match=r"no\.fmu: there is no such file"):
+        check(tmp_path / "no.fmu")
