@@ -447,7 +447,7 @@ def test_linearize_prints_a_table_for_a_scenario(call):
         (["--toml"], "--toml and --disturbance NAME go together"),
         (["--disturbance", "delta"], "--toml and --disturbance NAME go together"),
         (["--toml", "--json", "--disturbance", "delta"], "--toml and --json: give one of them"),
-        (["--set", "u=fast"], "--set u: found 'fast', needed a number, true or false"),
+        (["--set", "u=fast"], "start value of 'u': found 'fast', needed a number"),
         (["--set", "u"], "--set 'u': found no '=', needed NAME=VALUE"),
         (["--input", "w"], "no input 'w'; There is: u, delta"),
     ],

@@ -13,7 +13,7 @@ output that is a state is known, not unknown: its row is completed from the stru
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
@@ -30,6 +30,7 @@ from cosim.fmi.differences import differentiate
 from cosim.fmi.model_exchange import ModelExchange
 from cosim.fmi.reading import read
 from cosim.fmi.references import References
+from cosim.fmi.start import Starts, StartValue, check_start
 from cosim.fmi.unit import ModelExchangeUnit
 from cosim.units import BaseUnit
 
@@ -138,7 +139,7 @@ def linearize(
     unit: str | Path | ModelExchangeUnit,
     *,
     at: float = 0.0,
-    start: Mapping[str, float] | None = None,
+    start: Starts | None = None,
     inputs: Sequence[str] | None = None,
     outputs: Sequence[str] | None = None,
     states: Sequence[str] | None = None,
@@ -161,12 +162,16 @@ def linearize(
     wanted: dict[str, Any] = {"at": at, "start": start, "inputs": inputs, "outputs": outputs, "states": states, "method": method}
     if not isinstance(unit, str | Path):
         return linearise(unit, **wanted)
-    if "me" not in read(unit).description.capabilities:
+    description = read(unit).description
+    if "me" not in description.capabilities:
         raise FmuError(
             f"{unit}: is for co-simulation only, which does not show the states; linearising needs model exchange: export it for "
             "that too"
         )
-    with load(unit, mode="me") as fmu:
+    structural = {
+        n: v for n, v in (start or {}).items() if n in description and description[n].causality == "structuralParameter"
+    }
+    with load(unit, mode="me", start=structural) as fmu:  # they decide the sizes of arrays
         return linearise(fmu.unit, **wanted)
 
 
@@ -174,7 +179,7 @@ def linearise(
     unit: ModelExchangeUnit,
     *,
     at: float = 0.0,
-    start: Mapping[str, float] | None = None,
+    start: Starts | None = None,
     inputs: Sequence[str] | None = None,
     outputs: Sequence[str] | None = None,
     states: Sequence[str] | None = None,
@@ -187,8 +192,9 @@ def linearise(
     unit : ModelExchangeUnit
     at : float
         The operating point is where the unit arrives at this time [s], from t = 0 with constant inputs.
-    start : mapping of variable or element name to float
-        Values at t = 0 instead of the unit's own: inputs, parameters, states; with ``at`` 0 any state.
+    start : mapping of variable name to StartValue
+        Values at t = 0 instead of the unit's own: inputs, parameters, states, with ``at`` 0 any state; see ``start.py``. Elements
+        of inputs and of such states may be named too.
     inputs, outputs : sequence of str, optional
         Names of ports, variables or their elements, in this order; left out: all that are real and continuous.
     states : sequence of str, optional
@@ -210,7 +216,7 @@ def linearise(
     chosen = _Chosen.of(description, states=states, inputs=inputs, outputs=outputs)
     unit.reset()
     try:
-        point = _Point(unit, chosen, at, dict(start or {}))
+        point = _Point(unit, chosen, at, start or {})
         jacobian, error = point.directional() if method == METHODS[0] else point.differences()
     finally:
         with suppress(RunError):  # a unit that is lost cannot be reset either
@@ -237,20 +243,24 @@ class _Element:
         """Whether it is real and continuous."""
         return self.variable.kind == "real" and self.variable.variability == "continuous"
 
-    def checked(self, label: str, value: float) -> float:
-        """Refuse a value that is not finite or outside the range."""
+    @property
+    def whole(self) -> bool:
+        """Whether it is all of a variable that has a name."""
+        return self.variable.size == 1 and self.variable.reference != NOWHERE
+
+    def checked(self, label: str, value: StartValue) -> float:
+        """Refuse what is no finite number, or outside the range."""
         low, high = self.variable.minimum, self.variable.maximum
-        if not (math.isfinite(value) and low <= value <= high):
+        if not (isinstance(value, int | float) and math.isfinite(value) and low <= value <= high):
             needed = "a finite number" if math.isinf(low) and math.isinf(high) else f"{low} to {high}"
-            raise FmuError(f"{label}: start value of {self.name!r}: found {value}, needed {needed}")
+            raise FmuError(f"{label}: start value of {self.name!r}: found {value!r}, needed {needed}")
         return value
 
 
 def _elements(port: str, variable: Variable) -> Iterator[_Element]:
+    alone = variable.size == 1 and variable.reference != NOWHERE
     for i in range(variable.size):
-        yield _Element(
-            variable.name if variable.size == 1 and variable.reference != NOWHERE else f"{variable.name}[{i}]", port, variable, i
-        )
+        yield _Element(variable.name if alone else f"{variable.name}[{i}]", port, variable, i)
 
 
 @dataclass(frozen=True, slots=True)
@@ -342,7 +352,7 @@ def _method(description: Description, method: Method | None) -> Method:
 class _Point:
     """A unit at its operating point, in continuous-time mode."""
 
-    def __init__(self, unit: ModelExchangeUnit, chosen: _Chosen, at: float, start: dict[str, float]) -> None:
+    def __init__(self, unit: ModelExchangeUnit, chosen: _Chosen, at: float, start: Starts) -> None:
         self.unit, self.chosen, self.t = unit, chosen, at
         description = unit.description
         self._moving = _read([e for e in chosen.all_inputs if e.moves])
@@ -352,29 +362,41 @@ class _Point:
             np.array([there.index(e) for e in some], np.intp)
             for there, some in ((chosen.all_states, chosen.states), (chosen.all_inputs, chosen.inputs))
         )
-        given = {e.name: e.checked(description.name, start.pop(e.name)) for e in chosen.all_inputs if e.name in start}
-        self._u = np.array(
-            [given.get(e.name, (e.variable.start or (0.0,) * e.variable.size)[e.index]) for e in chosen.all_inputs]
-        )
-        self._x = self._arrive(start)
+        values = dict(start)
+        late = self._pop({e.name: e for e in chosen.all_states if at == 0.0 and not (e.whole and e.variable.settable)}, values)
+        moved = self._pop({e.name: e for e in chosen.all_inputs if not e.whole}, values)
+        self._u = self._inputs(values, moved)
+        self._x = self._arrive(values)
+        for element, value in late:
+            self._x[chosen.all_states.index(element)] = value
         self.dx, self.y = self._evaluate(self._x, self._u)
         self.x, self.u = self._x[self._x_at], self._u[self._u_at]
-        for name, values in (("states", self.x), ("derivatives", self.dx), ("outputs", self.y)):
-            if not np.isfinite(values).all():
+        for what, found in (("states", self.x), ("derivatives", self.dx), ("outputs", self.y)):
+            if not np.isfinite(found).all():
                 raise FmuError(
-                    f"{description.name}: the {name} at t = {at} s are not finite: {values.tolist()}; choose another point"
+                    f"{description.name}: the {what} at t = {at} s are not finite: {found.tolist()}; choose another point"
                 )
 
-    def _arrive(self, start: dict[str, float]) -> Vector:
+    def _pop(self, named: Mapping[str, _Element], values: dict[str, StartValue]) -> list[tuple[_Element, float]]:
+        """Take the values of elements out of the start values."""
+        return [(e, e.checked(self.unit.description.name, values.pop(name))) for name, e in named.items() if name in values]
+
+    def _inputs(self, values: Starts, moved: Iterable[tuple[_Element, float]]) -> Vector:
+        """Give all inputs: those that are given, else the unit's own."""
+        description, there = self.unit.description, self.chosen.all_inputs
+        u = np.array([(e.variable.start or (0.0,) * e.variable.size)[e.index] for e in there])
+        for name, given in check_start(description, values).numbers.items():
+            own = description[name].alias_of or name
+            columns = [i for i, e in enumerate(there) if e.variable.name == own]
+            if columns:
+                u[columns] = given
+        for element, value in moved:
+            u[there.index(element)] = value
+        return u
+
+    def _arrive(self, values: Starts) -> Vector:
         """Start the unit and run it to the operating point; give its states."""
-        late = {}
-        if self.t == 0.0:
-            late = {
-                j: e.checked(self.unit.description.name, start.pop(e.name))
-                for j, e in enumerate(self.chosen.all_states)
-                if e.name in start and not (e.variable.settable and e.variable.size == 1)
-            }
-        driver, h = ModelExchange(self.unit, SOLVER, starts=start), self.t or 1.0
+        driver, h = ModelExchange(self.unit, SOLVER, starts=values), self.t or 1.0
         driver.prepare(h, np.zeros(len(self._u), np.bool_), {})
         driver.initialize(0.0, self._u)
         driver.outputs(0.0, self._u)
@@ -383,10 +405,7 @@ class _Point:
                 driver.advance(np.array([0.0, self.t]), h, np.array([self._u, self._u]))
             except RunError as error:
                 raise RunError(f"{self.unit.description.name}: on the way to t = {self.t} s: {error}") from error
-        x = self.unit.get_continuous_states()
-        for j, value in late.items():
-            x[j] = value
-        return x
+        return self.unit.get_continuous_states()
 
     def _evaluate(self, x: Vector, u: Vector) -> tuple[Vector, Vector]:
         """Give the derivatives and outputs that were chosen, for all states and inputs."""

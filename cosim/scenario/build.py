@@ -356,7 +356,7 @@ class _Site:
         return log
 
     def fmu(
-        self, name: str, path: str, *, mode: Literal["me", "cs"] | None, solver: str | None, start: Mapping[str, float]
+        self, name: str, path: str, *, mode: Literal["me", "cs"] | None, solver: str | None, start: Mapping[str, Any]
     ) -> Component:
         from cosim.fmi.component import load
 
@@ -375,7 +375,7 @@ class _Site:
         path: str,
         *,
         at: float,
-        start: Mapping[str, float],
+        start: Mapping[str, Any],
         inputs: Sequence[str] | None,
         outputs: Sequence[str],
     ) -> Linearisation:

@@ -30,21 +30,11 @@ def linearise_file(
     outputs: Sequence[str] | None,
     differences: bool,
 ) -> Linearisation:
-    """Linearise an FMU with start values as they were typed.
-
-    Raises
-    ------
-    UsageError
-        If a start value is no number, or as :func:`cosim.linearize`.
-    """
+    """Linearise an FMU, as :func:`cosim.linearize`."""
     from cosim.fmi.linearise import linearize
 
-    for name, value in start.items():
-        if not isinstance(value, int | float):
-            raise UsageError(f"--set {name}: found {value!r}, needed a number, true or false")
-    numbers = {name: float(value) for name, value in start.items()}
     method: Method | None = "central differences" if differences else None
-    return linearize(path, at=at, start=numbers, inputs=inputs, outputs=outputs, method=method)
+    return linearize(path, at=at, start=start, inputs=inputs, outputs=outputs, method=method)
 
 
 Unit: TypeAlias = tuple[str | None, BaseUnit | None]  # its name, and what it is in SI

@@ -366,6 +366,10 @@ def test_arrays_of_fmi_3_are_seeded_element_by_element(tmp_path, method):
         ("x[1]", "y[0]", "y[1]"),
     )
     assert [found.x.tolist(), found.u.tolist(), found.y.tolist()] == [[0.0, 0.0, 2.0], [0.0, 0.5], [0.0, 5.5, 0.0]]
+    listed = cosim.linearize(path, method=method, start={"u": [0.0, 0.5], "x": [0.0, 0.0, 2.0]})
+    assert [listed.x.tolist(), listed.u.tolist()] == [found.x.tolist(), found.u.tolist()]
+    with pytest.raises(FmuError, match=r"start value of 'x\[1\]': found 'a', needed a finite number"):
+        cosim.linearize(path, method=method, start={"x[1]": "a"})
     only = cosim.linearize(path, method=method, outputs=["y[1]"], inputs=["u[1]"], states=["x[1]"])
     assert [only.A.item(), only.B.item(), only.C.item(), only.D.item()] == pytest.approx([-3.0, 4.0, -1.0, 0.0], abs=1e-13)
 

@@ -46,7 +46,7 @@ class Site(Protocol):
         ...
 
     def fmu(
-        self, name: str, path: str, *, mode: Literal["me", "cs"] | None, solver: str | None, start: Mapping[str, float]
+        self, name: str, path: str, *, mode: Literal["me", "cs"] | None, solver: str | None, start: Mapping[str, Any]
     ) -> Component:
         """Load an FMU; it is freed when the run is over."""
         ...
@@ -57,7 +57,7 @@ class Site(Protocol):
         path: str,
         *,
         at: float,
-        start: Mapping[str, float],
+        start: Mapping[str, Any],
         inputs: Sequence[str] | None,
         outputs: Sequence[str],
     ) -> Linearisation:

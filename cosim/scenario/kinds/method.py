@@ -19,6 +19,7 @@ from cosim.errors import AssumptionError, UsageError
 from cosim.native.expression import Program, compile_expression
 from cosim.native.step import evaluate
 from cosim.scenario.kinds.base import Kind, Site
+from cosim.scenario.kinds.plants import Start
 from cosim.scenario.linearising import Belief, belief
 from cosim.scenario.schema import Number, Row, Rows, Table, matrix
 from cosim.theory import estimators, observer, regression
@@ -36,7 +37,7 @@ class FmuModel(Table):
     inputs: tuple[str, ...] | None = Field(None, description="names of the inputs that make up u; left out: all others")
     outputs: tuple[str, ...] = Field(("y",), description="names of the outputs that make up y")
     at: Number = Field(0.0, description="linearised where the FMU arrives at this time with constant inputs [s]")
-    start: dict[str, Number] = Field({}, description="start values by variable, inputs included")
+    start: dict[str, Start] = Field({}, description="start values by variable, inputs included")
 
     @property
     def disturbances(self) -> tuple[str, ...]:
