@@ -8,22 +8,22 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, TypeAlias, final
 
-from cosim.core.contracts import Level
 from cosim.errors import FmuError, RunError
 from cosim.fmi.co_simulation import CoSimulation
 from cosim.fmi.compare import compare_ports
 from cosim.fmi.description import MODE_NAMES, MODES, Description, Mode
 from cosim.fmi.loaded import LoadedUnit
+from cosim.fmi.messages import Message
 from cosim.fmi.model_exchange import ModelExchange
 from cosim.fmi.platforms import SUFFIX, folders
 from cosim.fmi.reading import Archive, read
-from cosim.fmi.start import check_start
+from cosim.fmi.start import Starts, check_start, resized
+from cosim.fmi.unit import ModelExchangeUnit
 
 __all__ = ["CoSimulation", "Fmu", "ModelExchange", "compare_ports", "load"]
 
@@ -54,8 +54,21 @@ class Fmu:
 
     @property
     def description(self) -> Description:
-        """Variables, structure, capabilities."""
-        return self._archive.description
+        """Variables, structure, capabilities; arrays as large as the structural parameters say."""
+        return self._unit.description
+
+    @property
+    def unit(self) -> ModelExchangeUnit:
+        """The instance itself, for what is asked of model exchange outside a run.
+
+        Raises
+        ------
+        FmuError
+            If it was opened for co-simulation.
+        """
+        if self.mode != "me":
+            raise FmuError(f'{self._archive.path}: opened for co-simulation; its unit is there with mode = "me"')
+        return self._unit
 
     @property
     def metadata(self) -> dict[str, Any]:
@@ -70,12 +83,11 @@ class Fmu:
             "model_description": found.xml,
         }
 
-    def drain(self) -> list[tuple[Level, str]]:
-        """Give what the FMU logged since the last call as (level, text), and how many messages were dropped.
+    def drain(self) -> list[Message]:
+        """Give what the FMU logged since the last call, and how many messages were dropped.
 
-        The level is "debug", "info", "warning", "error" or "fatal", from the FMI status. The text of FMI 2 is a printf format
-        whose arguments cannot be read from Python: it is given as it is. What is to be known about the FMU's results is in
-        ``component.notes``.
+        The level is "info", "warning", "error" or "fatal", from the FMI status. What is to be known about the FMU's results is
+        in ``component.notes``.
         """
         return self._unit.messages.drain()
 
@@ -98,7 +110,7 @@ def load(
     *,
     mode: Mode | None = None,
     solver: str | None = None,
-    start: Mapping[str, float] | None = None,
+    start: Starts | None = None,
     instance_name: str | None = None,
 ) -> Fmu:
     """Open an FMU.
@@ -110,8 +122,8 @@ def load(
         Model exchange or co-simulation; None: the one that is there, model exchange where both are.
     solver : str or None
         Of a model exchange FMU; see :class:`ModelExchange`.
-    start : mapping of variable name to float
-        Start values to set instead of the FMU's own.
+    start : mapping of variable name to StartValue
+        Start values to set instead of the FMU's own: numbers, Booleans, items of enumerations, texts, lists; see ``start.py``.
     instance_name : str or None
         None: the name of the model.
 
@@ -124,14 +136,12 @@ def load(
     unit: LoadedUnit | None = None
     try:
         archive = read(path, into=folder)
-        description, starts = archive.description, dict(start or {})
-        mode = _mode(archive, mode)
-        if description.version == "1.0":
-            raise FmuError(f"{path}: FMI 1.0 can be read, but not run yet; FMI 2.0 and 3.0 can")
+        mode, starts = _mode(archive, mode), dict(start or {})
         if mode == "cs" and solver is not None:
             raise FmuError(f'{path}: solver {solver!r}: a co-simulation FMU brings its own; leave it out or use mode = "me"')
         library = _library(archive, mode)
         _check_events(archive, mode)
+        description = resized(archive.description, starts)
         check_start(description, starts)
         name = instance_name or description.name
         unit = LoadedUnit(folder, folder / library, description, mode=mode, name=name, label=str(archive.path))
@@ -181,9 +191,6 @@ def _check_events(archive: Archive, mode: Mode) -> None:
     if mode == "cs":
         return
     other = '; use mode = "cs"' if "cs" in description.capabilities else ""
-    if description.event_indicators:
-        count = description.event_indicators
-        raise FmuError(f"{archive.path}: has {count} event indicators; state events are not located yet in model exchange{other}")
     if description.clocks:
         raise FmuError(
             f"{archive.path}: has clocks ({', '.join(description.clocks)}), which are not supported yet in model exchange{other}"

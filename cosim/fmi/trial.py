@@ -16,7 +16,7 @@ from contextlib import contextmanager, suppress
 from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
+from typing import TYPE_CHECKING, Final, Literal, TypeAlias
 
 from cosim.errors import CosimError
 
@@ -195,21 +195,21 @@ def rollback(story: _Story, path: str, mode: Mode) -> None:
         saved = component.save()
         story.at("steps after the state was saved")
         first = component.advance(*ahead).tobytes()
-        other: Any = None
-        for what, inputs in (("steps", None), ("steps with other inputs", 2.0 * u[STEPS:] + 1.0), ("another saved state", None)):
+
+        def other_inputs() -> None:
+            component.restore(saved)
+            with suppress(CosimError):  # they may be more than it bears
+                component.advance(t[STEPS:], h, 2.0 * u[STEPS:] + 1.0)
+
+        detours = {"steps": lambda: None, "steps with other inputs": other_inputs, "saving and freeing": component.save}
+        for what, detour in detours.items():
+            story.at(what)
+            detour()
             story.at(f"going back after {what}")
             component.restore(saved)
-            again = component.advance(*ahead).tobytes()
-            if again != first:
+            if component.advance(*ahead).tobytes() != first:
                 story.problem(f"goes back wrongly: after {what} the same steps give other outputs")
                 break
-            if inputs is not None:
-                component.restore(saved)
-                with suppress(CosimError):  # other inputs may be more than it bears
-                    component.advance(t[STEPS:], h, inputs)
-            other = component.save()
-        story.at("freeing the saved states")
-        del saved, other
         story.at("terminate and free")
     story.at("the end of the process")
 

@@ -139,13 +139,6 @@ def test_too_large(edited):
     )
 
 
-def test_fmi_1(tmp_path):
-    xml = '<fmiModelDescription fmiVersion="1.0" guid="{1}" modelIdentifier="m"/>'
-    refused(
-        archive(tmp_path / "x.fmu", {"modelDescription.xml": xml}), "FMI 1.0 can be read, but not run yet; FMI 2.0 and 3.0 can"
-    )
-
-
 @pytest.mark.parametrize("version", ['fmiVersion="4.0"', ""])
 def test_unknown_version(tmp_path, version):
     path = archive(tmp_path / "x.fmu", {"modelDescription.xml": f"<fmiModelDescription {version}/>"})
@@ -170,12 +163,6 @@ def test_a_kind_that_is_not_there(edited):
         assert fmu.mode == "cs"
 
 
-def test_state_events(edited):
-    path = edited(('numberOfEventIndicators="0"', 'numberOfEventIndicators="2"'))
-    refused(path, 'has 2 event indicators; state events are not located yet in model exchange; use mode = "cs"')
-    load(path, mode="cs").close()
-
-
 def test_wrong_identifier(edited):
     refused(edited(('modelIdentifier="academic"', 'modelIdentifier="../x"')), "modelIdentifier '../x' is no identifier of C")
 
@@ -185,13 +172,13 @@ def test_binary_that_is_none(edited, exported):
         binary = next(name for name in source.namelist() if name.startswith("binaries/"))
     refused(
         edited(without="binaries/", extra={binary: b"not a library"}),
-        "the binary .* cannot be used: Failed to load shared library",
+        r"the binary academic\S+ cannot be used: .*file too short",
     )
 
 
 def test_binary_of_another_model(edited):
     refused(
-        edited(('guid="{', 'guid="{0')), "cannot be used: Failed to instantiate model; it said: error: fmi2Instantiate: the GUID"
+        edited(('guid="{', 'guid="{0')), "cannot be used: it refuses to instantiate; it said: error: fmi2Instantiate: the GUID"
     )
 
 
