@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 from cosim.core.signals import Interface, Signal
-from cosim.units import same_unit
+from cosim.units import Unit, conversion
 
 Status: TypeAlias = Literal["ok", "missing", "wrong causality", "other size", "other unit", "extra"]
 Causality: TypeAlias = Literal["input", "output"]
@@ -66,7 +66,8 @@ def _status(needed: Port, found: Port | None) -> Status:
         return "wrong causality"
     if found.size != needed.size:
         return "other size"
-    return "ok" if same_unit(needed.unit, found.unit) else "other unit"
+    same = conversion(Unit(needed.unit), Unit(found.unit))
+    return "ok" if same is not None and same.copies else "other unit"
 
 
 def _ports(interface: Interface) -> dict[str, Port]:

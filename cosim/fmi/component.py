@@ -1,14 +1,12 @@
 """Units as components: the way in.
 
-``ModelExchange`` and ``CoSimulation`` drive a unit of their kind, generated or loaded; ``load`` opens an .fmu;
-``compare_ports`` says whether one component fits in another's place.
+``ModelExchange`` and ``CoSimulation`` drive a unit of their kind, generated or loaded; ``load`` opens an .fmu.
 """
 
 from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
@@ -16,17 +14,16 @@ from typing import Any, Self, TypeAlias, final
 
 from cosim.errors import FmuError, RunError
 from cosim.fmi.co_simulation import CoSimulation
-from cosim.fmi.compare import compare_ports
 from cosim.fmi.description import MODE_NAMES, MODES, Description, Mode
-from cosim.fmi.events import EventList
 from cosim.fmi.loaded import LoadedUnit
 from cosim.fmi.messages import Message
 from cosim.fmi.model_exchange import RTOL, ModelExchange
 from cosim.fmi.platforms import SUFFIX, folders
 from cosim.fmi.reading import Archive, read
-from cosim.fmi.start import check_start
+from cosim.fmi.start import Starts, check_start, resized
+from cosim.fmi.unit import ModelExchangeUnit
 
-__all__ = ["CoSimulation", "Fmu", "ModelExchange", "compare_ports", "load"]
+__all__ = ["CoSimulation", "Fmu", "ModelExchange", "load"]
 
 FmuComponent: TypeAlias = ModelExchange | CoSimulation
 
@@ -45,29 +42,31 @@ class Fmu:
         Where it was unpacked.
     solver : str or None
         Of a model exchange FMU.
-    events : EventList
-        What happened in it.
     """
 
     def __init__(
-        self,
-        archive: Archive,
-        mode: Mode,
-        *,
-        unit: LoadedUnit,
-        component: FmuComponent,
-        folder: Path,
-        solver: str | None,
-        events: EventList,
+        self, archive: Archive, mode: Mode, *, unit: LoadedUnit, component: FmuComponent, folder: Path, solver: str | None
     ) -> None:
         self.component, self.mode, self._solver = component, mode, solver
-        self._events = events
         self._archive, self._unit, self._folder = archive, unit, folder
 
     @property
     def description(self) -> Description:
-        """Variables, structure, capabilities."""
-        return self._archive.description
+        """Variables, structure, capabilities; arrays as large as the structural parameters say."""
+        return self._unit.description
+
+    @property
+    def unit(self) -> ModelExchangeUnit:
+        """The instance itself, for what is asked of model exchange outside a run.
+
+        Raises
+        ------
+        FmuError
+            If it was opened for co-simulation.
+        """
+        if self.mode != "me":
+            raise FmuError(f'{self._archive.path}: opened for co-simulation; its unit is there with mode = "me"')
+        return self._unit
 
     @property
     def metadata(self) -> dict[str, Any]:
@@ -83,12 +82,12 @@ class Fmu:
         }
 
     def drain(self) -> list[Message]:
-        """Give what the FMU logged and which events it had since the last call, and how many messages were dropped.
+        """Give what the FMU logged since the last call, how many messages were dropped, and what the run showed about it.
 
-        The level is "info", "warning", "error" or "fatal", from the FMI status, and "debug" of an event. What is to be known
-        about the FMU's results is in ``component.notes``.
+        The level is "info", "warning", "error" or "fatal", from the FMI status. What is to be known about the FMU's results is
+        in ``component.notes``.
         """
-        return self._unit.messages.drain() + self._events.drain()
+        return self._unit.messages.drain() + self.component.drain()
 
     def __enter__(self) -> Self:
         return self
@@ -110,7 +109,7 @@ def load(
     mode: Mode | None = None,
     solver: str | None = None,
     rtol: float = RTOL,
-    start: Mapping[str, float] | None = None,
+    start: Starts | None = None,
     instance_name: str | None = None,
 ) -> Fmu:
     """Open an FMU.
@@ -124,8 +123,8 @@ def load(
         Of a model exchange FMU; see :class:`ModelExchange`.
     rtol : float
         Relative tolerance of the states of a model exchange FMU, for the solvers that keep one.
-    start : mapping of variable name to float
-        Start values to set instead of the FMU's own.
+    start : mapping of variable name to StartValue
+        Start values to set instead of the FMU's own: numbers, Booleans, items of enumerations, texts, lists; see ``start.py``.
     instance_name : str or None
         None: the name of the model.
 
@@ -135,33 +134,26 @@ def load(
         If it is no FMU, cannot run here or in this mode, or a start value is wrong. Nothing is left behind.
     """
     folder = Path(tempfile.mkdtemp(prefix="cosim-fmu-"))
-    events = EventList()
     unit: LoadedUnit | None = None
     try:
         archive = read(path, into=folder)
-        description, starts = archive.description, dict(start or {})
-        mode = _mode(archive, mode)
-        if description.version == "1.0":
-            raise FmuError(f"{path}: FMI 1.0 can be read, but not run yet; FMI 2.0 and 3.0 can")
+        mode, starts = _mode(archive, mode), dict(start or {})
         if mode == "cs" and solver is not None:
             raise FmuError(f'{path}: solver {solver!r}: a co-simulation FMU brings its own; leave it out or use mode = "me"')
         library = _library(archive, mode)
         _check_events(archive, mode)
+        description = resized(archive.description, starts)
         check_start(description, starts)
         name = instance_name or description.name
         unit = LoadedUnit(folder, folder / library, description, mode=mode, name=name, label=str(archive.path))
         solver = solver or ("rk4" if mode == "me" else None)
-        component = (
-            ModelExchange(unit, solver, starts=starts, rtol=rtol, events=events)
-            if mode == "me"
-            else CoSimulation(unit, starts=starts)
-        )
+        component = ModelExchange(unit, solver, starts=starts, rtol=rtol) if mode == "me" else CoSimulation(unit, starts=starts)
     except BaseException:
         if unit is not None:
             unit.free_instance()
         shutil.rmtree(folder, ignore_errors=True)
         raise
-    return Fmu(archive, mode, unit=unit, component=component, folder=folder, solver=solver, events=events)
+    return Fmu(archive, mode, unit=unit, component=component, folder=folder, solver=solver)
 
 
 def _mode(archive: Archive, wanted: Mode | None) -> Mode:

@@ -24,7 +24,6 @@ The end of the run that a unit asks for is remembered, and comes with the next `
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Final, final
 
@@ -35,8 +34,9 @@ from cosim.core.contracts import Design, Stopped
 from cosim.core.solver import SOLVERS, Adaptive, Linear, LinearModel, RungeKutta, Slope, Solver, Stateless
 from cosim.errors import FmuError, RunError, nearest
 from cosim.fmi.events import EVENTS, EventKind, EventList, close, crosses, locate, settle
+from cosim.fmi.messages import Message
 from cosim.fmi.saved import SavedState, save
-from cosim.fmi.start import Start
+from cosim.fmi.start import Start, Starts
 from cosim.fmi.unit import TERMINATED, ModelExchangeUnit
 
 RTOL: Final = 1e-9
@@ -68,12 +68,10 @@ class ModelExchange:
         Just instantiated.
     solver : str or None
         One of ``cosim.core.solver.SOLVERS``; None: ``exact`` where the unit's model is known to be linear, else ``rk4``.
-    starts : mapping of variable name to float
+    starts : mapping of variable name to StartValue
         Start values to set instead of the unit's own.
     rtol : float
         Relative tolerance of the states, for the solvers that keep one; the absolute one is ``rtol`` times their nominal values.
-    events : EventList or None
-        Where to note what happens; None: in a list of its own.
 
     Raises
     ------
@@ -87,9 +85,8 @@ class ModelExchange:
         unit: ModelExchangeUnit,
         solver: str | None = None,
         *,
-        starts: Mapping[str, float] | None = None,
+        starts: Starts | None = None,
         rtol: float = RTOL,
-        events: EventList | None = None,
     ) -> None:
         self._unit, self._name = unit, unit.description.name
         self.solver = solver or ("rk4" if unit.linear is None else "exact")
@@ -103,7 +100,7 @@ class ModelExchange:
             raise FmuError(f"{self._name}: relative tolerance {rtol}; needed at least {CLOSEST} and less than 1")
         self.interface = unit.interface
         self.notes: tuple[str, ...] = ()
-        self._events = events or EventList()
+        self._events = EventList()
         self._start = Start(unit, starts or {})
         description = unit.description
         self._outputs, self._inputs = description.references("output"), description.references("input")

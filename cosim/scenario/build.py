@@ -8,21 +8,25 @@ from collections.abc import Collection, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
 from pydantic import ValidationError
 
 from cosim.blocks.replay import Replay
 from cosim.core.clock import Clock, whole_steps
+from cosim.core.connections import Connection, check_connections, layout_of
 from cosim.core.contracts import Component, Level, Recording
-from cosim.core.graph import Connection, Graph, check_connections, layout_of
+from cosim.core.graph import Graph
 from cosim.errors import CosimError, ScenarioError, UsageError, nearest
 from cosim.scenario.document import Document, Key
 from cosim.scenario.kinds import KINDS, Kind, Site
 from cosim.scenario.problems import problems_of
 from cosim.scenario.schema import File, flatten, matrix
 from cosim.theory.descriptor import DescriptorSystem
+
+if TYPE_CHECKING:
+    from cosim.fmi.linearise import Linearisation
 
 Problems = list[tuple[Key, str]]
 
@@ -141,6 +145,8 @@ def build(
         held = {signal: bool(graph.held[name][at].any()) for signal, at in columns.items()}
         for text in spec.advice(held, clock.step_ns / 1e9):
             site.warn(name, text)
+    for name, text in graph.warnings:
+        site.warn(name, text)
     return Experiment(
         scenario,
         graph,
@@ -282,6 +288,7 @@ class _Site:
         self.reads: dict[str, frozenset[str]] = {"": frozenset()}
         self.attachments: dict[str, str] = {}
         self.fmus: dict[str, Speaker] = {}
+        self._linearised: dict[str, Linearisation] = {}
         self.files: set[Path] = set()
 
     def build_all(self, problems: Problems) -> tuple[dict[str, Component], dict[str, int], set[str]]:
@@ -349,7 +356,7 @@ class _Site:
         return log
 
     def fmu(
-        self, name: str, path: str, *, mode: Literal["me", "cs"] | None, solver: str | None, start: Mapping[str, float]
+        self, name: str, path: str, *, mode: Literal["me", "cs"] | None, solver: str | None, start: Mapping[str, Any]
     ) -> Component:
         from cosim.fmi.component import load
 
@@ -361,6 +368,46 @@ class _Site:
             self.warn(name, text)
         self.fmus[name] = loaded
         return loaded.component
+
+    def linearisation(
+        self,
+        name: str,
+        path: str,
+        *,
+        at: float,
+        start: Mapping[str, Any],
+        inputs: Sequence[str] | None,
+        outputs: Sequence[str],
+    ) -> Linearisation:
+        if name not in self._linearised:
+            chosen = {"inputs": None if inputs is None else list(inputs), "outputs": list(outputs)}
+            asked = {"fmu": path, "at": at, "start": dict(start), **chosen}
+            recorded = self._recorded_facts(name).get("linearisation", {})
+            if recorded.get("asked") != asked:
+                recorded = {"asked": asked, **self._linearise(path, at=at, start=start, inputs=inputs, outputs=outputs)}
+            self._take(name, recorded)
+        return self._linearised[name]
+
+    def _linearise(self, path: str, **wanted: Any) -> dict[str, Any]:
+        from cosim.fmi.linearise import linearize
+        from cosim.fmi.reading import read
+
+        file = self.file(path)
+        return {"sha256": read(file).sha256, "result": linearize(file, **wanted).to_dict()}
+
+    def _take(self, name: str, linearisation: dict[str, Any]) -> None:
+        from cosim.fmi.linearise import Linearisation
+
+        found = self._linearised[name] = Linearisation.of(linearisation["result"])
+        self.note(name, linearisation=linearisation)
+        for text in found.notes:
+            self.warn(name, text)
+
+    def _recorded_facts(self, name: str) -> dict[str, Any]:
+        if self._recording is None:
+            return {}
+        found: dict[str, Any] = json.loads(self._recording.metadata.get(f"cosim.component.{name}", {}).get("facts", "{}"))
+        return found
 
     def note(self, name: str, **facts: Any) -> None:
         self.facts.setdefault(name, {}).update(facts)

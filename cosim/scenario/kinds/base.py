@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 from cosim.blocks.sampled import Decimated
 from cosim.core.contracts import Component
@@ -12,6 +12,9 @@ from cosim.core.solver import Linear, LinearModel
 from cosim.errors import UsageError
 from cosim.scenario.schema import Table
 from cosim.theory.descriptor import DescriptorSystem
+
+if TYPE_CHECKING:
+    from cosim.fmi.linearise import Linearisation
 
 LINEAR = ("descriptor", "unknown-input-observer", "controller", "lag")  # the kinds that are linear models
 
@@ -43,9 +46,22 @@ class Site(Protocol):
         ...
 
     def fmu(
-        self, name: str, path: str, *, mode: Literal["me", "cs"] | None, solver: str | None, start: Mapping[str, float]
+        self, name: str, path: str, *, mode: Literal["me", "cs"] | None, solver: str | None, start: Mapping[str, Any]
     ) -> Component:
         """Load an FMU; it is freed when the run is over."""
+        ...
+
+    def linearisation(
+        self,
+        name: str,
+        path: str,
+        *,
+        at: float,
+        start: Mapping[str, Any],
+        inputs: Sequence[str] | None,
+        outputs: Sequence[str],
+    ) -> Linearisation:
+        """Linearise an FMU for a component, and record the result; a replay takes it from there."""
         ...
 
     def note(self, name: str, **facts: Any) -> None:
