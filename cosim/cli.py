@@ -41,7 +41,15 @@ SetOption = Annotated[
 SwapOption = Annotated[
     list[str] | None,
     typer.Option(
-        "--swap", metavar="COMPONENT=PATH", help="Put an FMU (.fmu) or a recorded component (.mcap) in its place. Repeatable."
+        "--swap",
+        metavar="COMPONENT=PATH",
+        help="Put an FMU (x.fmu, x.fmu#me, x.fmu#cs) or a recorded component (.mcap) in its place. Repeatable.",
+    ),
+]
+MapOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--map", metavar="PORT=NAME", help="What a swapped component calls a port, such as observer.y=out1. Repeatable."
     ),
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
@@ -62,6 +70,7 @@ def run(
     force: ForceOption = False,
     changes: SetOption = None,
     swaps: SwapOption = None,
+    maps: MapOption = None,
     stop: StopOption = None,
     step: Annotated[float | None, typer.Option(help="Communication step [s]; the same as --set scenario.step=...")] = None,
     plot: PlotOption = None,
@@ -80,10 +89,10 @@ def run(
     imported = perf_counter()
     edits = _edits(changes) | {f"scenario.{key}": value for key, value in (("stop", stop), ("step", step)) if value is not None}
     loaded = load(scenario)
+    edited = loaded.edit(swap=_once(swaps, "--swap"), map=_once(maps, "--map"), set=edits)
     if dry_run:
-        tables.comparison(loaded, swaps=_pairs(swaps, "--swap"), changes=edits, as_json=as_json)
+        tables.comparison(edited, as_json=as_json)
         return
-    edited = loaded.edit(swap=_pairs(swaps, "--swap"), set=edits)
     path = out or default_log(edited.name)
     _need_plot(plot, edited.file.truth)
     seconds: dict[str, float] | None = {} if profile else None
@@ -225,6 +234,17 @@ def _pairs(options: list[str] | None, option: str) -> dict[str, str]:
             raise UsageError(f"{option} {text!r}: found no '=', needed NAME=VALUE")
         pairs[name.strip()] = value.strip()
     return pairs
+
+
+def _once(options: list[str] | None, option: str) -> dict[str, str]:
+    """Read pairs of which each name may be given once."""
+    found = _pairs(options, option)
+    if len(found) < len(options or []):
+        names = [text.partition("=")[0].strip() for text in options or []]
+        twice = next(name for name in names if names.count(name) > 1)
+        way = "; 'cosim compare' runs several plants" if option == "--swap" else ""
+        raise UsageError(f"{option} {twice}: given {names.count(twice)} times, needed once{way}")
+    return found
 
 
 def _edits(options: list[str] | None) -> dict[str, Any]:

@@ -217,21 +217,22 @@ def _section(console: Console, title: str, content: Any) -> None:
         console.print(table)
 
 
-def comparison(loaded: Scenario, *, swaps: Mapping[str, str], changes: Mapping[str, Any], as_json: bool) -> None:
-    """Compare the ports of swapped components with those they replace; exit 2 where they cannot be swapped."""
-    from cosim.scenario.inspection import compare
+def comparison(scenario: Scenario, *, as_json: bool) -> None:
+    """Compare swapped components with those they replace; exit 2 where the scenario cannot run with them."""
+    from cosim.scenario.contract import examine
 
-    found, problems = compare(loaded, swaps=swaps, changes=changes)
+    found = examine(scenario.document)
+    problems = [*found.problems, *filter(None, [found.failure])]
     if as_json:
-        _json({"ports": found, "problems": problems})
+        _json({"swaps": {name: report.to_dict() for name, report in found.reports.items()}, "problems": problems})
     else:
         console = _console()
-        for name, rows in found.items():
-            _section(console, name, rows)
+        for report in found.reports.values():
+            _section(console, report.component, report.lines)
         if not problems:
             typer.echo("dry run: the scenario can run")
     if problems:
-        raise UsageError("\n".join(problems))
+        raise UsageError("\n".join([*problems, *found.hints]))
 
 
 def _text(value: Any) -> str:

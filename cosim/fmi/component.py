@@ -1,7 +1,6 @@
 """Units as components: the way in.
 
-``ModelExchange`` and ``CoSimulation`` drive a unit of their kind, generated or loaded; ``load`` opens an .fmu;
-``compare_ports`` says whether one component fits in another's place.
+``ModelExchange`` and ``CoSimulation`` drive a unit of their kind, generated or loaded; ``load`` opens an .fmu.
 """
 
 from __future__ import annotations
@@ -19,7 +18,6 @@ from cosim.core.contracts import Level
 from cosim.errors import FmuError, RunError
 from cosim.fmi.archive import unpack
 from cosim.fmi.co_simulation import CoSimulation
-from cosim.fmi.compare import compare_ports
 from cosim.fmi.description import MODE_NAMES, MODES, Description, Mode
 from cosim.fmi.loaded import LoadedUnit
 from cosim.fmi.model_exchange import ModelExchange
@@ -27,7 +25,7 @@ from cosim.fmi.platforms import SUFFIX, folders
 from cosim.fmi.reading import Archive, read
 from cosim.fmi.start import check_start
 
-__all__ = ["CoSimulation", "Fmu", "ModelExchange", "compare_ports", "load"]
+__all__ = ["CoSimulation", "Fmu", "ModelExchange", "load"]
 
 FmuComponent: TypeAlias = ModelExchange | CoSimulation
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 from cosim.blocks.sampled import Decimated
 from cosim.core.contracts import Component
@@ -12,6 +12,9 @@ from cosim.core.solver import Linear, LinearModel
 from cosim.errors import UsageError
 from cosim.scenario.schema import Table
 from cosim.theory.descriptor import DescriptorSystem
+
+if TYPE_CHECKING:
+    from cosim.fmi.description import Description, Mode
 
 LINEAR = ("descriptor", "unknown-input-observer", "controller", "lag")  # the kinds that are linear models
 
@@ -83,6 +86,10 @@ class Kind(Table):
     def build(self, name: str, site: Site) -> Component:
         """Build the component."""
         return Linear(self.linear_model(name, site))
+
+    def description(self, name: str, site: Site) -> tuple[Mode, Description] | None:
+        """Give the mode and the description of the unit that it drives, where it drives one."""
+        return None
 
     def linear_model(self, name: str, site: Site) -> LinearModel:
         """Give the component as a linear model, where it is one: what an exact solver steps and an FMU can be made of."""

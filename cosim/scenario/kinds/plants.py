@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field
 
@@ -14,6 +14,9 @@ from cosim.core.solver import SOLVERS, LinearModel
 from cosim.errors import UsageError, nearest
 from cosim.scenario.kinds.base import Kind, Site
 from cosim.scenario.schema import Number, Row
+
+if TYPE_CHECKING:
+    from cosim.fmi.description import Description, Mode
 
 
 class Plant(Kind):
@@ -41,6 +44,11 @@ class Descriptor(Plant):
             raise UsageError(f"solver: found {self.solver!r}; {nearest(self.solver, SOLVERS)}")
         return ModelExchange(GeneratedUnit.of(self.linear_model(name, site), name), solver=self.solver)
 
+    def description(self, name: str, site: Site) -> tuple[Mode, Description] | None:
+        from cosim.fmi.generated import GeneratedUnit
+
+        return "me", GeneratedUnit.of(self.linear_model(name, site), name).description
+
     def linear_model(self, name: str, site: Site) -> LinearModel:
         return descriptor_model(site.model(self.model), self.x_a0)
 
@@ -67,6 +75,14 @@ class Fmu(Plant):
 
     def build(self, name: str, site: Site) -> Component:
         return site.fmu(name, self.path, mode=self.mode, solver=self.solver, start=self.start)
+
+    def description(self, name: str, site: Site) -> tuple[Mode, Description] | None:
+        from cosim.fmi.description import MODES
+        from cosim.fmi.reading import read
+
+        found = read(site.file(self.path)).description
+        there: Mode = next(mode for mode in MODES if mode in found.capabilities)
+        return self.mode or there, found
 
 
 class Recording(Plant):
