@@ -6,13 +6,18 @@ outputs that feed through from it are evaluated again as soon as it is known. Wh
 
 * Gauss-Seidel: components advance one after the other, those whose feedthrough inputs are known first.
 * Jacobi: all inputs from inside the loop are late.
+
+A circle of outputs that are known to feed through to each other is refused. Feedthrough that is unknown counts as there, except
+where that would close a circle: there it is taken as not there, and said so (*doubts*). If it is there after all, its output has
+been computed with the late input's value from the start of the step.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from graphlib import CycleError, TopologicalSorter
+from itertools import pairwise
 from typing import Literal, Protocol
 
 import numpy as np
@@ -22,33 +27,36 @@ from cosim.arrays import Matrix, Vector
 from cosim.core.contracts import Block, Component, Stopped
 from cosim.core.signals import Interface
 from cosim.errors import AlgebraicLoopError, RunError
+from cosim.units import Conversion
 
 Port = tuple[str, str]  # component, signal
 Kind = Literal["advance", "refresh"]
 Operation = tuple[Kind, str]
+Feeds = dict[str, tuple[str, ...]]  # the inputs that feed through to each output
 
 
 @dataclass(frozen=True, slots=True)
 class Wire:
-    """Copies source columns into input columns, through a gain and an offset where there are any."""
+    """Copies source columns into input columns, through a gain and an offset where there are any, then from unit to unit."""
 
     to: slice
     source: slice
     gain: Matrix | None
     offset: float
+    conversion: Conversion
 
     @staticmethod
-    def of(to: slice, source: slice, gain: NDArray[np.float64], offset: float) -> Wire:
-        """Build a wire from a number or a matrix; a plain copy where the gain is 1 and the offset 0."""
+    def of(to: slice, source: slice, gain: NDArray[np.float64], offset: float, conversion: Conversion) -> Wire:
+        """Build a wire from a number or a matrix; no map where the gain is 1 and the offset 0."""
         if gain.ndim == 2:
-            return Wire(to, source, gain, offset)
+            return Wire(to, source, gain, offset, conversion)
         plain = gain == 1.0 and offset == 0.0
-        return Wire(to, source, None if plain else gain * np.eye(to.stop - to.start), offset)
+        return Wire(to, source, None if plain else gain * np.eye(to.stop - to.start), offset, conversion)
 
     def copy(self, signals: Matrix, rows: slice) -> None:
         """Fill the input columns of some rows; sums run in a fixed order, without BLAS."""
         if self.gain is None:
-            signals[rows, self.to] = signals[rows, self.source]
+            signals[rows, self.to] = self.conversion(signals[rows, self.source])
             return
         source = signals[rows, self.source]
         for i, gains in enumerate(self.gain):
@@ -56,7 +64,7 @@ class Wire:
             for j, gain in enumerate(gains):
                 if gain != 0.0:
                     total += gain * source[:, j]
-            signals[rows, self.to.start + i] = total
+            signals[rows, self.to.start + i] = self.conversion(total)
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,6 +112,11 @@ class Stage(Protocol):
         ...
 
     @property
+    def warnings(self) -> tuple[tuple[str, str], ...]:
+        """What was taken to be so, as (component, text)."""
+        ...
+
+    @property
     def description(self) -> str:
         """For the log."""
         ...
@@ -119,6 +132,7 @@ class Cascade:
 
     member: Member
     late: Mapping[str, frozenset[str]] = field(default_factory=dict)
+    warnings: tuple[tuple[str, str], ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -151,6 +165,7 @@ class Loop:
     members: tuple[Member, ...]
     operations: tuple[tuple[Kind, Member], ...]
     late: Mapping[str, frozenset[str]]
+    warnings: tuple[tuple[str, str], ...]
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -195,9 +210,25 @@ def _stop(error: RunError) -> Stopped:
     return error if isinstance(error, Stopped) else Stopped(np.empty((0, 0)), str(error))
 
 
-def order_loop(
-    interfaces: Mapping[str, Interface], sources: Mapping[str, Mapping[str, Port]], *, jacobi: bool
-) -> tuple[tuple[Operation, ...], dict[str, frozenset[str]]]:
+@dataclass(frozen=True, slots=True)
+class LoopOrder:
+    """How a loop is advanced.
+
+    Parameters
+    ----------
+    operations : tuple of Operation
+    late : mapping of component name to frozenset of str
+        Inputs that are known only after the component has advanced.
+    doubts : tuple of (component, output, input)
+        Where feedthrough is unknown and was taken as not there.
+    """
+
+    operations: tuple[Operation, ...]
+    late: Mapping[str, frozenset[str]]
+    doubts: tuple[tuple[str, str, str], ...]
+
+
+def order_loop(interfaces: Mapping[str, Interface], sources: Mapping[str, Mapping[str, Port]], *, jacobi: bool) -> LoopOrder:
     """Fix the order of operations in a loop, and which inputs are late.
 
     Parameters
@@ -212,24 +243,15 @@ def order_loop(
     Raises
     ------
     AlgebraicLoopError
-        If outputs feed through to each other in a circle; every port of it is named.
+        If outputs are known to feed through to each other in a circle; every port of it is named.
     """
-    circle = _algebraic_loop(interfaces, sources)
-    if circle:
-        raise AlgebraicLoopError(
-            f"{' -> '.join(circle)}: every output here feeds through; put a component with a state of its own between, "
-            "such as a lag or a delay"
-        )
-    order = _Order(interfaces, sources)
+    feeds, doubts = _feedthrough(interfaces, sources)
+    order = _Order(feeds, sources)
     if jacobi:
         for name in interfaces:
             order.advance(name, late=order.inside(name))
         for name in interfaces:  # outputs that no late input reaches are right already
-            order.known.update(
-                (name, o.name)
-                for o in interfaces[name].outputs
-                if not order.late[name].intersection(interfaces[name].feeds(o.name))
-            )
+            order.known.update((name, o) for o, inputs in feeds[name].items() if not order.late[name].intersection(inputs))
         order.refresh()
     else:
         waiting = list(interfaces)
@@ -239,28 +261,27 @@ def order_loop(
             order.advance(name, late=frozenset(i for i in order.inside(name) if not order.is_known(name, i)))
             order.settle(name)
             order.refresh()
-    return tuple(order.operations), order.late
+    return LoopOrder(tuple(order.operations), order.late, doubts)
 
 
 class _Order:
     """The order of operations of a loop while it is found; ``known``: the outputs at the end of the step that are final."""
 
-    def __init__(self, interfaces: Mapping[str, Interface], sources: Mapping[str, Mapping[str, Port]]) -> None:
-        self.interfaces, self.sources = interfaces, sources
+    def __init__(self, feeds: Mapping[str, Feeds], sources: Mapping[str, Mapping[str, Port]]) -> None:
+        self.feeds, self.sources = feeds, sources
         self.known: set[Port] = set()
         self.operations: list[Operation] = []
         self.late: dict[str, frozenset[str]] = {}
 
     def inside(self, name: str) -> frozenset[str]:
-        return frozenset(i for i, source in self.sources[name].items() if source[0] in self.interfaces)
+        return frozenset(i for i, source in self.sources[name].items() if source[0] in self.feeds)
 
     def is_known(self, name: str, signal: str) -> bool:
         source = self.sources[name][signal]
-        return source[0] not in self.interfaces or source in self.known
+        return source[0] not in self.feeds or source in self.known
 
     def unknown_feedthrough(self, name: str) -> int:
-        interface = self.interfaces[name]
-        feeding = {i for output in interface.outputs for i in interface.feeds(output.name)}
+        feeding = {i for inputs in self.feeds[name].values() for i in inputs}
         return sum(not self.is_known(name, signal) for signal in feeding)
 
     def advance(self, name: str, *, late: frozenset[str]) -> None:
@@ -269,8 +290,7 @@ class _Order:
 
     def settle(self, name: str) -> bool:
         """Take the outputs as known whose feedthrough inputs are; say whether any is new."""
-        interface = self.interfaces[name]
-        ports = {(name, o.name) for o in interface.outputs if all(self.is_known(name, i) for i in interface.feeds(o.name))}
+        ports = {(name, o) for o, inputs in self.feeds[name].items() if all(self.is_known(name, i) for i in inputs)}
         news = not ports <= self.known
         self.known |= ports
         return news
@@ -286,16 +306,46 @@ class _Order:
                     progress = True
 
 
-def _algebraic_loop(interfaces: Mapping[str, Interface], sources: Mapping[str, Mapping[str, Port]]) -> list[str]:
-    """Find a circle of ports along feedthrough and connections; give it as text, closed, or nothing."""
+def _feedthrough(
+    interfaces: Mapping[str, Interface], sources: Mapping[str, Mapping[str, Port]]
+) -> tuple[dict[str, Feeds], tuple[tuple[str, str, str], ...]]:
+    """Say what feeds through to each output of each component; where that is unknown, all that closes no circle."""
+    known = {
+        name: {o.name: face.feeds(o.name) if face.knows(o.name) else () for o in face.outputs}
+        for name, face in interfaces.items()
+    }
+    circle = _circle(known, sources)
+    if circle:
+        raise AlgebraicLoopError(
+            f"{' -> '.join('.'.join(port) for port in circle)}: every output here feeds through; put a component with a state of "
+            "its own between, such as a lag or a delay"
+        )
+    feeds = {name: {o.name: face.feeds(o.name) for o in face.outputs} for name, face in interfaces.items()}
+    doubts = []
+    while circle := _circle(feeds, sources):
+        name, signal, output = next(
+            (name, a, b)
+            for (name, a), (other, b) in pairwise(circle)
+            if other == name and a in feeds[name].get(b, ()) and not interfaces[name].knows(b)
+        )
+        feeds[name][output] = tuple(i for i in feeds[name][output] if i != signal)
+        doubts.append((name, output, signal))
+    return feeds, tuple(doubts)
+
+
+def _circle(feeds: Mapping[str, Feeds], sources: Mapping[str, Mapping[str, Port]]) -> list[Port]:
+    """Find a circle of ports along feedthrough and connections; give it closed, in the direction of the signals, or nothing."""
     behind: dict[Port, list[Port]] = {}
-    for name, interface in interfaces.items():
-        for signal, source in sources[name].items():
-            behind[name, signal] = [source] if source[0] in interfaces else []
-        for output in interface.outputs:
-            behind[name, output.name] = [(name, signal) for signal in interface.feeds(output.name)]
+    for name, outputs in feeds.items():
+        behind |= {(name, signal): [source] if source[0] in feeds else [] for signal, source in sources[name].items()}
+        behind |= {(name, output): [(name, signal) for signal in inputs] for output, inputs in outputs.items()}
+    return find_circle(behind)
+
+
+def find_circle(behind: Mapping[Port, Collection[Port]]) -> list[Port]:
+    """Find a circle among ports, each with those it depends on; give it closed, in the direction of the signals, or nothing."""
     try:
         TopologicalSorter(behind).prepare()
     except CycleError as error:
-        return [".".join(port) for port in error.args[1]]
+        return list(error.args[1])
     return []

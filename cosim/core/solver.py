@@ -123,10 +123,16 @@ class Linear:
         self._step.restore(state)
 
 
-def feedthrough_of(inputs: Interface, D: Matrix) -> dict[str, tuple[str, ...]]:
+def feedthrough_of(inputs: Interface, D: Matrix | Mask) -> dict[str, tuple[str, ...]]:
     """Read the feedthrough of an interface off the nonzero blocks of D, shape (n_y, n_u)."""
     columns, rows = inputs.input_columns(), inputs.output_columns()
     return {output: tuple(name for name, c in columns.items() if D[r, c].any()) for output, r in rows.items()}
+
+
+def start_dependencies(inputs: Interface, C: Matrix, D: Matrix, Xu: Matrix) -> dict[str, tuple[str, ...]]:
+    """Read off the zeros of C, Xu and D what outputs depend on at the start, where it is more than feeds through."""
+    direct, pattern = feedthrough_of(inputs, D), ((C != 0.0) @ (Xu != 0.0)) | (D != 0.0)
+    return {output: names for output, names in feedthrough_of(inputs, pattern).items() if names != direct[output]}
 
 
 def rk4(f: Derivative, t0: float, t1: float, x: Vector, u0: Vector, u1: Vector) -> Vector:

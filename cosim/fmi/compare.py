@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
 from cosim.core.signals import Interface, Signal
-from cosim.units import same_unit
+from cosim.units import Conversion, conversion
 
 Verdict: TypeAlias = Literal["ok", "unknown", "differs", "error"]
 Causality: TypeAlias = Literal["input", "output"]
@@ -227,13 +227,13 @@ def _aspects(old: Port | None, new: Port | None, names: Mapping[str, str], bad: 
     if old.causality != new.causality:
         return
     if old.causality == "input":
-        yield "start value", old.start, new.start, _numbers(old.start, new.start)
+        yield "start value", old.start, new.start, _numbers(old.start, _in_unit_of(old, new, new.start))
         return
     wanted = None if old.through is None else sorted(names.get(name, name) for name in old.through)
     found = None if new.through is None else sorted(new.through)
     known = ["unknown" if side is None else side for side in (wanted, found)]
     yield "feedthrough", known[0], known[1], "ok" if wanted == found else "differs"
-    yield "initial output", old.initial, new.initial, _numbers(old.initial, new.initial)
+    yield "initial output", old.initial, new.initial, _numbers(old.initial, _in_unit_of(old, new, new.initial))
     if old.gains is not None or new.gains is not None:
         yield "static gain", old.gains, new.gains, _numbers(old.gains, new.gains)
 
@@ -253,7 +253,18 @@ def _pairs(poles: Vector | None) -> list[list[float]] | None:
 def _unit(old: Signal, new: Signal, bad: Verdict) -> Verdict:
     if (old.unit is None) != (new.unit is None):
         return "unknown"
-    return "ok" if same_unit(old.unit, new.unit) else bad
+    found = _converts(old, new)
+    return bad if found is None else "ok" if found.copies else "differs"
+
+
+def _converts(old: Signal, new: Signal) -> Conversion | None:
+    """Say how values of ``new`` become values in the unit of ``old``; None: they cannot."""
+    return conversion(new.measure, old.measure)
+
+
+def _in_unit_of(old: Port, new: Port, values: Sequence[float] | None) -> Vector | None:
+    convert = _converts(old.signal, new.signal)
+    return None if values is None else np.array(values) if convert is None else convert(np.array(values))
 
 
 def _numbers(old: Sequence[float] | Vector | None, new: Sequence[float] | Vector | None) -> Verdict:
@@ -311,7 +322,7 @@ def _candidates(after: Side, free: Sequence[str], old: Port) -> Iterator[tuple[s
 
 def _fits(old: Port, new: Port) -> bool:
     same = (old.causality, old.size, old.signal.kind) == (new.causality, new.size, new.signal.kind)
-    return same and same_unit(old.signal.unit, new.signal.unit)
+    return same and _converts(old.signal, new.signal) is not None
 
 
 def _reasons(old: Port, new: Port) -> tuple[str, ...]:
@@ -320,7 +331,7 @@ def _reasons(old: Port, new: Port) -> tuple[str, ...]:
         reasons.append(f"unit {new.signal.unit!r}")
     if old.through is not None and new.through is not None and len(old.through) == len(new.through):
         reasons.append(f"feeds through {'from' if new.causality == 'output' else 'to'} {_some(new.through)}")
-    if old.initial is not None and new.initial is not None and _close(old.initial, new.initial):
+    if old.initial is not None and new.initial is not None and _numbers(old.initial, _in_unit_of(old, new, new.initial)) == "ok":
         reasons.append(f"initial output {_shown(new.initial)}")
     if old.gains is not None and new.gains is not None and _close(old.gains, new.gains):
         reasons.append(f"static gains {_shown(new.gains)}")

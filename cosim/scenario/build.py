@@ -15,8 +15,9 @@ from pydantic import ValidationError
 
 from cosim.blocks.replay import Replay
 from cosim.core.clock import Clock, whole_steps
+from cosim.core.connections import Connection, check_connections, layout_of
 from cosim.core.contracts import Component, Level, Recording
-from cosim.core.graph import Connection, Graph, check_connections, layout_of
+from cosim.core.graph import Graph
 from cosim.errors import CosimError, ScenarioError, UsageError, nearest
 from cosim.scenario.document import FLAT, Document, Key, Problem, flatten
 from cosim.scenario.kinds import KINDS, Kind, Site
@@ -185,6 +186,8 @@ def finish(made: Draft) -> Experiment:
         held = {signal: bool(graph.held[name][at].any()) for signal, at in columns.items()}
         for text in spec.advice(held, clock.step_ns / 1e9):
             site.warn(name, text)
+    for name, text in graph.warnings:
+        site.warn(name, text)
     return Experiment(
         scenario,
         graph,

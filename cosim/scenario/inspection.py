@@ -8,6 +8,8 @@ from contextlib import ExitStack
 from dataclasses import asdict
 from typing import Any
 
+from cosim.core.connections import Connection
+from cosim.core.graph import Graph
 from cosim.core.signals import Interface, Signal
 from cosim.scenario.build import build
 from cosim.scenario.execution import load
@@ -62,8 +64,16 @@ def scenario(name: str) -> Section:
             for channel in experiment.graph.layout.channels
             for signal, role in _signals(channel.interface)
         ]
-        wires = {to: wire.source for to, wire in loaded.connections.items()}
+        wires = [_wire_row(experiment.graph, to, wire) for to, wire in loaded.connections.items()]
         return {"scenario": about, "signals": rows, "connections": wires, "facts": dict(experiment.facts)}
+
+
+def _wire_row(graph: Graph, to: str, wire: Connection) -> Section:
+    """Show one connection: its map where it has one, and its conversion of units where they differ."""
+    shown = "" if not np.ndim(wire.gain) and wire.gain == 1.0 else f"{np.asarray(wire.gain).tolist()} v"
+    shown += f" + {wire.offset}" if wire.offset else ""
+    conversion = graph.conversions.get(to)
+    return {"to": to, "from": wire.source, "map": shown or None, "unit": wire.unit, "converted": conversion and str(conversion)}
 
 
 def fmu(path: str) -> Section:

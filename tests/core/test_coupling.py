@@ -84,27 +84,33 @@ def test_gauss_seidel_has_as_few_late_inputs_as_possible():
     """Who needs no input at the end of the step goes first; only the input that closes the circle is late."""
     interfaces = {"gain": interface(["u"], y=("u",)), "sum": interface(["r", "u"], y=("r", "u")), "lag": interface(["u"], y=())}
     sources = {"gain": {"u": ("lag", "y")}, "sum": {"r": ("out", "y"), "u": ("gain", "y")}, "lag": {"u": ("sum", "y")}}
-    operations, late = order_loop(interfaces, sources, jacobi=False)
-    assert operations == (("advance", "lag"), ("advance", "gain"), ("advance", "sum"))
-    assert late == {"lag": {"u"}, "gain": set(), "sum": set()}
+    order = order_loop(interfaces, sources, jacobi=False)
+    assert order.operations == (("advance", "lag"), ("advance", "gain"), ("advance", "sum"))
+    assert order.late == {"lag": {"u"}, "gain": set(), "sum": set()}
 
 
 def test_an_output_is_evaluated_again_when_a_late_input_feeds_through():
     """Plant with v = x and y = C x + D u, gain from v to u: y waits for the gain, and is refreshed once."""
     interfaces = {"plant": interface(["u"], v=(), y=("u",)), "gain": interface(["u"], y=("u",))}
     sources = {"plant": {"u": ("gain", "y")}, "gain": {"u": ("plant", "v")}}
-    operations, late = order_loop(interfaces, sources, jacobi=False)
-    assert operations == (("advance", "plant"), ("advance", "gain"), ("refresh", "plant"))
-    assert late == {"plant": {"u"}, "gain": set()}
+    order = order_loop(interfaces, sources, jacobi=False)
+    assert order.operations == (("advance", "plant"), ("advance", "gain"), ("refresh", "plant"))
+    assert order.late == {"plant": {"u"}, "gain": set()}
 
 
 def test_jacobi_takes_every_input_from_inside_as_late():
     """All advance on the values of the start of the step; what feeds through is evaluated again, in order."""
     interfaces = {"gain": interface(["u"], y=("u",)), "sum": interface(["r", "u"], y=("r", "u")), "lag": interface(["u"], y=())}
     sources = {"gain": {"u": ("lag", "y")}, "sum": {"r": ("out", "y"), "u": ("gain", "y")}, "lag": {"u": ("sum", "y")}}
-    operations, late = order_loop(interfaces, sources, jacobi=True)
-    assert operations == (("advance", "gain"), ("advance", "sum"), ("advance", "lag"), ("refresh", "gain"), ("refresh", "sum"))
-    assert late == {"gain": {"u"}, "sum": {"u"}, "lag": {"u"}}
+    order = order_loop(interfaces, sources, jacobi=True)
+    assert order.operations == (
+        ("advance", "gain"),
+        ("advance", "sum"),
+        ("advance", "lag"),
+        ("refresh", "gain"),
+        ("refresh", "sum"),
+    )
+    assert order.late == {"gain": {"u"}, "sum": {"u"}, "lag": {"u"}}
 
 
 @pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])

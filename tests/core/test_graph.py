@@ -7,7 +7,8 @@ from cosim.blocks.arithmetic import gain, sum_of
 from cosim.blocks.dynamics import Delay, lag
 from cosim.blocks.source import Noise, Table, constant, sine
 from cosim.core.clock import Clock
-from cosim.core.graph import Connection, Graph
+from cosim.core.connections import Connection
+from cosim.core.graph import Graph
 from cosim.core.master import run
 from cosim.core.recorders import Memory
 from cosim.core.signals import Interface, Signal
@@ -41,7 +42,10 @@ def graph(connections, **options):
             {"small.u": "u.y[1]"},
             "u.y[1] -> small.u: unit 'm' cannot drive unit 's'; convert with { from = 'u.y[1]', gain = ..., unit = 's' }",
         ),
-        ({"lag.u": Connection("u.y", unit="mm")}, "u.y -> lag.u: unit 'mm' cannot drive unit 'm'"),
+        (
+            {"lag.u": Connection("u.y", unit="mm")},
+            "u.y -> lag.u: the source has unit 'm'; unit = 'mm' needs its gain; without it the unit is converted",
+        ),
         ({"lag.u": Connection("u.y", ((1.0, 2.0, 3.0),))}, "u.y -> lag.u: gain has shape (1, 3), needed (3, 3)"),
         ({"small.u": Connection("u.y", ((1.0,),), unit="s")}, "u.y -> small.u: gain has shape (1, 1), needed (1, 3)"),
     ],

@@ -9,7 +9,6 @@ from cosim.errors import FmuError
 from cosim.fmi.compare import Port, PortRow, compare_ports
 from cosim.fmi.description import Description, Variable
 from cosim.fmi.reading import read
-from cosim.units import base_unit, same_unit
 from tests.fmi.plant import FACE
 
 
@@ -72,15 +71,3 @@ def test_ports_are_compared_by_name():
     assert rows["y"] == PortRow("y", Port("output", 1, "Hz", ("u",)), Port("output", 1, "1/s", ()), "ok")
     assert rows["delta"].found is None
     assert {row.status for row in compare_ports(FACE, FACE)} == {"ok"}
-
-
-def test_units():
-    """Products, quotients and powers of SI units; what is not known is not compared as equal."""
-    assert base_unit("kg.m2/s^2") == base_unit("J") == base_unit("N*m")
-    assert base_unit("1") == base_unit("rad/rad")
-    assert base_unit("furlong") is None
-    assert base_unit("min").factor == 60.0
-    assert same_unit("furlong", "furlong")
-    assert same_unit(None, "m")
-    assert not same_unit("furlong", "m")
-    assert not same_unit("min", "s")
