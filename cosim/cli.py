@@ -175,6 +175,17 @@ def info(
 
 
 @app.command()
+def check(
+    fmu: Annotated[Path, typer.Argument(metavar="FMU", help="An FMU (.fmu).")],
+    as_json: JsonOption = False,
+) -> None:
+    """Find everything that is wrong with an FMU: archive, schema, structure, binaries, trial runs; exit 1 at an error."""
+    from cosim import tables
+
+    tables.check(str(fmu), as_json=as_json)
+
+
+@app.command()
 def plot(
     log: LogArgument,
     signals: Annotated[list[str], typer.Argument(metavar="SIGNAL...", help="Signals, such as observer.delta.")],
@@ -217,6 +228,46 @@ def export(
 
     for line in export_component(scenario, component, out, force=force, set=_edits(changes)):
         typer.echo(line)
+
+
+@app.command()
+def linearize(
+    fmu: Annotated[Path, typer.Argument(metavar="FMU", help="An FMU for model exchange (.fmu).")],
+    at: Annotated[
+        float, typer.Option(metavar="T", help="Linearise where it arrives at this time with constant inputs [s].")
+    ] = 0.0,
+    values: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="NAME=VALUE", help="Start value of an input, a parameter or a state. Repeatable."),
+    ] = None,
+    inputs: Annotated[
+        list[str] | None, typer.Option("--input", metavar="NAME", help="Only these, in this order. Repeatable.")
+    ] = None,
+    outputs: Annotated[
+        list[str] | None, typer.Option("--output", metavar="NAME", help="Only these, in this order. Repeatable.")
+    ] = None,
+    disturbances: Annotated[
+        list[str] | None, typer.Option("--disturbance", metavar="NAME", help="With --toml: an input that is unknown. Repeatable.")
+    ] = None,
+    differences: Annotated[bool, typer.Option("--differences", help="Central differences, whatever the FMU has.")] = False,
+    as_toml: Annotated[bool, typer.Option("--toml", help="Print a table for [models] of a scenario.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Linearise an FMU at an operating point: A, B, C, D, poles, static gain."""
+    from cosim import tables
+    from cosim.scenario.linearising import linearise_file, model_table
+
+    if as_toml and as_json:
+        raise UsageError("--toml and --json: give one of them")
+    if bool(disturbances) != as_toml:
+        raise UsageError("--toml and --disturbance NAME go together: a table of [models] tells known inputs from unknown ones")
+    found = linearise_file(fmu, at=at, start=_edits(values), inputs=inputs, outputs=outputs, differences=differences)
+    if disturbances:
+        for note in found.notes:
+            typer.echo(f"note: {note}", err=True)
+        typer.echo(model_table(found, disturbances), nl=False)
+    else:
+        tables.linearisation(found, as_json=as_json)
 
 
 def _need_plot(out: Path | None, truth: Collection[str]) -> None:

@@ -15,7 +15,9 @@ from rich.table import Table
 from cosim.errors import UsageError
 
 if TYPE_CHECKING:
+    from cosim.arrays import Matrix
     from cosim.core.contracts import Recording
+    from cosim.fmi.linearise import Linearisation
     from cosim.log.diff import Difference
     from cosim.scenario.build import Scenario
     from cosim.scenario.report import Identification, Summary
@@ -197,8 +199,26 @@ def info(what: str, *, as_json: bool) -> None:
         _json(found)
         return
     console = _console()
-    for title, content in found.items():
+    shown = inspection.shown_fmu(found) if suffix == ".fmu" else found
+    for title, content in shown.items():
         _section(console, title, content)
+
+
+def check(path: str, *, as_json: bool) -> None:
+    """Print everything that is wrong with an FMU; exit 1 where there is an error."""
+    from cosim.scenario import inspection
+
+    found = inspection.check(path)
+    errors, warnings = (sum(finding["level"] == level for finding in found) for level in ("error", "warning"))
+    if as_json:
+        _json({"path": path, "errors": errors, "warnings": warnings, "findings": found})
+    else:
+        for finding in found:
+            typer.echo(f"{finding['level']}: {finding['where']}: {finding['text']}")
+        counts = ", ".join(f"{n} {what}{'s' * (n > 1)}" for n, what in ((errors, "error"), (warnings, "warning")) if n)
+        typer.echo(f"{path}: {counts or 'nothing is wrong with it'}")
+    if errors:
+        raise typer.Exit(1)
 
 
 def _section(console: Console, title: str, content: Any) -> None:
@@ -214,6 +234,50 @@ def _section(console: Console, title: str, content: Any) -> None:
         table = _table(title, ("", ""))
         for key, value in content.items():
             table.add_row(key, _text(value))
+        console.print(table)
+
+
+def linearisation(found: Linearisation, *, as_json: bool) -> None:
+    """Print a linearisation: matrices with names, poles, static gain, where it comes from."""
+    gain = found.static_gain
+    if as_json:
+        poles = [[pole.real, pole.imag] for pole in found.poles.tolist()]
+        _json(found.to_dict() | {"poles": poles, "static_gain": None if gain is None else gain.tolist()})
+        return
+    console = _console()
+    point = _table(f"{found.name} at t = {found.t:g} s", ("", "value", "derivative"))
+    for name, x, dx in zip(found.states, found.x, found.dx, strict=True):
+        point.add_row(name, f"{x:.6g}", f"{dx:.6g}")
+    for name, value in (*zip(found.inputs, found.u, strict=True), *zip(found.outputs, found.y, strict=True)):
+        point.add_row(name, f"{value:.6g}", "")
+    console.print(point)
+    derivatives = [f"der({name})" for name in found.states]
+    blocks = {
+        "A": (found.A, derivatives, found.states),
+        "B": (found.B, derivatives, found.inputs),
+        "C": (found.C, found.outputs, found.states),
+        "D": (found.D, found.outputs, found.inputs),
+    }
+    for letter, (matrix, rows, columns) in blocks.items():
+        error = found.errors[letter]
+        _matrix(console, letter if error is None else f"{letter}, error up to {error:.1g}", matrix, rows=rows, columns=columns)
+    if gain is not None:
+        _matrix(console, "static gain D - C A^-1 B", gain, rows=found.outputs, columns=found.inputs)
+    about = _table("", ("", ""))
+    about.add_row("poles", ", ".join(f"{p.real:.6g}" if p.imag == 0.0 else f"{p:.6g}" for p in found.poles.tolist()) or "none")
+    if gain is None:
+        about.add_row("static gain", "none, as A is singular")
+    about.add_row("columns by", ", ".join(dict.fromkeys(found.made.values())))
+    for note in found.notes:
+        about.add_row("note", note)
+    console.print(about)
+
+
+def _matrix(console: Console, title: str, matrix: Matrix, *, rows: Sequence[str], columns: Sequence[str]) -> None:
+    if matrix.size:
+        table = _table(title, ("", *columns))
+        for name, row in zip(rows, matrix.tolist(), strict=True):
+            table.add_row(name, *(f"{value:.6g}" for value in row))
         console.print(table)
 
 

@@ -359,3 +359,56 @@ def test_a_refused_run_leaves_the_old_log_as_it_was(call, tmp_path):
         assert call("run", *arguments, "--out", "a.mcap", "--force")[0] == 2, arguments
         assert (tmp_path / "a.mcap").read_bytes() == before
     assert not list(tmp_path.glob(".a*"))
+
+
+def test_linearize_prints_matrices_poles_and_gain(call, tmp_path):
+    """The reduced plant (28): A, its poles -1.5 +- 0.866i, the gain D - C A^-1 B = -4/3 and 2/3, in words and as JSON."""
+    call("export", "academic", "--component", "plant", "--out", "plant.fmu")
+    code, out, err = call("linearize", "plant.fmu", "--output", "y", "--set", "x_a[0]=0.5")
+    assert (code, err) == (0, "")
+    words = " ".join(out.split())
+    assert "der(x_a[0]) -1 1 der(x_a[1]) -1 -2 B" in words
+    assert "D - C A^-1 B u delta y -1.33333 0.666667" in words
+    assert "poles -1.5-0.866025j, -1.5+0.866025j columns by directional derivatives" in words
+    code, out, _ = call("linearize", "plant.fmu", "--input", "delta", "--output", "y", "--differences", "--at", "2", "--json")
+    found = json.loads(out)
+    assert (code, found["t"], found["inputs"], found["made"]["delta"]) == (0, 2.0, ["delta"], "central differences")
+    assert found["static_gain"][0] == pytest.approx([2.0 / 3.0], rel=1e-9)
+
+
+def test_linearize_says_where_there_is_no_gain(call, tmp_path):
+    """An integrator."""
+    (tmp_path / "i.toml").write_text(
+        '[scenario]\nname = "i"\nstop = 0.1\nstep = 0.01\n[components.u]\nkind = "constant"\nvalue = 1.0\n'
+        '[components.c]\nkind = "controller"\nA = [[0.0]]\nB = [[1.0]]\nC = [[2.0]]\n[connections]\n"c.u" = "u.y"\n'
+    )
+    call("export", "i.toml", "--component", "c", "--out", "i.fmu")
+    assert "static gain none, as A is singular" in " ".join(call("linearize", "i.fmu")[1].split())
+
+
+def test_linearize_prints_a_table_for_a_scenario(call):
+    """Ready for [models]; notes go to stderr."""
+    call("export", "academic", "--component", "plant", "--out", "plant.fmu")
+    code, out, _ = call("linearize", "plant.fmu", "--output", "y", "--toml", "--disturbance", "delta")
+    assert code == 0
+    assert "[models.academic_plant]" in out
+    assert "Bd = [[1.0], [0.0], [0.0]]" in out
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        (["--toml"], "--toml and --disturbance NAME go together"),
+        (["--disturbance", "delta"], "--toml and --disturbance NAME go together"),
+        (["--toml", "--json", "--disturbance", "delta"], "--toml and --json: give one of them"),
+        (["--set", "u=fast"], "--set u: found 'fast', needed a number, true or false"),
+        (["--set", "u"], "--set 'u': found no '=', needed NAME=VALUE"),
+        (["--input", "w"], "no input 'w'; There is: u, delta"),
+    ],
+)
+def test_linearize_refuses_what_it_cannot_do(call, options, text):
+    """One message, exit 2."""
+    call("export", "academic", "--component", "plant", "--out", "plant.fmu")
+    code, _, err = call("linearize", "plant.fmu", *options)
+    assert code == 2
+    assert text in err

@@ -23,6 +23,7 @@ Causality: TypeAlias = Literal["input", "output"]
 Pair: TypeAlias = tuple[str | None, str | None]  # a port before and the one that takes its place; None: there is none
 
 SAME = 1e-9  # relative difference of two numbers that are told to be different
+SINGULAR = 1e-12  # reciprocal condition of A below which there is no static gain
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +50,32 @@ class Ability:
 
 
 @dataclass(frozen=True, slots=True)
+class NearStart:
+    """A component near its start.
+
+    Parameters
+    ----------
+    poles : array of complex [1/s]
+    gain : Matrix, shape (n_y, n_u), or None
+        Static gain; None: A is singular.
+    error : float
+        Of the numbers; 0: rounding.
+    """
+
+    poles: NDArray[np.complex128]
+    gain: Matrix | None
+    error: float
+
+    @staticmethod
+    def of(A: Matrix, B: Matrix, C: Matrix, D: Matrix, *, error: float) -> NearStart:
+        """Give poles and static gain D - C A^-1 B."""
+        values = np.linalg.svd(A, compute_uv=False)
+        regular = not values.size or values[-1] > max(SINGULAR * values[0], len(A) * error)
+        gain = D - C @ np.linalg.solve(A, B) if regular else None
+        return NearStart(np.sort_complex(np.linalg.eigvals(A).astype(np.complex128)), gain, error)
+
+
+@dataclass(frozen=True, slots=True)
 class Side:
     """What is known of a component before it runs.
 
@@ -60,18 +87,15 @@ class Side:
         What it takes as long as nothing drives it; unknown where not named.
     initial : mapping of output name to Vector
         Outputs at the start for the scenario's inputs; unknown where not named.
-    poles : array of complex or None
-        Of the component linearised at the start [1/s]; None: it does not linearise.
-    gain : Matrix, shape (n_y, n_u), or None
-        Its static gain.
+    near_start : NearStart or None
+        What it is near its start; None: it does not linearise.
     """
 
     interface: Interface
     ability: Ability
     start: Mapping[str, Vector] = field(default_factory=dict)
     initial: Mapping[str, Vector] = field(default_factory=dict)
-    poles: NDArray[np.complex128] | None = None
-    gain: Matrix | None = None
+    near_start: NearStart | None = None
 
     def port(self, name: str | None) -> Port | None:
         """Find a port, or one element of it; None: there is none."""
@@ -127,7 +151,8 @@ class Port:
     @property
     def gains(self) -> list[float] | None:
         """Static gains to or from it, in rising order; None: unknown."""
-        gain, face = self.side.gain, self.side.interface
+        near, face = self.side.near_start, self.side.interface
+        gain = None if near is None else near.gain
         if gain is None:
             return None
         columns = face.output_columns() if self.causality == "output" else face.input_columns()
@@ -235,15 +260,20 @@ def _aspects(old: Port | None, new: Port | None, names: Mapping[str, str], bad: 
     yield "feedthrough", known[0], known[1], "ok" if wanted == found else "differs"
     yield "initial output", old.initial, new.initial, _numbers(old.initial, _in_unit_of(old, new, new.initial))
     if old.gains is not None or new.gains is not None:
-        yield "static gain", old.gains, new.gains, _numbers(old.gains, new.gains)
+        yield "static gain", old.gains, new.gains, _numbers(old.gains, new.gains, _error(old.side, new.side))
 
 
 def _whole(before: Side, after: Side) -> Iterator[Aspect]:
     for (aspect, old), (_, new) in zip(before.ability.items(), after.ability.items(), strict=True):
         yield aspect, old, new, "ok" if old == new else "unknown" if None in (old, new) else "differs"
-    if before.poles is not None or after.poles is not None:
-        poles = [None if side.poles is None else np.sort_complex(side.poles).view(np.float64) for side in (before, after)]
-        yield "poles", _pairs(poles[0]), _pairs(poles[1]), _numbers(*poles)
+    if before.near_start is not None or after.near_start is not None:
+        poles = [None if near is None else near.poles.view(np.float64) for near in (before.near_start, after.near_start)]
+        yield "poles", _pairs(poles[0]), _pairs(poles[1]), _numbers(poles[0], poles[1], _error(before, after))
+
+
+def _error(*sides: Side) -> float:
+    """How far numbers of linearised sides may be apart: ten times what their derivatives may be wrong by."""
+    return max(SAME, *(10.0 * side.near_start.error for side in sides if side.near_start is not None))
 
 
 def _pairs(poles: Vector | None) -> list[list[float]] | None:
@@ -267,18 +297,18 @@ def _in_unit_of(old: Port, new: Port, values: Sequence[float] | None) -> Vector 
     return None if values is None else np.array(values) if convert is None else convert(np.array(values))
 
 
-def _numbers(old: Sequence[float] | Vector | None, new: Sequence[float] | Vector | None) -> Verdict:
+def _numbers(old: Sequence[float] | Vector | None, new: Sequence[float] | Vector | None, error: float = SAME) -> Verdict:
     if old is None or new is None:
         return "ok" if old is new else "unknown"
-    return "ok" if _close(old, new) else "differs"
+    return "ok" if _close(old, new, error) else "differs"
 
 
-def _close(old: Sequence[float] | Vector, new: Sequence[float] | Vector) -> bool:
+def _close(old: Sequence[float] | Vector, new: Sequence[float] | Vector, error: float) -> bool:
     if len(old) != len(new):
         return False
     a, b = np.array(old), np.array(new)
     scale = max(1.0, np.nanmax(np.abs(a), initial=0.0))
-    return bool(np.allclose(a, b, rtol=0.0, atol=SAME * scale, equal_nan=True))
+    return bool(np.allclose(a, b, rtol=0.0, atol=error * scale, equal_nan=True))
 
 
 def _split(face: Interface, name: str) -> tuple[str, int | None]:
@@ -333,7 +363,7 @@ def _reasons(old: Port, new: Port) -> tuple[str, ...]:
         reasons.append(f"feeds through {'from' if new.causality == 'output' else 'to'} {_some(new.through)}")
     if old.initial is not None and new.initial is not None and _numbers(old.initial, _in_unit_of(old, new, new.initial)) == "ok":
         reasons.append(f"initial output {_shown(new.initial)}")
-    if old.gains is not None and new.gains is not None and _close(old.gains, new.gains):
+    if old.gains and new.gains and _close(old.gains, new.gains, _error(old.side, new.side)):
         reasons.append(f"static gains {_shown(new.gains)}")
     return tuple(reasons)
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
 from pydantic import ValidationError
@@ -25,14 +25,17 @@ from cosim.scenario.problems import problems_of
 from cosim.scenario.schema import File, matrix
 from cosim.theory.descriptor import DescriptorSystem
 
+if TYPE_CHECKING:
+    from cosim.fmi.linearise import Linearisation
+
 Problems = list[Problem]
 
 
 class Speaker(Protocol):
     """An opened FMU, as far as its messages go."""
 
-    def drain(self) -> list[tuple[Level, str]]:
-        """Give what it said since the last call, as (level, text)."""
+    def drain(self) -> Sequence[tuple[Level, str, str]]:
+        """Give what it said since the last call, as (level, category, text)."""
         ...
 
 
@@ -328,6 +331,7 @@ class _Site:
         self.reads: dict[str, frozenset[str]] = {"": frozenset()}
         self.attachments: dict[str, str] = {}
         self.fmus: dict[str, Speaker] = {}
+        self._linearised: dict[str, Linearisation] = {}
         self.files: set[Path] = set()
 
     def build_all(self, problems: Problems) -> tuple[dict[str, Component], dict[str, int], set[str]]:
@@ -407,6 +411,45 @@ class _Site:
             self.warn(name, text)
         self.fmus[name] = loaded
         return loaded.component
+
+    def linearisation(
+        self,
+        name: str,
+        path: str,
+        *,
+        at: float,
+        start: Mapping[str, float],
+        inputs: Sequence[str] | None,
+        outputs: Sequence[str],
+    ) -> Linearisation:
+        if name not in self._linearised:
+            asked = json.dumps({"fmu": path, "at": at, "start": dict(start), "inputs": inputs, "outputs": outputs})
+            recorded = self._recorded_facts(name).get("linearisation", {})
+            if recorded.get("asked") != asked:
+                recorded = {"asked": asked, **self._linearise(path, at=at, start=start, inputs=inputs, outputs=outputs)}
+            self._take(name, recorded)
+        return self._linearised[name]
+
+    def _linearise(self, path: str, **wanted: Any) -> dict[str, Any]:
+        from cosim.fmi.linearise import linearize
+        from cosim.fmi.reading import read
+
+        file = self.file(path)
+        return {"sha256": read(file).sha256, "result": linearize(file, **wanted).to_dict()}
+
+    def _take(self, name: str, linearisation: dict[str, Any]) -> None:
+        from cosim.fmi.linearise import Linearisation
+
+        found = self._linearised[name] = Linearisation.of(linearisation["result"])
+        self.note(name, linearisation=linearisation)
+        for text in found.notes:
+            self.warn(name, text)
+
+    def _recorded_facts(self, name: str) -> dict[str, Any]:
+        if self._recording is None:
+            return {}
+        found: dict[str, Any] = json.loads(self._recording.metadata.get(f"cosim.component.{name}", {}).get("facts", "{}"))
+        return found
 
     def note(self, name: str, **facts: Any) -> None:
         self.facts.setdefault(name, {}).update(facts)

@@ -14,17 +14,15 @@ from itertools import groupby
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cosim.arrays import Matrix, Vector
+from cosim.arrays import Vector
+from cosim.core.signals import Interface
 from cosim.errors import CosimError, ScenarioError
-from cosim.fmi.compare import Ability, Proposal, Row, Side, compare_sides, pairs_of, propose
+from cosim.fmi.compare import Ability, NearStart, Proposal, Row, Side, compare_sides, pairs_of, propose
 from cosim.fmi.description import MODE_NAMES, Description, Mode
 from cosim.scenario.build import Draft, draft, finish
 from cosim.scenario.document import Document
 from cosim.scenario.kinds import Kind, Site
-
-SINGULAR = 1e-12  # reciprocal condition of A below which there is no static gain
 
 
 @dataclass(frozen=True)
@@ -216,8 +214,8 @@ def _side(made: Draft, name: str, start: Start | None) -> _Half:
     face, described = component.interface, spec.description(name, made.site)
     inputs, outputs = start or (None, None)
     initial = {} if outputs is None else {port: outputs[at] for port, at in face.output_columns().items()}
-    poles, gain = _linearised(spec, name, made.site)
-    side = Side(face, _ability(spec, described), start=_starts(described), initial=initial, poles=poles, gain=gain)
+    near = _near_start(spec, name, made.site, face)
+    side = Side(face, _ability(spec, described), start=_starts(described), initial=initial, near_start=near)
     driven = {} if inputs is None else {port: inputs[at] for port, at in face.input_columns().items()}
     return _Half(side, driven, {to: wire.source for to, wire in made.scenario.connections.items()})
 
@@ -259,16 +257,14 @@ def _starts(described: tuple[Mode, Description] | None) -> dict[str, Vector]:
     }
 
 
-def _linearised(spec: Kind, name: str, site: Site) -> tuple[NDArray[np.complex128] | None, Matrix | None]:
-    """Give poles and static gain of a component that is linear, or linearises."""
+def _near_start(spec: Kind, name: str, site: Site, face: Interface) -> NearStart | None:
+    """Give poles and static gain of a component; None: it is not linear, and does not linearise."""
     try:
-        model = spec.linear_model(name, site)
+        found = spec.near_start(name, site)
     except (CosimError, ValueError):
-        return None, None
-    poles = np.linalg.eigvals(model.A).astype(np.complex128)
-    values = np.linalg.svd(model.A, compute_uv=False)
-    regular = not values.size or values[-1] > SINGULAR * values[0]
-    return poles, model.D - model.C @ np.linalg.solve(model.A, model.B) if regular else None
+        return None
+    whole = found.gain is not None and found.gain.shape == (face.n_y, face.n_u)  # else some ports are not continuous
+    return found if whole else replace(found, gain=None)
 
 
 def _report(made: Draft, name: str, before: Side, after: Side, renamed: list[tuple[str, str]]) -> Report:

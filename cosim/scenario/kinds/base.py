@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
@@ -14,7 +14,9 @@ from cosim.scenario.schema import Table
 from cosim.theory.descriptor import DescriptorSystem
 
 if TYPE_CHECKING:
+    from cosim.fmi.compare import NearStart
     from cosim.fmi.description import Description, Mode
+    from cosim.fmi.linearise import Linearisation
 
 LINEAR = ("descriptor", "unknown-input-observer", "controller", "lag")  # the kinds that are linear models
 
@@ -49,6 +51,19 @@ class Site(Protocol):
         self, name: str, path: str, *, mode: Literal["me", "cs"] | None, solver: str | None, start: Mapping[str, float]
     ) -> Component:
         """Load an FMU; it is freed when the run is over."""
+        ...
+
+    def linearisation(
+        self,
+        name: str,
+        path: str,
+        *,
+        at: float,
+        start: Mapping[str, float],
+        inputs: Sequence[str] | None,
+        outputs: Sequence[str],
+    ) -> Linearisation:
+        """Linearise an FMU for a component, and record the result; a replay takes it from there."""
         ...
 
     def note(self, name: str, **facts: Any) -> None:
@@ -90,6 +105,13 @@ class Kind(Table):
     def description(self, name: str, site: Site) -> tuple[Mode, Description] | None:
         """Give the mode and the description of the unit that it drives, where it drives one."""
         return None
+
+    def near_start(self, name: str, site: Site) -> NearStart:
+        """Give poles and static gain of the component, where it is linear or linearises."""
+        from cosim.fmi.compare import NearStart
+
+        model = self.linear_model(name, site)
+        return NearStart.of(model.A, model.B, model.C, model.D, error=0.0)
 
     def linear_model(self, name: str, site: Site) -> LinearModel:
         """Give the component as a linear model, where it is one: what an exact solver steps and an FMU can be made of."""

@@ -16,6 +16,7 @@ from cosim.scenario.kinds.base import Kind, Site
 from cosim.scenario.schema import Number, Row
 
 if TYPE_CHECKING:
+    from cosim.fmi.compare import NearStart
     from cosim.fmi.description import Description, Mode
 
 
@@ -83,6 +84,18 @@ class Fmu(Plant):
         found = read(site.file(self.path)).description
         there: Mode = next(mode for mode in MODES if mode in found.capabilities)
         return self.mode or there, found
+
+    def near_start(self, name: str, site: Site) -> NearStart:
+        from cosim.fmi.compare import NearStart
+        from cosim.fmi.linearise import linearize
+        from cosim.fmi.reading import read
+
+        path = site.file(self.path)
+        if any(able.once_per_process for able in read(path).description.capabilities.values()):
+            raise UsageError(f"{path}: there can be one instance only, which is in use")
+        found = linearize(path, start=self.start)
+        error = max((one or 0.0 for one in found.errors.values()), default=0.0)
+        return NearStart.of(found.A, found.B, found.C, found.D, error=error)
 
 
 class Recording(Plant):
