@@ -164,6 +164,47 @@ def diff(
 
 
 @app.command()
+def compare(
+    scenario: ScenarioArgument,
+    swaps: Annotated[
+        list[str],
+        typer.Option(
+            "--swap",
+            metavar="COMPONENT=PATH",
+            help="An alternative for a component: x.fmu, x.fmu#me, x.fmu#cs or a recorded log (.mcap). Once for each.",
+        ),
+    ],
+    maps: MapOption = None,
+    changes: SetOption = None,
+    base: Annotated[bool, typer.Option("--base/--no-base", help="Run the scenario's own component too, as the first.")] = True,
+    plot: Annotated[Path | None, typer.Option(metavar="FILE", help="Draw the estimates of all, and their differences.")] = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", metavar="DIR", help="Folder to write the logs to.")] = None,
+    force: ForceOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Run a scenario on several plants and compare what is estimated; exit 1 where one of them fails."""
+    from cosim import tables
+    from cosim.scenario.comparing import compare as compare_plants
+    from cosim.scenario.execution import load
+
+    alternatives: dict[str, list[str]] = {}
+    for text in swaps:
+        ((name, path),) = _pairs([text], "--swap").items()
+        alternatives.setdefault(name, []).append(path)
+    loaded = load(scenario)
+    _need_plot(plot, loaded.file.truth)
+    edits = _edits(changes)
+    found = compare_plants(loaded, swap=alternatives, map=_once(maps, "--map"), set=edits, base=base, out=out, force=force)
+    if plot is not None and found.recordings:
+        from cosim.scenario.plot import plot_comparison
+
+        plot_comparison(found, plot)
+    tables.plants(found, as_json=as_json)
+    if any(outcome.error for outcome in found.outcomes):
+        raise typer.Exit(1)
+
+
+@app.command()
 def info(
     what: Annotated[str, typer.Argument(metavar="LOG|FMU|SCENARIO", help="A log (.mcap), an FMU (.fmu) or a scenario.")],
     as_json: JsonOption = False,

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.arrays import Vector, as_columns
+from cosim.arrays import Matrix, Vector, as_columns
 from cosim.core.contracts import Recording
 from cosim.theory.uncertainty import information, verdict
 
@@ -69,6 +69,19 @@ def truth_of(recording: Recording) -> dict[str, Any]:
     """Give what each estimate of a run should equal: the name of a signal, or values."""
     truth: dict[str, Any] = json.loads(recording.metadata.get("cosim.run", {}).get("truth", "{}"))
     return truth
+
+
+def has_signal(recording: Recording, signal: str) -> bool:
+    """Whether ``component.signal`` was recorded."""
+    component, _, name = signal.partition(".")
+    return component in recording.channels and name in (one.name for one in recording.channels[component].signals)
+
+
+def difference(first: Recording, other: Recording, signal: str) -> tuple[Matrix, Matrix]:
+    """Give the instants that two recordings of a signal share [s], and there the second minus the first, shape (N, size)."""
+    component = signal.partition(".")[0]
+    times, i, j = np.intersect1d(first.time_ns(component), other.time_ns(component), return_indices=True)
+    return times / 1e9, as_columns(other[signal])[j] - as_columns(first[signal])[i]
 
 
 def summarise(recording: Recording) -> Summary:

@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from cosim.errors import nearest
+from cosim.errors import UsageError, nearest
 
 Key = tuple[str | int, ...]
 Tree = dict[str, Any]
@@ -111,19 +111,31 @@ def _replace(tree: Tree, name: str, path: str) -> Iterator[str]:
     if name not in components:
         yield f"there is no component {name!r}; {nearest(name, components)}"
         return
+    try:
+        components[name] = component_table(name, path)
+    except UsageError as error:
+        yield str(error)
+
+
+def component_table(name: str, path: str) -> Tree:
+    """Give the table of the component that stands at a path: an .fmu, ``x.fmu#me`` and ``x.fmu#cs`` too, or a log.
+
+    Raises
+    ------
+    UsageError
+        If the path ends in something else.
+    """
     suffix = re.fullmatch(r"(?i)(.*\.fmu)#(.*)", path)
     file, mode = (suffix[1], suffix[2]) if suffix else (path, None)
     if mode not in (None, "me", "cs"):
-        yield f"found {'#' + str(mode)!r} behind the path, needed '#me' (model exchange) or '#cs' (co-simulation)"
-    kinds: dict[str, Tree] = {
-        ".fmu": {"kind": "fmu", "path": file} | ({"mode": mode} if mode else {}),
-        ".mcap": {"kind": "recording", "log": file, "component": name},
-    }
-    kind = Path(file).suffix.lower()
-    if kind in kinds:
-        components[name] = kinds[kind]
-    else:
-        yield f"found {path!r}, needed a path that ends in .fmu (an FMU) or .mcap (a recorded log)"
+        raise UsageError(f"found '#{mode}' behind the path, needed '#me' (model exchange) or '#cs' (co-simulation)")
+    match Path(file).suffix.lower():
+        case ".fmu":
+            return {"kind": "fmu", "path": file} | ({"mode": mode} if mode else {})
+        case ".mcap":
+            return {"kind": "recording", "log": file, "component": name}
+        case _:
+            raise UsageError(f"found {path!r}, needed a path that ends in .fmu (an FMU) or .mcap (a recorded log)")
 
 
 class _Wires:
