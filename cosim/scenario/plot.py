@@ -82,7 +82,7 @@ def plot_comparison(found: Comparison, out: Path) -> None:
     recordings, truth = found.recordings, found.estimates
     first = next(iter(recordings))
     figure, grid = _panels(len(truth), columns=2)
-    styles = dict(zip(recordings, _styles(), strict=False))
+    styles = dict(zip(recordings, _styles(len(recordings)), strict=True))
     for (left, right), (estimate, true) in zip(np.reshape(grid, (-1, 2)), truth.items(), strict=True):
         have = {label: recording for label, recording in recordings.items() if has_signal(recording, estimate)}
         _draw_truth(left, next((one for one in have.values() if true == truth_of(one).get(estimate)), None), true)
@@ -96,7 +96,7 @@ def plot_comparison(found: Comparison, out: Path) -> None:
     _limits(grid, recordings, truth)
     lines = [grid[0].plot([], [], label=label, **style)[0] for label, style in styles.items()]
     lines.append(grid[0].plot([], [], label="truth", **TRUTH)[0])
-    figure.legend(handles=lines, loc="outside upper center", ncols=min(4, len(lines)), frameon=False)
+    figure.legend(handles=lines, loc="outside upper center", ncols=min(6, len(lines)), frameon=False)
     grid[0].set_title("estimates", fontsize="medium")
     grid[1].set_title(f"difference to {first}", fontsize="medium")
     _save(figure, grid, out, columns=2)
@@ -119,10 +119,11 @@ def _limits(grid: Sequence[Any], recordings: Mapping[str, Recording], truth: Map
         right.set_ylim(-1.3 * largest or -1.0, 1.3 * largest or 1.0)
 
 
-def _styles() -> Iterator[dict[str, Any]]:
-    """Give a style for each plant: colours that the colour-blind tell apart, and dashes, so that lines on each other are seen."""
-    for dashes, colour in zip(itertools.cycle(DASHES), itertools.cycle(COLOURS), strict=False):
-        yield {"color": colour, "linestyle": dashes, "linewidth": 1.3}
+def _styles(count: int) -> Iterator[dict[str, Any]]:
+    """Give a style for each plant: colours that the colour-blind tell apart; dashes and widths, so that equal lines are all seen."""
+    widths = np.linspace(2.4, 1.0, count)
+    for width, dashes, colour in zip(widths, itertools.cycle(DASHES), itertools.cycle(COLOURS), strict=False):
+        yield {"color": colour, "linestyle": dashes, "linewidth": width}
 
 
 def _draw_truth(axis: Any, recording: Recording | None, true: Any) -> None:
