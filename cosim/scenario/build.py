@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
@@ -288,7 +289,12 @@ def _judge_truth(
     """
     kept: dict[str, Any] = {}
     problems: Problems = []
-    sizes = {f"{n}.{s.name}": s.size for n, c in components.items() for s in (*c.interface.inputs, *c.interface.outputs)}
+    signals = {f"{n}.{s.name}": s for n, c in components.items() for s in (*c.interface.inputs, *c.interface.outputs)}
+    sizes = {port: signal.size for port, signal in signals.items()}
+    for true in filter(lambda true: isinstance(true, str) and true not in sizes, scenario.file.truth.values()):
+        element = re.fullmatch(r"(.*)\[(\d+)\]", str(true))
+        if element and int(element[2]) < sizes.get(element[1], 0):
+            sizes[str(true)] = 1
     for estimate, truth in scenario.file.truth.items():
         ports = {port: port.partition(".")[0] for port in ([estimate, truth] if isinstance(truth, str) else [estimate])}
         unknown = [port for port in ports if port not in sizes]
@@ -300,7 +306,7 @@ def _judge_truth(
         if swapped:
             site.warn(ports[swapped[0]], f"has no {swapped[0]!r}: the report leaves out {estimate!r}")
         elif unknown:
-            problems += [(("truth", estimate), f"there is no signal {port!r}; {nearest(port, sizes)}") for port in unknown]
+            problems += [(("truth", estimate), f"there is no signal {port!r}; {nearest(port, signals)}") for port in unknown]
         elif sizes[estimate] != size:
             text = f"{estimate!r} has size {sizes[estimate]}, its truth {truth!r} has size {size}"
             problems.append((("truth", estimate), text))

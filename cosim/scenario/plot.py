@@ -13,7 +13,7 @@ import numpy as np
 from cosim.arrays import as_columns
 from cosim.core.contracts import Recording
 from cosim.errors import UsageError
-from cosim.scenario.report import difference, has_signal, truth_of
+from cosim.scenario.report import difference, has_signal, rows_of, truth_of
 
 if TYPE_CHECKING:
     from cosim.scenario.comparing import Comparison
@@ -120,7 +120,7 @@ def _limits(grid: Sequence[Any], recordings: Mapping[str, Recording], truth: Map
 
 
 def _styles(count: int) -> Iterator[dict[str, Any]]:
-    """Give a style for each plant: colours that the colour-blind tell apart; dashes and widths, so that equal lines are all seen."""
+    """Give a style for each plant: colours that the colour-blind tell apart; dashes and widths that leave equal lines visible."""
     widths = np.linspace(2.4, 1.0, count)
     for width, dashes, colour in zip(widths, itertools.cycle(DASHES), itertools.cycle(COLOURS), strict=False):
         yield {"color": colour, "linestyle": dashes, "linewidth": width}
@@ -137,7 +137,7 @@ def _draw_truth(axis: Any, recording: Recording | None, true: Any) -> None:
 
 def _limit(axis: Any, recording: Recording, estimate: str, true: Any) -> None:
     """Keep a wild start of an estimate from hiding the rest."""
-    truth = np.atleast_1d(recording[true] if isinstance(true, str) else np.array(true, dtype=np.float64))
+    truth = np.atleast_1d(rows_of(recording, true) if isinstance(true, str) else np.array(true, dtype=np.float64))
     settled = recording[estimate][-max(1, len(recording[estimate]) // 2) :]
     values = np.concatenate([truth.ravel(), settled.ravel()])
     low, high = values[np.isfinite(values)].min(), values[np.isfinite(values)].max()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -71,6 +72,14 @@ def truth_of(recording: Recording) -> dict[str, Any]:
     return truth
 
 
+def rows_of(recording: Recording, port: str) -> Matrix:
+    """Give a signal, or one element of it, at every recorded row, shape (N, size)."""
+    element = re.fullmatch(r"(.*)\[(\d+)\]", port)
+    if element is None or has_signal(recording, port):
+        return as_columns(recording[port])
+    return as_columns(recording[element[1]])[:, [int(element[2])]]
+
+
 def has_signal(recording: Recording, signal: str) -> bool:
     """Whether ``component.signal`` was recorded."""
     component, _, name = signal.partition(".")
@@ -117,7 +126,7 @@ def _facts(recording: Recording, component: str) -> dict[str, Any]:
 def _signal_error(recording: Recording, estimate: str, true: str, since: float) -> SignalError:
     a, b = (recording.time_ns(port.partition(".")[0]) for port in (estimate, true))
     shared, i, j = np.intersect1d(a, b, return_indices=True)
-    error = np.abs(as_columns(recording[estimate])[i] - as_columns(recording[true])[j])
+    error = np.abs(rows_of(recording, estimate)[i] - rows_of(recording, true)[j])
     if not shared.size or shared[-1] / 1e9 < since:  # the run ended before the identification began
         since = 0.0
     window = error[shared / 1e9 >= since]

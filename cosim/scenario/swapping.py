@@ -88,7 +88,7 @@ def apply(tree: Tree, paths: Mapping[str, str], maps: Mapping[str, str]) -> Swap
         found = {port: wires.judge(port, owner, name) for port, name in swap.map.items()}
         problems += [(("swap", owner, "map", port), text) for port, text in found.items() if text]
     if tables:
-        tree["swap"] = tables | {name: {"path": swap.path, "map": dict(swap.map)} for name, swap in swaps.items()}
+        tree["swap"] = tables | {name: _with_map(tables[name], swap.map) for name, swap in swaps.items()}
     renamed = _Renamed(tree, swaps)
     return Swapped(swaps, renamed.origins, [*problems, *renamed.problems])
 
@@ -99,6 +99,12 @@ def _items(table: Any) -> Iterable[tuple[str, Any]]:
 
 def _has_path(table: Any) -> bool:
     return isinstance(table, dict) and isinstance(table.get("path"), str)
+
+
+def _with_map(table: Tree, names: Mapping[str, str]) -> Tree:
+    """Add names to the map of an entry; what is wrong with it stays for the schema to tell."""
+    given = table.get("map", {})
+    return {**table, "map": {**given, **names} if isinstance(given, dict) else given}
 
 
 def _names(table: Any) -> dict[str, str]:
