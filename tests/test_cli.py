@@ -1,6 +1,7 @@
 """The command line: exit codes, what goes where, and what it costs to ask for help."""
 
 import contextlib
+import dataclasses
 import json
 import os
 import pty
@@ -13,6 +14,9 @@ import pytest
 
 import cosim
 from cosim.cli import main
+from cosim.fmi.description import Variable
+from tests.fmi.archives import write
+from tests.fmi.test_reading import FMI1, FMI2, FMI3
 
 SHORT = ["--stop", "0.1"]
 
@@ -141,6 +145,48 @@ def test_info_of_a_log_a_scenario_and_an_fmu(call):
         assert code == 0
         assert text in " ".join(out.split())
         assert json.loads(call("info", what, "--json")[1])
+
+
+def test_info_of_fmus_of_every_version(call, tmp_path):
+    """Units in SI, ranges, items, sizes, states and dependencies, in lines of at most 118 columns; JSON has every field."""
+    for number, xml in enumerate((FMI1.replace("{implementation}", ""), FMI2, FMI3), 1):
+        write(tmp_path / f"{number}.fmu", [], xml=xml.encode())
+    texts = [call("info", f"{number}.fmu")[1] for number in (1, 2, 3)]
+    assert max(len(line) for text in texts for line in text.splitlines()) <= 118
+    one, two, three = (" ".join(text.split()) for text in texts)
+    for text in ("N 1.0 kg.m.s-2", "u input continuous Float64 N 1 -1..2", "z output continuous Float64 unknown",
+                 "v output continuous Float64 nothing", "1 off, 2 on", "n states 2", "exchange identifier one"):  # fmt: skip
+        assert text in one
+    for text in ("degC 1.0 K + 273.15", "kN 1000.0 kg.m.s-2", "about 1.5 state", "-3 off, 7 on", "0..50 u, x", "der x u, x",
+                 "rise depends on what is not said", "x depends on u", "default step 0.01"):  # fmt: skip
+        assert text in two
+    for text in ("Float64[n][2] mm 6 x 0.5", "second input continuous Float64[n][2] mm 6 x 0.5 alias u", "Float32[n] u, x",
+                 "clocks tick", "fixed step 0.5, event mode, early return", "String[2] a b c"):  # fmt: skip
+        assert text in three
+    found = json.loads(call("info", "3.fmu", "--json")[1])
+    variables = {variable["name"]: variable for variable in found["variables"]}
+    assert set(variables["u"]) == {field.name for field in dataclasses.fields(Variable)}
+    assert (variables["u"]["start"], variables["u"]["dimensions"], variables["u"]["maximum"]) == ([0.5] * 6, ["n", 2], None)
+    assert found["units"]["mm"]["factor"] == 0.001
+    assert (found["dependencies"]["y"], found["initial_dependencies"]["dx"]) == (["u", "x"], None)
+    assert found["capabilities"]["cs"]["interpolates_inputs"]
+
+
+def test_check_tells_all_and_exits_1_at_an_error(call, tmp_path):
+    """A good FMU, one with warnings, one with errors, no file; JSON says the same."""
+    call("export", "academic", "--component", "plant", "--out", "plant.fmu")
+    assert call("check", "plant.fmu") == (0, "plant.fmu: nothing is wrong with it\n", "")
+    write(tmp_path / "x.fmu", [], xml=FMI3.replace('start="1 2 3"', 'start="1 2"').encode())
+    code, out, _ = call("check", "x.fmu")
+    assert code == 1
+    assert "error: variable 'x': has 2 start values for 3 elements\n" in out
+    assert "warning: structure: clocks, which are not supported: tick\n" in out
+    assert out.endswith("x.fmu: 2 errors, 2 warnings\n")
+    code, out, _ = call("check", "x.fmu", "--json")
+    found = json.loads(out)
+    assert (code, found["errors"], found["warnings"]) == (1, 2, 2)
+    assert {"level": "error", "where": "variable 'x'", "text": "has 2 start values for 3 elements"} in found["findings"]
+    assert call("check", "no.fmu") == (2, "", "cosim: no.fmu: there is no such file\n")
 
 
 def test_plot_writes_pictures(call, tmp_path):

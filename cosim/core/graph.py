@@ -205,8 +205,8 @@ class Graph:
 
 def _doubt(name: str, signal: str, output: str) -> str:
     return (
-        f"{name}.{output} may depend directly on {name}.{signal} (the FMU does not say): taken as not feeding through; if it does, "
-        "the loop is solved with the value of the step before"
+        f"{name}.{output} may depend directly on {name}.{signal} (the FMU does not say): taken as not feeding through; if it "
+        "does, the loop is solved with the value of the step before"
     )
 
 

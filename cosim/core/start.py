@@ -28,7 +28,7 @@ from typing import Final, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.arrays import Vector
+from cosim.arrays import Mask, Vector
 from cosim.core.coupling import Member, Port, Wire, find_circle
 from cosim.core.fixed_point import Found, SingularError, judge, newton, newton_step, settle
 from cosim.core.signals import Channel, Interface, Layout
@@ -52,6 +52,8 @@ class Circle:
         The torn inputs, named once for each of their elements.
     columns : integer array
         Of these elements, in the row.
+    optional : bool array
+        Which of them may have no value (NaN).
     discrete : bool
         A signal in it is not a continuous real number.
     path : str
@@ -61,6 +63,7 @@ class Circle:
     order: tuple[Port, ...]
     torn: tuple[str, ...]
     columns: Columns
+    optional: Mask
     discrete: bool
     path: str
 
@@ -100,13 +103,13 @@ class Start:
             torn.append(_weakest(circle, interfaces))
             inside[torn[-1]] = []
         torn.sort()
-        elements = [(_name(port), column) for port in torn for column in range(*self.columns[port].indices(self.layout.width))]
-        signals = [signal for c in self.layout.channels for signal in c.signals if (c.name, signal.name) in inside]
+        signals = {(c.name, s.name): s for c in self.layout.channels for s in c.signals if (c.name, s.name) in inside}
         return Circle(
             order=(*(port for port in TopologicalSorter(inside).static_order() if port not in torn), *torn),
-            torn=tuple(name for name, _ in elements),
-            columns=np.array([column for _, column in elements]),
-            discrete=any(signal.kind != "real" or signal.variability == "discrete" for signal in signals),
+            torn=tuple(_name(port) for port in torn for _ in range(signals[port].size)),
+            columns=np.concatenate([np.arange(self.layout.width)[self.columns[port]] for port in torn]),
+            optional=np.repeat([signals[port].optional for port in torn], [signals[port].size for port in torn]),
+            discrete=any(signal.kind != "real" or signal.variability == "discrete" for signal in signals.values()),
             path=" -> ".join(map(_name, path)) if set(path) == set(ports) else ", ".join(map(_name, ports)),
         )
 
@@ -132,7 +135,7 @@ class Start:
         moving = [_name(port) for port, at in self.columns.items() if before[at].tobytes() != row[at].tobytes()]
         raise GraphError(
             f"initial values do not settle: {', '.join(moving)} still change after {rounds} rounds; an output there depends at "
-            "the start on an input that its component does not declare (FMI: InitialUnknowns): declare it, or none of its dependencies"
+            "the start on an input that its component does not declare (FMI: InitialUnknowns); declare it, or none at all"
         )
 
 
@@ -192,7 +195,7 @@ class _Values:
         try:
             if circle.discrete:
                 found = _need_settled(circle, found)
-            elif found is None:
+            elif found is None or (np.isnan(found) & ~circle.optional).any():
                 found = _need_small(circle, newton(sweep, v, lambda: self._largest(circle)))
             elif np.isfinite(found).all():
                 newton_step(sweep, found, found)

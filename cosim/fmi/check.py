@@ -13,7 +13,7 @@ from cosim.fmi.binaries import built_for, functions, machine_of
 from cosim.fmi.description import MODE_NAMES, Description, Mode
 from cosim.fmi.markup import Attributes
 from cosim.fmi.platforms import ARCHITECTURE, SUFFIX, SYSTEM, folders
-from cosim.fmi.reading import XML, describe_root, open_description
+from cosim.fmi.reading import XML, describe_root, need_file, open_description
 from cosim.fmi.structure import Finding, Level, findings
 from cosim.fmi.trial import TIMEOUT, attempt
 from cosim.fmi.variables import major, read_definitions
@@ -38,8 +38,14 @@ def check(path: Path | str, *, timeout: float = TIMEOUT) -> tuple[Finding, ...]:
     -------
     tuple of Finding
         Errors first.
+
+    Raises
+    ------
+    FmuError
+        If there is no such file; all else is a finding.
     """
     path = Path(path)
+    need_file(path)
     with TemporaryDirectory(prefix="cosim-check-") as temporary:
         folder = Path(temporary)
         try:

@@ -253,7 +253,7 @@ class Description:
             variable = self[name]
             if variable.causality != "structuralParameter":
                 raise FmuError(f"{self.name}: {name!r} is no structural parameter, but of causality {variable.causality}")
-            if int(value) != value or not max(1, variable.minimum) <= value <= variable.maximum:
+            if value % 1 != 0 or not max(1, variable.minimum) <= value <= variable.maximum:
                 needed = f"a whole number from {max(1, variable.minimum):g} to {variable.maximum:g}"
                 raise FmuError(f"{self.name}: structural parameter {name!r}: found {value}, needed {needed}")
         variables = tuple(self._sized(variable, structural) for variable in self.variables)

@@ -43,14 +43,14 @@ def differentiate(f: Callable[[float], Vector], z: float, *, scale: float, room:
     with np.errstate(invalid="ignore", over="ignore"):  # a large step may lead where f is not defined
         row = (high - low) / ((z + steps) - (z - steps))
         seen = np.abs(np.diff(row, axis=0)[-LAST:]) * steps[-LAST:]
-        noise = 2.0 * np.maximum(seen.max(axis=0), ROUNDING * np.abs(high[-1]))
+        noise = 2.0 * np.maximum(seen.max(axis=0), ROUNDING * np.maximum(np.abs(high), np.abs(low)))
         found, errors = [row[1:]], [np.abs(np.diff(row, axis=0))]
         for i in range(1, STEPS):
             better = row[1:] + np.diff(row, axis=0) / (16.0**i - 1.0)
             found.append(better)
             errors.append(np.maximum(np.abs(better - row[1:]), np.abs(better - row[:-1])))
             row = better
-        error = np.concatenate([one + noise / steps[-len(one) :] for one in errors])
+        error = np.concatenate([one + (noise / steps)[-len(one) :] for one in errors])
     error[np.isnan(error)] = np.inf
     best = error.argmin(axis=0)[np.newaxis]
     return np.take_along_axis(np.concatenate(found), best, axis=0)[0], np.take_along_axis(error, best, axis=0)[0]

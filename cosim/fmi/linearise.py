@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, Final, Literal, Self, TypeAlias
 
@@ -31,11 +31,13 @@ from cosim.fmi.model_exchange import ModelExchange
 from cosim.fmi.reading import read
 from cosim.fmi.references import References
 from cosim.fmi.unit import ModelExchangeUnit
+from cosim.units import BaseUnit
 
 Method: TypeAlias = Literal["directional derivatives", "central differences"]
 METHODS: Final[tuple[Method, ...]] = ("directional derivatives", "central differences")
 
 SOLVER: Final = "LSODA"  # to the operating point: stiff or not
+NOWHERE: Final = -1  # the value reference of what has none: the states of FMI 1
 GOOD: Final = 1e-7  # relative error from which central differences are told to be poor
 SINGULAR: Final = 1e-12  # reciprocal condition of A below which there is no static gain
 
@@ -61,6 +63,10 @@ class Linearisation:
         Estimate of the largest error of an entry; None: all are the unit's own derivatives, taken at their word.
     notes : tuple of str
         What is to be known about the result.
+    units : mapping of element name to str
+        Where one is declared.
+    bases : mapping of element name to BaseUnit
+        What such a unit is in SI, where the unit defines it.
     """
 
     name: str
@@ -79,6 +85,8 @@ class Linearisation:
     made: Mapping[str, Method]
     errors: Mapping[str, float | None]
     notes: tuple[str, ...] = ()
+    units: Mapping[str, str] = field(default_factory=dict)
+    bases: Mapping[str, BaseUnit] = field(default_factory=dict)
 
     @property
     def poles(self) -> NDArray[np.complex128]:
@@ -118,7 +126,10 @@ class Linearisation:
         """Build it from what :meth:`to_dict` gave, also by way of JSON."""
         n_x, n_u, n_y = (len(plain[name]) for name in ("states", "inputs", "outputs"))
         shapes = {"A": (n_x, n_x), "B": (n_x, n_u), "C": (n_y, n_x), "D": (n_y, n_u), **dict.fromkeys(("x", "u", "y", "dx"), -1)}
-        found = {field.name: plain[field.name] for field in fields(cls)}
+        found = {entry.name: plain[entry.name] for entry in fields(cls)}
+        found["bases"] = {
+            name: BaseUnit(**base | {"exponents": tuple(base["exponents"])}) for name, base in plain["bases"].items()
+        }
         found |= {name: np.array(plain[name], np.float64).reshape(shape) for name, shape in shapes.items()}
         return cls(**found | {name: tuple(plain[name]) for name in ("states", "inputs", "outputs", "notes")})
 
@@ -222,11 +233,6 @@ class _Element:
         return self.variable.type, self.variable.reference, self.index
 
     @property
-    def scale(self) -> float:
-        """Its nominal value."""
-        return abs(self.variable.nominal or 1.0)
-
-    @property
     def moves(self) -> bool:
         """Whether it is real and continuous."""
         return self.variable.kind == "real" and self.variable.variability == "continuous"
@@ -242,7 +248,9 @@ class _Element:
 
 def _elements(port: str, variable: Variable) -> Iterator[_Element]:
     for i in range(variable.size):
-        yield _Element(variable.name if variable.size == 1 else f"{variable.name}[{i}]", port, variable, i)
+        yield _Element(
+            variable.name if variable.size == 1 and variable.reference != NOWHERE else f"{variable.name}[{i}]", port, variable, i
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -265,7 +273,9 @@ class _Chosen:
     ) -> _Chosen:
         """Find what is named."""
         label = description.name
-        all_states = tuple(e for name in description.states for e in _elements(name.rpartition("[")[0], description[name]))
+        unnamed = Variable("state", NOWHERE, "local", size=description.unnamed_states)
+        variables = [*map(description.__getitem__, description.states), *([unnamed] if unnamed.size else [])]
+        all_states = tuple(e for v in variables for e in _elements(v.name.rpartition("[")[0], v))
         all_inputs, all_outputs = (
             tuple(e for signal, group in description.ports(causality) for v in group for e in _elements(signal.name, v))
             for causality in ("input", "output")
@@ -415,9 +425,10 @@ class _Point:
         chosen = self.chosen
         jacobian = np.empty((len(chosen.states) + len(chosen.outputs), len(chosen.columns)))
         error = np.empty_like(jacobian)
+        nominals = [*self.unit.get_nominals()[self._x_at].tolist(), *(e.variable.nominal for e in chosen.inputs)]
         for column, known in enumerate(chosen.columns):
             f, z = self._along(column)
-            scale = max(known.scale, abs(z))
+            scale = max(abs(nominals[column] or 1.0), abs(z))
             found, wrong = differentiate(f, z, scale=scale, room=self._room(known, z))
             if not np.isfinite(wrong).all():
                 raise FmuError(f"{self.unit.description.name}: nothing finite around {known.name!r} = {z}; choose another point")
@@ -505,8 +516,9 @@ def _result(point: _Point, jacobian: Matrix, error: Matrix | None, method: Metho
         for letter, wrong in errors.items()
         if wrong is not None and wrong > GOOD * sizes[letter] > 0.0
     ]
+    shown = (*chosen.columns, *chosen.outputs)
     count = description.event_indicators
-    events = f"has {count} event indicators: linearised within the mode it is in" if count else ""
+    events = f"event indicators ({count}): linearised within the mode it is in" if count else ""
     return Linearisation(
         name=description.name,
         states=tuple(e.name for e in chosen.states),
@@ -520,5 +532,7 @@ def _result(point: _Point, jacobian: Matrix, error: Matrix | None, method: Metho
         dx=point.dx,
         made={e.name: method for e in chosen.columns},
         errors=errors,
+        units={e.name: e.variable.unit for e in shown if e.variable.unit is not None},
+        bases={e.name: e.variable.base for e in shown if e.variable.base is not None},
         notes=(*([events] if events else []), *chosen.notes, *poor),
     )

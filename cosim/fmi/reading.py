@@ -82,8 +82,7 @@ def open_description(path: Path, into: Path | None = None) -> tuple[Element, fro
     FmuError
         As ``read``, except for what contradicts itself.
     """
-    if not path.is_file():
-        raise FmuError(f"{path}: there is no such file" if not path.exists() else f"{path}: needed an .fmu file, found a folder")
+    need_file(path)
     contents = look(path, XML, into)
     if contents.wanted is None:
         raise FmuError(f"{path}: not an FMU, as the archive has no {XML}")
@@ -95,6 +94,18 @@ def open_description(path: Path, into: Path | None = None) -> tuple[Element, fro
     if version is None or not (version in ("1.0", "2.0") or version.startswith("3.")):
         raise FmuError(f"{path}: unknown FMI version {version!r}; FMI 1.0, 2.0 and 3.0 are supported")
     return root, contents.members, contents.sha256, contents.wanted
+
+
+def need_file(path: Path) -> None:
+    """Refuse what is no file.
+
+    Raises
+    ------
+    FmuError
+        If there is nothing, or a folder.
+    """
+    if not path.is_file():
+        raise FmuError(f"{path}: there is no such file" if not path.exists() else f"{path}: needed an .fmu file, found a folder")
 
 
 def describe_root(root: Element, members: frozenset[str], stem: str, problems: list[str]) -> Description:

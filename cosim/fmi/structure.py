@@ -30,8 +30,8 @@ class Finding(NamedTuple):
     text: str
 
 
-_CALCULATED = {(v, i) for v in ("fixed", "tunable") for i in ("calculated", "approx")}
-_MOVING = {(v, i) for v in ("discrete", "continuous") for i in ("calculated", "exact", "approx")}
+_CALCULATED: set[tuple[str, str | None]] = {(v, i) for v in ("fixed", "tunable") for i in ("calculated", "approx")}
+_MOVING: set[tuple[str, str | None]] = {(v, i) for v in ("discrete", "continuous") for i in ("calculated", "exact", "approx")}
 ALLOWED: Final[Mapping[str, set[tuple[str, str | None]]]] = {
     "parameter": {("fixed", "exact"), ("tunable", "exact")},
     "structuralParameter": {("fixed", "exact"), ("tunable", "exact")},

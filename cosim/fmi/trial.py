@@ -16,11 +16,12 @@ from contextlib import contextmanager, suppress
 from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
+from typing import TYPE_CHECKING, Final, Literal, TypeAlias
 
 from cosim.errors import CosimError
 
 if TYPE_CHECKING:
+    from cosim.arrays import Matrix, Vector
     from cosim.fmi.component import Fmu
     from cosim.fmi.description import Description, Mode
     from cosim.fmi.reading import Archive
@@ -167,10 +168,10 @@ def run(story: _Story, path: str, mode: Mode) -> None:
     with _opened(story, path, mode) as fmu:
         component, h = fmu.component, _step(fmu.description, mode)
         names = [element for signal in component.interface.outputs for element in signal.elements]
-        t, u = np.arange(STEPS + 1) * h, _inputs(fmu, STEPS + 1)
+        t, u = _times(h, STEPS), _inputs(fmu, STEPS)
         story.at("initialisation")
         y = component.initialize(0.0, u[0])
-        _check_starts(story, fmu.description, names, y)
+        _check_starts(story, fmu.description, y)
         story.at(f"steps of {h:g} s")
         rows = component.advance(t, h, u)
         for name, values in zip(names, rows.T, strict=True):
@@ -182,11 +183,9 @@ def run(story: _Story, path: str, mode: Mode) -> None:
 
 def rollback(story: _Story, path: str, mode: Mode) -> None:
     """Save, step, restore and step again, also after other inputs: the same bits each time."""
-    import numpy as np
-
     with _opened(story, path, mode) as fmu:
         component, h = fmu.component, _step(fmu.description, mode)
-        t, u = np.arange(2 * STEPS + 1) * h, _inputs(fmu, 2 * STEPS + 1)
+        t, u = _times(h, 2 * STEPS), _inputs(fmu, 2 * STEPS)
         story.at("initialisation")
         component.initialize(0.0, u[0])
         story.at("steps before the state is saved")
@@ -196,21 +195,21 @@ def rollback(story: _Story, path: str, mode: Mode) -> None:
         saved = component.save()
         story.at("steps after the state was saved")
         first = component.advance(*ahead).tobytes()
-        other: Any = None
-        for what, inputs in (("steps", None), ("steps with other inputs", 2.0 * u[STEPS:] + 1.0), ("another saved state", None)):
+
+        def other_inputs() -> None:
+            component.restore(saved)
+            with suppress(CosimError):  # they may be more than it bears
+                component.advance(t[STEPS:], h, 2.0 * u[STEPS:] + 1.0)
+
+        detours = {"steps": lambda: None, "steps with other inputs": other_inputs, "saving and freeing": component.save}
+        for what, detour in detours.items():
+            story.at(what)
+            detour()
             story.at(f"going back after {what}")
             component.restore(saved)
-            again = component.advance(*ahead).tobytes()
-            if again != first:
+            if component.advance(*ahead).tobytes() != first:
                 story.problem(f"goes back wrongly: after {what} the same steps give other outputs")
                 break
-            if inputs is not None:
-                component.restore(saved)
-                with suppress(CosimError):  # other inputs may be more than it bears
-                    component.advance(t[STEPS:], h, inputs)
-            other = component.save()
-        story.at("freeing the saved states")
-        del saved, other
         story.at("terminate and free")
     story.at("the end of the process")
 
@@ -232,15 +231,21 @@ def _step(description: Description, mode: Mode) -> float:
     return description.capabilities[mode].fixed_step or description.default_step or STEP
 
 
-def _inputs(fmu: Fmu, rows: int) -> Any:
+def _times(h: float, steps: int) -> Vector:
+    import numpy as np
+
+    return np.array([k * h for k in range(steps + 1)], np.float64)
+
+
+def _inputs(fmu: Fmu, steps: int) -> Matrix:
     """Hold every input at its start value."""
     import numpy as np
 
     starts = [value for signal in fmu.component.interface.inputs for value in (signal.start or (0.0,) * signal.size)]
-    return np.tile(np.array(starts, np.float64), (rows, 1))
+    return np.tile(np.array(starts, np.float64), (steps + 1, 1))
 
 
-def _check_starts(story: _Story, description: Description, names: Sequence[str], y: Any) -> None:
+def _check_starts(story: _Story, description: Description, y: Vector) -> None:
     """Compare outputs whose start values are exact with what the unit gives."""
     column = 0
     for _, group in description.ports("output"):

@@ -115,7 +115,7 @@ def read_part(metadata: Mapping[str, str]) -> Part:
 def signals_json(interface: Interface) -> str:
     """Describe all signals, inputs first: the text that the content hash covers.
 
-    ``feedthrough`` lists the inputs an output depends on directly; null: unknown. What a signal leaves at its default is left out.
+    ``feedthrough`` lists the inputs an output depends on directly; null: unknown. What stands at its default is left out.
     What outputs depend on at the start only orders the start: it stands beside, in ``cosim.initial``, and changes no hash.
     """
     entries = []

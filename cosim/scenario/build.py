@@ -429,7 +429,8 @@ class _Site:
         outputs: Sequence[str],
     ) -> Linearisation:
         if name not in self._linearised:
-            asked = json.dumps({"fmu": path, "at": at, "start": dict(start), "inputs": inputs, "outputs": outputs})
+            chosen = {"inputs": None if inputs is None else list(inputs), "outputs": list(outputs)}
+            asked = {"fmu": path, "at": at, "start": dict(start), **chosen}
             recorded = self._recorded_facts(name).get("linearisation", {})
             if recorded.get("asked") != asked:
                 recorded = {"asked": asked, **self._linearise(path, at=at, start=start, inputs=inputs, outputs=outputs)}

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cosim.core.connections import Connection
+from cosim.core.connections import Connection, Ports, unit_reached
 from cosim.core.graph import Graph
 from cosim.core.signals import Interface, Signal
 from cosim.scenario.build import build
@@ -77,10 +77,19 @@ def scenario(name: str) -> Section:
 
 def _wire_row(graph: Graph, to: str, wire: Connection) -> Section:
     """Show one connection: its map where it has one, and its conversion of units where they differ."""
-    shown = "" if not np.ndim(wire.gain) and wire.gain == 1.0 else f"{np.asarray(wire.gain).tolist()} v"
-    shown += f" + {wire.offset}" if wire.offset else ""
-    conversion = graph.conversions.get(to)
-    return {"to": to, "from": wire.source, "map": shown or None, "unit": wire.unit, "converted": conversion and str(conversion)}
+    shown = "v" if not np.ndim(wire.gain) and wire.gain == 1.0 else f"{np.asarray(wire.gain).tolist()} v"
+    if wire.offset:
+        shown += f" {'-' if wire.offset < 0.0 else '+'} {abs(wire.offset)}"
+    ports, conversion = Ports(graph.layout), graph.conversions.get(to)
+    (_, target), (_, source, _) = ports.find(to, "input"), ports.source(wire.source)
+    unit = unit_reached(wire, source, target).name
+    return {
+        "to": to,
+        "from": wire.source,
+        "map": None if shown == "v" else shown,
+        "unit": unit if conversion is None else f"{unit} -> {target.unit}",
+        "conversion": conversion and str(conversion),
+    }
 
 
 def fmu(path: str) -> Section:
@@ -104,7 +113,8 @@ def fmu(path: str) -> Section:
     }
     capabilities = {mode: asdict(able) for mode, able in found.capabilities.items()}
     rows = [_variable_row(variable) for variable in found.variables]
-    units = {v.unit: asdict(v.base) for v in found.variables if v.unit is not None and v.base is not None}
+    defined = {(v.unit, v.base) for v in found.variables if v.unit is not None and v.base is not None}
+    units = {unit: asdict(base) for unit, base in sorted(defined, key=lambda pair: (pair[0], abs(pair[1].offset)))}
     return {
         "fmu": about,
         "capabilities": capabilities,
@@ -133,7 +143,7 @@ def shown_fmu(found: Section) -> Section:
     capabilities = {MODE_NAMES[mode]: _able(able) for mode, able in found["capabilities"].items()}
     units = {name: _si(base) for name, base in found["units"].items()}
     at_start = {row["name"]: names for row in found["variables"] if (names := _starts_with(found, row["name"]))}
-    rows = [_shown_variable(row, found["dependencies"]) for row in found["variables"]]
+    rows = [_shown_variable(row, found) for row in found["variables"]]
     return {"fmu": about, "capabilities": capabilities, "units in SI": units, "variables": rows, "at the start": at_start}
 
 
@@ -167,25 +177,42 @@ def _starts_with(found: Section, name: str) -> str | None:
     return "depends on " + ("what is not said" if names is None else ", ".join(names) or "nothing")
 
 
-def _shown_variable(row: Section, dependencies: Mapping[str, list[str] | None]) -> Section:
+def _shown_variable(row: Section, found: Section) -> Section:
     dimensions = "".join(f"[{dimension}]" for dimension in row["dimensions"])
-    start = row["text"] if row["start"] is None else [f"{value:.6g}" for value in row["start"]]
     low, high = row["minimum"], row["maximum"]
     span = "" if low is None and high is None else f"{'' if low is None else f'{low:g}'}..{'' if high is None else f'{high:g}'}"
     items = ", ".join(f"{value} {name}" for name, value in row["items"].items())
-    names = dependencies.get(row["name"], [])
-    of = row["alias_of"] or row["derivative_of"]
+    is_state, of = row["name"] in found["fmu"]["states"], None
+    if row["alias_of"] or row["derivative_of"]:
+        of = f"alias {row['alias_of']}" if row["alias_of"] else f"der {row['derivative_of']}"
     return {
         "variable": row["name"],
         "causality": row["causality"],
         "variability": row["variability"],
         "type": f"{row['type']}{dimensions}",
         "unit": row["unit"],
-        "start": None if start is None else " ".join(start),
+        "start": _shown_start(row),
         "range": items or span or None,
-        "of": None if of is None else f"{'alias' if row['alias_of'] else 'der'} {of}",
-        "depends on": "unknown" if names is None else ", ".join(names),
+        "of": "state" if is_state else of,
+        "depends on": None if is_state or row["alias_of"] else _depends(row, found["dependencies"]),
     }
+
+
+def _shown_start(row: Section) -> str | None:
+    """Give start values shortly: one for all where they are equal, the first of many."""
+    values = row["text"] if row["start"] is None else [f"{value:.6g}" for value in row["start"]]
+    if values is None:
+        return None
+    few = f"{len(values)} x {values[0]}" if len(values) > 1 and len(set(values)) == 1 else " ".join(values[:4])
+    guess = "about " if row["initial"] == "approx" else ""
+    return f"{guess}{few}{' ...' if len(set(values)) > 1 and len(values) > 4 else ''}"
+
+
+def _depends(row: Section, dependencies: Mapping[str, list[str] | None]) -> str | None:
+    if row["causality"] != "output" and row["derivative_of"] is None:
+        return None
+    names = dependencies.get(row["name"])
+    return "unknown" if names is None else ", ".join(names) or "nothing"
 
 
 def check(path: str) -> list[Section]:

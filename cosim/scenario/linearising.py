@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
 from cosim.arrays import Matrix
+from cosim.core.solver import LinearModel
 from cosim.errors import UsageError, nearest
 from cosim.theory.descriptor import ReducedSystem
+from cosim.units import BaseUnit
 
 if TYPE_CHECKING:
     from cosim.fmi.linearise import Linearisation, Method
@@ -43,11 +47,28 @@ def linearise_file(
     return linearize(path, at=at, start=numbers, inputs=inputs, outputs=outputs, method=method)
 
 
+Unit: TypeAlias = tuple[str | None, BaseUnit | None]  # its name, and what it is in SI
+
+
 class Belief(NamedTuple):
-    """A reduced system; ``constant``: its last input is the constant 1."""
+    """What an observer believes.
+
+    ``constant``: the last input of ``reduced`` is the constant 1. ``units``: those that are declared of the observer's signals
+    u, y, x_a and delta.
+    """
 
     reduced: ReducedSystem
-    constant: bool
+    constant: bool = False
+    units: Mapping[str, Unit] = MappingProxyType({})
+
+    def declare(self, model: LinearModel) -> LinearModel:
+        """Declare the units of the signals of an observer."""
+        face = model.interface
+        inputs, outputs = (
+            tuple(replace(s, unit=unit, base=base) for s in signals for unit, base in [self.units.get(s.name, (None, None))])
+            for signals in (face.inputs, face.outputs)
+        )
+        return replace(model, interface=replace(face, inputs=inputs, outputs=outputs))
 
 
 def belief(found: Linearisation, disturbances: Sequence[str]) -> Belief:
@@ -76,7 +97,19 @@ def belief(found: Linearisation, disturbances: Sequence[str]) -> Belief:
         Ku=np.zeros((0, m)),
         Kd=np.zeros((0, len(unknown))),
     )
-    return Belief(reduced, constant)
+    ports = {
+        "u": [found.inputs[i] for i in known],
+        "delta": [found.inputs[i] for i in unknown],
+        "y": found.outputs,
+        "x_a": found.states,
+    }
+    return Belief(reduced, constant, {port: _unit(found, names) for port, names in ports.items()})
+
+
+def _unit(found: Linearisation, names: Sequence[str]) -> Unit:
+    """Give the unit that all elements of a signal have; else none is declared."""
+    units = {(found.units.get(name), found.bases.get(name)) for name in names}
+    return units.pop() if len(units) == 1 else (None, None)
 
 
 def split(found: Linearisation, disturbances: Sequence[str]) -> tuple[list[int], list[int]]:

@@ -113,6 +113,45 @@ def test_jacobi_takes_every_input_from_inside_as_late():
     assert order.late == {"gain": {"u"}, "sum": {"u"}, "lag": {"u"}}
 
 
+def test_unknown_feedthrough_counts_where_it_closes_no_circle():
+    """Plant, unknown, behind a lag: it waits for its input, and is refreshed where that is late."""
+    interfaces = {"plant": interface(["u"], y=None), "lag": interface(["u"], y=())}
+    sources = {"plant": {"u": ("lag", "y")}, "lag": {"u": ("plant", "y")}}
+    order = order_loop(interfaces, sources, jacobi=False)
+    assert order.operations == (("advance", "lag"), ("advance", "plant"))
+    assert (order.late, order.doubts) == ({"lag": {"u"}, "plant": set()}, ())
+    order = order_loop(interfaces, sources, jacobi=True)
+    assert order.operations == (("advance", "plant"), ("advance", "lag"), ("refresh", "plant"))
+    assert (order.late, order.doubts) == ({"plant": {"u"}, "lag": {"u"}}, ())
+
+
+def test_unknown_feedthrough_that_closes_a_circle_is_taken_as_not_there():
+    """Only where it does: w of the plant still counts, and y is refreshed with it."""
+    interfaces = {"plant": interface(["u", "w"], y=None), "gain": interface(["u"], y=("u",)), "lag": interface(["u"], y=())}
+    sources = {"plant": {"u": ("gain", "y"), "w": ("lag", "y")}, "gain": {"u": ("plant", "y")}, "lag": {"u": ("plant", "y")}}
+    order = order_loop(interfaces, sources, jacobi=False)
+    assert order.doubts == (("plant", "y", "u"),)
+    assert order.operations == (("advance", "lag"), ("advance", "plant"), ("advance", "gain"))
+    assert order.late == {"lag": {"u"}, "plant": {"u"}, "gain": set()}
+    order = order_loop(interfaces, sources, jacobi=True)
+    assert order.doubts == (("plant", "y", "u"),)
+    assert [operation for operation in order.operations if operation[0] == "refresh"] == [
+        ("refresh", "plant"),
+        ("refresh", "gain"),
+    ]
+
+
+@pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
+def test_what_feeds_through_all_the_same_is_a_step_late(coupling):
+    """y = x + 0.5 u with u = -y / 2 of the step before, as the warning says; the gain is of the same instant."""
+    plant = through(0.5)
+    plant.interface = Interface(plant.interface.inputs, plant.interface.outputs, {"y": None, "x": ()})
+    log = record(Graph({"p": plant, "k": times(-0.5)}, {"p.u": "k.y", "k.u": "p.y"}, coupling=coupling))
+    assert (log["k.y"] == -0.5 * log["p.y"]).all()
+    assert (log["p.y"][1:] == log["p.x"][1:] + 0.5 * log["p.u"][:-1]).all()
+    assert abs(log["p.y"][0] - 0.3 / 1.25) <= 1e-15  # at the start the circle is solved: y = x - 0.25 y
+
+
 @pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
 def test_what_feeds_through_in_a_loop_belongs_to_the_same_instant(coupling):
     """At every row the static equations hold with the recorded values of that row: none is stale."""

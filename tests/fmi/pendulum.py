@@ -1,5 +1,7 @@
 """A nonlinear plant as an FMU, compiled from C, and its Jacobian in closed form."""
 
+import math
+
 import numpy as np
 
 from tests.fmi.compiled import compile_fmu
@@ -7,14 +9,14 @@ from tests.fmi.compiled import compile_fmu
 G, FRICTION = 9.81, 0.2
 
 VARIABLES = (  # value references as in c/pendulum.c; angle and push are other names
-    ("torque", 0, 'causality="input" variability="continuous"', 'start="0"'),
-    ("wind", 1, 'causality="input" variability="continuous"', 'start="0"'),
+    ("torque", 0, 'causality="input" variability="continuous"', 'start="0" unit="N.m"'),
+    ("wind", 1, 'causality="input" variability="continuous"', 'start="0" unit="N.m"'),
     ("theta", 2, 'causality="local" variability="continuous" initial="exact"', 'start="0.5"'),
     ("omega", 3, 'causality="local" variability="continuous" initial="exact"', 'start="0"'),
     ("der(theta)", 4, 'causality="local" variability="continuous" initial="calculated"', 'derivative="3"'),
     ("der(omega)", 5, 'causality="local" variability="continuous" initial="calculated"', 'derivative="4"'),
     ("y", 6, 'causality="output" variability="continuous" initial="calculated"', ""),
-    ("reach", 7, 'causality="output" variability="continuous" initial="calculated"', ""),
+    ("reach", 7, 'causality="output" variability="continuous" initial="calculated"', 'unit="rev"'),
     ("power", 8, 'causality="output" variability="continuous" initial="calculated"', ""),
     ("angle", 2, 'causality="output" variability="continuous"', ""),
     ("push", 5, 'causality="output" variability="continuous" initial="calculated"', ""),
@@ -39,6 +41,8 @@ def pendulum(path, *, derivatives: bool, level: bool = True, edit=lambda xml: xm
     xml = f"""<?xml version="1.0" encoding="UTF-8"?>
 <fmiModelDescription fmiVersion="2.0" modelName="pendulum" guid="{{p}}" numberOfEventIndicators="0">
 <ModelExchange modelIdentifier="model" providesDirectionalDerivative="{able}"/>
+<UnitDefinitions><Unit name="N.m"><BaseUnit kg="1" m="2" s="-2"/></Unit>
+<Unit name="rev"><BaseUnit rad="1" factor="{math.tau}"/></Unit></UnitDefinitions>
 <ModelVariables>{"".join(scalars)}</ModelVariables>
 <ModelStructure><Outputs>{outputs}</Outputs><Derivatives><Unknown index="5"/><Unknown index="6"/></Derivatives></ModelStructure>
 </fmiModelDescription>"""

@@ -1,6 +1,8 @@
 """Linearisation: of what has directional derivatives to the last bits, of what has none to what differences can give."""
 
+import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,6 +16,7 @@ from cosim.fmi.differences import differentiate
 from cosim.fmi.generated import GeneratedUnit
 from cosim.fmi.linearise import Linearisation, linearise
 from tests.fmi import plant
+from tests.fmi.compiled import compile_fmu
 from tests.fmi.pendulum import FRICTION, OUTPUTS, G, jacobian, pendulum
 
 LETTERS = ("A", "B", "C", "D")
@@ -185,12 +188,13 @@ def test_constants_are_what_the_matrices_leave_out(swinging):
 
 def test_plain_values_carry_every_bit(swinging):
     """By way of JSON, as a log keeps them."""
-    import json
-
     found = cosim.linearize(swinging, at=0.1)
     again = Linearisation.of(json.loads(json.dumps(found.to_dict())))
     assert again.to_dict() == {**found.to_dict(), "made": dict(found.made)}
     assert again.A.tobytes() == found.A.tobytes()
+    assert again.units == {"torque": "N.m", "wind": "N.m", "reach": "rev"}
+    assert again.bases == found.bases
+    assert again.bases["reach"].factor == math.tau
     empty = cosim.linearize(swinging, outputs=[], inputs=[])
     assert Linearisation.of(empty.to_dict()).D.shape == (0, 0)
 
@@ -330,3 +334,61 @@ def test_a_unit_that_stops_on_the_way_is_told():
 
     with pytest.raises(RunError, match=r"model: on the way to t = 1\.0 s: it burst"):
         linearise(GeneratedUnit(Bursting()), at=1.0)
+
+
+ARRAYS = """<?xml version="1.0" encoding="UTF-8"?>
+<fmiModelDescription fmiVersion="3.0" modelName="arrays" instantiationToken="a">
+<ModelExchange modelIdentifier="model" providesDirectionalDerivatives="true"/>
+<ModelVariables>
+<Float64 name="u" valueReference="0" causality="input" start="0 0"><Dimension start="2"/></Float64>
+<Float64 name="x" valueReference="1" causality="output" initial="exact" start="0 0 0"><Dimension start="3"/></Float64>
+<Float64 name="der(x)" valueReference="2" causality="local" initial="calculated" derivative="1"><Dimension start="3"/></Float64>
+<Float64 name="y" valueReference="3" causality="output" initial="calculated"><Dimension start="2"/></Float64>
+</ModelVariables>
+<ModelStructure>
+<Output valueReference="1"/><Output valueReference="3"/><ContinuousStateDerivative valueReference="2"/>
+</ModelStructure>
+</fmiModelDescription>"""
+
+
+@pytest.mark.parametrize("method", [DIRECTIONAL, DIFFERENCES])
+def test_arrays_of_fmi_3_are_seeded_element_by_element(tmp_path, method):
+    """The matrices of ``c/arrays.c``; x is a state and an output, so its rows are completed, not asked for."""
+    path = compile_fmu(tmp_path / "arrays.fmu", ARRAYS, "arrays.c")
+    A, B = [[-1.0, 2.0, 0.0], [0.0, -3.0, 0.5], [0.25, 0.0, -2.0]], [[1.0, 0.0], [0.0, 4.0], [-1.0, 1.0]]
+    C, D = [[1.0, 0.0, 2.0], [0.0, -1.0, 0.0]], [[0.0, 3.0], [0.0, 0.0]]
+    found = cosim.linearize(path, method=method, outputs=["x[1]", "y"], start={"u[1]": 0.5, "x[2]": 2.0})
+    needed = (A, B, [[0.0, 1.0, 0.0], *C], [[0.0, 0.0], *D])
+    assert distance(found, map(np.array, needed)) <= (0.0 if method == DIRECTIONAL else 1e-13)
+    assert (found.states, found.inputs, found.outputs) == (
+        ("x[0]", "x[1]", "x[2]"),
+        ("u[0]", "u[1]"),
+        ("x[1]", "y[0]", "y[1]"),
+    )
+    assert [found.x.tolist(), found.u.tolist(), found.y.tolist()] == [[0.0, 0.0, 2.0], [0.0, 0.5], [0.0, 5.5, 0.0]]
+    only = cosim.linearize(path, method=method, outputs=["y[1]"], inputs=["u[1]"], states=["x[1]"])
+    assert [only.A.item(), only.B.item(), only.C.item(), only.D.item()] == pytest.approx([-3.0, 4.0, -1.0, 0.0], abs=1e-13)
+
+
+def test_event_indicators_are_told(tmp_path):
+    """They do not move in continuous-time mode, so the mode that the unit is in is what is linearised."""
+    path = pendulum(tmp_path / "p.fmu", derivatives=True, edit=lambda xml: xml.replace('Indicators="0"', 'Indicators="1"'))
+    found = cosim.linearize(path)
+    assert distance(found, jacobian(0.5, 0.0, 0.0)) <= 1e-14
+    assert found.notes[0] == "event indicators (1): linearised within the mode it is in"
+
+
+def test_states_without_names_are_numbered():
+    """FMI 1 does not name them; they are set all the same, and moved by differences."""
+    unit = GeneratedUnit(Lift())
+    unit._description = replace(unit.description, states=(), unnamed_states=1)
+    found = linearise(unit, start={"state[0]": 0.5})
+    assert found.states == ("state[0]",)
+    assert (found.x[0], found.A[0, 0]) == (0.5, pytest.approx(-1.0, rel=1e-10))
+
+
+def test_fmi_1_is_linearised_by_differences(model1):
+    """x' = u, y = 2 x + u (``c/probe1.c``); FMI 1.0 has neither names of states nor directional derivatives."""
+    found = cosim.linearize(model1, start={"state[0]": 3.0})
+    assert (found.states, found.x.tolist()) == (("state[0]",), [3.0])
+    assert distance(found, ([[0.0]], [[1.0]], [[1.0], [2.0]], [[0.0], [1.0]])) <= 1e-13

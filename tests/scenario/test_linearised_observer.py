@@ -127,6 +127,14 @@ def test_an_observer_may_be_linearised_where_the_plant_is_not_at_rest(folder):
     assert error(swing(folder, 0.0, start={"theta": 0.42, "omega": 0.1})) <= 1e-7
 
 
+def test_the_signals_of_the_observer_have_the_units_of_the_fmu(folder):
+    """So that what drives them is compared and converted; where the elements differ, none is declared."""
+    run = cosim.run(swing(folder, 0.1), set={"scenario.stop": 0.01})
+    face = run.channels["observer"].interface
+    units = {s.name: s.unit for s in (*face.inputs, *face.outputs)}
+    assert units == {"u": "N.m", "y": None, "x_a": None, "delta": "N.m", "z": None, "q": None}
+
+
 REFUSED = {
     "no such file": ({"fmu": "no.fmu", "disturbance": "delta"}, r"components\.observer: .*no\.fmu: there is no such file"),
     "no such disturbance": ({**MODEL, "disturbance": "detla"}, r"components\.observer: disturbance 'detla' is no input of academic_plant; did you mean 'delta'\?"),

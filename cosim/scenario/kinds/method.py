@@ -65,14 +65,14 @@ class UnknownInputObserver(Kind):
     q0: Row | None = Field(None, description="start of the filter; left out: at the signal")
 
     def linear_model(self, name: str, site: Site) -> LinearModel:
-        (reduced, constant), design = self.design(name, site)
+        believed, design = self.design(name, site)
         site.note(
             name,
             eigenvalues=[str(complex(v)) if v.imag else float(v.real) for v in design.eigenvalues],
             fixed_modes=[str(complex(v)) if v.imag else float(v.real) for v in design.fixed_modes],
             lambda_obs=design.lambda_obs,
         )
-        return observer_model(reduced, design, x_a0=self.x_a0, q0=self.q0, constant=constant)
+        return believed.declare(observer_model(believed.reduced, design, x_a0=self.x_a0, q0=self.q0, constant=believed.constant))
 
     def advice(self, held: Mapping[str, bool], h: float) -> list[str]:
         product = self.filter_rate * h
@@ -94,7 +94,7 @@ class UnknownInputObserver(Kind):
 
     def _belief(self, name: str, site: Site) -> Belief:
         if isinstance(self.model, str):
-            return Belief(reduce(site.model(self.model)), constant=False)
+            return Belief(reduce(site.model(self.model)))
         model, inputs = self.model, self.model.inputs
         chosen = None if inputs is None else (*inputs, *model.disturbances)
         found = site.linearisation(name, model.fmu, at=model.at, start=model.start, inputs=chosen, outputs=model.outputs)
