@@ -50,7 +50,7 @@ def test_values_are_compared_in_one_unit():
 
 
 def test_gain_and_poles_are_compared_within_their_error():
-    """x' = -2 x + u, y = 4 x: gain 2, pole -2. Differences of 1e-7 are seen in exact numbers, not in those that are wrong by that."""
+    """x' = -2 x + u, y = 4 x: gain 2, pole -2. A difference of 1e-7 is seen unless the numbers are wrong by that."""
     face = Interface((Signal("u"),), (Signal("y"),))
     exact, close = (
         NearStart.of(np.array([[a]]), np.eye(1), 4.0 * np.eye(1), np.zeros((1, 1)), error=0.0) for a in (-2.0, -2.0 - 1e-7)
@@ -72,7 +72,7 @@ def test_ports_are_paired_by_the_map_then_by_name():
 
 
 def test_what_fits_best_is_proposed_with_its_reasons():
-    """Unit and size decide what fits, first value and dependencies which is likelier; equals are both told; elements may fit too."""
+    """Unit and size decide what fits, first value and dependencies which is likelier; equals are all told, elements too."""
     before = Side(
         Interface((Signal("u"),), (Signal("y", unit="V"), Signal("z")), {"y": ("u",)}), ABLE,
         initial={"y": np.array([1.0]), "z": np.array([5.0])},

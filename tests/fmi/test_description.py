@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import pytest
 
-from cosim.core.signals import Interface, Signal
 from cosim.errors import FmuError
 from cosim.fmi.description import Description, Variable
 from cosim.fmi.reading import read

@@ -14,13 +14,13 @@ PACKED = {"plant.u": "force", "plant.delta": "push", "plant.y": "out[2]", "plant
 
 
 def renamed(path: Path) -> Path:
-    """Inputs push and force for delta and u; outputs aux, s and out1 for x_b, x_a and y."""
+    """Export it with inputs push and force for delta and u; outputs aux, s and out1 for x_b, x_a and y."""
     outputs = (Signal("aux"), Signal("s", 2, role="state"), Signal("out1"))
     return _export(path, outputs, {"aux": ("force",), "out1": ("force",)}, [3, 1, 2, 0])
 
 
 def packed(path: Path) -> Path:
-    """The same with y in the last place of a vector: out = (x_b, x_b, y)."""
+    """Export the same with y in the last place of a vector: out = (x_b, x_b, y)."""
     outputs = (Signal("out", 3), Signal("s", 2, role="state"))
     return _export(path, outputs, {"out": ("force",)}, [3, 3, 0, 1, 2])
 

@@ -25,7 +25,7 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def four(folder):
-    """Generated, FMI 2 model exchange and co-simulation, recorded."""
+    """Run it generated, as FMI 2 model exchange and co-simulation, recorded."""
     return compare(
         "academic", swap={"plant": [folder / "plant.fmu", f"{folder / 'plant.fmu'}#cs", folder / "log.mcap"]}, set=SHORT
     )
@@ -92,7 +92,7 @@ def test_a_picture_shows_all_of_them(four, tmp_path):
 def test_what_is_wrong_for_all_is_told_once(folder):
     """Before anything runs."""
     plant = folder / "plant.fmu"
-    with pytest.raises(ScenarioError, match="--set observer.filter_rat: "):
+    with pytest.raises(ScenarioError, match=r"--set observer\.filter_rat: "):
         compare("academic", swap={"plant": [plant]}, set={"observer.filter_rat": 1.0})
     with pytest.raises(UsageError, match="found alternatives of plant, observer; needed those of one component"):
         compare("academic", swap={"plant": [plant], "observer": [plant]})

@@ -1,6 +1,7 @@
 """Before a run: how a swapped component compares with the one it replaces, what stops the run, what may have been renamed."""
 
 import json
+from dataclasses import replace
 
 import pytest
 
@@ -16,7 +17,7 @@ SHORT = {"scenario.stop": 0.1}
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """The plant as it is, renamed, packed into a vector, and as a log."""
+    """Write the plant as it is, renamed, packed into a vector, and as a log."""
     folder = tmp_path_factory.mktemp("plants")
     export_component("academic", "plant", folder / "plant.fmu")
     renamed(folder / "other.fmu")
@@ -52,7 +53,10 @@ def test_another_mode_and_start_are_listed_and_warned_of_in_one_line(folder, tmp
     assert set(verdicts(found, "differs", "error")) == {
         ("y", "initial output"), ("x_a", "initial output"), ("x_b", "initial output"), ("", "kind"),
     }  # fmt: skip
-    text = "differs from what it replaces: y initial output 1.5 (was 1); x_a initial output 1.5 -1 (was 1 -1); kind co-simulation (was model exchange)"
+    text = (
+        "differs from what it replaces: y initial output 1.5 (was 1); x_a initial output 1.5 -1 (was 1 -1); "
+        "kind co-simulation (was model exchange)"
+    )
     log = cosim.run("academic", swap={"plant": str(folder / "plant.fmu#cs")}, set={**SHORT, **changes}, out=tmp_path / "a.mcap")
     assert ["plant", text] in json.loads(log.metadata["cosim.run"]["warnings"])
     kept = json.loads(log.metadata["cosim.component.plant"]["facts"])["contract"]
@@ -72,11 +76,7 @@ def test_renamed_ports_are_proposed_and_never_applied(folder):
         in said
     )
     options = [line.partition(": ")[0].removeprefix("--map ") for line in said.splitlines() if line.startswith("--map")]
-    assert not examine_with(folder, dict(option.split("=") for option in options)).problems
-
-
-def examine_with(folder, maps):
-    return report(folder, "other.fmu", maps)
+    assert not report(folder, "other.fmu", dict(option.split("=") for option in options)).problems
 
 
 def test_an_element_of_a_vector_is_proposed(folder):
@@ -107,8 +107,6 @@ def test_a_recording_says_what_it_does_not_know(folder):
 def test_what_is_replaced_need_not_work(folder):
     """The scenario's own plant is broken: nothing to compare with, nothing in the way."""
     text = cosim.load("academic").document.text.replace("x_a0 = [1.0, -1.0]", "x_a0 = [1.0]")
-    from dataclasses import replace
-
     found = examine(replace(cosim.load("academic").document, text=text).with_swaps({"plant": str(folder / "plant.fmu")}))
     assert (found.reports, found.problems) == ({}, ())
 
