@@ -1,38 +1,25 @@
 """How the components of one stage advance over a block.
 
-A cascade is one component: one call. The components of a loop advance step by step. At each step a component's input from a
-component that has not reached the end of the step yet is *late*: it keeps its value from the start of the step (first order), and
-outputs that feed through from it are evaluated again as soon as it is known. Which inputs are late is fixed before the run:
-
-* Gauss-Seidel: components advance one after the other, those whose feedthrough inputs are known first.
-* Jacobi: all inputs from inside the loop are late.
-
-A circle of outputs that are known to feed through to each other is refused. Feedthrough that is unknown counts as there, except
-where that would close a circle: there it is taken as not there, and said so (*doubts*). If it is there after all, its output has
-been computed with the late input's value from the start of the step.
+A cascade is one component: one call. The components of a loop advance step by step, by operations that are fixed before the run
+(:mod:`cosim.core.order`). At each step a component's input from a component that has not reached the end of the step yet is
+*late*: it keeps its value from the start of the step (first order), and outputs that feed through from it are evaluated again as
+soon as it is known.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from graphlib import CycleError, TopologicalSorter
-from itertools import pairwise
-from typing import Literal, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
 from cosim.core.contracts import Block, Component, Stopped
-from cosim.core.signals import Interface
-from cosim.errors import AlgebraicLoopError, RunError
+from cosim.core.order import Kind
+from cosim.errors import RunError
 from cosim.units import Conversion
-
-Port = tuple[str, str]  # component, signal
-Kind = Literal["advance", "refresh"]
-Operation = tuple[Kind, str]
-Feeds = dict[str, tuple[str, ...]]  # the inputs that feed through to each output
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,144 +195,3 @@ class Loop:
 def _stop(error: RunError) -> Stopped:
     """Take an error of a component that does not say how far it came as a stop before the first step."""
     return error if isinstance(error, Stopped) else Stopped(np.empty((0, 0)), str(error))
-
-
-@dataclass(frozen=True, slots=True)
-class LoopOrder:
-    """How a loop is advanced.
-
-    Parameters
-    ----------
-    operations : tuple of Operation
-    late : mapping of component name to frozenset of str
-        Inputs that are known only after the component has advanced.
-    doubts : tuple of (component, output, input)
-        Where feedthrough is unknown and was taken as not there.
-    """
-
-    operations: tuple[Operation, ...]
-    late: Mapping[str, frozenset[str]]
-    doubts: tuple[tuple[str, str, str], ...]
-
-
-def order_loop(interfaces: Mapping[str, Interface], sources: Mapping[str, Mapping[str, Port]], *, jacobi: bool) -> LoopOrder:
-    """Fix the order of operations in a loop, and which inputs are late.
-
-    Parameters
-    ----------
-    interfaces : mapping of component name to Interface
-        The components of the loop.
-    sources : mapping of component name to mapping of input to Port
-        What drives each input; ports of components outside the loop are known from the start.
-    jacobi : bool
-        Treat every input from inside the loop as late.
-
-    Raises
-    ------
-    AlgebraicLoopError
-        If outputs are known to feed through to each other in a circle; every port of it is named.
-    """
-    feeds, doubts = _feedthrough(interfaces, sources)
-    order = _Order(feeds, sources)
-    if jacobi:
-        for name in interfaces:
-            order.advance(name, late=order.inside(name))
-        for name in interfaces:  # outputs that no late input reaches are right already
-            order.known.update((name, o) for o, inputs in feeds[name].items() if not order.late[name].intersection(inputs))
-        order.refresh()
-    else:
-        waiting = list(interfaces)
-        while waiting:
-            name = min(waiting, key=order.unknown_feedthrough)
-            waiting.remove(name)
-            order.advance(name, late=frozenset(i for i in order.inside(name) if not order.is_known(name, i)))
-            order.settle(name)
-            order.refresh()
-    return LoopOrder(tuple(order.operations), order.late, doubts)
-
-
-class _Order:
-    """The order of operations of a loop while it is found; ``known``: the outputs at the end of the step that are final."""
-
-    def __init__(self, feeds: Mapping[str, Feeds], sources: Mapping[str, Mapping[str, Port]]) -> None:
-        self.feeds, self.sources = feeds, sources
-        self.known: set[Port] = set()
-        self.operations: list[Operation] = []
-        self.late: dict[str, frozenset[str]] = {}
-
-    def inside(self, name: str) -> frozenset[str]:
-        return frozenset(i for i, source in self.sources[name].items() if source[0] in self.feeds)
-
-    def is_known(self, name: str, signal: str) -> bool:
-        source = self.sources[name][signal]
-        return source[0] not in self.feeds or source in self.known
-
-    def unknown_feedthrough(self, name: str) -> int:
-        feeding = {i for inputs in self.feeds[name].values() for i in inputs}
-        return sum(not self.is_known(name, signal) for signal in feeding)
-
-    def advance(self, name: str, *, late: frozenset[str]) -> None:
-        self.late[name] = late
-        self.operations.append(("advance", name))
-
-    def settle(self, name: str) -> bool:
-        """Take the outputs as known whose feedthrough inputs are; say whether any is new."""
-        ports = {(name, o) for o, inputs in self.feeds[name].items() if all(self.is_known(name, i) for i in inputs)}
-        news = not ports <= self.known
-        self.known |= ports
-        return news
-
-    def refresh(self) -> None:
-        """Evaluate outputs again wherever late inputs have become known, until there is nothing new."""
-        progress = True
-        while progress:
-            progress = False
-            for name in self.late:
-                if self.settle(name):
-                    self.operations.append(("refresh", name))
-                    progress = True
-
-
-def _feedthrough(
-    interfaces: Mapping[str, Interface], sources: Mapping[str, Mapping[str, Port]]
-) -> tuple[dict[str, Feeds], tuple[tuple[str, str, str], ...]]:
-    """Say what feeds through to each output of each component; where that is unknown, all that closes no circle."""
-    known = {
-        name: {o.name: face.feeds(o.name) if face.knows(o.name) else () for o in face.outputs}
-        for name, face in interfaces.items()
-    }
-    circle = _circle(known, sources)
-    if circle:
-        raise AlgebraicLoopError(
-            f"{' -> '.join('.'.join(port) for port in circle)}: every output here feeds through; put a component with a state of "
-            "its own between, such as a lag or a delay"
-        )
-    feeds = {name: {o.name: face.feeds(o.name) for o in face.outputs} for name, face in interfaces.items()}
-    doubts = []
-    while circle := _circle(feeds, sources):
-        name, signal, output = next(
-            (name, a, b)
-            for (name, a), (other, b) in pairwise(circle)
-            if other == name and a in feeds[name].get(b, ()) and not interfaces[name].knows(b)
-        )
-        feeds[name][output] = tuple(i for i in feeds[name][output] if i != signal)
-        doubts.append((name, output, signal))
-    return feeds, tuple(doubts)
-
-
-def _circle(feeds: Mapping[str, Feeds], sources: Mapping[str, Mapping[str, Port]]) -> list[Port]:
-    """Find a circle of ports along feedthrough and connections; give it closed, in the direction of the signals, or nothing."""
-    behind: dict[Port, list[Port]] = {}
-    for name, outputs in feeds.items():
-        behind |= {(name, signal): [source] if source[0] in feeds else [] for signal, source in sources[name].items()}
-        behind |= {(name, output): [(name, signal) for signal in inputs] for output, inputs in outputs.items()}
-    return find_circle(behind)
-
-
-def find_circle(behind: Mapping[Port, Collection[Port]]) -> list[Port]:
-    """Find a circle among ports, each with those it depends on; give it closed, in the direction of the signals, or nothing."""
-    try:
-        TopologicalSorter(behind).prepare()
-    except CycleError as error:
-        return list(error.args[1])
-    return []

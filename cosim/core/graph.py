@@ -16,7 +16,8 @@ import numpy as np
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.connections import Connection, Ports, check_connections, converted, layout_of
 from cosim.core.contracts import Component, Design, Plan
-from cosim.core.coupling import Cascade, Loop, Member, Port, Stage, Wire, order_loop
+from cosim.core.coupling import Cascade, Loop, Member, Stage, Wire
+from cosim.core.order import Port, order_loop
 from cosim.core.signals import Channel, Variability
 from cosim.core.start import Start
 from cosim.errors import GraphError, nearest
@@ -181,7 +182,7 @@ class Graph:
         sources = {name: self._sources[name] for name in names}
         order = order_loop(interfaces, sources, jacobi=self.coupling == "jacobi")
         plan = tuple((kind, self._members[name]) for kind, name in order.operations)
-        warnings = tuple((name, _doubt(name, signal, output)) for name, output, signal in order.doubts)
+        warnings = tuple((doubt.component, str(doubt)) for doubt in order.doubts)
         return Loop(self.coupling, tuple(self._members[name] for name in names), plan, order.late, warnings)
 
     def _held(self, name: str) -> Mask:
@@ -201,13 +202,6 @@ class Graph:
             return "discrete"
         found = {self._variability(*port, seen | {name}) for port in self._sources[name].values()}
         return "discrete" if found == {"discrete"} else "continuous"
-
-
-def _doubt(name: str, signal: str, output: str) -> str:
-    return (
-        f"{name}.{output} may depend directly on {name}.{signal} (the FMU does not say): taken as not feeding through; if it "
-        "does, the loop is solved with the value of the step before"
-    )
 
 
 @dataclass(frozen=True, slots=True)

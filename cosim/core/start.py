@@ -29,14 +29,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Vector
-from cosim.core.coupling import Member, Port, Wire, find_circle
+from cosim.core.coupling import Member, Wire
 from cosim.core.fixed_point import Found, SingularError, judge, newton, newton_step, settle
+from cosim.core.order import Behind, Port, circles, find_circle
 from cosim.core.signals import Channel, Interface, Layout
 from cosim.errors import GraphError
 
 SWEEPS: Final = 100  # of a circle with discrete signals, beyond one a port
 
-Behind: TypeAlias = Mapping[Port, Collection[Port]]
 Columns: TypeAlias = NDArray[np.intp]
 
 
@@ -84,7 +84,7 @@ class Start:
         self.columns = {(c.name, signal.name): columns for c in layout.channels for signal, columns in c.signal_columns()}
         self.wires = {port: wire for port, wire in _wires(layout, members)}
         behind = _behind(layout.channels, sources)
-        circle_of, groups = _circles(behind), dict[Port, list[Port]]()
+        circle_of, groups = circles(behind), dict[Port, list[Port]]()
         for port, circle in circle_of.items():
             groups.setdefault(circle, []).append(port)
         between = {circle: {circle_of[b] for p in ports for b in behind[p]} - {circle} for circle, ports in groups.items()}
@@ -186,10 +186,11 @@ class _Values:
             return self._row[circle.columns].copy()
 
         kept, v = self._row.copy(), self._row[circle.columns].copy()
-        sweep(v)
-        if circle.path in self._solved and self._unmoved(circle, kept):
-            self._row[:] = kept
-            return
+        if circle.path in self._solved:
+            sweep(v)
+            if self._unmoved(circle, kept):
+                self._row[:] = kept
+                return
         self._solved.add(circle.path)
         found = settle(sweep, v, len(circle.order) + (SWEEPS if circle.discrete else 0))
         try:
@@ -206,10 +207,8 @@ class _Values:
 
     def _largest(self, circle: Circle) -> float:
         """Give the largest value among the components of a circle."""
-        part = np.concatenate(
-            [self._row[self._start.layout[name].columns] for name in sorted({name for name, _ in circle.order})]
-        )
-        return float(np.abs(part[np.isfinite(part)]).max(initial=0.0))
+        values = np.concatenate([self._row[self._start.layout[name].columns] for name, _ in circle.order])
+        return float(np.abs(values[np.isfinite(values)]).max(initial=0.0))
 
     def _unmoved(self, circle: Circle, kept: Vector) -> bool:
         """Say whether a sweep gave again what is there: nothing that the circle depends on has changed."""
@@ -243,19 +242,6 @@ def _behind(channels: Iterable[Channel], sources: Mapping[str, Mapping[str, Port
         behind |= {(c.name, signal): (source,) for signal, source in sources[c.name].items()}
         behind |= {(c.name, o.name): tuple((c.name, i) for i in c.interface.feeds_at_start(o.name)) for o in c.interface.outputs}
     return behind
-
-
-def _circles(behind: Behind) -> dict[Port, Port]:
-    """Give for every port one that stands for its circle; a port outside every circle stands for itself."""
-    of = {port: port for port in behind}
-    while True:
-        joined: dict[Port, set[Port]] = {circle: set() for circle in of.values()}
-        for port, ports in behind.items():
-            joined[of[port]] |= {of[b] for b in ports} - {of[port]}
-        circle = find_circle(joined)
-        if not circle:
-            return of
-        of = {port: circle[0] if of[port] in circle else of[port] for port in of}
 
 
 def _inputs_first(behind: Behind, inputs: Collection[Port]) -> Iterable[Port]:

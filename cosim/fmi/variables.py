@@ -79,6 +79,9 @@ def _base(unit: Element, attributes: Attributes) -> BaseUnit | None:
     if factor is not None and not (math.isfinite(factor) and factor != 0.0):
         attributes.problems.append(f"{where}: factor: found {factor}, needed a finite number that is not 0")
         factor = None
+    if offset is not None and not math.isfinite(offset):
+        attributes.problems.append(f"{where}: offset: found {offset}, needed a finite number")
+        offset = None
     return BaseUnit(exponents, 1.0 if factor is None else factor, offset or 0.0)
 
 

@@ -44,7 +44,7 @@ class DescriptorTable(Table):
 
 
 class ConnectionTable(Table):
-    """A connection with a linear map."""
+    """A connection with a linear map, which leads to ``unit``; from there it is converted to the unit of the input."""
 
     source: str = Field(alias="from")
     gain: Number | Rows = 1.0

@@ -1,6 +1,7 @@
 """Connections of a scenario: units that are converted, and loops through FMUs that do not say what feeds through."""
 
 import json
+import zipfile
 
 import numpy as np
 import pytest
@@ -8,6 +9,9 @@ import pytest
 import cosim
 from cosim.cli import main
 from cosim.errors import ScenarioError
+from cosim.fmi.reading import read
+from cosim.scenario.exporting import export_component
+from cosim.units import base_unit
 
 UNITS = """
 [scenario]
@@ -95,6 +99,67 @@ def test_info_shows_what_is_converted(units, capsys):
         "conversion": "((v * 1.0 + 273.15) - 0.0) / 1.0",
     }  # fmt: skip
     assert (rows["readout.u"]["map"], rows["readout.u"]["unit"]) == ("2.0 v - 3.0", "K -> degC")
+
+
+FMU = """
+[scenario]
+name = "fmu"
+stop = 0.5
+step = 0.01
+[components.u]
+kind = "sine"
+amplitude = 5.0
+rate = 6.0
+unit = "degC"
+[components.zero]
+kind = "constant"
+value = 0.0
+[components.plant]
+kind = "fmu"
+path = "{path}"
+[components.readout]
+kind = "lag"
+time_constant = 0.1
+unit = "mm"
+[connections]
+"plant.u" = "u.y"
+"plant.delta" = "zero.y"
+"readout.u" = "plant.y"
+"""
+
+
+def test_units_of_an_fmu_are_what_it_defines(tmp_path):
+    """Names say nothing there: a temperature u by factor and offset, a length y; a replay takes both from the log."""
+    plain, path, log = tmp_path / "plain.fmu", tmp_path / "units.fmu", tmp_path / "fmu.mcap"
+    export_component("academic", "plant", plain)
+    definitions = (
+        '</CoSimulation><UnitDefinitions><Unit name="F"><BaseUnit K="1" factor="0.5" offset="255.0"/></Unit>'
+        '<Unit name="long"><BaseUnit m="1" factor="0.25"/></Unit></UnitDefinitions>'
+    )
+    with zipfile.ZipFile(plain) as source, zipfile.ZipFile(path, "w") as target:
+        for name in source.namelist():
+            content = source.read(name)
+            if name == "modelDescription.xml":
+                text = content.decode().replace("</CoSimulation>", definitions)
+                content = text.replace('<Real start="0.0" />', '<Real start="0.0" unit="F"/>', 1).replace(
+                    "<Real />", '<Real unit="long"/>', 1
+                )
+            target.writestr(name, content)
+    (tmp_path / "fmu.toml").write_text(FMU.format(path=path))
+    run = cosim.run(tmp_path / "fmu.toml", out=log)
+    assert (run["plant.u"] == ((run["u.y"] + 273.15) - 255.0) / 0.5).all()
+    assert (run["readout.u"] == run["plant.y"] * 0.25 / 1e-3).all()
+    assert cosim.diff(run, cosim.replay(log)).equal
+    assert cosim.open_log(log).channels["plant"].interface.inputs[0].base.offset == 255.0
+
+
+def test_an_exported_fmu_defines_its_units(units, tmp_path):
+    """Factor and offset too: the readout in degC is connected to K as the component is."""
+    path = tmp_path / "readout.fmu"
+    export_component(str(units), "readout", path)
+    face = read(path).description.interface
+    assert [signal.base for signal in (*face.inputs, *face.outputs)] == [base_unit("degC")] * 2
+    assert base_unit("degC").offset == 273.15
 
 
 def test_units_that_cannot_be_converted_are_refused(units):
