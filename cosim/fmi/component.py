@@ -79,7 +79,7 @@ class Fmu:
         whose arguments cannot be read from Python: it is given as it is. What is to be known about the FMU's results is in
         ``component.notes``.
         """
-        return self._unit.messages.drain()
+        return self._unit.messages.drain() + self.component.drain()
 
     def __enter__(self) -> Self:
         return self
