@@ -184,9 +184,6 @@ def _check_events(archive: Archive, mode: Mode) -> None:
     if mode == "cs":
         return
     other = '; use mode = "cs"' if "cs" in description.capabilities else ""
-    if description.event_indicators:
-        count = description.event_indicators
-        raise FmuError(f"{archive.path}: has {count} event indicators; state events are not located yet in model exchange{other}")
     if description.clocks:
         raise FmuError(
             f"{archive.path}: has clocks ({', '.join(description.clocks)}), which are not supported yet in model exchange{other}"
