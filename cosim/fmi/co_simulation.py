@@ -34,7 +34,6 @@ from cosim.errors import FmuError, RunError
 from cosim.fmi.description import Description
 from cosim.fmi.direct import Direct
 from cosim.fmi.inner_step import InnerStep
-from cosim.fmi.references import References
 from cosim.fmi.saved import SavedState, save
 from cosim.fmi.start import Start
 from cosim.fmi.unit import TERMINATED, CoSimulationUnit, StepEnd
@@ -291,8 +290,8 @@ class CoSimulation:
             return s
         self._say(
             "time event",
-            f"the time event at t = {self._next_event} s is met at the end of the communication step only, as it takes steps of one "
-            "size (canHandleVariableCommunicationStepSize is false)",
+            f"the time event at t = {self._next_event} s is met at the end of the communication step only, as it takes steps of "
+            "one size (canHandleVariableCommunicationStepSize is false)",
         )
         return s1
 
@@ -377,7 +376,7 @@ def _float64(description: Description) -> Mask:
 
 
 def _watched(description: Description) -> NDArray[np.intp]:
-    """Give the outputs that show whether time moves in the unit: real, continuous, and without a direct way from inputs, if any."""
+    """Give the outputs that show whether time moves in the unit: real, continuous, if possible not fed directly by inputs."""
     face = description.interface
     moving = [output for output in face.outputs if output.kind == "real" and output.variability == "continuous"]
     chosen = {o.name for o in moving if not face.feeds(o.name)} or {o.name for o in moving}
