@@ -7,6 +7,7 @@ One communication step from t0 to t1, usually in one part, else in several (s0 t
         s1 = 1, or the next time event
         interpolating unit:   set inputs u(s0); set_input_derivatives (u1 - u0)/h; do_step     its outputs belong to u_end = u(s1)
         any other:            set inputs (u(s0) + u(s1))/2; do_step                            its outputs belong to u_end = that
+                              (the same again after an early return, so that their integral up to s1 is right)
         (held and discrete:   u0, no slope                                                     u_end = u0)
         discarded:            back to s0, and in two halves from there to s1
         else:                 s0 = where it returned; event there, where the unit asks for it
@@ -201,11 +202,13 @@ class CoSimulation:
 
     def _cross(self, ramp: _Ramp, s0: float, s1: float, halvings: int) -> float:
         """Go from ``s0`` to ``s1``, in halves where the unit discards the whole; give how far the unit came."""
+        begin = goal = s0
         for _ in range(PARTS):
             if self._ended:
                 return s0
-            goal = self._goal(ramp, s0, s1)
-            end = self._part(ramp, s0, goal)
+            if goal != (goal := self._goal(ramp, s0, s1)):
+                begin = s0
+            end = self._part(ramp, s0, goal, 0.5 * (begin + goal))
             self._ended |= end.terminate
             if end.completed:
                 s0 = goal
@@ -222,13 +225,13 @@ class CoSimulation:
             f"t = {ramp.time(s0)} s"
         )
 
-    def _part(self, ramp: _Ramp, s0: float, s1: float) -> StepEnd:
-        """Set the inputs and call do_step once."""
+    def _part(self, ramp: _Ramp, s0: float, s1: float, middle: float) -> StepEnd:
+        """Set the inputs, on their lines from ``s0`` or as they are in the ``middle``, and call do_step once."""
         unit, t, h = self._unit, ramp.time(s0), (s1 - s0) * ramp.h
         if self._goes_back:
             self._kept = unit.get_fmu_state(self._kept)
         if not self._interpolates:
-            self._end = ramp.at(0.5 * (s0 + s1))
+            self._end = ramp.at(middle)
             unit.set_float64(self._stepped.references, self._stepped.of(self._end))
             return unit.do_step(t, h)
         unit.set_float64(self._stepped.references, self._stepped.of(ramp.at(s0)))

@@ -16,7 +16,7 @@ from cosim.fmi.unit import CoSimulationUnit
 
 @final
 class Direct:
-    """D times a change of the inputs, by directional derivatives, for real variables that feed through."""
+    """D times a change of the inputs, by directional derivatives, for real inputs and continuous outputs."""
 
     def __init__(self, unit: CoSimulationUnit, outputs: Sequence[int], inputs: Sequence[int]) -> None:
         self._unit, self._n_y = unit, unit.interface.n_y
@@ -29,7 +29,8 @@ class Direct:
         """Find what feeds through."""
         face = unit.interface
         sources = {name for output in face.outputs for name in face.feeds(output.name)}
-        fed = [signal.name for signal in face.outputs if face.feeds(signal.name) and signal.kind == "real"]
+        moving = [signal.name for signal in face.outputs if signal.kind == "real" and signal.variability == "continuous"]
+        fed = [name for name in moving if face.feeds(name)]
         feeding = [signal.name for signal in face.inputs if signal.name in sources and signal.kind == "real"]
         rows, columns = face.output_columns(), face.input_columns()
         return Direct(unit, _elements(rows, fed), _elements(columns, feeding))
