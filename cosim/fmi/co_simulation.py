@@ -51,6 +51,7 @@ class _Ramp(NamedTuple):
     t: float  # [s]
     h: float  # [s]
     u0: Vector
+    u1: Vector
     change: Vector
 
     def time(self, s: float) -> float:
@@ -59,7 +60,7 @@ class _Ramp(NamedTuple):
 
     def at(self, s: float) -> Vector:
         """Give the inputs."""
-        return self.u0 + s * self.change if s else self.u0
+        return self.u1 if s == 1.0 else self.u0 + s * self.change if s else self.u0
 
     def fraction(self, time: float) -> float:
         """Give the instant; the ends where it is close to them."""
@@ -101,8 +102,11 @@ class CoSimulation:
         self._inner_step = InnerStep(_watched(description))
         self._said: set[str] = set()  # what messages were about
         self._news: list[tuple[Level, str]] = []
-        self._moves = ~discrete
+        self._hold(discrete)
         self._forget(np.zeros(len(discrete)), np.zeros(self._outputs.size))
+
+    def _hold(self, held: Mask) -> None:
+        self._moves, self._holds = ~held, bool(held.any())
 
     def _forget(self, u: Vector, y: Vector) -> None:
         self._read, self._end = y, u
@@ -126,7 +130,7 @@ class CoSimulation:
                 f"{self._name}: the communication step {h} s is not a whole number of the unit's inner steps of {fixed} s; "
                 f"nearest: {max(1, round(h / fixed)) * fixed} s"
             )
-        self._moves = ~(held | self._unit.description.discrete_inputs)
+        self._hold(held | self._unit.description.discrete_inputs)
         return {}
 
     @property
@@ -155,18 +159,18 @@ class CoSimulation:
     def outputs(self, t: float, u: Vector) -> Vector:
         """Give the outputs last read, corrected to the inputs ``u`` where D is known."""
         self._leave_initialization(t)
-        return self._outputs_for(u)
+        return self._outputs_for(u).copy()
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
         """Step K times; see :class:`cosim.core.contracts.Component`."""
-        u = np.array(u, np.float64, order="C")
+        rows = list(np.array(u, np.float64, order="C"))
         y = np.empty((len(t) - 1, self.interface.n_y))
         for k, t0 in enumerate(t[:-1].tolist()):
             try:
                 self._leave_initialization(t0)
-                completed = self._step(t0, h, u[k], u[k + 1])
+                completed = self._step(t0, h, rows[k], rows[k + 1])
                 if completed:
-                    y[k] = self._outputs_for(u[k + 1])
+                    y[k] = self._outputs_for(rows[k + 1])
             except RunError as error:
                 raise Stopped(y[:k].copy(), str(error)) from error
             if self._ended:
@@ -179,13 +183,17 @@ class CoSimulation:
 
     def _outputs_for(self, u: Vector) -> Vector:
         """Give y + D (u - u_end)."""
-        return self._read.copy() if self._direct is None else self._read + self._direct.change(u - self._end)
+        return self._read if self._direct is None or u is self._end else self._direct.add(self._read, u - self._end)
 
     # --- one communication step ---
 
     def _step(self, t: float, h: float, u0: Vector, u1: Vector) -> bool:
         """Do one communication step; False: the unit asked for the end of the run inside it."""
-        ramp = _Ramp(t, h, u0, (u1 - u0) * self._moves)
+        change = u1 - u0
+        if self._holds:
+            change *= self._moves
+            u1 = u0 + change
+        ramp = _Ramp(t, h, u0, u1, change)
         if self._can.event_mode:
             self._jump(t, self._jumping.of(u0))
         if self._cross(ramp, 0.0, 1.0, 0) < 1.0:
@@ -206,7 +214,7 @@ class CoSimulation:
         for _ in range(PARTS):
             if self._ended:
                 return s0
-            if goal != (goal := self._goal(ramp, s0, s1)):
+            if goal != (goal := s1 if self._next_event is None else self._goal(ramp, s0, s1, self._next_event)):
                 begin = s0
             end = self._part(ramp, s0, goal, 0.5 * (begin + goal))
             self._ended |= end.terminate
@@ -239,7 +247,7 @@ class CoSimulation:
         end = unit.do_step(t, h)
         if end.followed == -math.inf and ramp.change.any():
             self._stops_interpolating(t)
-        self._end = ramp.at(min(max(s0, ramp.fraction(end.followed)), s1))
+        self._end = ramp.at(s1 if end.followed == math.inf else min(max(s0, ramp.fraction(end.followed)), s1))
         return end
 
     def _stops_interpolating(self, t: float) -> None:
@@ -282,19 +290,17 @@ class CoSimulation:
 
     # --- events ---
 
-    def _goal(self, ramp: _Ramp, s0: float, s1: float) -> float:
+    def _goal(self, ramp: _Ramp, s0: float, s1: float, event: float) -> float:
         """Give the next time event, if the unit can stop there, else ``s1``."""
-        if self._next_event is None:
-            return s1
-        s = ramp.fraction(self._next_event)
+        s = ramp.fraction(event)
         if not s0 < s < s1:
             return s1
         if self._can.variable_step:
             return s
         self._say(
             "time event",
-            f"the time event at t = {self._next_event} s is met at the end of the communication step only, as it takes steps of "
-            "one size (canHandleVariableCommunicationStepSize is false)",
+            f"the time event at t = {event} s is met at the end of the communication step only, as it takes steps of one size "
+            "(canHandleVariableCommunicationStepSize is false)",
         )
         return s1
 

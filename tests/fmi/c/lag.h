@@ -60,7 +60,7 @@ static int lag_get(Lag *lag, unsigned reference, double *value)
     if (lag->mode != STEP)
         lag_show(lag);
     *value = reference == X || reference == Y ? lag->shown[reference] : lag->value[reference];
-    return !lag->stale;
+    return !lag->stale || reference < X;
 }
 
 /* The next multiple of a period after t. */
