@@ -10,7 +10,8 @@ from numpy.typing import DTypeLike, NDArray
 
 from cosim.arrays import Vector
 from cosim.fmi.description import Capabilities, Description, Mode, Variable
-from cosim.fmi.library import Call, Library, Messages
+from cosim.fmi.library import Call, Library
+from cosim.fmi.messages import Messages
 from cosim.fmi.references import Group
 from cosim.fmi.unit import DiscreteStates, StepEnd
 

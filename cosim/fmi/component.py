@@ -14,12 +14,12 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, TypeAlias, final
 
-from cosim.core.contracts import Level
 from cosim.errors import FmuError, RunError
 from cosim.fmi.co_simulation import CoSimulation
 from cosim.fmi.compare import compare_ports
 from cosim.fmi.description import MODE_NAMES, MODES, Description, Mode
 from cosim.fmi.loaded import LoadedUnit
+from cosim.fmi.messages import Message
 from cosim.fmi.model_exchange import ModelExchange
 from cosim.fmi.platforms import SUFFIX, folders
 from cosim.fmi.reading import Archive, read
@@ -70,12 +70,11 @@ class Fmu:
             "model_description": found.xml,
         }
 
-    def drain(self) -> list[tuple[Level, str]]:
-        """Give what the FMU logged since the last call as (level, text), and how many messages were dropped.
+    def drain(self) -> list[Message]:
+        """Give what the FMU logged since the last call, and how many messages were dropped.
 
-        The level is "debug", "info", "warning", "error" or "fatal", from the FMI status. The text of FMI 2 is a printf format
-        whose arguments cannot be read from Python: it is given as it is. What is to be known about the FMU's results is in
-        ``component.notes``.
+        The level is "info", "warning", "error" or "fatal", from the FMI status. What is to be known about the FMU's results is
+        in ``component.notes``.
         """
         return self._unit.messages.drain() + self.component.drain()
 

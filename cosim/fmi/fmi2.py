@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ctypes import byref, c_char_p, c_double, c_int, c_size_t, c_uint, c_void_p
+from ctypes import addressof, byref, c_char_p, c_double, c_int, c_size_t, c_uint, c_void_p, cast
 from typing import Any, Final, final
 
 import numpy as np
@@ -14,6 +14,7 @@ from cosim.fmi.description import Variable
 from cosim.fmi.library import DISCARD, WARNING, Library, pointer
 from cosim.fmi.references import Group
 from cosim.fmi.unit import DiscreteStates, StepEnd
+from cosim.native.library import address
 
 LAST_SUCCESSFUL_TIME, IS_TERMINATED = 2, 3  # of fmi2StatusKind
 
@@ -81,16 +82,17 @@ class Fmi2:
 
     def instantiate(self) -> None:
         """Create the instance."""
-        from fmpy import calloc, fmi2, free
+        from fmpy import fmi2
 
-        about, callbacks = self._about, fmi2.fmi2CallbackFunctions()
-        callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(lambda _, name, status, category, text: about.messages.add(status, text))
-        callbacks.allocateMemory = fmi2.fmi2CallbackAllocateMemoryTYPE(calloc)
-        callbacks.freeMemory = fmi2.fmi2CallbackFreeMemoryTYPE(free)
-        self._callbacks = callbacks  # the FMU keeps their address
+        about, self._callbacks = self._about, fmi2.fmi2CallbackFunctions()  # the FMU keeps the address
+        self._callbacks.logger = cast(address("cosim_log"), fmi2.fmi2CallbackLoggerTYPE)
+        self._callbacks.allocateMemory = cast(address("cosim_allocate"), fmi2.fmi2CallbackAllocateMemoryTYPE)
+        self._callbacks.freeMemory = cast(address("cosim_free"), fmi2.fmi2CallbackFreeMemoryTYPE)
+        self._callbacks.componentEnvironment = key = addressof(self._callbacks)
+        about.messages.listen(key)
         resources = (about.folder / "resources").as_uri().encode()
         names = (about.name.encode(), int(about.mode == "cs"), about.token.encode(), resources)
-        self.library.instance.value = self._create(*names, byref(callbacks), 0, 0)
+        self.library.instance.value = self._create(*names, key, 0, 0)
 
     def free(self) -> None:
         """Free the instance, unless a fatal status forbids it."""

@@ -7,7 +7,6 @@ numpy arrays: fmpy's own wrappers build their ctypes arrays anew from lists at e
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable
 from ctypes import CDLL, c_int, c_uint8, c_void_p
 from pathlib import Path
@@ -15,15 +14,13 @@ from typing import Any, Final, TypeAlias
 
 from numpy.typing import NDArray
 
-from cosim.core.contracts import Level
 from cosim.errors import FmuError, RunError
+from cosim.fmi.messages import Messages
 
 Call: TypeAlias = Callable[..., None]
 
 STATUS: Final = ("ok", "warning", "discard", "error", "fatal", "pending")
-LEVELS: Final[tuple[Level, ...]] = ("info", "warning", "warning", "error", "fatal", "info")  # of a message, by status
 WARNING, DISCARD, ERROR, FATAL = 1, 2, 3, 4
-MESSAGES = 100  # how many of the FMU's log messages are kept until they are fetched
 _Memory = c_uint8 * 1
 
 
@@ -31,37 +28,6 @@ def pointer(array: NDArray[Any]) -> Any:
     """Point to a contiguous array's memory; quicker than ``array.ctypes``."""
     memory: Any = array
     return _Memory.from_buffer(memory) if array.size else None
-
-
-class Messages:
-    """What an FMU logs, kept until it is fetched: the last ``MESSAGES`` of it, 1000 characters each.
-
-    FMI 2 hands over a printf format and its arguments, which cannot be read from Python: the format is kept as it is.
-    """
-
-    def __init__(self) -> None:
-        self._kept: deque[tuple[Level, str]] = deque(maxlen=MESSAGES)
-        self._dropped = 0
-
-    def add(self, status: int, text: bytes | None) -> None:
-        """Keep a message."""
-        self._dropped += len(self._kept) == MESSAGES
-        level: Level = LEVELS[status] if 0 <= status < len(LEVELS) else "warning"
-        self._kept.append((level, (text or b"").decode("utf-8", "replace")[:1000]))
-
-    @property
-    def tail(self) -> str:
-        """The last one that was not fetched yet, as the tail of an error; empty where there is none."""
-        return f"; it said: {': '.join(self._kept[-1])}" if self._kept else ""
-
-    def drain(self) -> list[tuple[Level, str]]:
-        """Give (level, text) since the last call, and how many were dropped."""
-        lost = f"{self._dropped} earlier messages of the FMU were dropped"
-        found: list[tuple[Level, str]] = [("warning", lost)] if self._dropped else []
-        found += self._kept
-        self._kept.clear()
-        self._dropped = 0
-        return found
 
 
 class Library:

@@ -18,7 +18,8 @@ from cosim.fmi.binding import Calls, Instance
 from cosim.fmi.description import LARGEST_EXACT, Description, Mode, Variable
 from cosim.fmi.fmi2 import Fmi2
 from cosim.fmi.fmi3 import Fmi3
-from cosim.fmi.library import Library, Messages, pointer
+from cosim.fmi.library import Library, pointer
+from cosim.fmi.messages import Messages
 from cosim.fmi.references import References
 
 VERSIONS: Final[Mapping[str, tuple[str, Callable[[Library, Instance], Calls]]]] = {"2": ("fmi2", Fmi2), "3": ("fmi3", Fmi3)}

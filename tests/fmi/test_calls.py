@@ -7,7 +7,7 @@ from cosim.errors import FmuError, RunError
 from cosim.fmi.component import load
 from cosim.fmi.unit import DiscreteStates, StepEnd
 from tests.fmi.compiled import compile_fmu
-from tests.fmi.probes import opened, xml2
+from tests.fmi.probes import NUMBERS, opened, xml2, xml3
 
 
 def put(unit, **values):
@@ -69,7 +69,7 @@ def test_a_state_is_copied_into_the_memory_of_an_earlier_one(probe2):
         unit.set_fmu_state(state)
         assert got(unit, "x") == [3.0]
         unit.free_fmu_state(state)
-        assert fmu.drain() == [("info", "allocated a state")]
+        assert [text for *_, text in fmu.drain()] == ["allocated a state"]
 
 
 def test_without_a_state_there_is_no_way_back(tmp_path):
@@ -118,3 +118,107 @@ def test_a_missing_function_is_named(tmp_path):
     path = compile_fmu(tmp_path / "x.fmu", xml2(), "probe2.c", defines=("LACKS_RESET",))
     with pytest.raises(FmuError, match=r"the binary model\S+ cannot be used: it has no function fmi2Reset, which the standard"):
         load(path)
+
+
+def test_model_exchange_calls_of_fmi_3(probe3):
+    with opened(probe3, mode="me") as (_, unit):
+        unit.enter_initialization_mode(2.0)
+        put(unit, u=3.0)
+        unit.exit_initialization_mode()
+        assert unit.update_discrete_states() == DiscreteStates(False, False, 2.5, values_changed=False, nominals_changed=True)
+        unit.enter_continuous_time_mode()
+        unit.set_continuous_states(np.array([4.0]))
+        assert (unit.get_derivatives().tolist(), unit.get_continuous_states().tolist()) == ([3.0], [4.0])
+        assert unit.get_nominals().tolist() == [7.0]
+        assert unit.completed_integrator_step() == (True, False)
+        assert got(unit, "no_way_back", "x") == [0.0, 4.0]
+
+
+@pytest.mark.parametrize(
+    ("behaviour", "end"),
+    [
+        (0, StepEnd(True, terminate=False, reached=1.5)),
+        (1, StepEnd(False, terminate=False, discarded=True, reached=1.0)),
+        (2, StepEnd(False, terminate=False, event=True, reached=1.25)),
+        (3, StepEnd(True, terminate=True, reached=1.5)),
+    ],
+)
+def test_how_a_step_of_fmi_3_ends(probe3, behaviour, end):
+    with opened(probe3, mode="cs") as (_, unit):
+        unit.enter_initialization_mode(0.0)
+        unit.exit_initialization_mode()
+        put(unit, behaviour=behaviour)
+        assert unit.do_step(1.0, 0.5) == end
+        assert got(unit, "no_way_back", "event_mode", "early_return") == [0.0, 0.0, 1.0]
+
+
+def test_event_mode_in_co_simulation(tmp_path):
+    """It is said at the instantiation that it will be used, where the FMU has it."""
+    with opened(compile_fmu(tmp_path / "x.fmu", xml3(event_mode=True), "probe3.c"), mode="cs") as (_, unit):
+        assert got(unit, "event_mode") == [float(unit.description.capabilities["cs"].event_mode)]
+        unit.enter_initialization_mode(0.0)
+        unit.exit_initialization_mode()
+        assert unit.update_discrete_states().next_event_time == 0.5
+        unit.enter_step_mode()
+        unit.enter_event_mode()
+
+
+def interpolating(tmp_path):
+    return compile_fmu(
+        tmp_path / "x.fmu", xml3().replace("<CoSimulation ", '<CoSimulation canInterpolateInputs="true" '), "probe3.c"
+    )
+
+
+def test_intermediate_updates_put_the_inputs_on_their_lines(tmp_path):
+    """Simpson's rule is exact for a straight line: x = 2 h + 6 h^2 / 2; without slopes the input holds its value."""
+    with opened(interpolating(tmp_path), mode="cs") as (fmu, unit):
+        unit.enter_initialization_mode(0.0)
+        unit.exit_initialization_mode()
+        u = unit.description.reference(["u"])
+        put(unit, u=2.0)
+        unit.set_input_derivatives(u, np.array([6.0]))
+        unit.do_step(1.0, 0.5)
+        assert got(unit, "x", "u") == [1.75, 5.0]  # every number here is a multiple of 1/4: exact
+        unit.do_step(1.5, 0.5)
+        assert got(unit, "x") == [4.25]
+        assert fmu.drain() == []
+
+
+def test_a_failing_intermediate_update_fails_the_step(tmp_path):
+    with opened(interpolating(tmp_path), mode="cs") as (_, unit):
+        put(unit, behaviour=4)
+        unit.set_input_derivatives(unit.description.reference(["u"]), np.array([6.0]))
+        with pytest.raises(RunError, match=r"x.fmu: fmi3SetFloat64 returned 3 \(error\)"):
+            unit.do_step(1.0, 0.5)
+
+
+@pytest.mark.parametrize("kind", [*NUMBERS, "Float64"])
+def test_every_type_and_width_of_fmi_3(probe3, kind):
+    """The limits of the type come back as they were set, alone and in an array, two variables in one call."""
+    low, high = (0.0, 1.0) if kind == "Boolean" else (-1.5, 2.5)
+    if "Int" in kind:
+        limits = np.iinfo(kind.lower())
+        low, high = max(limits.min, -(2**53)), min(limits.max, 2**53)
+    with opened(probe3, mode="cs") as (_, unit):
+        names = ["u" if kind == "Float64" else kind, f"{kind}s"]
+        values = np.array([high, low, 1.0, high])
+        unit.set_float64(unit.description.reference(names), values)
+        assert got(unit, *names) == values.tolist()
+
+
+def test_texts_of_fmi_3(probe3):
+    """Arrays of String, and of Binary in hexadecimal, a 0 inside it too."""
+    with opened(probe3, mode="cs") as (_, unit):
+        texts, binaries = unit.description["texts"], unit.description["binaries"]
+        unit.set_text(texts, ("schön", ""))
+        unit.set_text(binaries, ("00ff10", ""))
+        assert (unit.get_text(texts), unit.get_text(binaries)) == (("schön", ""), ("00ff10", ""))
+        with pytest.raises(RunError, match=r"binaries: .* cannot be set: non-hexadecimal"):
+            unit.set_text(binaries, ("0x", ""))
+
+
+def test_configuration_mode(probe3):
+    with opened(probe3, mode="cs") as (_, unit):
+        unit.enter_configuration_mode()
+        unit.exit_configuration_mode()
+        assert got(unit, "configured") == [2.0]

@@ -4,8 +4,6 @@ import numpy as np
 import pytest
 
 from cosim.errors import RunError
-from cosim.fmi.component import load
-from cosim.fmi.library import MESSAGES, Messages
 from cosim.fmi.loaded import from_own, to_own
 from tests.fmi.probes import opened
 
@@ -47,34 +45,4 @@ def test_only_a_fatal_status_forbids_freeing(probe2, status, label, freed):
         if status == 4:
             with pytest.raises(RunError, match=r"fmi2Reset cannot be called: fmi2Reset returned 4 \(fatal\) before"):
                 unit.reset()
-    assert [text for _, text in fmu.drain()].count("freed") == freed
-
-
-def test_messages_are_drained_once_with_their_level():
-    """Levels are those of a log; what did not fit is counted, once."""
-    messages = Messages()
-    for status in range(7):
-        messages.add(status, f"text {status}".encode())
-    levels = ["info", "warning", "warning", "error", "fatal", "info", "warning"]
-    assert messages.tail == "; it said: warning: text 6"
-    assert messages.drain() == [(level, f"text {i}") for i, level in enumerate(levels)]
-    assert messages.drain() == []
-    for i in range(MESSAGES + 3):
-        messages.add(0, str(i).encode())
-    found = messages.drain()
-    assert found[0] == ("warning", "3 earlier messages of the FMU were dropped")
-    assert found[1:] == [("info", str(i)) for i in range(3, MESSAGES + 3)]
-    messages.add(3, b"\xff" + 2000 * b"x")
-    assert messages.drain() == [("error", "�" + 999 * "x")]
-    messages.add(0, None)
-    assert messages.drain() == [("info", "")]
-
-
-def test_an_fmu_hands_over_its_messages(exported):
-    """A refused call is said by the FMU; the second time there is nothing new."""
-    with load(exported, mode="cs") as fmu:
-        assert fmu.drain() == []
-        with pytest.raises(RunError, match="it said: error: call not allowed in this mode"):
-            fmu.component._unit.do_step(0.0, 0.1)
-        assert fmu.drain() == [("error", "call not allowed in this mode")]
-        assert fmu.drain() == []
+    assert [text for *_, text in fmu.drain()].count("freed") == freed
