@@ -30,11 +30,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Matrix, Vector
-from cosim.core.contracts import Design, Level, Stopped
+from cosim.core.contracts import Design, Stopped
 from cosim.errors import FmuError, RunError
 from cosim.fmi.description import Description
 from cosim.fmi.direct import Direct
 from cosim.fmi.inner_step import InnerStep
+from cosim.fmi.messages import Message
 from cosim.fmi.saved import SavedState, save
 from cosim.fmi.start import Start
 from cosim.fmi.unit import TERMINATED, CoSimulationUnit, StepEnd
@@ -96,12 +97,12 @@ class CoSimulation:
         self._stepped = _Inputs(description, ~discrete if self._can.event_mode else np.ones_like(discrete))
         self._jumping = _Inputs(description, discrete & self._can.event_mode)
         self._sloped = _Inputs(description, ~discrete & _float64(description))
-        self._direct = Direct.of(unit) if self._can.directional_derivatives else None
+        self._direct = Direct(unit) if self._can.directional_derivatives else None
         self._goes_back = self._can.saves_state and self._can.variable_step and not description.undoes_discarded_steps
         self._kept: object | None = None  # the unit's state before the last part; its memory is used again
         self._inner_step = InnerStep(_watched(description))
         self._said: set[str] = set()  # what messages were about
-        self._news: list[tuple[Level, str]] = []
+        self._news: list[Message] = []
         self._hold(discrete)
         self._forget(np.zeros(len(discrete)), np.zeros(self._outputs.size))
 
@@ -136,18 +137,21 @@ class CoSimulation:
     @property
     def notes(self) -> tuple[str, ...]:
         """What is to be known about the results."""
-        fed = [output.name for output in self.interface.outputs if self.interface.feeds(output.name)]
-        if not fed or self._direct:
+        face = self.interface
+        corrected = self._direct.corrected if self._direct else ()
+        fed = [output.name for output in face.outputs if face.feeds(output.name) and output.name not in corrected]
+        if not fed:
             return ()
-        verb = "depend" if all(self.interface.knows(name) for name in fed) else "may depend"
+        verb = "may depend" if not all(face.knows(name) for name in fed) else "depend" if len(fed) > 1 else "depends"
         where = (
             "where inputs are held, what is read belongs to their value"
             if self._interpolates
             else "what is read belongs to the inputs"
         )
+        why = "directional derivatives are for real variables" if self._direct else "the unit has no directional derivatives"
         return (
             f"{self._name}: {', '.join(fed)} {verb} directly on inputs; {where} inside the step, not at its end (first order in "
-            "the step), as the unit has no directional derivatives",
+            f"the step), as {why}",
         )
 
     def initialize(self, t: float, u: Vector) -> Vector:
@@ -178,8 +182,9 @@ class CoSimulation:
         return y
 
     def _leave_initialization(self, t: float) -> None:
-        if self._start.leave() and self._can.event_mode:
+        if self._start.leave() and self._can.event_mode:  # the unit is in it now
             self._settle(t)
+            self._read = self._unit.get_float64(self._outputs)
 
     def _outputs_for(self, u: Vector) -> Vector:
         """Give y + D (u - u_end)."""
@@ -255,7 +260,7 @@ class CoSimulation:
         self._say(
             "interpolation",
             f"asked for no inputs in the step from t = {t} s, though it says it can (providesIntermediateUpdate): they stayed at "
-            "their start there; from then on it gets their mean, and what outputs show of inputs directly belongs to it",
+            "their start there; from then on it gets their mean, and what outputs show of inputs directly belongs to that",
         )
 
     def _halve(self, ramp: _Ramp, s0: float, s1: float, halvings: int) -> float:
@@ -334,15 +339,15 @@ class CoSimulation:
 
     # --- messages, states ---
 
-    def drain(self) -> list[tuple[Level, str]]:
-        """Give what the run showed about the unit since the last call, as (level, text); each is said once."""
+    def drain(self) -> list[Message]:
+        """Give what the run showed about the unit since the last call; each kind is said once."""
         news, self._news = self._news, []
         return news
 
     def _say(self, about: str, text: str) -> None:
         if about not in self._said:
             self._said.add(about)
-            self._news.append(("warning", f"{self._name}: {text}"))
+            self._news.append(Message("warning", "", f"{self._name}: {text}"))
 
     def save(self) -> SavedState:
         """Copy the state.

@@ -71,7 +71,7 @@ class Fmu:
         }
 
     def drain(self) -> list[Message]:
-        """Give what the FMU logged since the last call, and how many messages were dropped.
+        """Give what the FMU logged since the last call, how many messages were dropped, and what the run showed about it.
 
         The level is "info", "warning", "error" or "fatal", from the FMI status. What is to be known about the FMU's results is
         in ``component.notes``.

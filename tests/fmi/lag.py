@@ -25,16 +25,18 @@ CAN = {
         "lines": "providesIntermediateUpdate",
         "any step": "canHandleVariableCommunicationStepSize",
         "events": "hasEventMode",
+        "inner step of 30 ms": 'fixedInternalStepSize="0.03"',
     },
 }
 
 
 def xml(version: str, *can: str) -> str:
     """Describe the lag; ``can``: keys of ``CAN``."""
-    abilities = " ".join(f'{CAN[version][key]}="true"' for key in can)
+    abilities = " ".join(CAN[version][key] if "=" in CAN[version][key] else f'{CAN[version][key]}="true"' for key in can)
     if version == "2":
         head = 'fmiVersion="2.0" guid="lag"'
-        outputs = '<Outputs><Unknown index="3" dependencies=""/><Unknown index="4" dependencies="1"/><Unknown index="5" dependencies=""/></Outputs>'
+        unknowns = "".join(f'<Unknown index="{i}" dependencies="{inputs}"/>' for i, inputs in ((3, ""), (4, "1"), (5, "")))
+        outputs = f"<Outputs>{unknowns}</Outputs>"
 
         def variable(number, name, causality, variability, initial, start):
             kind = f'<Real{"" if start is None else f""" start="{start}" """}/>'
@@ -43,7 +45,7 @@ def xml(version: str, *can: str) -> str:
 
     else:
         head = 'fmiVersion="3.0" instantiationToken="lag"'
-        outputs = '<Output valueReference="2" dependencies=""/><Output valueReference="3" dependencies="0"/><Output valueReference="4" dependencies=""/>'
+        outputs = "".join(f'<Output valueReference="{i}" dependencies="{inputs}"/>' for i, inputs in ((2, ""), (3, "0"), (4, "")))
 
         def variable(number, name, causality, variability, initial, start):
             first = f'name="{name}" valueReference="{number}" causality="{causality}" variability="{variability}"'

@@ -12,7 +12,7 @@ enum {
     INNER,          /* the inner step, if there is one */
     RETURNS,        /* returns early at the multiples of it */
     EVENT,          /* a time event, where x grows by 1, at the multiples of it ... */
-    ANNOUNCES,      /* ... which is announced, or only met */
+    ANNOUNCES,      /* ... which is announced, or only met (0); one more is at the start (2) */
     ITERATIONS,     /* of an event */
     END, FAIL,      /* times of the wish to end, and of the failure */
     STATUS,         /* of the failure */
