@@ -125,8 +125,6 @@ def load(
         archive = read(path, into=folder)
         description, starts = archive.description, dict(start or {})
         mode = _mode(archive, mode)
-        if description.version == "1.0":
-            raise FmuError(f"{path}: FMI 1.0 can be read, but not run yet; FMI 2.0 and 3.0 can")
         if mode == "cs" and solver is not None:
             raise FmuError(f'{path}: solver {solver!r}: a co-simulation FMU brings its own; leave it out or use mode = "me"')
         library = _library(archive, mode)
