@@ -19,7 +19,7 @@ X, Y, CALLS = 0, 1, 2
 
 @pytest.fixture(scope="session")
 def compiled(tmp_path_factory):
-    return {version: lag.build(tmp_path_factory.mktemp("lag"), version) for version in "23"}
+    return {version: lag.build(tmp_path_factory.mktemp("lag"), version) for version in "123"}
 
 
 @pytest.fixture
@@ -77,7 +77,7 @@ def reference(h):
     return np.column_stack([on_a_sine(t), on_a_sine(t) + np.sin(t)])
 
 
-@pytest.mark.parametrize("version", ["2", "3"])
+@pytest.mark.parametrize("version", ["1", "2", "3"])
 def test_feedthrough_without_D_is_first_order_and_said_to_be(opened, version):
     """y belongs to the mean input: on a line it is wrong by slope h/2, and x by second order."""
     for h in (0.1, 0.05):
@@ -95,7 +95,7 @@ def exact(h=0.1, stop=1.0):
     return np.column_stack([x, x + U0 + SLOPE * t])
 
 
-@pytest.mark.parametrize("version", ["2", "3"])
+@pytest.mark.parametrize("version", ["1", "2", "3"])
 def test_units_that_interpolate_are_exact_on_lines(opened, version):
     """The unit's own step is exact on a line, and its outputs belong to the end of it; a discrete input gets no derivative."""
     assert abs(run(opened(version, "lines"))[:, :2] - exact()).max() < ROUNDING
@@ -133,12 +133,13 @@ def test_outputs_belong_to_the_inputs_that_were_asked_for_last(opened):
     assert y[:, Y] - y[:, X] == pytest.approx(line(times())[:, 0], abs=ROUNDING)
 
 
-@pytest.mark.parametrize("version", ["2", "3"])
+@pytest.mark.parametrize("version", ["1", "2", "3"])
 def test_the_contract_is_kept(opened, version):
     """Blocks of any size give equal bits, restore(save()) is the identity; with D outputs follow the inputs."""
     everything = tuple(can for can in lag.CAN[version] if not can.startswith("inner"))
     check_component(lambda: opened(version, *everything).component, steps=12, h=0.1)
-    check_rollback(lambda: opened(version, *everything).component, steps=12, h=0.1)
+    if "state" in everything:
+        check_rollback(lambda: opened(version, *everything).component, steps=12, h=0.1)
 
 
 # --- discarded steps ---
@@ -190,6 +191,7 @@ def test_discards_without_end_stop_the_run(opened, version):
 @pytest.mark.parametrize(
     ("version", "can", "reason"),
     [
+        ("1", ("any step",), r"its state before the step cannot be restored \(canGetAndSetFMUstate is false\)"),
         ("2", ("any step",), r"its state before the step cannot be restored \(canGetAndSetFMUstate is false\)"),
         ("2", ("state",), r"it takes steps of one size only \(canHandleVariableCommunicationStepSize is false\)"),
         ("3", ("state",), r"it takes steps of one size only \(canHandleVariableCommunicationStepSize is false\)"),
@@ -227,9 +229,9 @@ def test_the_wish_to_end_may_come_with_a_completed_step(opened, start):
 
 
 @pytest.mark.parametrize(("status", "name"), [(3.0, "error"), (4.0, "fatal")])
-@pytest.mark.parametrize("version", ["2", "3"])
+@pytest.mark.parametrize("version", ["1", "2", "3"])
 def test_failures_carry_the_last_words(opened, version, status, name):
-    with pytest.raises(Stopped, match=rf"fmi{version}DoStep returned \d \({name}\); it said: error: out of petrol") as stop:
+    with pytest.raises(Stopped, match=rf"fmi{version}?DoStep returned \d \({name}\); it said: error: out of petrol") as stop:
         run(opened(version, fail=0.35, status=status))
     assert (stop.value.steps, stop.value.failed) == (3, True)
 
@@ -313,7 +315,7 @@ def test_an_event_without_end_stops_the_run(opened):
 # --- inner steps ---
 
 
-@pytest.mark.parametrize("version", ["2", "3"])
+@pytest.mark.parametrize("version", ["1", "2", "3"])
 def test_an_inner_step_that_ignores_ours_is_found(opened, version):
     """h = 1 ms, inner step 10 ms: said once, whatever the inputs do."""
     for u in (sine, lambda t: np.ones((len(t), 2))):
