@@ -6,6 +6,7 @@ One communication step from t0 to t1, usually in one part, else in several (s0 t
     until s0 = 1:
         s1 = 1, or the next time event
         interpolating unit:   set inputs u(s0); set_input_derivatives (u1 - u0)/h; do_step     its outputs belong to u_end = u(s1)
+                              (an input that cannot follow its line there: as below)
         any other:            set inputs (u(s0) + u(s1))/2; do_step                            its outputs belong to u_end = that
                               (the same again after an early return, so that their integral up to s1 is right)
         (held and discrete:   u0, no slope                                                     u_end = u0)
@@ -23,7 +24,6 @@ The end of the run that a unit asks for is remembered, and comes with the next `
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Final, NamedTuple, final
 
 import numpy as np
@@ -37,7 +37,7 @@ from cosim.fmi.direct import Direct
 from cosim.fmi.inner_step import InnerStep
 from cosim.fmi.messages import Message
 from cosim.fmi.saved import SavedState, save
-from cosim.fmi.start import Start
+from cosim.fmi.start import Start, Starts
 from cosim.fmi.unit import TERMINATED, CoSimulationUnit, StepEnd
 
 EVENT_ITERATIONS: Final = 100
@@ -77,7 +77,7 @@ class CoSimulation:
     ----------
     unit : CoSimulationUnit
         Just instantiated.
-    starts : mapping of variable name to float
+    starts : mapping of variable name to StartValue
         Start values to set instead of the unit's own.
 
     Raises
@@ -86,7 +86,7 @@ class CoSimulation:
         If a start value is wrong.
     """
 
-    def __init__(self, unit: CoSimulationUnit, *, starts: Mapping[str, float] | None = None) -> None:
+    def __init__(self, unit: CoSimulationUnit, *, starts: Starts | None = None) -> None:
         description = unit.description
         self._unit, self._name = unit, description.name
         self.interface = unit.interface
@@ -96,7 +96,8 @@ class CoSimulation:
         discrete = description.discrete_inputs
         self._stepped = _Inputs(description, ~discrete if self._can.event_mode else np.ones_like(discrete))
         self._jumping = _Inputs(description, discrete & self._can.event_mode)
-        self._sloped = _Inputs(description, ~discrete & _float64(description))
+        self._lined = description.interpolated_inputs
+        self._sloped, self._mixed = _Inputs(description, self._lined), bool((~discrete & ~self._lined).any())
         self._direct = Direct(unit) if self._can.directional_derivatives else None
         self._goes_back = self._can.saves_state and self._can.variable_step and not description.undoes_discarded_steps
         self._kept: object | None = None  # the unit's state before the last part; its memory is used again
@@ -247,13 +248,19 @@ class CoSimulation:
             self._end = ramp.at(middle)
             unit.set_float64(self._stepped.references, self._stepped.of(self._end))
             return unit.do_step(t, h)
-        unit.set_float64(self._stepped.references, self._stepped.of(ramp.at(s0)))
-        unit.set_input_derivatives(self._sloped.references, self._sloped.of(ramp.change) / ramp.h)
+        unit.set_float64(self._stepped.references, self._stepped.of(self._on_lines(ramp, s0, middle)))
+        slopes = self._sloped.of(ramp.change) / ramp.h
+        unit.set_input_derivatives(self._sloped.references, slopes)
         end = unit.do_step(t, h)
-        if end.followed == -math.inf and ramp.change.any():
+        if end.followed == -math.inf and slopes.any():
             self._stops_interpolating(t)
-        self._end = ramp.at(s1 if end.followed == math.inf else min(max(s0, ramp.fraction(end.followed)), s1))
+        followed = s1 if end.followed == math.inf else min(max(s0, ramp.fraction(end.followed)), s1)
+        self._end = self._on_lines(ramp, followed, middle)
         return end
+
+    def _on_lines(self, ramp: _Ramp, s: float, middle: float) -> Vector:
+        """Give the inputs at ``s``; those that cannot follow their line as they are in the middle."""
+        return np.where(self._lined, ramp.at(s), ramp.at(middle)) if self._mixed else ramp.at(s)
 
     def _stops_interpolating(self, t: float) -> None:
         self._interpolates = False
@@ -380,13 +387,6 @@ class _Inputs:
     def of(self, values: Vector) -> Vector:
         """Give their values."""
         return values if self._columns is None else values[self._columns]
-
-
-def _float64(description: Description) -> Mask:
-    """Mark the elements of the inputs that are Float64, shape (n_u,)."""
-    return np.array(
-        [v.type == "Float64" for _, group in description.ports("input") for v in group for _ in range(v.size)], np.bool_
-    )
 
 
 def _watched(description: Description) -> NDArray[np.intp]:

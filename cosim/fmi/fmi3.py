@@ -114,7 +114,8 @@ class Fmi3:
     def _interpolated(about: Instance) -> NDArray[np.uint32]:
         """Give the references of the inputs that will be set in Intermediate Updates."""
         moving = (v for v in about.description.variables if v.causality == "input" and v.variability == "continuous")
-        found = [v.reference for v in moving if v.type == "Float64"] if about.capabilities.interpolates_inputs else []
+        able = about.capabilities.interpolates_inputs
+        found = [v.reference for v in moving if able and v.type == "Float64" and v.inside_steps]
         return np.array(found, np.uint32)
 
     def free(self) -> None:

@@ -38,14 +38,17 @@ CAN = {
         "any step": 'canHandleVariableCommunicationStepSize="true"',
         "events": 'hasEventMode="true"',
         "inner step of 30 ms": 'fixedInternalStepSize="0.03"',
+        "d moves": "",
     },
 }
 
 
 def xml(version: str, *can: str) -> str:
-    """Describe the lag; ``can``: keys of ``CAN``."""
+    """Describe the lag; ``can``: keys of ``CAN``. "d moves": it is continuous, but cannot be set inside a step."""
     describe = {"1": _xml1, "2": _xml2, "3": _xml3}[version]
-    return f'<?xml version="1.0" encoding="UTF-8"?>{describe(" ".join(CAN[version][key] for key in can))}'
+    found = f'<?xml version="1.0" encoding="UTF-8"?>{describe(" ".join(CAN[version][key] for key in can))}'
+    before, after = ('name="d" valueReference="1" causality="input" variability="' + kind for kind in ("discrete", "continuous"))
+    return found.replace(before, after) if "d moves" in can else found
 
 
 def _attributes(number, name, *rest):

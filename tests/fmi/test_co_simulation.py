@@ -45,12 +45,12 @@ def sine(t):
     return np.column_stack([np.sin(t), np.zeros_like(t)])
 
 
-def run(fmu, *, step=0.1, stop=1.0, u=line, blocks=None):
+def run(fmu, *, step=0.1, stop=1.0, u=line, held=HELD, blocks=None):
     """Give the outputs at every communication point, shape (steps + 1, 3)."""
     steps = round(stop / step)
     t = np.arange(steps + 1) * round(step * 1e9) / 1e9
     rows, size = u(t), blocks or steps
-    fmu.component.prepare(step, HELD, {})
+    fmu.component.prepare(step, held, {})
     found = [fmu.component.initialize(0.0, rows[0])[np.newaxis]]
     for k in range(0, steps, size):
         found.append(fmu.component.advance(t[k : k + size + 1], step, rows[k : k + size + 1]))
@@ -101,6 +101,19 @@ def test_units_that_interpolate_are_exact_on_lines(opened, version):
     assert abs(run(opened(version, "lines"))[:, :2] - exact()).max() < ROUNDING
 
 
+def test_an_input_that_cannot_be_set_inside_a_step_has_its_mean(opened):
+    """u = 1 - t on its line, d = t: x follows u exactly and the means of d, so its error is that of the means alone."""
+
+    def u(t):
+        return np.column_stack([1.0 - t, t])
+
+    y = run(opened("3", "lines", "d moves"), u=u, held=np.zeros(2, np.bool_))
+    x, decay = on_a_line(times(), 1.0, -1.0), np.exp(-0.1)
+    for k in range(1, 11):
+        x[k:] += (k - 0.5) * 0.1 * (1.0 - decay) * np.exp(-(times()[k:] - times()[k]))
+    assert y[:, X] == pytest.approx(x, abs=ROUNDING)
+
+
 @pytest.mark.parametrize("can", [(), ("D",)])
 def test_a_unit_that_never_asks_for_inputs_gets_their_mean(opened, can):
     """Its inputs stayed at u0 in the first step; from the second on it is as any other, and that is said once.
@@ -136,7 +149,7 @@ def test_outputs_belong_to_the_inputs_that_were_asked_for_last(opened):
 @pytest.mark.parametrize("version", ["1", "2", "3"])
 def test_the_contract_is_kept(opened, version):
     """Blocks of any size give equal bits, restore(save()) is the identity; with D outputs follow the inputs."""
-    everything = tuple(can for can in lag.CAN[version] if not can.startswith("inner"))
+    everything = tuple(can for can in lag.CAN[version] if not can.startswith(("inner", "d moves")))
     check_component(lambda: opened(version, *everything).component, steps=12, h=0.1)
     if "state" in everything:
         check_rollback(lambda: opened(version, *everything).component, steps=12, h=0.1)
