@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
@@ -21,7 +20,7 @@ from cosim.fmi.messages import Message
 from cosim.fmi.model_exchange import ModelExchange
 from cosim.fmi.platforms import SUFFIX, folders
 from cosim.fmi.reading import Archive, read
-from cosim.fmi.start import check_start
+from cosim.fmi.start import Starts, check_start, resized
 from cosim.fmi.unit import ModelExchangeUnit
 
 __all__ = ["CoSimulation", "Fmu", "ModelExchange", "load"]
@@ -53,8 +52,8 @@ class Fmu:
 
     @property
     def description(self) -> Description:
-        """Variables, structure, capabilities."""
-        return self._archive.description
+        """Variables, structure, capabilities; arrays as large as the structural parameters say."""
+        return self._unit.description
 
     @property
     def unit(self) -> ModelExchangeUnit:
@@ -83,12 +82,12 @@ class Fmu:
         }
 
     def drain(self) -> list[Message]:
-        """Give what the FMU logged since the last call, and how many messages were dropped.
+        """Give what the FMU logged since the last call, how many messages were dropped, and what the run showed about it.
 
         The level is "info", "warning", "error" or "fatal", from the FMI status. What is to be known about the FMU's results is
         in ``component.notes``.
         """
-        return self._unit.messages.drain()
+        return self._unit.messages.drain() + self.component.drain()
 
     def __enter__(self) -> Self:
         return self
@@ -109,7 +108,7 @@ def load(
     *,
     mode: Mode | None = None,
     solver: str | None = None,
-    start: Mapping[str, float] | None = None,
+    start: Starts | None = None,
     instance_name: str | None = None,
 ) -> Fmu:
     """Open an FMU.
@@ -121,8 +120,8 @@ def load(
         Model exchange or co-simulation; None: the one that is there, model exchange where both are.
     solver : str or None
         Of a model exchange FMU; see :class:`ModelExchange`.
-    start : mapping of variable name to float
-        Start values to set instead of the FMU's own.
+    start : mapping of variable name to StartValue
+        Start values to set instead of the FMU's own: numbers, Booleans, items of enumerations, texts, lists; see ``start.py``.
     instance_name : str or None
         None: the name of the model.
 
@@ -135,12 +134,12 @@ def load(
     unit: LoadedUnit | None = None
     try:
         archive = read(path, into=folder)
-        description, starts = archive.description, dict(start or {})
-        mode = _mode(archive, mode)
+        mode, starts = _mode(archive, mode), dict(start or {})
         if mode == "cs" and solver is not None:
             raise FmuError(f'{path}: solver {solver!r}: a co-simulation FMU brings its own; leave it out or use mode = "me"')
         library = _library(archive, mode)
         _check_events(archive, mode)
+        description = resized(archive.description, starts)
         check_start(description, starts)
         name = instance_name or description.name
         unit = LoadedUnit(folder, folder / library, description, mode=mode, name=name, label=str(archive.path))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Literal
 
-from pydantic import Field
+from pydantic import Field, StrictBool, StrictInt, StrictStr
 
 from cosim.blocks.plant import descriptor_model
 from cosim.blocks.replay import Replay
@@ -18,6 +18,9 @@ from cosim.scenario.schema import Number, Row
 if TYPE_CHECKING:
     from cosim.fmi.compare import NearStart
     from cosim.fmi.description import Description, Mode
+
+Scalar = StrictBool | StrictInt | Number | StrictStr
+Start = Scalar | list[Scalar] | list[list[Scalar]] | list[list[list[Scalar]]]
 
 
 class Plant(Kind):
@@ -55,7 +58,7 @@ class Descriptor(Plant):
 
 
 class Fmu(Plant):
-    """A real FMU, FMI 2.0 or 3.0."""
+    """A real FMU, FMI 1.0, 2.0 or 3.0."""
 
     kind: Literal["fmu"]
     path: str = Field(description="path of the .fmu")
@@ -63,7 +66,10 @@ class Fmu(Plant):
         None, description="model exchange or co-simulation; left out: me where it is offered"
     )
     solver: str | None = Field(None, description=f"for model exchange, one of: {', '.join(SOLVERS)}")
-    start: dict[str, Number] = Field({}, description="start values by variable")
+    start: dict[str, Start] = Field(
+        {},
+        description="start values by variable: number, Boolean, item of an enumeration, text (a Binary in hexadecimal), list",
+    )
     period: Number | None = Field(None, description="its own step [s]; left out: the communication step")
 
     @property
@@ -93,7 +99,10 @@ class Fmu(Plant):
         path = site.file(self.path)
         if any(able.once_per_process for able in read(path).description.capabilities.values()):
             raise UsageError(f"{path}: there can be one instance only, which is in use")
-        found = linearize(path, start=self.start)
+        start = {variable: float(value) for variable, value in self.start.items() if isinstance(value, (int, float))}
+        if len(start) < len(self.start):
+            raise UsageError(f"{path}: can be linearised with numbers as start values only")
+        found = linearize(path, start=start)
         error = max((one or 0.0 for one in found.errors.values()), default=0.0)
         return NearStart.of(found.A, found.B, found.C, found.D, error=error)
 
