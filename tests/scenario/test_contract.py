@@ -1,16 +1,20 @@
 """Before a run: how a swapped component compares with the one it replaces, what stops the run, what may have been renamed."""
 
 import json
+from contextlib import ExitStack
 from dataclasses import replace
 
 import pytest
 
 import cosim
 from cosim.cli import main
-from cosim.errors import ScenarioError
+from cosim.errors import ScenarioError, UsageError
+from cosim.scenario.build import build_site
 from cosim.scenario.contract import examine
 from cosim.scenario.exporting import export_component
+from cosim.scenario.kinds.plants import Fmu
 from tests.scenario.renamed import MAP, packed, renamed
+from tests.scenario.test_swap import rewritten
 
 SHORT = {"scenario.stop": 0.1}
 
@@ -145,3 +149,16 @@ def test_a_run_with_a_swap_says_what_differs_on_stderr(folder, tmp_path, capsys)
     with pytest.raises(SystemExit):
         main(["info", str(tmp_path / "a.mcap")])
     assert "plant: unlike what it replaced" in capsys.readouterr().out
+
+
+def test_what_cannot_be_linearised_is_unknown(folder, tmp_path):
+    """An FMU of which there can be one instance is not opened again for its poles; start values must be numbers."""
+    once = ("<ModelExchange ", '<ModelExchange canBeInstantiatedOnlyOncePerProcess="true" ')
+    rewritten(folder / "plant.fmu", tmp_path / "once.fmu", once)
+    assert verdicts(report(tmp_path, "once.fmu"), "unknown")["", "poles"] == "unknown"
+    with ExitStack() as resources:
+        site = build_site(cosim.load("academic"), resources)
+        for name, start, text in (("once", {}, "one instance only"), ("plant", {"x": [1.0]}, "numbers as start values only")):
+            path = (tmp_path if name == "once" else folder) / f"{name}.fmu"
+            with pytest.raises(UsageError, match=text):
+                Fmu(kind="fmu", path=str(path), start=start).near_start("plant", site)
