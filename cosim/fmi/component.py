@@ -1,7 +1,6 @@
 """Units as components: the way in.
 
-``ModelExchange`` and ``CoSimulation`` drive a unit of their kind, generated or loaded; ``load`` opens an .fmu;
-``compare_ports`` says whether one component fits in another's place.
+``ModelExchange`` and ``CoSimulation`` drive a unit of their kind, generated or loaded; ``load`` opens an .fmu.
 """
 
 from __future__ import annotations
@@ -15,7 +14,6 @@ from typing import Any, Self, TypeAlias, final
 
 from cosim.errors import FmuError, RunError
 from cosim.fmi.co_simulation import CoSimulation
-from cosim.fmi.compare import compare_ports
 from cosim.fmi.description import MODE_NAMES, MODES, Description, Mode
 from cosim.fmi.loaded import LoadedUnit
 from cosim.fmi.messages import Message
@@ -25,7 +23,7 @@ from cosim.fmi.reading import Archive, read
 from cosim.fmi.start import Starts, check_start, resized
 from cosim.fmi.unit import ModelExchangeUnit
 
-__all__ = ["CoSimulation", "Fmu", "ModelExchange", "compare_ports", "load"]
+__all__ = ["CoSimulation", "Fmu", "ModelExchange", "load"]
 
 FmuComponent: TypeAlias = ModelExchange | CoSimulation
 
@@ -84,12 +82,12 @@ class Fmu:
         }
 
     def drain(self) -> list[Message]:
-        """Give what the FMU logged since the last call, and how many messages were dropped.
+        """Give what the FMU logged since the last call, how many messages were dropped, and what the run showed about it.
 
         The level is "info", "warning", "error" or "fatal", from the FMI status. What is to be known about the FMU's results is
         in ``component.notes``.
         """
-        return self._unit.messages.drain()
+        return self._unit.messages.drain() + self.component.drain()
 
     def __enter__(self) -> Self:
         return self

@@ -24,6 +24,7 @@ from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.contracts import Design, Stopped
 from cosim.core.solver import SOLVERS, Linear, LinearModel, integrator
 from cosim.errors import FmuError, RunError, nearest
+from cosim.fmi.messages import Message
 from cosim.fmi.saved import SavedState, save
 from cosim.fmi.start import Start, Starts
 from cosim.fmi.unit import TERMINATED, ModelExchangeUnit
@@ -111,6 +112,10 @@ class ModelExchange:
         if self._ended:
             raise Stopped(np.empty((0, self.interface.n_y)), TERMINATED, failed=False)
         return self._advance_exactly(self._exact, t, h, u) if self._exact else self._integrate(t, u)
+
+    def drain(self) -> list[Message]:
+        """Give what the run showed about the unit since the last call."""
+        return []
 
     def save(self) -> SavedState:
         """Copy the state.
