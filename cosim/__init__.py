@@ -14,9 +14,11 @@ if TYPE_CHECKING:
     from cosim.fmi.linearise import linearize
     from cosim.log.diff import diff
     from cosim.log.reader import open_log
+    from cosim.scenario.comparing import compare
     from cosim.scenario.execution import load, replay, run
 
 _HOMES = {
+    "compare": "cosim.scenario.comparing",
     "diff": "cosim.log.diff",
     "linearize": "cosim.fmi.linearise",
     "load": "cosim.scenario.execution",
@@ -25,7 +27,7 @@ _HOMES = {
     "run": "cosim.scenario.execution",
 }
 
-__all__ = ["__version__", "diff", "linearize", "load", "open_log", "replay", "run"]
+__all__ = ["__version__", "compare", "diff", "linearize", "load", "open_log", "replay", "run"]
 
 
 def __getattr__(name: str) -> Any:

@@ -41,7 +41,15 @@ SetOption = Annotated[
 SwapOption = Annotated[
     list[str] | None,
     typer.Option(
-        "--swap", metavar="COMPONENT=PATH", help="Put an FMU (.fmu) or a recorded component (.mcap) in its place. Repeatable."
+        "--swap",
+        metavar="COMPONENT=PATH",
+        help="Put an FMU (x.fmu, x.fmu#me, x.fmu#cs) or a recorded component (.mcap) in its place. Repeatable.",
+    ),
+]
+MapOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--map", metavar="PORT=NAME", help="What a swapped component calls a port, such as observer.y=out1. Repeatable."
     ),
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
@@ -62,6 +70,7 @@ def run(
     force: ForceOption = False,
     changes: SetOption = None,
     swaps: SwapOption = None,
+    maps: MapOption = None,
     stop: StopOption = None,
     step: Annotated[float | None, typer.Option(help="Communication step [s]; the same as --set scenario.step=...")] = None,
     plot: PlotOption = None,
@@ -80,10 +89,10 @@ def run(
     imported = perf_counter()
     edits = _edits(changes) | {f"scenario.{key}": value for key, value in (("stop", stop), ("step", step)) if value is not None}
     loaded = load(scenario)
+    edited = loaded.edit(swap=_once(swaps, "--swap"), map=_once(maps, "--map"), set=edits)
     if dry_run:
-        tables.comparison(loaded, swaps=_pairs(swaps, "--swap"), changes=edits, as_json=as_json)
+        tables.comparison(edited, as_json=as_json)
         return
-    edited = loaded.edit(swap=_pairs(swaps, "--swap"), set=edits)
     path = out or default_log(edited.name)
     _need_plot(plot, edited.file.truth)
     seconds: dict[str, float] | None = {} if profile else None
@@ -151,6 +160,47 @@ def diff(
     difference = compare(open_log(a), open_log(b), atol=atol, rtol=rtol)
     tables.difference(difference, as_json=as_json)
     if not difference.within:
+        raise typer.Exit(1)
+
+
+@app.command()
+def compare(
+    scenario: ScenarioArgument,
+    swaps: Annotated[
+        list[str],
+        typer.Option(
+            "--swap",
+            metavar="COMPONENT=PATH",
+            help="An alternative for a component: x.fmu, x.fmu#me, x.fmu#cs or a recorded log (.mcap). Once for each.",
+        ),
+    ],
+    maps: MapOption = None,
+    changes: SetOption = None,
+    base: Annotated[bool, typer.Option("--base/--no-base", help="Run the scenario's own component too, as the first.")] = True,
+    plot: Annotated[Path | None, typer.Option(metavar="FILE", help="Draw the estimates of all, and their differences.")] = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", metavar="DIR", help="Folder to write the logs to.")] = None,
+    force: ForceOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Run a scenario on several plants and compare what is estimated; exit 1 where one of them fails."""
+    from cosim import tables
+    from cosim.scenario.comparing import compare as compare_plants
+    from cosim.scenario.execution import load
+
+    alternatives: dict[str, list[str]] = {}
+    for text in swaps:
+        ((name, path),) = _pairs([text], "--swap").items()
+        alternatives.setdefault(name, []).append(path)
+    loaded = load(scenario)
+    _need_plot(plot, loaded.file.truth)
+    edits = _edits(changes)
+    found = compare_plants(loaded, swap=alternatives, map=_once(maps, "--map"), set=edits, base=base, out=out, force=force)
+    if plot is not None and found.recordings:
+        from cosim.scenario.plot import plot_comparison
+
+        plot_comparison(found, plot)
+    tables.plants(found, as_json=as_json)
+    if any(outcome.error for outcome in found.outcomes):
         raise typer.Exit(1)
 
 
@@ -276,6 +326,17 @@ def _pairs(options: list[str] | None, option: str) -> dict[str, str]:
             raise UsageError(f"{option} {text!r}: found no '=', needed NAME=VALUE")
         pairs[name.strip()] = value.strip()
     return pairs
+
+
+def _once(options: list[str] | None, option: str) -> dict[str, str]:
+    """Read pairs of which each name may be given once."""
+    found = _pairs(options, option)
+    if len(found) < len(options or []):
+        names = [text.partition("=")[0].strip() for text in options or []]
+        twice = next(name for name in names if names.count(name) > 1)
+        way = "; 'cosim compare' runs several plants" if option == "--swap" else ""
+        raise UsageError(f"{option} {twice}: given {names.count(twice)} times, needed once{way}")
+    return found
 
 
 def _edits(options: list[str] | None) -> dict[str, Any]:

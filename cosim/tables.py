@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from cosim.fmi.linearise import Linearisation
     from cosim.log.diff import Difference
     from cosim.scenario.build import Scenario
+    from cosim.scenario.comparing import Comparison
     from cosim.scenario.report import Identification, Summary
 
 WIDTH = 118  # where stdout is no terminal
@@ -281,21 +283,60 @@ def _matrix(console: Console, title: str, matrix: Matrix, *, rows: Sequence[str]
         console.print(table)
 
 
-def comparison(loaded: Scenario, *, swaps: Mapping[str, str], changes: Mapping[str, Any], as_json: bool) -> None:
-    """Compare the ports of swapped components with those they replace; exit 2 where they cannot be swapped."""
-    from cosim.scenario.inspection import compare
+def comparison(scenario: Scenario, *, as_json: bool) -> None:
+    """Compare swapped components with those they replace; exit 2 where the scenario cannot run with them."""
+    from cosim.scenario.contract import examine
 
-    found, problems = compare(loaded, swaps=swaps, changes=changes)
+    found = examine(scenario.document)
+    problems = [*found.problems, *filter(None, [found.failure])]
     if as_json:
-        _json({"ports": found, "problems": problems})
+        _json({"swaps": {name: report.to_dict() for name, report in found.reports.items()}, "problems": problems})
     else:
         console = _console()
-        for name, rows in found.items():
-            _section(console, name, rows)
+        for report in found.reports.values():
+            _section(console, report.component, report.lines)
         if not problems:
             typer.echo("dry run: the scenario can run")
     if problems:
-        raise UsageError("\n".join(problems))
+        raise UsageError("\n".join([*problems, *found.hints]))
+
+
+def plants(found: Comparison, *, as_json: bool) -> None:
+    """Print what a scenario estimates on several plants, and how far the estimates are from those of the first."""
+    if as_json:
+        _json(found.to_dict())
+        return
+    first = next(iter(found.recordings), "")
+    table = _table(f"{found.scenario}: {found.component}", ("estimate", "truth", "plant", "value", "error", f"from {first}"))
+    apart = {(one.estimate, one.label): one.largest for one in found.differences}
+    rows = [row for label, summary in found.summaries.items() for row in _plant_rows(label, summary, apart)]
+    for estimate in dict.fromkeys(row[0] for row in rows):
+        for row in [row for row in rows if row[0] == estimate]:
+            table.add_row(*row)
+        table.add_section()
+    for outcome in found.outcomes:
+        if outcome.error:
+            table.add_row("", "", outcome.label, "failed", outcome.error.splitlines()[0], "")
+    _console().print(table)
+    for outcome in found.outcomes:
+        if outcome.error:
+            typer.echo("\n".join(f"{outcome.label}: failed: {line}" for line in outcome.error.splitlines()), err=True)
+
+
+def _plant_rows(
+    label: str, found: Summary, apart: Mapping[tuple[str, str], Sequence[float | None]]
+) -> Iterator[tuple[str, str, str, str, str, str]]:
+    """Give (estimate, truth, plant, value, error, difference)."""
+    for signal in found.signals:
+        largest = [one for one in apart.get((signal.estimate, label), ()) if one is not None]
+        error = f"{signal.largest:.3g} for t >= {signal.since:g} s"
+        yield signal.estimate, signal.truth, label, "", error, f"{max(largest):.3g}" if largest else ""
+    for value in found.values:
+        name, element = re.fullmatch(r"(.*?)(?:\[(\d+)\])?", value.estimate).groups()  # type: ignore[union-attr]
+        differences = apart.get((name, label), ())
+        difference = differences[int(element or 0)] if differences else None
+        shown = ("no value", "") if value.value is None else (f"{value.value:+.6f}", f"{value.error:.3g}")
+        yield value.estimate, f"{value.truth:+g}", label, *shown, "" if difference is None else f"{difference:.3g}"
 
 
 def _text(value: Any) -> str:

@@ -24,6 +24,7 @@ from cosim.fmi.platforms import ARCHITECTURE, SUFFIX, folders
 from cosim.fmi.reading import Archive, read
 from cosim.fmi.start import Starts, check_start, resized
 from cosim.fmi.trial import can_roll_back
+from cosim.fmi.unit import ModelExchangeUnit
 
 __all__ = ["CoSimulation", "Fmu", "ModelExchange", "load"]
 

@@ -58,6 +58,8 @@ class Variable:
         Of an array (FMI 3): numbers, or names of structural parameters; ``size`` is their product at the start.
     items : mapping of str to int
         Names and values of an enumeration.
+    inside_steps : bool
+        Whether an input may be set inside a step (FMI 3: intermediateUpdate; FMI 1 and 2: by its derivative).
     alias_of : str or None
         The variable whose other name it is (FMI 3); it is no signal of its own.
     doc : str
@@ -81,6 +83,7 @@ class Variable:
     derivative_of: str | None = None
     dimensions: tuple[int | str, ...] = ()
     items: Mapping[str, int] = field(default_factory=dict)
+    inside_steps: bool = True
     alias_of: str | None = None
     doc: str = ""
 
@@ -221,6 +224,17 @@ class Description:
         return np.array(
             [v.variability != "continuous" for _, group in self.ports("input") for v in group for _ in range(v.size)], np.bool_
         )
+
+    @property
+    def undoes_discarded_steps(self) -> bool:
+        """Whether a step that it discards leaves it as it was; else the master must restore a saved state (FMI 1 and 2)."""
+        return not self.version.startswith(("1.", "2."))
+
+    @property
+    def interpolated_inputs(self) -> Mask:
+        """Which elements of the input vector can follow a straight line inside a step, if the unit interpolates, shape (n_u,)."""
+        variables = [v for _, group in self.ports("input") for v in group for _ in range(v.size)]
+        return np.array([v.variability == "continuous" and v.type == "Float64" and v.inside_steps for v in variables], np.bool_)
 
     @property
     def n_states(self) -> int:

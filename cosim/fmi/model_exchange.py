@@ -76,8 +76,8 @@ class ModelExchange:
     Raises
     ------
     FmuError
-        If there is no such solver, it needs what the unit or the machine does not have, the tolerance is none that rounding allows,
-        or a start value is wrong.
+        If there is no such solver, it needs what the unit or the machine does not have, the tolerance is not one, or a start
+        value is wrong.
     """
 
     def __init__(
@@ -152,6 +152,10 @@ class ModelExchange:
         if self._now.ended:
             raise Stopped(np.empty((0, self.interface.n_y)), TERMINATED, failed=False)
         return self._advance_exactly(self._exact, t, h, u) if self._exact else self._integrate(t, u)
+
+    def drain(self) -> list[Message]:
+        """Give the events since the last call, at level debug."""
+        return self._events.drain()
 
     def save(self) -> SavedState:
         """Copy the state, the solver's included.

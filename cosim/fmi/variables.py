@@ -145,6 +145,7 @@ class _Reader:
             maximum=math.inf if high is None else high,
             nominal=nominal,
             items=self._items(declared) if value.tag == "Enumeration" else {},
+            inside_steps=self._version < 3 or flag(element, "intermediateUpdate"),
             doc=element.get("description", ""),
         )
 

@@ -134,6 +134,7 @@ void cosim_intermediate_update(void *environment, double t, bool set_requested, 
         *early_return_time = t;
     if (!self || !set_requested || self->size == 0)
         return;
+    self->asked = t;
     for (size_t i = 0; i < self->size; ++i)
         self->values[i] = self->start[i] + self->slope[i] * (t - self->t0);
     const int status = self->set(self->instance, self->references, self->count, self->values, self->size);

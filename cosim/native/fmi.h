@@ -48,6 +48,7 @@ typedef struct {
     const double *start, *slope;
     double *values; /* scratch */
     double t0;
+    double asked;   /* the time of the last update that asked for inputs; put -infinity here before the step */
     int32_t status; /* the worst that `set` answered */
 } cosim_lines;
 

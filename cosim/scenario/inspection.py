@@ -14,13 +14,11 @@ import numpy as np
 from cosim.core.connections import Connection, Ports, unit_reached
 from cosim.core.graph import Graph
 from cosim.core.signals import Interface, Signal
-from cosim.errors import CosimError
-from cosim.scenario.build import Scenario, build, build_site, parse
+from cosim.scenario.build import build
 from cosim.scenario.execution import load
 from cosim.units import BASE
 
 if TYPE_CHECKING:
-    from cosim.fmi.compare import Port, PortRow
     from cosim.fmi.description import Variable
 
 Section = dict[str, Any]
@@ -48,8 +46,11 @@ def log(path: str) -> Section:
     ]
     messages = [{"t": m.time_ns / 1e9, "level": m.level, "from": m.name, "text": m.text} for m in found.messages()]
     facts = {name: json.loads(found.metadata[f"cosim.component.{name}"].get("facts", "{}")) for name in found.channels}
-    return {"run": about, "signals": rows, "facts": {k: v for k, v in facts.items() if v}} | (
-        {"messages": messages} if messages else {}
+    swapped = {f"{name}: unlike what it replaced": _unlike(found.pop("contract", {})) for name, found in facts.items()}
+    return (
+        {"run": about, "signals": rows, "facts": {k: v for k, v in facts.items() if v}}
+        | swapped
+        | ({"messages": messages} if messages else {})
     )
 
 
@@ -158,6 +159,11 @@ def _able(able: Section) -> str:
     return ", ".join(named)
 
 
+def _unlike(contract: Section) -> list[Section]:
+    """Give the rows of a swapped component's report that differ."""
+    return [row for row in contract.get("ports", []) if row["verdict"] not in ("ok", "unknown")]
+
+
 def _si(base: Section) -> str:
     powers = [f"{name}{'' if power == 1 else power}" for name, power in zip(BASE, base["exponents"], strict=True) if power]
     offset = f" + {base['offset']:g}" if base["offset"] else ""
@@ -214,51 +220,6 @@ def check(path: str) -> list[Section]:
     from cosim.fmi.check import check as check_fmu
 
     return [finding._asdict() for finding in check_fmu(path)]
-
-
-def compare(
-    loaded: Scenario, *, swaps: Mapping[str, str], changes: Mapping[str, Any]
-) -> tuple[dict[str, list[Section]], list[str]]:
-    """Compare the ports of swapped components with those they replace; give the rows by component, and what prevents the run."""
-    from cosim.fmi.compare import compare_ports
-
-    changed = loaded.document.with_swaps(swaps).with_changes(changes)
-    rows: dict[str, list[Section]] = {}
-    problems: list[str] = []
-    for name in swaps:
-        if name not in loaded.specs:
-            continue
-        with ExitStack() as resources:
-            try:
-                before = loaded.specs[name].build(name, build_site(loaded, resources)).interface
-                swapped = parse(changed)
-                after = swapped.specs[name].build(name, build_site(swapped, resources)).interface
-            except CosimError:  # the run's own problems are told below; those of what is replaced do not matter
-                continue
-            used = {wire.source.partition("[")[0] for wire in loaded.connections.values()} | set(loaded.file.truth)
-            used |= {true for true in loaded.file.truth.values() if isinstance(true, str)}
-            used |= set(loaded.connections)
-            rows[name] = [_port_row(name, row, used) for row in compare_ports(before, after)]
-    with ExitStack() as resources:
-        try:
-            experiment = build(changed, resources)
-            experiment.graph.prepare(experiment.clock.step_ns)
-            experiment.graph.initialize(0.0, np.zeros(experiment.graph.layout.width))
-        except CosimError as error:
-            problems += str(error).splitlines()
-    return rows, problems
-
-
-def _port_row(name: str, row: PortRow, used: set[str]) -> Section:
-    sides = {"before": row.needed, "after": row.found}
-    shown = {side: None if port is None else _port(port) for side, port in sides.items()}
-    return {"port": f"{name}.{row.name}", **shown, "status": row.status, "connected": f"{name}.{row.name}" in used}
-
-
-def _port(port: Port) -> str:
-    through = "unknown" if port.feedthrough is None else ", ".join(port.feedthrough) or "nothing"
-    fed = f", fed through from {through}" if port.causality == "output" else ""
-    return f"{port.causality} of size {port.size}{'' if port.unit is None else f' [{port.unit}]'}{fed}"
 
 
 def _signals(interface: Interface) -> Iterable[tuple[Signal, str]]:

@@ -23,7 +23,7 @@ from tests.fmi.test_reading import FMI1, FMI3
 
 XML = """<?xml version="1.0" encoding="UTF-8"?>
 <fmiModelDescription fmiVersion="2.0" modelName="rogue" guid="rogue">
-<CoSimulation modelIdentifier="model" canHandleVariableCommunicationStepSize="true" canGetAndSetFMUstate="true"/>
+<CoSimulation modelIdentifier="model" canGetAndSetFMUstate="true"/>
 <UnitDefinitions><Unit name="m"><BaseUnit m="1"/></Unit></UnitDefinitions>
 <TypeDefinitions>
   <SimpleType name="Mode"><Enumeration><Item name="off" value="1"/><Item name="on" value="3"/></Enumeration></SimpleType>

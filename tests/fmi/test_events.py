@@ -25,7 +25,7 @@ def tolerance(solver):
 
 
 def bounces(n):
-    """Give the times at which a ball from 1 m hits the ground, and the speeds with which it leaves: each 0.7 of the one before."""
+    """Give when a ball from 1 m hits the ground, and the speeds with which it leaves: each 0.7 of the one before."""
     times, speeds = [math.sqrt(2.0 / 9.81)], [0.7 * math.sqrt(2.0 * 9.81)]
     for _ in range(n - 1):
         times.append(times[-1] + 2.0 * speeds[-1] / 9.81)
@@ -68,8 +68,8 @@ def force(t):
 def test_coulomb_friction_sticks_and_slips(solver, version):
     """A mass of 1 kg under the force 2 t, from 1 s on 4 - 2 t, with friction of 1 N.
 
-    It breaks away at 0.5 s; v = (t - 0.5)^2 until 1 s, then 1/4 + 3 (t - 1) - (t^2 - 1), which ends at (3 + sqrt(2))/2 s; it sticks
-    until the force is -1 N at 2.5 s; then v = -(t - 2.5)^2.
+    It breaks away at 0.5 s; v = (t - 0.5)^2 until 1 s, then 1/4 + 3 (t - 1) - (t^2 - 1), which ends at (3 + sqrt(2))/2 s; it
+    sticks until the force is -1 N at 2.5 s; then v = -(t - 2.5)^2.
     """
     with Run("FRICTION", solver, p=1.0, version=version, rtol=tolerance(solver)) as run:
         rows = run(3.0, 0.05, u=force)
@@ -294,9 +294,15 @@ def test_nominal_values_scale_the_absolute_tolerance():
 
 
 def test_a_nominal_value_of_zero_is_refused():
-    with Run("SWITCH", "BDF", p=0.5, nominal=0.0) as run:
-        with pytest.raises(Stopped, match=r"SWITCH: nominal value of state 0: found 0.0, needed a number other than zero"):
-            run(1.0, 0.1)
+    text = r"SWITCH: nominal value of state 0: found 0.0, needed a number other than zero"
+    with Run("SWITCH", "BDF", p=0.5, nominal=0.0) as run, pytest.raises(Stopped, match=text):
+        run(1.0, 0.1)
+
+
+@pytest.mark.parametrize("rtol", [0.0, 1e-16, 1.0, math.nan])
+def test_a_tolerance_that_is_none_is_refused(rtol):
+    with pytest.raises(FmuError, match=rf"SWITCH: relative tolerance {rtol}; needed at least 1e-13 and less than 1"):
+        Run("SWITCH", "BDF", rtol=rtol)
 
 
 def test_completed_integrator_step_is_called_after_every_step_of_the_solver():
@@ -338,7 +344,7 @@ def test_no_cvode_on_this_machine_is_an_error(monkeypatch):
 
 def test_cvode_says_why_it_fails(capfd):
     """A derivative that is not finite; nothing is printed."""
-    with Run("SWITCH", "CVode", p=0.5) as run, pytest.raises(Stopped, match="solver CVode: At t = 0 .*corrector convergence"):
+    with Run("SWITCH", "CVode", p=0.5) as run, pytest.raises(Stopped, match=r"solver CVode: At t = 0 .*corrector convergence"):
         run(1.0, 0.1, u=lambda t: math.nan)
     assert capfd.readouterr() == ("", "")
 

@@ -14,6 +14,8 @@ from cosim.scenario.schema import Table
 from cosim.theory.descriptor import DescriptorSystem
 
 if TYPE_CHECKING:
+    from cosim.fmi.compare import NearStart
+    from cosim.fmi.description import Description, Mode
     from cosim.fmi.linearise import Linearisation
 
 LINEAR = ("descriptor", "unknown-input-observer", "controller", "lag")  # the kinds that are linear models
@@ -99,6 +101,17 @@ class Kind(Table):
     def build(self, name: str, site: Site) -> Component:
         """Build the component."""
         return Linear(self.linear_model(name, site))
+
+    def description(self, name: str, site: Site) -> tuple[Mode, Description] | None:
+        """Give the mode and the description of the unit that it drives, where it drives one."""
+        return None
+
+    def near_start(self, name: str, site: Site) -> NearStart:
+        """Give poles and static gain of the component, where it is linear or linearises."""
+        from cosim.fmi.compare import NearStart
+
+        model = self.linear_model(name, site)
+        return NearStart.of(model.A, model.B, model.C, model.D, error=0.0)
 
     def linear_model(self, name: str, site: Site) -> LinearModel:
         """Give the component as a linear model, where it is one: what an exact solver steps and an FMU can be made of."""
