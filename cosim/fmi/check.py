@@ -81,7 +81,10 @@ def _schema(raw: bytes, version: int) -> list[Finding]:
     assert package is not None
     assert package.origin is not None
     schema = etree.XMLSchema(file=str(Path(package.origin).parent / "schema" / SCHEMAS[version]))
-    document = etree.fromstring(raw, etree.XMLParser(resolve_entities=False, no_network=True, huge_tree=True))
+    try:
+        document = etree.fromstring(raw, etree.XMLParser(resolve_entities=False, no_network=True, huge_tree=True))
+    except etree.XMLSyntaxError as error:  # stricter than the parser that it passed
+        return [Finding("error", "XML", f"not well-formed: {error}")]
     schema.validate(document)
     found = [Finding("error", "schema", f"line {entry.line}: {entry.message}") for entry in schema.error_log]
     more = [Finding("error", "schema", f"and {len(found) - MOST} more")] if len(found) > MOST else []

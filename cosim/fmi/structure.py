@@ -222,9 +222,9 @@ def _notes(description: Description) -> Iterator[Finding]:
     """Say what is to be known before a run."""
     if not description.capabilities:
         yield Finding("error", "XML", "neither model exchange nor co-simulation; needed one of them")
-    face = description.interface
-    unknown = [signal.name for signal in face.outputs if face.inputs and not face.knows(signal.name)]
-    if unknown:
+    outputs = (v.name for v in description.variables if v.causality == "output" and v.is_signal and v.alias_of is None)
+    unknown = [name for name in outputs if name not in description.states and description.dependencies.get(name) is None]
+    if unknown and any(v.causality == "input" for v in description.variables):
         yield Finding("note", "structure", f"the file does not say on which inputs these depend directly: {', '.join(unknown)}")
     if description.clocks:
         yield Finding("warning", "structure", f"clocks, which are not supported: {', '.join(description.clocks)}")
