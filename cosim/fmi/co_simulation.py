@@ -25,7 +25,7 @@ from cosim.errors import FmuError, RunError
 from cosim.fmi.description import Description
 from cosim.fmi.references import References
 from cosim.fmi.saved import SavedState, save
-from cosim.fmi.start import Start
+from cosim.fmi.start import Start, Starts
 from cosim.fmi.unit import TERMINATED, CoSimulationUnit, StepEnd
 
 
@@ -37,7 +37,7 @@ class CoSimulation:
     ----------
     unit : CoSimulationUnit
         Just instantiated.
-    starts : mapping of variable name to float
+    starts : mapping of variable name to StartValue
         Start values to set instead of the unit's own.
 
     Raises
@@ -46,7 +46,7 @@ class CoSimulation:
         If a start value is wrong.
     """
 
-    def __init__(self, unit: CoSimulationUnit, *, starts: Mapping[str, float] | None = None) -> None:
+    def __init__(self, unit: CoSimulationUnit, *, starts: Starts | None = None) -> None:
         self._unit, self._name = unit, unit.description.name
         self.interface = unit.interface
         self._start = Start(unit, starts or {})

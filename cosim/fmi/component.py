@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
@@ -23,7 +22,7 @@ from cosim.fmi.messages import Message
 from cosim.fmi.model_exchange import ModelExchange
 from cosim.fmi.platforms import SUFFIX, folders
 from cosim.fmi.reading import Archive, read
-from cosim.fmi.start import check_start
+from cosim.fmi.start import Starts, check_start, resized
 
 __all__ = ["CoSimulation", "Fmu", "ModelExchange", "compare_ports", "load"]
 
@@ -54,8 +53,8 @@ class Fmu:
 
     @property
     def description(self) -> Description:
-        """Variables, structure, capabilities."""
-        return self._archive.description
+        """Variables, structure, capabilities; arrays as large as the structural parameters say."""
+        return self._unit.description
 
     @property
     def metadata(self) -> dict[str, Any]:
@@ -97,7 +96,7 @@ def load(
     *,
     mode: Mode | None = None,
     solver: str | None = None,
-    start: Mapping[str, float] | None = None,
+    start: Starts | None = None,
     instance_name: str | None = None,
 ) -> Fmu:
     """Open an FMU.
@@ -109,8 +108,8 @@ def load(
         Model exchange or co-simulation; None: the one that is there, model exchange where both are.
     solver : str or None
         Of a model exchange FMU; see :class:`ModelExchange`.
-    start : mapping of variable name to float
-        Start values to set instead of the FMU's own.
+    start : mapping of variable name to StartValue
+        Start values to set instead of the FMU's own: numbers, Booleans, items of enumerations, texts, lists; see ``start.py``.
     instance_name : str or None
         None: the name of the model.
 
@@ -123,14 +122,12 @@ def load(
     unit: LoadedUnit | None = None
     try:
         archive = read(path, into=folder)
-        description, starts = archive.description, dict(start or {})
-        mode = _mode(archive, mode)
-        if description.version == "1.0":
-            raise FmuError(f"{path}: FMI 1.0 can be read, but not run yet; FMI 2.0 and 3.0 can")
+        mode, starts = _mode(archive, mode), dict(start or {})
         if mode == "cs" and solver is not None:
             raise FmuError(f'{path}: solver {solver!r}: a co-simulation FMU brings its own; leave it out or use mode = "me"')
         library = _library(archive, mode)
         _check_events(archive, mode)
+        description = resized(archive.description, starts)
         check_start(description, starts)
         name = instance_name or description.name
         unit = LoadedUnit(folder, folder / library, description, mode=mode, name=name, label=str(archive.path))

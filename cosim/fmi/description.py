@@ -181,6 +181,10 @@ class Description:
     def __post_init__(self) -> None:
         object.__setattr__(self, "_named", {variable.name: variable for variable in self.variables})
 
+    def __contains__(self, name: str) -> bool:
+        """Whether there is a variable of that name."""
+        return name in self._named
+
     def __getitem__(self, name: str) -> Variable:
         """Find a variable.
 

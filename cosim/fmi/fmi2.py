@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from cosim.arrays import Vector
-from cosim.fmi.binding import NO_DIRECTIONAL_DERIVATIVES, NO_STATE, Instance
+from cosim.fmi.binding import NO_DIRECTIONAL_DERIVATIVES, NO_SLOPES, NO_STATE, Instance
 from cosim.fmi.description import Variable
 from cosim.fmi.library import DISCARD, WARNING, Library, pointer
 from cosim.fmi.references import Group
@@ -77,7 +77,7 @@ class Fmi2:
         self._slopes = (
             call("SetRealInputDerivatives", c_void_p, c_size_t, c_void_p, c_void_p)
             if interpolates
-            else self.library.absent("the FMU does not interpolate inputs (canInterpolateInputs is false)")
+            else self.library.absent(NO_SLOPES)
         )
 
     def instantiate(self) -> None:

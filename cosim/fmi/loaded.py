@@ -16,13 +16,19 @@ from cosim.core.solver import LinearModel
 from cosim.errors import RunError
 from cosim.fmi.binding import Calls, Instance
 from cosim.fmi.description import LARGEST_EXACT, Description, Mode, Variable
+from cosim.fmi.fmi1 import Fmi1
 from cosim.fmi.fmi2 import Fmi2
 from cosim.fmi.fmi3 import Fmi3
 from cosim.fmi.library import Library, pointer
 from cosim.fmi.messages import Messages
 from cosim.fmi.references import References
 
-VERSIONS: Final[Mapping[str, tuple[str, Callable[[Library, Instance], Calls]]]] = {"2": ("fmi2", Fmi2), "3": ("fmi3", Fmi3)}
+VERSIONS: Final[Mapping[str, tuple[str, Callable[[Library, Instance], Calls]]]] = {
+    "1": ("{identifier}_fmi", Fmi1),
+    "2": ("fmi2", Fmi2),
+    "3": ("fmi3", Fmi3),
+}
+"""By the first digit of the FMI version: the prefix of its functions, and what binds them."""
 
 
 @final
@@ -234,7 +240,7 @@ def bind(binary: Path, about: Instance, label: str) -> Calls:
         If the library cannot be loaded, lacks a function, or refuses to instantiate. It is then unloaded.
     """
     prefix, version = VERSIONS[about.description.version[0]]
-    library = Library(binary, prefix, label, about.messages)
+    library = Library(binary, prefix.format(identifier=about.capabilities.identifier), label, about.messages)
     try:
         calls = version(library, about)
         calls.instantiate()

@@ -14,7 +14,7 @@ The end of the run that a unit asks for in an event is remembered, and comes wit
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Final, final
 
@@ -25,7 +25,7 @@ from cosim.core.contracts import Design, Stopped
 from cosim.core.solver import SOLVERS, Linear, LinearModel, integrator
 from cosim.errors import FmuError, RunError, nearest
 from cosim.fmi.saved import SavedState, save
-from cosim.fmi.start import Start
+from cosim.fmi.start import Start, Starts
 from cosim.fmi.unit import TERMINATED, ModelExchangeUnit
 
 EVENT_ITERATIONS: Final = 100
@@ -41,7 +41,7 @@ class ModelExchange:
         Just instantiated.
     solver : str or None
         One of ``cosim.core.solver.SOLVERS``; None: ``exact`` where the unit's model is known to be linear, else ``rk4``.
-    starts : mapping of variable name to float
+    starts : mapping of variable name to StartValue
         Start values to set instead of the unit's own.
 
     Raises
@@ -50,7 +50,7 @@ class ModelExchange:
         If there is no such solver, it needs what the unit does not have, or a start value is wrong.
     """
 
-    def __init__(self, unit: ModelExchangeUnit, solver: str | None = None, *, starts: Mapping[str, float] | None = None) -> None:
+    def __init__(self, unit: ModelExchangeUnit, solver: str | None = None, *, starts: Starts | None = None) -> None:
         self._unit, self._name = unit, unit.description.name
         self.solver = solver or ("rk4" if unit.linear is None else "exact")
         if self.solver not in SOLVERS:

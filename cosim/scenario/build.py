@@ -349,7 +349,7 @@ class _Site:
         return log
 
     def fmu(
-        self, name: str, path: str, *, mode: Literal["me", "cs"] | None, solver: str | None, start: Mapping[str, float]
+        self, name: str, path: str, *, mode: Literal["me", "cs"] | None, solver: str | None, start: Mapping[str, Any]
     ) -> Component:
         from cosim.fmi.component import load
 

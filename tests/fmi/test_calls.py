@@ -7,15 +7,7 @@ from cosim.errors import FmuError, RunError
 from cosim.fmi.component import load
 from cosim.fmi.unit import DiscreteStates, StepEnd
 from tests.fmi.compiled import compile_fmu
-from tests.fmi.probes import NUMBERS, opened, xml2, xml3
-
-
-def put(unit, **values):
-    unit.set_float64(unit.description.reference(values), np.array(list(values.values()), np.float64))
-
-
-def got(unit, *names):
-    return unit.get_float64(unit.description.reference(names)).tolist()
+from tests.fmi.probes import NUMBERS, got, opened, put, xml2, xml3
 
 
 def test_model_exchange_calls_of_fmi_2(probe2):
