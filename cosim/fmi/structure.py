@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping
 from typing import Final, Literal, NamedTuple, TypeAlias
 from xml.etree.ElementTree import Element
 
-from cosim.fmi.description import Description, Variable
+from cosim.fmi.description import MODE_NAMES, Description, Variable
 from cosim.fmi.variables import FLOATS, Definitions, major
 
 Level: TypeAlias = Literal["error", "warning", "note"]
@@ -230,9 +230,9 @@ def _notes(description: Description) -> Iterator[Finding]:
         yield Finding("warning", "structure", f"clocks, which are not supported: {', '.join(description.clocks)}")
     for mode, able in description.capabilities.items():
         if able.needs_tool:
-            yield Finding("note", mode, "needs the tool that made it, or its libraries, to run")
+            yield Finding("note", MODE_NAMES[mode], "needs the tool that made it, or its libraries, to run")
         if able.once_per_process:
-            yield Finding("note", mode, "can be instantiated only once in a process")
+            yield Finding("note", MODE_NAMES[mode], "can be instantiated only once in a process")
 
 
 def _negated(root: Element) -> Iterator[Finding]:
