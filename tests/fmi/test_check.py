@@ -308,8 +308,10 @@ FINDINGS = [
     ('name="k"', 'name="a&#9;b"', "warning", "variable 'a\\tb': has a control character in its name"),
     ("<CoSimulation", "<ModelExchange modelIdentifier='../x'/><CoSimulation", "error",
      "XML: ModelExchange: modelIdentifier '../x' is no"),
-    ('canGet', 'needsExecutionTool="true" canGet', "note", "co-simulation: needs the tool that made it, or its libraries, to run"),
-    ('canGet', 'canBeInstantiatedOnlyOncePerProcess="1" canGet', "note", "co-simulation: can be instantiated only once in a process"),
+    ('canGet', 'needsExecutionTool="true" canGet', "note",
+     "co-simulation: needs the tool that made it, or its libraries, to run"),
+    ('canGet', 'canBeInstantiatedOnlyOncePerProcess="1" canGet', "note",
+     "co-simulation: can be instantiated only once in a process"),
     ('dependencies="1" dependenciesKind="dependent"', "", "note",
      "structure: the file does not say on which inputs these depend directly: z"),
 ]  # fmt: skip
