@@ -109,7 +109,7 @@ ROGUES = {
     "FAILS_STEP": f"{RUN}: fmi2DoStep returned 3 (error)",
     "LIES": f"{BACK}: goes back wrongly: after steps the same steps give other outputs",
     "FORGETS": f"{BACK}: goes back wrongly: after steps with other inputs the same steps give other outputs",
-    "CRASHES_FREE": f"{BACK}: crashes: SIGSEGV at: saving and freeing",
+    "CRASHES_FREE": f"{BACK}: crashes: SIGSEGV at: terminate and free",
 }
 
 
