@@ -202,7 +202,7 @@ def rollback(story: _Story, path: str, mode: Mode) -> None:
             with suppress(CosimError):  # they may be more than it bears
                 component.advance(t[STEPS:], h, 2.0 * u[STEPS:] + 1.0)
 
-        detours = {"steps": lambda: None, "steps with other inputs": other_inputs, "saving and freeing": component.save}
+        detours = {"steps": lambda: None, "steps with other inputs": other_inputs, "saving anew": component.save}
         for what, detour in detours.items():
             story.at(what)
             detour()
