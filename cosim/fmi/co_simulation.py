@@ -168,18 +168,20 @@ class CoSimulation:
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
         """Step K times; see :class:`cosim.core.contracts.Component`."""
-        rows = list(np.array(u, np.float64, order="C"))
-        y = np.empty((len(t) - 1, self.interface.n_y))
-        for k, t0 in enumerate(t[:-1].tolist()):
-            try:
-                self._leave_initialization(t0)
+        rows, k = list(np.array(u, np.float64, order="C")), 0
+        y = np.empty((len(rows) - 1, self._outputs.size))
+        try:
+            self._leave_initialization(float(t[0]))
+            for k, t0 in enumerate(t[:-1].tolist()):
                 completed = self._step(t0, h, rows[k], rows[k + 1])
                 if completed:
                     y[k] = self._outputs_for(rows[k + 1])
-            except RunError as error:
-                raise Stopped(y[:k].copy(), str(error)) from error
-            if self._ended:
-                raise Stopped(y[: k + completed].copy(), TERMINATED, failed=False)
+                if self._ended:
+                    raise Stopped(y[: k + completed].copy(), TERMINATED, failed=False)
+        except Stopped:
+            raise
+        except RunError as error:
+            raise Stopped(y[:k].copy(), str(error)) from error
         return y
 
     def _leave_initialization(self, t: float) -> None:
@@ -205,6 +207,11 @@ class CoSimulation:
         if self._cross(ramp, 0.0, 1.0, 0) < 1.0:
             return False
         self._read = self._unit.get_float64(self._outputs)
+        if self._inner_step.seen is not None:
+            self._look_for_an_inner_step(h)
+        return True
+
+    def _look_for_an_inner_step(self, h: float) -> None:
         n = self._inner_step.see(self._read, self._end)
         if n:
             self._say(
@@ -212,7 +219,6 @@ class CoSimulation:
                 f"its outputs change at every {_ordinal(n)} communication step only: it seems to keep an inner step of "
                 f"{n * h:.12g} s and to ignore the communication step of {h} s",
             )
-        return True
 
     def _cross(self, ramp: _Ramp, s0: float, s1: float, halvings: int) -> float:
         """Go from ``s0`` to ``s1``, in halves where the unit discards the whole; give how far the unit came."""
