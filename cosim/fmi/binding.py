@@ -43,6 +43,11 @@ class Instance:
     messages: Messages
 
     @property
+    def key(self) -> tuple[str, str]:
+        """What it is an instance of."""
+        return self.description.name, self.description.token
+
+    @property
     def token(self) -> str:
         """GUID or instantiation token."""
         return self.description.token

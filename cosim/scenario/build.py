@@ -357,7 +357,7 @@ class _Site:
         facts = loaded.metadata
         self.attachments[f"{name}/modelDescription.xml"] = facts.pop("model_description")
         self.note(name, **facts)
-        for text in loaded.component.notes:
+        for text in loaded.notes:
             self.warn(name, text)
         self.fmus[name] = loaded
         return loaded.component
