@@ -282,7 +282,7 @@ class CoSimulation:
         if not self._can.variable_step:
             reason = "it takes steps of one size only (canHandleVariableCommunicationStepSize is false)"
         elif not (undone or self._can.saves_state):
-            reason = "its state before the step cannot be restored (canGetAndSetFMUstate is false)"
+            reason = "its state before the step cannot be restored (canGetAndSetFMUstate is false, or not true)"
         elif halvings == HALVINGS:
             reason = f"the communication step of {ramp.h} s was halved {HALVINGS} times"
         else:
