@@ -23,7 +23,7 @@ from cosim.arrays import Vector
 from cosim.errors import RunError
 from cosim.fmi.binding import NO_SLOPES, Instance
 from cosim.fmi.description import Variable
-from cosim.fmi.library import DISCARD, WARNING, Call, Library, pointer
+from cosim.fmi.library import DISCARD, WARNING, Call, Library, declared, pointer
 from cosim.fmi.references import Group, VariableType
 from cosim.fmi.unit import DiscreteStates, StepEnd
 from cosim.native.library import address
@@ -42,14 +42,12 @@ class Fmi1:
     names: Final = {"Float64": "Real", "Int32": "Integer", "Boolean": "Boolean"}
 
     def __init__(self, library: Library, about: Instance) -> None:
-        from fmpy.fmi1 import fmi1CallbackFunctions, fmi1EventInfo
-
-        self.library, self._about = library, about
+        self.library, self._about, fmi1 = library, about, declared("fmi1")
         call, values = library.call, (c_void_p, c_size_t, c_void_p)
         self._access = {(v, k): call(f"{v}{n}", *values) for v in ("Get", "Set") for k, n in self.names.items()}
         self._set_string, self._get_string = call("SetString", *values), call("GetString", *values)
-        self._functions: Any = fmi1CallbackFunctions()  # handed over by value
-        self._info: Any = fmi1EventInfo()
+        self._functions: Any = fmi1.fmi1CallbackFunctions()  # handed over by value
+        self._info: Any = fmi1.fmi1EventInfo()
         self._given: dict[tuple[VariableType, int], NDArray[Any]] = {}  # by type and reference
         self._texts: dict[int, tuple[Variable, list[bytes]]] = {}
         self._t: float | None = None  # not None: in initialization mode, or after it
@@ -98,9 +96,7 @@ class Fmi1:
 
     def instantiate(self) -> None:
         """Create the instance. It gives no environment to the logger: its messages are known by its own address."""
-        from fmpy import fmi1
-
-        about, functions = self._about, self._functions
+        about, functions, fmi1 = self._about, self._functions, declared("fmi1")
         functions.logger = cast(address("cosim_log"), fmi1.fmi1CallbackLoggerTYPE)
         functions.allocateMemory = cast(address("cosim_allocate"), fmi1.fmi1CallbackAllocateMemoryTYPE)
         functions.freeMemory = cast(address("cosim_free"), fmi1.fmi1CallbackFreeMemoryTYPE)
