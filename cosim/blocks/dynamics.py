@@ -50,7 +50,8 @@ class Delay:
         if steps * size > LARGEST:
             raise UsageError(f"delay: {steps} communication steps of {size} values do not fit; at most {LARGEST} values")
         self.initial = initial
-        self.interface = Interface((Signal("u", size, unit),), (Signal("y", size, unit, "inherited"),))
+        follows = {"y": ("u",)} if initial is None else {}
+        self.interface = Interface((Signal("u", size, unit),), (Signal("y", size, unit, "inherited"),), initial=follows)
         self._size = size
         self._step = delay(steps, size)
 

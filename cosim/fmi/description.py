@@ -9,12 +9,11 @@ import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal, TypeAlias
+from typing import Literal, Protocol, TypeAlias
 
 import numpy as np
 
 from cosim.arrays import Mask
-from cosim.core.contracts import Model
 from cosim.core.signals import Interface, Kind, Signal
 from cosim.core.solver import LinearModel
 from cosim.errors import FmuError, nearest
@@ -260,8 +259,22 @@ def _vectors(variables: Sequence[Variable]) -> list[tuple[str, tuple[Variable, .
     return found
 
 
-def describe(model: Model, name: str, linear: LinearModel | None) -> Description:
-    """Describe a model of ours as a unit; value references as in ``c/fmi2.c``.
+class Shape(Protocol):
+    """What a description takes from a model."""
+
+    @property
+    def interface(self) -> Interface:
+        """Inputs, outputs and feedthrough."""
+        ...
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """Names of the continuous state elements."""
+        ...
+
+
+def describe(model: Shape, name: str, linear: LinearModel | None) -> Description:
+    """Describe a model of ours as a unit; value references as in ``c/model.h``.
 
     Inputs come first, then outputs, derivatives, and the states that are no outputs. An output that is a state, under the
     state's name, is one variable.
@@ -286,7 +299,9 @@ def describe(model: Model, name: str, linear: LinearModel | None) -> Description
     ]
     for i, (signal, element) in enumerate((s, e) for s in face.outputs for e in s.elements):
         initial, start = state(state_of[i]) if state_of[i] >= 0 else ("calculated", None)
-        variables.append(Variable(element, m + i, "output", unit=signal.unit, initial=initial, start=start))
+        variables.append(
+            Variable(element, m + i, "output", unit=signal.unit, variability=_variability(signal), initial=initial, start=start)
+        )
     units = {v.name: v.unit for v in variables}
     for j, x in enumerate(model.states):
         unit = units.get(x) if x in shown else None
@@ -318,7 +333,7 @@ def states_of_outputs(model: LinearModel) -> list[int]:
     return found
 
 
-def _dependencies(model: Model, linear: LinearModel | None) -> dict[str, tuple[str, ...] | None]:
+def _dependencies(model: Shape, linear: LinearModel | None) -> dict[str, tuple[str, ...] | None]:
     inputs = [element for signal in model.interface.inputs for element in signal.elements]
     outputs = [element for signal in model.interface.outputs for element in signal.elements]
     derivatives = [f"der({x})" for x in model.states]
