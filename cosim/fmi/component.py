@@ -6,7 +6,6 @@
 
 from __future__ import annotations
 
-import re
 import shutil
 import tempfile
 from collections.abc import Mapping
@@ -15,13 +14,12 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, TypeAlias, final
 
-from cosim.core.contracts import Level
 from cosim.errors import FmuError, RunError
-from cosim.fmi.archive import unpack
 from cosim.fmi.co_simulation import CoSimulation
 from cosim.fmi.compare import compare_ports
 from cosim.fmi.description import MODE_NAMES, MODES, Description, Mode
 from cosim.fmi.loaded import LoadedUnit
+from cosim.fmi.messages import Message
 from cosim.fmi.model_exchange import ModelExchange
 from cosim.fmi.platforms import SUFFIX, folders
 from cosim.fmi.reading import Archive, read
@@ -72,12 +70,11 @@ class Fmu:
             "model_description": found.xml,
         }
 
-    def drain(self) -> list[tuple[Level, str]]:
-        """Give what the FMU logged since the last call as (level, text), and how many messages were dropped.
+    def drain(self) -> list[Message]:
+        """Give what the FMU logged since the last call, and how many messages were dropped.
 
-        The level is "debug", "info", "warning", "error" or "fatal", from the FMI status. The text of FMI 2 is a printf format
-        whose arguments cannot be read from Python: it is given as it is. What is to be known about the FMU's results is in
-        ``component.notes``.
+        The level is "info", "warning", "error" or "fatal", from the FMI status. What is to be known about the FMU's results is
+        in ``component.notes``.
         """
         return self._unit.messages.drain()
 
@@ -122,18 +119,19 @@ def load(
     FmuError
         If it is no FMU, cannot run here or in this mode, or a start value is wrong. Nothing is left behind.
     """
-    archive = read(path)
-    description, starts = archive.description, dict(start or {})
-    mode = _mode(archive, mode)
-    if mode == "cs" and solver is not None:
-        raise FmuError(f'{archive.path}: solver {solver!r}: a co-simulation FMU brings its own; leave it out or use mode = "me"')
-    library = _library(archive, mode)
-    _check_events(archive, mode)
-    check_start(description, starts)
     folder = Path(tempfile.mkdtemp(prefix="cosim-fmu-"))
     unit: LoadedUnit | None = None
     try:
-        unpack(archive.path, folder)
+        archive = read(path, into=folder)
+        description, starts = archive.description, dict(start or {})
+        mode = _mode(archive, mode)
+        if description.version == "1.0":
+            raise FmuError(f"{path}: FMI 1.0 can be read, but not run yet; FMI 2.0 and 3.0 can")
+        if mode == "cs" and solver is not None:
+            raise FmuError(f'{path}: solver {solver!r}: a co-simulation FMU brings its own; leave it out or use mode = "me"')
+        library = _library(archive, mode)
+        _check_events(archive, mode)
+        check_start(description, starts)
         name = instance_name or description.name
         unit = LoadedUnit(folder, folder / library, description, mode=mode, name=name, label=str(archive.path))
         solver = solver or ("rk4" if mode == "me" else None)
@@ -165,8 +163,6 @@ def _mode(archive: Archive, wanted: Mode | None) -> Mode:
 def _library(archive: Archive, mode: Mode) -> str:
     """Give the member of the archive that is the binary for this machine."""
     description, identifier = archive.description, archive.description.capabilities[mode].identifier
-    if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", identifier or ""):
-        raise FmuError(f"{archive.path}: modelIdentifier {identifier!r} is no identifier of C")
     wanted = folders(description.version)
     for folder in wanted:
         member = f"binaries/{folder}/{identifier}{SUFFIX}"
@@ -184,9 +180,6 @@ def _check_events(archive: Archive, mode: Mode) -> None:
     if mode == "cs":
         return
     other = '; use mode = "cs"' if "cs" in description.capabilities else ""
-    if description.event_indicators:
-        count = description.event_indicators
-        raise FmuError(f"{archive.path}: has {count} event indicators; state events are not located yet in model exchange{other}")
     if description.clocks:
         raise FmuError(
             f"{archive.path}: has clocks ({', '.join(description.clocks)}), which are not supported yet in model exchange{other}"

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, Protocol, TypeAlias
 
 import numpy as np
@@ -58,7 +58,7 @@ class Variable:
     items : mapping of str to int
         Names and values of an enumeration.
     alias_of : str or None
-        The variable whose other name it is (FMI 3).
+        The variable whose other name it is (FMI 3); it is no signal of its own.
     doc : str
         What it is, for people.
     """
@@ -87,6 +87,11 @@ class Variable:
     def settable(self) -> bool:
         """Whether a start value may be given (FMI 2.0.4 section 2.2.7: initial exact or approx, or an input)."""
         return self.variability != "constant" and (self.causality == "input" or self.initial in ("exact", "approx"))
+
+    @property
+    def is_signal(self) -> bool:
+        """Whether its values are numbers."""
+        return self.type not in ("String", "Binary", "Clock")
 
     @property
     def kind(self) -> Kind:
@@ -133,10 +138,14 @@ class Description:
         What each depends on directly; None: not said.
     initial_dependencies : mapping of unknown name to variable names, or to None
         The same in initialization mode (InitialUnknowns), for the unknowns that are listed there.
+    unnamed_states : int
+        Number of continuous states that have no names: all of FMI 1.
     capabilities : mapping of Mode to Capabilities
         The kinds that are there.
     event_indicators : int
         Number of their elements.
+    indicators : tuple of str
+        Names of the variables that are event indicators (FMI 3).
     clocks : tuple of str
         Names of the variables that are clocks.
     platforms : tuple of str
@@ -156,14 +165,20 @@ class Description:
     states: tuple[str, ...] = ()
     dependencies: Mapping[str, tuple[str, ...] | None] = field(default_factory=dict)
     initial_dependencies: Mapping[str, tuple[str, ...] | None] = field(default_factory=dict)
+    unnamed_states: int = 0
     capabilities: Mapping[Mode, Capabilities] = field(default_factory=dict)
     event_indicators: int = 0
+    indicators: tuple[str, ...] = ()
     clocks: tuple[str, ...] = ()
     platforms: tuple[str, ...] = ()
     read: tuple[str, ...] = ()
     default_step: float | None = None
     default_tolerance: float | None = None
     tool: str = ""
+    _named: dict[str, Variable] = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "_named", {variable.name: variable for variable in self.variables})
 
     def __getitem__(self, name: str) -> Variable:
         """Find a variable.
@@ -173,18 +188,18 @@ class Description:
         FmuError
             If there is none of that name; with the nearest one.
         """
-        for variable in self.variables:
-            if variable.name == name:
-                return variable
-        raise FmuError(f"{self.name}: no variable {name!r}; {nearest(name, [v.name for v in self.variables])}")
+        found = self._named.get(name)
+        if found is None:
+            raise FmuError(f"{self.name}: no variable {name!r}; {nearest(name, self._named)}")
+        return found
 
     def ports(self, causality: str) -> tuple[tuple[Signal, tuple[Variable, ...]], ...]:
         """Give the signals of one causality with the variables that carry their elements, in order.
 
-        What is ``read`` beside the outputs stands behind them.
+        What is ``read`` beside the outputs stands behind them. Second names (``alias_of``) are left out.
         """
         beside = [self[name] for name in self.read] if causality == "output" else []
-        carried = [v for v in self.variables if v.causality == causality and v.type not in ("String", "Binary", "Clock")] + beside
+        carried = [v for v in self.variables if v.causality == causality and v.is_signal and v.alias_of is None] + beside
         return tuple((self._signal(name, group), group) for name, group in _vectors(carried))
 
     def references(self, causality: str) -> References:
@@ -205,24 +220,58 @@ class Description:
     @property
     def n_states(self) -> int:
         """Number of continuous state elements."""
-        return sum(self[name].size for name in self.states)
+        return self.unnamed_states + sum(self[name].size for name in self.states)
 
     @property
     def interface(self) -> Interface:
         """Inputs, outputs and feedthrough, vectors put together again."""
         inputs, outputs = self.ports("input"), self.ports("output")
         port_of = {v.name: signal.name for signal, group in inputs for v in group}
-        feedthrough = {signal.name: self._feeds(group, port_of) for signal, group in outputs}
-        return Interface(tuple(s for s, _ in inputs), tuple(s for s, _ in outputs), feedthrough)
+        states = set(self.states)
+        direct = {v.name: () if v.name in states else self.dependencies.get(v.name) for _, group in outputs for v in group}
+        at_start = direct | dict(self.initial_dependencies)
+        feedthrough = {signal.name: _feeds(group, direct, port_of) for signal, group in outputs}
+        initial = {
+            signal.name: _feeds(group, at_start, port_of)
+            for signal, group in outputs
+            if any(v.name in self.initial_dependencies for v in group)
+        }
+        return Interface(tuple(s for s, _ in inputs), tuple(s for s, _ in outputs), feedthrough, initial)
 
-    def _feeds(self, group: Sequence[Variable], port_of: Mapping[str, str]) -> tuple[str, ...] | None:
-        found: set[str] = set()
-        for variable in group:
-            names = () if variable.name in self.states else self.dependencies.get(variable.name)
-            if names is None:
-                return None
-            found.update(port_of[name] for name in names if name in port_of)
-        return tuple(name for name in dict.fromkeys(port_of.values()) if name in found)
+    def resized(self, structural: Mapping[str, int]) -> Description:
+        """Give the description with other values of structural parameters (FMI 3.0 section 2.4.7.5.1).
+
+        Arrays whose size changes lose their start values, as the standard says.
+
+        Raises
+        ------
+        FmuError
+            If there is no such structural parameter, or the value is none that it may have.
+        """
+        for name, value in structural.items():
+            variable = self[name]
+            if variable.causality != "structuralParameter":
+                raise FmuError(f"{self.name}: {name!r} is no structural parameter, but of causality {variable.causality}")
+            if int(value) != value or not max(1, variable.minimum) <= value <= variable.maximum:
+                needed = f"a whole number from {max(1, variable.minimum):g} to {variable.maximum:g}"
+                raise FmuError(f"{self.name}: structural parameter {name!r}: found {value}, needed {needed}")
+        variables = tuple(self._sized(variable, structural) for variable in self.variables)
+        sizes = {variable.name: variable.size for variable in variables}
+        indicators = sum(sizes[name] for name in self.indicators) if self.indicators else self.event_indicators
+        return replace(self, variables=variables, event_indicators=indicators)
+
+    def _sized(self, variable: Variable, structural: Mapping[str, int]) -> Variable:
+        name = variable.alias_of or variable.name
+        if name in structural:
+            return replace(variable, start=(float(structural[name]),))
+        if not any(dimension in structural for dimension in variable.dimensions):
+            return variable
+        lengths = [
+            d if isinstance(d, int) else int(structural[d]) if d in structural else int((self[d].start or (1,))[0])
+            for d in variable.dimensions
+        ]
+        size = math.prod(lengths)
+        return variable if size == variable.size else replace(variable, size=size, start=None, text=None)
 
     def _signal(self, name: str, group: Sequence[Variable]) -> Signal:
         first = group[0]
@@ -234,7 +283,28 @@ class Description:
             variability="continuous" if first.variability == "continuous" else "discrete",
             kind=first.kind,
             role="input" if first.causality == "input" else "state" if is_state else "output",
+            base=first.base,
+            start=_starts(group) if first.causality == "input" else (),
         )
+
+
+def _feeds(
+    group: Sequence[Variable], dependencies: Mapping[str, tuple[str, ...] | None], port_of: Mapping[str, str]
+) -> tuple[str, ...] | None:
+    """Give the inputs on which a group of variables depends; None: not said of one of them."""
+    found: set[str] = set()
+    for variable in group:
+        names = dependencies[variable.name]
+        if names is None:
+            return None
+        found.update(port_of[name] for name in names if name in port_of)
+    return tuple(name for name in dict.fromkeys(port_of.values()) if name in found)
+
+
+def _starts(group: Sequence[Variable]) -> tuple[float, ...]:
+    """Give the start values of an input's elements, 0 where there is none; empty where all are."""
+    found = tuple(value for v in group for value in (v.start or (0.0,) * v.size))
+    return found if any(found) else ()
 
 
 def _vectors(variables: Sequence[Variable]) -> list[tuple[str, tuple[Variable, ...]]]:
@@ -249,7 +319,7 @@ def _vectors(variables: Sequence[Variable]) -> list[tuple[str, tuple[Variable, .
         base = variable.name.rpartition("[")[0]
         family = families.get(base, {})
         numbers, first = sorted(family), min(family, default=0)
-        alike = len({(v.kind, v.unit, v.variability) for v in family.values()}) == 1
+        alike = len({(v.kind, v.unit, v.base, v.variability) for v in family.values()}) == 1
         if variable in family.values() and alike and first in (0, 1) and base not in names and numbers[-1] - first < len(numbers):
             if base not in done:
                 found.append((base, tuple(family[i] for i in numbers)))

@@ -23,7 +23,7 @@ from cosim.core.contracts import Model
 from cosim.core.signals import Interface
 from cosim.core.solver import LinearModel
 from cosim.errors import FmuError
-from cosim.fmi.description import Capabilities, Description, describe, states_of_outputs
+from cosim.fmi.description import Capabilities, Description, Variable, describe, states_of_outputs
 from cosim.fmi.references import References
 from cosim.fmi.unit import DiscreteStates
 from cosim.native.step import affine
@@ -235,6 +235,32 @@ class GeneratedUnit:
         self._values[m + p + n :] = self._x
         self._stale = False
 
+    def get_event_indicators(self) -> Vector:
+        """Give none: a model without memory has no events of its own."""
+        return np.zeros(0)
+
+    def get_nominals(self) -> Vector:
+        """Give the nominal values of the states, shape (n_x,): nothing is known of them."""
+        return np.ones(self._n)
+
+    # --- what a model of ours does not have ---
+
+    def enter_configuration_mode(self) -> None:
+        """Refuse: there are no structural parameters."""
+        raise FmuError(f"{self._name}: a model has no structural parameters")
+
+    def exit_configuration_mode(self) -> None:
+        """Refuse: there are no structural parameters."""
+        self.enter_configuration_mode()
+
+    def set_text(self, variable: Variable, values: tuple[str, ...]) -> None:
+        """Refuse: there are no texts."""
+        raise FmuError(f"{self._name}: a model has no texts")
+
+    def get_text(self, variable: Variable) -> tuple[str, ...]:
+        """Give none."""
+        return ()
+
     # --- directional derivatives and states ---
 
     def get_directional_derivative(self, unknowns: References, knowns: References, seed: Vector) -> Vector:
@@ -273,8 +299,8 @@ class GeneratedUnit:
             raise FmuError(f"{self._name}: the knowns of a directional derivative are inputs and states")
         return self._m + state
 
-    def get_fmu_state(self) -> object:
-        """Copy the whole state."""
+    def get_fmu_state(self, into: object | None = None) -> object:
+        """Copy the whole state; nothing is gained from an earlier copy."""
         self._require("get_fmu_state")
         return self._phase, self._t, self._x.copy(), self._u.copy(), dict(self._starts)
 

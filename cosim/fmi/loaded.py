@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from ctypes import byref, c_double, c_size_t, c_void_p
 from pathlib import Path
-from typing import Any, final
+from typing import Any, Final, final
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -13,10 +14,15 @@ from cosim.arrays import Vector
 from cosim.core.signals import Interface
 from cosim.core.solver import LinearModel
 from cosim.errors import RunError
-from cosim.fmi.binding import Library, Messages, bind, instantiate, pointer
-from cosim.fmi.description import LARGEST_EXACT, Description, Mode
+from cosim.fmi.binding import Calls, Instance
+from cosim.fmi.description import LARGEST_EXACT, Description, Mode, Variable
+from cosim.fmi.fmi2 import Fmi2
+from cosim.fmi.fmi3 import Fmi3
+from cosim.fmi.library import Library, pointer
+from cosim.fmi.messages import Messages
 from cosim.fmi.references import References
-from cosim.fmi.unit import DiscreteStates, StepEnd
+
+VERSIONS: Final[Mapping[str, tuple[str, Callable[[Library, Instance], Calls]]]] = {"2": ("fmi2", Fmi2), "3": ("fmi3", Fmi3)}
 
 
 @final
@@ -47,25 +53,31 @@ class LoadedUnit:
     def __init__(self, folder: Path, library: Path, description: Description, *, mode: Mode, name: str, label: str) -> None:
         self.description = description
         self.messages = Messages()
-        binding, prefix = instantiate(folder, library, description, mode=mode, name=name, label=label, messages=self.messages)
-        self._library = Library(binding, prefix, label, self.messages)
-        self._freed = False
+        about = Instance(description, mode, name, folder, self.messages)
+        self._calls = calls = bind(library, about, label)
+        self._library = calls.library
+        self._freed = self._running = False
         self._states: list[c_void_p] = []
-        self._calls = bind(self._library, description, mode)
-        self._n = description.n_states
+        self._n, self._n_z = description.n_states, description.event_indicators
         self._x = np.empty(self._n)
         self._x_memory = pointer(self._x)
-        call, states = self._library.call, self._calls.states
-        self._running = False
-        self._exit, self._reset, self._terminate = call("ExitInitializationMode"), call("Reset"), call("Terminate")
-        self._get_state, self._set_state = call(f"Get{states}", c_void_p), call(f"Set{states}", c_void_p)
-        self._free_state = call(f"Free{states}", c_void_p)
+        self.enter_configuration_mode, self.exit_configuration_mode = (
+            calls.enter_configuration_mode,
+            calls.exit_configuration_mode,
+        )
+        self.enter_event_mode, self.update_discrete_states = calls.enter_event_mode, calls.update_discrete_states
         if mode == "me":
-            self.enter_event_mode, self.enter_continuous_time_mode = call("EnterEventMode"), call("EnterContinuousTimeMode")
-            self.set_time = call("SetTime", c_double)
-            self._set_states = call("SetContinuousStates", c_void_p, c_size_t)
-            self._get_states = call("GetContinuousStates", c_void_p, c_size_t)
-            self._get_derivatives = call(self._calls.derivatives, c_void_p, c_size_t)
+            self._bind_model_exchange(calls)
+        else:
+            self.enter_step_mode, self.do_step = calls.enter_step_mode, calls.do_step
+
+    def _bind_model_exchange(self, calls: Calls) -> None:
+        call, vector = self._library.call, (c_void_p, c_size_t)
+        self.enter_continuous_time_mode, self.set_time = calls.enter_continuous_time_mode, call("SetTime", c_double)
+        self.completed_integrator_step = calls.completed_integrator_step
+        self._set_states, self._get_states = call("SetContinuousStates", *vector), call("GetContinuousStates", *vector)
+        self._get_derivatives, self._get_nominals = call(calls.derivatives, *vector), call(calls.nominals, *vector)
+        self._get_indicators = call("GetEventIndicators", *vector)
 
     @property
     def interface(self) -> Interface:
@@ -77,7 +89,7 @@ class LoadedUnit:
     def reset(self) -> None:
         """Go back to the state after instantiation."""
         self._running = False
-        self._reset()
+        self._calls.reset()
 
     def enter_initialization_mode(self, t: float) -> None:
         """Start at ``t`` [s]."""
@@ -85,22 +97,14 @@ class LoadedUnit:
 
     def exit_initialization_mode(self) -> None:
         """End the initialization."""
-        self._exit()
+        self._calls.exit_initialization_mode()
         self._running = True
-
-    def update_discrete_states(self) -> DiscreteStates:
-        """Do one event iteration."""
-        return self._calls.update_discrete_states()
-
-    def completed_integrator_step(self) -> tuple[bool, bool]:
-        """Accept the step; answers (enter event mode, terminate)."""
-        return self._calls.completed_integrator_step()
 
     def terminate(self) -> None:
         """End the run; the standard forbids the call before its start and after an error."""
         if self._running and not self._library.failed and not self._freed:
             self._running = False
-            self._terminate()
+            self._calls.terminate()
 
     def free_instance(self) -> None:
         """Free the instance and unload the library; once."""
@@ -108,7 +112,8 @@ class LoadedUnit:
             for state in tuple(self._states):
                 self.free_fmu_state(state)
             self._freed = True
-            self._library.free()
+            self._calls.free()
+            self._library.unload()
 
     # --- values ---
 
@@ -156,36 +161,95 @@ class LoadedUnit:
         self._calls.directional_derivative(unknowns.groups[0], knowns.groups[0], seed, result)
         return result
 
-    # --- co-simulation ---
+    def get_event_indicators(self) -> Vector:
+        """Give the event indicators as a new vector."""
+        z = np.empty(self._n_z)
+        self._get_indicators(pointer(z), self._n_z)
+        return z
+
+    def get_nominals(self) -> Vector:
+        """Give the nominal values of the states, shape (n_x,)."""
+        nominals = np.empty(self._n)
+        self._get_nominals(pointer(nominals), self._n)
+        return nominals
 
     def set_input_derivatives(self, references: References, slopes: Vector) -> None:
-        """Set du/dt for the next step."""
+        """Set du/dt for the next step, of Float64 variables."""
         self._calls.set_input_derivatives(references.groups[0], slopes)
 
-    def do_step(self, t: float, h: float) -> StepEnd:
-        """Advance from ``t`` by ``h`` seconds."""
-        return self._calls.do_step(t, h)
+    # --- texts ---
+
+    def set_text(self, variable: Variable, values: tuple[str, ...]) -> None:
+        """Set a String; a Binary is given in hexadecimal.
+
+        Raises
+        ------
+        RunError
+            If there are more or fewer than the variable has elements, or one cannot be handed over.
+        """
+        if len(values) != variable.size:
+            raise RunError(f"{self._library.name}: {variable.name}: found {len(values)} texts, needed {variable.size}")
+        try:
+            raw = [bytes.fromhex(text) if variable.type == "Binary" else _string(text) for text in values]
+        except ValueError as error:
+            raise RunError(f"{self._library.name}: {variable.name}: {values} cannot be set: {error}") from error
+        self._calls.set_text(variable, raw)
+
+    def get_text(self, variable: Variable) -> tuple[str, ...]:
+        """Get a String, or a Binary in hexadecimal."""
+        raw = self._calls.get_text(variable)
+        return tuple(data.hex() if variable.type == "Binary" else data.decode("utf-8", "replace") for data in raw)
 
     # --- states ---
 
-    def get_fmu_state(self) -> object:
-        """Copy the whole state."""
-        state = c_void_p()
-        self._get_state(byref(state))
-        self._states.append(state)
-        return state
+    def get_fmu_state(self, into: object | None = None) -> object:
+        """Copy the whole state, into the memory of an earlier copy if one is given."""
+        if into is None:
+            state = c_void_p()
+            self._calls.get_state(byref(state))
+            self._states.append(state)
+            return state
+        self._calls.get_state(byref(into))  # type: ignore[arg-type]
+        return into
 
     def set_fmu_state(self, state: object) -> None:
         """Go back to a copied state."""
-        self._set_state(state)
+        self._calls.set_state(state)
 
     def free_fmu_state(self, state: object) -> None:
         """Let go of a copied state; nothing to do once the instance is gone."""
         mine = next((i for i, known in enumerate(self._states) if known is state), None)
         if mine is not None:
             known = self._states.pop(mine)
-            if not self._library.lost:
-                self._free_state(byref(known))
+            if not self._library.over:
+                self._calls.free_state(byref(known))
+
+
+def bind(binary: Path, about: Instance, label: str) -> Calls:
+    """Load a binary, bind its calls, and instantiate; ``label`` names the FMU in messages.
+
+    Raises
+    ------
+    FmuError
+        If the library cannot be loaded, lacks a function, or refuses to instantiate. It is then unloaded.
+    """
+    prefix, version = VERSIONS[about.description.version[0]]
+    library = Library(binary, prefix, label, about.messages)
+    try:
+        calls = version(library, about)
+        calls.instantiate()
+        if not library.instance:
+            raise library.refusal("it refuses to instantiate")
+    except BaseException:
+        library.unload()
+        raise
+    return calls
+
+
+def _string(text: str) -> bytes:
+    if "\0" in text:
+        raise ValueError("a String ends at its first character 0")
+    return text.encode()
 
 
 def to_own(name: str, kind: str, dtype: DTypeLike, values: Vector) -> NDArray[Any]:

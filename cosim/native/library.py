@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from ctypes import POINTER, c_double, c_int32, c_int64, c_uint8, c_void_p
+from ctypes import POINTER, c_char, c_double, c_int32, c_int64, c_size_t, c_uint8, c_void_p
 from typing import Any
 
 import numpy as np
@@ -73,6 +73,35 @@ class LeastSquaresStruct(ctypes.Structure):
     )
 
 
+class MessageStruct(ctypes.Structure):
+    """cosim_message."""
+
+    _fields_ = (("status", c_int32), ("category", c_char * 100), ("text", c_char * 1001))
+
+
+class MessagesStruct(ctypes.Structure):
+    """cosim_messages."""
+
+    _fields_ = (
+        *((name, c_void_p) for name in ("next", "key", "ring")),
+        *((name, c_int32) for name in ("size", "first", "count", "expects")),
+        ("dropped", c_int64),
+    )
+
+
+class LinesStruct(ctypes.Structure):
+    """cosim_lines."""
+
+    _fields_ = (
+        *((name, c_void_p) for name in ("set", "instance", "references")),
+        ("count", c_size_t),
+        ("size", c_size_t),
+        *((name, c_void_p) for name in ("start", "slope", "values")),
+        ("t0", c_double),
+        ("status", c_int32),
+    )
+
+
 def _load() -> Any:
     path = HERE / LIBRARY
     try:
@@ -95,6 +124,11 @@ def _load() -> Any:
         "cosim_evaluate": (c_double, [POINTER(ProgramStruct), c_double]),
         "cosim_regressor_outputs": (None, [c_void_p, c_double, c_double, doubles]),
         "cosim_least_squares_start": (None, [c_void_p, doubles]),
+        "cosim_messages_open": (None, [POINTER(MessagesStruct)]),
+        "cosim_messages_close": (None, [POINTER(MessagesStruct)]),
+        "cosim_messages_take": (c_int32, [POINTER(MessagesStruct), POINTER(MessageStruct)]),
+        "cosim_messages_last": (c_int32, [POINTER(MessagesStruct), POINTER(MessageStruct)]),
+        "cosim_messages_dropped": (c_int64, [POINTER(MessagesStruct)]),
     }
     for name, (result, arguments) in signatures.items():
         function = getattr(library, name)
@@ -106,7 +140,7 @@ library = _load()
 
 
 def address(function: str) -> int:
-    """Give the address of a step function of the library."""
+    """Give the address of a function of the library, for C."""
     value = ctypes.cast(getattr(library, function), c_void_p).value
     assert value is not None
     return value

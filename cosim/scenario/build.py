@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -30,8 +30,8 @@ Problems = list[tuple[Key, str]]
 class Speaker(Protocol):
     """An opened FMU, as far as its messages go."""
 
-    def drain(self) -> list[tuple[Level, str]]:
-        """Give what it said since the last call, as (level, text)."""
+    def drain(self) -> Sequence[tuple[Level, str, str]]:
+        """Give what it said since the last call, as (level, category, text)."""
         ...
 
 

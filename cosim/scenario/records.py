@@ -58,8 +58,8 @@ class Narrated:
 
     def _tell(self) -> None:
         for name, fmu in self._experiment.fmus.items():
-            for level, text in fmu.drain():
-                self._recorder.message(self._reached, level, name, text)
+            for level, category, text in fmu.drain():
+                self._recorder.message(self._reached, level, name, f"{category}: {text}" if category else text)
 
 
 def _level(error: BaseException) -> Level:

@@ -7,7 +7,9 @@ from pathlib import Path
 import pytest
 
 from cosim.fmi.export import export
+from tests.fmi.compiled import compile_fmu
 from tests.fmi.plant import model
+from tests.fmi.probes import xml2, xml3
 
 
 @pytest.fixture(scope="session")
@@ -44,3 +46,13 @@ def temporary(tmp_path, monkeypatch) -> Path:
     folder.mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(folder))
     return folder
+
+
+@pytest.fixture(scope="session")
+def probe2(tmp_path_factory) -> Path:
+    return compile_fmu(tmp_path_factory.mktemp("probe") / "probe2.fmu", xml2(indicators=1), "probe2.c")
+
+
+@pytest.fixture(scope="session")
+def probe3(tmp_path_factory) -> Path:
+    return compile_fmu(tmp_path_factory.mktemp("probe") / "probe3.fmu", xml3(), "probe3.c")

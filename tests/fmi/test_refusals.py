@@ -77,7 +77,7 @@ def test_encrypted_entry(tmp_path):
     central = path.read_bytes().index(b"PK\x01\x02")
     refused(
         overwritten(overwritten(path, 6, b"\x01"), central + 8, b"\x01"),
-        r"x\.fmu: the archive cannot be unpacked: RuntimeError: File 'modelDescription.xml' is encrypted",
+        r"x\.fmu: the archive has an encrypted entry: 'modelDescription.xml'",
     )
 
 
@@ -119,7 +119,7 @@ def test_links(tmp_path, edited):
         link = zipfile.ZipInfo("resources/link")
         link.create_system, link.external_attr = 3, 0o120777 << 16
         target.writestr(link, "/etc/passwd")
-    refused(path, "the archive has a link: 'resources/link'; needed files and folders only")
+    refused(path, "the archive has a link, where it may have files and folders only: 'resources/link'")
 
 
 def test_too_many_entries(edited):
@@ -139,32 +139,22 @@ def test_too_large(edited):
     )
 
 
-@pytest.mark.parametrize(
-    ("step", "text"),
-    [
-        ("abc", "ValueError: could not convert string to float: 'abc'"),
-        ("-1", "fixedInternalStepSize: found -1, needed a positive number"),
-        ("nan", "fixedInternalStepSize: found nan, needed a positive number"),
-    ],
-)
-def test_fixed_step_that_is_none(edited, step, text):
-    refused(edited(("<CoSimulation ", f'<CoSimulation fixedInternalStepSize="{step}" ')), f"cannot be read: .*{text}")
-
-
 def test_fmi_1(tmp_path):
-    path = archive(tmp_path / "x.fmu", {"modelDescription.xml": '<fmiModelDescription fmiVersion="1.0"/>'})
-    refused(path, "FMI 1.0 is not supported yet; FMI 2.0 and 3.0 are")
+    xml = '<fmiModelDescription fmiVersion="1.0" guid="{1}" modelIdentifier="m"/>'
+    refused(
+        archive(tmp_path / "x.fmu", {"modelDescription.xml": xml}), "FMI 1.0 can be read, but not run yet; FMI 2.0 and 3.0 can"
+    )
 
 
 @pytest.mark.parametrize("version", ['fmiVersion="4.0"', ""])
 def test_unknown_version(tmp_path, version):
     path = archive(tmp_path / "x.fmu", {"modelDescription.xml": f"<fmiModelDescription {version}/>"})
-    refused(path, "unknown FMI version ('4.0'|None); FMI 2.0 and 3.0 are supported")
+    refused(path, "unknown FMI version ('4.0'|None); FMI 1.0, 2.0 and 3.0 are supported")
 
 
 def test_description_that_makes_no_sense(tmp_path):
     path = archive(tmp_path / "x.fmu", {"modelDescription.xml": '<fmiModelDescription fmiVersion="2.0"/>'})
-    refused(path, "modelDescription.xml cannot be read")
+    refused(path, "modelDescription.xml: fmiModelDescription: the attribute guid is missing")
 
 
 def test_no_binary_for_this_platform(edited):
@@ -180,12 +170,6 @@ def test_a_kind_that_is_not_there(edited):
         assert fmu.mode == "cs"
 
 
-def test_state_events(edited):
-    path = edited(('numberOfEventIndicators="0"', 'numberOfEventIndicators="2"'))
-    refused(path, 'has 2 event indicators; state events are not located yet in model exchange; use mode = "cs"')
-    load(path, mode="cs").close()
-
-
 def test_wrong_identifier(edited):
     refused(edited(('modelIdentifier="academic"', 'modelIdentifier="../x"')), "modelIdentifier '../x' is no identifier of C")
 
@@ -195,13 +179,13 @@ def test_binary_that_is_none(edited, exported):
         binary = next(name for name in source.namelist() if name.startswith("binaries/"))
     refused(
         edited(without="binaries/", extra={binary: b"not a library"}),
-        "the binary .* cannot be used: Failed to load shared library",
+        r"the binary academic\S+ cannot be used: .*file too short",
     )
 
 
 def test_binary_of_another_model(edited):
     refused(
-        edited(('guid="{', 'guid="{0')), "cannot be used: Failed to instantiate model; it said: error: fmi2Instantiate: the GUID"
+        edited(('guid="{', 'guid="{0')), "cannot be used: it refuses to instantiate; it said: error: fmi2Instantiate: the GUID"
     )
 
 

@@ -1,15 +1,11 @@
 """Values, messages and statuses on their way between an FMU and us."""
 
-from ctypes import c_void_p
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
 from cosim.errors import RunError
-from cosim.fmi.binding import MESSAGES, Library, Messages
-from cosim.fmi.component import load
 from cosim.fmi.loaded import from_own, to_own
+from tests.fmi.probes import opened
 
 
 @pytest.mark.parametrize("value", [2**53, -(2**53), 0])
@@ -37,66 +33,16 @@ def test_numbers_outside_a_type_are_refused(kind, value):
         to_own("m", kind, own, np.array([value]))
 
 
-class Dll(dict):
-    """A library with one function that answers a status, and one that frees."""
-
-    def __init__(self, status):
-        self.freed = 0
-        super().__init__(fmi2Reset=lambda instance: status, fmi2FreeInstance=self._free)
-        for name, function in self.items():
-            self[name] = SimpleFunction(function)
-
-    def _free(self, instance):
-        self.freed += 1
-
-
-class SimpleFunction:
-    def __init__(self, function):
-        self._function = function
-
-    def __call__(self, *arguments):
-        return self._function(*arguments)
-
-
 @pytest.mark.parametrize(
     ("status", "label", "freed"), [(3, "error", 1), (4, "fatal", 0), (5, "pending", 1), (9, "no status of the standard", 1)]
 )
-def test_only_a_fatal_status_forbids_freeing(status, label, freed):
+def test_only_a_fatal_status_forbids_freeing(probe2, status, label, freed):
     """FMI 2.0.4 section 2.1.3: after fmi2Fatal no call is allowed; after any other the instance can be freed."""
-    dll = Dll(status)
-    binding = SimpleNamespace(dll=dll, component=c_void_p(1), freeLibrary=lambda: None)
-    library = Library(binding, "fmi2", "m", Messages())
-    with pytest.raises(RunError, match=rf"m: fmi2Reset returned {status} \({label}\)"):
-        library.call("Reset")()
-    library.free()
-    assert dll.freed == freed
-
-
-def test_messages_are_drained_once_with_their_level():
-    """Levels are those of a log; what did not fit is counted, once."""
-    messages = Messages()
-    for status in range(7):
-        messages.add(status, f"text {status}".encode())
-    levels = ["info", "warning", "warning", "error", "fatal", "info", "warning"]
-    assert messages.tail == "; it said: warning: text 6"
-    assert messages.drain() == [(level, f"text {i}") for i, level in enumerate(levels)]
-    assert messages.drain() == []
-    for i in range(MESSAGES + 3):
-        messages.add(0, str(i).encode())
-    found = messages.drain()
-    assert found[0] == ("warning", "3 earlier messages of the FMU were dropped")
-    assert found[1:] == [("info", str(i)) for i in range(3, MESSAGES + 3)]
-    messages.add(3, b"\xff" + 2000 * b"x")
-    assert messages.drain() == [("error", "�" + 999 * "x")]
-    messages.add(0, None)
-    assert messages.drain() == [("info", "")]
-
-
-def test_an_fmu_hands_over_its_messages(exported):
-    """A refused call is said by the FMU; the second time there is nothing new."""
-    with load(exported, mode="cs") as fmu:
-        assert fmu.drain() == []
-        with pytest.raises(RunError, match="it said: error: call not allowed in this mode"):
-            fmu.component._unit.do_step(0.0, 0.1)
-        assert fmu.drain() == [("error", "call not allowed in this mode")]
-        assert fmu.drain() == []
+    with opened(probe2, mode="cs") as (fmu, unit):
+        unit.set_float64(unit.description.reference(["answer"]), np.array([float(status)]))
+        with pytest.raises(RunError, match=rf"probe2.fmu: fmi2Reset returned {status} \({label}\)"):
+            unit.reset()
+        if status == 4:
+            with pytest.raises(RunError, match=r"fmi2Reset cannot be called: fmi2Reset returned 4 \(fatal\) before"):
+                unit.reset()
+    assert [text for *_, text in fmu.drain()].count("freed") == freed

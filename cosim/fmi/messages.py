@@ -1,0 +1,65 @@
+"""What an FMU logs, between the kernels' callback that takes it (``native/fmi.c``) and the log."""
+
+from __future__ import annotations
+
+import weakref
+from ctypes import byref, c_void_p, cast
+from typing import Final, NamedTuple
+
+from cosim.core.contracts import Level
+from cosim.native.library import MessagesStruct, MessageStruct, library
+
+LEVELS: Final[tuple[Level, ...]] = ("info", "warning", "warning", "error", "fatal", "info")  # by FMI status
+MESSAGES: Final = 100  # how many are kept until they are fetched
+
+
+class Message(NamedTuple):
+    """A message of an FMU; ``category`` is one of its LogCategories."""
+
+    level: Level
+    category: str
+    text: str
+
+    @staticmethod
+    def of(found: MessageStruct) -> Message:
+        """Read what the callback took."""
+        level: Level = LEVELS[found.status] if 0 <= found.status < len(LEVELS) else "warning"
+        return Message(level, found.category.decode("utf-8", "replace"), found.text.decode("utf-8", "replace"))
+
+
+class Messages:
+    """What an FMU logs, kept until it is fetched: the last ``MESSAGES`` of it, 1000 bytes each."""
+
+    def __init__(self) -> None:
+        ring = (MessageStruct * MESSAGES)()
+        self._kept = MessagesStruct(ring=cast(ring, c_void_p), size=MESSAGES)
+        self._out = MessageStruct()
+        library.cosim_messages_open(byref(self._kept))
+        weakref.finalize(self, _close, self._kept, ring)
+
+    def listen(self, key: int | None) -> None:
+        """Take what comes with this key; None: with a key that nobody listens to."""
+        self._kept.key, self._kept.expects = key, int(key is None)
+
+    @property
+    def tail(self) -> str:
+        """The last one that was not fetched yet, as the tail of an error; empty where there is none."""
+        if not library.cosim_messages_last(byref(self._kept), byref(self._out)):
+            return ""
+        last = Message.of(self._out)
+        return f"; it said: {last.level}: {last.text}"
+
+    def drain(self) -> list[Message]:
+        """Give the messages since the last call, and how many were dropped."""
+        dropped = library.cosim_messages_dropped(byref(self._kept))
+        found = [Message("warning", "", f"{dropped} earlier messages of the FMU were dropped")] if dropped else []
+        for _ in range(MESSAGES):  # not for ever, if it goes on to log from another thread
+            if not library.cosim_messages_take(byref(self._kept), byref(self._out)):
+                break
+            found.append(Message.of(self._out))
+        return found
+
+
+def _close(kept: MessagesStruct, ring: object) -> None:
+    """Let no FMU reach the memory any more, which is kept until then."""
+    library.cosim_messages_close(byref(kept))

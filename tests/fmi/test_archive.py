@@ -1,0 +1,357 @@
+"""Hostile archives are refused or contained: nothing outside the work folder, nothing left, bounded memory."""
+
+import os
+import stat
+import struct
+import tracemalloc
+import zipfile
+import zlib
+
+import pytest
+
+from cosim.errors import FmuError
+from cosim.fmi import archive
+from cosim.fmi.component import load
+from cosim.fmi.reading import read
+from tests.fmi.archives import XML, Entry, deflate, write, zeros
+
+MEMORY = 50 * 2**20  # bytes beside what was there: an archive is never held whole, and its XML is small here
+
+
+@pytest.fixture
+def place(tmp_path, temporary):
+    """Give a folder to write the archive into; afterwards it holds the archive alone, and no temporary folder is left."""
+    folder = tmp_path / "work" / "deep"
+    folder.mkdir(parents=True)
+    home = os.getcwd()
+    yield folder
+    left = sorted(str(file.relative_to(tmp_path)) for file in tmp_path.rglob("*"))
+    assert left == ["temporary", "work", "work/deep", "work/deep/x.fmu"]
+    assert os.getcwd() == home
+
+
+def refused(path, text):
+    """Reading and loading say the same; unpacking writes nothing outside the folder, and little memory is used."""
+    tracemalloc.start()
+    try:
+        for opening in (read, load):
+            with pytest.raises(FmuError, match=text) as error:
+                opening(path)
+            assert str(path) in str(error.value)
+            assert error.value.exit_code == 2
+        assert tracemalloc.get_traced_memory()[1] < MEMORY
+    finally:
+        tracemalloc.stop()
+
+
+CONTROL, BACKSLASH = "an entry with a control character in its name", "an entry with a backslash in its name"
+NAMES = {
+    "/etc/evil": "an entry with an absolute path: '/etc/evil'",
+    "//server/share/evil": "an entry with an absolute path",
+    "\\\\server\\share\\evil": "an entry with an absolute path",
+    "\\evil": "an entry with an absolute path",
+    "C:/evil": "an entry with an absolute path: 'C:/evil'",
+    "c:evil": "an entry with an absolute path",
+    "C:\\evil": "an entry with an absolute path",
+    "../evil": r"an entry that leads out of it: '\.\./evil'",
+    "..": "an entry that leads out of it",
+    "resources/../../evil": "an entry that leads out of it",
+    "resources/..": "an entry that leads out of it",
+    "..\\evil": "an entry that leads out of it",
+    "resources\\..\\..\\evil": "an entry that leads out of it",
+    "resources/..\\../evil": "an entry that leads out of it",
+    "resources\\evil": BACKSLASH,
+    "resources/evil\0.txt": CONTROL,
+    "resources/e\nvil": CONTROL,
+    "resources/e\x7fvil": CONTROL,
+    "resources/e\u202evil": CONTROL,  # writes from right to left
+    "./evil": "an entry with an empty part in its path",
+    "resources//evil": "an entry with an empty part in its path",
+    "resources/./evil": "an entry with an empty part in its path",
+    "": "an entry with an empty part in its path",
+    "resources/evil:stream": "an entry with a name that Windows keeps for devices or streams",
+    "resources/NUL": "an entry with a name that Windows keeps for devices or streams",
+    "resources/com1.txt": "an entry with a name that Windows keeps for devices or streams",
+    "resources/evil.": "an entry with a name that Windows keeps for devices or streams, or ends otherwise",
+    "resources./evil": "an entry with a name that Windows keeps for devices or streams, or ends otherwise",
+    "resources/evil ": "an entry with a name that Windows keeps for devices or streams, or ends otherwise",
+    "a/" * 40 + "evil": r"an entry whose path is too long \(at most 32 parts of 255 bytes\)",
+    "é" * 128: "an entry whose path is too long",
+}
+
+
+@pytest.mark.parametrize(("name", "text"), NAMES.items(), ids=[ascii(name)[:30] for name in NAMES])
+def test_names_of_entries(place, name, text):
+    """Only relative paths of plain names are files."""
+    refused(write(place / "x.fmu", [Entry(name, b"x")]), f"the archive has {text}")
+
+
+CLASHES = {
+    "duplicate": (["a.txt", "a.txt"], "two entries of one name: 'a.txt'"),
+    "second description": (["modelDescription.xml"], "two entries of one name: 'modelDescription.xml'"),
+    "duplicate folder": (["a/", "a/"], "two entries of one name: 'a/'"),
+    "case": (["resources/a.txt", "resources/A.txt"], "names that are one on some systems: 'resources/a.txt' and 'resources/A.txt'"),
+    "case of a description": (["MODELDESCRIPTION.XML"], "names that are one on some systems"),
+    "case of a folder": (["resources/a.txt", "Resources/b.txt"], "names that are one on some systems: 'resources' and 'Resources'"),
+    "sharp s": (["straße", "STRASSE"], "names that are one on some systems"),
+    "composed letters": (["\u00e9.txt", "e\u0301.txt"], "names that are one on some systems"),
+    "file as folder": (["resources", "resources/a.txt"], "'resources' as a file, where 'resources/a.txt' needs a folder"),
+    "folder as file": (["resources/a/b.txt", "resources/a"], "'resources/a' as a file, where 'resources/a/b.txt' needs a folder"),
+    "file and folder": (["resources", "resources/"], "'resources' as a file, where 'resources/' needs a folder"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("names", "text"), CLASHES.values(), ids=CLASHES)
+def test_names_that_clash(place, names, text):
+    """Names that are one file on some system are one too many."""
+    refused(
+        write(place / "x.fmu", [Entry(name, b"" if name.endswith("/") else b"x") for name in names]), f"the archive has {text}"
+    )
+
+
+KINDS = {
+    "link": (Entry("a", b"/etc/passwd", mode=stat.S_IFLNK | 0o777), "a link, where it may have files and folders only: 'a'"),
+    "link to a folder": (Entry("a/", b"", mode=stat.S_IFLNK | 0o777), "a link, where it may have files and folders only: 'a/'"),
+    "device": (Entry("a", b"", mode=stat.S_IFBLK | 0o600), "a special file"),
+    "pipe": (Entry("a", b"", mode=stat.S_IFIFO | 0o600), "a special file"),
+    "socket": (Entry("a", b"", mode=stat.S_IFSOCK | 0o600), "a special file"),
+    "folder without a slash": (Entry("a", b"", mode=stat.S_IFDIR | 0o700), "a special file"),
+    "folder with content": (Entry("a/", b"x", mode=stat.S_IFDIR | 0o700), "a folder with content of its own: 'a/'"),
+    "encrypted": (Entry("a", b"x", flags=1), "an encrypted entry: 'a'"),
+    "strongly encrypted": (Entry("a", b"x", flags=0x41), "an encrypted entry: 'a'"),
+    "deflate64": (Entry("a", b"x", method=9), r"an entry with compression method 9 \(needed 0, stored, or 8, deflated\): 'a'"),
+    "bzip2": (Entry("a", b"x", method=12), "an entry with compression method 12"),
+    "lzma": (Entry("a", b"x", method=14), "an entry with compression method 14"),
+    "unknown compression": (Entry("a", b"x", method=4711), "an entry with compression method 4711"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("entry", "text"), KINDS.values(), ids=KINDS)
+def test_kinds_of_entries(place, entry, text):
+    """Plain files and folders, stored or deflated, are all that an FMU needs."""
+    refused(write(place / "x.fmu", [entry]), f"the archive has {text}")
+
+
+def test_a_name_that_is_no_text(place):
+    """Said to be UTF-8, and is not."""
+    refused(write(place / "x.fmu", [Entry(b"\xff\xfe", b"x", flags=0x800)]), "not an FMU, as it is no zip archive")
+
+
+def test_a_hard_link_is_a_file(place):
+    """Extra fields that name another file are not looked at: what comes out is a file of its own."""
+    extra = struct.pack("<HH", 0x000D, 12 + len(b"/etc/passwd")) + bytes(12) + b"/etc/passwd"
+    path = write(place / "x.fmu", [Entry("resources/a", b"mine", extra=extra)])
+    assert "resources/a" in read(path).members
+
+
+# --- bombs ---
+
+
+def declared_small(size):
+    """Entries that say they are small."""
+    return Entry("resources/bomb", packed=zeros(size), size=10, crc=zlib.crc32(bytes(10)))
+
+
+def test_a_size_that_is_declared_too_small(place):
+    """Of a lie, only what was declared comes out."""
+    path = write(place / "x.fmu", [declared_small(2**27)])
+    with_folder = pytest.raises(FmuError, match="neither model exchange nor co-simulation")
+    with with_folder:
+        load(path)
+
+
+def test_a_size_that_is_declared_too_large(place):
+    """What does not come out was not there."""
+    path = write(place / "x.fmu", [Entry("resources/a", b"x" * 100, size=200)])
+    with pytest.raises(FmuError, match="'resources/a' has 100 bytes unpacked; the archive says 200"):
+        load(path)
+
+
+def test_the_sum_of_declared_sizes(place):
+    """The first reason to refuse, before anything is unpacked."""
+    entries = [Entry(f"resources/{i}", b"x", size=2**28) for i in range(5)]
+    refused(write(place / "x.fmu", entries), r"unpacked, the archive would have 1342\d{6} bytes; needed at most 1073741824")
+
+
+def test_a_ratio(place):
+    """Zeros pack a thousand times: 64 MiB in 65 kB; a small file of zeros is none."""
+    bomb = Entry("resources/bomb", packed=zeros(2**26), size=2**26, crc=zlib.crc32(bytes(2**26)))
+    with pytest.raises(
+        FmuError, match=r"'resources/bomb' is packed more than 200 times: 65\d{3} bytes unpack to 13\d{6} or more"
+    ):
+        load(write(place / "x.fmu", [bomb]))
+    with pytest.raises(FmuError, match="neither model exchange"):
+        load(write(place / "x.fmu", [Entry("resources/table", bytes(2**20))]))
+
+
+def test_a_ratio_that_is_declared_small(place):
+    """A packed size larger than the entry reaches into the next one."""
+    bomb = Entry("resources/bomb", packed=zeros(2**26), size=2**26, packed_size=2**20)
+    path = write(place / "x.fmu", [bomb, Entry("resources/a", b"x")])
+    refused(path, "the archive has overlapping entries: 'resources/a' begins inside another")
+
+
+def test_a_bomb_in_a_bomb(place):
+    """An archive in an archive stays a file."""
+    inner = place / "inner.zip"
+    with zipfile.ZipFile(inner, "w", zipfile.ZIP_DEFLATED) as target:
+        target.writestr("zeros", bytes(2**24))
+    content = inner.read_bytes()
+    inner.unlink()
+    path = write(place / "x.fmu", [Entry("resources/inner.zip", content, method=0)])
+    with pytest.raises(FmuError, match="neither model exchange"):
+        load(path)
+
+
+def test_many_entries(place):
+    entries = [Entry(f"resources/{i}") for i in range(10_000)]
+    refused(write(place / "x.fmu", entries), "the archive has 10001 entries; needed at most 10000")
+
+
+def test_a_list_of_entries_that_is_long(place):
+    """The list is not read before its length is known: here 20 MB of extra fields."""
+    extra = struct.pack("<HH", 0xCAFE, 60_000) + bytes(60_000)
+    entries = [Entry(f"resources/{i}", extra=extra, offset=0) for i in range(340)]
+    refused(write(place / "x.fmu", entries), r"the archive's list of entries takes 204\d{5} bytes; needed at most 16777216")
+
+
+def test_entries_that_overlap(place):
+    """Many entries with the bytes of one."""
+    names = [Entry(f"resources/{i}", b"x" * 1000, offset=0) for i in range(10)]
+    refused(write(place / "x.fmu", names), "the archive has overlapping entries: 'resources/0' begins inside another")
+
+
+def test_entries_that_quote_each_other(place):
+    """The packed content of the first holds the second whole."""
+    inner = struct.pack("<4s5H3I2H", b"PK\3\4", 20, 0x800, 0, 0, 33, zlib.crc32(b"x"), 1, 1, 1, 0) + b"bx"
+    path = write(place / "x.fmu", [Entry("a", inner, method=0), Entry("b", b"x", method=0, offset=31)], xml=None)
+    refused(path, "the archive has overlapping entries: 'b' begins inside another")
+
+
+# --- damage ---
+
+
+def test_an_archive_that_is_cut(place):
+    path = write(place / "x.fmu", [Entry("resources/a", bytes(range(256)) * 100)])
+    path.write_bytes(path.read_bytes()[:-60])
+    refused(path, "not an FMU, as it is no zip archive")
+
+
+def test_an_entry_that_reaches_beyond_the_end(place):
+    path = write(place / "x.fmu", [Entry("resources/a", b"x", method=0, packed_size=2000, size=2000)])
+    refused(path, "the archive has an entry that reaches beyond the others: the file is truncated or altered")
+
+
+@pytest.mark.parametrize("method", [0, 8])
+def test_a_wrong_sum(place, method):
+    with pytest.raises(FmuError, match="the archive cannot be unpacked: BadZipFile: Bad CRC-32 for file 'resources/a'"):
+        load(write(place / "x.fmu", [Entry("resources/a", b"x" * 10, method=method, crc=1)]))
+
+
+def test_a_stream_that_is_no_stream(place):
+    with pytest.raises(FmuError, match="the archive cannot be unpacked: error: Error -3"):
+        load(write(place / "x.fmu", [Entry("resources/a", b"x" * 10, packed=b"\xff" * 10)]))
+
+
+def test_a_stream_that_is_cut(place):
+    content = os.urandom(1000)
+    with pytest.raises(FmuError, match="'resources/a' has .* bytes unpacked; the archive says 1000|EOFError|Bad CRC"):
+        load(write(place / "x.fmu", [Entry("resources/a", content, packed=deflate(content)[:500])]))
+
+
+def test_another_name_in_the_local_header(place):
+    path = write(place / "x.fmu", [Entry("resources/a", b"x", method=0)])
+    data = path.read_bytes()
+    where = data.index(b"resources/a")
+    path.write_bytes(data[:where] + b"../../evil!" + data[where + 11 :])
+    with pytest.raises(FmuError, match="the archive cannot be unpacked: BadZipFile: File name in directory"):
+        load(path)
+
+
+def test_no_archive_at_all(place):
+    (place / "x.fmu").write_bytes(b"MZ" + bytes(1000))
+    refused(place / "x.fmu", "not an FMU, as it is no zip archive")
+
+
+def test_an_empty_file(place):
+    (place / "x.fmu").write_bytes(b"")
+    refused(place / "x.fmu", "not an FMU, as it is no zip archive")
+
+
+# --- the description ---
+
+
+def test_no_description(place):
+    refused(write(place / "x.fmu", [], xml=None), "not an FMU, as the archive has no modelDescription.xml")
+
+
+def test_a_description_that_is_a_folder(place):
+    path = write(place / "x.fmu", [Entry("modelDescription.xml/"), Entry("modelDescription.xml/a", b"x")], xml=None)
+    refused(path, "not an FMU, as the archive has no modelDescription.xml")
+
+
+LAUGHS = "".join(f'<!ENTITY l{i} "{f"&l{i - 1};" * 10}">' for i in range(1, 10))
+DOCUMENT_TYPES = {
+    "empty": "<!DOCTYPE fmiModelDescription>",
+    "system": '<!DOCTYPE x SYSTEM "http://127.0.0.1/x.dtd">',
+    "billion laughs": f'<!DOCTYPE x [<!ENTITY l0 "ha">{LAUGHS}]>',
+    "external entity": '<!DOCTYPE x [<!ENTITY e SYSTEM "file:///etc/passwd">]>',
+    "parameter entity": '<!DOCTYPE x [<!ENTITY % e SYSTEM "file:///etc/passwd"> %e;]>',
+    "quadratic": f'<!DOCTYPE x [<!ENTITY e "{"a" * 40_000}">]>',
+}
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16", "utf-16-be", "utf-16-le", "iso-8859-1"])
+@pytest.mark.parametrize("text", DOCUMENT_TYPES.values(), ids=DOCUMENT_TYPES)
+def test_document_types(place, text, encoding):
+    """Whatever its encoding, a document with a type is refused before its entities are used."""
+    named = "utf-16" if encoding.startswith("utf-16") else encoding
+    body = XML.partition("?>")[2].replace("<ModelVariables/>", "&l9;&e;" if "ENTITY" in text else "<ModelVariables/>")
+    xml = f'<?xml version="1.0" encoding="{named}"?>{text}{body}'.encode(encoding)
+    if encoding.startswith("utf-16-"):
+        xml = (b"\xfe\xff" if encoding.endswith("be") else b"\xff\xfe") + xml
+    refused(write(place / "x.fmu", [], xml=xml), "modelDescription.xml is not well-formed: it has a document type")
+
+
+def test_an_entity_that_is_not_known(place):
+    refused(write(place / "x.fmu", [], xml=XML.replace('"m"', '"&e;"').encode()), "not well-formed: undefined entity")
+
+
+def test_a_deep_description(place):
+    xml = XML.replace("<ModelVariables/>", "<a>" * 100_000 + "</a>" * 100_000).encode()
+    refused(write(place / "x.fmu", [], xml=xml), "not well-formed: elements stand more than 64 deep in each other")
+
+
+def test_a_huge_description(place, monkeypatch):
+    """More than 64 MB; shown with less, that the test be quick."""
+    assert archive.XML_LARGEST == 64 * 2**20
+    monkeypatch.setattr(archive, "XML_LARGEST", 10_000)
+    xml = XML.replace("<ModelVariables/>", "<!--" + os.urandom(6000).hex() + "-->").encode()
+    refused(write(place / "x.fmu", [], xml=xml), "'modelDescription.xml' has more than 10000 bytes unpacked")
+
+
+def test_a_description_that_is_a_bomb(place):
+    """64 MiB of blanks in 65 kB."""
+    xml = XML.encode() + b" " * 2**21
+    refused(write(place / "x.fmu", [], xml=xml), "'modelDescription.xml' is packed more than 200 times")
+
+
+@pytest.mark.parametrize("identifier", ["../../x", "/tmp/x", "a/b", "a.b", "", "a\\b", "9a", "ünit", "a b", "a\n"])
+def test_an_identifier_that_is_a_path(place, identifier):
+    """It becomes the name of the library that is loaded."""
+    xml = XML.replace("<ModelVariables/>", f'<CoSimulation modelIdentifier="{identifier}"/><ModelVariables/>').encode()
+    refused(write(place / "x.fmu", [], xml=xml), "CoSimulation: modelIdentifier .* is no identifier of C")
+
+
+def test_a_good_archive_comes_out_whole(tmp_path):
+    """Folders, empty ones too, files in folders that are not listed, stored and deflated; the sum is the file's."""
+    names = {"resources/a.txt": b"a" * 1000, "documentation/ü/b.txt": b"b", "empty": b""}
+    entries = [Entry(name, content, method=len(content) % 2 * 8) for name, content in names.items()]
+    path = write(tmp_path / "x.fmu", [*entries, Entry("extra/", mode=stat.S_IFDIR | 0o755)])
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    found = archive.look(path, "modelDescription.xml", folder)
+    assert found.wanted == XML.encode()
+    assert found.members == {*names, "modelDescription.xml"}
+    assert {name: (folder / name).read_bytes() for name in names} == names
+    assert (folder / "extra").is_dir()

@@ -1,0 +1,115 @@
+"""What an FMU logs is taken in C: formatted, bounded, from any thread, never printed."""
+
+import threading
+from ctypes import c_char_p, c_double, c_int, c_void_p
+
+import pytest
+
+from cosim.errors import RunError
+from cosim.fmi.component import load
+from cosim.fmi.messages import MESSAGES, Message, Messages
+from cosim.native.library import library
+from tests.fmi.probes import opened
+
+KEY = 4711
+
+
+@pytest.fixture
+def messages():
+    found = Messages()
+    found.listen(KEY)
+    return found
+
+
+def log(status, category, form, *arguments, key=KEY):
+    """Call the logger as an FMU does: with variable arguments."""
+    library.cosim_log(c_void_p(key), c_char_p(b"one"), c_int(status), c_char_p(category), c_char_p(form), *arguments)
+
+
+def test_a_message_is_formatted_with_its_arguments(messages):
+    log(0, b"logAll", b"%s: %d of %g %%", c_char_p(b"pump"), c_int(-3), c_double(2.5))
+    assert messages.drain() == [Message("info", "logAll", "pump: -3 of 2.5 %")]
+
+
+def test_levels_are_those_of_a_log(messages):
+    for status in (*range(7), -1):
+        log(status, None, b"text %d", c_int(status))
+    levels = ["info", "warning", "warning", "error", "fatal", "info", "warning", "warning"]
+    assert messages.tail == "; it said: warning: text -1"
+    assert [message.level for message in messages.drain()] == levels
+    assert (messages.drain(), messages.tail) == ([], "")
+
+
+@pytest.mark.parametrize("form", [b"%s", b"%s %s %s %s %s %s %s %s %s %s"])
+def test_long_messages_end_after_1000_bytes(messages, form):
+    """Nothing beyond it is written, of the category neither."""
+    log(1, b"c" * 500, form, *[c_char_p(b"x" * 5000)] * 10)
+    (found,) = messages.drain()
+    assert found == Message("warning", "c" * 99, "x" * 1000)
+
+
+def test_what_is_no_text_is_carried_all_the_same(messages):
+    log(3, b"\xff", b"\xff")
+    log(3, b"", None)
+    library.cosim_log_text(c_void_p(KEY), c_int(0), None, c_char_p(b"%s %n %d"))  # FMI 3: no format
+    assert messages.drain() == [Message("error", "\ufffd", "\ufffd"), Message("error", "", ""), Message("info", "", "%s %n %d")]
+
+
+def test_the_last_ones_are_kept_and_the_others_counted(messages):
+    for i in range(MESSAGES + 3):
+        log(0, b"", b"%d", c_int(i))
+    found = messages.drain()
+    assert found[0] == Message("warning", "", "3 earlier messages of the FMU were dropped")
+    assert [message.text for message in found[1:]] == [str(i) for i in range(3, MESSAGES + 3)]
+    log(0, b"", b"new")
+    assert [message.text for message in messages.drain()] == ["new"]
+
+
+def test_messages_reach_the_one_that_listens(messages):
+    """A key that nobody knows belongs to an FMU of FMI 1.0 that is being instantiated, or to nobody."""
+    other = Messages()
+    other.listen(None)
+    log(0, b"", b"unknown", key=KEY + 1)
+    assert [message.text for message in other.drain()] == ["unknown"]
+    other.listen(KEY + 1)
+    for key in (KEY, KEY + 1, KEY + 2):
+        log(0, b"", b"%d", c_int(key), key=key)
+    assert ([m.text for m in messages.drain()], [m.text for m in other.drain()]) == (["4711"], ["4712"])
+    del other
+    log(0, b"", b"gone", key=KEY + 1)
+
+
+def test_messages_from_other_threads(messages):
+    """ctypes lets go of Python's lock in the call: the threads do run at once, and every message is kept or counted."""
+    threads = [threading.Thread(target=lambda i=i: [log(0, b"", b"%d", c_int(i)) for _ in range(2000)]) for i in range(4)]
+    for thread in threads:
+        thread.start()
+    found = []
+    while any(thread.is_alive() for thread in threads):
+        found += messages.drain()
+    found += messages.drain()
+    dropped = [int(text.split()[0]) for _, _, text in found if "dropped" in text]
+    kept = [text for _, _, text in found if "dropped" not in text]
+    assert set(kept) <= {"0", "1", "2", "3"}
+    assert len(kept) + sum(dropped) == 8000
+
+
+def test_an_fmu_hands_over_its_messages(exported, capfd):
+    """A refused call is said by the FMU; the second time there is nothing new; nothing is printed."""
+    with load(exported, mode="cs") as fmu:
+        assert fmu.drain() == []
+        with pytest.raises(RunError, match="it said: error: call not allowed in this mode"):
+            fmu.component._unit.do_step(0.0, 0.1)
+        ((level, _, text),) = fmu.drain()
+        assert (level, text) == ("error", "call not allowed in this mode")
+        assert fmu.drain() == []
+    assert capfd.readouterr() == ("", "")
+
+
+def test_two_units_keep_their_messages_apart(probe2, probe3):
+    with opened(probe2, mode="cs") as (one, first), opened(probe3, mode="cs") as (two, second):
+        first.get_fmu_state()
+        assert two.drain() == []
+        second.get_fmu_state()
+    expected = [Message("info", "probe", "allocated a state"), Message("info", "probe", "freed")]
+    assert (one.drain(), two.drain()) == (expected, expected)
