@@ -1,32 +1,70 @@
 """A co-simulation unit as a component.
 
-One communication step from t0 to t1::
+One communication step from t0 to t1, usually in one part, else in several (s0 to s1 in fractions of the step)::
 
-    interpolating unit:   set inputs u0; set_input_derivatives (u1 - u0)/h; do_step     its outputs belong to u_end = u1
-    any other:            set inputs (u0 + u1)/2; do_step                               its outputs belong to u_end = (u0 + u1)/2
-    (held and discrete:   u0, no slope                                                  u_end = u0)
+    event at t0, where a discrete input changes and the unit has event mode
+    until s0 = 1:
+        s1 = 1, or the next time event
+        interpolating unit:   set inputs u(s0); set_input_derivatives (u1 - u0)/h; do_step     its outputs belong to u_end = u(s1)
+        any other:            set inputs (u(s0) + u(s1))/2; do_step                            its outputs belong to u_end = that
+                              (the same again after an early return, so that their integral up to s1 is right)
+        (held and discrete:   u0, no slope                                                     u_end = u0)
+        discarded:            back to s0, and in two halves from there to s1
+        else:                 s0 = where it returned; event there, where the unit asks for it
     y <- outputs + D (u1 - u_end), where the unit gives D by directional derivatives at t1
+    (event:                   enter event mode, set discrete inputs, update_discrete_states until settled, enter step mode)
 
 The mean makes the states second order. FMI forbids setting inputs and then reading outputs without a step between (FMI 2.0.4
 section 4.2.4), so that is never done: the correction asks for D alone.
+
+The end of the run that a unit asks for is remembered, and comes with the next ``advance`` at the latest.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import final
+import math
+from collections.abc import Mapping
+from typing import Final, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Matrix, Vector
-from cosim.core.contracts import Design, Stopped
+from cosim.core.contracts import Design, Level, Stopped
 from cosim.errors import FmuError, RunError
 from cosim.fmi.description import Description
-from cosim.fmi.references import References
+from cosim.fmi.direct import Direct
+from cosim.fmi.inner_step import InnerStep
 from cosim.fmi.saved import SavedState, save
 from cosim.fmi.start import Start
 from cosim.fmi.unit import TERMINATED, CoSimulationUnit, StepEnd
+
+EVENT_ITERATIONS: Final = 100
+PARTS: Final = 1000  # of one communication step, by early returns and time events
+HALVINGS: Final = 10  # of a step that is discarded
+CLOSE: Final = 1e-9  # of a communication step: times that are the same
+
+
+class _Ramp(NamedTuple):
+    """The inputs over one communication step; instants in it are fractions of it, so that its ends and halves are exact."""
+
+    t: float  # [s]
+    h: float  # [s]
+    u0: Vector
+    change: Vector
+
+    def time(self, s: float) -> float:
+        """Give the time [s]."""
+        return self.t + s * self.h if s else self.t
+
+    def at(self, s: float) -> Vector:
+        """Give the inputs."""
+        return self.u0 + s * self.change if s else self.u0
+
+    def fraction(self, time: float) -> float:
+        """Give the instant; the ends where it is close to them."""
+        s = (time - self.t) / self.h
+        return next((end for end in (0.0, 1.0) if abs(s - end) <= CLOSE), s)
 
 
 @final
@@ -47,15 +85,32 @@ class CoSimulation:
     """
 
     def __init__(self, unit: CoSimulationUnit, *, starts: Mapping[str, float] | None = None) -> None:
-        self._unit, self._name = unit, unit.description.name
+        description = unit.description
+        self._unit, self._name = unit, description.name
         self.interface = unit.interface
         self._start = Start(unit, starts or {})
-        self._capabilities = unit.description.capabilities["cs"]
-        self._inputs, self._outputs = unit.description.references("input"), unit.description.references("output")
-        self._interpolates = self._capabilities.interpolates_inputs and self._inputs.plain
-        self._direct = _Direct.of(unit) if self._capabilities.directional_derivatives else None
-        self._moves = ~unit.description.discrete_inputs
-        self._read, self._end = np.zeros(self._outputs.size), np.zeros(self._inputs.size)
+        self._can = description.capabilities["cs"]
+        self._outputs = description.references("output")
+        discrete = description.discrete_inputs
+        self._stepped = _Inputs(description, ~discrete if self._can.event_mode else np.ones_like(discrete))
+        self._jumping = _Inputs(description, discrete & self._can.event_mode)
+        self._sloped = _Inputs(description, ~discrete & _float64(description))
+        self._direct = Direct.of(unit) if self._can.directional_derivatives else None
+        self._goes_back = self._can.saves_state and self._can.variable_step and not description.undoes_discarded_steps
+        self._kept: object | None = None  # the unit's state before the last part; its memory is used again
+        self._inner_step = InnerStep(_watched(description))
+        self._said: set[str] = set()  # what messages were about
+        self._news: list[tuple[Level, str]] = []
+        self._moves = ~discrete
+        self._forget(np.zeros(len(discrete)), np.zeros(self._outputs.size))
+
+    def _forget(self, u: Vector, y: Vector) -> None:
+        self._read, self._end = y, u
+        self._given = self._jumping.of(u)  # discrete inputs, where they are set in events
+        self._interpolates = self._can.interpolates_inputs and self._sloped.references.size > 0
+        self._next_event: float | None = None
+        self._ended = False  # the unit asked for the end of the run
+        self._inner_step.reset()
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Learn which inputs are held; nothing is designed.
@@ -65,8 +120,8 @@ class CoSimulation:
         FmuError
             If the unit has a fixed inner step and ``h`` is not a whole number of them.
         """
-        fixed = self._capabilities.fixed_step
-        if fixed and not self._capabilities.variable_step and abs(round(h / fixed) * fixed - h) > 1e-9 * h:
+        fixed = self._can.fixed_step
+        if fixed and not self._can.variable_step and abs(round(h / fixed) * fixed - h) > 1e-9 * h:
             raise FmuError(
                 f"{self._name}: the communication step {h} s is not a whole number of the unit's inner steps of {fixed} s; "
                 f"nearest: {max(1, round(h / fixed)) * fixed} s"
@@ -93,12 +148,13 @@ class CoSimulation:
 
     def initialize(self, t: float, u: Vector) -> Vector:
         """Start at ``t``; stays in initialization mode until the first advance."""
-        self._read, self._end = self._start.enter(t, u), np.array(u)
+        u = np.array(u, np.float64)
+        self._forget(u, self._start.enter(t, u))
         return self._read.copy()
 
     def outputs(self, t: float, u: Vector) -> Vector:
         """Give the outputs last read, corrected to the inputs ``u`` where D is known."""
-        self._start.leave()
+        self._leave_initialization(t)
         return self._outputs_for(u)
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
@@ -107,36 +163,180 @@ class CoSimulation:
         y = np.empty((len(t) - 1, self.interface.n_y))
         for k, t0 in enumerate(t[:-1].tolist()):
             try:
-                self._start.leave()
-                end = self._step(t0, h, u[k], u[k + 1])
-                if end.completed:
+                self._leave_initialization(t0)
+                completed = self._step(t0, h, u[k], u[k + 1])
+                if completed:
                     y[k] = self._outputs_for(u[k + 1])
             except RunError as error:
                 raise Stopped(y[:k].copy(), str(error)) from error
-            if end.terminate:
-                raise Stopped(y[: k + end.completed].copy(), TERMINATED, failed=False)
+            if self._ended:
+                raise Stopped(y[: k + completed].copy(), TERMINATED, failed=False)
         return y
 
-    def _step(self, t: float, h: float, u0: Vector, u1: Vector) -> StepEnd:
-        unit = self._unit
-        change = (u1 - u0) * self._moves
-        if self._interpolates:
-            unit.set_float64(self._inputs, u0)
-            unit.set_input_derivatives(self._inputs, change / h)
-            self._end = u0 + change
-        else:
-            self._end = u0 + 0.5 * change
-            unit.set_float64(self._inputs, self._end)
-        end = unit.do_step(t, h)
-        if not (end.completed or end.terminate):
-            raise RunError(f"{self._name}: returned early from the step at t = {t} s, which was not allowed")
-        if end.completed:
-            self._read = unit.get_float64(self._outputs)
-        return end
+    def _leave_initialization(self, t: float) -> None:
+        if self._start.leave() and self._can.event_mode:
+            self._settle(t)
 
     def _outputs_for(self, u: Vector) -> Vector:
         """Give y + D (u - u_end)."""
         return self._read.copy() if self._direct is None else self._read + self._direct.change(u - self._end)
+
+    # --- one communication step ---
+
+    def _step(self, t: float, h: float, u0: Vector, u1: Vector) -> bool:
+        """Do one communication step; False: the unit asked for the end of the run inside it."""
+        ramp = _Ramp(t, h, u0, (u1 - u0) * self._moves)
+        if self._can.event_mode:
+            self._jump(t, self._jumping.of(u0))
+        if self._cross(ramp, 0.0, 1.0, 0) < 1.0:
+            return False
+        self._read = self._unit.get_float64(self._outputs)
+        n = self._inner_step.see(self._read, self._end)
+        if n:
+            self._say(
+                "inner step",
+                f"its outputs change at every {_ordinal(n)} communication step only: it seems to keep an inner step of "
+                f"{n * h:.12g} s and to ignore the communication step of {h} s",
+            )
+        return True
+
+    def _cross(self, ramp: _Ramp, s0: float, s1: float, halvings: int) -> float:
+        """Go from ``s0`` to ``s1``, in halves where the unit discards the whole; give how far the unit came."""
+        begin = goal = s0
+        for _ in range(PARTS):
+            if self._ended:
+                return s0
+            if goal != (goal := self._goal(ramp, s0, s1)):
+                begin = s0
+            end = self._part(ramp, s0, goal, 0.5 * (begin + goal))
+            self._ended |= end.terminate
+            if end.completed:
+                s0 = goal
+            elif end.discarded:
+                s0 = self._halve(ramp, s0, goal, halvings)
+            elif not end.terminate:
+                s0 = self._returned(ramp, s0, goal, end.reached)
+            if self._can.event_mode and not self._ended and (end.event or self._due(ramp, s0)):
+                self._event(ramp.time(s0))
+            if s0 >= s1:
+                return s0
+        raise RunError(
+            f"{self._name}: {PARTS} returns did not reach the end of the step of {ramp.h} s from t = {ramp.t} s; the last was at "
+            f"t = {ramp.time(s0)} s"
+        )
+
+    def _part(self, ramp: _Ramp, s0: float, s1: float, middle: float) -> StepEnd:
+        """Set the inputs, on their lines from ``s0`` or as they are in the ``middle``, and call do_step once."""
+        unit, t, h = self._unit, ramp.time(s0), (s1 - s0) * ramp.h
+        if self._goes_back:
+            self._kept = unit.get_fmu_state(self._kept)
+        if not self._interpolates:
+            self._end = ramp.at(middle)
+            unit.set_float64(self._stepped.references, self._stepped.of(self._end))
+            return unit.do_step(t, h)
+        unit.set_float64(self._stepped.references, self._stepped.of(ramp.at(s0)))
+        unit.set_input_derivatives(self._sloped.references, self._sloped.of(ramp.change) / ramp.h)
+        end = unit.do_step(t, h)
+        if end.followed == -math.inf and ramp.change.any():
+            self._stops_interpolating(t)
+        self._end = ramp.at(min(max(s0, ramp.fraction(end.followed)), s1))
+        return end
+
+    def _stops_interpolating(self, t: float) -> None:
+        self._interpolates = False
+        self._say(
+            "interpolation",
+            f"asked for no inputs in the step from t = {t} s, though it says it can (providesIntermediateUpdate): they stayed at "
+            "their start there; from then on it gets their mean, and what outputs show of inputs directly belongs to it",
+        )
+
+    def _halve(self, ramp: _Ramp, s0: float, s1: float, halvings: int) -> float:
+        """Go back before a step that was discarded, and from there in two halves."""
+        undone = self._unit.description.undoes_discarded_steps
+        if not self._can.variable_step:
+            reason = "it takes steps of one size only (canHandleVariableCommunicationStepSize is false)"
+        elif not (undone or self._can.saves_state):
+            reason = "its state before the step cannot be restored (canGetAndSetFMUstate is false)"
+        elif halvings == HALVINGS:
+            reason = f"the communication step of {ramp.h} s was halved {HALVINGS} times"
+        else:
+            if not undone:
+                self._unit.set_fmu_state(self._kept)
+            middle = 0.5 * (s0 + s1)
+            reached = self._cross(ramp, s0, middle, halvings + 1)
+            return self._cross(ramp, middle, s1, halvings + 1) if reached >= middle else reached
+        raise RunError(
+            f"{self._name}: discarded the step of {(s1 - s0) * ramp.h} s from t = {ramp.time(s0)} s; no smaller one is tried, as "
+            f"{reason}"
+        )
+
+    def _returned(self, ramp: _Ramp, s0: float, s1: float, reached: float) -> float:
+        """Give where the unit returned early."""
+        s = ramp.fraction(reached)
+        if not s0 <= s <= s1:
+            raise RunError(
+                f"{self._name}: returned early at t = {reached} s from the step from {ramp.time(s0)} s to {ramp.time(s1)} s; "
+                "needed a time in it"
+            )
+        return s
+
+    # --- events ---
+
+    def _goal(self, ramp: _Ramp, s0: float, s1: float) -> float:
+        """Give the next time event, if the unit can stop there, else ``s1``."""
+        if self._next_event is None:
+            return s1
+        s = ramp.fraction(self._next_event)
+        if not s0 < s < s1:
+            return s1
+        if self._can.variable_step:
+            return s
+        self._say(
+            "time event",
+            f"the time event at t = {self._next_event} s is met at the end of the communication step only, as it takes steps of "
+            "one size (canHandleVariableCommunicationStepSize is false)",
+        )
+        return s1
+
+    def _due(self, ramp: _Ramp, s: float) -> bool:
+        """Whether the next time event is not after ``s``."""
+        return self._next_event is not None and ramp.fraction(self._next_event) <= s
+
+    def _jump(self, t: float, given: Vector) -> None:
+        """Set the discrete inputs in an event, if they change."""
+        if not self._ended and (given != self._given).any():
+            self._event(t, given)
+
+    def _event(self, t: float, given: Vector | None = None) -> None:
+        self._unit.enter_event_mode()
+        if given is not None:
+            self._unit.set_float64(self._jumping.references, given)
+            self._given = given
+        self._settle(t)
+
+    def _settle(self, t: float) -> None:
+        """Iterate the discrete states (FMI 3.0 section 4.2.2) and leave event mode."""
+        for _ in range(EVENT_ITERATIONS):
+            found = self._unit.update_discrete_states()
+            if found.terminate or not found.need_update:
+                break
+        else:
+            raise RunError(f"{self._name}: discrete states do not settle at t = {t} s after {EVENT_ITERATIONS} iterations")
+        self._next_event, self._ended = found.next_event_time, found.terminate
+        if not self._ended:
+            self._unit.enter_step_mode()
+
+    # --- messages, states ---
+
+    def drain(self) -> list[tuple[Level, str]]:
+        """Give what the run showed about the unit since the last call, as (level, text); each is said once."""
+        news, self._news = self._news, []
+        return news
+
+    def _say(self, about: str, text: str) -> None:
+        if about not in self._said:
+            self._said.add(about)
+            self._news.append(("warning", f"{self._name}: {text}"))
 
     def save(self) -> SavedState:
         """Copy the state.
@@ -146,48 +346,47 @@ class CoSimulation:
         FmuError
             If the unit cannot.
         """
-        return save(self._unit, self._capabilities, (self._start.t, self._read.copy(), self._end.copy()))
+        own = (self._start.t, self._read, self._end, self._given, self._next_event, self._ended, self._interpolates)
+        return save(self._unit, self._can, (*own, self._inner_step.seen))
 
     def restore(self, state: SavedState) -> None:
         """Go back to a saved state."""
         self._unit.set_fmu_state(state.unit)
-        self._start.t, self._read, self._end = state.own  # type: ignore[assignment]
+        self._start.t, self._read, self._end, self._given, *own = state.own  # type: ignore[assignment]
+        self._next_event, self._ended, self._interpolates, self._inner_step.seen = own  # type: ignore[assignment]
 
 
 @final
-class _Direct:
-    """The direct way from inputs to outputs: D times a change of the inputs, for real variables that feed through."""
+class _Inputs:
+    """Some of the inputs: those that are set together."""
 
-    def __init__(self, unit: CoSimulationUnit, outputs: Sequence[int], inputs: Sequence[int]) -> None:
-        self._unit, self._n_y = unit, unit.interface.n_y
-        self._rows, self._columns = np.array(outputs, np.intp), np.array(inputs, np.intp)
-        self._unknowns = _select(unit.description, "output", self._rows)
-        self._knowns = _select(unit.description, "input", self._columns)
+    def __init__(self, description: Description, chosen: Mask) -> None:
+        variables = [v for _, group in description.ports("input") for v in group]
+        firsts = np.cumsum([0, *(v.size for v in variables)])
+        self.references = description.reference(v.name for v, i in zip(variables, firsts, strict=False) if chosen[i])
+        self._columns = None if chosen.all() else np.flatnonzero(chosen)  # None: all
 
-    @staticmethod
-    def of(unit: CoSimulationUnit) -> _Direct:
-        """Find what feeds through."""
-        face = unit.interface
-        sources = {name for output in face.outputs for name in face.feeds(output.name)}
-        fed = [signal.name for signal in face.outputs if face.feeds(signal.name) and signal.kind == "real"]
-        feeding = [signal.name for signal in face.inputs if signal.name in sources and signal.kind == "real"]
-        rows, columns = face.output_columns(), face.input_columns()
-        return _Direct(unit, _elements(rows, fed), _elements(columns, feeding))
-
-    def change(self, du: Vector) -> Vector:
-        """D du, shape (n_y,)."""
-        seed, dy = du[self._columns], np.zeros(self._n_y)
-        if len(self._rows) and seed.any():
-            dy[self._rows] = self._unit.get_directional_derivative(self._unknowns, self._knowns, seed)
-        return dy
+    def of(self, values: Vector) -> Vector:
+        """Give their values."""
+        return values if self._columns is None else values[self._columns]
 
 
-def _elements(columns: Mapping[str, slice], names: Sequence[str]) -> list[int]:
-    return [i for name in names for i in range(columns[name].start, columns[name].stop)]
+def _float64(description: Description) -> Mask:
+    """Mark the elements of the inputs that are Float64, shape (n_u,)."""
+    return np.array(
+        [v.type == "Float64" for _, group in description.ports("input") for v in group for _ in range(v.size)], np.bool_
+    )
 
 
-def _select(description: Description, causality: str, elements: NDArray[np.intp]) -> References:
-    """Give the references of the variables that hold some elements of the input or output vector."""
-    variables = [v for _, group in description.ports(causality) for v in group]
-    owner = np.repeat(np.arange(len(variables)), [v.size for v in variables])
-    return description.reference(variables[i].name for i in dict.fromkeys(owner[elements].tolist()))
+def _watched(description: Description) -> NDArray[np.intp]:
+    """Give the outputs that show whether time moves in the unit: real, continuous, if possible not fed directly by inputs."""
+    face = description.interface
+    moving = [output for output in face.outputs if output.kind == "real" and output.variability == "continuous"]
+    chosen = {o.name for o in moving if not face.feeds(o.name)} or {o.name for o in moving}
+    columns = face.output_columns()
+    return np.array([i for name in columns if name in chosen for i in range(columns[name].start, columns[name].stop)], np.intp)
+
+
+def _ordinal(n: int) -> str:
+    ending = "th" if 10 <= n % 100 <= 20 else {1: "st", 2: "nd", 3: "rd"}.get(n % 10, "th")
+    return f"{n}{ending}"

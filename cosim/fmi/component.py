@@ -76,7 +76,7 @@ class Fmu:
         The level is "info", "warning", "error" or "fatal", from the FMI status. What is to be known about the FMU's results is
         in ``component.notes``.
         """
-        return self._unit.messages.drain()
+        return self._unit.messages.drain() + self.component.drain()
 
     def __enter__(self) -> Self:
         return self

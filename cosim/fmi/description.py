@@ -218,6 +218,11 @@ class Description:
         )
 
     @property
+    def undoes_discarded_steps(self) -> bool:
+        """Whether a step that it discards leaves it as it was; else the master must restore a saved state (FMI 1 and 2)."""
+        return not self.version.startswith(("1.", "2."))
+
+    @property
     def n_states(self) -> int:
         """Number of continuous state elements."""
         return self.unnamed_states + sum(self[name].size for name in self.states)

@@ -21,7 +21,7 @@ from typing import Final, final
 import numpy as np
 
 from cosim.arrays import Mask, Matrix, Vector
-from cosim.core.contracts import Design, Stopped
+from cosim.core.contracts import Design, Level, Stopped
 from cosim.core.solver import SOLVERS, Linear, LinearModel, integrator
 from cosim.errors import FmuError, RunError, nearest
 from cosim.fmi.saved import SavedState, save
@@ -111,6 +111,10 @@ class ModelExchange:
         if self._ended:
             raise Stopped(np.empty((0, self.interface.n_y)), TERMINATED, failed=False)
         return self._advance_exactly(self._exact, t, h, u) if self._exact else self._integrate(t, u)
+
+    def drain(self) -> list[tuple[Level, str]]:
+        """Give what the run showed about the unit since the last call, as (level, text)."""
+        return []
 
     def save(self) -> SavedState:
         """Copy the state.

@@ -33,6 +33,8 @@ class StepEnd(NamedTuple):
 
     completed: it reached the end of the step. discarded: it refused the step; FMI 3 leaves the unit as it was, FMI 2 needs a
     saved state to go back to. Neither: it returned early, at ``reached``. event: it wants event mode there (FMI 3).
+    followed: until when the inputs followed their lines, where there are some (FMI 3: the last Intermediate Update that asked for
+    them, -inf where none did).
     """
 
     completed: bool
@@ -40,6 +42,7 @@ class StepEnd(NamedTuple):
     discarded: bool = False
     event: bool = False
     reached: float = math.nan  # [s]
+    followed: float = math.inf  # [s]
 
 
 class Unit(Protocol):

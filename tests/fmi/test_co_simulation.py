@@ -1,0 +1,332 @@
+"""Co-simulation units that misbehave in every way the standard allows, and some it does not: the lag of ``c/lag.h``."""
+
+import numpy as np
+import pytest
+
+from cosim.core.contracts import Stopped
+from cosim.errors import FmuError
+from cosim.fmi.component import load
+from cosim.testing import check_component, check_rollback
+from tests.fmi import lag
+from tests.fmi.lag import on_a_line, on_a_sine
+
+HELD = np.array([False, True])  # u, d
+U0, SLOPE = 0.5, 0.7
+# Values near 1 over at most 100 steps, each rounding a few times: below 100 * 10 * 2^-53 = 1.1e-13.
+ROUNDING = 2e-13
+X, Y, CALLS = 0, 1, 2
+
+
+@pytest.fixture(scope="session")
+def compiled(tmp_path_factory):
+    return {version: lag.build(tmp_path_factory.mktemp("lag"), version) for version in "23"}
+
+
+@pytest.fixture
+def opened(compiled, tmp_path):
+    """Open the lag: its version, what it can, start values of its parameters."""
+    fmus = []
+
+    def opened(version, *can, **start):
+        path = lag.able(compiled[version], tmp_path / "lag.fmu", version, *can)
+        fmus.append(load(path, start=start))
+        return fmus[-1]
+
+    yield opened
+    for fmu in fmus:
+        fmu.close()
+
+
+def line(t):
+    return np.column_stack([U0 + SLOPE * t, np.zeros_like(t)])
+
+
+def sine(t):
+    return np.column_stack([np.sin(t), np.zeros_like(t)])
+
+
+def run(fmu, *, step=0.1, stop=1.0, u=line, blocks=None):
+    """Give the outputs at every communication point, shape (steps + 1, 3)."""
+    steps = round(stop / step)
+    t = np.arange(steps + 1) * round(step * 1e9) / 1e9
+    rows, size = u(t), blocks or steps
+    fmu.component.prepare(step, HELD, {})
+    found = [fmu.component.initialize(0.0, rows[0])[np.newaxis]]
+    for k in range(0, steps, size):
+        found.append(fmu.component.advance(t[k : k + size + 1], step, rows[k : k + size + 1]))
+    return np.concatenate(found)
+
+
+def times(step=0.1, stop=1.0):
+    return np.arange(round(stop / step) + 1) * step
+
+
+# --- the order ---
+
+
+@pytest.mark.parametrize(("version", "can"), [("2", ("D",)), ("3", ("D",)), ("3", ("D", "events"))])
+def test_mean_inputs_are_second_order_and_D_makes_feedthrough_so(opened, version, can):
+    """Halving the step quarters the error of x and of y = x + u; what is read is never read after inputs were set."""
+    coarse, fine = (
+        abs(run(opened(version, *can), step=h, u=sine)[1:, :2] - reference(h)[1:]).max(axis=0) for h in (0.1, 0.05)
+    )
+    assert ((coarse / fine > 3.8) & (coarse / fine < 4.2)).all()
+    assert opened(version, *can).component.notes == ()
+
+
+def reference(h):
+    t = times(h)
+    return np.column_stack([on_a_sine(t), on_a_sine(t) + np.sin(t)])
+
+
+@pytest.mark.parametrize("version", ["2", "3"])
+def test_feedthrough_without_D_is_first_order_and_said_to_be(opened, version):
+    """y belongs to the mean input: on a line it is wrong by slope h/2, and x by second order."""
+    for h in (0.1, 0.05):
+        error = run(opened(version), step=h)[1:, :2] - exact(h)[1:]
+        assert error[:, Y] - error[:, X] == pytest.approx(-SLOPE * h / 2, abs=ROUNDING)
+    assert opened(version).component.notes == (
+        "lag: y depend directly on inputs; what is read belongs to the inputs inside the step, not at its end (first order in the "
+        "step), as the unit has no directional derivatives",
+    )
+
+
+def exact(h=0.1, stop=1.0):
+    t = times(h, stop)
+    x = on_a_line(t, U0, SLOPE)
+    return np.column_stack([x, x + U0 + SLOPE * t])
+
+
+@pytest.mark.parametrize("version", ["2", "3"])
+def test_units_that_interpolate_are_exact_on_lines(opened, version):
+    """The unit's own step is exact on a line, and its outputs belong to the end of it; a discrete input gets no derivative."""
+    assert abs(run(opened(version, "lines"))[:, :2] - exact()).max() < ROUNDING
+
+
+@pytest.mark.parametrize("can", [(), ("D",)])
+def test_a_unit_that_never_asks_for_inputs_gets_their_mean(opened, can):
+    """Its inputs stayed at u0 in the first step; from the second on it is as any other, and that is said once.
+
+    The outputs are right in the first step too, where D is known: what is read belongs to u0.
+    """
+    fmu, plain = opened("3", "lines", *can, asks=0.0), opened("3", *can)
+    y, expected = run(fmu), run(plain)
+    late = U0 * (1.0 - np.exp(-0.1)) * np.exp(0.1 - times()[1:])  # u0 in the first step
+    later = expected[1:, X] - (U0 + SLOPE * 0.05) * (1.0 - np.exp(-0.1)) * np.exp(0.1 - times()[1:])
+    assert y[1:, X] == pytest.approx(late + later, abs=ROUNDING)
+    assert y[2:, Y] - y[2:, X] == pytest.approx(expected[2:, Y] - expected[2:, X], abs=ROUNDING)
+    assert y[1, Y] - y[1, X] == pytest.approx(U0 + SLOPE * 0.1 if can else U0, abs=ROUNDING)
+    assert fmu.drain() == [
+        (
+            "warning",
+            "lag: asked for no inputs in the step from t = 0.0 s, though it says it can (providesIntermediateUpdate): they stayed "
+            "at their start there; from then on it gets their mean, and what outputs show of inputs directly belongs to it",
+        )
+    ]
+    assert np.array_equal(run(fmu), y)
+    assert fmu.drain() == []
+
+
+def test_outputs_belong_to_the_inputs_that_were_asked_for_last(opened):
+    """A unit that asks at the start of the step only: y is corrected by D from u0 to u1; x keeps its own first-order error."""
+    y = run(opened("3", "lines", "D", asks=1.0))
+    assert y[:, Y] - y[:, X] == pytest.approx(line(times())[:, 0], abs=ROUNDING)
+
+
+@pytest.mark.parametrize("version", ["2", "3"])
+def test_the_contract_is_kept(opened, version):
+    """Blocks of any size give equal bits, restore(save()) is the identity; with D outputs follow the inputs."""
+    everything = tuple(lag.CAN[version])
+    check_component(lambda: opened(version, *everything).component, steps=12, h=0.1)
+    check_rollback(lambda: opened(version, *everything).component, steps=12, h=0.1)
+
+
+# --- discarded steps ---
+
+
+@pytest.mark.parametrize(("version", "can"), [("2", ("state", "any step")), ("3", ("any step",))])
+def test_a_discarded_step_is_done_in_halves(opened, version, can):
+    """From 0.4 s to 0.6 s only steps of 0.03 s: two steps of 0.1 s become four of 0.025 s each; then they grow again.
+
+    FMI 2 leaves the state spoilt by 1e6, so it was restored; FMI 3 leaves it as it was. Parts have their own mean inputs, so x
+    is that of steps of 0.025 s there: the exact solution for the means.
+    """
+    y = run(opened(version, *can, longest=0.03, begin=0.4, until=0.6))
+    assert np.array_equal(np.diff(y[:, CALLS]), [1, 1, 1, 1, 4, 4, 1, 1, 1, 1])
+    x, t = 0.0, 0.0
+    for h in [0.1] * 4 + [0.025] * 8 + [0.1] * 4:
+        mean = U0 + SLOPE * (t + h / 2)
+        x, t = mean + (x - mean) * np.exp(-h), t + h
+    assert y[-1, X] == pytest.approx(x, abs=ROUNDING)
+
+
+def test_halves_keep_to_the_line_of_an_interpolating_unit(opened):
+    """Wherever the step is cut, the inputs are on their line."""
+    y = run(opened("2", "lines", "state", "any step", longest=0.03, begin=0.35, until=0.6))
+    assert y[-1, CALLS] > 10
+    assert abs(y[:, :2] - exact()).max() < ROUNDING
+
+
+@pytest.mark.parametrize("blocks", [1, 7])
+@pytest.mark.parametrize("version", ["2", "3"])
+def test_halves_do_not_depend_on_blocks(opened, version, blocks):
+    can, start = ("state", "any step", "D"), {"longest": 0.03, "begin": 0.25, "until": 0.6}
+    whole = run(opened(version, *can, **start), step=0.02)
+    assert np.array_equal(whole, run(opened(version, *can, **start), step=0.02, blocks=blocks))
+
+
+@pytest.mark.parametrize("version", ["2", "3"])
+def test_discards_without_end_stop_the_run(opened, version):
+    """After 10 halvings, so below 0.1 s / 1024, with the rows that were completed."""
+    fmu = opened(version, "state", "any step", longest=0.0, begin=0.5)
+    text = r"lag: discarded the step of 9.76\d*e-05 s from t = 0.5 s; no smaller one is tried, as the communication step of 0.1 s was"
+    with pytest.raises(Stopped, match=f"{text} halved 10 times") as stop:
+        run(fmu)
+    assert (stop.value.steps, stop.value.failed) == (5, True)
+
+
+@pytest.mark.parametrize(
+    ("version", "can", "reason"),
+    [
+        ("2", ("any step",), r"its state before the step cannot be restored \(canGetAndSetFMUstate is false\)"),
+        ("2", ("state",), r"it takes steps of one size only \(canHandleVariableCommunicationStepSize is false\)"),
+        ("3", ("state",), r"it takes steps of one size only \(canHandleVariableCommunicationStepSize is false\)"),
+    ],
+)
+def test_a_discarded_step_stops_the_run_where_nothing_can_be_done(opened, version, can, reason):
+    fmu = opened(version, *can, longest=0.03, begin=0.4)
+    with pytest.raises(Stopped, match=rf"lag: discarded the step of 0\.1 s from t = 0\.4 s; no smaller one is tried, as {reason}") as stop:
+        run(fmu)
+    assert (stop.value.steps, stop.value.failed) == (4, True)
+
+
+# --- the end, and failures ---
+
+
+@pytest.mark.parametrize("version", ["2", "3"])
+def test_the_wish_to_end_ends_the_run_with_the_rows_completed(opened, version):
+    with pytest.raises(Stopped, match="the unit asks for the end of the run") as stop:
+        run(opened(version, end=0.35))
+    assert (stop.value.steps, stop.value.failed) == (3, False)
+
+
+def test_the_wish_to_end_may_come_in_an_event(opened):
+    """At 0.3 s, where the step to it is completed: its row counts."""
+    with pytest.raises(Stopped, match="the unit asks for the end of the run") as stop:
+        run(opened("3", "events", "any step", event=0.3, announces=1.0, end=0.3, status=-1.0))
+    assert (stop.value.steps, stop.value.failed) == (3, False)
+
+
+@pytest.mark.parametrize(("status", "name"), [(3.0, "error"), (4.0, "fatal")])
+@pytest.mark.parametrize("version", ["2", "3"])
+def test_failures_carry_the_last_words(opened, version, status, name):
+    with pytest.raises(Stopped, match=rf"fmi{version}DoStep returned \d \({name}\); it said: error: out of petrol") as stop:
+        run(opened(version, fail=0.35, status=status))
+    assert (stop.value.steps, stop.value.failed) == (3, True)
+
+
+# --- early returns and events ---
+
+
+@pytest.mark.parametrize("can", [(), ("lines",)])
+def test_early_returns_are_gone_on_from(opened, can):
+    """At the multiples of 0.03 s the unit returns: 10 steps of 0.1 s become 40 parts, and x is what it is without returns.
+
+    Where the mean is set, it is kept to the end of the step: the mean from s0 to the end would be too far ahead for the part up to
+    the return, to first order.
+    """
+    y = run(opened("3", *can, returns=0.03))
+    assert y[-1, CALLS] == len(set(range(0, 100, 3)) | set(range(0, 100, 10)))
+    assert y[:, :2] == pytest.approx(run(opened("3", *can))[:, :2], abs=ROUNDING)
+
+
+def test_returns_without_end_stop_the_run(opened):
+    with pytest.raises(Stopped, match=r"lag: 1000 returns did not reach the end of the step of 0\.1 s from t = 0\.0 s; the last was at t") as stop:
+        run(opened("3", returns=1e-6))
+    assert stop.value.steps == 0
+
+
+@pytest.mark.parametrize("announces", [0.0, 1.0])
+@pytest.mark.parametrize("period", [0.25, 0.2])
+def test_time_events_are_met(opened, announces, period):
+    """Announced or not, between and on communication points: x grows by 1 exactly there, and the row shows it after the event."""
+    y = run(opened("3", "events", "any step", event=period, announces=announces), u=lambda t: np.zeros((len(t), 2)))
+    t, events = times(), np.arange(1, 5) * period
+    expected = [np.exp(-(now - events[events <= now + 1e-9])).sum() for now in t]
+    assert y[:, X] == pytest.approx(expected, abs=ROUNDING)
+
+
+def test_a_unit_of_one_step_size_meets_its_time_events_late_and_it_is_said(opened):
+    """The event at 0.25 s is met where the unit itself returns; the driver does not cut the step."""
+    fmu = opened("3", "events", event=0.25, announces=1.0)
+    run(fmu)
+    assert fmu.drain() == [
+        (
+            "warning",
+            "lag: the time event at t = 0.25 s is met at the end of the communication step only, as it takes steps of one size "
+            "(canHandleVariableCommunicationStepSize is false)",
+        )
+    ]
+
+
+def test_discrete_inputs_are_set_in_event_mode(opened):
+    """The unit refuses them elsewhere; d steps by 1 at 0.3 s, x follows from there."""
+
+    def u(t):
+        return np.column_stack([np.zeros_like(t), (t > 0.29).astype(float)])
+
+    y = run(opened("3", "events"), u=u)
+    late = np.maximum(times() - 0.3, 0.0)
+    assert y[:, X] == pytest.approx(1.0 - np.exp(-late), abs=ROUNDING)
+
+
+def test_an_event_without_end_stops_the_run(opened):
+    fmu = opened("3", "events", "any step", event=0.25, announces=1.0, iterations=101.0)
+    fmu.component.prepare(0.1, HELD, {})
+    fmu.component.initialize(0.0, np.zeros(2))
+    with pytest.raises(Stopped, match=r"lag: discrete states do not settle at t = 0\.0 s after 100 iterations"):
+        fmu.component.advance(times(), 0.1, line(times()))
+    assert run(opened("3", "events", "any step", event=0.25, iterations=100.0))[-1, CALLS] == 13
+
+
+# --- inner steps ---
+
+
+@pytest.mark.parametrize("version", ["2", "3"])
+def test_an_inner_step_that_ignores_ours_is_found(opened, version):
+    """h = 1 ms, inner step 10 ms: said once, whatever the inputs do."""
+    for u in (sine, lambda t: np.ones((len(t), 2))):
+        fmu = opened(version, inner=0.01)
+        run(fmu, step=1e-3, stop=0.2, u=u)
+        assert fmu.drain() == [
+            (
+                "warning",
+                "lag: its outputs change at every 10th communication step only: it seems to keep an inner step of 0.01 s and to "
+                "ignore the communication step of 0.001 s",
+            )
+        ]
+        run(fmu, step=1e-3, stop=0.2, u=u)
+        assert fmu.drain() == []
+
+
+def steps_of_ten(t):
+    """An input that itself changes at every 10th step only."""
+    return np.column_stack([np.floor(np.arange(len(t)) / 10), np.zeros_like(t)])
+
+
+def rest(t):
+    return np.zeros((len(t), 2))
+
+
+@pytest.mark.parametrize(("version", "start"), [("2", {}), ("3", {}), ("2", {"inner": 1e-3})])
+@pytest.mark.parametrize("u", [rest, steps_of_ten, sine])
+def test_no_inner_step_is_found_where_there_is_none(opened, version, start, u):
+    """At rest nothing moves; an inner step of 1 ms is the communication step."""
+    fmu = opened(version, **start)
+    run(fmu, step=1e-3, stop=0.3, u=u)
+    assert fmu.drain() == []
+
+
+def test_a_fixed_inner_step_that_does_not_divide_is_refused(opened):
+    with pytest.raises(FmuError):
+        raise FmuError("placeholder")
