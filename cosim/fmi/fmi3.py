@@ -184,7 +184,7 @@ class Fmi3:
 
     def do_step(self, t: float, h: float) -> StepEnd:
         """Advance from ``t`` by ``h`` seconds; a discarded step left the FMU as it was (section 4.2.1.2)."""
-        self._lines.t0 = t
+        self._lines.t0, self._lines.h = t, h
         status = self._step(t, h, *self._rest)
         if self._lines.size:
             self._lines.size = 0

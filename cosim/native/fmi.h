@@ -47,7 +47,8 @@ typedef struct {
     size_t count, size; /* of references, of values; size 0: no lines */
     const double *start, *slope;
     double *values; /* scratch */
-    double t0;
+    double t0;  /* start of the step, and its size */
+    double h;
     int32_t status; /* the worst that `set` answered */
 } cosim_lines;
 
