@@ -127,7 +127,9 @@ def _cross(files: Sequence[Path], folder: Path, name: str, version: str, platfor
     found = PLATFORMS[platform]
     library = folder / f"{name}-{platform}" / f"{name}{found.suffix}"
     library.parent.mkdir()
-    build.compile_library(files, library, command=build.cross_compiler(found.target))
+    own_name = (f"-Wl,-install_name,@rpath/{library.name}",) if found.suffix == ".dylib" else ()
+    options = ("-s", *own_name)  # neither debug information nor the library itself names the temporary folder
+    build.compile_library(files, library, options, command=build.cross_compiler(found.target))
     short = found.short if version == "2.0" else None
     return Binary(short or platform, library.name, library.read_bytes(), _note(version, platform))
 
