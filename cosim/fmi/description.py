@@ -24,6 +24,7 @@ Mode: TypeAlias = Literal["me", "cs"]  # model exchange, co-simulation
 Initial: TypeAlias = Literal["exact", "approx", "calculated"]
 MODES: tuple[Mode, ...] = ("me", "cs")
 MODE_NAMES: Mapping[Mode, str] = {"me": "model exchange", "cs": "co-simulation"}
+NO_VALUE = "NaN: no value yet"  # begins the description of a variable that may have none; FMI has no other word for it
 LARGEST_EXACT = 2**53  # integers beyond it are not all float64
 
 
@@ -288,6 +289,7 @@ class Description:
             variability="continuous" if first.variability == "continuous" else "discrete",
             kind=first.kind,
             role="input" if first.causality == "input" else "state" if is_state else "output",
+            optional=all(v.doc.startswith(NO_VALUE) for v in group),
             base=first.base,
             start=_starts(group) if first.causality == "input" else (),
         )
@@ -369,13 +371,22 @@ def describe(model: Shape, name: str, linear: LinearModel | None) -> Description
         return ("exact", (float(linear.X0[index]),)) if linear and exact[index] else ("calculated", None)
 
     variables = [
-        Variable(element, number, "input", unit=signal.unit, variability=_variability(signal), initial=None, start=(0.0,))
+        Variable(element, number, "input", unit=signal.unit, variability=_variability(signal), start=(0.0,), doc=_doc(signal))
         for number, (signal, element) in enumerate((s, e) for s in face.inputs for e in s.elements)
     ]
     for i, (signal, element) in enumerate((s, e) for s in face.outputs for e in s.elements):
         initial, start = state(state_of[i]) if state_of[i] >= 0 else ("calculated", None)
         variables.append(
-            Variable(element, m + i, "output", unit=signal.unit, variability=_variability(signal), initial=initial, start=start)
+            Variable(
+                element,
+                m + i,
+                "output",
+                unit=signal.unit,
+                variability=_variability(signal),
+                initial=initial,
+                start=start,
+                doc=_doc(signal),
+            )
         )
     units = {v.name: v.unit for v in variables}
     for j, x in enumerate(model.states):
@@ -391,6 +402,10 @@ def describe(model: Shape, name: str, linear: LinearModel | None) -> Description
     if twice:
         raise FmuError(f"{name}: {twice!r} is a state and another variable; give the state a name of its own")
     return Description(name, "", "2.0", tuple(variables), model.states, _dependencies(model, linear), event_indicators=0)
+
+
+def _doc(signal: Signal) -> str:
+    return NO_VALUE if signal.optional else ""
 
 
 def _variability(signal: Signal) -> str:

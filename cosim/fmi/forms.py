@@ -14,7 +14,7 @@ import numpy as np
 from cosim.arrays import Matrix
 from cosim.core.clock import NANOSECONDS
 from cosim.core.solver import LinearModel
-from cosim.fmi.description import Capabilities, Description, Mode, Variable, describe, states_of_outputs
+from cosim.fmi.description import Capabilities, Description, Mode, describe, states_of_outputs
 from cosim.fmi.kernels import DiscreteModel, doubles, integer, integers
 
 BOTH = Capabilities(
@@ -136,7 +136,6 @@ def _discrete(model: DiscreteModel, name: str) -> Form:
     return Form(
         replace(
             unit,
-            variables=tuple(_documented(variable, model) for variable in unit.variables),
             capabilities={"cs": replace(STEPPED, variable_step=step is None, fixed_step=step)},
             initial_dependencies=_discrete_start(model),
             default_step=step,
@@ -162,11 +161,6 @@ def _discrete(model: DiscreteModel, name: str) -> Form:
         constant=model.kernel.linear,
         reason=model.reason,
     )
-
-
-def _documented(variable: Variable, model: DiscreteModel) -> Variable:
-    optional = {e for s in (*model.interface.inputs, *model.interface.outputs) if s.optional for e in s.elements}
-    return replace(variable, doc="NaN: no value yet") if variable.name in optional else variable
 
 
 def _discrete_start(model: DiscreteModel) -> dict[str, tuple[str, ...] | None]:
