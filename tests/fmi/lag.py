@@ -43,9 +43,7 @@ def xml(version: str, *can: str) -> str:
 
     else:
         head = 'fmiVersion="3.0" instantiationToken="lag"'
-        outputs = (
-            '<Output valueReference="2" dependencies=""/><Output valueReference="3" dependencies="0"/><Output valueReference="4" dependencies=""/>'
-        )
+        outputs = '<Output valueReference="2" dependencies=""/><Output valueReference="3" dependencies="0"/><Output valueReference="4" dependencies=""/>'
 
         def variable(number, name, causality, variability, initial, start):
             first = f'name="{name}" valueReference="{number}" causality="{causality}" variability="{variability}"'

@@ -67,9 +67,7 @@ def times(step=0.1, stop=1.0):
 @pytest.mark.parametrize(("version", "can"), [("2", ("D",)), ("3", ("D",)), ("3", ("D", "events"))])
 def test_mean_inputs_are_second_order_and_D_makes_feedthrough_so(opened, version, can):
     """Halving the step quarters the error of x and of y = x + u; what is read is never read after inputs were set."""
-    coarse, fine = (
-        abs(run(opened(version, *can), step=h, u=sine)[1:, :2] - reference(h)[1:]).max(axis=0) for h in (0.1, 0.05)
-    )
+    coarse, fine = (abs(run(opened(version, *can), step=h, u=sine)[1:, :2] - reference(h)[1:]).max(axis=0) for h in (0.1, 0.05))
     assert ((coarse / fine > 3.8) & (coarse / fine < 4.2)).all()
     assert opened(version, *can).component.notes == ()
 
@@ -195,7 +193,9 @@ def test_discards_without_end_stop_the_run(opened, version):
 )
 def test_a_discarded_step_stops_the_run_where_nothing_can_be_done(opened, version, can, reason):
     fmu = opened(version, *can, longest=0.03, begin=0.4)
-    with pytest.raises(Stopped, match=rf"lag: discarded the step of 0\.1 s from t = 0\.4 s; no smaller one is tried, as {reason}") as stop:
+    with pytest.raises(
+        Stopped, match=rf"lag: discarded the step of 0\.1 s from t = 0\.4 s; no smaller one is tried, as {reason}"
+    ) as stop:
         run(fmu)
     assert (stop.value.steps, stop.value.failed) == (4, True)
 
@@ -241,7 +241,9 @@ def test_early_returns_are_gone_on_from(opened, can):
 
 
 def test_returns_without_end_stop_the_run(opened):
-    with pytest.raises(Stopped, match=r"lag: 1000 returns did not reach the end of the step of 0\.1 s from t = 0\.0 s; the last was at t") as stop:
+    with pytest.raises(
+        Stopped, match=r"lag: 1000 returns did not reach the end of the step of 0\.1 s from t = 0\.0 s; the last was at t"
+    ) as stop:
         run(opened("3", returns=1e-6))
     assert stop.value.steps == 0
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 import cosim
 from cosim.core.contracts import Component
@@ -20,9 +21,11 @@ STOP = 4.2  # s
 START = {"scenario.stop": STOP, "identifier.start": 3.5}  # theta is there at the end
 SAMPLED = {"controller.period": 0.01}
 ACADEMIC = [("academic", name) for name in ("plant", "observer", "regressor", "identifier")]
-LOOP = [("closed-loop", name) for name in ("plant", "observer", "feedback", "error", "controller", "regressor", "identifier")]
-UNITS = [*ACADEMIC, *LOOP, ("sampled", "controller"), ("slow", "identifier")]
-LINEAR = [(s, n) for s, n in UNITS if n not in ("regressor", "identifier") and s != "sampled"]
+LOOP = [("closed-loop", name) for name in ("feedback", "error", "controller")]
+AGAIN = [("closed-loop", name) for name in ("plant", "observer", "regressor", "identifier")]  # the same kinds with other signals
+SAMPLED_UNITS = [("sampled", "controller"), ("slow", "identifier")]
+UNITS = [*ACADEMIC, *LOOP, *SAMPLED_UNITS, *(pytest.param(*unit, marks=pytest.mark.campaign) for unit in AGAIN)]
+STATES = [("academic", "plant"), ("academic", "observer"), ("closed-loop", "controller")]  # linear models that have some
 DRIVERS = {"sampled": "error", "slow": "regressor"}
 CHANGES = {"sampled": SAMPLED, "slow": {"identifier.period": 0.1}}
 
@@ -59,8 +62,7 @@ def case(key: str, name: str) -> Case:
     with ExitStack() as resources:
         graph = build(loaded.document, resources).graph
         site = build_site(loaded, resources)
-        linear = (key, name) in LINEAR and name not in ("feedback", "error")
-        model = loaded.specs[name].linear_model(name, site) if linear else None
+        model = loaded.specs[name].linear_model(name, site) if (key, name) in STATES else None
     component = graph.components[name]
     t = np.arange(round(STOP / H) + 1) * 1_000_000 / 1e9
     if key in DRIVERS:  # the log keeps only the rows at its period, so it runs here on what drove it
