@@ -75,7 +75,7 @@ def test_zig_compiles_for_every_machine(fmi, tmp_path):
 @needs_zig
 @pytest.mark.skipif(shutil.which("cc") is None or HERE not in PLATFORMS, reason="no cc to compare with")
 def test_zig_and_cc_give_the_same_bits(tmp_path):
-    """Both without fused multiply-adds and without the instructions of the host; the kernels use no function but exp, log, sin."""
+    """Both without fused multiply-adds and without the instructions of the host."""
     paths = [
         export(model(), tmp_path / f"{len(platforms)}.fmu", name="plant", platforms=platforms).path for platforms in ([], [HERE])
     ]

@@ -197,6 +197,24 @@ def test_sources_are_clean_under_warnings_and_sanitizers(form, fmi, tmp_path, mo
         assert result.returncode == 0, result.stdout + result.stderr
 
 
+@pytest.mark.skipif(shutil.which("gcc") is None or shutil.which("nm") is None, reason="needs gcc and nm")
+@pytest.mark.parametrize("fmi", ["2", "3"])
+def test_nothing_is_shared_by_instances_that_changes(fmi, tmp_path, monkeypatch):
+    """No file has a variable outside the instance: nm finds no writable data. Memory is taken by unit_new and by copies alone."""
+    monkeypatch.setattr(build, "compiler", list)
+    for form, make in FORMS.items():
+        folder = tmp_path / form
+        folder.mkdir()
+        with zipfile.ZipFile(export(make(), folder / "x.fmu", name="x", fmi=fmi).path) as archive:
+            archive.extractall(folder)
+        for source in (folder / "sources").glob("*.c"):
+            subprocess.run(["gcc", "-std=c11", "-O2", "-c", source, "-o", folder / "x.o"], check=True)
+            symbols = subprocess.run(["nm", folder / "x.o"], capture_output=True, text=True, check=True).stdout
+            kinds = {line.split()[-2] for line in symbols.splitlines()}
+            assert not kinds & set("BbDdCc"), f"{source.name}: {symbols}"
+            assert source.name in ("unit.c", f"fmi{fmi}.c") or "alloc" not in symbols
+
+
 @pytest.mark.parametrize("fmi", ["2", "3"])
 def test_the_archive_names_the_sources_that_are_there(fmi, tmp_path, monkeypatch):
     """SourceFiles of FMI 2.0, buildDescription.xml of FMI 3.0, as fmpy reads them; one set for both kinds."""
@@ -210,7 +228,7 @@ def test_the_archive_names_the_sources_that_are_there(fmi, tmp_path, monkeypatch
 
 
 def test_arrays_of_fmi_3_are_the_scalars_of_fmi_2(tmp_path):
-    """x_a[0], x_a[1] become x_a with the reference of the first; so do their derivatives; the structure is what both depend on."""
+    """x_a[0], x_a[1] become x_a with the reference of the first, as do their derivatives; it depends on what either did."""
     path = export(model(), tmp_path / "x.fmu", name="x", fmi="3").path
     about = read(path).description
     assert [(v.name, v.reference, v.dimensions, v.start) for v in about.variables] == [
