@@ -166,6 +166,17 @@ def info(
 
 
 @app.command()
+def check(
+    fmu: Annotated[Path, typer.Argument(metavar="FMU", help="An FMU (.fmu).")],
+    as_json: JsonOption = False,
+) -> None:
+    """Find everything that is wrong with an FMU: archive, schema, structure, binaries, trial runs; exit 1 at an error."""
+    from cosim import tables
+
+    tables.check(str(fmu), as_json=as_json)
+
+
+@app.command()
 def plot(
     log: LogArgument,
     signals: Annotated[list[str], typer.Argument(metavar="SIGNAL...", help="Signals, such as observer.delta.")],

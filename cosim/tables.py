@@ -197,8 +197,26 @@ def info(what: str, *, as_json: bool) -> None:
         _json(found)
         return
     console = _console()
-    for title, content in found.items():
+    shown = inspection.shown_fmu(found) if suffix == ".fmu" else found
+    for title, content in shown.items():
         _section(console, title, content)
+
+
+def check(path: str, *, as_json: bool) -> None:
+    """Print everything that is wrong with an FMU; exit 1 where there is an error."""
+    from cosim.scenario import inspection
+
+    found = inspection.check(path)
+    errors, warnings = (sum(finding["level"] == level for finding in found) for level in ("error", "warning"))
+    if as_json:
+        _json({"path": path, "errors": errors, "warnings": warnings, "findings": found})
+    else:
+        for finding in found:
+            typer.echo(f"{finding['level']}: {finding['where']}: {finding['text']}")
+        counts = ", ".join(f"{n} {what}{'s' * (n > 1)}" for n, what in ((errors, "error"), (warnings, "warning")) if n)
+        typer.echo(f"{path}: {counts or 'nothing is wrong with it'}")
+    if errors:
+        raise typer.Exit(1)
 
 
 def _section(console: Console, title: str, content: Any) -> None:

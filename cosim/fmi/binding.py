@@ -1,4 +1,4 @@
-"""An instance of a loaded FMU, whatever its version: what ``fmi2.py`` and ``fmi3.py`` have in common."""
+"""An instance of a loaded FMU, whatever its version: what ``fmi1.py``, ``fmi2.py`` and ``fmi3.py`` have in common."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from cosim.fmi.references import Group
 from cosim.fmi.unit import DiscreteStates, StepEnd
 
 NO_STATE: Final = "the FMU cannot save its state (canGetAndSetFMUstate is false)"
+NO_SLOPES: Final = "the FMU does not interpolate inputs (canInterpolateInputs is false)"
 NO_DIRECTIONAL_DERIVATIVES: Final = "the FMU has no directional derivatives (providesDirectionalDerivatives is false)"
 
 
@@ -42,6 +43,11 @@ class Instance:
     messages: Messages
 
     @property
+    def key(self) -> tuple[str, str]:
+        """What it is an instance of."""
+        return self.description.name, self.description.token
+
+    @property
     def token(self) -> str:
         """GUID or instantiation token."""
         return self.description.token
@@ -62,11 +68,9 @@ class Calls(Protocol):
     dtypes: dict[str, DTypeLike]
     """How the FMU carries each type."""
 
-    reset: Call
     terminate: Call
     enter_configuration_mode: Call
     exit_configuration_mode: Call
-    exit_initialization_mode: Call
     enter_event_mode: Call
     enter_continuous_time_mode: Call
     enter_step_mode: Call
@@ -84,6 +88,14 @@ class Calls(Protocol):
 
     def enter_initialization_mode(self, t: float) -> None:
         """Start at ``t`` [s]."""
+        ...
+
+    def exit_initialization_mode(self) -> None:
+        """End the initialization."""
+        ...
+
+    def reset(self) -> None:
+        """Go back to the state after instantiation."""
         ...
 
     def access(self, verb: str, group: Group, values: NDArray[Any]) -> None:

@@ -6,6 +6,7 @@ One communication step from t0 to t1, usually in one part, else in several (s0 t
     until s0 = 1:
         s1 = 1, or the next time event
         interpolating unit:   set inputs u(s0); set_input_derivatives (u1 - u0)/h; do_step     its outputs belong to u_end = u(s1)
+                              (an input that cannot follow its line there: as below)
         any other:            set inputs (u(s0) + u(s1))/2; do_step                            its outputs belong to u_end = that
                               (the same again after an early return, so that their integral up to s1 is right)
         (held and discrete:   u0, no slope                                                     u_end = u0)
@@ -23,20 +24,20 @@ The end of the run that a unit asks for is remembered, and comes with the next `
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Final, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Matrix, Vector
-from cosim.core.contracts import Design, Level, Stopped
+from cosim.core.contracts import Design, Stopped
 from cosim.errors import FmuError, RunError
 from cosim.fmi.description import Description
 from cosim.fmi.direct import Direct
 from cosim.fmi.inner_step import InnerStep
+from cosim.fmi.messages import Message
 from cosim.fmi.saved import SavedState, save
-from cosim.fmi.start import Start
+from cosim.fmi.start import Start, Starts
 from cosim.fmi.unit import TERMINATED, CoSimulationUnit, StepEnd
 
 EVENT_ITERATIONS: Final = 100
@@ -51,6 +52,7 @@ class _Ramp(NamedTuple):
     t: float  # [s]
     h: float  # [s]
     u0: Vector
+    u1: Vector
     change: Vector
 
     def time(self, s: float) -> float:
@@ -59,7 +61,7 @@ class _Ramp(NamedTuple):
 
     def at(self, s: float) -> Vector:
         """Give the inputs."""
-        return self.u0 + s * self.change if s else self.u0
+        return self.u1 if s == 1.0 else self.u0 + s * self.change if s else self.u0
 
     def fraction(self, time: float) -> float:
         """Give the instant; the ends where it is close to them."""
@@ -75,7 +77,7 @@ class CoSimulation:
     ----------
     unit : CoSimulationUnit
         Just instantiated.
-    starts : mapping of variable name to float
+    starts : mapping of variable name to StartValue
         Start values to set instead of the unit's own.
 
     Raises
@@ -84,7 +86,7 @@ class CoSimulation:
         If a start value is wrong.
     """
 
-    def __init__(self, unit: CoSimulationUnit, *, starts: Mapping[str, float] | None = None) -> None:
+    def __init__(self, unit: CoSimulationUnit, *, starts: Starts | None = None) -> None:
         description = unit.description
         self._unit, self._name = unit, description.name
         self.interface = unit.interface
@@ -94,15 +96,19 @@ class CoSimulation:
         discrete = description.discrete_inputs
         self._stepped = _Inputs(description, ~discrete if self._can.event_mode else np.ones_like(discrete))
         self._jumping = _Inputs(description, discrete & self._can.event_mode)
-        self._sloped = _Inputs(description, ~discrete & _float64(description))
-        self._direct = Direct.of(unit) if self._can.directional_derivatives else None
+        self._lined = description.interpolated_inputs
+        self._sloped, self._mixed = _Inputs(description, self._lined), bool((~discrete & ~self._lined).any())
+        self._direct = Direct(unit) if self._can.directional_derivatives else None
         self._goes_back = self._can.saves_state and self._can.variable_step and not description.undoes_discarded_steps
         self._kept: object | None = None  # the unit's state before the last part; its memory is used again
         self._inner_step = InnerStep(_watched(description))
         self._said: set[str] = set()  # what messages were about
-        self._news: list[tuple[Level, str]] = []
-        self._moves = ~discrete
+        self._news: list[Message] = []
+        self._hold(discrete)
         self._forget(np.zeros(len(discrete)), np.zeros(self._outputs.size))
+
+    def _hold(self, held: Mask) -> None:
+        self._moves, self._holds = ~held, bool(held.any())
 
     def _forget(self, u: Vector, y: Vector) -> None:
         self._read, self._end = y, u
@@ -126,24 +132,27 @@ class CoSimulation:
                 f"{self._name}: the communication step {h} s is not a whole number of the unit's inner steps of {fixed} s; "
                 f"nearest: {max(1, round(h / fixed)) * fixed} s"
             )
-        self._moves = ~(held | self._unit.description.discrete_inputs)
+        self._hold(held | self._unit.description.discrete_inputs)
         return {}
 
     @property
     def notes(self) -> tuple[str, ...]:
         """What is to be known about the results."""
-        fed = [output.name for output in self.interface.outputs if self.interface.feeds(output.name)]
-        if not fed or self._direct:
+        face = self.interface
+        corrected = self._direct.corrected if self._direct else ()
+        fed = [output.name for output in face.outputs if face.feeds(output.name) and output.name not in corrected]
+        if not fed:
             return ()
-        verb = "depend" if all(self.interface.knows(name) for name in fed) else "may depend"
+        verb = "may depend" if not all(face.knows(name) for name in fed) else "depend" if len(fed) > 1 else "depends"
         where = (
             "where inputs are held, what is read belongs to their value"
             if self._interpolates
             else "what is read belongs to the inputs"
         )
+        why = "directional derivatives are for real variables" if self._direct else "the unit has no directional derivatives"
         return (
             f"{self._name}: {', '.join(fed)} {verb} directly on inputs; {where} inside the step, not at its end (first order in "
-            "the step), as the unit has no directional derivatives",
+            f"the step), as {why}",
         )
 
     def initialize(self, t: float, u: Vector) -> Vector:
@@ -155,42 +164,54 @@ class CoSimulation:
     def outputs(self, t: float, u: Vector) -> Vector:
         """Give the outputs last read, corrected to the inputs ``u`` where D is known."""
         self._leave_initialization(t)
-        return self._outputs_for(u)
+        return self._outputs_for(u).copy()
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
         """Step K times; see :class:`cosim.core.contracts.Component`."""
-        u = np.array(u, np.float64, order="C")
-        y = np.empty((len(t) - 1, self.interface.n_y))
-        for k, t0 in enumerate(t[:-1].tolist()):
-            try:
-                self._leave_initialization(t0)
-                completed = self._step(t0, h, u[k], u[k + 1])
+        rows, k = list(np.array(u, np.float64, order="C")), 0
+        y = np.empty((len(rows) - 1, self._outputs.size))
+        try:
+            self._leave_initialization(float(t[0]))
+            for k, t0 in enumerate(t[:-1].tolist()):
+                completed = self._step(t0, h, rows[k], rows[k + 1])
                 if completed:
-                    y[k] = self._outputs_for(u[k + 1])
-            except RunError as error:
-                raise Stopped(y[:k].copy(), str(error)) from error
-            if self._ended:
-                raise Stopped(y[: k + completed].copy(), TERMINATED, failed=False)
+                    y[k] = self._outputs_for(rows[k + 1])
+                if self._ended:
+                    raise Stopped(y[: k + completed].copy(), TERMINATED, failed=False)
+        except Stopped:
+            raise
+        except RunError as error:
+            raise Stopped(y[:k].copy(), str(error)) from error
         return y
 
     def _leave_initialization(self, t: float) -> None:
-        if self._start.leave() and self._can.event_mode:
+        if self._start.leave() and self._can.event_mode:  # the unit is in it now
             self._settle(t)
+            self._read = self._unit.get_float64(self._outputs)
 
     def _outputs_for(self, u: Vector) -> Vector:
         """Give y + D (u - u_end)."""
-        return self._read.copy() if self._direct is None else self._read + self._direct.change(u - self._end)
+        return self._read if self._direct is None or u is self._end else self._direct.add(self._read, u - self._end)
 
     # --- one communication step ---
 
     def _step(self, t: float, h: float, u0: Vector, u1: Vector) -> bool:
         """Do one communication step; False: the unit asked for the end of the run inside it."""
-        ramp = _Ramp(t, h, u0, (u1 - u0) * self._moves)
+        change = u1 - u0
+        if self._holds:
+            change *= self._moves
+            u1 = u0 + change
+        ramp = _Ramp(t, h, u0, u1, change)
         if self._can.event_mode:
             self._jump(t, self._jumping.of(u0))
         if self._cross(ramp, 0.0, 1.0, 0) < 1.0:
             return False
         self._read = self._unit.get_float64(self._outputs)
+        if self._inner_step.seen is not None:
+            self._look_for_an_inner_step(h)
+        return True
+
+    def _look_for_an_inner_step(self, h: float) -> None:
         n = self._inner_step.see(self._read, self._end)
         if n:
             self._say(
@@ -198,7 +219,6 @@ class CoSimulation:
                 f"its outputs change at every {_ordinal(n)} communication step only: it seems to keep an inner step of "
                 f"{n * h:.12g} s and to ignore the communication step of {h} s",
             )
-        return True
 
     def _cross(self, ramp: _Ramp, s0: float, s1: float, halvings: int) -> float:
         """Go from ``s0`` to ``s1``, in halves where the unit discards the whole; give how far the unit came."""
@@ -206,7 +226,7 @@ class CoSimulation:
         for _ in range(PARTS):
             if self._ended:
                 return s0
-            if goal != (goal := self._goal(ramp, s0, s1)):
+            if goal != (goal := s1 if self._next_event is None else self._goal(ramp, s0, s1, self._next_event)):
                 begin = s0
             end = self._part(ramp, s0, goal, 0.5 * (begin + goal))
             self._ended |= end.terminate
@@ -234,20 +254,26 @@ class CoSimulation:
             self._end = ramp.at(middle)
             unit.set_float64(self._stepped.references, self._stepped.of(self._end))
             return unit.do_step(t, h)
-        unit.set_float64(self._stepped.references, self._stepped.of(ramp.at(s0)))
-        unit.set_input_derivatives(self._sloped.references, self._sloped.of(ramp.change) / ramp.h)
+        unit.set_float64(self._stepped.references, self._stepped.of(self._on_lines(ramp, s0, middle)))
+        slopes = self._sloped.of(ramp.change) / ramp.h
+        unit.set_input_derivatives(self._sloped.references, slopes)
         end = unit.do_step(t, h)
-        if end.followed == -math.inf and ramp.change.any():
+        if end.followed == -math.inf and slopes.any():
             self._stops_interpolating(t)
-        self._end = ramp.at(min(max(s0, ramp.fraction(end.followed)), s1))
+        followed = s1 if end.followed == math.inf else min(max(s0, ramp.fraction(end.followed)), s1)
+        self._end = self._on_lines(ramp, followed, middle)
         return end
+
+    def _on_lines(self, ramp: _Ramp, s: float, middle: float) -> Vector:
+        """Give the inputs at ``s``; those that cannot follow their line as they are in the middle."""
+        return np.where(self._lined, ramp.at(s), ramp.at(middle)) if self._mixed else ramp.at(s)
 
     def _stops_interpolating(self, t: float) -> None:
         self._interpolates = False
         self._say(
             "interpolation",
             f"asked for no inputs in the step from t = {t} s, though it says it can (providesIntermediateUpdate): they stayed at "
-            "their start there; from then on it gets their mean, and what outputs show of inputs directly belongs to it",
+            "their start there; from then on it gets their mean, and what outputs show of inputs directly belongs to that",
         )
 
     def _halve(self, ramp: _Ramp, s0: float, s1: float, halvings: int) -> float:
@@ -256,7 +282,7 @@ class CoSimulation:
         if not self._can.variable_step:
             reason = "it takes steps of one size only (canHandleVariableCommunicationStepSize is false)"
         elif not (undone or self._can.saves_state):
-            reason = "its state before the step cannot be restored (canGetAndSetFMUstate is false)"
+            reason = "its state before the step cannot be restored (canGetAndSetFMUstate is false, or not true)"
         elif halvings == HALVINGS:
             reason = f"the communication step of {ramp.h} s was halved {HALVINGS} times"
         else:
@@ -282,19 +308,17 @@ class CoSimulation:
 
     # --- events ---
 
-    def _goal(self, ramp: _Ramp, s0: float, s1: float) -> float:
+    def _goal(self, ramp: _Ramp, s0: float, s1: float, event: float) -> float:
         """Give the next time event, if the unit can stop there, else ``s1``."""
-        if self._next_event is None:
-            return s1
-        s = ramp.fraction(self._next_event)
+        s = ramp.fraction(event)
         if not s0 < s < s1:
             return s1
         if self._can.variable_step:
             return s
         self._say(
             "time event",
-            f"the time event at t = {self._next_event} s is met at the end of the communication step only, as it takes steps of "
-            "one size (canHandleVariableCommunicationStepSize is false)",
+            f"the time event at t = {event} s is met at the end of the communication step only, as it takes steps of one size "
+            "(canHandleVariableCommunicationStepSize is false)",
         )
         return s1
 
@@ -328,15 +352,15 @@ class CoSimulation:
 
     # --- messages, states ---
 
-    def drain(self) -> list[tuple[Level, str]]:
-        """Give what the run showed about the unit since the last call, as (level, text); each is said once."""
+    def drain(self) -> list[Message]:
+        """Give what the run showed about the unit since the last call; each kind is said once."""
         news, self._news = self._news, []
         return news
 
     def _say(self, about: str, text: str) -> None:
         if about not in self._said:
             self._said.add(about)
-            self._news.append(("warning", f"{self._name}: {text}"))
+            self._news.append(Message("warning", "", f"{self._name}: {text}"))
 
     def save(self) -> SavedState:
         """Copy the state.
@@ -369,13 +393,6 @@ class _Inputs:
     def of(self, values: Vector) -> Vector:
         """Give their values."""
         return values if self._columns is None else values[self._columns]
-
-
-def _float64(description: Description) -> Mask:
-    """Mark the elements of the inputs that are Float64, shape (n_u,)."""
-    return np.array(
-        [v.type == "Float64" for _, group in description.ports("input") for v in group for _ in range(v.size)], np.bool_
-    )
 
 
 def _watched(description: Description) -> NDArray[np.intp]:

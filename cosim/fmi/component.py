@@ -8,25 +8,28 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self, TypeAlias, final
+from typing import Any, Final, Self, TypeAlias, final
 
 from cosim.errors import FmuError, RunError
+from cosim.fmi.binaries import built_for
 from cosim.fmi.co_simulation import CoSimulation
 from cosim.fmi.compare import compare_ports
 from cosim.fmi.description import MODE_NAMES, MODES, Description, Mode
 from cosim.fmi.loaded import LoadedUnit
 from cosim.fmi.messages import Message
 from cosim.fmi.model_exchange import ModelExchange
-from cosim.fmi.platforms import SUFFIX, folders
+from cosim.fmi.platforms import ARCHITECTURE, SUFFIX, folders
 from cosim.fmi.reading import Archive, read
-from cosim.fmi.start import check_start
+from cosim.fmi.start import Starts, check_start, resized
+from cosim.fmi.trial import can_roll_back
 
 __all__ = ["CoSimulation", "Fmu", "ModelExchange", "compare_ports", "load"]
 
+OUR_TOOL: Final = "cosim"  # whose FMUs the tests hold to their word
 FmuComponent: TypeAlias = ModelExchange | CoSimulation
 
 
@@ -44,18 +47,28 @@ class Fmu:
         Where it was unpacked.
     solver : str or None
         Of a model exchange FMU.
+    notes : tuple of str
+        What is to be known about how it was opened.
     """
 
     def __init__(
-        self, archive: Archive, mode: Mode, *, unit: LoadedUnit, component: FmuComponent, folder: Path, solver: str | None
+        self,
+        archive: Archive,
+        mode: Mode,
+        *,
+        unit: LoadedUnit,
+        component: FmuComponent,
+        folder: Path,
+        solver: str | None,
+        notes: tuple[str, ...] = (),
     ) -> None:
-        self.component, self.mode, self._solver = component, mode, solver
+        self.component, self.mode, self._solver, self._notes = component, mode, solver, notes
         self._archive, self._unit, self._folder = archive, unit, folder
 
     @property
     def description(self) -> Description:
-        """Variables, structure, capabilities."""
-        return self._archive.description
+        """Variables, structure, capabilities; arrays as large as the structural parameters say."""
+        return self._unit.description
 
     @property
     def metadata(self) -> dict[str, Any]:
@@ -70,11 +83,15 @@ class Fmu:
             "model_description": found.xml,
         }
 
-    def drain(self) -> list[Message]:
-        """Give what the FMU logged since the last call, and how many messages were dropped.
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is to be known about the FMU and about its results."""
+        return self._notes + self.component.notes
 
-        The level is "info", "warning", "error" or "fatal", from the FMI status. What is to be known about the FMU's results is
-        in ``component.notes``.
+    def drain(self) -> list[Message]:
+        """Give what the FMU logged since the last call, how many messages were dropped, and what the run showed about it.
+
+        The level is "info", "warning", "error" or "fatal", from the FMI status.
         """
         return self._unit.messages.drain() + self.component.drain()
 
@@ -97,7 +114,7 @@ def load(
     *,
     mode: Mode | None = None,
     solver: str | None = None,
-    start: Mapping[str, float] | None = None,
+    start: Starts | None = None,
     instance_name: str | None = None,
 ) -> Fmu:
     """Open an FMU.
@@ -109,8 +126,8 @@ def load(
         Model exchange or co-simulation; None: the one that is there, model exchange where both are.
     solver : str or None
         Of a model exchange FMU; see :class:`ModelExchange`.
-    start : mapping of variable name to float
-        Start values to set instead of the FMU's own.
+    start : mapping of variable name to StartValue
+        Start values to set instead of the FMU's own: numbers, Booleans, items of enumerations, texts, lists; see ``start.py``.
     instance_name : str or None
         None: the name of the model.
 
@@ -123,17 +140,16 @@ def load(
     unit: LoadedUnit | None = None
     try:
         archive = read(path, into=folder)
-        description, starts = archive.description, dict(start or {})
-        mode = _mode(archive, mode)
-        if description.version == "1.0":
-            raise FmuError(f"{path}: FMI 1.0 can be read, but not run yet; FMI 2.0 and 3.0 can")
+        mode, starts = _mode(archive, mode), dict(start or {})
         if mode == "cs" and solver is not None:
             raise FmuError(f'{path}: solver {solver!r}: a co-simulation FMU brings its own; leave it out or use mode = "me"')
-        library = _library(archive, mode)
-        _check_events(archive, mode)
+        library = folder / _library(archive, mode)
+        _check_architecture(archive, library)
+        description = resized(archive.description, starts)
         check_start(description, starts)
+        description, notes = _limited(archive, description, mode)
         name = instance_name or description.name
-        unit = LoadedUnit(folder, folder / library, description, mode=mode, name=name, label=str(archive.path))
+        unit = LoadedUnit(folder, library, description, mode=mode, name=name, label=str(archive.path))
         solver = solver or ("rk4" if mode == "me" else None)
         component = ModelExchange(unit, solver, starts=starts) if mode == "me" else CoSimulation(unit, starts=starts)
     except BaseException:
@@ -141,7 +157,29 @@ def load(
             unit.free_instance()
         shutil.rmtree(folder, ignore_errors=True)
         raise
-    return Fmu(archive, mode, unit=unit, component=component, folder=folder, solver=solver)
+    return Fmu(archive, mode, unit=unit, component=component, folder=folder, solver=solver, notes=notes)
+
+
+def _limited(archive: Archive, description: Description, mode: Mode) -> tuple[Description, tuple[str, ...]]:
+    """Take from a description what is not supported or cannot be relied on; give what is to be known about that.
+
+    A clock that an FMU only shows needs nothing from us. One that it must be given would never tick in model exchange; in
+    co-simulation the FMU drives it itself, once it was told that event mode is not used.
+    """
+    can, notes = description.capabilities[mode], []
+    if description.clocks:
+        can = replace(can, event_mode=False)
+        named = f"clocks are not supported: {', '.join(description.clocks)}"
+        given = [name for name in description.clocks if description[name].causality == "input"]
+        if mode == "me" and given:
+            other = '; use mode = "cs"' if "cs" in description.capabilities else ""
+            raise FmuError(f"{archive.path}: {named}; in model exchange {', '.join(given)} would have to be ticked{other}")
+        notes.append(f"{description.name}: {named}{'; the FMU drives them itself, without event mode' * (mode == 'cs')}")
+    problems = can_roll_back(archive, mode) if can.saves_state and description.tool != OUR_TOOL else ()
+    if problems:
+        can = replace(can, saves_state=False)
+        notes.append(f"{description.name}: its state is not saved, although it says that it can be: {'; '.join(problems)}")
+    return replace(description, capabilities={**description.capabilities, mode: can}), tuple(notes)
 
 
 def _mode(archive: Archive, wanted: Mode | None) -> Mode:
@@ -175,12 +213,12 @@ def _library(archive: Archive, mode: Mode) -> str:
     )
 
 
-def _check_events(archive: Archive, mode: Mode) -> None:
-    description = archive.description
-    if mode == "cs":
-        return
-    other = '; use mode = "cs"' if "cs" in description.capabilities else ""
-    if description.clocks:
+def _check_architecture(archive: Archive, library: Path) -> None:
+    """Name what the loader calls a missing file: a binary of another machine."""
+    with library.open("rb") as file:
+        found = built_for(file.read(1024))
+    if found and found[0] not in ("any", ARCHITECTURE):
         raise FmuError(
-            f"{archive.path}: has clocks ({', '.join(description.clocks)}), which are not supported yet in model exchange{other}"
+            f"{archive.path}: the binary {library.parent.name}/{library.name} is for {found[0]}, found in the folder for "
+            f"{ARCHITECTURE}; needed one for {ARCHITECTURE}"
         )

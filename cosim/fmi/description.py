@@ -58,6 +58,8 @@ class Variable:
         Of an array (FMI 3): numbers, or names of structural parameters; ``size`` is their product at the start.
     items : mapping of str to int
         Names and values of an enumeration.
+    inside_steps : bool
+        Whether an input may be set inside a step (FMI 3: intermediateUpdate; FMI 1 and 2: by its derivative).
     alias_of : str or None
         The variable whose other name it is (FMI 3); it is no signal of its own.
     doc : str
@@ -81,6 +83,7 @@ class Variable:
     derivative_of: str | None = None
     dimensions: tuple[int | str, ...] = ()
     items: Mapping[str, int] = field(default_factory=dict)
+    inside_steps: bool = True
     alias_of: str | None = None
     doc: str = ""
 
@@ -181,6 +184,10 @@ class Description:
     def __post_init__(self) -> None:
         object.__setattr__(self, "_named", {variable.name: variable for variable in self.variables})
 
+    def __contains__(self, name: str) -> bool:
+        """Whether there is a variable of that name."""
+        return name in self._named
+
     def __getitem__(self, name: str) -> Variable:
         """Find a variable.
 
@@ -224,6 +231,12 @@ class Description:
         return not self.version.startswith(("1.", "2."))
 
     @property
+    def interpolated_inputs(self) -> Mask:
+        """Which elements of the input vector can follow a straight line inside a step, if the unit interpolates, shape (n_u,)."""
+        variables = [v for _, group in self.ports("input") for v in group for _ in range(v.size)]
+        return np.array([v.variability == "continuous" and v.type == "Float64" and v.inside_steps for v in variables], np.bool_)
+
+    @property
     def n_states(self) -> int:
         """Number of continuous state elements."""
         return self.unnamed_states + sum(self[name].size for name in self.states)
@@ -258,7 +271,7 @@ class Description:
             variable = self[name]
             if variable.causality != "structuralParameter":
                 raise FmuError(f"{self.name}: {name!r} is no structural parameter, but of causality {variable.causality}")
-            if int(value) != value or not max(1, variable.minimum) <= value <= variable.maximum:
+            if value % 1 != 0 or not max(1, variable.minimum) <= value <= variable.maximum:
                 needed = f"a whole number from {max(1, variable.minimum):g} to {variable.maximum:g}"
                 raise FmuError(f"{self.name}: structural parameter {name!r}: found {value}, needed {needed}")
         variables = tuple(self._sized(variable, structural) for variable in self.variables)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import final
 
 import numpy as np
@@ -16,35 +16,34 @@ from cosim.fmi.unit import CoSimulationUnit
 
 @final
 class Direct:
-    """D times a change of the inputs, by directional derivatives, for real inputs and continuous outputs."""
+    """D times a change of the inputs, by directional derivatives: from real inputs to continuous outputs.
 
-    def __init__(self, unit: CoSimulationUnit, outputs: Sequence[int], inputs: Sequence[int]) -> None:
-        self._unit, self._n_y = unit, unit.interface.n_y
-        self._rows, self._columns = np.array(outputs, np.intp), np.array(inputs, np.intp)
+    ``corrected``: names of the outputs that depend on nothing else directly.
+    """
+
+    def __init__(self, unit: CoSimulationUnit) -> None:
+        face = unit.interface
+        real = {signal.name for signal in face.inputs if signal.kind == "real"}
+        moving = [signal.name for signal in face.outputs if signal.kind == "real" and signal.variability == "continuous"]
+        fed = {name: face.feeds(name) for name in moving if face.feeds(name)}
+        feeding = [signal.name for signal in face.inputs if any(signal.name in names for names in fed.values())]
+        self.corrected = frozenset(name for name, names in fed.items() if real.issuperset(names))
+        self._unit = unit
+        self._rows = _elements(face.output_columns(), fed)
+        self._columns = _elements(face.input_columns(), [name for name in feeding if name in real])
         self._unknowns = _select(unit.description, "output", self._rows)
         self._knowns = _select(unit.description, "input", self._columns)
 
-    @staticmethod
-    def of(unit: CoSimulationUnit) -> Direct:
-        """Find what feeds through."""
-        face = unit.interface
-        sources = {name for output in face.outputs for name in face.feeds(output.name)}
-        moving = [signal.name for signal in face.outputs if signal.kind == "real" and signal.variability == "continuous"]
-        fed = [name for name in moving if face.feeds(name)]
-        feeding = [signal.name for signal in face.inputs if signal.name in sources and signal.kind == "real"]
-        rows, columns = face.output_columns(), face.input_columns()
-        return Direct(unit, _elements(rows, fed), _elements(columns, feeding))
-
-    def change(self, du: Vector) -> Vector:
-        """D du, shape (n_y,)."""
-        seed, dy = du[self._columns], np.zeros(self._n_y)
-        if len(self._rows) and seed.any():
-            dy[self._rows] = self._unit.get_directional_derivative(self._unknowns, self._knowns, seed)
-        return dy
+    def add(self, y: Vector, du: Vector) -> Vector:
+        """Give y + D du, shape (n_y,)."""
+        seed, y = du[self._columns], y.copy()
+        if len(self._rows) and any(seed.tolist()):  # quicker than seed.any() for a few
+            y[self._rows] += self._unit.get_directional_derivative(self._unknowns, self._knowns, seed)
+        return y
 
 
-def _elements(columns: Mapping[str, slice], names: Sequence[str]) -> list[int]:
-    return [i for name in names for i in range(columns[name].start, columns[name].stop)]
+def _elements(columns: Mapping[str, slice], names: Iterable[str]) -> NDArray[np.intp]:
+    return np.array([i for name in names for i in range(columns[name].start, columns[name].stop)], np.intp)
 
 
 def _select(description: Description, causality: str, elements: NDArray[np.intp]) -> References:

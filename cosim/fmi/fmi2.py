@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from cosim.arrays import Vector
-from cosim.fmi.binding import NO_DIRECTIONAL_DERIVATIVES, NO_STATE, Instance
+from cosim.fmi.binding import NO_DIRECTIONAL_DERIVATIVES, NO_SLOPES, NO_STATE, Instance
 from cosim.fmi.description import Variable
-from cosim.fmi.library import DISCARD, WARNING, Library, pointer
+from cosim.fmi.library import DISCARD, WARNING, Library, declared, pointer
 from cosim.fmi.references import Group
 from cosim.fmi.unit import DiscreteStates, StepEnd
 from cosim.native.library import address
@@ -56,11 +56,9 @@ class Fmi2:
             self._bind_co_simulation(interpolates=can.interpolates_inputs)
 
     def _bind_model_exchange(self) -> None:
-        from fmpy.fmi2 import fmi2EventInfo
-
         call = self.library.call
         self.enter_event_mode, self.enter_continuous_time_mode = call("EnterEventMode"), call("EnterContinuousTimeMode")
-        self._info: Any = fmi2EventInfo()
+        self._info: Any = declared("fmi2").fmi2EventInfo()
         self._update = call("NewDiscreteStates", c_void_p)
         self._completed = call("CompletedIntegratorStep", c_int, c_void_p, c_void_p)
         self._event, self._end = c_int(), c_int()
@@ -77,14 +75,13 @@ class Fmi2:
         self._slopes = (
             call("SetRealInputDerivatives", c_void_p, c_size_t, c_void_p, c_void_p)
             if interpolates
-            else self.library.absent("the FMU does not interpolate inputs (canInterpolateInputs is false)")
+            else self.library.absent(NO_SLOPES)
         )
 
     def instantiate(self) -> None:
         """Create the instance."""
-        from fmpy import fmi2
-
-        about, self._callbacks = self._about, fmi2.fmi2CallbackFunctions()  # the FMU keeps the address
+        about, fmi2 = self._about, declared("fmi2")
+        self._callbacks = fmi2.fmi2CallbackFunctions()  # the FMU keeps the address
         self._callbacks.logger = cast(address("cosim_log"), fmi2.fmi2CallbackLoggerTYPE)
         self._callbacks.allocateMemory = cast(address("cosim_allocate"), fmi2.fmi2CallbackAllocateMemoryTYPE)
         self._callbacks.freeMemory = cast(address("cosim_free"), fmi2.fmi2CallbackFreeMemoryTYPE)
@@ -149,7 +146,7 @@ class Fmi2:
     def do_step(self, t: float, h: float) -> StepEnd:
         """Advance from ``t`` by ``h`` seconds (section 4.2.2: what discard means is asked for)."""
         if self._step(t, h, self._no_way_back) <= WARNING:
-            return StepEnd(completed=True, terminate=False, reached=t + h)
+            return StepEnd(True, False, False, False, t + h)
         ended, reached = c_int(), c_double()
         terminate = self._boolean_status(IS_TERMINATED, byref(ended)) < DISCARD and bool(ended.value)
         known = self._real_status(LAST_SUCCESSFUL_TIME, byref(reached)) < DISCARD

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from ctypes import (
     POINTER,
@@ -113,7 +114,8 @@ class Fmi3:
     def _interpolated(about: Instance) -> NDArray[np.uint32]:
         """Give the references of the inputs that will be set in Intermediate Updates."""
         moving = (v for v in about.description.variables if v.causality == "input" and v.variability == "continuous")
-        found = [v.reference for v in moving if v.type == "Float64"] if about.capabilities.interpolates_inputs else []
+        able = about.capabilities.interpolates_inputs
+        found = [v.reference for v in moving if able and v.type == "Float64" and v.inside_steps]
         return np.array(found, np.uint32)
 
     def free(self) -> None:
@@ -184,13 +186,14 @@ class Fmi3:
 
     def do_step(self, t: float, h: float) -> StepEnd:
         """Advance from ``t`` by ``h`` seconds; a discarded step left the FMU as it was (section 4.2.1.2)."""
-        self._lines.t0, self._lines.h = t, h
+        lines, followed = self._lines, math.inf
+        lines.t0, lines.h, lines.asked = t, h, -math.inf
         status = self._step(t, h, *self._rest)
-        if self._lines.size:
-            self._lines.size = 0
-            if self._lines.status > WARNING:
-                raise self.library.failure("SetFloat64", self._lines.status)
+        if lines.size:
+            lines.size, followed = 0, lines.asked
+            if lines.status > WARNING:
+                raise self.library.failure("SetFloat64", lines.status)
         if status == DISCARD:
             return StepEnd(False, self._flags[1].value, discarded=not self._flags[1].value, reached=t)
         event, terminate, early = self._flags[0].value, self._flags[1].value, self._flags[2].value
-        return StepEnd(not early, terminate, event=event, reached=self._time.value if early else t + h)
+        return StepEnd(not early, terminate, False, event, self._time.value if early else t + h, followed)

@@ -9,7 +9,8 @@ told apart thus:
 * rounding, creeping towards a rest: a change counts from ``RELATIVE`` of the value on;
 * a switch between two values (a pulse): a change back to the value before the last one does not count.
 
-``REPEATS`` equal spells in a row are needed; ``LIVELY`` changes in successive steps show that there is nothing to find.
+``REPEATS`` spells in a row that equal the one before are needed, as chance gives a few; ``LIVELY`` changes in successive steps
+show that there is nothing to find. A quantised output that moves steadily looks the same: what is found is a suspicion.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Vector
 
-REPEATS: Final = 3
+REPEATS: Final = 8
 LIVELY: Final = 20
 RELATIVE: Final = 1e-9
 
@@ -80,5 +81,6 @@ class InnerStep:
 
 
 def _counts(now: Vector, last: Vector, older: Vector | None) -> bool:
-    moved = np.abs(now - last) > RELATIVE * np.maximum(np.abs(now), np.abs(last))
+    with np.errstate(all="ignore"):  # what is not finite stops the run elsewhere
+        moved = np.abs(now - last) > RELATIVE * np.maximum(np.abs(now), np.abs(last))
     return bool(moved.any()) and (older is None or now.tobytes() != older.tobytes())

@@ -8,7 +8,10 @@ numpy arrays: fmpy's own wrappers build their ctypes arrays anew from lists at e
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import redirect_stdout
 from ctypes import CDLL, c_int, c_uint8, c_void_p
+from importlib import import_module
+from io import StringIO
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
@@ -28,6 +31,12 @@ def pointer(array: NDArray[Any]) -> Any:
     """Point to a contiguous array's memory; quicker than ``array.ctypes``."""
     memory: Any = array
     return _Memory.from_buffer(memory) if array.size else None
+
+
+def declared(version: str) -> Any:
+    """Import fmpy's declarations, of ``fmi1`` or ``fmi2``; where it has no logger for the machine, its import would print."""
+    with redirect_stdout(StringIO()):
+        return import_module(f"fmpy.{version}")
 
 
 class Library:

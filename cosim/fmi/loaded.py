@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from ctypes import byref, c_double, c_size_t, c_void_p
 from pathlib import Path
 from typing import Any, Final, final
@@ -13,16 +14,27 @@ from numpy.typing import DTypeLike, NDArray
 from cosim.arrays import Vector
 from cosim.core.signals import Interface
 from cosim.core.solver import LinearModel
-from cosim.errors import RunError
+from cosim.errors import FmuError, RunError
 from cosim.fmi.binding import Calls, Instance
 from cosim.fmi.description import LARGEST_EXACT, Description, Mode, Variable
+from cosim.fmi.fmi1 import Fmi1
 from cosim.fmi.fmi2 import Fmi2
 from cosim.fmi.fmi3 import Fmi3
 from cosim.fmi.library import Library, pointer
 from cosim.fmi.messages import Messages
 from cosim.fmi.references import References
 
-VERSIONS: Final[Mapping[str, tuple[str, Callable[[Library, Instance], Calls]]]] = {"2": ("fmi2", Fmi2), "3": ("fmi3", Fmi3)}
+VERSIONS: Final[Mapping[str, tuple[str, Callable[[Library, Instance], Calls]]]] = {
+    "1": ("{identifier}_fmi", Fmi1),
+    "2": ("fmi2", Fmi2),
+    "3": ("fmi3", Fmi3),
+}
+"""By the first digit of the FMI version: the prefix of its functions, and what binds them."""
+
+ALONE: Final[set[tuple[str, str]]] = set()
+"""Name and token of the FMUs that are here and can be instantiated only once per process."""
+
+SPARE: Final = 4  # how many states that were let go of are kept for the next copies
 
 
 @final
@@ -45,7 +57,7 @@ class LoadedUnit:
     Raises
     ------
     FmuError
-        If the library cannot be loaded or refuses to instantiate.
+        If the library cannot be loaded or refuses to instantiate, or is here already and can be only once.
     """
 
     linear: LinearModel | None = None
@@ -54,10 +66,12 @@ class LoadedUnit:
         self.description = description
         self.messages = Messages()
         about = Instance(description, mode, name, folder, self.messages)
-        self._calls = calls = bind(library, about, label)
-        self._library = calls.library
+        with _alone(about, label):
+            self._calls = calls = bind(library, about, label)
+        self._library, self._about = calls.library, about
         self._freed = self._running = False
-        self._states: list[c_void_p] = []
+        self._states: list[c_void_p] = []  # all that the FMU allocated
+        self._spare: list[c_void_p] = []  # those of them that nobody needs
         self._n, self._n_z = description.n_states, description.event_indicators
         self._x = np.empty(self._n)
         self._x_memory = pointer(self._x)
@@ -109,11 +123,13 @@ class LoadedUnit:
     def free_instance(self) -> None:
         """Free the instance and unload the library; once."""
         if not self._freed:
-            for state in tuple(self._states):
-                self.free_fmu_state(state)
             self._freed = True
+            for state in self._states:
+                if not self._library.over:
+                    self._calls.free_state(byref(state))
             self._calls.free()
             self._library.unload()
+            ALONE.discard(self._about.key)
 
     # --- values ---
 
@@ -203,26 +219,46 @@ class LoadedUnit:
     # --- states ---
 
     def get_fmu_state(self, into: object | None = None) -> object:
-        """Copy the whole state, into the memory of an earlier copy if one is given."""
-        if into is None:
-            state = c_void_p()
-            self._calls.get_state(byref(state))
+        """Copy the whole state, into the memory of an earlier copy if one is given, or was let go of."""
+        state: Any = into if into is not None else self._spare.pop() if self._spare else c_void_p()
+        self._calls.get_state(byref(state))
+        if not any(known is state for known in self._states):
             self._states.append(state)
-            return state
-        self._calls.get_state(byref(into))  # type: ignore[arg-type]
-        return into
+        return state
 
     def set_fmu_state(self, state: object) -> None:
         """Go back to a copied state."""
         self._calls.set_state(state)
 
     def free_fmu_state(self, state: object) -> None:
-        """Let go of a copied state; nothing to do once the instance is gone."""
-        mine = next((i for i, known in enumerate(self._states) if known is state), None)
-        if mine is not None:
-            known = self._states.pop(mine)
-            if not self._library.over:
-                self._calls.free_state(byref(known))
+        """Let go of a copied state: its memory is kept for the next copy, within a limit."""
+        mine = next((known for known in self._states if known is state), None)
+        if mine is None or self._freed or any(known is state for known in self._spare):
+            return
+        if len(self._spare) < SPARE:
+            self._spare.append(mine)
+        elif not self._library.over:
+            self._states = [known for known in self._states if known is not mine]
+            self._calls.free_state(byref(mine))
+
+
+@contextmanager
+def _alone(about: Instance, label: str) -> Iterator[None]:
+    """Refuse a second instance of an FMU that can be instantiated only once per process."""
+    if not about.capabilities.once_per_process:
+        yield
+        return
+    if about.key in ALONE:
+        raise FmuError(
+            f"{label}: can be instantiated only once per process (canBeInstantiatedOnlyOncePerProcess), and there is an instance "
+            "already; close that one before"
+        )
+    ALONE.add(about.key)
+    try:
+        yield
+    except BaseException:
+        ALONE.discard(about.key)
+        raise
 
 
 def bind(binary: Path, about: Instance, label: str) -> Calls:
@@ -234,7 +270,7 @@ def bind(binary: Path, about: Instance, label: str) -> Calls:
         If the library cannot be loaded, lacks a function, or refuses to instantiate. It is then unloaded.
     """
     prefix, version = VERSIONS[about.description.version[0]]
-    library = Library(binary, prefix, label, about.messages)
+    library = Library(binary, prefix.format(identifier=about.capabilities.identifier), label, about.messages)
     try:
         calls = version(library, about)
         calls.instantiate()

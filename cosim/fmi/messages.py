@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import weakref
-from ctypes import byref, c_void_p, cast
+from ctypes import addressof, byref
 from typing import Final, NamedTuple
 
 from cosim.core.contracts import Level
@@ -32,7 +32,7 @@ class Messages:
 
     def __init__(self) -> None:
         ring = (MessageStruct * MESSAGES)()
-        self._kept = MessagesStruct(ring=cast(ring, c_void_p), size=MESSAGES)
+        self._kept = MessagesStruct(ring=addressof(ring), size=MESSAGES)  # not cast: that makes a cycle of 100 kB
         self._out = MessageStruct()
         library.cosim_messages_open(byref(self._kept))
         weakref.finalize(self, _close, self._kept, ring)

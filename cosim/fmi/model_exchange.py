@@ -14,18 +14,19 @@ The end of the run that a unit asks for in an event is remembered, and comes wit
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Final, final
 
 import numpy as np
 
 from cosim.arrays import Mask, Matrix, Vector
-from cosim.core.contracts import Design, Level, Stopped
+from cosim.core.contracts import Design, Stopped
 from cosim.core.solver import SOLVERS, Linear, LinearModel, integrator
 from cosim.errors import FmuError, RunError, nearest
+from cosim.fmi.messages import Message
 from cosim.fmi.saved import SavedState, save
-from cosim.fmi.start import Start
+from cosim.fmi.start import Start, Starts
 from cosim.fmi.unit import TERMINATED, ModelExchangeUnit
 
 EVENT_ITERATIONS: Final = 100
@@ -41,7 +42,7 @@ class ModelExchange:
         Just instantiated.
     solver : str or None
         One of ``cosim.core.solver.SOLVERS``; None: ``exact`` where the unit's model is known to be linear, else ``rk4``.
-    starts : mapping of variable name to float
+    starts : mapping of variable name to StartValue
         Start values to set instead of the unit's own.
 
     Raises
@@ -50,7 +51,7 @@ class ModelExchange:
         If there is no such solver, it needs what the unit does not have, or a start value is wrong.
     """
 
-    def __init__(self, unit: ModelExchangeUnit, solver: str | None = None, *, starts: Mapping[str, float] | None = None) -> None:
+    def __init__(self, unit: ModelExchangeUnit, solver: str | None = None, *, starts: Starts | None = None) -> None:
         self._unit, self._name = unit, unit.description.name
         self.solver = solver or ("rk4" if unit.linear is None else "exact")
         if self.solver not in SOLVERS:
@@ -112,8 +113,8 @@ class ModelExchange:
             raise Stopped(np.empty((0, self.interface.n_y)), TERMINATED, failed=False)
         return self._advance_exactly(self._exact, t, h, u) if self._exact else self._integrate(t, u)
 
-    def drain(self) -> list[tuple[Level, str]]:
-        """Give what the run showed about the unit since the last call, as (level, text)."""
+    def drain(self) -> list[Message]:
+        """Give what the run showed about the unit since the last call."""
         return []
 
     def save(self) -> SavedState:

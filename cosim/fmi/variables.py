@@ -142,6 +142,7 @@ class _Reader:
             maximum=math.inf if high is None else high,
             nominal=nominal,
             items=self._items(declared) if value.tag == "Enumeration" else {},
+            inside_steps=self._version < 3 or flag(element, "intermediateUpdate"),
             doc=element.get("description", ""),
         )
 
@@ -155,9 +156,10 @@ class _Reader:
 
     def _start(self, value: Element, where: str) -> tuple[float, ...] | None:
         """Give what float64 can say exactly; an integer beyond that is left to the unit."""
-        found = self._attributes.numbers(value.get("start"), f"{where}: start")
-        exact = value.tag in ("Real", *FLOATS) or found is None or all(abs(number) <= LARGEST_EXACT for number in found)
-        return found if exact else None
+        if value.tag in ("Real", "Boolean", *FLOATS):
+            return self._attributes.numbers(value.get("start"), f"{where}: start")
+        found = self._attributes.integers(value, "start", where)
+        return None if found is None or any(abs(n) > LARGEST_EXACT for n in found) else tuple(map(float, found))
 
     def _items(self, declared: Element) -> dict[str, int]:
         """Give the items of an enumeration; in FMI 1 they count from 1."""

@@ -99,6 +99,7 @@ class LinesStruct(ctypes.Structure):
         *((name, c_void_p) for name in ("start", "slope", "values")),
         ("t0", c_double),
         ("h", c_double),
+        ("asked", c_double),
         ("status", c_int32),
     )
 

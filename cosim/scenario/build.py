@@ -349,7 +349,7 @@ class _Site:
         return log
 
     def fmu(
-        self, name: str, path: str, *, mode: Literal["me", "cs"] | None, solver: str | None, start: Mapping[str, float]
+        self, name: str, path: str, *, mode: Literal["me", "cs"] | None, solver: str | None, start: Mapping[str, Any]
     ) -> Component:
         from cosim.fmi.component import load
 
@@ -357,7 +357,7 @@ class _Site:
         facts = loaded.metadata
         self.attachments[f"{name}/modelDescription.xml"] = facts.pop("model_description")
         self.note(name, **facts)
-        for text in loaded.component.notes:
+        for text in loaded.notes:
             self.warn(name, text)
         self.fmus[name] = loaded
         return loaded.component

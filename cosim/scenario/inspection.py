@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
 from dataclasses import asdict
@@ -14,9 +15,11 @@ from cosim.core.signals import Interface, Signal
 from cosim.errors import CosimError
 from cosim.scenario.build import Scenario, build, build_site, parse
 from cosim.scenario.execution import load
+from cosim.units import BASE
 
 if TYPE_CHECKING:
     from cosim.fmi.compare import Port, PortRow
+    from cosim.fmi.description import Variable
 
 Section = dict[str, Any]
 
@@ -71,42 +74,109 @@ def scenario(name: str) -> Section:
 
 def fmu(path: str) -> Section:
     """Describe an FMU: kind, capabilities, variables."""
-    from cosim.fmi.description import MODE_NAMES
     from cosim.fmi.reading import read
 
     archive = read(path)
     found = archive.description
     about = {
         "name": found.name,
-        "FMI": found.version,
-        "platforms": ", ".join(found.platforms) or None,
-        "states": ", ".join(found.states) or None,
-        "event indicators": found.event_indicators,
+        "fmi_version": found.version,
+        "tool": found.tool or None,
+        "platforms": list(found.platforms),
+        "states": list(found.states),
+        "n_states": found.n_states,
+        "event_indicators": found.event_indicators,
+        "clocks": list(found.clocks),
+        "default_step": found.default_step,
+        "default_tolerance": found.default_tolerance,
         "sha256": archive.sha256,
     }
-    capabilities = {
-        MODE_NAMES[mode]: ", ".join(
-            f"{key.replace('_', ' ')}: {value}" for key, value in asdict(able).items() if value is not None
-        )
-        for mode, able in found.capabilities.items()
+    capabilities = {mode: asdict(able) for mode, able in found.capabilities.items()}
+    rows = [_variable_row(variable) for variable in found.variables]
+    units = {v.unit: asdict(v.base) for v in found.variables if v.unit is not None and v.base is not None}
+    return {
+        "fmu": about,
+        "capabilities": capabilities,
+        "units": units,
+        "variables": rows,
+        "dependencies": _lists(found.dependencies),
+        "initial_dependencies": _lists(found.initial_dependencies),
     }
-    rows = [
-        {
-            "variable": variable.name,
-            "causality": variable.causality,
-            "type": variable.type,
-            "size": variable.size,
-            "unit": variable.unit,
-            "start": None if variable.start is None else list(variable.start),
-            "depends on": _depends(found.dependencies.get(variable.name, ())),
-        }
-        for variable in found.variables
+
+
+def _variable_row(variable: Variable) -> Section:
+    """Give all of a variable; infinite limits are none."""
+    row = asdict(variable)
+    return row | {key: None if math.isinf(row[key]) else row[key] for key in ("minimum", "maximum")}
+
+
+def _lists(dependencies: Mapping[str, tuple[str, ...] | None]) -> dict[str, list[str] | None]:
+    return {name: None if names is None else list(names) for name, names in dependencies.items()}
+
+
+def shown_fmu(found: Section) -> Section:
+    """Make of what ``fmu`` gives what people read: one line for each variable, no line for what is not there."""
+    from cosim.fmi.description import MODE_NAMES
+
+    about = {key.replace("_", " "): _listed(value) for key, value in found["fmu"].items() if value not in (None, [], 0)}
+    capabilities = {MODE_NAMES[mode]: _able(able) for mode, able in found["capabilities"].items()}
+    units = {name: _si(base) for name, base in found["units"].items()}
+    at_start = {row["name"]: names for row in found["variables"] if (names := _starts_with(found, row["name"]))}
+    rows = [_shown_variable(row, found["dependencies"]) for row in found["variables"]]
+    return {"fmu": about, "capabilities": capabilities, "units in SI": units, "variables": rows, "at the start": at_start}
+
+
+def _listed(value: Any) -> Any:
+    return ", ".join(value) if isinstance(value, list) else value
+
+
+def _able(able: Section) -> str:
+    """Name what it can do, and what is special."""
+    named = [
+        key.replace("_", " ") if value is True else f"{key.replace('_', ' ')} {value}" for key, value in able.items() if value
     ]
-    return {"fmu": about, "capabilities": capabilities, "variables": rows}
+    return ", ".join(named)
 
 
-def _depends(names: Iterable[str] | None) -> str:
-    return "unknown" if names is None else ", ".join(names)
+def _si(base: Section) -> str:
+    powers = [f"{name}{'' if power == 1 else power}" for name, power in zip(BASE, base["exponents"], strict=True) if power]
+    offset = f" + {base['offset']:g}" if base["offset"] else ""
+    return f"{base['factor']!r} {'.'.join(powers) or '1'}{offset}"
+
+
+def _starts_with(found: Section, name: str) -> str | None:
+    if name not in found["initial_dependencies"]:
+        return None
+    names = found["initial_dependencies"][name]
+    return "depends on " + ("what is not said" if names is None else ", ".join(names) or "nothing")
+
+
+def _shown_variable(row: Section, dependencies: Mapping[str, list[str] | None]) -> Section:
+    dimensions = "".join(f"[{dimension}]" for dimension in row["dimensions"])
+    start = row["text"] if row["start"] is None else [f"{value:.6g}" for value in row["start"]]
+    low, high = row["minimum"], row["maximum"]
+    span = "" if low is None and high is None else f"{'' if low is None else f'{low:g}'}..{'' if high is None else f'{high:g}'}"
+    items = ", ".join(f"{value} {name}" for name, value in row["items"].items())
+    names = dependencies.get(row["name"], [])
+    of = row["alias_of"] or row["derivative_of"]
+    return {
+        "variable": row["name"],
+        "causality": row["causality"],
+        "variability": row["variability"],
+        "type": f"{row['type']}{dimensions}",
+        "unit": row["unit"],
+        "start": None if start is None else " ".join(start),
+        "range": items or span or None,
+        "of": None if of is None else f"{'alias' if row['alias_of'] else 'der'} {of}",
+        "depends on": "unknown" if names is None else ", ".join(names),
+    }
+
+
+def check(path: str) -> list[Section]:
+    """Give everything that is wrong with an FMU."""
+    from cosim.fmi.check import check as check_fmu
+
+    return [finding._asdict() for finding in check_fmu(path)]
 
 
 def compare(

@@ -9,7 +9,7 @@ import pytest
 from cosim.fmi.export import export
 from tests.fmi.compiled import compile_fmu
 from tests.fmi.plant import model
-from tests.fmi.probes import xml2, xml3
+from tests.fmi.probes import xml1, xml2, xml3
 
 
 @pytest.fixture(scope="session")
@@ -56,3 +56,18 @@ def probe2(tmp_path_factory) -> Path:
 @pytest.fixture(scope="session")
 def probe3(tmp_path_factory) -> Path:
     return compile_fmu(tmp_path_factory.mktemp("probe") / "probe3.fmu", xml3(), "probe3.c")
+
+
+@pytest.fixture(scope="session", params=["me", "cs"])
+def probe1(request, tmp_path_factory) -> Path:
+    return compile_fmu(tmp_path_factory.mktemp("probe") / "probe1.fmu", xml1(mode=request.param), "probe1.c")
+
+
+@pytest.fixture(scope="session")
+def slave1(tmp_path_factory) -> Path:
+    return compile_fmu(tmp_path_factory.mktemp("probe") / "slave1.fmu", xml1(), "probe1.c")
+
+
+@pytest.fixture(scope="session")
+def model1(tmp_path_factory) -> Path:
+    return compile_fmu(tmp_path_factory.mktemp("probe") / "model1.fmu", xml1(mode="me"), "probe1.c")

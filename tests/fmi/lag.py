@@ -1,4 +1,4 @@
-"""The FMUs of ``c/lag2.c`` and ``c/lag3.c``: a lag with feedthrough, x' = u + d - x, y = x + u, and its closed form."""
+"""The FMUs of ``c/lag*.c``: a lag with feedthrough, x' = u + d - x, y = x + u, and its closed form."""
 
 import zipfile
 from pathlib import Path
@@ -12,57 +12,91 @@ PARAMETERS = (
     "longest", "begin", "until", "inner", "returns", "event", "announces", "iterations", "end", "fail", "status", "asks"
 )  # fmt: skip
 STARTS = {"longest": 1e9, "until": 1e9, "iterations": 1.0, "end": 1e9, "fail": 1e9, "asks": 2.0}
+VARIABLES = (  # name, causality, variability, initial, start
+    ("u", "input", "continuous", None, 0.0),
+    ("d", "input", "discrete", None, 0.0),
+    ("x", "output", "continuous", "exact", 0.0),
+    ("y", "output", "continuous", "calculated", None),
+    ("calls", "output", "discrete", "exact", 0.0),
+    *((name, "parameter", "fixed", "exact", STARTS.get(name, 0.0)) for name in PARAMETERS),
+)
 CAN = {
+    "1": {
+        "lines": 'canInterpolateInputs="true"',
+        "any step": 'canHandleVariableCommunicationStepSize="true"',
+    },
     "2": {
-        "D": "providesDirectionalDerivative",
-        "state": "canGetAndSetFMUstate",
-        "lines": "canInterpolateInputs",
-        "any step": "canHandleVariableCommunicationStepSize",
+        "D": 'providesDirectionalDerivative="true"',
+        "state": 'canGetAndSetFMUstate="true"',
+        "lines": 'canInterpolateInputs="true"',
+        "any step": 'canHandleVariableCommunicationStepSize="true"',
     },
     "3": {
-        "D": "providesDirectionalDerivatives",
-        "state": "canGetAndSetFMUState",
-        "lines": "providesIntermediateUpdate",
-        "any step": "canHandleVariableCommunicationStepSize",
-        "events": "hasEventMode",
+        "D": 'providesDirectionalDerivatives="true"',
+        "state": 'canGetAndSetFMUState="true"',
+        "lines": 'providesIntermediateUpdate="true"',
+        "any step": 'canHandleVariableCommunicationStepSize="true"',
+        "events": 'hasEventMode="true"',
+        "inner step of 30 ms": 'fixedInternalStepSize="0.03"',
+        "d moves": "",
     },
 }
 
 
 def xml(version: str, *can: str) -> str:
-    """Describe the lag; ``can``: keys of ``CAN``."""
-    abilities = " ".join(f'{CAN[version][key]}="true"' for key in can)
-    if version == "2":
-        head = 'fmiVersion="2.0" guid="lag"'
-        outputs = '<Outputs><Unknown index="3" dependencies=""/><Unknown index="4" dependencies="1"/><Unknown index="5" dependencies=""/></Outputs>'
+    """Describe the lag; ``can``: keys of ``CAN``. "d moves": it is continuous, but cannot be set inside a step."""
+    describe = {"1": _xml1, "2": _xml2, "3": _xml3}[version]
+    found = f'<?xml version="1.0" encoding="UTF-8"?>{describe(" ".join(CAN[version][key] for key in can))}'
+    before, after = ('name="d" valueReference="1" causality="input" variability="' + kind for kind in ("discrete", "continuous"))
+    return found.replace(before, after) if "d moves" in can else found
 
-        def variable(number, name, causality, variability, initial, start):
-            kind = f'<Real{"" if start is None else f""" start="{start}" """}/>'
-            first = f'name="{name}" valueReference="{number}" causality="{causality}" variability="{variability}"'
-            return f'<ScalarVariable {first}{f""" initial="{initial}" """ if initial else ""}>{kind}</ScalarVariable>'
 
-    else:
-        head = 'fmiVersion="3.0" instantiationToken="lag"'
-        outputs = '<Output valueReference="2" dependencies=""/><Output valueReference="3" dependencies="0"/><Output valueReference="4" dependencies=""/>'
+def _attributes(number, name, *rest):
+    return f'name="{name}" valueReference="{number}" ' + " ".join(rest)
 
-        def variable(number, name, causality, variability, initial, start):
-            first = f'name="{name}" valueReference="{number}" causality="{causality}" variability="{variability}"'
-            rest = (f' initial="{initial}"' if initial else "") + ("" if start is None else f' start="{start}"')
-            return f"<Float64 {first}{rest}/>"
 
-    rows = [
-        ("u", "input", "continuous", None, 0.0),
-        ("d", "input", "discrete", None, 0.0),
-        ("x", "output", "continuous", "exact", 0.0),
-        ("y", "output", "continuous", "calculated", None),
-        ("calls", "output", "discrete", "exact", 0.0),
-        *((name, "parameter", "fixed", "exact", STARTS.get(name, 0.0)) for name in PARAMETERS),
-    ]
-    variables = "".join(variable(number, *row) for number, row in enumerate(rows))
+def _start(start):
+    return "" if start is None else f'start="{start}"'
+
+
+def _xml1(abilities):
+    found = []
+    for number, (name, causality, variability, _, start) in enumerate(VARIABLES):
+        fed = f"<DirectDependency>{'<Name>u</Name>' if name == 'y' else ''}</DirectDependency>"
+        rest = 'variability="parameter"' if causality == "parameter" else f'causality="{causality}" variability="{variability}"'
+        body = f"<Real/>{fed}" if causality == "output" else f"<Real {_start(start)}/>"
+        found.append(f"<ScalarVariable {_attributes(number, name, rest)}>{body}</ScalarVariable>")
     return (
-        f'<?xml version="1.0" encoding="UTF-8"?><fmiModelDescription {head} modelName="lag">'
-        f'<CoSimulation modelIdentifier="model" {abilities}/><ModelVariables>{variables}</ModelVariables>'
-        f"<ModelStructure>{outputs}</ModelStructure></fmiModelDescription>"
+        '<fmiModelDescription fmiVersion="1.0" modelName="lag" modelIdentifier="model" guid="lag" numberOfContinuousStates="0" '
+        f'numberOfEventIndicators="0"><ModelVariables>{"".join(found)}</ModelVariables><Implementation><CoSimulation_StandAlone>'
+        f"<Capabilities {abilities}/></CoSimulation_StandAlone></Implementation></fmiModelDescription>"
+    )
+
+
+def _xml2(abilities):
+    found = []
+    for number, (name, causality, variability, initial, start) in enumerate(VARIABLES):
+        rest = (f'causality="{causality}" variability="{variability}"', f'initial="{initial}"' if initial else "")
+        found.append(f"<ScalarVariable {_attributes(number, name, *rest)}><Real {_start(start)}/></ScalarVariable>")
+    outputs = "".join(f'<Unknown index="{i}" dependencies="{inputs}"/>' for i, inputs in ((3, ""), (4, "1"), (5, "")))
+    return (
+        f'<fmiModelDescription fmiVersion="2.0" modelName="lag" guid="lag"><CoSimulation modelIdentifier="model" {abilities}/>'
+        f"<ModelVariables>{''.join(found)}</ModelVariables><ModelStructure><Outputs>{outputs}</Outputs></ModelStructure>"
+        "</fmiModelDescription>"
+    )
+
+
+def _xml3(abilities):
+    found = []
+    for number, (name, causality, variability, initial, start) in enumerate(VARIABLES):
+        rest = (f'causality="{causality}" variability="{variability}"', f'initial="{initial}"' if initial else "", _start(start))
+        asked = 'intermediateUpdate="true"' if name == "u" else ""
+        found.append(f"<Float64 {_attributes(number, name, *rest, asked)}/>")
+    outputs = "".join(f'<Output valueReference="{i}" dependencies="{inputs}"/>' for i, inputs in ((2, ""), (3, "0"), (4, "")))
+    return (
+        f'<fmiModelDescription fmiVersion="3.0" modelName="lag" instantiationToken="lag"><CoSimulation modelIdentifier="model" '
+        f"{abilities}/><ModelVariables>{''.join(found)}</ModelVariables><ModelStructure>{outputs}</ModelStructure>"
+        "</fmiModelDescription>"
     )
 
 

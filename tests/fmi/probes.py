@@ -2,6 +2,8 @@
 
 from contextlib import contextmanager
 
+import numpy as np
+
 from cosim.fmi.component import load
 
 VARIABLES2 = """
@@ -77,8 +79,39 @@ def xml3(*, event_mode: bool = False, token: str = "probe") -> str:
 </fmiModelDescription>"""
 
 
+def xml1(*, mode: str = "cs", once: bool = False) -> str:
+    capabilities = 'canInterpolateInputs="true" canHandleVariableCommunicationStepSize="true"'
+    implementation = f"""<Implementation><CoSimulation_StandAlone>
+<Capabilities {capabilities} canBeInstantiatedOnlyOncePerProcess="{str(once).lower()}"/>
+</CoSimulation_StandAlone></Implementation>"""
+    return f"""<?xml version="1.0" encoding="UTF-8"?>
+<fmiModelDescription fmiVersion="1.0" modelName="probe" modelIdentifier="model" guid="probe"
+ numberOfContinuousStates="1" numberOfEventIndicators="1">
+<ModelVariables>
+<ScalarVariable name="u" valueReference="0" causality="input"><Real start="0"/></ScalarVariable>
+<ScalarVariable name="x0" valueReference="1" variability="parameter"><Real start="0"/></ScalarVariable>
+<ScalarVariable name="x" valueReference="2" causality="output"><Real/></ScalarVariable>
+<ScalarVariable name="der(x)" valueReference="3"><Real/></ScalarVariable>
+<ScalarVariable name="y" valueReference="4" causality="output"><Real/></ScalarVariable>
+<ScalarVariable name="slope" valueReference="5"><Real/></ScalarVariable>
+<ScalarVariable name="behaviour" valueReference="10" variability="parameter"><Integer start="0"/></ScalarVariable>
+<ScalarVariable name="count" valueReference="11"><Integer/></ScalarVariable>
+<ScalarVariable name="flag" valueReference="12" variability="parameter"><Boolean start="false"/></ScalarVariable>
+<ScalarVariable name="text" valueReference="13" variability="parameter"><String start=""/></ScalarVariable>
+</ModelVariables>{implementation if mode == "cs" else ""}
+</fmiModelDescription>"""
+
+
 @contextmanager
 def opened(path, **options):
-    """Give the opened FMU, its unit, and what sets and gets one variable by name."""
+    """Give the opened FMU and its unit."""
     with load(path, **options) as fmu:
         yield fmu, fmu.component._unit
+
+
+def put(unit, **values):
+    unit.set_float64(unit.description.reference(values), np.array(list(values.values()), np.float64))
+
+
+def got(unit, *names):
+    return unit.get_float64(unit.description.reference(names)).tolist()

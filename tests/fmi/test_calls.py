@@ -3,19 +3,10 @@
 import numpy as np
 import pytest
 
-from cosim.errors import FmuError, RunError
-from cosim.fmi.component import load
+from cosim.errors import RunError
 from cosim.fmi.unit import DiscreteStates, StepEnd
 from tests.fmi.compiled import compile_fmu
-from tests.fmi.probes import NUMBERS, opened, xml2, xml3
-
-
-def put(unit, **values):
-    unit.set_float64(unit.description.reference(values), np.array(list(values.values()), np.float64))
-
-
-def got(unit, *names):
-    return unit.get_float64(unit.description.reference(names)).tolist()
+from tests.fmi.probes import NUMBERS, got, opened, put, xml2, xml3
 
 
 def test_model_exchange_calls_of_fmi_2(probe2):
@@ -106,24 +97,10 @@ def test_texts_that_cannot_be_set(probe2):
             unit.set_text(variable, ("a\0b",))
 
 
-def test_after_the_end_no_call_reaches_the_library(probe2):
-    """A function whose address is held is gone with the library."""
-    with opened(probe2, mode="me") as (_, unit):
-        held = unit.set_time
-    with pytest.raises(RunError, match="fmi2SetTime cannot be called: the instance was freed"):
-        held(1.0)
-
-
-def test_a_missing_function_is_named(tmp_path):
-    path = compile_fmu(tmp_path / "x.fmu", xml2(), "probe2.c", defines=("LACKS_RESET",))
-    with pytest.raises(FmuError, match=r"the binary model\S+ cannot be used: it has no function fmi2Reset, which the standard"):
-        load(path)
-
-
 def test_model_exchange_calls_of_fmi_3(probe3):
     with opened(probe3, mode="me") as (_, unit):
         unit.enter_initialization_mode(2.0)
-        put(unit, u=3.0)
+        put(unit, u=3.0, behaviour=5)
         unit.exit_initialization_mode()
         assert unit.update_discrete_states() == DiscreteStates(False, False, 2.5, values_changed=False, nominals_changed=True)
         unit.enter_continuous_time_mode()
@@ -157,6 +134,7 @@ def test_event_mode_in_co_simulation(tmp_path):
     with opened(compile_fmu(tmp_path / "x.fmu", xml3(event_mode=True), "probe3.c"), mode="cs") as (_, unit):
         assert got(unit, "event_mode") == [float(unit.description.capabilities["cs"].event_mode)]
         unit.enter_initialization_mode(0.0)
+        put(unit, behaviour=5)
         unit.exit_initialization_mode()
         assert unit.update_discrete_states().next_event_time == 0.5
         unit.enter_step_mode()

@@ -1,10 +1,13 @@
 """What an FMU logs is taken in C: formatted, bounded, from any thread, never printed."""
 
+import subprocess
+import sys
 import threading
 from ctypes import c_char_p, c_double, c_int, c_void_p
 
 import pytest
 
+import cosim
 from cosim.errors import RunError
 from cosim.fmi.component import load
 from cosim.fmi.messages import MESSAGES, Message, Messages
@@ -113,3 +116,32 @@ def test_two_units_keep_their_messages_apart(probe2, probe3):
         second.get_fmu_state()
     expected = [Message("info", "probe", "allocated a state"), Message("info", "probe", "freed")]
     assert (one.drain(), two.drain()) == (expected, expected)
+
+
+def test_messages_come_into_the_log_with_their_category(tmp_path, slave1):
+    scenario = tmp_path / "one.toml"
+    scenario.write_text(f"""
+[scenario]
+name = "one"
+stop = 0.1
+step = 0.1
+[components.plant]
+kind = "fmu"
+path = "{slave1}"
+[components.u]
+kind = "constant"
+value = 3.0
+[connections]
+"plant.u" = "u.y"
+""")
+    log = cosim.run(scenario, out=tmp_path / "one.mcap")
+    found = [(message.level, message.name, message.text) for message in log.messages()]
+    assert ("info", "plant", "probe: hello world") in found
+    assert ("info", "plant", "probe: x = 3") in found
+
+
+def test_nothing_is_printed_where_fmpy_has_no_logger():
+    """Its import says so on stdout, which carries our data."""
+    lines = ["import sys", "sys.modules['fmpy.logging'] = None", "from cosim.fmi.library import declared", "declared('fmi2')"]
+    done = subprocess.run([sys.executable, "-c", "\n".join(lines)], capture_output=True, text=True, check=True)
+    assert done.stdout == ""

@@ -139,13 +139,6 @@ def test_too_large(edited):
     )
 
 
-def test_fmi_1(tmp_path):
-    xml = '<fmiModelDescription fmiVersion="1.0" guid="{1}" modelIdentifier="m"/>'
-    refused(
-        archive(tmp_path / "x.fmu", {"modelDescription.xml": xml}), "FMI 1.0 can be read, but not run yet; FMI 2.0 and 3.0 can"
-    )
-
-
 @pytest.mark.parametrize("version", ['fmiVersion="4.0"', ""])
 def test_unknown_version(tmp_path, version):
     path = archive(tmp_path / "x.fmu", {"modelDescription.xml": f"<fmiModelDescription {version}/>"})

@@ -14,7 +14,7 @@ from cosim.errors import CosimError
 from cosim.fmi.component import ModelExchange, load
 from cosim.fmi.generated import GeneratedUnit
 from cosim.scenario.exporting import export_component
-from tests.scenario.exported import H, STATES, STOP, UNITS, case, drive, export
+from tests.scenario.exported import STATES, STOP, UNITS, H, case, drive, export
 
 FMI = pytest.mark.parametrize("fmi", ["2", "3"])
 

@@ -48,7 +48,7 @@ class Site(Protocol):
         ...
 
     def fmu(
-        self, name: str, path: str, *, mode: Literal["me", "cs"] | None, solver: str | None, start: Mapping[str, float]
+        self, name: str, path: str, *, mode: Literal["me", "cs"] | None, solver: str | None, start: Mapping[str, Any]
     ) -> Component:
         """Load an FMU; it is freed when the run is over."""
         ...

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import Field
+from pydantic import Field, StrictBool, StrictInt, StrictStr
 
 from cosim.blocks.plant import descriptor_model
 from cosim.blocks.replay import Replay
@@ -14,6 +14,9 @@ from cosim.core.solver import SOLVERS, LinearModel
 from cosim.errors import UsageError, nearest
 from cosim.scenario.kinds.base import Kind, Site
 from cosim.scenario.schema import Number, Row
+
+Scalar = StrictBool | StrictInt | Number | StrictStr
+Start = Scalar | list[Scalar] | list[list[Scalar]] | list[list[list[Scalar]]]
 
 
 class Plant(Kind):
@@ -46,7 +49,7 @@ class Descriptor(Plant):
 
 
 class Fmu(Plant):
-    """A real FMU, FMI 2.0 or 3.0."""
+    """A real FMU, FMI 1.0, 2.0 or 3.0."""
 
     kind: Literal["fmu"]
     path: str = Field(description="path of the .fmu")
@@ -54,7 +57,10 @@ class Fmu(Plant):
         None, description="model exchange or co-simulation; left out: me where it is offered"
     )
     solver: str | None = Field(None, description=f"for model exchange, one of: {', '.join(SOLVERS)}")
-    start: dict[str, Number] = Field({}, description="start values by variable")
+    start: dict[str, Start] = Field(
+        {},
+        description="start values by variable: number, Boolean, item of an enumeration, text (a Binary in hexadecimal), list",
+    )
     period: Number | None = Field(None, description="its own step [s]; left out: the communication step")
 
     @property

@@ -47,6 +47,7 @@ fmi3Status fmi3ExitInitializationMode(fmi3Instance c)
 {
     lag_show(c);
     ((Unit *)c)->lag.mode = ((Unit *)c)->event_mode_used ? EVENT_MODE : STEP;
+    ((Unit *)c)->lag.due = ((Unit *)c)->lag.value[ANNOUNCES] == 2.0;
     return fmi3OK;
 }
 
@@ -80,7 +81,7 @@ fmi3Status fmi3UpdateDiscreteStates(fmi3Instance c, fmi3Boolean *need_update, fm
     lag->iteration += 1.0;
     *need_update = lag->iteration < lag->value[ITERATIONS];
     lag->iteration = *need_update ? lag->iteration : 0.0;
-    *terminate = lag->value[STATUS] < 0.0 && lag->t > lag->value[END] - 1e-9; /* the wish to end, in an event */
+    *terminate = lag->value[STATUS] == -1.0 && lag->t > lag->value[END] - 1e-9; /* the wish to end, in an event */
     *nominals = *values = 0;
     *has_time = period > 0.0 && lag->value[ANNOUNCES] > 0.0;
     *time = *has_time ? lag_next(period, lag->t) : 0.0;
@@ -146,6 +147,7 @@ fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 t, fmi3Float64 h, fmi3Boolean 
     lag->slope = lag->value[ASKS] > 1.0 ? (ask(unit, end) - u) / (end - t) : 0.0;
     lag->value[U] = u;
     lag_advance(lag, t, end);
+    *terminate = lag->value[STATUS] < -1.0 && end > lag->value[END] - 1e-9; /* the wish to end, after the step */
     return fmi3OK;
 }
 

@@ -129,7 +129,11 @@ fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *state)
 
 fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate state)
 {
+#ifdef LIES
+    (void)c, (void)state;
+#else
     memcpy(c, state, sizeof(Unit));
+#endif
     return fmi2OK;
 }
 

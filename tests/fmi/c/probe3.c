@@ -2,7 +2,7 @@
  *
  * x' = u by Simpson's rule over the u that Intermediate Updates leave at the start, the middle and the end of a step.
  * behaviour (UInt8 500): 1 the step is discarded, 2 it returns early in the middle for an event, 3 it asks for the end,
- * 4 fmi3SetFloat64 fails in an Intermediate Update. */
+ * 4 fmi3SetFloat64 fails in an Intermediate Update, 5 a time event is announced. */
 #include "fmi3Functions.h"
 
 #include <stdlib.h>
@@ -161,7 +161,8 @@ fmi3Status fmi3UpdateDiscreteStates(fmi3Instance c, fmi3Boolean *again, fmi3Bool
                                     fmi3Boolean *has_time, fmi3Float64 *time)
 {
     *again = *terminate = *values = fmi3False;
-    *nominals = *has_time = fmi3True;
+    *nominals = fmi3True;
+    *has_time = ((Unit *)c)->store[BEHAVIOUR].bytes[0] == 5;
     *time = ((Unit *)c)->t + 0.5;
     return fmi3OK;
 }
@@ -178,7 +179,7 @@ fmi3Status fmi3GetNominalsOfContinuousStates(fmi3Instance c, fmi3Float64 x[], si
 fmi3Status fmi3CompletedIntegratorStep(fmi3Instance c, fmi3Boolean no_way_back, fmi3Boolean *event, fmi3Boolean *terminate)
 {
     number(c, NO_WAY_BACK)[0] = no_way_back;
-    *event = fmi3True;
+    *event = ((Unit *)c)->store[BEHAVIOUR].bytes[0] == 5;
     *terminate = fmi3False;
     return fmi3OK;
 }

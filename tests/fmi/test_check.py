@@ -1,0 +1,383 @@
+"""What is wrong with an FMU is found, all of it at once; what runs foreign code does so in a child process."""
+
+import os
+import shutil
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import fmpy
+import pytest
+
+from cosim.fmi import trial
+from cosim.fmi.binaries import built_for, functions, machine_of
+from cosim.fmi.check import check
+from cosim.fmi.platforms import SUFFIX, folders
+from cosim.fmi.reading import read
+from cosim.fmi.trial import attempt, can_roll_back
+from cosim.native import build
+from tests.fmi.archives import Entry, write
+from tests.fmi.compiled import HERE, compile_fmu
+from tests.fmi.test_reading import FMI1, FMI3
+
+XML = """<?xml version="1.0" encoding="UTF-8"?>
+<fmiModelDescription fmiVersion="2.0" modelName="rogue" guid="rogue">
+<CoSimulation modelIdentifier="model" canGetAndSetFMUstate="true"/>
+<UnitDefinitions><Unit name="m"><BaseUnit m="1"/></Unit></UnitDefinitions>
+<TypeDefinitions>
+  <SimpleType name="Mode"><Enumeration><Item name="off" value="1"/><Item name="on" value="3"/></Enumeration></SimpleType>
+</TypeDefinitions>
+<ModelVariables>
+  <ScalarVariable name="u" valueReference="0" causality="input"><Real start="0" unit="m"/></ScalarVariable>
+  <ScalarVariable name="y" valueReference="1" causality="output" initial="exact"><Real start="1"/></ScalarVariable>
+  <ScalarVariable name="k" valueReference="2" causality="parameter" variability="fixed"><Real start="2" min="0" max="5"/>
+  </ScalarVariable>
+  <ScalarVariable name="z" valueReference="3" causality="output"><Real nominal="2"/></ScalarVariable>
+  <ScalarVariable name="mode" valueReference="4" causality="parameter" variability="fixed">
+    <Enumeration declaredType="Mode" start="3"/></ScalarVariable>
+</ModelVariables>
+<ModelStructure>
+  <Outputs><Unknown index="2" dependencies=""/><Unknown index="4" dependencies="1" dependenciesKind="dependent"/></Outputs>
+  <InitialUnknowns><Unknown index="4" dependencies="1 2"/></InitialUnknowns>
+</ModelStructure>
+</fmiModelDescription>"""
+
+
+@pytest.fixture
+def rogue(tmp_path) -> Callable[..., Path]:
+    """Compile the FMU that does one thing wrong."""
+
+    def make(what: str, xml: str = XML, *defines: str) -> Path:
+        return compile_fmu(tmp_path / "rogue.fmu", xml, "rogue2.c", defines=(f"ROGUE={what}", *defines))
+
+    return make
+
+
+@pytest.fixture(autouse=True)
+def nothing_left(temporary):
+    """No temporary folder, no other working directory."""
+    home = os.getcwd()
+    yield
+    assert list(temporary.iterdir()) == []
+    assert os.getcwd() == home
+
+
+def found(path, level="error", **options):
+    return [f"{finding.where}: {finding.text}" for finding in check(path, **options) if finding.level == level]
+
+
+# --- good ones ---
+
+
+def test_a_good_unit_has_no_findings(rogue, exported):
+    """Neither ours, nor the one in C whose every variant is wrong in one way."""
+    assert check(exported) == ()
+    assert check(rogue("GOOD")) == ()
+
+
+def test_foreign_units_have_no_errors(foreign2, foreign3):
+    """pythonfmu lists no initial unknowns: a warning; that dependencies are not known is a note."""
+    assert found(foreign2) == found(foreign3) == []
+    assert found(foreign2, "warning")[0].startswith("initial unknowns: not listed: late, ")
+    assert found(foreign3, "warning") == []
+    assert "structure: the file does not say on which inputs these depend directly: y" in found(foreign3, "note")
+    assert "cs: needs the tool that made it, or its libraries, to run" in found(foreign3, "note")
+
+
+def test_what_is_loud_is_not_heard(rogue, capfd):
+    """A hundred thousand lines on stdout are nobody's."""
+    assert check(rogue("LOUD")) == ()
+    assert capfd.readouterr() == ("", "")
+
+
+def test_what_litters_is_cleaned_up(rogue, tmp_path):
+    """A trial has a working directory of its own, which goes with it."""
+    assert check(rogue("LITTERS")) == ()
+    assert not list(tmp_path.rglob("litter"))
+
+
+# --- trials ---
+
+RUN, BACK = "trial run, co-simulation", "trial save and restore, co-simulation"
+ROGUES = {
+    "CRASH": f"{RUN}: crashes: SIGSEGV at: steps of 0.001 s",
+    "EXITS": f"{RUN}: ends the process with exit code 3 at: loading and instantiating",
+    "REFUSES": f"{RUN}: the binary model{SUFFIX} cannot be used: ",
+    "NAN_OUTPUT": f"{RUN}: output 'y' is nan after a step",
+    "OTHER_START": f"{RUN}: 'y' starts at 2; the file says exactly 1",
+    "FAILS_STEP": f"{RUN}: fmi2DoStep returned 3 (error)",
+    "LIES": f"{BACK}: goes back wrongly: after steps the same steps give other outputs",
+    "FORGETS": f"{BACK}: goes back wrongly: after steps with other inputs the same steps give other outputs",
+    "CRASHES_FREE": f"{BACK}: crashes: SIGSEGV at: saving and freeing",
+}
+
+
+@pytest.mark.parametrize(("what", "text"), ROGUES.items(), ids=ROGUES)
+def test_rogues(rogue, what, text):
+    """What crashes, ends the process, refuses or lies is named, and this process lives on."""
+    problems = found(rogue(what))
+    assert len(problems) == 1 + (what == "NAN_OUTPUT")  # there both outputs are
+    assert problems[0].startswith(text)
+
+
+def test_what_hangs(rogue):
+    """The child is ended after the time it has."""
+    assert found(rogue("HANG"), timeout=3.0) == [f"{RUN}: hangs: did not end within 3 s, at: steps of 0.001 s"]
+    path = rogue("HANGS_BACK")
+    assert found(path, timeout=3.0) == [f"{BACK}: hangs: did not end within 3 s, at: going back after steps"]
+
+
+def test_whether_a_unit_can_go_back(rogue, exported, monkeypatch):
+    """Asked once for each file; inside a trial the answer is yes, or it would never end."""
+    good, bad = read(exported), read(rogue("LIES"))
+    assert can_roll_back(good, "me") == can_roll_back(good, "cs") == ()
+    assert can_roll_back(bad, "cs") == ("goes back wrongly: after steps the same steps give other outputs",)
+    monkeypatch.setattr(trial, "attempt", lambda *_, **__: pytest.fail("asked again"))
+    assert can_roll_back(good, "cs") == ()
+    assert can_roll_back(bad, "cs")
+    monkeypatch.setenv(trial.INSIDE, "1")
+    assert can_roll_back(bad, "cs") == ()
+
+
+# --- binaries ---
+
+
+def test_missing_functions_are_named(rogue):
+    """All of those that the version, the kind and the capabilities need."""
+    serial = 'canGetAndSetFMUstate="true" canSerializeFMUstate="true" providesDirectionalDerivative="true"'
+    path = rogue("GOOD", XML.replace('canGetAndSetFMUstate="true"', serial), "WITHOUT_STEP")
+    names = ("DoStep", "SerializedFMUstateSize", "SerializeFMUstate", "DeSerializeFMUstate", "GetDirectionalDerivative")
+    assert found(path) == [f"binary, co-simulation: missing function fmi2{name}" for name in names]
+
+
+def test_functions_of_every_version():
+    """The names that the headers of the standard have."""
+    headers = Path(fmpy.__file__).parent / "c-code"
+    known = "".join((headers / f"fmi{n}Functions.h").read_text() for n in (1, 2, 3)).replace("fmi1", "one_fmi")
+    for xml in (FMI1.replace("{implementation}", ""), FMI1.replace("{implementation}", "<Implementation/>"), XML, FMI3):
+        description = _described(xml)
+        for mode in description.capabilities:
+            assert [name for name in functions(description, mode) if name not in known] == []
+
+
+def _described(xml):
+    from xml.etree.ElementTree import fromstring
+
+    from cosim.fmi.reading import describe_root
+
+    return describe_root(fromstring(xml), frozenset(), "x", [])
+
+
+def test_a_library_that_is_missing_is_named(rogue, tmp_path):
+    """A binary that needs another one, which is not there."""
+    needed = tmp_path / "needed"
+    needed.mkdir()
+    (tmp_path / "needed.c").write_text("int needed(void) { return 1; }")
+    build.compile_library([tmp_path / "needed.c"], needed / "libneeded.so")
+    path = rogue("GOOD")
+    library = tmp_path / f"rogue{SUFFIX}"
+    options = [f"-I{HERE.parents[0]}", f"-I{Path(fmpy.__file__).parent / 'c-code'}", "-DROGUE=GOOD", "-Wl,--no-as-needed"]
+    build.compile_library([HERE / "rogue2.c"], library, [*options, f"-L{needed}", "-lneeded"])
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("modelDescription.xml", XML)
+        archive.write(library, f"binaries/{folders('2.0')[0]}/model{SUFFIX}")
+    shutil.rmtree(needed)
+    assert len(problems := found(path)) == 1
+    assert problems[0].startswith("binary, co-simulation: cannot be loaded: libneeded.so: cannot open shared object file")
+
+
+def head(kind, machine):
+    """Begin a binary as its format says."""
+    if kind == "elf":
+        return b"\x7fELF\2\1\1" + bytes(9) + (3).to_bytes(2, "little") + machine.to_bytes(2, "little")
+    if kind == "pe":
+        return b"MZ" + bytes(58) + (64).to_bytes(4, "little") + b"PE\0\0" + machine.to_bytes(2, "little")
+    return b"\xcf\xfa\xed\xfe" + machine.to_bytes(4, "little")
+
+
+@pytest.mark.parametrize(
+    ("content", "machine"),
+    [
+        (head("elf", 62), ("x86_64", "linux")),
+        (head("elf", 183), ("aarch64", "linux")),
+        (head("elf", 3), ("x86", "linux")),
+        (head("elf", 999), ("machine 999", "linux")),
+        (head("pe", 0x8664), ("x86_64", "windows")),
+        (head("pe", 0xAA64), ("aarch64", "windows")),
+        (head("mach", 0x1000007), ("x86_64", "darwin")),
+        (head("mach", 0x100000C), ("aarch64", "darwin")),
+        (b"\xca\xfe\xba\xbe" + bytes(8), ("any", "darwin")),
+        (b"MZ" + bytes(100), None),
+        (b"\x7fELF\2\1\1" + bytes(30), None),  # no shared library
+        (b"#!/bin/sh", None),
+        (b"", None),
+    ],
+)
+def test_what_a_binary_is_built_for(content, machine):
+    """The first bytes of ELF, PE and Mach-O."""
+    assert built_for(content) == machine
+
+
+def test_folders_of_binaries():
+    assert machine_of("linux64") == machine_of("x86_64-linux") == ("x86_64", "linux")
+    assert machine_of("aarch64-darwin") == ("aarch64", "darwin")
+    assert machine_of("x86-windows") == machine_of("win32") == ("x86", "windows")
+    assert machine_of("c-code") is None
+
+
+def test_binaries_in_the_wrong_place(tmp_path):
+    """Each is compared with its folder; an error only where it concerns this machine."""
+    mine = folders("2.0")[0]
+    members = {
+        f"{mine}/model{SUFFIX}": head("elf", 183 if "64" in mine else 62),
+        "win64/model.dll": head("elf", 62),
+        "darwin64/model.dylib": b"#!/bin/sh",
+        "win32/other.dll": head("pe", 0x14C),
+        "plan9/model.so": b"",
+    }
+    path = write(tmp_path / "x.fmu", [Entry(f"binaries/{k}", v) for k, v in members.items()], xml=XML.encode())
+    assert found(path) == [f"binary: binaries/{mine}/model{SUFFIX} is for aarch64-linux; needed x86_64-linux"]
+    assert found(path, "warning") == [
+        "binary: binaries/darwin64/model.dylib is no shared library",
+        "binary: binaries/plan9 is no platform of the standard",
+        "binary: binaries/win32/model.dll is missing",
+        "binary: binaries/win64/model.dll is for x86_64-linux; needed x86_64-windows",
+    ]
+
+
+def test_no_binary_for_this_machine(tmp_path):
+    path = write(tmp_path / "x.fmu", [Entry("binaries/win64/model.dll", head("pe", 0x8664))], xml=XML.encode())
+    assert found(path) == ["binary: none for this machine (x86_64-linux); there is: win64"]
+
+
+def test_a_trial_that_cannot_be(tmp_path):
+    """What Python raises in the child is told."""
+    assert attempt("run", str(tmp_path / "no.fmu"), "cs") == (f"{tmp_path / 'no.fmu'}: there is no such file",)
+    assert attempt("run")[0].startswith("TypeError: run() missing")
+
+
+# --- the description ---
+
+FINDINGS = [
+    ('start="2" min="0"', 'start="nan" min="0"', "error", "variable 'k': start value: found nan, needed a number"),
+    ('start="2" min="0"', 'start="7" min="0"', "error", "variable 'k': start value: found 7, needed 0 to 5"),
+    ('start="2" min="0" max="5"', 'start="2" min="4" max="1"', "error", "variable 'k': min 4 is above max 1"),
+    ('<Real start="2" ', "<Real ", "error",
+     "variable 'k': has no start value, which causality parameter with initial exact needs"),
+    ('<Real start="0" ', "<Real ", "error", "variable 'u': has no start value, which causality input with initial exact needs"),
+    ('declaredType="Mode"', 'declaredType="None"', "error", "variable 'mode': declaredType 'None' is not defined"),
+    ('declaredType="Mode" start="3"', 'declaredType="Mode" start="2"', "error",
+     "variable 'mode': start value: found 2, needed one of 1, 3"),
+    ('initial="exact"', 'initial="calculated"', "warning",
+     "variable 'y': has a start value, which nothing uses: it is calculated"),
+    ('causality="parameter" variability="fixed"><Real', 'causality="parameter" variability="discrete"><Real', "error",
+     "variable 'k': causality parameter, variability discrete and initial exact do not go together"),
+    ('causality="input">', 'causality="input" variability="fixed">', "error",
+     "variable 'u': causality input, variability fixed and initial exact do not go together"),
+    ('variability="fixed">\n', 'variability="continuous">\n', "warning",
+     "variable 'mode': variability continuous, which a variable of type Enumeration cannot have"),
+    ('nominal="2"', 'nominal="0"', "warning", "variable 'z': nominal: found 0, needed a finite number that is not 0"),
+    ('unit="m"', 'unit="km"', "warning",
+     "variable 'u': unit 'km' is not defined in UnitDefinitions; it is understood by its name"),
+    ('<Unknown index="2" dependencies=""/>', "", "error", "outputs: not listed: y"),
+    ('<Unknown index="2" dependencies=""/>', '<Unknown index="2"/><Unknown index="3"/>', "error",
+     "outputs: listed, and no output: k"),
+    ('<Unknown index="2" dependencies=""/>', '<Unknown index="2"/><Unknown index="2"/>', "error", "outputs: listed twice: y"),
+    ('dependencies="1" ', "", "error", "outputs: dependenciesKind needs as many entries as dependencies"),
+    ('dependenciesKind="dependent"', 'dependenciesKind="dependent fixed"', "error",
+     "outputs: dependenciesKind needs as many entries"),
+    ('dependencies="1" ', 'dependencies="2" ', "warning",
+     "variable 'z': depends on y: neither an input, a parameter, a state nor the time"),
+    ('<Unknown index="4" dependencies="1 2"/>', '<Unknown index="3"/>', "warning", "initial unknowns: not listed: z"),
+    ('<Unknown index="4" dependencies="1 2"/>', '<Unknown index="4"/><Unknown index="3"/>', "warning",
+     "initial unknowns: listed, and known at the start: k"),
+    ('guid="rogue"', 'guid="rogue" variableNamingConvention="none"', "error",
+     "schema: line 2: Element 'fmiModelDescription', attribute"),
+    ('name="k"', 'name="a b"', "warning",
+     "variable 'a b': is no name of the structured naming convention that the file announces"),
+    ('name="k"', 'name="a&#9;b"', "warning", "variable 'a\\tb': has a control character in its name"),
+    ("<CoSimulation", "<ModelExchange modelIdentifier='../x'/><CoSimulation", "error",
+     "XML: ModelExchange: modelIdentifier '../x' is no"),
+    ('canGet', 'needsExecutionTool="true" canGet', "note", "cs: needs the tool that made it, or its libraries, to run"),
+    ('canGet', 'canBeInstantiatedOnlyOncePerProcess="1" canGet', "note", "cs: can be instantiated only once in a process"),
+    ('dependencies="1" dependenciesKind="dependent"', "", "note",
+     "structure: the file does not say on which inputs these depend directly: z"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("before", "after", "level", "text"), FINDINGS, ids=[text[:50] for *_, text in FINDINGS])
+def test_findings_in_a_description(tmp_path, monkeypatch, before, after, level, text):
+    """Each rule of the standard on its own."""
+    monkeypatch.setattr("cosim.fmi.check._trials", lambda *_: [])
+    assert before in XML
+    xml = XML.replace(before, after, 1)
+    xml = xml.replace('guid="rogue"', 'guid="rogue" variableNamingConvention="structured"') if "'a b'" in text else xml
+    problems = found(write(tmp_path / "x.fmu", [], xml=xml.encode()), level)
+    assert [problem for problem in problems if problem.startswith(text)], problems
+
+
+def test_the_pattern_for_findings_has_none(tmp_path, monkeypatch):
+    """What the rules above are changed from has only no binary."""
+    monkeypatch.setattr("cosim.fmi.check._trials", lambda *_: [])
+    assert [f.text for f in check(write(tmp_path / "x.fmu", [], xml=XML.encode()))] == [
+        "none for this machine (x86_64-linux); there is: none"
+    ]
+
+
+def test_findings_of_fmi_3(tmp_path):
+    """One independent variable, a reference for each, start values for every element, no clocks here."""
+    xml = FMI3.replace('causality="independent"', 'causality="local"').replace('start="1 2 3"', 'start="1 2"')
+    xml = xml.replace('name="small" valueReference="7"', 'name="small" valueReference="8"')
+    path = write(tmp_path / "x.fmu", [], xml=xml.encode())
+    errors, warnings = found(path), found(path, "warning")
+    assert "variable 'x': has 2 start values for 3 elements" in errors
+    assert "variable 'large': has the value reference 8 of 'small'; FMI 3 needs one for each" in errors
+    assert "structure: 0 independent variables; FMI 3 needs exactly one, the time" in warnings
+    assert "structure: clocks, which are not supported: tick" in warnings
+
+
+def test_findings_of_fmi_1(tmp_path):
+    """A port that is another variable negated is left out; inside, that is a note."""
+    xml = FMI1.replace("{implementation}", "")
+    path = write(tmp_path / "x.fmu", [], xml=xml.encode())
+    text = "variable 'w': is another variable negated (negatedAlias); no call gives that, and it is left out"
+    assert text in found(path, "note")
+    port = xml.replace('name="w" valueReference="1"', 'name="w" valueReference="1" causality="output"')
+    assert text in found(write(path, [], xml=port.encode()), "warning")
+
+
+def test_neither_kind(tmp_path):
+    xml = XML.replace("CoSimulation ", "Neither ")
+    errors = found(write(tmp_path / "x.fmu", [], xml=xml.encode()))
+    assert "XML: neither model exchange nor co-simulation; needed one of them" in errors
+
+
+def test_all_problems_at_once(rogue):
+    """Schema, structure and binary in one report, errors first."""
+    xml = XML.replace('start="2" min="0"', 'start="7" min="0"').replace('<Unknown index="2" dependencies=""/>', "")
+    xml = xml.replace('unit="m"', 'unit="km"').replace('guid="rogue"', 'guid="rogue" colour="red"')
+    findings = check(rogue("CRASH", xml))
+    assert {finding.where for finding in findings if finding.level == "error"} == {
+        "schema", "variable 'k'", "outputs", RUN,
+    }  # fmt: skip
+    levels = [("error", "warning", "note").index(finding.level) for finding in findings]
+    assert levels == sorted(levels)
+    assert 1 in levels
+
+
+@pytest.mark.parametrize(
+    ("xml", "text"),
+    [
+        ("<fmi", "XML: modelDescription.xml is not well-formed: unclosed token"),
+        ("<!DOCTYPE x><x/>", "XML: modelDescription.xml is not well-formed: it has a document type"),
+        ('<x fmiVersion="4"/>', "archive: unknown FMI version '4'; FMI 1.0, 2.0 and 3.0 are supported"),
+    ],
+)
+def test_what_cannot_be_read_has_one_finding(tmp_path, xml, text):
+    assert found(write(tmp_path / "x.fmu", [], xml=xml.encode()))[0].startswith(text)
+
+
+def test_no_archive(tmp_path):
+    (tmp_path / "x.fmu").write_text("hello")
+    assert found(tmp_path / "x.fmu")[0].startswith("archive: not an FMU, as it is no zip archive")
+    assert found(tmp_path / "no.fmu") == ["archive: there is no such file"]

@@ -1,0 +1,233 @@
+"""Libraries are loaded, fail to load, and are unloaded, without a trace."""
+
+import gc
+import os
+import resource
+import tracemalloc
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cosim.errors import FmuError, RunError
+from cosim.fmi.binaries import ELF
+from cosim.fmi.component import load
+from cosim.fmi.platforms import ARCHITECTURE, SUFFIX
+from cosim.native import build
+from tests.fmi.compiled import compile_fmu
+from tests.fmi.probes import got, opened, put, xml1, xml2, xml3
+
+
+def mapped():
+    """Give the libraries of FMUs that are in memory; those of pythonfmu stay there for good, as they pin themselves."""
+    maps = Path("/proc/self/maps")
+    return {line.split()[5] for line in maps.read_text().splitlines() if "cosim-fmu-" in line} if maps.exists() else set()
+
+
+@pytest.fixture(autouse=True)
+def nothing_left(temporary, capfd):
+    """No temporary folder, no other working directory, no library in memory, nothing printed."""
+    home, before = os.getcwd(), mapped()
+    yield
+    assert list(temporary.iterdir()) == []
+    assert os.getcwd() == home
+    assert mapped() <= before
+    assert capfd.readouterr() == ("", "")
+
+
+def refused(path, text, **options):
+    with pytest.raises(FmuError, match=text):
+        load(path, **options).close()
+
+
+def with_binary(path, change):
+    """Write a copy of an FMU with another binary."""
+    changed = path.with_name(f"changed-{path.name}")
+    with zipfile.ZipFile(path) as source, zipfile.ZipFile(changed, "w") as target:
+        for name in source.namelist():
+            content = source.read(name)
+            target.writestr(name, change(content) if name.startswith("binaries/") else content)
+    return changed
+
+
+def test_a_missing_dependency_is_named(tmp_path):
+    """The binary needs libaid.so, which is not there when it is loaded."""
+    (tmp_path / "aid.c").write_text("int aid(void) { return 1; }")
+    aid = tmp_path / f"libaid{SUFFIX}"
+    build.compile_library([tmp_path / "aid.c"], aid)
+    (tmp_path / "more.c").write_text("int aid(void); int more(void) { return aid(); }")
+    path = compile_fmu(tmp_path / "x.fmu", xml2(), "probe2.c", tmp_path / "more.c", aid)
+    aid.unlink()
+    refused(path, rf"x.fmu: the binary model\S+ cannot be used: .*libaid\{SUFFIX}: cannot open shared object file: No such file")
+
+
+def test_a_missing_symbol_is_named(tmp_path):
+    """One that the binary itself needs, and one that the standard requires of it."""
+    (tmp_path / "more.c").write_text("int nowhere(void); int more(void) { return nowhere(); }")
+    refused(
+        compile_fmu(tmp_path / "x.fmu", xml2(), "probe2.c", tmp_path / "more.c"), "cannot be used: .*undefined symbol: nowhere"
+    )
+    path = compile_fmu(tmp_path / "y.fmu", xml2(), "probe2.c", defines=("LACKS_RESET",))
+    refused(path, r"the binary model\S+ cannot be used: it has no function fmi2Reset, which the standard requires")
+
+
+def test_a_binary_for_another_machine(probe2, tmp_path):
+    """The loader would call it a missing file. Byte 18 of an ELF header is the machine."""
+    number, other = next((number, name) for number, name in ELF.items() if name != ARCHITECTURE)
+    path = with_binary(probe2, lambda content: content[:18] + bytes([number]) + content[19:])
+    refused(
+        path, rf"the binary \S+/model\S+ is for {other}, found in the folder for {ARCHITECTURE}; needed one for {ARCHITECTURE}"
+    )
+
+
+def test_an_instance_that_is_refused(tmp_path):
+    """A wrong GUID or token; what the FMU says about it is the reason."""
+    for xml, source, text in [
+        (xml2().replace('guid="probe"', 'guid="other"'), "probe2.c", "it said: error: wrong guid other"),
+        (xml3(token="other"), "probe3.c", "it said: error: wrong token %s"),
+        (xml1().replace('guid="probe"', 'guid="other"'), "probe1.c", "it said: info: hello world"),
+    ]:
+        refused(compile_fmu(tmp_path / "x.fmu", xml, source), f"cannot be used: it refuses to instantiate; {text}")
+
+
+def test_after_the_end_no_call_reaches_the_library(probe2):
+    """A function whose address is held is gone with the library; freeing and ending twice does no harm."""
+    with opened(probe2, mode="me") as (fmu, unit):
+        state, held = unit.get_fmu_state(), unit.set_time
+    with pytest.raises(RunError, match="fmi2SetTime cannot be called: the instance was freed"):
+        held(1.0)
+    with pytest.raises(RunError, match="fmi2SetReal cannot be called: the instance was freed"):
+        put(unit, u=1.0)
+    unit.free_fmu_state(state)
+    unit.terminate()
+    fmu.close()
+
+
+@pytest.mark.parametrize("number", [1, 2, 3])
+def test_two_instances_of_one_fmu(request, slave1, number):
+    """Each has its own memory, whatever the order of their ends."""
+    path = slave1 if number == 1 else request.getfixturevalue(f"probe{number}")
+    one, two = load(path, mode="cs"), load(path, mode="cs")
+    units = [fmu.component._unit for fmu in (one, two)]
+    for value, unit in enumerate(units):
+        unit.enter_initialization_mode(0.0)
+        put(unit, u=float(value))
+        unit.exit_initialization_mode()
+        unit.do_step(0.0, 1.0)
+    one.close()
+    units[1].do_step(1.0, 1.0)
+    assert got(units[1], "u") == [1.0]
+    two.close()
+
+
+@pytest.mark.parametrize(
+    ("xml", "source"),
+    [
+        (xml1(once=True), "probe1.c"),
+        (xml2().replace("<CoSimulation ", '<CoSimulation canBeInstantiatedOnlyOncePerProcess="true" '), "probe2.c"),
+    ],
+)
+def test_an_fmu_that_can_be_here_only_once(tmp_path, xml, source):
+    """A second instance is refused while the first is there; a failure does not count as one."""
+    path = compile_fmu(tmp_path / "x.fmu", xml, source)
+    broken = with_binary(path, lambda _: b"\x7fELF")
+    refused(broken, "cannot be used: .*file too short", mode="cs")
+    with load(path, mode="cs"):
+        refused(path, r"x.fmu: can be instantiated only once per process .*; close that one before", mode="cs")
+    load(path, mode="cs").close()
+
+
+def clocked(causality, **options):
+    clock = f'<Clock name="tick" valueReference="550" causality="{causality}" intervalVariability="triggered"/>'
+    return xml3(**options).replace("<ModelVariables>", f"<ModelVariables>{clock}")
+
+
+def test_clocks_are_said_by_name(tmp_path):
+    """A clock that is only shown needs nothing; one that must be ticked is an error in model exchange."""
+    path = compile_fmu(tmp_path / "x.fmu", clocked("output"), "probe3.c")
+    with load(path, mode="me") as fmu:
+        assert fmu.notes[0] == "probe: clocks are not supported: tick"
+    path = compile_fmu(tmp_path / "y.fmu", clocked("input", event_mode=True), "probe3.c")
+    refused(path, 'clocks are not supported: tick; in model exchange tick would have to be ticked; use mode = "cs"', mode="me")
+    with opened(path, mode="cs") as (fmu, unit):
+        assert fmu.notes[0] == "probe: clocks are not supported: tick; the FMU drives them itself, without event mode"
+        assert got(unit, "event_mode") == [0.0]
+
+
+def test_states_that_lie_are_not_saved(tmp_path):
+    """A trial in another process finds out; the FMU runs without."""
+    path = compile_fmu(tmp_path / "x.fmu", xml2(), "probe2.c", defines=("LIES",))
+    with load(path, mode="cs") as fmu:
+        assert fmu.notes[0].startswith("probe: its state is not saved, although it says that it can be: goes back wrongly")
+        assert not fmu.description.capabilities["cs"].saves_state
+        with pytest.raises(FmuError, match="the unit cannot save its state"):
+            fmu.component.save()
+
+
+def test_states_that_were_let_go_of_are_used_again(probe2):
+    """The probe says when it allocates one."""
+    with load(probe2, mode="cs") as fmu:
+        fmu.component.initialize(0.0, np.zeros(1))
+        for _ in range(5):
+            saved = fmu.component.save()
+            fmu.component.restore(saved)
+            del saved
+        many = [fmu.component.save() for _ in range(10)]
+        del many
+        assert [text for *_, text in fmu.drain()] == ["allocated a state"] * 10
+
+
+def cycle(path, mode):
+    """Load, run a step, free."""
+    with load(path, mode=mode) as fmu:
+        unit = fmu.component
+        unit.prepare(0.1, np.zeros(1, np.bool_), {})
+        unit.initialize(0.0, np.zeros(1))
+        unit.advance(np.array([0.0, 0.1]), 0.1, np.zeros((2, 1)))
+
+
+def footprint():
+    """Give open file descriptors, mappings, and resident memory [bytes] of this process."""
+    gc.collect()
+    resident = int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
+    return len(os.listdir("/proc/self/fd")), len(Path("/proc/self/maps").read_text().splitlines()), resident
+
+
+def grown(path, mode, *, warm_up, cycles, measure):
+    for _ in range(warm_up):
+        cycle(path, mode)
+    before = measure()
+    for _ in range(cycles):
+        cycle(path, mode)
+    return tuple(after - start for after, start in zip(measure(), before, strict=True))
+
+
+def traced():
+    """Count what Python allocated, to the byte, instead of the pages that it holds."""
+    files, maps, _ = footprint()
+    return files, maps, tracemalloc.get_traced_memory()[0]
+
+
+@pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="counts what Linux tells")
+@pytest.mark.parametrize(("number", "mode"), [(1, "me"), (1, "cs"), (2, "me"), (2, "cs"), (3, "me"), (3, "cs")])
+def test_cycles_leave_nothing_behind(request, model1, slave1, number, mode):
+    """5 MB in 10 000 cycles are 500 bytes in each; CPython keeps up to about 50 kB of small objects for the next ones."""
+    path = {"me": model1, "cs": slave1}[mode] if number == 1 else request.getfixturevalue(f"probe{number}")
+    tracemalloc.start()
+    try:
+        files, maps, memory = grown(path, mode, warm_up=20, cycles=50, measure=traced)
+    finally:
+        tracemalloc.stop()
+    assert (files, abs(maps) <= 2) == (0, True)
+    assert memory < 50 * 500 + 50_000
+
+
+@pytest.mark.campaign
+@pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="counts what Linux tells")
+@pytest.mark.parametrize(("number", "mode"), [(1, "me"), (2, "cs"), (3, "cs")])
+def test_ten_thousand_cycles(request, model1, number, mode):
+    path = model1 if number == 1 else request.getfixturevalue(f"probe{number}")
+    files, maps, memory = grown(path, mode, warm_up=100, cycles=10_000, measure=footprint)
+    assert (files, abs(maps) <= 2) == (0, True)
+    assert memory < 5_000_000

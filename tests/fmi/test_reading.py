@@ -1,0 +1,311 @@
+"""Descriptions of FMI 1, 2 and 3 are read as the file says; what contradicts itself is refused, all of it in one report."""
+
+import math
+
+import pytest
+
+from cosim.errors import FmuError
+from cosim.fmi.description import Capabilities
+from cosim.fmi.reading import read
+from cosim.units import BaseUnit
+from tests.fmi.archives import write
+
+METRE, KELVIN, NEWTON = (0, 1, 0, 0, 0, 0, 0, 0), (0, 0, 0, 0, 1, 0, 0, 0), (1, 1, -2, 0, 0, 0, 0, 0)
+
+FMI1 = """<?xml version="1.0"?>
+<fmiModelDescription fmiVersion="1.0" modelName="one" modelIdentifier="one" guid="{1}" generationTool="tool 1"
+  numberOfContinuousStates="2" numberOfEventIndicators="3">
+<UnitDefinitions><BaseUnit unit="N"><DisplayUnitDefinition displayUnit="kN" gain="0.001"/></BaseUnit></UnitDefinitions>
+<TypeDefinitions>
+  <Type name="Force"><RealType unit="N" min="-1" max="2" nominal="10"/></Type>
+  <Type name="Mode"><EnumerationType><Item name="off"/><Item name="on"/></EnumerationType></Type>
+</TypeDefinitions>
+<DefaultExperiment startTime="0" tolerance="1e-5"/>
+<ModelVariables>
+  <ScalarVariable name="u" valueReference="0" causality="input" description="force"><Real declaredType="Force" start="1"/>
+  </ScalarVariable>
+  <ScalarVariable name="y" valueReference="1" causality="output"><Real/><DirectDependency><Name>u</Name></DirectDependency>
+  </ScalarVariable>
+  <ScalarVariable name="z" valueReference="1" causality="output" alias="alias"><Real/></ScalarVariable>
+  <ScalarVariable name="w" valueReference="1" alias="negatedAlias"><Real/></ScalarVariable>
+  <ScalarVariable name="v" valueReference="2" causality="output"><Real/><DirectDependency/></ScalarVariable>
+  <ScalarVariable name="k" valueReference="3" variability="parameter"><Real start="2"/></ScalarVariable>
+  <ScalarVariable name="guess" valueReference="4"><Real start="2" fixed="false"/></ScalarVariable>
+  <ScalarVariable name="mode" valueReference="5" variability="constant"><Enumeration declaredType="Mode" start="2"/>
+  </ScalarVariable>
+  <ScalarVariable name="text" valueReference="6" causality="none"><String start="a b"/></ScalarVariable>
+  <ScalarVariable name="n" valueReference="7" causality="output"><Integer/></ScalarVariable>
+</ModelVariables>{implementation}
+</fmiModelDescription>"""
+CO_SIMULATION = """<Implementation><CoSimulation_{what}><Capabilities canInterpolateInputs="true"
+  canHandleVariableCommunicationStepSize="true" canBeInstantiatedOnlyOncePerProcess="true"/>{model}</CoSimulation_{what}>
+</Implementation>"""
+
+FMI2 = """<?xml version="1.0"?>
+<fmiModelDescription fmiVersion="2.0" modelName="two" guid="{2}" generationTool="tool 2" numberOfEventIndicators="2">
+<ModelExchange modelIdentifier="two" providesDirectionalDerivative="true" canGetAndSetFMUstate="1" needsExecutionTool="true"/>
+<CoSimulation modelIdentifier="two_cs" canInterpolateInputs="true" canSerializeFMUstate="true"/>
+<UnitDefinitions>
+  <Unit name="degC"><BaseUnit K="1" offset="273.15"/><DisplayUnit name="degF" factor="1.8" offset="32"/></Unit>
+  <Unit name="kN"><BaseUnit kg="1" m="1" s="-2" factor="1000"/></Unit>
+  <Unit name="item"/>
+</UnitDefinitions>
+<TypeDefinitions>
+  <SimpleType name="Rise"><Real unit="degC" relativeQuantity="true" min="0" nominal="5"/></SimpleType>
+  <SimpleType name="Mode"><Enumeration><Item name="off" value="-3"/><Item name="on" value="7"/></Enumeration></SimpleType>
+</TypeDefinitions>
+<DefaultExperiment stepSize="0.01" tolerance="1e-6"/>
+<ModelVariables>
+  <ScalarVariable name="u" valueReference="0" causality="input" description="temperature"><Real unit="degC" start="20"/>
+  </ScalarVariable>
+  <ScalarVariable name="rise" valueReference="1" causality="output"><Real declaredType="Rise" max="50" displayUnit="degF"/>
+  </ScalarVariable>
+  <ScalarVariable name="x" valueReference="2" causality="output" initial="approx"><Real start="1.5"/></ScalarVariable>
+  <ScalarVariable name="der(x)" valueReference="3"><Real derivative="3"/></ScalarVariable>
+  <ScalarVariable name="mode" valueReference="4" causality="parameter" variability="fixed">
+    <Enumeration declaredType="Mode" start="7"/></ScalarVariable>
+  <ScalarVariable name="path" valueReference="5" causality="parameter" variability="fixed"><String start="a b"/></ScalarVariable>
+  <ScalarVariable name="h" valueReference="6"><Real derivative="8"/></ScalarVariable>
+  <ScalarVariable name="hidden" valueReference="7" initial="exact"><Real start="4" unit="kN"/></ScalarVariable>
+  <ScalarVariable name="late" valueReference="8" causality="output"><Boolean/></ScalarVariable>
+  <ScalarVariable name="i[1]" valueReference="9" causality="input"><Integer start="3"/></ScalarVariable>
+  <ScalarVariable name="i[2]" valueReference="10" causality="input"><Integer start="4"/></ScalarVariable>
+</ModelVariables>
+<ModelStructure>
+  <Outputs><Unknown index="2" dependencies="1 3"/><Unknown index="3"/><Unknown index="9" dependencies=""/></Outputs>
+  <Derivatives><Unknown index="4" dependencies="1 3"/><Unknown index="7"/></Derivatives>
+  <InitialUnknowns><Unknown index="3" dependencies="1"/><Unknown index="2"/><Unknown index="4" dependencies=""/></InitialUnknowns>
+</ModelStructure>
+</fmiModelDescription>"""
+
+FMI3 = """<?xml version="1.0"?>
+<fmiModelDescription fmiVersion="3.0" modelName="three" instantiationToken="{3}">
+<ModelExchange modelIdentifier="three" providesDirectionalDerivatives="true" providesAdjointDerivatives="true"
+  canGetAndSetFMUState="true" canSerializeFMUState="true" needsCompletedIntegratorStep="true"/>
+<CoSimulation modelIdentifier="three" providesIntermediateUpdate="true" mightReturnEarlyFromDoStep="true" hasEventMode="true"
+  canHandleVariableCommunicationStepSize="true" fixedInternalStepSize="0.5" canBeInstantiatedOnlyOncePerProcess="true"/>
+<UnitDefinitions><Unit name="mm"><BaseUnit m="1" factor="0.001"/></Unit></UnitDefinitions>
+<TypeDefinitions>
+  <EnumerationType name="Mode"><Item name="off" value="0"/><Item name="on" value="9007199254740993"/></EnumerationType>
+  <UInt8Type name="Small" max="9"/></TypeDefinitions>
+<ModelVariables>
+  <Float64 name="time" valueReference="0" causality="independent"/>
+  <UInt64 name="n" valueReference="1" causality="structuralParameter" start="3" min="1" max="5"/>
+  <Float64 name="u" valueReference="2" causality="input" start="0.5" unit="mm"><Dimension valueReference="1"/>
+    <Dimension start="2"/><Alias name="second" description="the same"/></Float64>
+  <Float32 name="y" valueReference="3" causality="output"><Dimension valueReference="1"/></Float32>
+  <Float64 name="x" valueReference="4" start="1 2 3" initial="exact"><Dimension valueReference="1"/></Float64>
+  <Float64 name="dx" valueReference="5" derivative="4"><Dimension valueReference="1"/></Float64>
+  <Float64 name="z" valueReference="6"><Dimension valueReference="1"/></Float64>
+  <UInt8 name="small" valueReference="7" causality="parameter" declaredType="Small" start="4"/>
+  <Int64 name="large" valueReference="8" causality="parameter" start="9007199254740993"/>
+  <String name="words" valueReference="9" causality="parameter"><Dimension start="2"/>
+    <Start value="a b"/><Start value="c"/></String>
+  <Binary name="bytes" valueReference="10" causality="parameter"><Start value="00ff"/></Binary>
+  <Enumeration name="mode" valueReference="11" declaredType="Mode" causality="output"/>
+  <Boolean name="on" valueReference="12" causality="parameter" start="true false"><Dimension start="2"/></Boolean>
+  <Clock name="tick" valueReference="13" causality="input" intervalVariability="triggered"/>
+</ModelVariables>
+<ModelStructure>
+  <Output valueReference="3" dependencies="2 4"/><Output valueReference="11" dependencies=""/>
+  <ContinuousStateDerivative valueReference="5" dependencies="2"/>
+  <InitialUnknown valueReference="3" dependencies="4"/><InitialUnknown valueReference="5"/>
+  <EventIndicator valueReference="6"/>
+</ModelStructure>
+</fmiModelDescription>"""
+
+
+@pytest.fixture
+def described(tmp_path):
+    """Read an XML from an archive."""
+    return lambda xml: read(write(tmp_path / "x.fmu", [], xml=xml.encode())).description
+
+
+def one(implementation=""):
+    return FMI1.replace("{implementation}", implementation)
+
+
+def test_fmi_1(described):
+    """Words of FMI 2 for what FMI 1 says in its own: states have a number and no names."""
+    found = described(one())
+    assert (found.version, found.name, found.token, found.tool, found.default_tolerance) == ("1.0", "one", "{1}", "tool 1", 1e-5)
+    assert (found.states, found.n_states, found.event_indicators) == ((), 2, 3)
+    assert found.capabilities == {"me": Capabilities("one")}
+    assert found["u"].base == BaseUnit(NEWTON)
+    assert (found["u"].minimum, found["u"].maximum, found["u"].nominal, found["u"].doc) == (-1.0, 2.0, 10.0, "force")
+    roles = {v.name: (v.causality, v.variability, v.initial) for v in found.variables}
+    assert roles == {
+        "u": ("input", "continuous", "exact"), "y": ("output", "continuous", "calculated"),
+        "z": ("output", "continuous", "calculated"), "v": ("output", "continuous", "calculated"),
+        "k": ("parameter", "fixed", "exact"), "guess": ("local", "continuous", "approx"), "mode": ("local", "constant", "exact"),
+        "text": ("local", "discrete", "exact"), "n": ("output", "discrete", "calculated"),
+    }  # fmt: skip
+    assert found["mode"].items == {"off": 1, "on": 2}
+    assert (found["text"].text, found["text"].start) == (("a b",), None)
+
+
+def test_aliases_of_fmi_1(described):
+    """An alias is a variable that shares a reference; a negated one has no value of its own, and is left out."""
+    found = described(one())
+    assert found["z"].reference == found["y"].reference
+    assert "w" not in [v.name for v in found.variables]
+    assert [signal.name for signal in found.interface.outputs] == ["y", "z", "v", "n"]
+
+
+def test_feedthrough_of_fmi_1(described):
+    """Without DirectDependency an output may depend on every input."""
+    assert described(one()).interface.feedthrough == {"y": ("u",), "z": None, "v": (), "n": None}
+
+
+@pytest.mark.parametrize(("what", "tool"), [("StandAlone", False), ("Tool", True)])
+def test_co_simulation_of_fmi_1(described, what, tool):
+    """An FMU of FMI 1 is for one kind."""
+    found = described(one(CO_SIMULATION.replace("{what}", what).replace("{model}", ""))).capabilities
+    able = Capabilities("one", interpolates_inputs=True, variable_step=True, once_per_process=True, needs_tool=tool)
+    assert found == {"cs": able}
+
+
+def test_fmi_2(described):
+    """Kinds, units, types, states, start values."""
+    found = described(FMI2)
+    assert found.capabilities == {
+        "me": Capabilities("two", directional_derivatives=True, saves_state=True, needs_tool=True),
+        "cs": Capabilities("two_cs", interpolates_inputs=True, serializes_state=True, completed_step=False),
+    }
+    assert (found.states, found.n_states, found.read) == (("x", "hidden"), 2, ("hidden",))
+    assert (found.event_indicators, found.default_step, found.default_tolerance) == (2, 0.01, 1e-6)
+    assert found["u"].base == BaseUnit(KELVIN, 1.0, 273.15)
+    assert found["rise"].base == BaseUnit(KELVIN)  # a difference has no offset
+    assert found["hidden"].base == BaseUnit(NEWTON, 1000.0)
+    assert (found["rise"].unit, found["rise"].minimum, found["rise"].maximum, found["rise"].nominal) == ("degC", 0.0, 50.0, 5.0)
+    assert (found["mode"].items, found["mode"].start, found["path"].text) == ({"off": -3, "on": 7}, (7.0,), ("a b",))
+    assert (found["late"].variability, found["der(x)"].derivative_of, found["h"].derivative_of) == ("discrete", "x", "hidden")
+    assert (found["x"].initial, found["u"].initial, found["mode"].initial, found["late"].initial) == (
+        "approx", "exact", "exact", "calculated",
+    )  # fmt: skip
+
+
+def test_the_interface_of_fmi_2(described):
+    """Units and start values of the ports; what depends on what during the run, and at the start where it is said."""
+    found = described(FMI2)
+    face = found.interface
+    inputs = {signal.name: signal for signal in face.inputs}
+    assert (inputs["u"].base, inputs["u"].start, inputs["i"].start) == (BaseUnit(KELVIN, 1.0, 273.15), (20.0,), (3.0, 4.0))
+    assert face.feedthrough == {"rise": ("u",), "x": (), "late": (), "hidden": ()}
+    assert found.initial_dependencies == {"x": ("u",), "rise": None, "der(x)": ()}
+    assert face.initial == {"x": ("u",), "rise": None}
+    assert (face.feeds_at_start("x"), face.feeds_at_start("rise"), face.feeds_at_start("late")) == (("u",), ("u", "i"), ())
+
+
+def test_fmi_3(described):
+    """Arrays, all widths, texts, clocks, second names, capabilities that fmpy does not see."""
+    found = described(FMI3)
+    assert found.capabilities["me"] == Capabilities(
+        "three", directional_derivatives=True, adjoint_derivatives=True, saves_state=True, serializes_state=True
+    )
+    assert found.capabilities["cs"] == Capabilities(
+        "three", interpolates_inputs=True, variable_step=True, fixed_step=0.5, event_mode=True, early_return=True,
+        completed_step=False, once_per_process=True,
+    )  # fmt: skip
+    assert (found["u"].dimensions, found["u"].size, found["u"].start) == (("n", 2), 6, (0.5,) * 6)
+    assert found["u"].base == BaseUnit(METRE, 0.001)
+    assert (found["second"].reference, found["second"].alias_of, found["second"].doc) == (2, "u", "the same")
+    assert (found["y"].type, found["y"].size, found["small"].maximum, found["small"].start) == ("Float32", 3, 9.0, (4.0,))
+    assert (found["words"].text, found["bytes"].text, found["on"].start) == (("a b", "c"), ("00ff",), (1.0, 0.0))
+    assert (found["mode"].type, found["mode"].items) == ("Int64", {"off": 0, "on": 2**53 + 1})
+    assert found["large"].start is None  # no float64: the unit keeps its own
+    assert (found.states, found.n_states, found.event_indicators, found.clocks) == (("x",), 3, 3, ("tick",))
+    assert [signal.name for signal in found.interface.inputs] == ["u"]  # a second name is no second input
+    assert found.interface.feedthrough == {"y": ("u",), "mode": (), "x": ()}
+    assert found.interface.initial == {"y": ()}
+
+
+def test_other_sizes(described):
+    """A structural parameter changes arrays, states and event indicators; start values of arrays are then the unit's."""
+    found = described(FMI3).resized({"n": 5})
+    assert (found["u"].size, found["u"].start, found["x"].size, found["n"].start) == (10, None, 5, (5.0,))
+    assert (found.n_states, found.event_indicators, found.interface.n_u, found["second"].size) == (5, 5, 10, 10)
+    assert found.resized({"n": 3}).n_states == 3
+    assert described(FMI3).resized({"n": 3}) == described(FMI3)
+    assert described(FMI2).resized({}) == described(FMI2)
+
+
+@pytest.mark.parametrize(
+    ("sizes", "text"),
+    [
+        ({"m": 2}, "three: no variable 'm'; .*There is: time, n, u"),
+        ({"small": 2}, "three: 'small' is no structural parameter, but of causality parameter"),
+        ({"n": 0}, "three: structural parameter 'n': found 0, needed a whole number from 1 to 5"),
+        ({"n": 6}, "three: structural parameter 'n': found 6, needed a whole number from 1 to 5"),
+        ({"n": 2.5}, r"three: structural parameter 'n': found 2\.5, needed a whole number"),
+        ({"n": math.nan}, "three: structural parameter 'n': found nan, needed a whole number"),
+    ],
+)
+def test_other_sizes_that_cannot_be(described, sizes, text):
+    with pytest.raises(FmuError, match=text):
+        described(FMI3).resized(sizes)
+
+
+BROKEN = [
+    (one(), 'guid="{1}"', "", "the attribute guid is missing"),
+    (one(), 'modelIdentifier="one"', "", "fmiModelDescription: the attribute modelIdentifier is missing"),
+    (one(), 'modelIdentifier="one"', 'modelIdentifier="../one"', r"modelIdentifier '\.\./one' is no identifier of C"),
+    (one(), 'States="2"', 'States="many"', "numberOfContinuousStates: found 'many', needed an integer"),
+    (one(), 'States="2"', 'States="-2"', "found a count of -2, needed one that is not negative"),
+    (FMI2, 'guid="{2}"', "", "the attribute guid is missing"),
+    (FMI2, 'modelIdentifier="two" ', "", "ModelExchange: the attribute modelIdentifier is missing"),
+    (FMI2, 'Unit name="item"', 'Unit name="kN"', "two units with the name 'kN'"),
+    (FMI2, 'factor="1000"', 'factor="0"', "unit 'kN': factor: found 0.0, needed a finite number that is not 0"),
+    (FMI2, 'kg="1"', 'kg="1.5"', "unit 'kN': kg: found '1.5', needed an integer"),
+    (FMI2, 'name="late"', 'name="u"', "two variables with the name 'u'"),
+    (FMI2, 'valueReference="8" ', "", "variable 'late': the attribute valueReference is missing"),
+    (FMI2, 'valueReference="8"', 'valueReference="-8"', "variable 'late': valueReference: found -8, needed 0 to 4294967295"),
+    (FMI2, 'start="1.5"', 'start="1_5"', "variable 'x': start: found '1_5', needed numbers"),
+    (FMI2, '<Integer start="3"/>', '<Integer start="3.5"/>', r"variable 'i\[1\]': start: found '3.5', needed integers"),
+    (FMI2, 'min="0"', 'min="low"', "variable 'rise': min: found 'low', needed a number"),
+    (FMI2, "<Boolean/>", "<Complex/>", "variable 'late': its type is none of FMI 2"),
+    (FMI2, 'derivative="3"', 'derivative="0"', r"variable 'der\(x\)': derivative=0 is no variable"),
+    (FMI2, 'derivative="3"', "", r"'der\(x\)' is listed as a derivative, but has no attribute derivative"),
+    (FMI2, 'index="9"', 'index="19"', "ModelStructure/Outputs/Unknown: index=19 is no variable"),
+    (FMI2, 'dependencies="1 3"', 'dependencies="1 33"', "Unknown 'rise': dependencies name no variable: 33"),
+    (FMI2, 'dependencies="1 3"', 'dependencies="u"', "Unknown 'rise': dependencies: found 'u', needed integers"),
+    (FMI2, 'value="-3"', 'value="off"', "item: value: found 'off', needed an integer"),
+    (FMI2, 'stepSize="0.01"', 'stepSize="fast"', "DefaultExperiment: stepSize: found 'fast', needed a number"),
+    (FMI3, 'instantiationToken="{3}"', "", "the attribute instantiationToken is missing"),
+    (FMI3, 'derivative="4"', 'derivative="44"', "variable 'dx': derivative=44 is no variable"),
+    (FMI3, 'Dimension valueReference="1"', 'Dimension valueReference="77"', "variable 'u': Dimension: found size None"),
+    (FMI3, 'Dimension start="2"', 'Dimension start="99999999"', "found size 99999999, needed .* at most 16777216"),
+    (FMI3, 'Start value="00ff"', 'Start value="00f"', "variable 'bytes': start: needed hexadecimal digits, two for every byte"),
+    (FMI3, 'Size="0.5"', 'Size="abc"', "CoSimulation: fixedInternalStepSize: found 'abc', needed a number"),
+    (FMI3, 'Size="0.5"', 'Size="-1"', r"CoSimulation: fixedInternalStepSize: found -1\.0, needed a positive number"),
+    (FMI3, 'Size="0.5"', 'Size="nan"', "CoSimulation: fixedInternalStepSize: found nan, needed a positive number"),
+    (FMI3, 'Alias name="second"', 'Alias name="y"', "two variables with the name 'y'"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("xml", "before", "after", "text"), BROKEN, ids=[text[:50] for *_, text in BROKEN])
+def test_what_contradicts_itself(described, xml, before, after, text):
+    """One clear error each."""
+    assert before in xml
+    with pytest.raises(FmuError, match=f"x.fmu: modelDescription.xml: .*{text}") as error:
+        described(xml.replace(before, after))
+    assert len(str(error.value).splitlines()) <= 5  # a name or size may matter in several places
+
+
+def test_all_is_reported_at_once(described):
+    xml = FMI2.replace('guid="{2}"', "").replace('start="1.5"', 'start="x"').replace('name="late"', 'name="u"')
+    with pytest.raises(FmuError, match=r"(?s)variable 'x': start: found 'x'.*|two variables.*|guid is missing") as error:
+        described(xml)
+    assert len(str(error.value).splitlines()) == 3
+
+
+def test_foreign_units(foreign2, foreign3):
+    """pythonfmu says nothing of dependencies: they are unknown; its second kind of FMI 3 has states."""
+    two, three = read(foreign2).description, read(foreign3).description
+    assert two.interface.feedthrough["y"] is None
+    assert two["limit"].variability == "tunable"
+    assert set(two.capabilities) == {"cs"}
+    assert set(three.capabilities) == {"me", "cs"}
+    assert three.states == ("x1", "x2")
+    assert three.interface.feedthrough == {"x1": (), "x2": (), "y": None}
+    assert three.interface.initial == {"y": None}
