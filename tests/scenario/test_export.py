@@ -274,7 +274,7 @@ size = 2
 """
 
 
-@FMI
+@pytest.mark.parametrize("fmi", [pytest.param("2", marks=pytest.mark.campaign), "3"])
 def test_small_parts_are_the_same_as_fmus(fmi, tmp_path):
     """Lag, delays, limit, gain and sum, each in its own place: what the swapped run records is what the run recorded."""
     scenario = tmp_path / "parts.toml"
