@@ -52,6 +52,5 @@ def export_component(
 
 
 def _identifier(name: str) -> str:
-    """Make an identifier of C of any name."""
-    plain = re.sub(r"[^A-Za-z0-9_]", "_", name)
-    return f"_{plain}" if plain[0].isdigit() else plain
+    """Make an identifier of C of a name, which begins with a letter."""
+    return re.sub(r"[^A-Za-z0-9_]", "_", name)

@@ -94,3 +94,16 @@ def test_without_zig_other_machines_are_refused(tmp_path, monkeypatch):
     ):
         export(model(), tmp_path / "x.fmu", name="plant", platforms=["aarch64-linux"])
     assert list(tmp_path.iterdir()) == []
+
+
+def test_what_the_compiler_refuses_is_passed_on(tmp_path, monkeypatch):
+    """With its own words; nothing is written."""
+
+    def refuse(*arguments, **options):
+        raise RuntimeError("cc failed:\nmodel.c:1: error")
+
+    monkeypatch.setattr(build, "compiler", lambda: ["cc"])
+    monkeypatch.setattr(build, "compile_library", refuse)
+    with pytest.raises(FmuError, match=r"the FMU 'plant' could not be compiled: cc failed:\nmodel\.c:1: error"):
+        export(model(), tmp_path / "x.fmu", name="plant")
+    assert list(tmp_path.iterdir()) == []

@@ -23,11 +23,11 @@ SAMPLED = {"controller.period": 0.01}
 ACADEMIC = [("academic", name) for name in ("plant", "observer", "regressor", "identifier")]
 LOOP = [("closed-loop", name) for name in ("feedback", "error", "controller")]
 AGAIN = [("closed-loop", name) for name in ("plant", "observer", "regressor", "identifier")]  # the same kinds with other signals
-SAMPLED_UNITS = [("sampled", "controller"), ("slow", "identifier")]
+SAMPLED_UNITS = [("sampled", "controller"), ("slow", "identifier"), ("held", "identifier")]
 UNITS = [*ACADEMIC, *LOOP, *SAMPLED_UNITS, *(pytest.param(*unit, marks=pytest.mark.campaign) for unit in AGAIN)]
 STATES = [("academic", "plant"), ("academic", "observer"), ("closed-loop", "controller")]  # linear models that have some
 DRIVERS = {"sampled": "error", "slow": "regressor"}
-CHANGES = {"sampled": SAMPLED, "slow": {"identifier.period": 0.1}}
+CHANGES = {"sampled": SAMPLED, "slow": {"identifier.period": 0.1}, "held": {"scenario.hold": "start"}}
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Case:
 
 
 def scenario_of(key: str) -> tuple[str, dict[str, Any]]:
-    return ("academic" if key in ("academic", "slow") else "closed-loop"), {**START, **CHANGES.get(key, {})}
+    return ("academic" if key in ("academic", "slow", "held") else "closed-loop"), {**START, **CHANGES.get(key, {})}
 
 
 @cache

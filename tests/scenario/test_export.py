@@ -13,6 +13,7 @@ from cosim.core.solver import Linear
 from cosim.errors import CosimError
 from cosim.fmi.component import ModelExchange, load
 from cosim.fmi.generated import GeneratedUnit
+from cosim.fmi.reading import read
 from cosim.scenario.exporting import export_component
 from tests.scenario.exported import ACADEMIC, STATES, STOP, UNITS, H, case, drive, export
 
@@ -241,7 +242,7 @@ def test_what_cannot_be_exported_is_refused(tmp_path, monkeypatch, capsys):
 
 PARTS = """
 [scenario]
-name = "parts"
+name = "small-parts"
 stop = 0.5
 step = 1e-3
 [components.wave]
@@ -294,5 +295,6 @@ def test_small_parts_are_the_same_as_fmus(fmi, tmp_path):
         path = tmp_path / f"{name}.fmu"
         export_component(str(scenario), name, path, fmi=fmi)
         assert validate_fmu(str(path)) == []
+        assert read(path).description.name == f"small_parts_{name}"  # an identifier of C
         run = cosim.run(scenario, swap={name: path}, set={f"{name}.mode": "cs"})
         assert relative(run[f"{name}.y"], expected[f"{name}.y"]) <= 1e-14, name
