@@ -11,19 +11,23 @@ from typing import TYPE_CHECKING, Any
 from cosim.version import __version__
 
 if TYPE_CHECKING:
+    from cosim.fmi.linearise import linearize
     from cosim.log.diff import diff
     from cosim.log.reader import open_log
+    from cosim.scenario.comparing import compare
     from cosim.scenario.execution import load, replay, run
 
 _HOMES = {
+    "compare": "cosim.scenario.comparing",
     "diff": "cosim.log.diff",
+    "linearize": "cosim.fmi.linearise",
     "load": "cosim.scenario.execution",
     "open_log": "cosim.log.reader",
     "replay": "cosim.scenario.execution",
     "run": "cosim.scenario.execution",
 }
 
-__all__ = ["__version__", "diff", "load", "open_log", "replay", "run"]
+__all__ = ["__version__", "compare", "diff", "linearize", "load", "open_log", "replay", "run"]
 
 
 def __getattr__(name: str) -> Any:

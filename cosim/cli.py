@@ -41,7 +41,15 @@ SetOption = Annotated[
 SwapOption = Annotated[
     list[str] | None,
     typer.Option(
-        "--swap", metavar="COMPONENT=PATH", help="Put an FMU (.fmu) or a recorded component (.mcap) in its place. Repeatable."
+        "--swap",
+        metavar="COMPONENT=PATH",
+        help="Put an FMU (x.fmu, x.fmu#me, x.fmu#cs) or a recorded component (.mcap) in its place. Repeatable.",
+    ),
+]
+MapOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--map", metavar="PORT=NAME", help="What a swapped component calls a port, such as observer.y=out1. Repeatable."
     ),
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
@@ -62,6 +70,7 @@ def run(
     force: ForceOption = False,
     changes: SetOption = None,
     swaps: SwapOption = None,
+    maps: MapOption = None,
     stop: StopOption = None,
     step: Annotated[float | None, typer.Option(help="Communication step [s]; the same as --set scenario.step=...")] = None,
     plot: PlotOption = None,
@@ -80,10 +89,10 @@ def run(
     imported = perf_counter()
     edits = _edits(changes) | {f"scenario.{key}": value for key, value in (("stop", stop), ("step", step)) if value is not None}
     loaded = load(scenario)
+    edited = loaded.edit(swap=_once(swaps, "--swap"), map=_once(maps, "--map"), set=edits)
     if dry_run:
-        tables.comparison(loaded, swaps=_pairs(swaps, "--swap"), changes=edits, as_json=as_json)
+        tables.comparison(edited, as_json=as_json)
         return
-    edited = loaded.edit(swap=_pairs(swaps, "--swap"), set=edits)
     path = out or default_log(edited.name)
     _need_plot(plot, edited.file.truth)
     seconds: dict[str, float] | None = {} if profile else None
@@ -151,6 +160,47 @@ def diff(
     difference = compare(open_log(a), open_log(b), atol=atol, rtol=rtol)
     tables.difference(difference, as_json=as_json)
     if not difference.within:
+        raise typer.Exit(1)
+
+
+@app.command()
+def compare(
+    scenario: ScenarioArgument,
+    swaps: Annotated[
+        list[str],
+        typer.Option(
+            "--swap",
+            metavar="COMPONENT=PATH",
+            help="An alternative for a component: x.fmu, x.fmu#me, x.fmu#cs or a recorded log (.mcap). Once for each.",
+        ),
+    ],
+    maps: MapOption = None,
+    changes: SetOption = None,
+    base: Annotated[bool, typer.Option("--base/--no-base", help="Run the scenario's own component too, as the first.")] = True,
+    plot: Annotated[Path | None, typer.Option(metavar="FILE", help="Draw the estimates of all, and their differences.")] = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", metavar="DIR", help="Folder to write the logs to.")] = None,
+    force: ForceOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Run a scenario on several plants and compare what is estimated; exit 1 where one of them fails."""
+    from cosim import tables
+    from cosim.scenario.comparing import compare as compare_plants
+    from cosim.scenario.execution import load
+
+    alternatives: dict[str, list[str]] = {}
+    for text in swaps:
+        ((name, path),) = _pairs([text], "--swap").items()
+        alternatives.setdefault(name, []).append(path)
+    loaded = load(scenario)
+    _need_plot(plot, loaded.file.truth)
+    edits = _edits(changes)
+    found = compare_plants(loaded, swap=alternatives, map=_once(maps, "--map"), set=edits, base=base, out=out, force=force)
+    if plot is not None and found.recordings:
+        from cosim.scenario.plot import plot_comparison
+
+        plot_comparison(found, plot)
+    tables.plants(found, as_json=as_json)
+    if any(outcome.error for outcome in found.outcomes):
         raise typer.Exit(1)
 
 
@@ -230,6 +280,46 @@ def export(
         typer.echo(line)
 
 
+@app.command()
+def linearize(
+    fmu: Annotated[Path, typer.Argument(metavar="FMU", help="An FMU for model exchange (.fmu).")],
+    at: Annotated[
+        float, typer.Option(metavar="T", help="Linearise where it arrives at this time with constant inputs [s].")
+    ] = 0.0,
+    values: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="NAME=VALUE", help="Start value of an input, a parameter or a state. Repeatable."),
+    ] = None,
+    inputs: Annotated[
+        list[str] | None, typer.Option("--input", metavar="NAME", help="Only these, in this order. Repeatable.")
+    ] = None,
+    outputs: Annotated[
+        list[str] | None, typer.Option("--output", metavar="NAME", help="Only these, in this order. Repeatable.")
+    ] = None,
+    disturbances: Annotated[
+        list[str] | None, typer.Option("--disturbance", metavar="NAME", help="With --toml: an input that is unknown. Repeatable.")
+    ] = None,
+    differences: Annotated[bool, typer.Option("--differences", help="Central differences, whatever the FMU has.")] = False,
+    as_toml: Annotated[bool, typer.Option("--toml", help="Print a table for [models] of a scenario.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Linearise an FMU at an operating point: A, B, C, D, poles, static gain."""
+    from cosim import tables
+    from cosim.scenario.linearising import linearise_file, model_table
+
+    if as_toml and as_json:
+        raise UsageError("--toml and --json: give one of them")
+    if bool(disturbances) != as_toml:
+        raise UsageError("--toml and --disturbance NAME go together: a table of [models] tells known inputs from unknown ones")
+    found = linearise_file(fmu, at=at, start=_edits(values), inputs=inputs, outputs=outputs, differences=differences)
+    if disturbances:
+        for note in found.notes:
+            typer.echo(f"note: {note}", err=True)
+        typer.echo(model_table(found, disturbances), nl=False)
+    else:
+        tables.linearisation(found, as_json=as_json)
+
+
 def _need_plot(out: Path | None, truth: Collection[str]) -> None:
     from cosim.scenario.plot import need_plot
 
@@ -245,6 +335,17 @@ def _pairs(options: list[str] | None, option: str) -> dict[str, str]:
             raise UsageError(f"{option} {text!r}: found no '=', needed NAME=VALUE")
         pairs[name.strip()] = value.strip()
     return pairs
+
+
+def _once(options: list[str] | None, option: str) -> dict[str, str]:
+    """Read pairs of which each name may be given once."""
+    found = _pairs(options, option)
+    if len(found) < len(options or []):
+        names = [text.partition("=")[0].strip() for text in options or []]
+        twice = next(name for name in names if names.count(name) > 1)
+        way = "; 'cosim compare' runs several plants" if option == "--swap" else ""
+        raise UsageError(f"{option} {twice}: given {names.count(twice)} times, needed once{way}")
+    return found
 
 
 def _edits(options: list[str] | None) -> dict[str, Any]:

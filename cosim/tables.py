@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,9 +16,12 @@ from rich.table import Table
 from cosim.errors import UsageError
 
 if TYPE_CHECKING:
+    from cosim.arrays import Matrix
     from cosim.core.contracts import Recording
+    from cosim.fmi.linearise import Linearisation
     from cosim.log.diff import Difference
     from cosim.scenario.build import Scenario
+    from cosim.scenario.comparing import Comparison
     from cosim.scenario.report import Identification, Summary
 
 WIDTH = 118  # where stdout is no terminal
@@ -235,21 +239,104 @@ def _section(console: Console, title: str, content: Any) -> None:
         console.print(table)
 
 
-def comparison(loaded: Scenario, *, swaps: Mapping[str, str], changes: Mapping[str, Any], as_json: bool) -> None:
-    """Compare the ports of swapped components with those they replace; exit 2 where they cannot be swapped."""
-    from cosim.scenario.inspection import compare
-
-    found, problems = compare(loaded, swaps=swaps, changes=changes)
+def linearisation(found: Linearisation, *, as_json: bool) -> None:
+    """Print a linearisation: matrices with names, poles, static gain, where it comes from."""
+    gain = found.static_gain
     if as_json:
-        _json({"ports": found, "problems": problems})
+        poles = [[pole.real, pole.imag] for pole in found.poles.tolist()]
+        _json(found.to_dict() | {"poles": poles, "static_gain": None if gain is None else gain.tolist()})
+        return
+    console = _console()
+    point = _table(f"{found.name} at t = {found.t:g} s", ("", "value", "derivative"))
+    for name, x, dx in zip(found.states, found.x, found.dx, strict=True):
+        point.add_row(name, f"{x:.6g}", f"{dx:.6g}")
+    for name, value in (*zip(found.inputs, found.u, strict=True), *zip(found.outputs, found.y, strict=True)):
+        point.add_row(name, f"{value:.6g}", "")
+    console.print(point)
+    derivatives = [f"der({name})" for name in found.states]
+    blocks = {
+        "A": (found.A, derivatives, found.states),
+        "B": (found.B, derivatives, found.inputs),
+        "C": (found.C, found.outputs, found.states),
+        "D": (found.D, found.outputs, found.inputs),
+    }
+    for letter, (matrix, rows, columns) in blocks.items():
+        error = found.errors[letter]
+        _matrix(console, letter if error is None else f"{letter}, error up to {error:.1g}", matrix, rows=rows, columns=columns)
+    if gain is not None:
+        _matrix(console, "static gain D - C A^-1 B", gain, rows=found.outputs, columns=found.inputs)
+    about = _table("", ("", ""))
+    about.add_row("poles", ", ".join(f"{p.real:.6g}" if p.imag == 0.0 else f"{p:.6g}" for p in found.poles.tolist()) or "none")
+    if gain is None:
+        about.add_row("static gain", "none, as A is singular")
+    about.add_row("columns by", ", ".join(dict.fromkeys(found.made.values())))
+    for note in found.notes:
+        about.add_row("note", note)
+    console.print(about)
+
+
+def _matrix(console: Console, title: str, matrix: Matrix, *, rows: Sequence[str], columns: Sequence[str]) -> None:
+    if matrix.size:
+        table = _table(title, ("", *columns))
+        for name, row in zip(rows, matrix.tolist(), strict=True):
+            table.add_row(name, *(f"{value:.6g}" for value in row))
+        console.print(table)
+
+
+def comparison(scenario: Scenario, *, as_json: bool) -> None:
+    """Compare swapped components with those they replace; exit 2 where the scenario cannot run with them."""
+    from cosim.scenario.contract import examine
+
+    found = examine(scenario.document)
+    problems = [*found.problems, *filter(None, [found.failure])]
+    if as_json:
+        _json({"swaps": {name: report.to_dict() for name, report in found.reports.items()}, "problems": problems})
     else:
         console = _console()
-        for name, rows in found.items():
-            _section(console, name, rows)
+        for report in found.reports.values():
+            _section(console, report.component, report.lines)
         if not problems:
             typer.echo("dry run: the scenario can run")
     if problems:
-        raise UsageError("\n".join(problems))
+        raise UsageError("\n".join([*problems, *found.hints]))
+
+
+def plants(found: Comparison, *, as_json: bool) -> None:
+    """Print what a scenario estimates on several plants, and how far the estimates are from those of the first."""
+    if as_json:
+        _json(found.to_dict())
+        return
+    first = next(iter(found.recordings), "")
+    table = _table(f"{found.scenario}: {found.component}", ("estimate", "truth", "plant", "value", "error", f"from {first}"))
+    apart = {(one.estimate, one.label): one.largest for one in found.differences}
+    rows = [row for label, summary in found.summaries.items() for row in _plant_rows(label, summary, apart)]
+    for estimate in dict.fromkeys(row[0] for row in rows):
+        for row in [row for row in rows if row[0] == estimate]:
+            table.add_row(*row)
+        table.add_section()
+    for outcome in found.outcomes:
+        if outcome.error:
+            table.add_row("", "", outcome.label, "failed", outcome.error.splitlines()[0], "")
+    _console().print(table)
+    for outcome in found.outcomes:
+        if outcome.error:
+            typer.echo("\n".join(f"{outcome.label}: failed: {line}" for line in outcome.error.splitlines()), err=True)
+
+
+def _plant_rows(
+    label: str, found: Summary, apart: Mapping[tuple[str, str], Sequence[float | None]]
+) -> Iterator[tuple[str, str, str, str, str, str]]:
+    """Give (estimate, truth, plant, value, error, difference)."""
+    for signal in found.signals:
+        largest = [one for one in apart.get((signal.estimate, label), ()) if one is not None]
+        error = f"{signal.largest:.3g} for t >= {signal.since:g} s"
+        yield signal.estimate, signal.truth, label, "", error, f"{max(largest):.3g}" if largest else ""
+    for value in found.values:
+        name, element = re.fullmatch(r"(.*?)(?:\[(\d+)\])?", value.estimate).groups()  # type: ignore[union-attr]
+        differences = apart.get((name, label), ())
+        difference = differences[int(element or 0)] if differences else None
+        shown = ("no value", "") if value.value is None else (f"{value.value:+.6f}", f"{value.error:.3g}")
+        yield value.estimate, f"{value.truth:+g}", label, *shown, "" if difference is None else f"{difference:.3g}"
 
 
 def _text(value: Any) -> str:

@@ -58,6 +58,7 @@ def check_component(
         _check_blocks(bench, held, expected)
         _check_ownership(bench, held, expected)
         _check_feedthrough(bench, held, expected)
+        _check_start(bench, held, expected[0])
         if held.any():
             _check_late_inputs(bench, held, expected)
 
@@ -161,6 +162,17 @@ def _check_feedthrough(bench: _Bench, held: Mask, expected: Matrix) -> None:
             bench.compare(law, np.where(bench.fed_by(name), expected[k], bench.outputs(component, k, u)), expected[k], k)
 
 
+def _check_start(bench: _Bench, held: Mask, first: Vector) -> None:
+    """Require that outputs ignore at the start what they are not declared to depend on there."""
+    for name, columns in bench.interface.input_columns().items():
+        component, u = bench.make(), bench.u[0].copy()
+        u[columns] = bench.perturbed[0, columns]
+        component.prepare(bench.h, held, {})
+        y = component.initialize(float(bench.t[0]), u)
+        law = f"initialize ignores {name!r}, which is not declared to count at the start"
+        bench.compare(law, np.where(bench.fed_at_start(name), first, y), first)
+
+
 def _check_late_inputs(bench: _Bench, held: Mask, expected: Matrix) -> None:
     """Require that a held input may be wrong at the end of a step: the state ignores it, outputs repairs the rest."""
     component, _ = bench.start(held)
@@ -220,6 +232,11 @@ class _Bench:
     def fed_by(self, name: str) -> Mask:
         """Mark the output elements that an input is declared to feed through to."""
         return np.array([name in self.interface.feeds(o.name) for o in self.interface.outputs for _ in range(o.size)], np.bool_)
+
+    def fed_at_start(self, name: str) -> Mask:
+        """Mark the output elements that an input is declared to count for at the start."""
+        outputs = self.interface.outputs
+        return np.array([name in self.interface.feeds_at_start(o.name) for o in outputs for _ in range(o.size)], np.bool_)
 
     def compare(self, law: str, found: Matrix, expected: Matrix, first: int = 0) -> None:
         """Require equal bits of rows, the first of them at row ``first``."""

@@ -22,10 +22,10 @@ ALLOWED = {
     "log": BASE | {"core"},
     "testing": BASE | {"core"},
     "scenario": BASE | {"native", "theory", "core", "blocks", "fmi", "log"},
-    "tables": {"errors", "core", "scenario", "log"},
+    "tables": {"errors", "arrays", "core", "fmi", "scenario", "log"},
     "cli": {"errors", "scenario", "log", "tables"},
     "__main__": {"cli"},
-    "__init__": {"scenario", "log", "version"},
+    "__init__": {"scenario", "log", "fmi", "version"},
 }
 OUTSIDE = {
     "fmpy": {"fmi"},

@@ -1,6 +1,7 @@
 """The command line: exit codes, what goes where, and what it costs to ask for help."""
 
 import contextlib
+import dataclasses
 import json
 import os
 import pty
@@ -13,6 +14,9 @@ import pytest
 
 import cosim
 from cosim.cli import main
+from cosim.fmi.description import Variable
+from tests.fmi.archives import write
+from tests.fmi.test_reading import FMI1, FMI2, FMI3
 
 SHORT = ["--stop", "0.1"]
 
@@ -141,6 +145,48 @@ def test_info_of_a_log_a_scenario_and_an_fmu(call):
         assert code == 0
         assert text in " ".join(out.split())
         assert json.loads(call("info", what, "--json")[1])
+
+
+def test_info_of_fmus_of_every_version(call, tmp_path):
+    """Units in SI, ranges, items, sizes, states and dependencies, in lines of at most 118 columns; JSON has every field."""
+    for number, xml in enumerate((FMI1.replace("{implementation}", ""), FMI2, FMI3), 1):
+        write(tmp_path / f"{number}.fmu", [], xml=xml.encode())
+    texts = [call("info", f"{number}.fmu")[1] for number in (1, 2, 3)]
+    assert max(len(line) for text in texts for line in text.splitlines()) <= 118
+    one, two, three = (" ".join(text.split()) for text in texts)
+    for text in ("N 1.0 kg.m.s-2", "u input continuous Float64 N 1 -1..2", "z output continuous Float64 unknown",
+                 "v output continuous Float64 nothing", "1 off, 2 on", "n states 2", "exchange identifier one"):  # fmt: skip
+        assert text in one
+    for text in ("degC 1.0 K + 273.15", "kN 1000.0 kg.m.s-2", "about 1.5 state", "-3 off, 7 on", "0..50 u, x", "der x u, x",
+                 "rise depends on what is not said", "x depends on u", "default step 0.01"):  # fmt: skip
+        assert text in two
+    for text in ("Float64[n][2] mm 6 x 0.5", "second input continuous Float64[n][2] mm 6 x 0.5 alias u", "Float32[n] u, x",
+                 "clocks tick", "fixed step 0.5, event mode, early return", "String[2] a b c"):  # fmt: skip
+        assert text in three
+    found = json.loads(call("info", "3.fmu", "--json")[1])
+    variables = {variable["name"]: variable for variable in found["variables"]}
+    assert set(variables["u"]) == {field.name for field in dataclasses.fields(Variable)}
+    assert (variables["u"]["start"], variables["u"]["dimensions"], variables["u"]["maximum"]) == ([0.5] * 6, ["n", 2], None)
+    assert found["units"]["mm"]["factor"] == 0.001
+    assert (found["dependencies"]["y"], found["initial_dependencies"]["dx"]) == (["u", "x"], None)
+    assert found["capabilities"]["cs"]["interpolates_inputs"]
+
+
+def test_check_tells_all_and_exits_1_at_an_error(call, tmp_path):
+    """A good FMU, one with warnings, one with errors, no file; JSON says the same."""
+    call("export", "academic", "--component", "plant", "--out", "plant.fmu")
+    assert call("check", "plant.fmu") == (0, "plant.fmu: nothing is wrong with it\n", "")
+    write(tmp_path / "x.fmu", [], xml=FMI3.replace('start="1 2 3"', 'start="1 2"').encode())
+    code, out, _ = call("check", "x.fmu")
+    assert code == 1
+    assert "error: variable 'x': has 2 start values for 3 elements\n" in out
+    assert "warning: structure: clocks, which are not supported: tick\n" in out
+    assert out.endswith("x.fmu: 2 errors, 2 warnings\n")
+    code, out, _ = call("check", "x.fmu", "--json")
+    found = json.loads(out)
+    assert (code, found["errors"], found["warnings"]) == (1, 2, 2)
+    assert {"level": "error", "where": "variable 'x'", "text": "has 2 start values for 3 elements"} in found["findings"]
+    assert call("check", "no.fmu") == (2, "", "cosim: no.fmu: there is no such file\n")
 
 
 def test_plot_writes_pictures(call, tmp_path):
@@ -362,3 +408,56 @@ def test_a_refused_run_leaves_the_old_log_as_it_was(call, tmp_path):
         assert call("run", *arguments, "--out", "a.mcap", "--force")[0] == 2, arguments
         assert (tmp_path / "a.mcap").read_bytes() == before
     assert not list(tmp_path.glob(".a*"))
+
+
+def test_linearize_prints_matrices_poles_and_gain(call, tmp_path):
+    """The reduced plant (28): A, its poles -1.5 +- 0.866i, the gain D - C A^-1 B = -4/3 and 2/3, in words and as JSON."""
+    call("export", "academic", "--component", "plant", "--out", "plant.fmu")
+    code, out, err = call("linearize", "plant.fmu", "--output", "y", "--set", "x_a[0]=0.5")
+    assert (code, err) == (0, "")
+    words = " ".join(out.split())
+    assert "der(x_a[0]) -1 1 der(x_a[1]) -1 -2 B" in words
+    assert "D - C A^-1 B u delta y -1.33333 0.666667" in words
+    assert "poles -1.5-0.866025j, -1.5+0.866025j columns by directional derivatives" in words
+    code, out, _ = call("linearize", "plant.fmu", "--input", "delta", "--output", "y", "--differences", "--at", "2", "--json")
+    found = json.loads(out)
+    assert (code, found["t"], found["inputs"], found["made"]["delta"]) == (0, 2.0, ["delta"], "central differences")
+    assert found["static_gain"][0] == pytest.approx([2.0 / 3.0], rel=1e-9)
+
+
+def test_linearize_says_where_there_is_no_gain(call, tmp_path):
+    """An integrator."""
+    (tmp_path / "i.toml").write_text(
+        '[scenario]\nname = "i"\nstop = 0.1\nstep = 0.01\n[components.u]\nkind = "constant"\nvalue = 1.0\n'
+        '[components.c]\nkind = "controller"\nA = [[0.0]]\nB = [[1.0]]\nC = [[2.0]]\n[connections]\n"c.u" = "u.y"\n'
+    )
+    call("export", "i.toml", "--component", "c", "--out", "i.fmu")
+    assert "static gain none, as A is singular" in " ".join(call("linearize", "i.fmu")[1].split())
+
+
+def test_linearize_prints_a_table_for_a_scenario(call):
+    """Ready for [models]; notes go to stderr."""
+    call("export", "academic", "--component", "plant", "--out", "plant.fmu")
+    code, out, _ = call("linearize", "plant.fmu", "--output", "y", "--toml", "--disturbance", "delta")
+    assert code == 0
+    assert "[models.academic_plant]" in out
+    assert "Bd = [[1.0], [0.0], [0.0]]" in out
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        (["--toml"], "--toml and --disturbance NAME go together"),
+        (["--disturbance", "delta"], "--toml and --disturbance NAME go together"),
+        (["--toml", "--json", "--disturbance", "delta"], "--toml and --json: give one of them"),
+        (["--set", "u=fast"], "start value of 'u': found 'fast', needed a number"),
+        (["--set", "u"], "--set 'u': found no '=', needed NAME=VALUE"),
+        (["--input", "w"], "no input 'w'; There is: u, delta"),
+    ],
+)
+def test_linearize_refuses_what_it_cannot_do(call, options, text):
+    """One message, exit 2."""
+    call("export", "academic", "--component", "plant", "--out", "plant.fmu")
+    code, _, err = call("linearize", "plant.fmu", *options)
+    assert code == 2
+    assert text in err

@@ -24,7 +24,8 @@ def lag(*, time_constant: float, start: float | None = None, size: int = 1, unit
         raise UsageError(f"lag: found time_constant = {time_constant} s, needed a positive time")
     eye, rate = np.eye(size), 1.0 / time_constant
     follow = eye if start is None else np.zeros((size, size))
-    signals = Interface((Signal("u", size, unit),), (Signal("y", size, unit, role="state"),))
+    initial = {"y": ("u",)} if start is None else {}
+    signals = Interface((Signal("u", size, unit),), (Signal("y", size, unit, role="state"),), initial=initial)
     states = tuple(signals.outputs[0].elements)
     X0 = np.full(size, 0.0 if start is None else start)
     return LinearModel(signals, states, -rate * eye, rate * eye, eye, np.zeros((size, size)), X0, follow)

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from cosim.arrays import Matrix
 from cosim.core.signals import Interface, Signal
-from cosim.core.solver import LinearModel, feedthrough_of
+from cosim.core.solver import LinearModel, feedthrough_of, start_dependencies
 from cosim.errors import AssumptionError
 from cosim.theory.descriptor import DescriptorSystem, reduce
 
@@ -47,15 +47,15 @@ def linear_model(
     X0: Matrix,
     Xu: Matrix | None = None,
 ) -> LinearModel:
-    """Put matrices and signals together; the feedthrough is read off D."""
-    interface = Interface(inputs, outputs)
+    """Put matrices and signals together; what depends on what is read off the matrices."""
+    interface, Xu = Interface(inputs, outputs), np.zeros(B.shape) if Xu is None else Xu
     return LinearModel(
-        Interface(inputs, outputs, feedthrough_of(interface, D)),
+        Interface(inputs, outputs, feedthrough_of(interface, D), start_dependencies(interface, C, D, Xu)),
         states,
         A=np.ascontiguousarray(A, np.float64),
         B=np.ascontiguousarray(B, np.float64),
         C=np.ascontiguousarray(C, np.float64),
         D=np.ascontiguousarray(D, np.float64),
         X0=np.ascontiguousarray(X0, np.float64),
-        Xu=np.zeros(B.shape) if Xu is None else np.ascontiguousarray(Xu, np.float64),
+        Xu=np.ascontiguousarray(Xu, np.float64),
     )

@@ -1,54 +1,49 @@
 """How the components of one stage advance over a block.
 
-A cascade is one component: one call. The components of a loop advance step by step. At each step a component's input from a
-component that has not reached the end of the step yet is *late*: it keeps its value from the start of the step (first order), and
-outputs that feed through from it are evaluated again as soon as it is known. Which inputs are late is fixed before the run:
-
-* Gauss-Seidel: components advance one after the other, those whose feedthrough inputs are known first.
-* Jacobi: all inputs from inside the loop are late.
+A cascade is one component: one call. The components of a loop advance step by step, by operations that are fixed before the run
+(:mod:`cosim.core.order`). At each step a component's input from a component that has not reached the end of the step yet is
+*late*: it keeps its value from the start of the step (first order), and outputs that feed through from it are evaluated again as
+soon as it is known.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from graphlib import CycleError, TopologicalSorter
-from typing import Literal, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
 from cosim.core.contracts import Block, Component, Stopped
-from cosim.core.signals import Interface
-from cosim.errors import AlgebraicLoopError, RunError
-
-Port = tuple[str, str]  # component, signal
-Kind = Literal["advance", "refresh"]
-Operation = tuple[Kind, str]
+from cosim.core.order import Kind
+from cosim.errors import RunError
+from cosim.units import Conversion
 
 
 @dataclass(frozen=True, slots=True)
 class Wire:
-    """Copies source columns into input columns, through a gain and an offset where there are any."""
+    """Copies source columns into input columns, through a gain and an offset where there are any, then from unit to unit."""
 
     to: slice
     source: slice
     gain: Matrix | None
     offset: float
+    conversion: Conversion
 
     @staticmethod
-    def of(to: slice, source: slice, gain: NDArray[np.float64], offset: float) -> Wire:
-        """Build a wire from a number or a matrix; a plain copy where the gain is 1 and the offset 0."""
+    def of(to: slice, source: slice, gain: NDArray[np.float64], offset: float, conversion: Conversion) -> Wire:
+        """Build a wire from a number or a matrix; no map where the gain is 1 and the offset 0."""
         if gain.ndim == 2:
-            return Wire(to, source, gain, offset)
+            return Wire(to, source, gain, offset, conversion)
         plain = gain == 1.0 and offset == 0.0
-        return Wire(to, source, None if plain else gain * np.eye(to.stop - to.start), offset)
+        return Wire(to, source, None if plain else gain * np.eye(to.stop - to.start), offset, conversion)
 
     def copy(self, signals: Matrix, rows: slice) -> None:
         """Fill the input columns of some rows; sums run in a fixed order, without BLAS."""
         if self.gain is None:
-            signals[rows, self.to] = signals[rows, self.source]
+            signals[rows, self.to] = self.conversion(signals[rows, self.source])
             return
         source = signals[rows, self.source]
         for i, gains in enumerate(self.gain):
@@ -56,7 +51,7 @@ class Wire:
             for j, gain in enumerate(gains):
                 if gain != 0.0:
                     total += gain * source[:, j]
-            signals[rows, self.to.start + i] = total
+            signals[rows, self.to.start + i] = self.conversion(total)
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,6 +99,11 @@ class Stage(Protocol):
         ...
 
     @property
+    def warnings(self) -> tuple[tuple[str, str], ...]:
+        """What was taken to be so, as (component, text)."""
+        ...
+
+    @property
     def description(self) -> str:
         """For the log."""
         ...
@@ -119,6 +119,7 @@ class Cascade:
 
     member: Member
     late: Mapping[str, frozenset[str]] = field(default_factory=dict)
+    warnings: tuple[tuple[str, str], ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -151,6 +152,7 @@ class Loop:
     members: tuple[Member, ...]
     operations: tuple[tuple[Kind, Member], ...]
     late: Mapping[str, frozenset[str]]
+    warnings: tuple[tuple[str, str], ...]
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -193,109 +195,3 @@ class Loop:
 def _stop(error: RunError) -> Stopped:
     """Take an error of a component that does not say how far it came as a stop before the first step."""
     return error if isinstance(error, Stopped) else Stopped(np.empty((0, 0)), str(error))
-
-
-def order_loop(
-    interfaces: Mapping[str, Interface], sources: Mapping[str, Mapping[str, Port]], *, jacobi: bool
-) -> tuple[tuple[Operation, ...], dict[str, frozenset[str]]]:
-    """Fix the order of operations in a loop, and which inputs are late.
-
-    Parameters
-    ----------
-    interfaces : mapping of component name to Interface
-        The components of the loop.
-    sources : mapping of component name to mapping of input to Port
-        What drives each input; ports of components outside the loop are known from the start.
-    jacobi : bool
-        Treat every input from inside the loop as late.
-
-    Raises
-    ------
-    AlgebraicLoopError
-        If outputs feed through to each other in a circle; every port of it is named.
-    """
-    circle = _algebraic_loop(interfaces, sources)
-    if circle:
-        raise AlgebraicLoopError(
-            f"{' -> '.join(circle)}: every output here feeds through; put a component with a state of its own between, "
-            "such as a lag or a delay"
-        )
-    order = _Order(interfaces, sources)
-    if jacobi:
-        for name in interfaces:
-            order.advance(name, late=order.inside(name))
-        for name in interfaces:  # outputs that no late input reaches are right already
-            order.known.update(
-                (name, o.name)
-                for o in interfaces[name].outputs
-                if not order.late[name].intersection(interfaces[name].feeds(o.name))
-            )
-        order.refresh()
-    else:
-        waiting = list(interfaces)
-        while waiting:
-            name = min(waiting, key=order.unknown_feedthrough)
-            waiting.remove(name)
-            order.advance(name, late=frozenset(i for i in order.inside(name) if not order.is_known(name, i)))
-            order.settle(name)
-            order.refresh()
-    return tuple(order.operations), order.late
-
-
-class _Order:
-    """The order of operations of a loop while it is found; ``known``: the outputs at the end of the step that are final."""
-
-    def __init__(self, interfaces: Mapping[str, Interface], sources: Mapping[str, Mapping[str, Port]]) -> None:
-        self.interfaces, self.sources = interfaces, sources
-        self.known: set[Port] = set()
-        self.operations: list[Operation] = []
-        self.late: dict[str, frozenset[str]] = {}
-
-    def inside(self, name: str) -> frozenset[str]:
-        return frozenset(i for i, source in self.sources[name].items() if source[0] in self.interfaces)
-
-    def is_known(self, name: str, signal: str) -> bool:
-        source = self.sources[name][signal]
-        return source[0] not in self.interfaces or source in self.known
-
-    def unknown_feedthrough(self, name: str) -> int:
-        interface = self.interfaces[name]
-        feeding = {i for output in interface.outputs for i in interface.feeds(output.name)}
-        return sum(not self.is_known(name, signal) for signal in feeding)
-
-    def advance(self, name: str, *, late: frozenset[str]) -> None:
-        self.late[name] = late
-        self.operations.append(("advance", name))
-
-    def settle(self, name: str) -> bool:
-        """Take the outputs as known whose feedthrough inputs are; say whether any is new."""
-        interface = self.interfaces[name]
-        ports = {(name, o.name) for o in interface.outputs if all(self.is_known(name, i) for i in interface.feeds(o.name))}
-        news = not ports <= self.known
-        self.known |= ports
-        return news
-
-    def refresh(self) -> None:
-        """Evaluate outputs again wherever late inputs have become known, until there is nothing new."""
-        progress = True
-        while progress:
-            progress = False
-            for name in self.late:
-                if self.settle(name):
-                    self.operations.append(("refresh", name))
-                    progress = True
-
-
-def _algebraic_loop(interfaces: Mapping[str, Interface], sources: Mapping[str, Mapping[str, Port]]) -> list[str]:
-    """Find a circle of ports along feedthrough and connections; give it as text, closed, or nothing."""
-    behind: dict[Port, list[Port]] = {}
-    for name, interface in interfaces.items():
-        for signal, source in sources[name].items():
-            behind[name, signal] = [source] if source[0] in interfaces else []
-        for output in interface.outputs:
-            behind[name, output.name] = [(name, signal) for signal in interface.feeds(output.name)]
-    try:
-        TopologicalSorter(behind).prepare()
-    except CycleError as error:
-        return [".".join(port) for port in error.args[1]]
-    return []

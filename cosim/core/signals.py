@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from cosim.errors import GraphError
-from cosim.units import BaseUnit, base_unit
+from cosim.units import BaseUnit, Unit
 
 Variability = Literal["continuous", "discrete", "inherited"]
 Kind = Literal["real", "integer", "boolean"]
@@ -54,11 +54,18 @@ class Signal:
     def __post_init__(self) -> None:
         if self.size < 1:
             raise GraphError(f"signal {self.name!r}: size {self.size}, needed at least 1")
+        if self.start and len(self.start) != self.size:
+            raise GraphError(f"signal {self.name!r}: {len(self.start)} start values, needed {self.size} or none")
+
+    @property
+    def measure(self) -> Unit:
+        """Its unit, by name and definition."""
+        return Unit(self.unit, self.base)
 
     @property
     def si(self) -> BaseUnit | None:
         """What its unit is in SI; None: no unit, or not known."""
-        return self.base or (None if self.unit is None else base_unit(self.unit))
+        return self.measure.si
 
     @property
     def elements(self) -> list[str]:

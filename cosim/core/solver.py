@@ -1,14 +1,14 @@
 """Solvers: how a model's state moves over one communication step.
 
 ``exact`` is the discretisation of a linear model for straight-line inputs, by the matrix exponential: no error but rounding. The
-others integrate any model, with the inputs on straight lines inside the step.
+others integrate any model, and run on over communication points: see :class:`Solver`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final, TypeAlias
+from typing import Any, Final, Protocol, TypeAlias, final
 
 import numpy as np
 
@@ -19,10 +19,9 @@ from cosim.errors import GraphError, RunError
 from cosim.native.step import HeldDiscretisation, NativeStep, affine, first_order_hold, linear
 
 ADAPTIVE: Final = ("RK45", "DOP853", "Radau", "BDF", "LSODA")  # scipy.integrate
-SOLVERS: Final = ("exact", "rk4", *ADAPTIVE)
+SOLVERS: Final = ("exact", "rk4", *ADAPTIVE, "CVode")
 
-Derivative: TypeAlias = Callable[[float, Vector, Vector], Vector]  # (t, x, u) -> x'
-Integrator: TypeAlias = Callable[[Derivative, float, float, Vector, Vector, Vector], Vector]  # (f, t0, t1, x, u0, u1) -> x(t1)
+Slope: TypeAlias = Callable[[float, Vector], Vector]  # (t, x) -> x'
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,54 +122,197 @@ class Linear:
         self._step.restore(state)
 
 
-def feedthrough_of(inputs: Interface, D: Matrix) -> dict[str, tuple[str, ...]]:
+def start_dependencies(inputs: Interface, C: Matrix, D: Matrix, Xu: Matrix) -> dict[str, tuple[str, ...]]:
+    """Read off the zeros of C, Xu and D what outputs depend on at the start, where it is more than feeds through."""
+    direct, pattern = feedthrough_of(inputs, D), ((C != 0.0) @ (Xu != 0.0)) | (D != 0.0)
+    return {output: names for output, names in feedthrough_of(inputs, pattern).items() if names != direct[output]}
+
+
+def feedthrough_of(inputs: Interface, D: Matrix | Mask) -> dict[str, tuple[str, ...]]:
     """Read the feedthrough of an interface off the nonzero blocks of D, shape (n_y, n_u)."""
     columns, rows = inputs.input_columns(), inputs.output_columns()
     return {output: tuple(name for name, c in columns.items() if D[r, c].any()) for output, r in rows.items()}
 
 
-def rk4(f: Derivative, t0: float, t1: float, x: Vector, u0: Vector, u1: Vector) -> Vector:
+class Solver(Protocol):
+    """Moves ``x' = f(t, x)`` on step by step, and runs on: what it learnt of the solution it keeps until it is started anew.
+
+    ``f`` is asked for no time beyond the ``t_end`` of a step. It may change its slope there, but not its value: then the solver
+    is to be started anew.
+    """
+
+    def start(self, t: float, x: Vector, nominals: Vector) -> None:
+        """Begin at ``t`` [s] with ``x``; the absolute tolerance of a state is ``rtol`` times its nominal value."""
+        ...
+
+    def step(self, t_end: float) -> float:
+        """Take one step of the solver's own length, to ``t_end`` at most; give the time reached.
+
+        Raises
+        ------
+        RunError
+            Where the solver fails; with its own words.
+        """
+        ...
+
+    def at(self, t: float) -> Vector:
+        """Give the state at a time within the last step, shape (n_x,)."""
+        ...
+
+    def save(self) -> object:
+        """Copy the state; a solver whose state cannot be copied starts anew here, as it will after ``restore``."""
+        ...
+
+    def restore(self, state: object) -> None:
+        """Go back to a saved state."""
+        ...
+
+
+def rk4(f: Slope, t0: float, t1: float, x: Vector) -> Vector:
     """Integrate over one step with the classical Runge-Kutta method of order 4 (Kutta, 1901)."""
-    h, t, u = t1 - t0, 0.5 * (t0 + t1), 0.5 * (u0 + u1)
-    k1 = f(t0, x, u0)
-    k2 = f(t, x + 0.5 * h * k1, u)
-    k3 = f(t, x + 0.5 * h * k2, u)
-    k4 = f(t1, x + h * k3, u1)
+    h, t = t1 - t0, 0.5 * (t0 + t1)
+    k1 = f(t0, x)
+    k2 = f(t, x + 0.5 * h * k1)
+    k3 = f(t, x + 0.5 * h * k2)
+    k4 = f(t1, x + h * k3)
     return x + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
 
 
-def adaptive(method: str, *, rtol: float = 1e-9, atol: float = 1e-12) -> Integrator:
-    """Give one of scipy's error-controlled solvers as an integrator over one communication step.
+@final
+class RungeKutta:
+    """``rk4``: one step to wherever the step may end; the state within it is that of a shorter step.
+
+    Parameters
+    ----------
+    f : callable
+        x' at t and x.
+    """
+
+    def __init__(self, f: Slope) -> None:
+        self._f = f
+        self.start(0.0, np.empty(0), np.empty(0))
+
+    def start(self, t: float, x: Vector, nominals: Vector) -> None:
+        """Begin at ``t``; there are no tolerances to keep."""
+        self._begin = self._end = (t, x)
+
+    def step(self, t_end: float) -> float:
+        """Take one step to ``t_end``."""
+        self._begin = self._end
+        self._end = t_end, rk4(self._f, self._begin[0], t_end, self._begin[1])
+        return t_end
+
+    def at(self, t: float) -> Vector:
+        """Give the state at a time within the last step."""
+        return self._end[1] if t == self._end[0] else rk4(self._f, self._begin[0], t, self._begin[1])
+
+    def save(self) -> object:
+        """Copy the state: where it is."""
+        return self._end
+
+    def restore(self, state: object) -> None:
+        """Go back to a saved state."""
+        self._begin = self._end = state  # type: ignore[assignment]
+
+
+@final
+class Adaptive:
+    """One of scipy's error-controlled solvers.
+
+    scipy's object is kept, and its bound moved on from step to step. LSODA starts anew at every bound: before scipy 1.17 all
+    LSODA solvers of a process share one memory, so that two of them cannot run on in turns.
 
     Parameters
     ----------
     method : str
         One of ``ADAPTIVE``.
-    rtol, atol : float
-        Relative and absolute tolerance of the state.
-
-    Raises
-    ------
-    RunError
-        From the integrator, where the solver fails; with the solver's own words.
+    f : callable
+        x' at t and x.
+    rtol : float
+        Relative tolerance of the state.
     """
-    import scipy.integrate
 
-    solver_class = getattr(scipy.integrate, method)
+    def __init__(self, method: str, f: Slope, *, rtol: float) -> None:
+        import scipy.integrate
 
-    def integrate(f: Derivative, t0: float, t1: float, x: Vector, u0: Vector, u1: Vector) -> Vector:
-        slope = (u1 - u0) / (t1 - t0)
-        solver = solver_class(lambda t, x: f(t, x, u0 + (t - t0) * slope), t0, x, t1, rtol=rtol, atol=atol)
-        while solver.status == "running":
+        self._class, self._method, self._f, self._rtol = getattr(scipy.integrate, method), method, f, rtol
+        self._runs_on = method != "LSODA"
+        self.start(0.0, np.empty(0), np.empty(0))
+
+    def start(self, t: float, x: Vector, nominals: Vector) -> None:
+        """Begin at ``t`` with ``x``."""
+        self._first, self._nominals = (t, x), nominals
+        self._solver: Any = None
+
+    def step(self, t_end: float) -> float:
+        """Take one step, to ``t_end`` at most."""
+        try:
+            solver = self._bounded(t_end)
             message = solver.step()
+        except (ValueError, np.linalg.LinAlgError) as error:  # scipy's linear algebra refuses what is not finite
+            raise RunError(f"solver {self._method}: {error}") from error
         if solver.status == "failed":
-            raise RunError(f"solver {method}: {message}")
-        reached: Vector = np.array(solver.y)
-        return reached
+            raise RunError(f"solver {self._method}: {message}")
+        self._dense: Any = None
+        return float(solver.t)
 
-    return integrate
+    def _bounded(self, t_end: float) -> Any:
+        solver = self._solver
+        if solver is not None and solver.status == "finished" and not self._runs_on:
+            self._first, solver = (solver.t, solver.y), None
+        if solver is None:
+            atol = self._rtol * self._nominals
+            self._solver = solver = self._class(self._f, *self._first, t_end, rtol=self._rtol, atol=atol)
+        elif self._runs_on:
+            solver.t_bound, solver.status = t_end, "running"
+        return solver
+
+    def at(self, t: float) -> Vector:
+        """Give the state at a time within the last step."""
+        solver = self._solver
+        if t == solver.t:
+            return np.array(solver.y)
+        if self._dense is None:
+            self._dense = solver.dense_output()
+        return np.array(self._dense(t))
+
+    def save(self) -> object:
+        """Copy the state: every array of scipy's object, the rest of which is never written to."""
+        solver = self._solver
+        if solver is not None and not self._runs_on:
+            self.start(float(solver.t), np.array(solver.y), self._nominals)
+        return self._first, self._nominals, self._solver, None if self._solver is None else _copied(vars(self._solver))
+
+    def restore(self, state: object) -> None:
+        """Go back to a saved state."""
+        kept: dict[str, Any]
+        self._first, self._nominals, self._solver, kept = state  # type: ignore[misc]
+        if self._solver is not None:
+            vars(self._solver).update(_copied(kept))
 
 
-def integrator(solver: str, *, rtol: float = 1e-9, atol: float = 1e-12) -> Integrator:
-    """Give a solver by name."""
-    return rk4 if solver == "rk4" else adaptive(solver, rtol=rtol, atol=atol)
+def _copied(attributes: dict[str, Any]) -> dict[str, Any]:
+    return {name: value.copy() if isinstance(value, np.ndarray) else value for name, value in attributes.items()}
+
+
+@final
+class Stateless:
+    """The solver of a model without continuous states: time just moves."""
+
+    def start(self, t: float, x: Vector, nominals: Vector) -> None:
+        """Begin anywhere."""
+
+    def step(self, t_end: float) -> float:
+        """Go to ``t_end``."""
+        return t_end
+
+    def at(self, t: float) -> Vector:
+        """Give no states."""
+        return np.empty(0)
+
+    def save(self) -> object:
+        """Copy nothing."""
+        return None
+
+    def restore(self, state: object) -> None:
+        """Go back to nothing."""

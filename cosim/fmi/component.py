@@ -1,7 +1,6 @@
 """Units as components: the way in.
 
-``ModelExchange`` and ``CoSimulation`` drive a unit of their kind, generated or loaded; ``load`` opens an .fmu;
-``compare_ports`` says whether one component fits in another's place.
+``ModelExchange`` and ``CoSimulation`` drive a unit of their kind, generated or loaded; ``load`` opens an .fmu.
 """
 
 from __future__ import annotations
@@ -17,17 +16,17 @@ from typing import Any, Final, Self, TypeAlias, final
 from cosim.errors import FmuError, RunError
 from cosim.fmi.binaries import built_for
 from cosim.fmi.co_simulation import CoSimulation
-from cosim.fmi.compare import compare_ports
 from cosim.fmi.description import MODE_NAMES, MODES, Description, Mode
 from cosim.fmi.loaded import LoadedUnit
 from cosim.fmi.messages import Message
-from cosim.fmi.model_exchange import ModelExchange
+from cosim.fmi.model_exchange import RTOL, ModelExchange
 from cosim.fmi.platforms import ARCHITECTURE, SUFFIX, folders
 from cosim.fmi.reading import Archive, read
 from cosim.fmi.start import Starts, check_start, resized
 from cosim.fmi.trial import can_roll_back
+from cosim.fmi.unit import ModelExchangeUnit
 
-__all__ = ["CoSimulation", "Fmu", "ModelExchange", "compare_ports", "load"]
+__all__ = ["CoSimulation", "Fmu", "ModelExchange", "load"]
 
 OUR_TOOL: Final = "cosim"  # whose FMUs the tests hold to their word
 FmuComponent: TypeAlias = ModelExchange | CoSimulation
@@ -71,6 +70,19 @@ class Fmu:
         return self._unit.description
 
     @property
+    def unit(self) -> ModelExchangeUnit:
+        """The instance itself, for what is asked of model exchange outside a run.
+
+        Raises
+        ------
+        FmuError
+            If it was opened for co-simulation.
+        """
+        if self.mode != "me":
+            raise FmuError(f'{self._archive.path}: opened for co-simulation; its unit is there with mode = "me"')
+        return self._unit
+
+    @property
     def metadata(self) -> dict[str, Any]:
         """What a log keeps: path, sha256 and modelDescription.xml of the file, FMI version, mode, solver."""
         found = self._archive
@@ -91,7 +103,7 @@ class Fmu:
     def drain(self) -> list[Message]:
         """Give what the FMU logged since the last call, how many messages were dropped, and what the run showed about it.
 
-        The level is "info", "warning", "error" or "fatal", from the FMI status.
+        The level is "info", "warning", "error" or "fatal", from the FMI status, and "debug" of an event.
         """
         return self._unit.messages.drain() + self.component.drain()
 
@@ -114,6 +126,7 @@ def load(
     *,
     mode: Mode | None = None,
     solver: str | None = None,
+    rtol: float = RTOL,
     start: Starts | None = None,
     instance_name: str | None = None,
 ) -> Fmu:
@@ -126,6 +139,8 @@ def load(
         Model exchange or co-simulation; None: the one that is there, model exchange where both are.
     solver : str or None
         Of a model exchange FMU; see :class:`ModelExchange`.
+    rtol : float
+        Relative tolerance of the states of a model exchange FMU, for the solvers that keep one.
     start : mapping of variable name to StartValue
         Start values to set instead of the FMU's own: numbers, Booleans, items of enumerations, texts, lists; see ``start.py``.
     instance_name : str or None
@@ -151,7 +166,7 @@ def load(
         name = instance_name or description.name
         unit = LoadedUnit(folder, library, description, mode=mode, name=name, label=str(archive.path))
         solver = solver or ("rk4" if mode == "me" else None)
-        component = ModelExchange(unit, solver, starts=starts) if mode == "me" else CoSimulation(unit, starts=starts)
+        component = ModelExchange(unit, solver, starts=starts, rtol=rtol) if mode == "me" else CoSimulation(unit, starts=starts)
     except BaseException:
         if unit is not None:
             unit.free_instance()

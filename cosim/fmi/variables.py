@@ -79,6 +79,9 @@ def _base(unit: Element, attributes: Attributes) -> BaseUnit | None:
     if factor is not None and not (math.isfinite(factor) and factor != 0.0):
         attributes.problems.append(f"{where}: factor: found {factor}, needed a finite number that is not 0")
         factor = None
+    if offset is not None and not math.isfinite(offset):
+        attributes.problems.append(f"{where}: offset: found {offset}, needed a finite number")
+        offset = None
     return BaseUnit(exponents, 1.0 if factor is None else factor, offset or 0.0)
 
 
@@ -255,4 +258,5 @@ def _with_states(elements: list[Element], found: list[Variable], version: int, a
             attributes.problems.append(f"variable {variable.name!r}: derivative={number} is no variable")
         elif number is not None:
             states[variable.name] = names[number]
-    return [replace(variable, derivative_of=states.get(variable.alias_of or variable.name)) for variable in found]
+    of = [states.get(variable.alias_of or variable.name) for variable in found]
+    return [v if state is None else replace(v, derivative_of=state) for v, state in zip(found, of, strict=True)]

@@ -35,7 +35,8 @@ def add_units(root: Element, description: Description) -> None:
         unit, base = SubElement(definitions, "Unit", name=name), base_unit(name)
         if base is not None:
             powers = {b: str(power) for b, power in zip(BASE, base.exponents, strict=True) if power}
-            SubElement(unit, "BaseUnit", powers | ({"factor": repr(base.factor)} if base.factor != 1.0 else {}))
+            numbers = {"factor": (base.factor, 1.0), "offset": (base.offset, 0.0)}
+            SubElement(unit, "BaseUnit", powers | {name: repr(x) for name, (x, default) in numbers.items() if x != default})
 
 
 def add_experiment(root: Element, description: Description) -> None:

@@ -82,6 +82,8 @@ class Part:
             "cosim.columns": f"{self.columns.start}:{self.columns.stop}",
             "cosim.signals": signals_json(self.channel.interface),
         }
+        if self.channel.interface.initial:
+            items["cosim.initial"] = compact(dict(self.channel.interface.initial))
         return seal(_SEALED_AS, items)
 
 
@@ -105,7 +107,7 @@ def read_part(metadata: Mapping[str, str]) -> Part:
     start, stop = (int(text) for text in items["cosim.columns"].split(":"))
     if step_ns < 1 or period_ns % step_ns or not 0 <= stop - start <= MOST_ELEMENTS:
         raise ValueError(f"period {period_ns} ns, step {step_ns} ns, columns {start}:{stop} do not fit together")
-    interface = _interface(json.loads(items["cosim.signals"]))
+    interface = _interface(json.loads(items["cosim.signals"]), json.loads(items.get("cosim.initial", "{}")))
     channel = Channel(items["cosim.component"], interface, int(items["cosim.start"]), period_ns // step_ns)
     return Part(channel, items["cosim.kind"], step_ns, slice(start, stop))
 
@@ -113,8 +115,8 @@ def read_part(metadata: Mapping[str, str]) -> Part:
 def signals_json(interface: Interface) -> str:
     """Describe all signals, inputs first: the text that the content hash covers.
 
-    ``feedthrough`` and ``initial`` list the inputs an output depends on directly, and at the start; null: unknown. What a signal
-    leaves at its default is left out.
+    ``feedthrough`` lists the inputs an output depends on directly; null: unknown. What stands at its default is left out.
+    What outputs depend on at the start only orders the start: it stands beside, in ``cosim.initial``, and changes no hash.
     """
     entries = []
     for signal in (*interface.inputs, *interface.outputs):
@@ -122,27 +124,29 @@ def signals_json(interface: Interface) -> str:
         for name in ("base", "start"):
             if not entry[name]:
                 del entry[name]
-        for name, known in (("feedthrough", interface.feedthrough), ("initial", interface.initial)):
-            if signal.name in known:
-                entry[name] = known[signal.name]
+        if signal.name in interface.feedthrough:
+            entry["feedthrough"] = interface.feedthrough[signal.name]
         entries.append(entry)
     return compact(entries)
 
 
-def _interface(entries: list[dict[str, Any]]) -> Interface:
+def _interface(entries: list[dict[str, Any]], initial: Mapping[str, Any]) -> Interface:
     sides: dict[str, list[Signal]] = {"input": [], "output": []}
-    depends: dict[str, dict[str, tuple[str, ...] | None]] = {"feedthrough": {}, "initial": {}}
+    feedthrough = {}
     for entry in entries:
         signal = dict(entry)
         side = signal.pop("causality")
-        for name, known in depends.items():
-            feeds = signal.pop(name, ...)
-            if feeds is not ...:
-                known[signal["name"]] = None if feeds is None else tuple(feeds)
+        if "feedthrough" in signal:
+            feedthrough[signal["name"]] = _names(signal.pop("feedthrough"))
         if "base" in signal:
             signal["base"] = BaseUnit(**signal["base"] | {"exponents": tuple(signal["base"]["exponents"])})
         sides[side].append(Signal(**signal | {"start": tuple(signal.get("start", ()))}))
-    return Interface(tuple(sides["input"]), tuple(sides["output"]), **depends)
+    known = {output: _names(names) for output, names in initial.items()}
+    return Interface(tuple(sides["input"]), tuple(sides["output"]), feedthrough, known)
+
+
+def _names(names: list[str] | None) -> tuple[str, ...] | None:
+    return None if names is None else tuple(names)
 
 
 def record_dtype(size: int) -> np.dtype[np.void]:

@@ -4,27 +4,32 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Collection, Mapping, Sequence
+import re
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
 from pydantic import ValidationError
 
 from cosim.blocks.replay import Replay
 from cosim.core.clock import Clock, whole_steps
+from cosim.core.connections import Connection, check_connections, layout_of
 from cosim.core.contracts import Component, Level, Recording
-from cosim.core.graph import Connection, Graph, check_connections, layout_of
+from cosim.core.graph import Graph
 from cosim.errors import CosimError, ScenarioError, UsageError, nearest
-from cosim.scenario.document import Document, Key
+from cosim.scenario.document import FLAT, Document, Key, Problem, flatten
 from cosim.scenario.kinds import KINDS, Kind, Site
 from cosim.scenario.problems import problems_of
-from cosim.scenario.schema import File, flatten, matrix
+from cosim.scenario.schema import File, matrix
 from cosim.theory.descriptor import DescriptorSystem
 
-Problems = list[tuple[Key, str]]
+if TYPE_CHECKING:
+    from cosim.fmi.linearise import Linearisation
+
+Problems = list[Problem]
 
 
 class Speaker(Protocol):
@@ -55,14 +60,23 @@ class Scenario:
         connection = self.connections.get(to)
         return connection.source.partition(".")[0] if connection is not None else None
 
-    def edit(self, *, swap: Mapping[str, str | Path] | None = None, set: Mapping[str, Any] | None = None) -> Scenario:
-        """Swap components, then set values; what is wrong with both together is told together."""
+    def edit(
+        self,
+        *,
+        swap: Mapping[str, str | Path] | None = None,
+        map: Mapping[str, str] | None = None,
+        set: Mapping[str, Any] | None = None,
+    ) -> Scenario:
+        """Swap components, rename their ports, then set values; what is wrong with all of it is told together."""
         paths = {name: str(path) for name, path in (swap or {}).items()}
-        return parse(self.document.with_swaps(paths).with_changes(set or {}))
+        return parse(self.document.with_swaps(paths, map).with_changes(set or {}))
 
-    def swap(self, **paths: str | Path) -> Scenario:
-        """Put an FMU (.fmu) or a recorded component (.mcap) in the place of a component."""
-        return self.edit(swap=paths)
+    def swap(self, *, map: Mapping[str, str] | None = None, **paths: str | Path) -> Scenario:
+        """Put an FMU (.fmu) or a recorded component (.mcap) in the place of a component.
+
+        ``map`` gives the names that ports have there, such as ``{"observer.y": "out1"}``; see :mod:`cosim.scenario.swapping`.
+        """
+        return self.edit(swap=paths, map=map)
 
     def set(self, changes: Mapping[str, Any]) -> Scenario:
         """Set values by dotted key, such as ``{"observer.filter_rate": 500.0}``."""
@@ -83,6 +97,19 @@ class Experiment:
     attachments: Mapping[str, str] = field(default_factory=dict)
     fmus: Mapping[str, Speaker] = field(default_factory=dict)  # what was opened for this run and may have something to say
     files: frozenset[Path] = frozenset()  # what is read besides the scenario
+
+
+@dataclass(frozen=True)
+class Draft:
+    """What could be built of a scenario, and what is wrong with the rest."""
+
+    scenario: Scenario
+    site: _Site
+    clock: Clock
+    components: Mapping[str, Component]
+    periods: Mapping[str, int]
+    truth: Mapping[str, Any]
+    problems: tuple[Problem, ...]
 
 
 def parse(document: Document) -> Scenario:
@@ -120,32 +147,56 @@ def build(
     ScenarioError
         With every problem of the file.
     """
+    return finish(draft(document, resources, recording=recording, block=block))
+
+
+def draft(document: Document, resources: ExitStack, *, recording: Recording | None = None, block: int | None = None) -> Draft:
+    """Build what can be built, and say what is wrong with the rest; parameters as of ``build``.
+
+    Raises
+    ------
+    ScenarioError
+        If nothing can be built.
+    """
     scenario, problems = _parse(document)
     site = _Site(scenario, resources, recording)
-    settings = scenario.file.scenario
     clock = _clock(scenario, block, problems)
     site.step_ns = clock.step_ns
     components, periods, missing = site.build_all(problems)
     found = check_connections(layout_of(components), scenario.connections, missing) if components else {}
     problems += [(("connections", to), text) for to, text in found.items()]
     truth, wrong = _judge_truth(scenario, components, missing, site)
-    problems += wrong
-    if problems:
-        raise _report(document, problems)
+    return Draft(scenario, site, clock, components, periods=periods, truth=truth, problems=(*problems, *wrong))
+
+
+def finish(made: Draft) -> Experiment:
+    """Put a draft together.
+
+    Raises
+    ------
+    ScenarioError
+        With every problem of the file.
+    """
+    scenario, site, clock, components = made.scenario, made.site, made.clock, made.components
+    settings = scenario.file.scenario
+    if made.problems:
+        raise _report(scenario.document, made.problems)
     try:
-        graph = Graph(components, scenario.connections, coupling=settings.coupling, hold=settings.hold, periods=periods)
+        graph = Graph(components, scenario.connections, coupling=settings.coupling, hold=settings.hold, periods=made.periods)
     except CosimError as error:
-        raise _report(document, [(("connections",), str(error))]) from error
+        raise _report(scenario.document, [(("connections",), str(error))]) from error
     for name, spec in scenario.specs.items():
         columns = components[name].interface.input_columns()
         held = {signal: bool(graph.held[name][at].any()) for signal, at in columns.items()}
         for text in spec.advice(held, clock.step_ns / 1e9):
             site.warn(name, text)
+    for name, text in graph.warnings:
+        site.warn(name, text)
     return Experiment(
         scenario,
         graph,
         clock,
-        truth=truth,
+        truth=made.truth,
         facts=site.facts,
         warnings=tuple(site.warnings),
         reads=site.reads,
@@ -177,11 +228,10 @@ def build_site(scenario: Scenario, resources: ExitStack) -> Site:
 
 
 def _parse(document: Document) -> tuple[Scenario, Problems]:
-    tree = document.tree()
-    problems: Problems = []
-    for table in ("connections", "truth"):
+    tree, problems = document.tree()
+    for table in FLAT:  # once more, for what was set
         if isinstance(tree.get(table), dict):
-            tree[table], more = flatten(tree[table], table)
+            tree[table], more = flatten(tree[table], (table,))
             problems += more
     try:
         file = File.model_validate(tree)
@@ -220,14 +270,13 @@ def _specs(tables: Any) -> tuple[dict[str, Kind], Problems]:
     return specs, problems
 
 
-def _report(document: Document, problems: Problems) -> ScenarioError:
+def _report(document: Document, problems: Iterable[Problem]) -> ScenarioError:
     first: dict[str, Key] = {}
     for key, text in problems:  # one cause that several components run into is told once
         first.setdefault(text, key)
     lines = []
     for text, key in first.items():
-        where = ": ".join(filter(None, [document.place(key), ".".join(map(str, key))]))
-        lines += [f"{where}: {line}" for line in text.splitlines()]
+        lines += [f"{document.label(key)}: {line}" for line in text.splitlines()]
     return ScenarioError("\n".join(lines))
 
 
@@ -240,18 +289,24 @@ def _judge_truth(
     """
     kept: dict[str, Any] = {}
     problems: Problems = []
-    sizes = {f"{n}.{s.name}": s.size for n, c in components.items() for s in (*c.interface.inputs, *c.interface.outputs)}
+    signals = {f"{n}.{s.name}": s for n, c in components.items() for s in (*c.interface.inputs, *c.interface.outputs)}
+    sizes = {port: signal.size for port, signal in signals.items()}
+    for true in filter(lambda true: isinstance(true, str) and true not in sizes, scenario.file.truth.values()):
+        element = re.fullmatch(r"(.*)\[(\d+)\]", str(true))
+        if element and int(element[2]) < sizes.get(element[1], 0):
+            sizes[str(true)] = 1
     for estimate, truth in scenario.file.truth.items():
         ports = {port: port.partition(".")[0] for port in ([estimate, truth] if isinstance(truth, str) else [estimate])}
         unknown = [port for port in ports if port not in sizes]
-        swapped = [port for port in unknown if ports[port] in scenario.document.swaps]
+        mapped = {f"{name}.{port}" for name, swap in scenario.file.swap.items() for port in swap.map.values()}
+        swapped = [port for port in unknown if ports[port] in scenario.file.swap and port not in mapped]
         size = sizes.get(truth) if isinstance(truth, str) else len(np.atleast_1d(truth))
         if set(ports.values()) & set(missing):
             continue
         if swapped:
             site.warn(ports[swapped[0]], f"has no {swapped[0]!r}: the report leaves out {estimate!r}")
         elif unknown:
-            problems += [(("truth", estimate), f"there is no signal {port!r}; {nearest(port, sizes)}") for port in unknown]
+            problems += [(("truth", estimate), f"there is no signal {port!r}; {nearest(port, signals)}") for port in unknown]
         elif sizes[estimate] != size:
             text = f"{estimate!r} has size {sizes[estimate]}, its truth {truth!r} has size {size}"
             problems.append((("truth", estimate), text))
@@ -282,6 +337,7 @@ class _Site:
         self.reads: dict[str, frozenset[str]] = {"": frozenset()}
         self.attachments: dict[str, str] = {}
         self.fmus: dict[str, Speaker] = {}
+        self._linearised: dict[str, Linearisation] = {}
         self.files: set[Path] = set()
 
     def build_all(self, problems: Problems) -> tuple[dict[str, Component], dict[str, int], set[str]]:
@@ -361,6 +417,46 @@ class _Site:
             self.warn(name, text)
         self.fmus[name] = loaded
         return loaded.component
+
+    def linearisation(
+        self,
+        name: str,
+        path: str,
+        *,
+        at: float,
+        start: Mapping[str, Any],
+        inputs: Sequence[str] | None,
+        outputs: Sequence[str],
+    ) -> Linearisation:
+        if name not in self._linearised:
+            chosen = {"inputs": None if inputs is None else list(inputs), "outputs": list(outputs)}
+            asked = {"fmu": path, "at": at, "start": dict(start), **chosen}
+            recorded = self._recorded_facts(name).get("linearisation", {})
+            if recorded.get("asked") != asked:
+                recorded = {"asked": asked, **self._linearise(path, at=at, start=start, inputs=inputs, outputs=outputs)}
+            self._take(name, recorded)
+        return self._linearised[name]
+
+    def _linearise(self, path: str, **wanted: Any) -> dict[str, Any]:
+        from cosim.fmi.linearise import linearize
+        from cosim.fmi.reading import read
+
+        file = self.file(path)
+        return {"sha256": read(file).sha256, "result": linearize(file, **wanted).to_dict()}
+
+    def _take(self, name: str, linearisation: dict[str, Any]) -> None:
+        from cosim.fmi.linearise import Linearisation
+
+        found = self._linearised[name] = Linearisation.of(linearisation["result"])
+        self.note(name, linearisation=linearisation)
+        for text in found.notes:
+            self.warn(name, text)
+
+    def _recorded_facts(self, name: str) -> dict[str, Any]:
+        if self._recording is None:
+            return {}
+        found: dict[str, Any] = json.loads(self._recording.metadata.get(f"cosim.component.{name}", {}).get("facts", "{}"))
+        return found
 
     def note(self, name: str, **facts: Any) -> None:
         self.facts.setdefault(name, {}).update(facts)

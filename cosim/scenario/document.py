@@ -15,9 +15,12 @@ from typing import Any
 import numpy as np
 
 from cosim.errors import ScenarioError, nearest
+from cosim.scenario.swapping import MAP, Swapped, apply
 
 Key = tuple[str | int, ...]
+Problem = tuple[Key, str]
 SUFFIX = ".toml"
+SET = "--set"  # what the key of a problem begins with that is an option's, and stands in no file
 FLAT = ("connections", "truth")  # tables whose keys are dotted names of signals
 TABLES = ("scenario", "models", *FLAT)  # what a dotted key may begin with, beside a component
 
@@ -36,52 +39,83 @@ class Document:
         What relative paths in the text start from.
     swaps : mapping of component name to path
         Components whose whole table is replaced.
+    maps : mapping of port to name
+        Ports that have another name in the swapped component; see :mod:`cosim.scenario.swapping`.
     changes : mapping of dotted key to value
         Values set after that, such as ``observer.filter_rate``.
+    swapped : bool
+        False: nothing is swapped, not even by the file.
     """
 
     text: str
     source: str
     folder: Path
     swaps: Mapping[str, str] = field(default_factory=dict)
+    maps: Mapping[str, str] = field(default_factory=dict)
     changes: Mapping[str, Any] = field(default_factory=dict)
+    swapped: bool = True
 
-    def with_swaps(self, swaps: Mapping[str, str]) -> Document:
-        """Replace components; paths are taken from the working directory."""
+    def with_swaps(self, swaps: Mapping[str, str], maps: Mapping[str, str] | None = None) -> Document:
+        """Replace components; paths are taken from the working directory. Who is replaced again loses the maps given before."""
         absolute = {name: str(Path(path).absolute()) for name, path in swaps.items()}
-        return replace(self, swaps={**self.swaps, **absolute})
+        before = {} if swaps.keys() & self.swaps.keys() else self.maps
+        return replace(self, swaps={**self.swaps, **absolute}, maps={**before, **(maps or {})})
 
     def with_changes(self, changes: Mapping[str, Any]) -> Document:
         """Set values; ``components.observer.L`` and ``observer.L`` are the same key."""
         return replace(self, changes={**self.changes, **{short(key): plain(value) for key, value in changes.items()}})
 
+    def unswapped(self) -> tuple[list[str], Document]:
+        """Give the names of the swapped components, and the document as it was without the swaps and what was set for them."""
+        names = list(self._swapped().swaps)
+        of_them = [*(f"{name}." for name in names), *(f"connections.{name}." for name in names)]
+        kept = {key: value for key, value in self.changes.items() if not key.startswith(tuple(of_them))}
+        return names, replace(self, changes=kept, swapped=False)
+
     def edits(self) -> str:
-        """Give swaps and changes as JSON, for the log."""
-        return json.dumps({"source": self.source, "swaps": dict(self.swaps), "changes": dict(self.changes)})
+        """Give swaps, maps and changes as JSON, for the log."""
+        made = {"swaps": dict(self.swaps), "maps": dict(self.maps), "changes": dict(self.changes)}
+        return json.dumps({"source": self.source, **made})
 
     @staticmethod
     def recorded(text: str, edits: str, folder: Path) -> Document:
         """Rebuild a document from a log."""
         found = json.loads(edits)
-        return Document(text, found["source"], folder, found["swaps"], found["changes"])
+        maps = found.get("maps", {})
+        return Document(text, found["source"], folder, swaps=found["swaps"], maps=maps, changes=found["changes"])
 
-    def tree(self) -> dict[str, Any]:
-        """Parse the text and apply the changes.
+    def tree(self) -> tuple[dict[str, Any], list[Problem]]:
+        """Parse the text, make the swaps and apply the changes; give the tables, and what is wrong with swaps and changes.
 
         Raises
         ------
         ScenarioError
-            If the text is no TOML, gives something twice, or a change names what is not there.
+            If the text is no TOML.
         """
+        tree, problems = self._flat()
+        if self.swapped:
+            problems += apply(tree, self.swaps, self.maps).problems
+        else:
+            tree.pop("swap", None)
+        changed = {key: _change(tree, key, value) for key, value in self.changes.items()}
+        return tree, [*problems, *(((SET, key), text) for key, text in changed.items() if text)]
+
+    def _flat(self) -> tuple[dict[str, Any], list[Problem]]:
+        """Parse the text; ports are written as one dotted key."""
         try:
             tree = tomllib.loads(self.text)
         except tomllib.TOMLDecodeError as error:
             raise ScenarioError(self._syntax(error)) from error
-        problems = [problem for name, path in self.swaps.items() if (problem := _swap(tree, name, path))]
-        problems += [problem for key, value in self.changes.items() if (problem := _change(tree, key, value))]
-        if problems:
-            raise ScenarioError("\n".join(problems))
-        return tree
+        problems: list[Problem] = []
+        swaps = tree["swap"].items() if isinstance(tree.get("swap"), dict) else ()
+        maps = {("swap", name): table for name, table in swaps if isinstance(table, dict)}
+        for prefix, table, key in [((), tree, name) for name in FLAT] + [
+            (prefix, table, "map") for prefix, table in maps.items()
+        ]:
+            if isinstance(table.get(key), dict):
+                table[key], more = flatten(table[key], (*prefix, key))
+                problems += more
+        return tree, problems
 
     def place(self, key: Key) -> str:
         """Say where a key stands: file and line, or the option that set it."""
@@ -90,11 +124,31 @@ class Document:
         for change in self.changes:
             if dotted == change or dotted.startswith(f"{change}."):
                 return f"--set {change}"
-        if names[:1] == ["components"] and len(names) > 1 and names[1] in self.swaps:
+        swapped = self._swapped() if self.swapped else Swapped({}, {}, [])
+        if origin := swapped.origins.get(key[:2]):
+            return " and ".join(map(self.place, origin))
+        if names[:1] == ["components"] and len(names) > 1 and names[1] in swapped.swaps:
+            return self.place(("swap", names[1]))
+        if names[:1] == ["swap"] and names[3:] and names[3] in self.maps:
+            return f"--map {names[3]}"
+        if names[:1] == ["swap"] and names[1:] and names[1] in self.swaps:
             return f"--swap {names[1]}"
         line = find_line(self.text, names)
         inside = [f"--set {change}" for change in self.changes if change.startswith(f"{dotted}.")]
         return (f"{self.source}:{line}" if line else self.source) + (f" (with {', '.join(inside)})" if inside else "")
+
+    def _swapped(self) -> Swapped:
+        tree, _ = self._flat()
+        return apply(tree, self.swaps, self.maps)
+
+    def label(self, key: Key) -> str:
+        """Say where a key stands and how it is called: what a message begins with."""
+        if key[:1] in ((SET,), (MAP,)):
+            return f"{key[0]} {key[1]}"
+        place, dotted = self.place(key), ".".join(map(str, key))
+        if key[:1] == ("swap",) and place.startswith("--"):  # the option says it all
+            return place
+        return f"{place}: {dotted}" if dotted else place
 
     def _syntax(self, error: tomllib.TOMLDecodeError) -> str:
         message = str(error)
@@ -136,6 +190,21 @@ def shipped() -> list[str]:
     """List the names of the shipped scenarios."""
     folder = resources.files("cosim.scenario") / "library"
     return sorted(entry.name.removesuffix(SUFFIX) for entry in folder.iterdir() if entry.name.endswith(SUFFIX))
+
+
+def flatten(tree: Mapping[str, Any], prefix: Key) -> tuple[dict[str, Any], list[Problem]]:
+    """Give a table with every signal as one dotted key; ``plant.u = ...`` and ``"plant.u" = ...`` mean the same."""
+    flat: dict[str, Any] = {}
+    problems: list[Problem] = []
+    for key, value in tree.items():
+        nested = isinstance(value, dict) and "." not in key
+        pairs = {f"{key}.{name}": one for name, one in value.items()} if nested else {key: value}
+        for to, one in pairs.items():
+            if to in flat:
+                text = f"'{to}' is given twice; an input has one source (add signals with a 'sum')"
+                problems.append(((*prefix, to), text))
+            flat[to] = one
+    return flat, problems
 
 
 def plain(value: Any) -> Any:
@@ -183,31 +252,19 @@ def find_line(text: str, key: list[str]) -> int | None:
     return best
 
 
-def _swap(tree: dict[str, Any], name: str, path: str) -> str | None:
-    components = tree.get("components", {})
-    if name not in components:
-        return f"--swap {name}: there is no component {name!r}; {nearest(name, components)}"
-    kinds = {".fmu": {"kind": "fmu", "path": path}, ".mcap": {"kind": "recording", "log": path, "component": name}}
-    suffix = Path(path).suffix.lower()
-    if suffix not in kinds:
-        return f"--swap {name}: found {path!r}, needed a path that ends in .fmu (an FMU) or .mcap (a recorded log)"
-    components[name] = kinds[suffix]
-    return None
-
-
 def _change(tree: dict[str, Any], key: str, value: Any) -> str | None:
     first, *rest = key.split(".")
     if first in FLAT and rest:
         _set_flat(tree.setdefault(first, {}), rest, value)
         return None
     if not rest and (first in TABLES or not isinstance(value, dict)):
-        return f"--set {key}: found no dot, needed component.parameter=value, such as observer.filter_rate=500"
+        return "found no dot, needed component.parameter=value, such as observer.filter_rate=500"
     if first in TABLES:
         table, path = tree.setdefault(first, {}), rest
     else:
         table, path = tree.get("components", {}), [first, *rest]
         if first not in table and len(path) > 1:
-            return f"--set {key}: there is no component {first!r}; {nearest(first, [*table, *TABLES])}"
+            return f"there is no component {first!r}; {nearest(first, [*table, *TABLES])}"
     for part in path[:-1]:
         if not isinstance(table.setdefault(part, {}), dict):
             table[part] = {}

@@ -19,6 +19,7 @@ from cosim.core.recorders import Memory, Watched
 from cosim.errors import Interrupted, LogError, UsageError
 from cosim.log import Log, McapRecorder, open_log
 from cosim.scenario.build import Experiment, Scenario, build, parse
+from cosim.scenario.contract import Contract, examine
 from cosim.scenario.document import Document, find, short
 from cosim.scenario.profile import Timed
 from cosim.scenario.records import SCENARIO_FILE, Narrated, attachments_of, metadata_of
@@ -45,6 +46,7 @@ def run(
     force: bool = False,
     set: Mapping[str, Any] | None = None,
     swap: Mapping[str, str | Path] | None = None,
+    map: Mapping[str, str] | None = None,
     block: int | None = None,
     progress: Progress | None = None,
     profile: dict[str, float] | None = None,
@@ -62,7 +64,9 @@ def run(
     set : mapping of dotted key to value, optional
         Such as ``{"observer.filter_rate": 500.0, "scenario.stop": 10.0}``; applied after ``swap``.
     swap : mapping of component name to path, optional
-        Components to replace by an FMU or by a recorded log.
+        Components to replace by an FMU (``x.fmu``, ``x.fmu#me``, ``x.fmu#cs``) or by a recorded log.
+    map : mapping of port to name, optional
+        Ports of the scenario that have another name there, such as ``{"observer.y": "out1"}``.
     block : int, optional
         Communication steps in a block; the result does not depend on it.
     progress : callable, optional
@@ -80,8 +84,11 @@ def run(
     CosimError
         UsageError before the first step, RunError after it; see :mod:`cosim.errors`.
     """
-    edited = (scenario if isinstance(scenario, Scenario) else load(scenario)).edit(swap=swap, set=set)
-    return _execute(edited.document, out=out, force=force, block=block, progress=progress, profile=profile)
+    edited = (scenario if isinstance(scenario, Scenario) else load(scenario)).edit(swap=swap, map=map, set=set)
+    contract = examine(edited.document) if edited.file.swap else None
+    if contract is not None:
+        contract.check()
+    return _execute(edited.document, out=out, force=force, block=block, progress=progress, profile=profile, contract=contract)
 
 
 def replay(
@@ -144,6 +151,7 @@ def _execute(
     block: int | None,
     progress: Progress | None,
     profile: dict[str, float] | None = None,
+    contract: Contract | None = None,
     source: Log | None = None,
     changed: Mapping[str, Any] | None = None,
 ) -> Log | Memory:
@@ -153,6 +161,8 @@ def _execute(
         experiment = build(document, resources, recording=source, block=block)
         if out is not None and Path(out).resolve() in experiment.files:
             raise UsageError(f"{out} is read in this run; choose another path for the log")
+        if contract is not None:
+            experiment = _with_contract(experiment, contract)
         if source is not None:
             experiment = replace(experiment, warnings=(*experiment.warnings, *cut_off(experiment, changed or {})))
         designs = {} if source is None else designs_that_hold(experiment, source, changed or {})
@@ -170,6 +180,14 @@ def _execute(
         if profile is not None:
             profile["recorder and master"] = perf_counter() - began - sum(profile.values())
     return memory if out is None else open_log(out)
+
+
+def _with_contract(experiment: Experiment, contract: Contract) -> Experiment:
+    """Keep in the log how swapped components compare with those they replace."""
+    facts = dict(experiment.facts)
+    for name, report in contract.reports.items():
+        facts[name] = {**facts.get(name, {}), "contract": report.to_dict()}
+    return replace(experiment, facts=facts, warnings=(*experiment.warnings, *contract.warnings))
 
 
 def _timed(graph: Graph, profile: dict[str, float]) -> Graph:

@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cosim.core.connections import Connection, Ports, unit_reached
+from cosim.core.graph import Graph
 from cosim.core.signals import Interface, Signal
-from cosim.errors import CosimError
-from cosim.scenario.build import Scenario, build, build_site, parse
+from cosim.scenario.build import build
 from cosim.scenario.execution import load
 from cosim.units import BASE
 
 if TYPE_CHECKING:
-    from cosim.fmi.compare import Port, PortRow
     from cosim.fmi.description import Variable
 
 Section = dict[str, Any]
@@ -46,8 +46,11 @@ def log(path: str) -> Section:
     ]
     messages = [{"t": m.time_ns / 1e9, "level": m.level, "from": m.name, "text": m.text} for m in found.messages()]
     facts = {name: json.loads(found.metadata[f"cosim.component.{name}"].get("facts", "{}")) for name in found.channels}
-    return {"run": about, "signals": rows, "facts": {k: v for k, v in facts.items() if v}} | (
-        {"messages": messages} if messages else {}
+    swapped = {f"{name}: unlike what it replaced": _unlike(found.pop("contract", {})) for name, found in facts.items()}
+    return (
+        {"run": about, "signals": rows, "facts": {k: v for k, v in facts.items() if v}}
+        | swapped
+        | ({"messages": messages} if messages else {})
     )
 
 
@@ -68,8 +71,25 @@ def scenario(name: str) -> Section:
             for channel in experiment.graph.layout.channels
             for signal, role in _signals(channel.interface)
         ]
-        wires = {to: wire.source for to, wire in loaded.connections.items()}
+        wires = [_wire_row(experiment.graph, to, wire) for to, wire in loaded.connections.items()]
         return {"scenario": about, "signals": rows, "connections": wires, "facts": dict(experiment.facts)}
+
+
+def _wire_row(graph: Graph, to: str, wire: Connection) -> Section:
+    """Show one connection: its map where it has one, and its conversion of units where they differ."""
+    shown = "v" if not np.ndim(wire.gain) and wire.gain == 1.0 else f"{np.asarray(wire.gain).tolist()} v"
+    if wire.offset:
+        shown += f" {'-' if wire.offset < 0.0 else '+'} {abs(wire.offset)}"
+    ports, conversion = Ports(graph.layout), graph.conversions.get(to)
+    (_, target), (_, source, _) = ports.find(to, "input"), ports.source(wire.source)
+    unit = unit_reached(wire, source, target).name
+    return {
+        "to": to,
+        "from": wire.source,
+        "map": None if shown == "v" else shown,
+        "unit": unit if conversion is None else f"{unit} -> {target.unit}",
+        "conversion": conversion and str(conversion),
+    }
 
 
 def fmu(path: str) -> Section:
@@ -93,7 +113,8 @@ def fmu(path: str) -> Section:
     }
     capabilities = {mode: asdict(able) for mode, able in found.capabilities.items()}
     rows = [_variable_row(variable) for variable in found.variables]
-    units = {v.unit: asdict(v.base) for v in found.variables if v.unit is not None and v.base is not None}
+    defined = {(v.unit, v.base) for v in found.variables if v.unit is not None and v.base is not None}
+    units = {unit: asdict(base) for unit, base in sorted(defined, key=lambda pair: (pair[0], abs(pair[1].offset)))}
     return {
         "fmu": about,
         "capabilities": capabilities,
@@ -122,7 +143,7 @@ def shown_fmu(found: Section) -> Section:
     capabilities = {MODE_NAMES[mode]: _able(able) for mode, able in found["capabilities"].items()}
     units = {name: _si(base) for name, base in found["units"].items()}
     at_start = {row["name"]: names for row in found["variables"] if (names := _starts_with(found, row["name"]))}
-    rows = [_shown_variable(row, found["dependencies"]) for row in found["variables"]]
+    rows = [_shown_variable(row, found) for row in found["variables"]]
     return {"fmu": about, "capabilities": capabilities, "units in SI": units, "variables": rows, "at the start": at_start}
 
 
@@ -138,6 +159,11 @@ def _able(able: Section) -> str:
     return ", ".join(named)
 
 
+def _unlike(contract: Section) -> list[Section]:
+    """Give the rows of a swapped component's report that differ."""
+    return [row for row in contract.get("ports", []) if row["verdict"] not in ("ok", "unknown")]
+
+
 def _si(base: Section) -> str:
     powers = [f"{name}{'' if power == 1 else power}" for name, power in zip(BASE, base["exponents"], strict=True) if power]
     offset = f" + {base['offset']:g}" if base["offset"] else ""
@@ -151,25 +177,42 @@ def _starts_with(found: Section, name: str) -> str | None:
     return "depends on " + ("what is not said" if names is None else ", ".join(names) or "nothing")
 
 
-def _shown_variable(row: Section, dependencies: Mapping[str, list[str] | None]) -> Section:
+def _shown_variable(row: Section, found: Section) -> Section:
     dimensions = "".join(f"[{dimension}]" for dimension in row["dimensions"])
-    start = row["text"] if row["start"] is None else [f"{value:.6g}" for value in row["start"]]
     low, high = row["minimum"], row["maximum"]
     span = "" if low is None and high is None else f"{'' if low is None else f'{low:g}'}..{'' if high is None else f'{high:g}'}"
     items = ", ".join(f"{value} {name}" for name, value in row["items"].items())
-    names = dependencies.get(row["name"], [])
-    of = row["alias_of"] or row["derivative_of"]
+    is_state, of = row["name"] in found["fmu"]["states"], None
+    if row["alias_of"] or row["derivative_of"]:
+        of = f"alias {row['alias_of']}" if row["alias_of"] else f"der {row['derivative_of']}"
     return {
         "variable": row["name"],
         "causality": row["causality"],
         "variability": row["variability"],
         "type": f"{row['type']}{dimensions}",
         "unit": row["unit"],
-        "start": None if start is None else " ".join(start),
+        "start": _shown_start(row),
         "range": items or span or None,
-        "of": None if of is None else f"{'alias' if row['alias_of'] else 'der'} {of}",
-        "depends on": "unknown" if names is None else ", ".join(names),
+        "of": "state" if is_state else of,
+        "depends on": None if is_state or row["alias_of"] else _depends(row, found["dependencies"]),
     }
+
+
+def _shown_start(row: Section) -> str | None:
+    """Give start values shortly: one for all where they are equal, the first of many."""
+    values = row["text"] if row["start"] is None else [f"{value:.6g}" for value in row["start"]]
+    if values is None:
+        return None
+    few = f"{len(values)} x {values[0]}" if len(values) > 1 and len(set(values)) == 1 else " ".join(values[:4])
+    guess = "about " if row["initial"] == "approx" else ""
+    return f"{guess}{few}{' ...' if len(set(values)) > 1 and len(values) > 4 else ''}"
+
+
+def _depends(row: Section, dependencies: Mapping[str, list[str] | None]) -> str | None:
+    if row["causality"] != "output" and row["derivative_of"] is None:
+        return None
+    names = dependencies.get(row["name"])
+    return "unknown" if names is None else ", ".join(names) or "nothing"
 
 
 def check(path: str) -> list[Section]:
@@ -177,51 +220,6 @@ def check(path: str) -> list[Section]:
     from cosim.fmi.check import check as check_fmu
 
     return [finding._asdict() for finding in check_fmu(path)]
-
-
-def compare(
-    loaded: Scenario, *, swaps: Mapping[str, str], changes: Mapping[str, Any]
-) -> tuple[dict[str, list[Section]], list[str]]:
-    """Compare the ports of swapped components with those they replace; give the rows by component, and what prevents the run."""
-    from cosim.fmi.compare import compare_ports
-
-    changed = loaded.document.with_swaps(swaps).with_changes(changes)
-    rows: dict[str, list[Section]] = {}
-    problems: list[str] = []
-    for name in swaps:
-        if name not in loaded.specs:
-            continue
-        with ExitStack() as resources:
-            try:
-                before = loaded.specs[name].build(name, build_site(loaded, resources)).interface
-                swapped = parse(changed)
-                after = swapped.specs[name].build(name, build_site(swapped, resources)).interface
-            except CosimError:  # the run's own problems are told below; those of what is replaced do not matter
-                continue
-            used = {wire.source.partition("[")[0] for wire in loaded.connections.values()} | set(loaded.file.truth)
-            used |= {true for true in loaded.file.truth.values() if isinstance(true, str)}
-            used |= set(loaded.connections)
-            rows[name] = [_port_row(name, row, used) for row in compare_ports(before, after)]
-    with ExitStack() as resources:
-        try:
-            experiment = build(changed, resources)
-            experiment.graph.prepare(experiment.clock.step_ns)
-            experiment.graph.initialize(0.0, np.zeros(experiment.graph.layout.width))
-        except CosimError as error:
-            problems += str(error).splitlines()
-    return rows, problems
-
-
-def _port_row(name: str, row: PortRow, used: set[str]) -> Section:
-    sides = {"before": row.needed, "after": row.found}
-    shown = {side: None if port is None else _port(port) for side, port in sides.items()}
-    return {"port": f"{name}.{row.name}", **shown, "status": row.status, "connected": f"{name}.{row.name}" in used}
-
-
-def _port(port: Port) -> str:
-    through = "unknown" if port.feedthrough is None else ", ".join(port.feedthrough) or "nothing"
-    fed = f", fed through from {through}" if port.causality == "output" else ""
-    return f"{port.causality} of size {port.size}{'' if port.unit is None else f' [{port.unit}]'}{fed}"
 
 
 def _signals(interface: Interface) -> Iterable[tuple[Signal, str]]:

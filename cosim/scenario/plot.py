@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+import itertools
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from cosim.arrays import as_columns
 from cosim.core.contracts import Recording
 from cosim.errors import UsageError
-from cosim.scenario.report import truth_of
+from cosim.scenario.report import difference, has_signal, rows_of, truth_of
 
+if TYPE_CHECKING:
+    from cosim.scenario.comparing import Comparison
+
+TRUTH = {"color": "0.75", "linewidth": 3}
+COLOURS = ("#000000", "#E69F00", "#56B4E9", "#009E73", "#D55E00", "#0072B2", "#CC79A7")  # Okabe and Ito, without yellow
+DASHES = ("-", (0, (6, 2)), (0, (2, 2)), (0, (7, 2, 1, 2)), (0, (1, 1)))
 NO_TRUTH = "the scenario has no [truth], so there is no standard picture; use 'cosim plot LOG SIGNAL...'"
 
 
@@ -61,11 +68,7 @@ def plot_run(recording: Recording, out: Path) -> None:
     need_plot(out, truth)
     figure, axes = _panels(len(truth))
     for axis, (estimate, true) in zip(axes, truth.items(), strict=True):
-        if isinstance(true, str):
-            _draw(axis, recording, true, color="0.75", linewidth=3)
-        else:
-            for value in np.atleast_1d(true):
-                axis.axhline(value, color="0.75", linewidth=3)
+        _draw_truth(axis, recording, true)
         _draw(axis, recording, estimate)
         axis.set_ylabel(estimate)
         _limit(axis, recording, estimate, true)
@@ -73,9 +76,68 @@ def plot_run(recording: Recording, out: Path) -> None:
     _save(figure, axes, out)
 
 
+def plot_comparison(found: Comparison, out: Path) -> None:
+    """Draw the estimates of several plants over their truth, and beside them how far they are from those of the first."""
+    need_plot(out, found.estimates)
+    recordings, truth = found.recordings, found.estimates
+    first = next(iter(recordings))
+    figure, grid = _panels(len(truth), columns=2)
+    styles = dict(zip(recordings, _styles(len(recordings)), strict=True))
+    for (left, right), (estimate, true) in zip(np.reshape(grid, (-1, 2)), truth.items(), strict=True):
+        have = {label: recording for label, recording in recordings.items() if has_signal(recording, estimate)}
+        _draw_truth(left, next((one for one in have.values() if true == truth_of(one).get(estimate)), None), true)
+        for label, recording in have.items():
+            _draw(left, recording, estimate, **styles[label])
+        left.set_ylabel(estimate)
+        for label, recording in have.items():
+            if label != first and first in have:
+                right.plot(*difference(recordings[first], recording, estimate), **styles[label])
+        right.ticklabel_format(axis="y", scilimits=(-2, 3))
+    _limits(grid, recordings, truth)
+    lines = [grid[0].plot([], [], label=label, **style)[0] for label, style in styles.items()]
+    lines.append(grid[0].plot([], [], label="truth", **TRUTH)[0])
+    figure.legend(handles=lines, loc="outside upper center", ncols=min(6, len(lines)), frameon=False)
+    grid[0].set_title("estimates", fontsize="medium")
+    grid[1].set_title(f"difference to {first}", fontsize="medium")
+    _save(figure, grid, out, columns=2)
+
+
+def _limits(grid: Sequence[Any], recordings: Mapping[str, Recording], truth: Mapping[str, Any]) -> None:
+    """Keep a wild start of one of the estimates from hiding the rest, in the estimates and in their differences."""
+    first, *others = recordings.values()
+    for (left, right), (estimate, true) in zip(np.reshape(np.array(grid, object), (-1, 2)), truth.items(), strict=True):
+        shown = [recording for recording in recordings.values() if truth_of(recording).get(estimate) == true]
+        if shown:
+            _limit(left, shown[0], estimate, true)
+        apart = [
+            difference(first, other, estimate)[1]
+            for other in others
+            if has_signal(first, estimate) and has_signal(other, estimate)
+        ]
+        settled = [rows[len(rows) // 2 :] for rows in apart]
+        largest = max((float(np.abs(rows[np.isfinite(rows)]).max(initial=0.0)) for rows in settled), default=0.0)
+        right.set_ylim(-1.3 * largest or -1.0, 1.3 * largest or 1.0)
+
+
+def _styles(count: int) -> Iterator[dict[str, Any]]:
+    """Give a style for each plant: colours that the colour-blind tell apart; dashes and widths that leave equal lines visible."""
+    widths = np.linspace(2.4, 1.0, count)
+    for width, dashes, colour in zip(widths, itertools.cycle(DASHES), itertools.cycle(COLOURS), strict=False):
+        yield {"color": colour, "linestyle": dashes, "linewidth": width}
+
+
+def _draw_truth(axis: Any, recording: Recording | None, true: Any) -> None:
+    if isinstance(true, str):
+        if recording is not None:
+            _draw(axis, recording, true, **TRUTH)
+        return
+    for value in np.atleast_1d(true):
+        axis.axhline(value, **TRUTH)
+
+
 def _limit(axis: Any, recording: Recording, estimate: str, true: Any) -> None:
     """Keep a wild start of an estimate from hiding the rest."""
-    truth = np.atleast_1d(recording[true] if isinstance(true, str) else np.array(true, dtype=np.float64))
+    truth = np.atleast_1d(rows_of(recording, true) if isinstance(true, str) else np.array(true, dtype=np.float64))
     settled = recording[estimate][-max(1, len(recording[estimate]) // 2) :]
     values = np.concatenate([truth.ravel(), settled.ravel()])
     low, high = values[np.isfinite(values)].min(), values[np.isfinite(values)].max()
@@ -83,13 +145,13 @@ def _limit(axis: Any, recording: Recording, estimate: str, true: Any) -> None:
     axis.set_ylim(low - margin, high + margin)
 
 
-def _panels(count: int) -> tuple[Any, list[Any]]:
+def _panels(count: int, columns: int = 1) -> tuple[Any, list[Any]]:
     try:
         from matplotlib.figure import Figure
     except ImportError as error:
         raise UsageError("plots need matplotlib: pip install 'cosim[plot]'") from error
-    figure = Figure(figsize=(9, 1.2 + 1.9 * count), layout="constrained")
-    return figure, list(np.atleast_1d(figure.subplots(count, 1, sharex=True)))
+    figure = Figure(figsize=(9 if columns == 1 else 13, 1.2 + (1.9 if columns == 1 else 2.6) * count), layout="constrained")
+    return figure, list(np.ravel(figure.subplots(count, columns, sharex=True)))
 
 
 def _draw(axis: Any, recording: Recording, signal: str, **style: Any) -> None:
@@ -105,10 +167,11 @@ def _draw(axis: Any, recording: Recording, signal: str, **style: Any) -> None:
     axis.plot(recording.time_ns(component) / 1e9, values, **({"linewidth": 1.2} | shape | style))
 
 
-def _save(figure: Any, axes: Sequence[Any], out: Path) -> None:
+def _save(figure: Any, axes: Sequence[Any], out: Path, columns: int = 1) -> None:
     for axis in axes:
         axis.grid(alpha=0.3)
-    axes[-1].set_xlabel("t [s]")
+    for axis in axes[-columns:]:
+        axis.set_xlabel("t [s]")
     out.parent.mkdir(parents=True, exist_ok=True)
     try:
         figure.savefig(out, dpi=110)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import asdict
 from types import TracebackType
 from typing import Any, Self
 
@@ -13,6 +14,7 @@ from cosim.errors import Interrupted
 from cosim.log import Attachment, McapRecorder
 from cosim.log.interrupts import uninterrupted
 from cosim.scenario.build import Experiment, fingerprint
+from cosim.units import Conversion
 
 SCENARIO_FILE = "scenario.toml"
 
@@ -86,7 +88,9 @@ def metadata_of(experiment: Experiment) -> dict[str, dict[str, str]]:
             "schedule": json.dumps([stage.description for stage in experiment.graph.stages]),
             "warnings": json.dumps(experiment.warnings),
         },
-        "cosim.connections": {to: json.dumps(_plain(wire)) for to, wire in scenario.connections.items()},
+        "cosim.connections": {
+            to: json.dumps(_plain(wire, experiment.graph.conversions.get(to))) for to, wire in scenario.connections.items()
+        },
     }
     for name in scenario.specs:
         records[f"cosim.component.{name}"] = {
@@ -97,8 +101,10 @@ def metadata_of(experiment: Experiment) -> dict[str, dict[str, str]]:
     return records
 
 
-def _plain(wire: Any) -> dict[str, Any]:
-    return {"from": wire.source, "gain": wire.gain.tolist(), "offset": wire.offset, "unit": wire.unit}
+def _plain(wire: Any, conversion: Conversion | None) -> dict[str, Any]:
+    """Give a connection in plain values; its conversion only where units are converted."""
+    plain = {"from": wire.source, "gain": wire.gain.tolist(), "offset": wire.offset, "unit": wire.unit}
+    return plain if conversion is None else {**plain, "conversion": asdict(conversion)}
 
 
 def attachments_of(experiment: Experiment) -> list[Attachment]:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
-from cosim.arrays import Vector, as_columns
+from cosim.arrays import Matrix, Vector, as_columns
 from cosim.core.contracts import Recording
 from cosim.theory.uncertainty import information, verdict
 
@@ -71,6 +72,27 @@ def truth_of(recording: Recording) -> dict[str, Any]:
     return truth
 
 
+def rows_of(recording: Recording, port: str) -> Matrix:
+    """Give a signal, or one element of it, at every recorded row, shape (N, size)."""
+    element = re.fullmatch(r"(.*)\[(\d+)\]", port)
+    if element is None or has_signal(recording, port):
+        return as_columns(recording[port])
+    return as_columns(recording[element[1]])[:, [int(element[2])]]
+
+
+def has_signal(recording: Recording, signal: str) -> bool:
+    """Whether ``component.signal`` was recorded."""
+    component, _, name = signal.partition(".")
+    return component in recording.channels and name in (one.name for one in recording.channels[component].signals)
+
+
+def difference(first: Recording, other: Recording, signal: str) -> tuple[Matrix, Matrix]:
+    """Give the instants that two recordings of a signal share [s], and there the second minus the first, shape (N, size)."""
+    component = signal.partition(".")[0]
+    times, i, j = np.intersect1d(first.time_ns(component), other.time_ns(component), return_indices=True)
+    return times / 1e9, as_columns(other[signal])[j] - as_columns(first[signal])[i]
+
+
 def summarise(recording: Recording) -> Summary:
     """Summarise a run; the truth and the start times come from the recording's metadata."""
     run = recording.metadata.get("cosim.run", {})
@@ -104,7 +126,7 @@ def _facts(recording: Recording, component: str) -> dict[str, Any]:
 def _signal_error(recording: Recording, estimate: str, true: str, since: float) -> SignalError:
     a, b = (recording.time_ns(port.partition(".")[0]) for port in (estimate, true))
     shared, i, j = np.intersect1d(a, b, return_indices=True)
-    error = np.abs(as_columns(recording[estimate])[i] - as_columns(recording[true])[j])
+    error = np.abs(rows_of(recording, estimate)[i] - rows_of(recording, true)[j])
     if not shared.size or shared[-1] / 1e9 < since:  # the run ended before the identification began
         since = 0.0
     window = error[shared / 1e9 >= since]

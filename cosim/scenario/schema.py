@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
-
-from cosim.scenario.document import Key
 
 Number = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 Whole = Annotated[int, Field(strict=True)]
@@ -47,12 +44,22 @@ class DescriptorTable(Table):
 
 
 class ConnectionTable(Table):
-    """A connection with a linear map."""
+    """A connection with a linear map, which leads to ``unit``; from there it is converted to the unit of the input."""
 
     source: str = Field(alias="from")
     gain: Number | Rows = 1.0
     offset: Number = 0.0
     unit: str | None = None
+
+
+class SwapTable(Table):
+    """An entry of [swap]: ``plant = { path = "x.fmu", map = { "observer.y" = "out1" } }``, or short ``plant = "x.fmu"``.
+
+    It puts an FMU or a recorded component in a component's place, whose table stays in the file for comparison.
+    """
+
+    path: str = Field(description="path of an .fmu (x.fmu#me and x.fmu#cs choose its mode) or of a recorded log (.mcap)")
+    map: dict[str, str] = Field({}, description="port as the scenario writes it = name of the new component's port in its place")
 
 
 class File(Table):
@@ -63,20 +70,7 @@ class File(Table):
     components: dict[Annotated[str, Field(pattern=NAME)], dict[str, Any]]
     connections: dict[str, str | ConnectionTable] = {}
     truth: dict[str, str | Number | Row] = {}
-
-
-def flatten(tree: Mapping[str, Any], table: str) -> tuple[dict[str, Any], list[tuple[Key, str]]]:
-    """Give a table with every signal as one dotted key; ``plant.u = ...`` and ``"plant.u" = ...`` mean the same."""
-    flat: dict[str, Any] = {}
-    problems: list[tuple[Key, str]] = []
-    for key, value in tree.items():
-        nested = isinstance(value, dict) and "." not in key
-        pairs = {f"{key}.{name}": one for name, one in value.items()} if nested else {key: value}
-        for to, one in pairs.items():
-            if to in flat:
-                problems.append(((table, to), f"'{to}' is given twice; an input has one source (add signals with a 'sum')"))
-            flat[to] = one
-    return flat, problems
+    swap: dict[str, SwapTable] = {}
 
 
 def matrix(rows: Rows, name: str) -> np.ndarray[Any, np.dtype[np.float64]]:

@@ -1,5 +1,7 @@
 """Every block keeps the contract; a component that breaks a law is told which."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -217,6 +219,17 @@ def test_an_undeclared_feedthrough_is_named():
         AssertionError, match=r"outputs ignores 'u', which is not declared to feed through: 'y' at t = 0.0 s: found"
     ):
         check_component(lambda: Broken(feedthrough={}))
+
+
+def test_an_undeclared_dependency_at_the_start_is_named():
+    """The order of the start rests on what is declared; a lag that follows its input must say so."""
+    check_component(lambda: Linear(lag(time_constant=1.0)))
+    silent = lag(time_constant=1.0)
+    silent = replace(silent, interface=replace(silent.interface, initial={}))
+    law = r"initialize ignores 'u', which is not declared to count at the start: 'y' at t = 0.0 s: found"
+    with pytest.raises(AssertionError, match=law):
+        check_component(lambda: Linear(silent))
+    check_component(lambda: Linear(replace(silent, interface=replace(silent.interface, initial={"y": None}))))
 
 
 def test_inputs_of_the_wrong_shape_are_refused():

@@ -8,8 +8,9 @@ from cosim.blocks.dynamics import Delay
 from cosim.blocks.sampled import Decimated, Sampled
 from cosim.blocks.source import Noise, Table, sine
 from cosim.core.clock import Clock
+from cosim.core.connections import Connection
 from cosim.core.contracts import Stopped
-from cosim.core.graph import Connection, Graph
+from cosim.core.graph import Graph
 from cosim.core.master import run
 from cosim.core.recorders import Memory, Nothing, Watched
 from cosim.core.signals import Interface, Signal

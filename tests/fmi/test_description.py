@@ -5,12 +5,9 @@ from dataclasses import replace
 
 import pytest
 
-from cosim.core.signals import Interface, Signal
 from cosim.errors import FmuError
-from cosim.fmi.compare import Port, PortRow, compare_ports
 from cosim.fmi.description import Description, Variable
 from cosim.fmi.reading import read
-from cosim.units import base_unit, same_unit
 from tests.fmi.plant import FACE
 
 
@@ -53,35 +50,3 @@ def test_a_file_is_read_without_unpacking_it(exported):
     assert found.description.interface == replace(FACE, initial={"y": ("u",), "x_b": ("u",)})
     with pytest.raises(FmuError, match="no variable 'yy'; did you mean 'y'"):
         found.description["yy"]
-
-
-def test_ports_are_compared_by_name():
-    """Every status, and the texts of a row."""
-    needed = Interface(
-        (Signal("u", unit="N"), Signal("delta")),
-        (Signal("y", unit="Hz"), Signal("x_a", 2), Signal("x_b"), Signal("s", unit="m")),
-        {"y": ("u",)},
-    )
-    found = Interface(
-        (Signal("u", unit="kg.m/s2"), Signal("x_b"), Signal("k")),
-        (Signal("y", unit="1/s"), Signal("x_a", 3), Signal("s", unit="mm")),
-    )
-    rows = {row.name: row for row in compare_ports(needed, found)}
-    assert {name: row.status for name, row in rows.items()} == {
-        "u": "ok", "delta": "missing", "y": "ok", "x_a": "other size", "x_b": "wrong causality", "s": "other unit", "k": "extra",
-    }  # fmt: skip
-    assert rows["y"] == PortRow("y", Port("output", 1, "Hz", ("u",)), Port("output", 1, "1/s", ()), "ok")
-    assert rows["delta"].found is None
-    assert {row.status for row in compare_ports(FACE, FACE)} == {"ok"}
-
-
-def test_units():
-    """Products, quotients and powers of SI units; what is not known is not compared as equal."""
-    assert base_unit("kg.m2/s^2") == base_unit("J") == base_unit("N*m")
-    assert base_unit("1") == base_unit("rad/rad")
-    assert base_unit("furlong") is None
-    assert base_unit("min").factor == 60.0
-    assert same_unit("furlong", "furlong")
-    assert same_unit(None, "m")
-    assert not same_unit("furlong", "m")
-    assert not same_unit("min", "s")

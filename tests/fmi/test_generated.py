@@ -137,14 +137,20 @@ class Eventful:
 
 
 def test_events_that_units_ask_for():
-    """Step events are iterated until settled; time events, endless chains and the wish to end stop the run with the reason."""
+    """Step events are iterated until settled; events without end and the wish to end stop the run with the reason."""
     unit = Eventful({"need_update": True}, {}, step=(True, False))
     assert np.array_equal(
         run(ModelExchange(unit, "rk4"), step=0.1), run(ModelExchange(GeneratedUnit.of(model()), "rk4"), step=0.1)
     )
     assert unit.updates == 2 + 20
-    with pytest.raises(Stopped, match=r"announces a time event at 0.5 s; events are not located yet in model exchange"):
+    for time in (-0.5, float("nan")):
+        with pytest.raises(
+            Stopped, match=f"eventful: at t = 0.0 s it announces a time event at {time} s; needed a time that is not"
+        ):
+            run(ModelExchange(Eventful({"next_event_time": time}), "rk4"), step=0.1)
+    with pytest.raises(Stopped, match=r"1000 events between t = 0.5 s and 0.6 s, the last at 0.5 s; they do not end") as stop:
         run(ModelExchange(Eventful({"next_event_time": 0.5}), "rk4"), step=0.1)
+    assert (stop.value.failed, stop.value.steps) == (True, 5)
     with pytest.raises(Stopped, match=r"discrete states do not settle at t = 0.0 s after 100 iterations"):
         run(ModelExchange(Eventful({"need_update": True}), "rk4"), step=0.1)
     with pytest.raises(Stopped, match="the unit asks for the end of the run") as stop:

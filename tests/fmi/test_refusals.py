@@ -209,3 +209,14 @@ def test_solvers(exported):
     refused(exported, "no solver 'euler'; ", solver="euler")
     refused(exported, "solver 'exact' needs the matrices of a linear model", solver="exact")
     refused(exported, "a co-simulation FMU brings its own", solver="rk4", mode="cs")
+
+
+@pytest.mark.parametrize(
+    ("attribute", "needed"),
+    [('factor="0.0"', "finite number that is not 0"), ('factor="INF"', "finite number"), ('offset="NaN"', "finite")],
+)
+def test_a_unit_that_cannot_be_converted(edited, attribute, needed):
+    """A definition by a factor of 0, or by no number, says nothing."""
+    definition = f'<UnitDefinitions><Unit name="odd"><BaseUnit m="1" {attribute}/></Unit></UnitDefinitions>'
+    path = edited(("</CoSimulation>", f"</CoSimulation>{definition}"))
+    refused(path, rf"unit 'odd': {attribute.partition('=')[0]}: found .*, needed a {needed}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import struct
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -101,7 +102,7 @@ def test_records_with_other_fields_are_refused():
 
 
 bases = st.builds(BaseUnit, st.tuples(*[st.integers(-3, 3)] * len(BASE)), st.floats(1e-9, 1e9), st.floats(-1e3, 1e3))
-signals = st.builds(
+plain = st.builds(
     Signal,
     name=st.text(st.characters(exclude_categories=["Cs"]), max_size=8),
     size=st.integers(1, 5000),
@@ -111,8 +112,9 @@ signals = st.builds(
     kind=st.sampled_from(["real", "integer", "boolean"]),
     role=st.sampled_from(["input", "output", "state", "estimate"]),
     base=st.none() | bases,
-    start=st.lists(st.floats(-1e9, 1e9), max_size=3).map(tuple),
 )
+numbers = st.floats(-1e9, 1e9)
+signals = plain | st.builds(lambda signal, x: replace(signal, start=(x,) * signal.size), plain, numbers)
 
 
 @st.composite

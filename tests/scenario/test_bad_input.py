@@ -166,14 +166,16 @@ def test_an_algebraic_loop_names_every_port(tmp_path):
 
 
 def test_units_must_agree_or_be_converted(tmp_path):
-    """A declared unit drives the same unit only; a conversion says what unit it leads to."""
+    """A declared unit drives one that it can be converted to; a gain says what unit it leads to."""
     text = (
         '[scenario]\nname = "units"\nstop = 0.1\nstep = 0.01\n[components.u]\nkind = "constant"\nvalue = 2.0\nunit = "mm"\n'
         '[components.x]\nkind = "lag"\ntime_constant = 1.0\nunit = "m"\n[connections]\n"x.u" = {source}\n'
     )
     path = tmp_path / "units.toml"
     path.write_text(text.replace("{source}", '"u.y"'))
-    with pytest.raises(ScenarioError, match=r"u\.y -> x\.u: unit 'mm' cannot drive unit 'm'; convert with"):
+    assert cosim.run(path)["x.u"][-1] == 2.0 * 1e-3
+    path.write_text(text.replace("{source}", '"u.y"').replace('unit = "m"', 'unit = "s"'))
+    with pytest.raises(ScenarioError, match=r"u\.y -> x\.u: unit 'mm' cannot drive unit 's'; convert with"):
         cosim.run(path)
     path.write_text(text.replace("{source}", '{ from = "u.y", gain = 1e-3, unit = "m" }'))
     assert cosim.run(path)["x.u"][-1] == pytest.approx(2e-3, rel=1e-15)

@@ -135,9 +135,12 @@ def test_a_dry_run_compares_port_by_port(plant, foreign2, tmp_path, monkeypatch,
         main(["run", "academic", "--swap", f"plant={foreign2}", "--dry-run", "--json"])
     assert left.value.code == 2
     output = capsys.readouterr()
-    rows = {row["port"]: row["status"] for row in json.loads(output.out)["ports"]["plant"]}
-    assert rows["plant.gain"] == "extra"
-    assert rows["plant.y"] == "ok"
+    found = json.loads(output.out)
+    verdicts = {(row["port"], row["aspect"]): row["verdict"] for row in found["swaps"]["plant"]["ports"]}
+    assert verdicts["plant.gain", "causality"] == "error"
+    assert verdicts["plant.y", "causality"] == verdicts["plant.y", "size"] == verdicts["plant.y", "initial output"] == "ok"
+    assert verdicts["plant.y", "feedthrough"] == "differs"
+    assert any("'plant.gain' is not connected" in line for line in found["problems"])
     assert "'plant.gain' is not connected" in output.err
     assert not (tmp_path / "logs").exists()
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias
 
 from cosim.arrays import Mask
 from cosim.blocks.sampled import Decimated
@@ -14,6 +14,11 @@ from cosim.errors import UsageError
 from cosim.fmi.kernels import DiscreteModel
 from cosim.scenario.schema import Table
 from cosim.theory.descriptor import DescriptorSystem
+
+if TYPE_CHECKING:
+    from cosim.fmi.compare import NearStart
+    from cosim.fmi.description import Description, Mode
+    from cosim.fmi.linearise import Linearisation
 
 Exportable: TypeAlias = LinearModel | DiscreteModel
 
@@ -53,6 +58,19 @@ class Site(Protocol):
         """Load an FMU; it is freed when the run is over."""
         ...
 
+    def linearisation(
+        self,
+        name: str,
+        path: str,
+        *,
+        at: float,
+        start: Mapping[str, Any],
+        inputs: Sequence[str] | None,
+        outputs: Sequence[str],
+    ) -> Linearisation:
+        """Linearise an FMU for a component, and record the result; a replay takes it from there."""
+        ...
+
     def note(self, name: str, **facts: Any) -> None:
         """Record a fact about a component for reports and the log."""
         ...
@@ -88,6 +106,17 @@ class Kind(Table):
     def build(self, name: str, site: Site) -> Component:
         """Build the component."""
         return Linear(self.linear_model(name, site))
+
+    def description(self, name: str, site: Site) -> tuple[Mode, Description] | None:
+        """Give the mode and the description of the unit that it drives, where it drives one."""
+        return None
+
+    def near_start(self, name: str, site: Site) -> NearStart:
+        """Give poles and static gain of the component, where it is linear or linearises."""
+        from cosim.fmi.compare import NearStart
+
+        model = self.linear_model(name, site)
+        return NearStart.of(model.A, model.B, model.C, model.D, error=0.0)
 
     def linear_model(self, name: str, site: Site) -> LinearModel:
         """Give the component as a linear model, where it is one: what an exact solver steps and an FMU can be made of."""

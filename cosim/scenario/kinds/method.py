@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -22,19 +22,46 @@ from cosim.fmi.kernels import DiscreteModel
 from cosim.native.expression import Program, compile_expression
 from cosim.native.step import evaluate
 from cosim.scenario.kinds.base import Exportable, Kind, Site
+from cosim.scenario.kinds.plants import Start
+from cosim.scenario.linearising import Belief, belief
 from cosim.scenario.schema import Number, Row, Rows, Table, matrix
 from cosim.theory import estimators, observer, regression
-from cosim.theory.descriptor import ReducedSystem, reduce
+from cosim.theory.descriptor import reduce
 from cosim.theory.disturbance import Block, family_named, group
 
 HELD_LIMIT = 0.05  # filter_rate x step from which held inputs spoil the derivative by more than 2.5 %
+
+
+class FmuModel(Table):
+    """What an observer believes, linearised out of an FMU."""
+
+    fmu: str = Field(description="path of an .fmu for model exchange")
+    disturbance: str | tuple[str, ...] = Field(description="name or names of the inputs that are unknown")
+    inputs: tuple[str, ...] | None = Field(None, description="names of the inputs that make up u; left out: all others")
+    outputs: tuple[str, ...] = Field(("y",), description="names of the outputs that make up y")
+    at: Number = Field(0.0, description="linearised where the FMU arrives at this time with constant inputs [s]")
+    start: dict[str, Start] = Field({}, description="start values by variable, inputs included")
+
+    @property
+    def disturbances(self) -> tuple[str, ...]:
+        """The names of the unknown inputs."""
+        return (self.disturbance,) if isinstance(self.disturbance, str) else self.disturbance
+
+
+class Designed(NamedTuple):
+    """An observer, and what it believes."""
+
+    belief: Belief
+    observer: observer.ObserverDesign
 
 
 class UnknownInputObserver(Kind):
     """Unknown-input observer with disturbance reconstruction (18)-(20)."""
 
     kind: Literal["unknown-input-observer"]
-    model: str = Field(description="name of a table in [models]: what the observer believes")
+    model: str | FmuModel = Field(
+        description='what the observer believes: name of a table in [models], or { fmu = "x.fmu", disturbance = "d" }'
+    )
     L: Row | Rows | None = Field(None, description="gain; or give poles")
     poles: Row | None = Field(None, description="eigenvalues of M - L C3 that L can move [1/s]")
     x_a0: Row | None = Field(None, description="first estimate; left out: consistent with y(0)")
@@ -42,14 +69,14 @@ class UnknownInputObserver(Kind):
     q0: Row | None = Field(None, description="start of the filter; left out: at the signal")
 
     def linear_model(self, name: str, site: Site) -> LinearModel:
-        reduced, design = self.design(site)
+        believed, design = self.design(name, site)
         site.note(
             name,
             eigenvalues=[str(complex(v)) if v.imag else float(v.real) for v in design.eigenvalues],
             fixed_modes=[str(complex(v)) if v.imag else float(v.real) for v in design.fixed_modes],
             lambda_obs=design.lambda_obs,
         )
-        return observer_model(reduced, design, x_a0=self.x_a0, q0=self.q0)
+        return believed.declare(observer_model(believed.reduced, design, x_a0=self.x_a0, q0=self.q0, constant=believed.constant))
 
     def advice(self, held: Mapping[str, bool], h: float) -> list[str]:
         product = self.filter_rate * h
@@ -62,12 +89,20 @@ class UnknownInputObserver(Kind):
             f"the derivative filter reads a ramp {gain:.0%} too high and a jump filter_rate times; do not trust delta"
         ]
 
-    def design(self, site: Site) -> tuple[ReducedSystem, observer.ObserverDesign]:
+    def design(self, name: str, site: Site) -> Designed:
         """Design the observer (14)-(18)."""
-        reduced = reduce(site.model(self.model))
+        believed = self._belief(name, site)
         rows = [row if isinstance(row, tuple) else (row,) for row in self.L or ()]
         L = None if self.L is None else matrix(tuple(rows), "L")
-        return reduced, observer.design(reduced, L=L, poles=self.poles, filter_rate=self.filter_rate)
+        return Designed(believed, observer.design(believed.reduced, L=L, poles=self.poles, filter_rate=self.filter_rate))
+
+    def _belief(self, name: str, site: Site) -> Belief:
+        if isinstance(self.model, str):
+            return Belief(reduce(site.model(self.model)))
+        model, inputs = self.model, self.model.inputs
+        chosen = None if inputs is None else (*inputs, *model.disturbances)
+        found = site.linearisation(name, model.fmu, at=model.at, start=model.start, inputs=chosen, outputs=model.outputs)
+        return belief(found, model.disturbances)
 
 
 class RegressorTerm(Table):
@@ -164,9 +199,9 @@ class Identifier(Kind):
         if isinstance(self.start, StartTable):
             observer_name = site.driver(f"{regressor}.delta")
             found = site.spec(observer_name) if observer_name is not None else None
-            if not isinstance(found, UnknownInputObserver):
+            if observer_name is None or not isinstance(found, UnknownInputObserver):
                 raise UsageError("start: (36)-(38) need an observer that drives the regressor; give start as a time in s instead")
-            _, design = found.design(site)
+            design = found.design(observer_name, site).observer
             times = observer.start_time(
                 lambda_obs=design.lambda_obs,
                 filter_rate=found.filter_rate,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field, StrictBool, StrictInt, StrictStr
 
@@ -14,6 +14,10 @@ from cosim.core.solver import SOLVERS, LinearModel
 from cosim.errors import UsageError, nearest
 from cosim.scenario.kinds.base import Kind, Site
 from cosim.scenario.schema import Number, Row
+
+if TYPE_CHECKING:
+    from cosim.fmi.compare import NearStart
+    from cosim.fmi.description import Description, Mode
 
 Scalar = StrictBool | StrictInt | Number | StrictStr
 Start = Scalar | list[Scalar] | list[list[Scalar]] | list[list[list[Scalar]]]
@@ -44,6 +48,11 @@ class Descriptor(Plant):
             raise UsageError(f"solver: found {self.solver!r}; {nearest(self.solver, SOLVERS)}")
         return ModelExchange(GeneratedUnit.of(self.linear_model(name, site), name), solver=self.solver)
 
+    def description(self, name: str, site: Site) -> tuple[Mode, Description] | None:
+        from cosim.fmi.generated import GeneratedUnit
+
+        return "me", GeneratedUnit.of(self.linear_model(name, site), name).description
+
     def linear_model(self, name: str, site: Site) -> LinearModel:
         return descriptor_model(site.model(self.model), self.x_a0)
 
@@ -73,6 +82,29 @@ class Fmu(Plant):
 
     def build(self, name: str, site: Site) -> Component:
         return site.fmu(name, self.path, mode=self.mode, solver=self.solver, start=self.start)
+
+    def description(self, name: str, site: Site) -> tuple[Mode, Description] | None:
+        from cosim.fmi.description import MODES
+        from cosim.fmi.reading import read
+
+        found = read(site.file(self.path)).description
+        there: Mode = next(mode for mode in MODES if mode in found.capabilities)
+        return self.mode or there, found
+
+    def near_start(self, name: str, site: Site) -> NearStart:
+        from cosim.fmi.compare import NearStart
+        from cosim.fmi.linearise import linearize
+        from cosim.fmi.reading import read
+
+        path = site.file(self.path)
+        if any(able.once_per_process for able in read(path).description.capabilities.values()):
+            raise UsageError(f"{path}: there can be one instance only, which is in use")
+        start = {variable: float(value) for variable, value in self.start.items() if isinstance(value, (int, float))}
+        if len(start) < len(self.start):
+            raise UsageError(f"{path}: can be linearised with numbers as start values only")
+        found = linearize(path, start=start)
+        error = max((one or 0.0 for one in found.errors.values()), default=0.0)
+        return NearStart.of(found.A, found.B, found.C, found.D, error=error)
 
 
 class Recording(Plant):

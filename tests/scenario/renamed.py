@@ -1,0 +1,32 @@
+"""The example's plant as FMUs that call their ports otherwise, in another order; for tests of maps and proposals."""
+
+from pathlib import Path
+
+import numpy as np
+
+from cosim.core.signals import Interface, Signal
+from cosim.core.solver import LinearModel
+from cosim.fmi.export import export
+from tests.fmi.plant import START, A, B, C, D
+
+MAP = {"plant.u": "force", "plant.delta": "push", "observer.y": "out1", "plant.x_a": "s"}
+PACKED = {"plant.u": "force", "plant.delta": "push", "plant.y": "out[2]", "plant.x_a": "s"}
+
+
+def renamed(path: Path) -> Path:
+    """Export it with inputs push and force for delta and u; outputs aux, s and out1 for x_b, x_a and y."""
+    outputs = (Signal("aux"), Signal("s", 2, role="state"), Signal("out1"))
+    return _export(path, outputs, {"aux": ("force",), "out1": ("force",)}, [3, 1, 2, 0])
+
+
+def packed(path: Path) -> Path:
+    """Export the same with y in the last place of a vector: out = (x_b, x_b, y)."""
+    outputs = (Signal("out", 3), Signal("s", 2, role="state"))
+    return _export(path, outputs, {"out": ("force",)}, [3, 3, 0, 1, 2])
+
+
+def _export(path, outputs, feedthrough, rows):
+    face = Interface((Signal("push", role="input"), Signal("force", role="input")), outputs, feedthrough)
+    columns = [1, 0]
+    model = LinearModel(face, ("s[0]", "s[1]"), A, B[:, columns], C[rows], D[rows][:, columns], START, np.zeros((2, 2)))
+    return export(model, path, name=path.stem).path

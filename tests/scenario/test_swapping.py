@@ -1,0 +1,204 @@
+"""Swapped components that call their ports otherwise: what a map means, in each of its three forms, and every wrong one."""
+
+import json
+import re
+from dataclasses import replace
+
+import pytest
+
+import cosim
+from cosim.cli import main
+from cosim.errors import ScenarioError
+from cosim.scenario.build import parse
+from cosim.scenario.document import find
+from cosim.scenario.report import summarise
+from tests.scenario.renamed import MAP, PACKED, packed, renamed
+
+SHORT = {"scenario.stop": 7.0}
+BY_HAND = (
+    (r'kind = "descriptor"\nmodel = "academic"\nx_a0 = \[1.0, -1.0\]\n', 'kind = "fmu"\npath = "PATH"\n'),
+    (r'"plant.u" = ', '"plant.force" = '),
+    (r'"plant.delta" = ', '"plant.push" = '),
+    (r'"observer.y" = "plant.y"', '"observer.y" = "plant.out1"'),
+    (r'"observer.x_a" = "plant.x_a"', '"observer.x_a" = "plant.s"'),
+)
+
+
+@pytest.fixture(scope="module")
+def other(tmp_path_factory):
+    return renamed(tmp_path_factory.mktemp("renamed") / "other.fmu")
+
+
+@pytest.fixture(scope="module")
+def by_hand(other):
+    """Run the scenario that was edited by hand."""
+    text = find("academic").text
+    for before, after in BY_HAND:
+        text, count = re.subn(before, after.replace("PATH", str(other)), text)
+        assert count == 1
+    return cosim.run(parse(replace(find("academic"), text=text).with_changes(SHORT)))
+
+
+def text_with(swap):
+    return replace(find("academic"), text=f"{find('academic').text}\n[swap]\n{swap}\n")
+
+
+def test_a_map_means_what_was_edited_by_hand(other, by_hand, tmp_path, monkeypatch):
+    """Python, command line and file give the same bits, truth included."""
+    monkeypatch.chdir(tmp_path)
+    options = [option for port, name in MAP.items() for option in ("--map", f"{port}={name}")]
+    with pytest.raises(SystemExit) as left:
+        main(["run", "academic", "--swap", f"plant={other}", *options, "--stop", "7", "--out", "a.mcap", "--quiet"])
+    assert not left.value.code
+    entries = ", ".join(f'"{port}" = "{name}"' for port, name in MAP.items())
+    table = f'plant = {{ path = "{other}", map = {{ {entries} }} }}'
+    nested = f'plant.path = "{other}"\n[swap.plant.map]\n' + "\n".join(f'{port} = "{name}"' for port, name in MAP.items())
+    runs = [
+        cosim.run("academic", swap={"plant": other}, map=MAP, set=SHORT),
+        cosim.run(cosim.load("academic").swap(plant=other, map=MAP).set(SHORT)),
+        cosim.open_log("a.mcap"),
+        cosim.run(parse(text_with(table).with_changes(SHORT))),
+        cosim.run(parse(text_with(nested).with_changes(SHORT))),
+    ]
+    for run in runs:
+        assert cosim.diff(by_hand, run).equal
+        assert json.loads(run.metadata["cosim.run"]["truth"])["observer.x_a"] == "plant.s"
+
+
+def test_an_element_may_take_a_ports_place(by_hand, tmp_path):
+    """out[2] is y, for the observer and in the truth; the arithmetic of its row is that of y."""
+    path = packed(tmp_path / "packed.fmu")
+    document = replace(
+        find("academic"), text=find("academic").text.replace('"observer.delta" = "delta.y"', '"observer.y" = "plant.y"')
+    )
+    run = cosim.run(parse(document.with_swaps({"plant": str(path)}, PACKED).with_changes(SHORT)), out=tmp_path / "a.mcap")
+    assert (run["observer.delta"] == by_hand["observer.delta"]).all()
+    truth = json.loads(run.metadata["cosim.run"]["truth"])
+    assert truth["observer.y"] == "plant.out[2]"
+    assert [signal.largest for signal in summarise(run).signals if signal.estimate == "observer.y"] == [0.0]
+
+
+def test_a_mapped_run_replays_bit_for_bit(other, tmp_path):
+    """The map is in the log with the swap."""
+    copy = tmp_path / "copy.fmu"
+    copy.write_bytes(other.read_bytes())
+    log = cosim.run("academic", swap={"plant": copy}, map=MAP, set=SHORT, out=tmp_path / "a.mcap")
+    copy.unlink()
+    assert json.loads(log.metadata["cosim.run"]["edits"])["maps"] == MAP
+    assert cosim.diff(log, cosim.replay(tmp_path / "a.mcap")).equal
+
+
+def test_the_more_exact_entry_holds(other):
+    """observer.y before plant.y."""
+    run = cosim.run("academic", swap={"plant": other}, map={**MAP, "plant.y": "aux"}, set={"scenario.stop": 0.01})
+    wires = {to: json.loads(wire)["from"] for to, wire in run.metadata["cosim.connections"].items()}
+    assert wires["observer.y"] == "plant.out1"
+
+
+def test_a_swap_of_the_file_may_choose_the_mode_and_give_way_to_an_option(other, by_hand, tmp_path):
+    """x.fmu#cs in the file; a path is taken from the file's folder; an option replaces the entry, its map too."""
+    document = replace(text_with('plant = "other.fmu#cs"'), folder=other.parent).with_changes(SHORT)
+    entry = replace(document, maps=MAP)
+    assert parse(entry).specs["plant"].mode == "cs"
+    with pytest.raises(ScenarioError, match="must_not_be"):
+        cosim.run(parse(document.with_swaps({"plant": str(tmp_path / "must_not_be.fmu")})))
+    assert not parse(replace(document, swapped=False)).file.swap
+
+
+def test_a_component_that_is_swapped_too_keeps_its_own_names(other, tmp_path):
+    """Both ends of a connection may be renamed at once."""
+    wires = {to: wire.source for to, wire in parse(
+        find("academic").with_swaps(
+            {"plant": str(other), "observer": str(other)},
+            {**MAP, "plant.y": "out1", "observer.y": "push", "observer.u": "force", "observer.delta": "out1"},
+        )
+    ).connections.items()}  # fmt: skip
+    assert wires["observer.push"] == "plant.out1"
+    assert wires["regressor.delta"] == "observer.out1"
+
+
+WRONG = {
+    "a map without a swap": ({}, {"observer.y": "out1"}, r"^--map observer\.y: nothing is swapped, so no port gets another name"),
+    "no dot": (True, {"y": "out1"}, r"--map y: found no dot, needed COMPONENT\.PORT"),
+    "no such component": (True, {"plnt.u": "force"}, r"--map plnt\.u: there is no component 'plnt'; did you mean 'plant'\?"),
+    "no such port": (
+        True, {"plant.uu": "force"}, r"--map plant\.uu: the scenario connects no 'plant\.uu'; did you mean 'plant\.u'\?",
+    ),
+    "another component's port": (
+        True, {"regressor.delta": "out1"},
+        r"--map regressor\.delta: 'regressor\.delta' does not belong to 'plant', nor does that drive it; .*: .*observer\.y",
+    ),
+    "no such output there": (
+        True, {**MAP, "observer.y": "out2"},
+        r"--map observer\.y: connections\.observer\.y: 'plant\.out2': 'plant' has no output 'out2'; did you mean 'out1'\?",
+    ),
+    "no such input there": (
+        True, {**MAP, "plant.u": "forse"},
+        r"--map plant\.u: connections\.plant\.forse: 'plant\.forse': 'plant' has no input 'forse'; did you mean 'force'\?",
+    ),
+    "no such output there, for the truth": (
+        True, {**MAP, "plant.x_a": "t"}, r"--map plant\.x_a: truth\.observer\.x_a: there is no signal 'plant\.t'",
+    ),
+    "no such element": (True, {**MAP, "observer.y": "s[2]"}, r"'plant\.s\[2\]': 'plant\.s' has 2 elements, numbered from 0"),
+    "an input for an output": (True, {**MAP, "observer.y": "force"}, r"'plant\.force' is an input of 'plant'; needed an output"),
+    "an element of an input": (True, {**MAP, "plant.u": "force[0]"}, r"no input 'force\[0\]'; did you mean 'force'\?"),
+    "one name for two": (
+        True, {**MAP, "plant.delta": "force"},
+        r"--map plant\.delta: 'plant\.force' is given twice, for 'plant\.u' and 'plant\.delta'",
+    ),
+    "no name": (True, {**MAP, "observer.y": ""}, r"--map observer\.y: found no name, needed that of a port of the component"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_a_wrong_map_is_told(case, other):
+    """The option, what was found, the nearest."""
+    swapped, maps, text = WRONG[case]
+    with pytest.raises(ScenarioError, match=text):
+        cosim.run("academic", swap={"plant": other} if swapped else {}, map=maps, set=SHORT)
+
+
+def test_all_that_is_wrong_is_told_at_once(other):
+    """Swap, map, set and file in one report."""
+    with pytest.raises(ScenarioError) as caught:
+        cosim.load("academic").edit(
+            swap={"plant": other, "plnt": other}, map={"plant.uu": "x"}, set={"observer.filter_rat": 1.0, "obsrver.L": [1.0]}
+        )
+    for text in ("--swap plnt: there is no", "--map plant.uu: ", "--set observer.filter_rat: ", "--set obsrver.L: there is no"):
+        assert text in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("swap", "text"),
+    [
+        ("plant = 3", r"academic:\d+: swap\.plant: found 3; needed a table"),
+        ('plant = { map = { "plant.u" = "x" } }', r"academic:\d+: swap\.plant: 'path' is missing; needed path of an \.fmu"),
+        ('plant = "x.txt"', r"academic:\d+: swap\.plant: found 'x\.txt', needed a path that ends in \.fmu"),
+        ('plant = "x.fmu#xx"', r"found '#xx' behind the path, needed '#me' \(model exchange\) or '#cs' \(co-simulation\)"),
+        ('plant = { path = "x.fmu", map = { "plant.z" = "x" } }', r"academic:\d+: swap\.plant\.map\.plant\.z: the scenario c"),
+        ('plant = { path = "x.fmu", map = { plant.u = 1 } }', r"swap\.plant\.map\.plant\.u: found 1; needed a string"),
+        ('plant = { path = "x.fmu", mode = "cs" }', r"swap\.plant\.mode: unknown key 'mode'"),
+    ],
+)  # fmt: skip
+def test_a_wrong_entry_of_the_file_is_told_with_its_line(swap, text):
+    """As everything else in a file."""
+    with pytest.raises(ScenarioError, match=text):
+        parse(text_with(swap))
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        (
+            ["--swap", "plant=a.fmu", "--swap", "plant=b.fmu"],
+            "--swap plant: given 2 times, needed once; 'cosim compare' runs several plants",
+        ),
+        (["--map", "plant.u=a", "--map", "plant.u=b"], "--map plant.u: given 2 times, needed once"),
+    ],
+)  # fmt: skip
+def test_a_name_is_given_once(options, text, capsys):
+    """The last one does not win in silence."""
+    with pytest.raises(SystemExit) as left:
+        main(["run", "academic", *options])
+    assert left.value.code == 2
+    assert text in capsys.readouterr().err

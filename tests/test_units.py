@@ -1,0 +1,138 @@
+"""Units by name and by definition, held against the numbers of scipy.constants; conversions."""
+
+import math
+from fractions import Fraction
+
+import numpy as np
+import pytest
+import scipy.constants as si
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from cosim.units import BASE, BaseUnit, Conversion, Unit, base_unit, conversion
+
+TABLE = {  # factor to the base unit, and the base unit itself
+    "mm": (si.milli, "m"), "km": (si.kilo, "m"), "um": (si.micro, "m"), "cm": (si.centi, "m"), "nm": (si.nano, "m"),
+    "ms": (si.milli, "s"), "us": (si.micro, "s"), "min": (si.minute, "s"), "h": (si.hour, "s"), "km/h": (si.kmh, "m/s"),
+    "g": (si.gram, "kg"), "mg": (1e-6, "kg"), "kN": (si.kilo, "kg.m/s2"), "kN.m": (si.kilo, "J"), "bar": (si.bar, "Pa"),
+    "mbar": (100.0, "Pa"), "hPa": (100.0, "Pa"), "MPa": (si.mega, "N/m2"), "kW.h": (si.kilo * si.hour, "J"),
+    "GHz": (si.giga, "1/s"),
+    "deg": (si.degree, "rad"), "rpm": (2.0 * si.pi / si.minute, "rad/s"), "deg/s": (si.degree, "rad/s"), "mV": (si.milli, "W/A"),
+    "uF": (si.micro, "C/V"), "MOhm": (si.mega, "V/A"), "mmol": (si.milli, "mol"), "mH": (si.milli, "V.s/A"),
+    "mT": (1e-3, "Wb/m2"),
+    "S": (1.0, "A/V"), "mm2": (1e-6, "m2"), "mm3": (1e-9, "m^3"), "1/ms": (1e3, "Hz"), "W/degC": (1.0, "W/K"), "mK": (1e-3, "K"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", TABLE)
+def test_names_are_exact(name):
+    """The factor is the double nearest to the definition; the powers are those of the base unit."""
+    factor, base = TABLE[name]
+    found, plain = base_unit(name), base_unit(base)
+    assert (found.factor, found.exponents, found.offset) == (factor, plain.exponents, 0.0)
+    assert plain.factor == 1.0
+
+
+def test_powers_of_prefixes_are_rounded_once():
+    """A product of doubles would be off by a bit: 0.01 cubed is not 1e-6."""
+    assert 0.01**3 != 1e-6
+    assert base_unit("cm3").factor == 1e-6
+    assert base_unit("mm-3").factor == float(Fraction(10**9))
+
+
+def test_what_has_more_than_one_reading_is_not_read():
+    """Prefixes stand only before symbols with which they are in use; names that are something else stay that."""
+    for name in ("Gs", "furlong", "Nm", "kkg", "mmin", "ft", "m99", "", "m/", "mdegC", "GW9.GW9", "C°"):
+        assert base_unit(name) is None, name
+    assert base_unit("cd").exponents == tuple(int(base == "cd") for base in BASE)
+    assert base_unit("min").factor == 60.0
+    assert base_unit("mol").exponents == tuple(int(base == "mol") for base in BASE)
+
+
+def test_products_quotients_and_powers():
+    """A quotient divides by the one factor after it."""
+    assert base_unit("kg.m2/s^2") == base_unit("J") == base_unit("N*m")
+    assert base_unit("1") == base_unit("rad/rad")
+    assert base_unit("m/s/s") == base_unit("m/s2") == base_unit("m.s-2")
+
+
+def between(first, second):
+    return conversion(Unit(first), Unit(second))
+
+
+def test_values_are_converted_by_definition():
+    """Closed forms: the boiling point, a right angle, a flow of heat through a difference of temperatures."""
+    assert between("degC", "K")(100.0) == 373.15
+    assert between("K", "degC")(273.15) == 0.0
+    assert between("bar", "Pa")(1.5) == 150_000.0
+    assert between("deg", "rad")(90.0) == 90.0 * (math.pi / 180.0)
+    assert between("km/h", "m/s")(36.0) == pytest.approx(10.0, rel=2e-16)
+    assert between("W/degC", "W/K").copies
+
+
+def test_an_angle_is_no_number():
+    """Connected variables need the same power of the radian, too (FMI 3.0 section 2.4.4)."""
+    assert between("rad", "1") is None
+    assert between("rad/s", "Hz") is None
+    assert between("rpm", "1/min") is None
+
+
+def test_names_that_mean_nothing_equal_only_themselves():
+    """And where one is not declared there is nothing to compare."""
+    assert between("furlong", "furlong").copies
+    assert between("furlong", None).copies
+    assert between(None, "m").copies
+    assert between("furlong", "m") is None
+
+
+LENGTH = tuple(int(base == "m") for base in BASE)
+
+
+def test_a_definition_counts_more_than_a_name():
+    """Two definitions of one name are one unit to within their digits; one definition speaks for both."""
+    furlong = Unit("furlong", BaseUnit(LENGTH, 201.168))
+    assert conversion(furlong, Unit("m"))(2.0) == 402.336
+    assert conversion(furlong, Unit("furlong")).copies
+    assert conversion(furlong, Unit("furlong", BaseUnit(LENGTH, 201.16800000001))).copies
+    assert conversion(furlong, Unit("furlong", BaseUnit(LENGTH, 201.0))) == Conversion(201.168, 0.0, 0.0, 201.0)
+    assert conversion(Unit("h", BaseUnit(LENGTH)), Unit("h", base_unit("h"))) is None
+    turns = BaseUnit(base_unit("rad/s").exponents, 2.0 * math.pi)
+    assert conversion(Unit("Hz", turns), Unit("Hz")).copies
+    assert conversion(Unit("Hz", turns), Unit("rad/s"))(1.0) == 2.0 * math.pi
+
+
+@pytest.mark.parametrize(("factor", "offset"), [(0.0, 0.0), (math.nan, 0.0), (math.inf, 0.0), (1.0, math.inf)])
+def test_a_unit_that_cannot_be_converted_back_is_refused(factor, offset):
+    """Its factor is finite and not 0."""
+    with pytest.raises(ValueError, match=rf"unit: found factor {factor} and offset {offset}; needed finite numbers, no factor 0"):
+        BaseUnit(LENGTH, factor, offset)
+
+
+sizes = st.floats(1e-9, 1e9)
+units = st.builds(
+    lambda name, factor, offset: Unit(name, BaseUnit(LENGTH, factor, offset)), st.text(max_size=2), sizes, st.floats(-1e3, 1e3)
+)
+
+
+@given(units, units, st.floats(-1e9, 1e9))
+def test_there_and_back_is_the_same_but_for_rounding(one, other, value):
+    """Each of the four operations rounds by half a unit in the last place of its result; offsets are the largest of them."""
+    there, back = conversion(one, other), conversion(other, one)
+    largest = max(abs(value * one.si.factor), abs(one.si.offset), abs(other.si.offset))
+    assert abs(back(there(value)) - value) <= 8 * np.finfo(float).eps * (abs(value) + largest / one.si.factor)
+
+
+@given(units, st.floats(allow_nan=True), units)
+def test_a_unit_to_itself_copies_every_bit(unit, value, other):
+    """Also under another name, and also what is no number."""
+    assume(other.name != unit.name)
+    values = np.array([value, -0.0, np.nan])
+    for same in (conversion(unit, unit), conversion(unit, Unit(other.name, unit.base))):
+        assert same(values).tobytes() == values.tobytes()
+
+
+@given(units, units, st.floats(-1e9, 1e9))
+def test_arrays_and_numbers_are_converted_alike(one, other, value):
+    """The same four operations in the same order."""
+    found = conversion(one, other)
+    assert found(np.array([value]))[0] == found(value)
