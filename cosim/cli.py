@@ -261,13 +261,22 @@ def export(
     scenario: ScenarioArgument,
     component: Annotated[str, typer.Option(metavar="NAME", help="The component to export.")],
     out: Annotated[Path, typer.Option("--out", "-o", metavar="PATH", help="The .fmu to write.")],
+    fmi: Annotated[str, typer.Option(metavar="2|3", help="FMI version: 2 (2.0) or 3 (3.0).")] = "2",
+    platform: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME,...",
+            help="Cross-compile: x86_64-linux, aarch64-linux, x86_64-windows, x86_64-darwin, aarch64-darwin.",
+        ),
+    ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace a file that exists.")] = False,
     changes: SetOption = None,
 ) -> None:
-    """Export a component as an FMU: FMI 2.0, model exchange and co-simulation in one archive, C source and binary."""
+    """Export a component as an FMU, C source and binary, for model exchange and co-simulation; if discrete, for the latter."""
     from cosim.scenario.exporting import export_component
 
-    for line in export_component(scenario, component, out, force=force, set=_edits(changes)):
+    platforms = [] if platform is None else [name.strip() for name in platform.split(",")]
+    for line in export_component(scenario, component, out, fmi=fmi, platforms=platforms, force=force, set=_edits(changes)):
         typer.echo(line)
 
 

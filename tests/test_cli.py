@@ -219,11 +219,11 @@ def test_show_gives_a_scenario_to_start_from(call, tmp_path):
     assert call("run", "mine.toml", *SHORT, "--quiet")[0] == 0
 
 
-def test_export_refuses_what_is_no_linear_model(call):
+def test_export_refuses_what_cannot_be_an_fmu(call):
     """The message says what can be exported."""
-    code, _, err = call("export", "academic", "--component", "identifier", "--out", "i.fmu")
+    code, _, err = call("export", "academic", "--component", "delta", "--out", "i.fmu")
     assert code == 2
-    assert "'identifier' is of kind 'identifier', which is no linear model; what can be exported: descriptor" in err
+    assert "'delta' is of kind 'disturbance', which cannot be exported; what can be: descriptor" in err
     code, _, err = call("export", "academic", "--component", "plnt", "--out", "i.fmu")
     assert "there is no component 'plnt'; did you mean 'plant'?" in err
 
@@ -377,11 +377,14 @@ def test_what_cannot_be_written_is_one_line(call, tmp_path):
     assert done.stderr.startswith("cosim: output: ")
 
 
-def test_a_sampled_controller_is_not_exported_as_a_continuous_one(call):
-    """What lives in discrete time would be something else as a continuous FMU."""
-    code, _, err = call("export", "closed-loop", "--component", "controller", "--set", "controller.period=0.1", "--out", "c.fmu")
-    assert code == 2
-    assert "'controller' has a period, so it is discrete" in err
+def test_a_sampled_controller_is_exported_for_co_simulation_only(call):
+    """What lives in discrete time would be something else as a continuous FMU; the answer says so."""
+    code, out, _ = call("export", "closed-loop", "--component", "controller", "--set", "controller.period=0.1", "--out", "c.fmu")
+    assert code == 0
+    assert "c.fmu: FMI 2.0, co-simulation, binaries for" in out
+    assert "co-simulation only: with a period the controller samples and holds" in out
+    code, out, _ = call("export", "closed-loop", "--component", "controller", "--fmi", "3", "--out", "d.fmu")
+    assert "d.fmu: FMI 3.0, model exchange and co-simulation, binaries for" in out
 
 
 def test_verify_compares_the_whole_log(call):

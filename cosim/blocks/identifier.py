@@ -8,7 +8,7 @@ from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.contracts import Design, Stopped
 from cosim.core.signals import Interface, Signal
 from cosim.errors import UsageError
-from cosim.native.step import NO_VALUE, LeastSquares, RecoveryStep
+from cosim.native.step import NO_VALUE, LeastSquares, LeastSquaresConstants, RecoveryStep
 from cosim.theory.estimators import Recovery
 
 
@@ -37,20 +37,24 @@ class LeastSquaresIdentifier:
             ),
         )
 
+    def constants(self, start: float, *, held: bool) -> LeastSquaresConstants:
+        """Give the numbers of the kernel that counts from ``start`` [s]; ``held``: the rows hold over a step."""
+        return LeastSquaresConstants(
+            unknowns=self.recovery.n_eta,
+            start=start,
+            information=0.0 if self.P0 is None else 1.0 / self.P0,
+            recovery=[
+                RecoveryStep(int(block.kind), block.terms, block.theta, block.signs, block.spacing)
+                for block in self.recovery.blocks
+            ],
+            held=held,
+        )
+
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Give the start time: it rests on eigenvalues, so it is recorded."""
         design = dict(recorded) or {"start": np.array([self.start])}
         self._counts_from = float(design["start"][0])
-        steps = [
-            RecoveryStep(int(block.kind), block.terms, block.theta, block.signs, block.spacing) for block in self.recovery.blocks
-        ]
-        self._kernel = LeastSquares(
-            unknowns=self.recovery.n_eta,
-            start=self._counts_from,
-            prior=0.0 if self.P0 is None else 1.0 / self.P0,
-            recovery=steps,
-            held=bool(held.any()),
-        )
+        self._kernel = LeastSquares(self.constants(self._counts_from, held=bool(held.any())))
         return design
 
     def initialize(self, t: float, u: Vector) -> Vector:

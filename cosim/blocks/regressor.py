@@ -11,6 +11,7 @@ from cosim.core.contracts import Design
 from cosim.core.signals import Interface, Signal
 from cosim.native.expression import Program
 from cosim.native.step import Regressor as Kernel
+from cosim.native.step import RegressorConstants
 from cosim.theory.regression import Term
 
 
@@ -32,7 +33,7 @@ class Regressor:
     ) -> None:
         rows = len(delays)
         factor = np.array([[b * rows + i for b, part in enumerate(term.parts) for i in part] for term in terms])
-        self._kernel = Kernel(
+        self.constants = RegressorConstants(
             alphas=alphas,
             steps=steps,
             delays=delays,
@@ -40,6 +41,7 @@ class Regressor:
             factor=factor,
             sign=np.array([term.sign for term in terms], np.float64),
         )
+        self._kernel = Kernel(self.constants)
         self.interface = Interface(
             (Signal("delta", role="input"),),
             (Signal("mu", len(terms), optional=True),),

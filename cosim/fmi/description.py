@@ -9,12 +9,11 @@ import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal, TypeAlias
+from typing import Literal, Protocol, TypeAlias
 
 import numpy as np
 
 from cosim.arrays import Mask
-from cosim.core.contracts import Model
 from cosim.core.signals import Interface, Kind, Signal
 from cosim.core.solver import LinearModel
 from cosim.errors import FmuError, nearest
@@ -25,6 +24,7 @@ Mode: TypeAlias = Literal["me", "cs"]  # model exchange, co-simulation
 Initial: TypeAlias = Literal["exact", "approx", "calculated"]
 MODES: tuple[Mode, ...] = ("me", "cs")
 MODE_NAMES: Mapping[Mode, str] = {"me": "model exchange", "cs": "co-simulation"}
+NO_VALUE = "NaN: no value yet"  # begins the description of a variable that may have none; FMI has no other word for it
 LARGEST_EXACT = 2**53  # integers beyond it are not all float64
 
 
@@ -302,6 +302,7 @@ class Description:
             variability="continuous" if first.variability == "continuous" else "discrete",
             kind=first.kind,
             role="input" if first.causality == "input" else "state" if is_state else "output",
+            optional=all(v.doc.startswith(NO_VALUE) for v in group),
             base=first.base,
             start=_starts(group) if first.causality == "input" else (),
         )
@@ -348,8 +349,22 @@ def _vectors(variables: Sequence[Variable]) -> list[tuple[str, tuple[Variable, .
     return found
 
 
-def describe(model: Model, name: str, linear: LinearModel | None) -> Description:
-    """Describe a model of ours as a unit; value references as in ``c/fmi2.c``.
+class Shape(Protocol):
+    """What a description takes from a model."""
+
+    @property
+    def interface(self) -> Interface:
+        """Inputs, outputs and feedthrough."""
+        ...
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """Names of the continuous state elements."""
+        ...
+
+
+def describe(model: Shape, name: str, linear: LinearModel | None) -> Description:
+    """Describe a model of ours as a unit; value references as in ``c/model.h``.
 
     Inputs come first, then outputs, derivatives, and the states that are no outputs. An output that is a state, under the
     state's name, is one variable.
@@ -369,12 +384,23 @@ def describe(model: Model, name: str, linear: LinearModel | None) -> Description
         return ("exact", (float(linear.X0[index]),)) if linear and exact[index] else ("calculated", None)
 
     variables = [
-        Variable(element, number, "input", unit=signal.unit, variability=_variability(signal), initial=None, start=(0.0,))
+        Variable(element, number, "input", unit=signal.unit, variability=_variability(signal), start=(0.0,), doc=_doc(signal))
         for number, (signal, element) in enumerate((s, e) for s in face.inputs for e in s.elements)
     ]
     for i, (signal, element) in enumerate((s, e) for s in face.outputs for e in s.elements):
         initial, start = state(state_of[i]) if state_of[i] >= 0 else ("calculated", None)
-        variables.append(Variable(element, m + i, "output", unit=signal.unit, initial=initial, start=start))
+        variables.append(
+            Variable(
+                element,
+                m + i,
+                "output",
+                unit=signal.unit,
+                variability=_variability(signal),
+                initial=initial,
+                start=start,
+                doc=_doc(signal),
+            )
+        )
     units = {v.name: v.unit for v in variables}
     for j, x in enumerate(model.states):
         unit = units.get(x) if x in shown else None
@@ -389,6 +415,10 @@ def describe(model: Model, name: str, linear: LinearModel | None) -> Description
     if twice:
         raise FmuError(f"{name}: {twice!r} is a state and another variable; give the state a name of its own")
     return Description(name, "", "2.0", tuple(variables), model.states, _dependencies(model, linear), event_indicators=0)
+
+
+def _doc(signal: Signal) -> str:
+    return NO_VALUE if signal.optional else ""
 
 
 def _variability(signal: Signal) -> str:
@@ -406,7 +436,7 @@ def states_of_outputs(model: LinearModel) -> list[int]:
     return found
 
 
-def _dependencies(model: Model, linear: LinearModel | None) -> dict[str, tuple[str, ...] | None]:
+def _dependencies(model: Shape, linear: LinearModel | None) -> dict[str, tuple[str, ...] | None]:
     inputs = [element for signal in model.interface.inputs for element in signal.elements]
     outputs = [element for signal in model.interface.outputs for element in signal.elements]
     derivatives = [f"der({x})" for x in model.states]

@@ -187,7 +187,7 @@ class Fmi3:
     def do_step(self, t: float, h: float) -> StepEnd:
         """Advance from ``t`` by ``h`` seconds; a discarded step left the FMU as it was (section 4.2.1.2)."""
         lines, followed = self._lines, math.inf
-        lines.t0, lines.asked = t, -math.inf
+        lines.t0, lines.h, lines.asked = t, h, -math.inf
         status = self._step(t, h, *self._rest)
         if lines.size:
             lines.size, followed = 0, lines.asked

@@ -1,8 +1,10 @@
-"""Write a description as an FMI 2.0 modelDescription.xml (FMI 2.0.4 section 2.2)."""
+"""Write a description as a modelDescription.xml: what FMI 2.0 and 3.0 have in common.
+
+(FMI 2.0.4 section 2.2, FMI 3.0.2 section 2.4.)
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from cosim.fmi.description import Description, Mode, Variable
@@ -11,64 +13,20 @@ from cosim.units import BASE, base_unit
 ELEMENTS: dict[Mode, str] = {"me": "ModelExchange", "cs": "CoSimulation"}
 
 
-def write_model_description(
-    description: Description, *, text: str = "", sources: Sequence[str] = (), initial: dict[str, tuple[str, ...]]
-) -> str:
-    """Write the XML of a unit with Real variables.
-
-    Parameters
-    ----------
-    description : Description
-    text : str
-        What the model is, for people.
-    sources : sequence of str
-        C files under ``sources/`` that make up the unit.
-    initial : mapping of name to names
-        The unknowns of the initialization with what they depend on (ModelStructure/InitialUnknowns).
-    """
-    root = Element(
-        "fmiModelDescription",
-        fmiVersion="2.0",
-        modelName=description.name,
-        guid=description.token,
-        generationTool="cosim",
-        variableNamingConvention="structured",
-        numberOfEventIndicators="0",
-    )
+def begin(description: Description, text: str, **attributes: str) -> Element:
+    """Open the document; ``text`` says what the model is, for people."""
+    root = Element("fmiModelDescription", modelName=description.name)
+    for name, value in attributes.items():
+        root.set(name, value)
+    root.set("generationTool", "cosim")
+    root.set("variableNamingConvention", "structured")
     if text:
         root.set("description", text)
-    for mode, capabilities in description.capabilities.items():
-        element = SubElement(root, ELEMENTS[mode], _capabilities(description, mode))
-        if sources:
-            files = SubElement(element, "SourceFiles")
-            for name in sources:
-                SubElement(files, "File", name=name)
-        assert capabilities.identifier
-    _units(root, description)
-    variables = SubElement(root, "ModelVariables")
-    numbers = {variable.name: str(index + 1) for index, variable in enumerate(description.variables)}
-    for variable in description.variables:
-        _variable(variables, variable, numbers)
-    _structure(root, description, numbers, initial)
-    indent(root)
-    return f'<?xml version="1.0" encoding="UTF-8"?>\n{tostring(root, encoding="unicode")}\n'
+    return root
 
 
-def _capabilities(description: Description, mode: Mode) -> dict[str, str]:
-    capabilities = description.capabilities[mode]
-    found = {"modelIdentifier": capabilities.identifier, "canNotUseMemoryManagementFunctions": "true"}
-    flags = {
-        "canGetAndSetFMUstate": capabilities.saves_state,
-        "canSerializeFMUstate": capabilities.saves_state,
-        "providesDirectionalDerivative": capabilities.directional_derivatives,
-        "completedIntegratorStepNotNeeded": mode == "me" and not capabilities.completed_step,
-        "canHandleVariableCommunicationStepSize": mode == "cs" and capabilities.variable_step,
-        "canInterpolateInputs": mode == "cs" and capabilities.interpolates_inputs,
-    }
-    return found | {name: "true" for name, there in flags.items() if there}
-
-
-def _units(root: Element, description: Description) -> None:
+def add_units(root: Element, description: Description) -> None:
+    """Define every unit that a variable has."""
     units = sorted({variable.unit for variable in description.variables if variable.unit is not None})
     if not units:
         return
@@ -81,38 +39,55 @@ def _units(root: Element, description: Description) -> None:
             SubElement(unit, "BaseUnit", powers | {name: repr(x) for name, (x, default) in numbers.items() if x != default})
 
 
-def _variable(parent: Element, variable: Variable, numbers: dict[str, str]) -> None:
-    attributes = {
+def add_experiment(root: Element, description: Description) -> None:
+    """Name the category of the messages, and the step where there is only one."""
+    SubElement(SubElement(root, "LogCategories"), "Category", name="logStatusError")
+    if description.default_step is not None:
+        SubElement(root, "DefaultExperiment", stepSize=repr(description.default_step))
+
+
+def attributes_of(variable: Variable) -> dict[str, str]:
+    """Give what every variable says of itself."""
+    found = {
         "name": variable.name,
         "valueReference": str(variable.reference),
         "causality": variable.causality,
         "variability": variable.variability,
     }
+    if variable.doc:
+        found["description"] = variable.doc
     if variable.initial is not None:
-        attributes["initial"] = variable.initial
-    real = SubElement(SubElement(parent, "ScalarVariable", attributes), "Real")
-    if variable.unit is not None:
-        real.set("unit", variable.unit)
-    if variable.start is not None:
-        real.set("start", repr(variable.start[0]))
-    if variable.derivative_of is not None:
-        real.set("derivative", numbers[variable.derivative_of])
+        found["initial"] = variable.initial
+    return found
 
 
-def _structure(root: Element, description: Description, numbers: dict[str, str], initial: dict[str, tuple[str, ...]]) -> None:
-    structure = SubElement(root, "ModelStructure")
+def start_of(variable: Variable) -> str | None:
+    """Give the start values as text."""
+    return None if variable.start is None else " ".join(map(repr, variable.start))
+
+
+def unknowns(description: Description) -> tuple[tuple[str, list[str]], ...]:
+    """Give the sections of ModelStructure: FMI 2.0's names of them, with the names of the unknowns."""
     outputs = [v.name for v in description.variables if v.causality == "output"]
     derivatives = [v.name for v in description.variables if v.derivative_of is not None]
-    direct = {name: description.dependencies.get(name) for name in (*outputs, *derivatives)}
-    known = {v.name for v in description.variables if v.causality == "input"} | set(description.states)
-    for name in outputs:
-        if name in description.states:  # a state depends on itself
-            direct[name] = (name,)
-    sections = (("Outputs", outputs, direct), ("Derivatives", derivatives, direct), ("InitialUnknowns", list(initial), initial))
-    for tag, names, dependencies in sections:
-        section = SubElement(structure, tag) if names else structure
-        for name in sorted(names, key=lambda name: int(numbers[name])):
-            unknown, needs = SubElement(section, "Unknown", index=numbers[name]), dependencies[name]
-            if needs is not None:
-                assert set(needs) <= known
-                unknown.set("dependencies", " ".join(sorted((numbers[need] for need in needs), key=int)))
+    return ("Outputs", outputs), ("Derivatives", derivatives), ("InitialUnknowns", list(description.initial_dependencies))
+
+
+def needs_of(description: Description, section: str, name: str) -> tuple[str, ...] | None:
+    """Give what an unknown depends on; None: not said."""
+    if section == "InitialUnknowns":
+        return description.initial_dependencies[name]
+    if name in description.states and section == "Outputs":  # a state depends on itself
+        return (name,)
+    return description.dependencies.get(name)
+
+
+def finish(root: Element) -> str:
+    """Give the document as text."""
+    indent(root)
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{tostring(root, encoding="unicode")}\n'
+
+
+def flags(**values: bool) -> dict[str, str]:
+    """Give the flags that are set."""
+    return {name: "true" for name, there in values.items() if there}

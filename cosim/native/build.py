@@ -12,7 +12,7 @@ import shutil
 import subprocess
 import sys
 import sysconfig
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,22 +30,33 @@ def compiler() -> list[str]:
     if importlib.util.find_spec("ziglang") is not None:
         system = {"linux": "linux-gnu", "darwin": "macos", "win32": "windows-gnu"}[sys.platform]
         machine = {"AMD64": "x86_64", "arm64": "aarch64"}.get(platform.machine(), platform.machine())
-        return [sys.executable, "-m", "ziglang", "cc", "-target", f"{machine}-{system}"]
+        return cross_compiler(f"{machine}-{system}")
     return []
 
 
-def compile_library(sources: Iterable[Path], target: Path, options: Iterable[str] = ()) -> None:
+def cross_compiler(target: str) -> list[str]:
+    """Give the command of a C compiler for another machine, by zig's name of it; empty where there is none."""
+    if importlib.util.find_spec("ziglang") is None:
+        return []
+    return [sys.executable, "-m", "ziglang", "cc", "-target", target]
+
+
+def compile_library(
+    sources: Iterable[Path], target: Path, options: Iterable[str] = (), *, command: Sequence[str] | None = None
+) -> None:
     """Compile C sources to a shared library; ``options`` go to the compiler as they are.
+
+    Without ``command`` the compiler is the one for this machine.
 
     Raises
     ------
     RuntimeError
         If there is no compiler, or it refuses the sources; with the compiler's own words.
     """
-    command = compiler()
+    command = compiler() if command is None else command
     if not command:
         raise RuntimeError("no C compiler: install one as 'cc', or 'pip install ziglang'")
-    libraries = [] if sys.platform == "win32" else ["-lm"]
+    libraries = [] if target.suffix == ".dll" else ["-lm"]
     result = subprocess.run(
         [*command, *FLAGS, *options, *map(str, sources), "-o", str(target), *libraries],
         capture_output=True,

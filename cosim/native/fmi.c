@@ -134,9 +134,10 @@ void cosim_intermediate_update(void *environment, double t, bool set_requested, 
         *early_return_time = t;
     if (!self || !set_requested || self->size == 0)
         return;
+    const double elapsed = t == self->t0 + self->h ? self->h : t - self->t0; /* at the end without the rounding of t */
     self->asked = t;
     for (size_t i = 0; i < self->size; ++i)
-        self->values[i] = self->start[i] + self->slope[i] * (t - self->t0);
+        self->values[i] = self->start[i] + self->slope[i] * elapsed;
     const int status = self->set(self->instance, self->references, self->count, self->values, self->size);
     if (status > self->status)
         self->status = status;

@@ -47,7 +47,7 @@ typedef struct {
     size_t count, size; /* of references, of values; size 0: no lines */
     const double *start, *slope;
     double *values; /* scratch */
-    double t0;
+    double t0, h;   /* start of the step, and its size */
     double asked;   /* the time of the last update that asked for inputs; put -infinity here before the step */
     int32_t status; /* the worst that `set` answered */
 } cosim_lines;

@@ -98,6 +98,7 @@ class LinesStruct(ctypes.Structure):
         ("size", c_size_t),
         *((name, c_void_p) for name in ("start", "slope", "values")),
         ("t0", c_double),
+        ("h", c_double),
         ("asked", c_double),
         ("status", c_int32),
     )

@@ -170,8 +170,9 @@ def expression(programs: Sequence[Program]) -> NativeStep:
     return NativeStep(address("cosim_expression_step"), state, n_y=len(programs), memory=np.zeros(0), keep=(array, *programs))
 
 
-class Regressor:
-    """The products mu (21)-(25) over a ring of delayed samples.
+@dataclass(frozen=True, slots=True)
+class RegressorConstants:
+    """What a regressor is made of: the numbers of cosim_regressor.
 
     Parameters
     ----------
@@ -183,30 +184,37 @@ class Regressor:
         Row of delta; rows of the alphas as ``block * rows + row``; sign.
     """
 
-    def __init__(
-        self,
-        *,
-        alphas: Sequence[Program],
-        steps: Sequence[int],
-        delays: Sequence[float],
-        row: NDArray[np.integer],
-        factor: NDArray[np.integer],
-        sign: NDArray[np.floating],
-    ) -> None:
-        programs = _programs(alphas)
+    alphas: Sequence[Program]
+    steps: Sequence[int]
+    delays: Sequence[float]
+    row: NDArray[np.integer]
+    factor: NDArray[np.integer]
+    sign: NDArray[np.floating]
+
+    @property
+    def memory(self) -> int:
+        """Number of doubles that change."""
+        return 1 + max(self.steps) + len(self.alphas) * len(self.steps)
+
+
+class Regressor:
+    """The products mu (21)-(25) over a ring of delayed samples."""
+
+    def __init__(self, constants: RegressorConstants) -> None:
+        programs = _programs(constants.alphas)
         arrays: tuple[NDArray[Any], ...] = (
-            int32(steps),
-            np.array(delays, np.float64),
-            int32(row),
-            int32(factor),
-            np.array(sign, np.float64),
+            int32(constants.steps),
+            np.array(constants.delays, np.float64),
+            int32(constants.row),
+            int32(constants.factor),
+            np.array(constants.sign, np.float64),
         )
-        memory = np.zeros(1 + max(steps) + len(alphas) * len(steps))
-        terms, factors = np.shape(factor)
+        memory = np.zeros(constants.memory)
+        terms, factors = np.shape(constants.factor)
         lags, seconds, rows, table, signs = map(pointer, arrays)
         state = RegressorStruct(
-            len(steps),
-            len(alphas),
+            len(constants.steps),
+            len(constants.alphas),
             terms,
             factors,
             lags,
@@ -218,7 +226,7 @@ class Regressor:
             pointer(memory),
         )
         self.step = NativeStep(
-            address("cosim_regressor_step"), state, n_y=terms, memory=memory, keep=(programs, *alphas, *arrays)
+            address("cosim_regressor_step"), state, n_y=terms, memory=memory, keep=(programs, *constants.alphas, *arrays)
         )
 
     def reset(self) -> None:
@@ -246,8 +254,9 @@ class RecoveryStep:
     spacing: float
 
 
-class LeastSquares:
-    """Least squares (33)-(35) in information form, accumulated by Givens rotations.
+@dataclass(frozen=True, slots=True)
+class LeastSquaresConstants:
+    """What an identifier is made of: the numbers of cosim_least_squares.
 
     Parameters
     ----------
@@ -255,29 +264,59 @@ class LeastSquares:
         Number of eta, q.
     start : float
         First instant that counts [s].
-    prior : float
-        Information 1/P0 before the data; 0: none.
+    information : float
+        1/P0, before the data; 0: none.
     recovery : sequence of RecoveryStep
     held : bool
         Rows hold over a step (rectangle) instead of moving in straight lines (trapezoid).
     """
 
-    def __init__(self, *, unknowns: int, start: float, prior: float, recovery: Sequence[RecoveryStep], held: bool) -> None:
+    unknowns: int
+    start: float
+    information: float
+    recovery: Sequence[RecoveryStep]
+    held: bool
+
+    @property
+    def parameters(self) -> int:
+        """Number of theta."""
+        return sum(len(step.theta) for step in self.recovery)
+
+    @property
+    def prior(self) -> float:
+        """Square root of the information before the data."""
+        return float(np.sqrt(self.information))
+
+    @property
+    def memory(self) -> int:
+        """Number of doubles that change."""
+        return (self.unknowns + 1) * (self.unknowns + 2)
+
+
+class LeastSquares:
+    """Least squares (33)-(35) in information form, accumulated by Givens rotations."""
+
+    def __init__(self, constants: LeastSquaresConstants) -> None:
+        recovery = constants.recovery
         plans = (RecoveryStruct * max(len(recovery), 1))()
         for plan, step in zip(plans, recovery, strict=False):
             plan.kind, plan.spacing = step.kind, step.spacing
             plan.index[: len(step.index)] = step.index
             plan.theta[: len(step.theta)] = step.theta
             plan.sign[: len(step.sign)] = step.sign
-        n = unknowns + 1
-        parameters = sum(len(step.theta) for step in recovery)
-        memory = np.zeros(n * n + n)
+        memory = np.zeros(constants.memory)
         state = LeastSquaresStruct(
-            unknowns, len(recovery), parameters, int(held), start, float(np.sqrt(prior)), ctypes.addressof(plans), pointer(memory)
+            constants.unknowns,
+            len(recovery),
+            constants.parameters,
+            int(constants.held),
+            constants.start,
+            constants.prior,
+            ctypes.addressof(plans),
+            pointer(memory),
         )
-        self.step = NativeStep(
-            address("cosim_least_squares_step"), state, n_y=parameters + unknowns, memory=memory, keep=(plans,)
-        )
+        n_y = constants.parameters + constants.unknowns
+        self.step = NativeStep(address("cosim_least_squares_step"), state, n_y=n_y, memory=memory, keep=(plans,))
 
     def initialize(self) -> Vector:
         """Forget the past; there is no estimate yet."""

@@ -13,11 +13,15 @@ from fmpy.validation import validate_fmu
 from cosim.core.signals import Interface, Signal
 from cosim.core.solver import LinearModel
 from cosim.errors import FmuError
-from cosim.fmi import export as exporting
+from cosim.fmi import kernels
 from cosim.fmi.component import ModelExchange, load
 from cosim.fmi.export import export
 from cosim.fmi.generated import GeneratedUnit
+from cosim.fmi.kernels import DiscreteModel
+from cosim.fmi.reading import read
 from cosim.native import build
+from cosim.native.expression import compile_expression
+from cosim.native.step import LeastSquaresConstants, RecoveryStep, RegressorConstants, first_order_hold
 from tests.fmi.plant import FACE, A, B, C, D, grid, inputs, model, run, solution
 
 NAMES = ("y", "x_a[0]", "x_a[1]", "x_b")
@@ -117,34 +121,167 @@ def test_what_cannot_be_exported_is_refused(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_without_a_compiler_the_sources_are_written(tmp_path, monkeypatch):
+@pytest.mark.parametrize("fmi", ["2", "3"])
+def test_without_a_compiler_the_sources_are_written(fmi, tmp_path, monkeypatch):
     """The answer says how to compile them."""
     monkeypatch.setattr(build, "compiler", list)
-    found = exporting.export(model(), tmp_path / "x.fmu", name="x")
-    assert found.platform is None
-    assert "no C compiler was found" in found.note
-    assert "fmi2.c model.c linear.c -o" in found.note
+    found = export(model(), tmp_path / "x.fmu", name="x", fmi=fmi)
+    assert found.platforms == ()
+    assert "sources only" in found.lines[0]
+    assert "no C compiler was found" in found.lines[1]
+    assert f"fmi{fmi}.c unit.c continuous.c model.c linear.c -o" in found.lines[1]
     assert validate_fmu(str(found.path)) == []
     with pytest.raises(FmuError, match="no binary for this platform; found binaries for: none; needed binaries/"):
         load(found.path)
 
 
-@pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")
-def test_sources_are_clean_under_warnings_and_sanitizers(exported, tmp_path):
-    """A C driver goes through both kinds, states and refused calls; -Werror, address and undefined sanitizers."""
-    with zipfile.ZipFile(exported) as archive:
-        archive.extractall(tmp_path)
-    sources = [str(tmp_path / "sources" / name) for name in exporting.SOURCES]
-    flags = ["-std=c11", "-g", "-O1", "-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Wconversion", "-Werror"]
-    sanitize = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
-    driver = str(Path(__file__).with_name("driver.c"))
-    include = f"-I{tmp_path / 'sources'}"
-    result = subprocess.run(
-        ["gcc", *flags, *sanitize, include, driver, *sources, "-o", str(tmp_path / "driver"), "-lm"],
-        capture_output=True,
-        text=True,
-        check=False,
+def static(D):
+    face = Interface((Signal("u", 2, role="input"),), (Signal("y", 2),), {"y": ("u",)})
+    return LinearModel(face, (), np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((2, 0)), D, np.zeros(0), np.zeros((0, 2)))
+
+
+def discrete(kernel, *, every=1, holds=False, optional=False, size=1, step_ns=1_000_000):
+    face = Interface((Signal("u", 1, role="input", optional=optional),), (Signal("y", size, optional=optional),), {})
+    return DiscreteModel(face, kernel, step_ns, "it is discrete", every=every, holds=holds)
+
+
+def regressor():
+    programs = [compile_expression("1 + 0.5*sin(t)")]
+    constants = RegressorConstants(programs, (0, 2), (0.0, 0.002), np.array([0, 1]), np.array([[1], [0]]), np.array([1.0, -1.0]))
+    return discrete(kernels.regressor(constants), size=2, optional=True)
+
+
+def identifier():
+    recovery = [RecoveryStep(1, (0, 1), (0,), (1.0, -1.0), 0.001)]
+    constants = LeastSquaresConstants(unknowns=1, start=0.002, information=1e-3, recovery=recovery, held=False)
+    face = Interface(
+        (Signal("mu", 2, role="input", optional=True),), (Signal("theta", optional=True), Signal("eta", optional=True))
     )
-    assert result.returncode == 0, result.stderr
-    result = subprocess.run([str(tmp_path / "driver")], capture_output=True, text=True, check=False)
-    assert result.returncode == 0, result.stdout + result.stderr
+    return DiscreteModel(face, kernels.least_squares(constants), 1_000_000, "it is discrete", every=3)
+
+
+def sampled():
+    own = first_order_hold(np.array([[-2.0]]), np.array([[1.0]]), 0.003, np.array([True]))
+    kernel = kernels.sampled(own, C=np.array([[1.0]]), D=np.array([[0.5]]), X0=np.array([1.0]))
+    return discrete(kernel, every=3, holds=True)
+
+
+FORMS = {
+    "plant": model,
+    "static": lambda: static(np.array([[1.0, 2.0], [0.0, -1.0]])),
+    "regressor": regressor,
+    "identifier": identifier,
+    "sampled": sampled,
+    "delay": lambda: discrete(kernels.delay(3, 1, None)),
+    "limit": lambda: discrete(kernels.limit(-0.5, 0.5), step_ns=0),
+}
+
+
+@pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")
+@pytest.mark.parametrize("fmi", ["2", "3"])
+@pytest.mark.parametrize("form", FORMS)
+def test_sources_are_clean_under_warnings_and_sanitizers(form, fmi, tmp_path, monkeypatch):
+    """A C driver goes through every function, with wrong calls too; -Werror, address and undefined sanitizers."""
+    monkeypatch.setattr(build, "compiler", list)  # sources are enough
+    path = export(FORMS[form](), tmp_path / "x.fmu", name="x", fmi=fmi).path
+    assert validate_fmu(str(path)) == []
+    with zipfile.ZipFile(path) as archive:
+        archive.extractall(tmp_path)
+    sources = tmp_path / "sources"
+    flags = ["-std=c11", "-g", "-O1", "-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Wconversion", "-Werror"]
+    flags += ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", f"-I{sources}"]
+    drivers = Path(__file__).with_name("c")
+    command = ["gcc", *flags, drivers / f"drive_fmi{fmi}.c", *sources.glob("*.c"), "-o", tmp_path / "driver", "-lm"]
+    for step in (command, [tmp_path / "driver"]):
+        result = subprocess.run(step, capture_output=True, text=True, check=False)
+        assert result.returncode == 0, result.stdout + result.stderr
+
+
+@pytest.mark.skipif(shutil.which("gcc") is None or shutil.which("nm") is None, reason="needs gcc and nm")
+@pytest.mark.parametrize("fmi", ["2", "3"])
+def test_nothing_is_shared_by_instances_that_changes(fmi, tmp_path, monkeypatch):
+    """No file has a variable outside the instance: nm finds no writable data. Memory is taken by unit_new and by copies alone."""
+    monkeypatch.setattr(build, "compiler", list)
+    for form, make in FORMS.items():
+        folder = tmp_path / form
+        folder.mkdir()
+        with zipfile.ZipFile(export(make(), folder / "x.fmu", name="x", fmi=fmi).path) as archive:
+            archive.extractall(folder)
+        for source in (folder / "sources").glob("*.c"):
+            subprocess.run(["gcc", "-std=c11", "-O2", "-fno-pie", "-c", source, "-o", folder / "x.o"], check=True)
+            symbols = subprocess.run(["nm", folder / "x.o"], capture_output=True, text=True, check=True).stdout
+            kinds = {line.split()[-2] for line in symbols.splitlines()}
+            assert not kinds & set("BbDdCc"), f"{source.name}: {symbols}"
+            assert source.name in ("unit.c", f"fmi{fmi}.c") or "alloc" not in symbols
+
+
+@pytest.mark.parametrize("fmi", ["2", "3"])
+def test_the_archive_names_the_sources_that_are_there(fmi, tmp_path, monkeypatch):
+    """SourceFiles of FMI 2.0, buildDescription.xml of FMI 3.0, as fmpy reads them; one set for both kinds."""
+    monkeypatch.setattr(build, "compiler", list)
+    path = export(model(), tmp_path / "x.fmu", name="x", fmi=fmi).path
+    (configuration,) = fmpy.read_model_description(str(path)).buildConfigurations
+    named = {file for group in configuration.sourceFileSets for file in group.sourceFiles}
+    with zipfile.ZipFile(path) as archive:
+        there = {name.removeprefix("sources/") for name in archive.namelist() if name.endswith(".c")}
+    assert named == there
+
+
+def test_arrays_of_fmi_3_are_the_scalars_of_fmi_2(tmp_path):
+    """x_a[0], x_a[1] become x_a with the reference of the first, as do their derivatives; it depends on what either did."""
+    path = export(model(), tmp_path / "x.fmu", name="x", fmi="3").path
+    about = read(path).description
+    assert [(v.name, v.reference, v.dimensions, v.start) for v in about.variables] == [
+        ("u", 0, (), (0.0,)),
+        ("delta", 1, (), (0.0,)),
+        ("y", 2, (), None),
+        ("x_a", 3, (2,), (1.0, -1.0)),
+        ("x_b", 5, (), None),
+        ("der(x_a)", 6, (2,), None),
+        ("time", 10, (), None),
+    ]
+    assert about.states == ("x_a",)
+    assert about.dependencies["y"] == ("u", "x_a")
+    assert about.dependencies["der(x_a)"] == ("u", "delta", "x_a")
+    assert set(about.initial_dependencies) == {"y", "x_b", "der(x_a)"}
+
+
+def test_a_variable_called_time_is_refused_in_fmi_3(tmp_path):
+    """FMI 3 has a variable of that name already."""
+    face = Interface((Signal("u", role="input"),), (Signal("time"),), {"time": ("u",)})
+    gain = LinearModel(
+        face, (), np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.ones((1, 1)), np.zeros(0), np.zeros((0, 1))
+    )
+    with pytest.raises(FmuError, match="a variable is called 'time', which in FMI 3 is the time; use FMI 2, or another name"):
+        export(gain, tmp_path / "x.fmu", name="x", fmi="3")
+
+
+def test_an_instance_that_is_too_large_is_refused(tmp_path):
+    """Steps need four matrices of states and inputs."""
+    many = 4000
+    face = Interface((Signal("u", many, role="input"),), (Signal("y"),), {})
+    wide = LinearModel(
+        face, (), np.zeros((0, 0)), np.zeros((0, many)), np.zeros((1, 0)), np.zeros((1, many)), np.zeros(0), np.zeros((0, many))
+    )
+    with pytest.raises(FmuError, match=r"x: an instance needs 256000001 numbers; needed at most 134217728"):
+        export(wide, tmp_path / "x.fmu", name="x")
+
+
+def test_the_page_says_what_it_is(exported, tmp_path):
+    """Ports, matrices, how to compile; what a discrete model is, its step, and that NaN is no value."""
+    with zipfile.ZipFile(exported) as archive:
+        page = archive.read("documentation/index.html").decode()
+    assert "x&#x27; = A x + B u" in page or "x' = A x + B u" in page
+    assert "<td>delta</td><td>input</td>" in page
+    assert "fmi2.c unit.c continuous.c model.c linear.c" in page
+    with zipfile.ZipFile(export(regressor(), tmp_path / "r.fmu", name="r").path) as archive:
+        page = archive.read("documentation/index.html").decode()
+    assert "NaN: no value yet" in page
+    assert "Its communication step is 0.001 s, and no other." in page
+
+
+def test_further_files_go_into_the_archive(tmp_path):
+    """Such as the manifest of a layered standard."""
+    path = export(model(), tmp_path / "x.fmu", name="x", fmi="3", extra={"extra/org.example/manifest.xml": b"<a/>"}).path
+    with zipfile.ZipFile(path) as archive:
+        assert archive.read("extra/org.example/manifest.xml") == b"<a/>"

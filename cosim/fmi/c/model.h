@@ -1,8 +1,13 @@
-/* The constants of one linear model: x' = A x + B u, y = C x + D u, started at x = X0 + Xu u. Matrices are row-major.
- * Their values are in the generated model.c; nothing here changes during a run, so all instances share it. */
+/* What unit.c asks of a model. The numbers are in the generated model.c; the functions in continuous.c, for a linear model that
+ * moves continuously, or in discrete.c, for one that lives at the communication points. Nothing here changes during a run, so
+ * that all instances share it; what changes is the `memory` of an instance.
+ *
+ * Value references number the elements: inputs, outputs, derivatives, states, then the time. In FMI 3 a variable may be an array:
+ * it has the reference of its first element. */
 #ifndef MODEL_H
 #define MODEL_H
 
+#include <stddef.h>
 #include <stdint.h>
 
 /* Hidden, so that two of these libraries in one process never see each other's constants. */
@@ -10,13 +15,31 @@
 #pragma GCC visibility push(hidden)
 #endif
 
-extern const char *const model_guid;
-extern const int32_t model_n, model_m, model_p; /* states, inputs, outputs */
-extern const double model_A[], model_B[], model_C[], model_D[], model_X0[], model_Xu[];
-extern const int32_t model_is_exact[];   /* (n) the start value of this state may be set */
-extern const int32_t model_state_of[];   /* (p) the state that this output is, or -1 */
-
 #include "cosim.h"
+
+extern const char *const model_token;        /* GUID or instantiation token */
+extern const double model_stamp;             /* of copied states: whose they are */
+extern const int32_t model_n, model_m, model_p; /* states, inputs, outputs: their elements */
+extern const int32_t model_size[];           /* elements of the variable with this reference; 0: none has it */
+extern const int32_t model_is_exact[];       /* (n) the start value of this state may be set */
+extern const int32_t model_state_of[];       /* (p) the state that this output is, or -1 */
+extern const double model_X0[];             /* (n) start values of the states; those of inputs are 0 */
+extern const int64_t model_step_ns;          /* the only communication step [ns]; 0: any */
+extern const int32_t model_has_derivatives;   /* it may be exchanged as a model; else co-simulation only */
+extern const int32_t model_memory;           /* doubles of it; the first n are the states */
+extern const int32_t model_work;             /* doubles of scratch that steps may use and keep */
+
+typedef enum { MODEL_OUTPUT, MODEL_DERIVATIVE, MODEL_STATE } model_unknown;
+
+/* Start at t with the inputs u; x0: start values of the states. */
+void model_start(double *memory, const double *x0, double t, const double *u);
+/* Outputs y and derivatives dx at t, the time reached, for the inputs u. */
+void model_outputs(double *memory, double t, const double *u, double *y, double *dx);
+/* Advance from t0 to t1, h seconds apart, with inputs u0 at t0 and u1 at t1; outputs y at t1. NULL, or what is wrong. */
+const char *model_advance(double *memory, double *work, double t0, double t1, double h, const double *u0, const double *u1, double *y);
+/* d(unknown)/d(input or state) at the time reached; at_start: while the start is still being solved for. */
+double model_by_input(double *memory, double *work, double t, const double *u, model_unknown of, int32_t row, int32_t input, int at_start);
+double model_by_state(model_unknown of, int32_t row, int32_t state);
 
 #if defined __GNUC__ && !defined _WIN32
 #pragma GCC visibility pop

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias
 
+from cosim.arrays import Mask
 from cosim.blocks.sampled import Decimated
 from cosim.core.contracts import Component
 from cosim.core.solver import Linear, LinearModel
 from cosim.errors import UsageError
+from cosim.fmi.kernels import DiscreteModel
 from cosim.scenario.schema import Table
 from cosim.theory.descriptor import DescriptorSystem
 
@@ -18,7 +20,10 @@ if TYPE_CHECKING:
     from cosim.fmi.description import Description, Mode
     from cosim.fmi.linearise import Linearisation
 
+Exportable: TypeAlias = LinearModel | DiscreteModel
+
 LINEAR = ("descriptor", "unknown-input-observer", "controller", "lag")  # the kinds that are linear models
+EXPORTABLE = (*LINEAR, "regressor", "identifier", "delay", "gain", "sum", "limit")
 
 
 class Site(Protocol):
@@ -115,6 +120,10 @@ class Kind(Table):
 
     def linear_model(self, name: str, site: Site) -> LinearModel:
         """Give the component as a linear model, where it is one: what an exact solver steps and an FMU can be made of."""
-        raise UsageError(
-            f"{name!r} is of kind {self.kind!r}, which is no linear model; what can be exported: {', '.join(LINEAR)}"
-        )
+        raise UsageError(f"{name!r} is of kind {self.kind!r}, which is no linear model; what is: {', '.join(LINEAR)}")
+
+    def exportable(self, name: str, site: Site, held: Mask) -> Exportable:
+        """Give what an FMU is made of; ``held``: which input elements keep their value over a communication step here."""
+        if self.kind not in LINEAR:
+            raise UsageError(f"{name!r} is of kind {self.kind!r}, which cannot be exported; what can be: {', '.join(EXPORTABLE)}")
+        return self.linear_model(name, site)

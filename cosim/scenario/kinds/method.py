@@ -9,16 +9,19 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
+from cosim.arrays import Mask
 from cosim.blocks.identifier import LeastSquaresIdentifier
 from cosim.blocks.observer import observer_model
 from cosim.blocks.regressor import Regressor
+from cosim.blocks.sampled import Decimated
 from cosim.core.clock import whole_steps
-from cosim.core.contracts import Component
 from cosim.core.solver import LinearModel
 from cosim.errors import AssumptionError, UsageError
+from cosim.fmi import kernels
+from cosim.fmi.kernels import DiscreteModel
 from cosim.native.expression import Program, compile_expression
 from cosim.native.step import evaluate
-from cosim.scenario.kinds.base import Kind, Site
+from cosim.scenario.kinds.base import Exportable, Kind, Site
 from cosim.scenario.kinds.plants import Start
 from cosim.scenario.linearising import Belief, belief
 from cosim.scenario.schema import Number, Row, Rows, Table, matrix
@@ -116,7 +119,7 @@ class RegressorKind(Kind):
     terms: tuple[RegressorTerm, ...] = Field(description="list of { alpha, family }")
     delays: Row = Field(description="D_j [s], one more than basis functions, whole communication steps")
 
-    def build(self, name: str, site: Site) -> Component:
+    def build(self, name: str, site: Site) -> Regressor:
         blocks, terms = self.regression()
         steps = [whole_steps(delay, site.step_ns, f"delays[{j}]") for j, delay in enumerate(self.delays)]
         programs = [compile_expression(block.alpha) for block in blocks]
@@ -126,6 +129,11 @@ class RegressorKind(Kind):
         if warning:
             site.warn(name, warning)
         return Regressor(terms, alphas=programs, steps=steps, delays=self.delays)
+
+    def exportable(self, name: str, site: Site, held: Mask) -> Exportable:
+        component = self.build(name, site)
+        reason = "the regressor multiplies samples of the past, so it lives at the communication points and has no derivatives"
+        return DiscreteModel(component.interface, kernels.regressor(component.constants), site.step_ns, reason)
 
     def regression(self) -> tuple[tuple[Block, ...], tuple[regression.Term, ...]]:
         """Expand the determinant for the terms given."""
@@ -162,7 +170,7 @@ class Identifier(Kind):
         """Its period [s]."""
         return self.period
 
-    def build(self, name: str, site: Site) -> Component:
+    def build(self, name: str, site: Site) -> LeastSquaresIdentifier:
         source_name = site.driver(f"{name}.regressor")
         spec = site.spec(source_name) if source_name is not None else None
         if not isinstance(spec, RegressorKind):
@@ -173,6 +181,17 @@ class Identifier(Kind):
         start = self._start(name, source_name, spec, site)
         site.note(name, P0=self.P0, unknowns=recovery.n_eta, remarks=_remarks(recovery))
         return LeastSquaresIdentifier(recovery, start=start, P0=self.P0)
+
+    def exportable(self, name: str, site: Site, held: Mask) -> Exportable:
+        component = self.build(name, site)
+        every = 1 if self.period is None else whole_steps(self.period, site.step_ns, f"period of {name!r}")
+        return DiscreteModel(
+            component.interface if every == 1 else Decimated(component, every).interface,
+            kernels.least_squares(component.constants(component.start, held=bool(held.any()))),
+            site.step_ns,
+            "the identifier takes one row at every communication point, so it has no derivatives",
+            every=every,
+        )
 
     def _start(self, name: str, regressor: str, spec: RegressorKind, site: Site) -> float:
         """Give the first communication point not before T_id."""

@@ -7,13 +7,18 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
+from cosim.arrays import Mask, Matrix
 from cosim.blocks import arithmetic, dynamics
 from cosim.blocks.controller import controller
 from cosim.blocks.sampled import Sampled
-from cosim.core.clock import whole_steps
+from cosim.core.clock import NANOSECONDS, whole_steps
 from cosim.core.contracts import Component
-from cosim.core.solver import LinearModel
-from cosim.scenario.kinds.base import Kind, Site
+from cosim.core.signals import Interface
+from cosim.core.solver import Linear, LinearModel
+from cosim.fmi import kernels
+from cosim.fmi.kernels import DiscreteModel
+from cosim.native.step import first_order_hold
+from cosim.scenario.kinds.base import Exportable, Kind, Site
 from cosim.scenario.schema import Number, Row, Rows, Whole, matrix
 
 
@@ -28,6 +33,9 @@ class Sum(Kind):
     def build(self, name: str, site: Site) -> Component:
         return arithmetic.sum_of(self.signs, size=self.size, unit=self.unit)
 
+    def exportable(self, name: str, site: Site, held: Mask) -> Exportable:
+        return _without_state(self.build(name, site).interface, np.kron(np.array([self.signs]), np.eye(self.size)))
+
 
 class Gain(Kind):
     """y = K u."""
@@ -37,8 +45,14 @@ class Gain(Kind):
     unit: str | None = None
 
     def build(self, name: str, site: Site) -> Component:
-        K = np.array([[self.K]]) if isinstance(self.K, (int, float)) else matrix(self.K, "K")
-        return arithmetic.gain(K, unit=self.unit)
+        return arithmetic.gain(self._matrix, unit=self.unit)
+
+    def exportable(self, name: str, site: Site, held: Mask) -> Exportable:
+        return _without_state(self.build(name, site).interface, self._matrix)
+
+    @property
+    def _matrix(self) -> Matrix:
+        return np.array([[self.K]]) if isinstance(self.K, (int, float)) else matrix(self.K, "K")
 
 
 class Limit(Kind):
@@ -52,6 +66,11 @@ class Limit(Kind):
 
     def build(self, name: str, site: Site) -> Component:
         return arithmetic.limit(lower=self.lower, upper=self.upper, size=self.size, unit=self.unit)
+
+    def exportable(self, name: str, site: Site, held: Mask) -> Exportable:
+        face = self.build(name, site).interface
+        reason = "a limit is not smooth, so it has no derivatives everywhere"
+        return DiscreteModel(face, kernels.limit(float(self.lower), float(self.upper)), 0, reason)
 
 
 class Lag(Kind):
@@ -77,9 +96,15 @@ class Delay(Kind):
     unit: str | None = None
 
     def build(self, name: str, site: Site) -> Component:
-        return dynamics.Delay(
-            whole_steps(self.delay, site.step_ns, "delay"), initial=self.initial, size=self.size, unit=self.unit
-        )
+        return dynamics.Delay(self._steps(site), initial=self.initial, size=self.size, unit=self.unit)
+
+    def exportable(self, name: str, site: Site, held: Mask) -> Exportable:
+        kernel = kernels.delay(self._steps(site), self.size, self.initial)
+        reason = "a delay line keeps samples of the communication points, so it has no derivatives"
+        return DiscreteModel(self.build(name, site).interface, kernel, site.step_ns, reason)
+
+    def _steps(self, site: Site) -> int:
+        return whole_steps(self.delay, site.step_ns, "delay")
 
 
 class Controller(Kind):
@@ -106,3 +131,24 @@ class Controller(Kind):
         D = None if self.D is None else matrix(self.D, "D")
         x0 = None if self.x0 is None else np.array(self.x0)
         return controller(A=matrix(self.A, "A"), B=matrix(self.B, "B"), C=matrix(self.C, "C"), D=D, x0=x0, unit=self.unit)
+
+    def exportable(self, name: str, site: Site, held: Mask) -> Exportable:
+        model = self.linear_model(name, site)
+        every = 1 if self.period is None else whole_steps(self.period, site.step_ns, f"period of {name!r}")
+        if every == 1:
+            return model
+        discrete = first_order_hold(model.A, model.B, site.step_ns * every / NANOSECONDS, np.ones(model.interface.n_u, np.bool_))
+        return DiscreteModel(
+            self.slowed(Linear(model), every).interface,
+            kernels.sampled(discrete, C=model.C, D=model.D, X0=model.X0),
+            site.step_ns,
+            "with a period the controller samples and holds, so it lives at the communication points and has no derivatives",
+            every=every,
+            holds=True,
+        )
+
+
+def _without_state(interface: Interface, D: Matrix) -> LinearModel:
+    """Give y = D u as a linear model without states."""
+    p, m = D.shape
+    return LinearModel(interface, (), np.zeros((0, 0)), np.zeros((0, m)), np.zeros((p, 0)), D, np.zeros(0), np.zeros((0, m)))

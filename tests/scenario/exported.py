@@ -1,0 +1,96 @@
+"""The components of the shipped scenarios as FMUs, beside what they did in a run."""
+
+from contextlib import ExitStack
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import cosim
+from cosim.core.contracts import Component
+from cosim.core.solver import LinearModel
+from cosim.scenario.build import build, build_site
+from cosim.scenario.execution import load
+from cosim.scenario.exporting import export_component
+
+H = 1e-3
+STOP = 4.2  # s
+START = {"scenario.stop": STOP, "identifier.start": 3.5}  # theta is there at the end
+SAMPLED = {"controller.period": 0.01}
+ACADEMIC = [("academic", name) for name in ("plant", "observer", "regressor", "identifier")]
+LOOP = [("closed-loop", name) for name in ("feedback", "error", "controller")]
+AGAIN = [("closed-loop", name) for name in ("plant", "observer", "regressor", "identifier")]  # the same kinds with other signals
+SAMPLED_UNITS = [("sampled", "controller"), ("slow", "identifier"), ("held", "identifier")]
+UNITS = [*ACADEMIC, *LOOP, *SAMPLED_UNITS, *(pytest.param(*unit, marks=pytest.mark.campaign) for unit in AGAIN)]
+STATES = [("academic", "plant"), ("academic", "observer"), ("closed-loop", "controller")]  # linear models that have some
+DRIVERS = {"sampled": "error", "slow": "regressor"}
+CHANGES = {"sampled": SAMPLED, "slow": {"identifier.period": 0.1}, "held": {"scenario.hold": "start"}}
+
+
+@dataclass(frozen=True)
+class Case:
+    """A component with its inputs and outputs in a run."""
+
+    scenario: str
+    name: str
+    component: Component
+    model: LinearModel | None
+    held: Any
+    t: Any
+    u: Any
+    y: Any
+
+
+def scenario_of(key: str) -> tuple[str, dict[str, Any]]:
+    return ("academic" if key in ("academic", "slow", "held") else "closed-loop"), {**START, **CHANGES.get(key, {})}
+
+
+@cache
+def recorded(key: str) -> Any:
+    name, changes = scenario_of(key)
+    return cosim.run(name, set=changes)
+
+
+@cache
+def case(key: str, name: str) -> Case:
+    """Give a component, built for a run, with what it took and gave in one."""
+    scenario, changes = scenario_of(key)
+    loaded, run = load(scenario).set(changes), recorded(key)
+    with ExitStack() as resources:
+        graph = build(loaded.document, resources).graph
+        site = build_site(loaded, resources)
+        model = loaded.specs[name].linear_model(name, site) if (key, name) in STATES else None
+    component = graph.components[name]
+    t = np.arange(round(STOP / H) + 1) * 1_000_000 / 1e9
+    if key in DRIVERS:  # the log keeps only the rows at its period, so it runs here on what drove it
+        component.prepare(H, graph.held[name], {})
+        u = columns(run, DRIVERS[key], graph.components[DRIVERS[key]].interface.outputs)
+        y = np.vstack([component.initialize(0.0, u[0]), component.advance(t, H, u)])
+    else:
+        u, y = (columns(run, name, signals) for signals in (component.interface.inputs, component.interface.outputs))
+    return Case(scenario, name, component, model, graph.held[name], t, u, y)
+
+
+def columns(run: Any, name: str, signals: Any) -> Any:
+    """Give the signals of a component side by side, at every communication point."""
+    return np.ascontiguousarray(np.hstack([np.reshape(run[f"{name}.{s.name}"], (-1, s.size)) for s in signals]))
+
+
+def export(key: str, name: str, fmi: str, folder: Path) -> Path:
+    scenario, changes = scenario_of(key)
+    path = folder / f"{key}-{name}-{fmi}.fmu"
+    if not path.exists():
+        export_component(scenario, name, path, fmi=fmi, set=changes)
+    return path
+
+
+def drive(component: Any, found: Case, held: Any = None) -> Any:
+    """Run a component on recorded inputs; its outputs in the order of the original."""
+    component.prepare(H, found.held if held is None else held, {})
+    first = component.initialize(0.0, found.u[0])
+    y = np.vstack([first, component.advance(found.t, H, found.u)])
+    at = component.interface.output_columns()
+    return np.hstack([y[:, at[signal.name]] for signal in found.component.interface.outputs])

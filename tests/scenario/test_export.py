@@ -1,0 +1,300 @@
+"""The components of the shipped scenarios as FMUs: the same numbers, by us and by fmpy."""
+
+import zipfile
+
+import fmpy
+import numpy as np
+import pytest
+from fmpy.validation import validate_fmu
+
+import cosim
+from cosim.cli import main
+from cosim.core.solver import Linear
+from cosim.errors import CosimError
+from cosim.fmi.component import ModelExchange, load
+from cosim.fmi.generated import GeneratedUnit
+from cosim.fmi.reading import read
+from cosim.scenario.exporting import export_component
+from tests.scenario.exported import ACADEMIC, STATES, STOP, UNITS, H, case, drive, export
+
+FMI = pytest.mark.parametrize("fmi", ["2", "3"])
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("exported")
+
+
+def relative(found, expected):
+    """Largest difference relative to each column's largest value; no value must be no value in both."""
+    assert np.array_equal(np.isnan(found), np.isnan(expected))
+    known = ~np.isnan(expected).all(axis=1)
+    largest = np.maximum(np.nanmax(abs(expected[known]), axis=0, initial=0.0), 1e-300)
+    return np.nanmax(abs(found[known] - expected[known]) / largest, initial=0.0)
+
+
+@FMI
+@pytest.mark.parametrize(("key", "name"), UNITS)
+def test_fmpy_finds_nothing_wrong(key, name, fmi, folder):
+    """Schema, names, structure, start values, units; and the kinds are those that the component can be."""
+    path = export(key, name, fmi, folder)
+    assert validate_fmu(str(path)) == []
+    found = fmpy.read_model_description(str(path), validate=True)
+    assert found.coSimulation is not None
+    assert (found.modelExchange is None) == (name in ("regressor", "identifier") or key == "sampled")
+
+
+@FMI
+@pytest.mark.parametrize("name", ["observer", "regressor"])
+def test_our_own_check_finds_nothing_wrong(name, fmi, folder):
+    """Schema, structure, binaries, trial runs and rollbacks; a value that is not there yet is no problem."""
+    with pytest.raises(SystemExit) as stopped:
+        main(["check", str(export("academic", name, fmi, folder))])
+    assert not stopped.value.code
+
+
+@FMI
+@pytest.mark.parametrize(("key", "name"), UNITS)
+def test_co_simulation_by_us_gives_what_the_component_gave(key, name, fmi, folder):
+    """Bit for bit where the inputs move: in steps this small u0 + h (u1 - u0)/h is u1 but near its zeros, and there it is 1e-16.
+
+    Inputs that hold cost rounding: their two columns of the discretisation are added at each step, not once.
+    """
+    found = case(key, name)
+    with load(export(key, name, fmi, folder), mode="cs") as fmu:
+        y = drive(fmu.component, found)
+    assert relative(y, found.y) <= 1e-12
+    if not found.held.any():
+        assert np.array_equal(y, found.y, equal_nan=True)
+
+
+@FMI
+@pytest.mark.parametrize(("key", "name"), STATES)
+def test_model_exchange_by_us_has_the_bits_of_the_component_with_the_same_solver(key, name, fmi, folder):
+    """rk4 on the FMU and rk4 on the component call the same C."""
+    found = case(key, name)
+    expected = drive(ModelExchange(GeneratedUnit.of(found.model), "rk4"), found)
+    with load(export(key, name, fmi, folder), mode="me", solver="rk4") as fmu:
+        assert np.array_equal(drive(fmu.component, found), expected)
+
+
+def rows(found, held=None):
+    """Give recorded inputs, or constant ones, as fmpy takes them."""
+    u = found.u if held is None else np.tile(held, (len(found.u), 1))
+    at = found.component.interface.input_columns()
+    signals = found.component.interface.inputs
+    return u, [(s.name, s.size, u[:, at[s.name]]) for s in signals]
+
+
+def by_fmpy(path, kind, found, named, stop):
+    """Simulate with fmpy alone; the outputs side by side."""
+    arrays = fmpy.read_model_description(str(path)).fmiVersion.startswith("3")
+    fields, values = [("time", float)], [found.t]
+    for name, size, u in named:
+        if size == 1 or arrays:
+            fields.append((name, float) if size == 1 else (name, float, (size,)))
+            values.append(u[:, 0] if size == 1 else u)
+        else:
+            fields += [(f"{name}[{i}]", float) for i in range(size)]
+            values += list(u.T)
+    table = np.zeros(len(found.t), fields)
+    for (field, *_), value in zip(fields, values, strict=True):
+        table[field] = value
+    result = fmpy.simulate_fmu(
+        str(path), stop_time=stop, output_interval=H, fmi_type=kind, solver="CVode", relative_tolerance=1e-10, input=table
+    )
+    names = [s.name for s in found.component.interface.outputs] if arrays else None
+    columns = [np.reshape(result[n], (len(result), -1)) for n in names or result.dtype.names[1:]]
+    return np.hstack(columns)
+
+
+@FMI
+@pytest.mark.parametrize(("key", "name"), UNITS)
+def test_co_simulation_by_fmpy_alone_gives_what_the_component_gives(key, name, fmi, folder):
+    """fmpy holds the inputs over a step, and interpolates them at its own times: 1e-16 s away from ours, 1e-13 of an input.
+
+    theta answers to that by the condition of the little information that 0.7 s give: 1e6.
+    """
+    found = case(key, name)
+    _, named = rows(found)
+    y = by_fmpy(export(key, name, fmi, folder), "CoSimulation", found, named, STOP)
+    component = found.component
+    component.prepare(H, np.ones(found.u.shape[1], np.bool_) if name != "identifier" else found.held, {})
+    expected = [component.initialize(0.0, found.u[0])]
+    for k in range(len(found.t) - 1):
+        expected.append(component.advance(found.t[k : k + 2], H, np.vstack([found.u[k], found.u[k]]))[0])
+    steps = min(len(y), len(expected))
+    assert steps >= len(expected) - 1
+    assert relative(y[:steps], np.array(expected)[:steps]) <= (1e-7 if name == "identifier" else 1e-12)
+
+
+@FMI
+@pytest.mark.parametrize(("key", "name"), STATES)
+def test_model_exchange_by_fmpy_alone_gives_what_the_component_gives(key, name, fmi, folder):
+    """CVode at 1e-10 a step, with constant inputs, stays within 1e-6 of the exact solver: filter_rate is 1e3."""
+    found = case(key, name)
+    u, named = rows(found, np.linspace(0.5, 1.0, found.u.shape[1]))
+    y = by_fmpy(export(key, name, fmi, folder), "ModelExchange", found, named, 0.5)
+    exact = Linear(found.model)
+    exact.prepare(H, np.zeros(u.shape[1], np.bool_), {})
+    expected = np.vstack([exact.initialize(0.0, u[0]), exact.advance(found.t, H, u)])[: len(y)]
+    assert relative(y, expected) <= 1e-6
+
+
+@FMI
+@pytest.mark.parametrize("mode", ["me", "cs"])
+def test_derivatives_are_the_matrices(mode, fmi, folder):
+    """Of the observer, whose C and D are full: directional ones by columns."""
+    found = case("academic", "observer")
+    with load(export("academic", "observer", fmi, folder), mode=mode) as fmu:
+        component, unit = fmu.component, fmu.component._unit
+        component.prepare(H, found.held, {})
+        component.initialize(0.0, found.u[0])
+        at_start = jacobian(unit, "input")
+        component.outputs(0.0, found.u[0])
+        model = found.model
+        assert np.allclose(at_start, model.D + model.C @ model.Xu, rtol=1e-14, atol=1e-14 * abs(model.C).max())
+        assert np.array_equal(jacobian(unit, "input"), model.D)
+
+
+def jacobian(unit, causality):
+    knowns, unknowns = unit.description.references(causality), unit.description.references("output")
+    return np.column_stack([unit.get_directional_derivative(unknowns, knowns, seed) for seed in np.eye(knowns.size)])
+
+
+def test_adjoint_derivatives_are_the_transposed_matrices(folder):
+    """Through fmpy's binding of FMI 3, as ours needs none."""
+    found = case("academic", "observer")
+    path = export("academic", "observer", "3", folder)
+    with zipfile.ZipFile(path) as archive:
+        archive.extractall(folder / "observer3")
+    from ctypes import c_double, c_uint32
+
+    from fmpy.fmi3 import FMU3Slave
+
+    about = fmpy.read_model_description(str(path))
+    fmu = FMU3Slave(
+        guid=about.guid,
+        unzipDirectory=str(folder / "observer3"),
+        modelIdentifier=about.coSimulation.modelIdentifier,
+        instanceName="one",
+    )
+    fmu.instantiate()
+    fmu.enterInitializationMode()
+    fmu.exitInitializationMode()
+    outputs = [v.valueReference for v in about.modelVariables if v.causality == "output"]
+    n_y, n_u = found.model.D.shape
+    rows = []
+    for seed in np.eye(n_y):
+        answer = (c_double * n_u)()
+        fmu.fmi3GetAdjointDerivative(
+            fmu.component, (c_uint32 * len(outputs))(*outputs), len(outputs), (c_uint32 * n_u)(*range(n_u)), n_u,
+            (c_double * n_y)(*seed), n_y, answer, n_u,
+        )  # fmt: skip
+        rows.append(list(answer))
+    fmu.terminate()
+    fmu.freeInstance()
+    assert np.array_equal(np.array(rows), found.model.D)
+
+
+def test_every_fmu_takes_its_component_place(folder):
+    """The whole method as FMUs, FMI 2 and 3 mixed: the bits of the run with the components, no value yet included."""
+    changes = {"scenario.stop": STOP, "identifier.start": 3.5}
+    expected = cosim.run("academic", set=changes)
+    swaps = {name: export("academic", name, fmi, folder) for (_, name), fmi in zip(ACADEMIC, "3232", strict=True)}
+    settings = {"scenario.stop": STOP, **{f"{name}.mode": "cs" for name in swaps}}
+    run = cosim.run("academic", swap=swaps, set=settings)
+    for signal in ("plant.y", "observer.delta", "regressor.mu", "identifier.theta"):
+        assert np.array_equal(run[signal], expected[signal], equal_nan=True), signal
+
+
+def test_a_fixed_step_is_kept(folder):
+    """Another communication step is refused before the run in FMI 3, which says it, and by the FMU in FMI 2."""
+    found = case("academic", "regressor")
+    with load(export("academic", "regressor", "3", folder), mode="cs") as fmu, pytest.raises(CosimError, match=r"0\.001 s"):
+        fmu.component.prepare(0.0015, found.held, {})
+    with load(export("academic", "regressor", "2", folder), mode="cs") as fmu:
+        fmu.component.prepare(0.002, found.held, {})
+        fmu.component.initialize(0.0, found.u[0])
+        needed = r"a communication step of 0\.002\d* s was asked for; needed 0\.001 s, the step of this unit"
+        with pytest.raises(CosimError, match=needed):
+            fmu.component.advance(np.array([0.0, 0.002]), 0.002, found.u[:2])
+
+
+def test_what_cannot_be_exported_is_refused(tmp_path, monkeypatch, capsys):
+    """Sources, and versions and platforms that are none: the message says what there is."""
+    monkeypatch.chdir(tmp_path)
+
+    def refused(*arguments):
+        with pytest.raises(SystemExit) as stopped:
+            main(["export", "academic", "--out", "x.fmu", *arguments])
+        assert stopped.value.code == 2
+        return capsys.readouterr().err
+
+    assert "'u' is of kind 'sine', which cannot be exported; what can be: descriptor" in refused("--component", "u")
+    assert "FMI version '1'" in refused("--component", "plant", "--fmi", "1")
+    text = refused("--component", "plant", "--platform", "x86_64-lnux")
+    assert "platform 'x86_64-lnux': did you mean 'x86_64-linux'? There is: x86_64-linux, aarch64-linux" in text
+    twice = refused("--component", "plant", "--platform", "x86_64-linux, x86_64-linux")
+    assert "platform 'x86_64-linux' is there twice; needed once" in twice
+    assert list(tmp_path.iterdir()) == []
+
+
+PARTS = """
+[scenario]
+name = "small-parts"
+stop = 0.5
+step = 1e-3
+[components.wave]
+kind = "expression"
+y = ["sin(7*t)", "cos(9*t) + 0.3"]
+[components.lag]
+kind = "lag"
+time_constant = 0.05
+size = 2
+unit = "N"
+[components.late]
+kind = "delay"
+delay = 0.02
+size = 2
+[components.early]
+kind = "delay"
+delay = 0.001
+initial = -2.0
+size = 2
+[components.limit]
+kind = "limit"
+lower = -0.5
+upper = 0.75
+size = 2
+[components.gain]
+kind = "gain"
+K = [[1.0, 2.0], [0.5, -1.0], [0.0, 3.0]]
+[components.sum]
+kind = "sum"
+signs = [1.0, -0.1]
+size = 2
+[connections]
+"lag.u" = "wave.y"
+"late.u" = "wave.y"
+"early.u" = "lag.y"
+"limit.u" = "wave.y"
+"gain.u" = "late.y"
+"sum.u1" = "wave.y"
+"sum.u2" = "limit.y"
+"""
+
+
+@pytest.mark.parametrize("fmi", [pytest.param("2", marks=pytest.mark.campaign), "3"])
+def test_small_parts_are_the_same_as_fmus(fmi, tmp_path):
+    """Lag, delays, limit, gain and sum, each in its own place: what the swapped run records is what the run recorded."""
+    scenario = tmp_path / "parts.toml"
+    scenario.write_text(PARTS, encoding="utf-8")
+    expected = cosim.run(scenario)
+    for name in ("lag", "late", "early", "limit", "gain", "sum"):
+        path = tmp_path / f"{name}.fmu"
+        export_component(str(scenario), name, path, fmi=fmi)
+        assert validate_fmu(str(path)) == []
+        assert read(path).description.name == f"small_parts_{name}"  # an identifier of C
+        run = cosim.run(scenario, swap={name: path}, set={f"{name}.mode": "cs"})
+        assert relative(run[f"{name}.y"], expected[f"{name}.y"]) <= 1e-14, name
