@@ -14,16 +14,16 @@ from types import TracebackType
 from typing import Any, Final, Self, TypeAlias, final
 
 from cosim.errors import FmuError, RunError
-from cosim.fmi.binaries import built_for
-from cosim.fmi.co_simulation import CoSimulation
+from cosim.fmi.binary.loaded import LoadedUnit
+from cosim.fmi.binary.messages import Message
+from cosim.fmi.checking.binaries import built_for
+from cosim.fmi.checking.trial import can_roll_back
 from cosim.fmi.description import MODE_NAMES, MODES, Description, Mode
-from cosim.fmi.loaded import LoadedUnit
-from cosim.fmi.messages import Message
-from cosim.fmi.model_exchange import RTOL, ModelExchange
+from cosim.fmi.driving.co_simulation import CoSimulation
+from cosim.fmi.driving.model_exchange import RTOL, ModelExchange
+from cosim.fmi.driving.start import Starts, check_start, resized
 from cosim.fmi.platforms import ARCHITECTURE, SUFFIX, folders
-from cosim.fmi.reading import Archive, read
-from cosim.fmi.start import Starts, check_start, resized
-from cosim.fmi.trial import can_roll_back
+from cosim.fmi.reading.model_description import Archive, read
 from cosim.fmi.unit import ModelExchangeUnit
 
 __all__ = ["CoSimulation", "Fmu", "ModelExchange", "load"]

@@ -27,10 +27,10 @@ from cosim.errors import FmuError, RunError, nearest
 from cosim.fmi.component import load
 from cosim.fmi.description import Description, Variable
 from cosim.fmi.differences import differentiate
-from cosim.fmi.model_exchange import ModelExchange
-from cosim.fmi.reading import read
+from cosim.fmi.driving.model_exchange import ModelExchange
+from cosim.fmi.driving.start import Starts, StartValue, check_start
+from cosim.fmi.reading.model_description import read
 from cosim.fmi.references import References
-from cosim.fmi.start import Starts, StartValue, check_start
 from cosim.fmi.unit import ModelExchangeUnit
 from cosim.units import BaseUnit
 

@@ -439,7 +439,7 @@ class _Site:
 
     def _linearise(self, path: str, **wanted: Any) -> dict[str, Any]:
         from cosim.fmi.linearise import linearize
-        from cosim.fmi.reading import read
+        from cosim.fmi.reading.model_description import read
 
         file = self.file(path)
         return {"sha256": read(file).sha256, "result": linearize(file, **wanted).to_dict()}

@@ -218,7 +218,7 @@ def _ports(component: str, path: str) -> list[str]:
 
 
 def _interface(component: str, path: str) -> Interface:
-    from cosim.fmi.reading import read
+    from cosim.fmi.reading.model_description import read
     from cosim.log import open_log
 
     table = component_table(component, path)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.errors import UsageError, nearest
-from cosim.fmi.export import export
+from cosim.fmi.exporting.export import export
 from cosim.scenario.build import build, build_site
 from cosim.scenario.execution import load
 

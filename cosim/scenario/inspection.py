@@ -94,7 +94,7 @@ def _wire_row(graph: Graph, to: str, wire: Connection) -> Section:
 
 def fmu(path: str) -> Section:
     """Describe an FMU: kind, capabilities, variables."""
-    from cosim.fmi.reading import read
+    from cosim.fmi.reading.model_description import read
 
     archive = read(path)
     found = archive.description
@@ -217,7 +217,7 @@ def _depends(row: Section, dependencies: Mapping[str, list[str] | None]) -> str 
 
 def check(path: str) -> list[Section]:
     """Give everything that is wrong with an FMU."""
-    from cosim.fmi.check import check as check_fmu
+    from cosim.fmi.checking.check import check as check_fmu
 
     return [finding._asdict() for finding in check_fmu(path)]
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from cosim.fmi.export import export
+from cosim.fmi.exporting.export import export
 from tests.fmi.compiled import compile_fmu
 from tests.fmi.plant import model
 from tests.fmi.probes import xml1, xml2, xml3

@@ -7,7 +7,7 @@ from tempfile import mkdtemp
 import numpy as np
 
 from cosim.fmi.component import load
-from cosim.fmi.model_exchange import RTOL
+from cosim.fmi.driving.model_exchange import RTOL
 from tests.fmi.compiled import compile_fmu
 
 VARIABLES = ("u", "d", "x", "v", "der(x)", "der(v)", "q", "count", "p", "evaluations", "completed")

@@ -10,12 +10,12 @@ import fmpy
 import pytest
 
 from cosim.errors import FmuError
-from cosim.fmi import trial
-from cosim.fmi.binaries import built_for, functions, machine_of
-from cosim.fmi.check import check
+from cosim.fmi.checking import trial
+from cosim.fmi.checking.binaries import built_for, functions, machine_of
+from cosim.fmi.checking.check import check
+from cosim.fmi.checking.trial import attempt, can_roll_back
 from cosim.fmi.platforms import SUFFIX, folders
-from cosim.fmi.reading import read
-from cosim.fmi.trial import attempt, can_roll_back
+from cosim.fmi.reading.model_description import read
 from cosim.native import build
 from tests.fmi.archives import Entry, write
 from tests.fmi.compiled import HERE, compile_fmu
@@ -173,7 +173,7 @@ def test_functions_of_every_version():
 def _described(xml):
     from xml.etree.ElementTree import fromstring
 
-    from cosim.fmi.reading import describe_root
+    from cosim.fmi.reading.model_description import describe_root
 
     return describe_root(fromstring(xml), frozenset(), "x", [])
 
@@ -320,7 +320,7 @@ FINDINGS = [
 @pytest.mark.parametrize(("before", "after", "level", "text"), FINDINGS, ids=[text[:50] for *_, text in FINDINGS])
 def test_findings_in_a_description(tmp_path, monkeypatch, before, after, level, text):
     """Each rule of the standard on its own."""
-    monkeypatch.setattr("cosim.fmi.check._trials", lambda *_: [])
+    monkeypatch.setattr("cosim.fmi.checking.check._trials", lambda *_: [])
     assert before in XML
     xml = XML.replace(before, after, 1)
     xml = xml.replace('guid="rogue"', 'guid="rogue" variableNamingConvention="structured"') if "'a b'" in text else xml
@@ -330,7 +330,7 @@ def test_findings_in_a_description(tmp_path, monkeypatch, before, after, level, 
 
 def test_the_pattern_for_findings_has_none(tmp_path, monkeypatch):
     """What the rules above are changed from has only no binary."""
-    monkeypatch.setattr("cosim.fmi.check._trials", lambda *_: [])
+    monkeypatch.setattr("cosim.fmi.checking.check._trials", lambda *_: [])
     assert [f.text for f in check(write(tmp_path / "x.fmu", [], xml=XML.encode()))] == [
         "none for this machine (x86_64-linux); there is: none"
     ]

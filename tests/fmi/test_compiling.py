@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from cosim.errors import FmuError
-from cosim.fmi.compiling import PLATFORMS
 from cosim.fmi.component import load
-from cosim.fmi.export import export
+from cosim.fmi.exporting.compiling import PLATFORMS
+from cosim.fmi.exporting.export import export
 from cosim.fmi.platforms import ARCHITECTURE, SYSTEM
 from cosim.native import build
 from tests.fmi.plant import model, run

@@ -7,7 +7,7 @@ from cosim.core.contracts import Stopped
 from cosim.core.signals import Interface, Signal
 from cosim.core.solver import Linear, LinearModel
 from cosim.fmi.component import ModelExchange, load
-from cosim.fmi.export import export
+from cosim.fmi.exporting.export import export
 from cosim.fmi.generated import GeneratedUnit
 from cosim.fmi.unit import DiscreteStates
 from cosim.testing import check_component, check_rollback

@@ -7,7 +7,7 @@ import pytest
 
 from cosim.errors import FmuError
 from cosim.fmi.description import Description, Variable
-from cosim.fmi.reading import read
+from cosim.fmi.reading.model_description import read
 from tests.fmi.plant import FACE
 
 

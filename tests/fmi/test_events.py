@@ -9,7 +9,7 @@ import pytest
 from cosim.core.contracts import Stopped
 from cosim.core.solver import SOLVERS
 from cosim.errors import FmuError
-from cosim.fmi.events import KEPT, EventList, close, locate
+from cosim.fmi.driving.events import KEPT, EventList, close, locate
 from cosim.testing import check_component, check_rollback
 from tests.fmi.eventful import Run
 

@@ -13,12 +13,12 @@ from fmpy.validation import validate_fmu
 from cosim.core.signals import Interface, Signal
 from cosim.core.solver import LinearModel
 from cosim.errors import FmuError
-from cosim.fmi import kernels
 from cosim.fmi.component import ModelExchange, load
-from cosim.fmi.export import export
+from cosim.fmi.exporting import kernels
+from cosim.fmi.exporting.export import export
+from cosim.fmi.exporting.kernels import DiscreteModel
 from cosim.fmi.generated import GeneratedUnit
-from cosim.fmi.kernels import DiscreteModel
-from cosim.fmi.reading import read
+from cosim.fmi.reading.model_description import read
 from cosim.native import build
 from cosim.native.expression import compile_expression
 from cosim.native.step import LeastSquaresConstants, RecoveryStep, RegressorConstants, first_order_hold

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cosim.fmi.inner_step import InnerStep
+from cosim.fmi.driving.inner_step import InnerStep
 
 
 def look(outputs, inputs, watch=None):

@@ -9,8 +9,8 @@ import pytest
 
 import cosim
 from cosim.errors import RunError
+from cosim.fmi.binary.messages import MESSAGES, Message, Messages
 from cosim.fmi.component import load
-from cosim.fmi.messages import MESSAGES, Message, Messages
 from cosim.native.library import library
 from tests.fmi.probes import opened
 
@@ -142,6 +142,11 @@ value = 3.0
 
 def test_nothing_is_printed_where_fmpy_has_no_logger():
     """Its import says so on stdout, which carries our data."""
-    lines = ["import sys", "sys.modules['fmpy.logging'] = None", "from cosim.fmi.library import declared", "declared('fmi2')"]
+    lines = [
+        "import sys",
+        "sys.modules['fmpy.logging'] = None",
+        "from cosim.fmi.binary.library import declared",
+        "declared('fmi2')",
+    ]
     done = subprocess.run([sys.executable, "-c", "\n".join(lines)], capture_output=True, text=True, check=True)
     assert done.stdout == ""

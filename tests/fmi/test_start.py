@@ -7,7 +7,7 @@ import cosim
 from cosim.errors import CosimError, FmuError
 from cosim.fmi.component import load
 from cosim.fmi.description import Description, Variable
-from cosim.fmi.start import StartValues, check_start, resized
+from cosim.fmi.driving.start import StartValues, check_start, resized
 from tests.fmi.compiled import compile_fmu
 from tests.fmi.probes import got, xml3
 

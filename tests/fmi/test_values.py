@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cosim.errors import RunError
-from cosim.fmi.loaded import from_own, to_own
+from cosim.fmi.binary.loaded import from_own, to_own
 from tests.fmi.probes import opened
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from cosim.core.signals import Interface, Signal
 from cosim.core.solver import LinearModel
-from cosim.fmi.export import export
+from cosim.fmi.exporting.export import export
 from tests.fmi.plant import START, A, B, C, D
 
 MAP = {"plant.u": "force", "plant.delta": "push", "observer.y": "out1", "plant.x_a": "s"}

@@ -9,7 +9,7 @@ import pytest
 import cosim
 from cosim.cli import main
 from cosim.errors import ScenarioError
-from cosim.fmi.reading import read
+from cosim.fmi.reading.model_description import read
 from cosim.scenario.exporting import export_component
 from cosim.units import base_unit
 

@@ -13,7 +13,7 @@ from cosim.core.solver import Linear
 from cosim.errors import CosimError
 from cosim.fmi.component import ModelExchange, load
 from cosim.fmi.generated import GeneratedUnit
-from cosim.fmi.reading import read
+from cosim.fmi.reading.model_description import read
 from cosim.scenario.exporting import export_component
 from tests.scenario.exported import ACADEMIC, STATES, STOP, UNITS, H, case, drive, export
 

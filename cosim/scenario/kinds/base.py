@@ -11,7 +11,7 @@ from cosim.blocks.sampled import Decimated
 from cosim.core.contracts import Component
 from cosim.core.solver import Linear, LinearModel
 from cosim.errors import UsageError
-from cosim.fmi.kernels import DiscreteModel
+from cosim.fmi.exporting.kernels import DiscreteModel
 from cosim.scenario.schema import Table
 from cosim.theory.descriptor import DescriptorSystem
 

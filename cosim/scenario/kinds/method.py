@@ -17,8 +17,8 @@ from cosim.blocks.sampled import Decimated
 from cosim.core.clock import whole_steps
 from cosim.core.solver import LinearModel
 from cosim.errors import AssumptionError, UsageError
-from cosim.fmi import kernels
-from cosim.fmi.kernels import DiscreteModel
+from cosim.fmi.exporting import kernels
+from cosim.fmi.exporting.kernels import DiscreteModel
 from cosim.native.expression import Program, compile_expression
 from cosim.native.step import evaluate
 from cosim.scenario.kinds.base import Exportable, Kind, Site

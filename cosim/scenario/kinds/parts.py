@@ -15,8 +15,8 @@ from cosim.core.clock import NANOSECONDS, whole_steps
 from cosim.core.contracts import Component
 from cosim.core.signals import Interface
 from cosim.core.solver import Linear, LinearModel
-from cosim.fmi import kernels
-from cosim.fmi.kernels import DiscreteModel
+from cosim.fmi.exporting import kernels
+from cosim.fmi.exporting.kernels import DiscreteModel
 from cosim.native.step import first_order_hold
 from cosim.scenario.kinds.base import Exportable, Kind, Site
 from cosim.scenario.schema import Number, Row, Rows, Whole, matrix

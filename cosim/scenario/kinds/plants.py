@@ -41,8 +41,8 @@ class Descriptor(Plant):
     solver: str = Field("exact", description=f"one of: {', '.join(SOLVERS)}")
 
     def build(self, name: str, site: Site) -> Component:
+        from cosim.fmi.driving.model_exchange import ModelExchange
         from cosim.fmi.generated import GeneratedUnit
-        from cosim.fmi.model_exchange import ModelExchange
 
         if self.solver not in SOLVERS:
             raise UsageError(f"solver: found {self.solver!r}; {nearest(self.solver, SOLVERS)}")
@@ -85,7 +85,7 @@ class Fmu(Plant):
 
     def description(self, name: str, site: Site) -> tuple[Mode, Description] | None:
         from cosim.fmi.description import MODES
-        from cosim.fmi.reading import read
+        from cosim.fmi.reading.model_description import read
 
         found = read(site.file(self.path)).description
         there: Mode = next(mode for mode in MODES if mode in found.capabilities)
@@ -94,7 +94,7 @@ class Fmu(Plant):
     def near_start(self, name: str, site: Site) -> NearStart:
         from cosim.fmi.compare import NearStart
         from cosim.fmi.linearise import linearize
-        from cosim.fmi.reading import read
+        from cosim.fmi.reading.model_description import read
 
         path = site.file(self.path)
         if any(able.once_per_process for able in read(path).description.capabilities.values()):

@@ -8,8 +8,8 @@ from typing import Final
 from xml.etree.ElementTree import Element
 
 from cosim.fmi.description import Capabilities, Mode
-from cosim.fmi.markup import Attributes, flag
-from cosim.fmi.variables import major
+from cosim.fmi.reading.markup import Attributes, flag
+from cosim.fmi.reading.variables import major
 
 IDENTIFIER: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 ELEMENTS: Final[Mapping[Mode, str]] = {"me": "ModelExchange", "cs": "CoSimulation"}

@@ -9,14 +9,14 @@ from tempfile import TemporaryDirectory
 from typing import Final
 
 from cosim.errors import FmuError
-from cosim.fmi.binaries import built_for, functions, machine_of
+from cosim.fmi.checking.binaries import built_for, functions, machine_of
+from cosim.fmi.checking.structure import Finding, Level, findings
+from cosim.fmi.checking.trial import MISSING, TIMEOUT, attempt
 from cosim.fmi.description import MODE_NAMES, Description, Mode
-from cosim.fmi.markup import Attributes
 from cosim.fmi.platforms import ARCHITECTURE, SUFFIX, SYSTEM, folders
-from cosim.fmi.reading import XML, describe_root, need_file, open_description
-from cosim.fmi.structure import Finding, Level, findings
-from cosim.fmi.trial import MISSING, TIMEOUT, attempt
-from cosim.fmi.variables import major, read_definitions
+from cosim.fmi.reading.markup import Attributes
+from cosim.fmi.reading.model_description import XML, describe_root, need_file, open_description
+from cosim.fmi.reading.variables import major, read_definitions
 
 __all__ = ["Finding", "Level", "check"]
 

@@ -15,13 +15,13 @@ from cosim.arrays import Vector
 from cosim.core.signals import Interface
 from cosim.core.solver import LinearModel
 from cosim.errors import FmuError, RunError
-from cosim.fmi.binding import Calls, Instance
+from cosim.fmi.binary.binding import Calls, Instance
+from cosim.fmi.binary.fmi1 import Fmi1
+from cosim.fmi.binary.fmi2 import Fmi2
+from cosim.fmi.binary.fmi3 import Fmi3
+from cosim.fmi.binary.library import Library, pointer
+from cosim.fmi.binary.messages import Messages
 from cosim.fmi.description import LARGEST_EXACT, Description, Mode, Variable
-from cosim.fmi.fmi1 import Fmi1
-from cosim.fmi.fmi2 import Fmi2
-from cosim.fmi.fmi3 import Fmi3
-from cosim.fmi.library import Library, pointer
-from cosim.fmi.messages import Messages
 from cosim.fmi.references import References
 
 VERSIONS: Final[Mapping[str, tuple[str, Callable[[Library, Instance], Calls]]]] = {

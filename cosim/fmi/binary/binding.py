@@ -9,9 +9,9 @@ from typing import Any, Final, Protocol
 from numpy.typing import DTypeLike, NDArray
 
 from cosim.arrays import Vector
+from cosim.fmi.binary.library import Call, Library
+from cosim.fmi.binary.messages import Messages
 from cosim.fmi.description import Capabilities, Description, Mode, Variable
-from cosim.fmi.library import Call, Library
-from cosim.fmi.messages import Messages
 from cosim.fmi.references import Group
 from cosim.fmi.unit import DiscreteStates, StepEnd
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from xml.etree.ElementTree import Element, SubElement
 
 from cosim.fmi.description import Description, Mode, Variable
-from cosim.fmi.writing import (
+from cosim.fmi.exporting.writing import (
     ELEMENTS,
     add_experiment,
     add_units,

@@ -13,7 +13,7 @@ from typing import Final, Literal, NamedTuple, TypeAlias
 from xml.etree.ElementTree import Element
 
 from cosim.fmi.description import MODE_NAMES, Description, Variable
-from cosim.fmi.variables import FLOATS, Definitions, major
+from cosim.fmi.reading.variables import FLOATS, Definitions, major
 
 Level: TypeAlias = Literal["error", "warning", "note"]
 

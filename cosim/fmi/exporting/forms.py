@@ -15,7 +15,7 @@ from cosim.arrays import Matrix
 from cosim.core.clock import NANOSECONDS
 from cosim.core.solver import LinearModel
 from cosim.fmi.description import Capabilities, Description, Mode, describe, states_of_outputs
-from cosim.fmi.kernels import DiscreteModel, doubles, integer, integers
+from cosim.fmi.exporting.kernels import DiscreteModel, doubles, integer, integers
 
 BOTH = Capabilities(
     directional_derivatives=True, adjoint_derivatives=True, saves_state=True, serializes_state=True, completed_step=False

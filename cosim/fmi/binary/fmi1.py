@@ -21,9 +21,9 @@ from numpy.typing import DTypeLike, NDArray
 
 from cosim.arrays import Vector
 from cosim.errors import RunError
-from cosim.fmi.binding import NO_SLOPES, Instance
+from cosim.fmi.binary.binding import NO_SLOPES, Instance
+from cosim.fmi.binary.library import DISCARD, WARNING, Call, Library, declared, pointer
 from cosim.fmi.description import Variable
-from cosim.fmi.library import DISCARD, WARNING, Call, Library, declared, pointer
 from cosim.fmi.references import Group, VariableType
 from cosim.fmi.unit import DiscreteStates, StepEnd
 from cosim.native.library import address

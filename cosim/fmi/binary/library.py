@@ -18,7 +18,7 @@ from typing import Any, Final, TypeAlias
 from numpy.typing import NDArray
 
 from cosim.errors import FmuError, RunError
-from cosim.fmi.messages import Messages
+from cosim.fmi.binary.messages import Messages
 
 Call: TypeAlias = Callable[..., None]
 

@@ -33,10 +33,10 @@ from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.contracts import Design, Stopped
 from cosim.core.solver import SOLVERS, Adaptive, Linear, LinearModel, RungeKutta, Slope, Solver, Stateless
 from cosim.errors import FmuError, RunError, nearest
-from cosim.fmi.events import EVENTS, EventKind, EventList, close, crosses, locate, settle
-from cosim.fmi.messages import Message
-from cosim.fmi.saved import SavedState, save
-from cosim.fmi.start import Start, Starts
+from cosim.fmi.binary.messages import Message
+from cosim.fmi.driving.events import EVENTS, EventKind, EventList, close, crosses, locate, settle
+from cosim.fmi.driving.saved import SavedState, save
+from cosim.fmi.driving.start import Start, Starts
 from cosim.fmi.unit import TERMINATED, ModelExchangeUnit
 
 RTOL: Final = 1e-9
@@ -415,7 +415,7 @@ def _solver(name: str, f: Slope, n: int, rtol: float) -> Solver:
     if name == "rk4":
         return RungeKutta(f)
     if name == "CVode":
-        from cosim.fmi.cvode import CVode
+        from cosim.fmi.driving.cvode import CVode
 
         return CVode(f, n, rtol=rtol)
     return Adaptive(name, f, rtol=rtol)

@@ -8,8 +8,8 @@ from typing import TypeAlias
 from xml.etree.ElementTree import Element
 
 from cosim.fmi.description import Variable
-from cosim.fmi.markup import Attributes
-from cosim.fmi.variables import major
+from cosim.fmi.reading.markup import Attributes
+from cosim.fmi.reading.variables import major
 
 Dependencies: TypeAlias = dict[str, tuple[str, ...] | None]
 

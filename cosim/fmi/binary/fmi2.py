@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from cosim.arrays import Vector
-from cosim.fmi.binding import NO_DIRECTIONAL_DERIVATIVES, NO_SLOPES, NO_STATE, Instance
+from cosim.fmi.binary.binding import NO_DIRECTIONAL_DERIVATIVES, NO_SLOPES, NO_STATE, Instance
+from cosim.fmi.binary.library import DISCARD, WARNING, Library, declared, pointer
 from cosim.fmi.description import Variable
-from cosim.fmi.library import DISCARD, WARNING, Library, declared, pointer
 from cosim.fmi.references import Group
 from cosim.fmi.unit import DiscreteStates, StepEnd
 from cosim.native.library import address

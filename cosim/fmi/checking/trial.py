@@ -1,7 +1,7 @@
 """Try a foreign binary in a child process: what crashes, hangs or lies does it there.
 
-``python -m cosim.fmi.trial TASK RESULT ARGUMENT...`` does a task and writes its story to the file RESULT, one JSON object a line:
-where it is, what it found, that it is done. A story without an end tells where the process was lost.
+``python -m cosim.fmi.checking.trial TASK RESULT ARGUMENT...`` does a task and writes its story to the file RESULT, an object
+a line: where it is, what it found, that it is done. A story without an end tells where the process was lost.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from cosim.arrays import Matrix, Vector
     from cosim.fmi.component import Fmu
     from cosim.fmi.description import Description, Mode
-    from cosim.fmi.reading import Archive
+    from cosim.fmi.reading.model_description import Archive
 
 Task: TypeAlias = Literal["symbols", "run", "rollback"]
 
@@ -33,7 +33,7 @@ STEP: Final = 1e-3  # [s], where the FMU prefers none
 STEPS: Final = 3
 INSIDE: Final = "COSIM_TRIAL"  # set in the child: a trial inside a trial is none
 MISSING: Final = "missing function"
-ROOT: Final = Path(__file__).parents[2]
+ROOT: Final = Path(__file__).parents[3]
 
 
 def can_roll_back(archive: Archive, mode: Mode, *, timeout: float = TIMEOUT) -> tuple[str, ...]:
@@ -72,7 +72,7 @@ def attempt(task: Task, *arguments: str, timeout: float = TIMEOUT) -> tuple[str,
     with TemporaryDirectory(prefix="cosim-trial-", ignore_cleanup_errors=True) as folder:
         result = Path(folder) / "result"
         result.touch()
-        command = [sys.executable, "-m", "cosim.fmi.trial", task, str(result), *arguments]
+        command = [sys.executable, "-m", "cosim.fmi.checking.trial", task, str(result), *arguments]
         child = subprocess.Popen(
             command,
             cwd=folder,

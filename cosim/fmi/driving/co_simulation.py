@@ -33,12 +33,12 @@ from numpy.typing import NDArray
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.contracts import Design, Stopped
 from cosim.errors import FmuError, RunError
+from cosim.fmi.binary.messages import Message
 from cosim.fmi.description import Description
-from cosim.fmi.direct import Direct
-from cosim.fmi.inner_step import InnerStep
-from cosim.fmi.messages import Message
-from cosim.fmi.saved import SavedState, save
-from cosim.fmi.start import Start, Starts
+from cosim.fmi.driving.direct import Direct
+from cosim.fmi.driving.inner_step import InnerStep
+from cosim.fmi.driving.saved import SavedState, save
+from cosim.fmi.driving.start import Start, Starts
 from cosim.fmi.unit import TERMINATED, CoSimulationUnit, StepEnd
 
 EVENT_ITERATIONS: Final = 100

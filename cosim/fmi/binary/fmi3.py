@@ -26,9 +26,9 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from cosim.arrays import Vector
-from cosim.fmi.binding import NO_DIRECTIONAL_DERIVATIVES, NO_STATE, Instance
+from cosim.fmi.binary.binding import NO_DIRECTIONAL_DERIVATIVES, NO_STATE, Instance
+from cosim.fmi.binary.library import DISCARD, WARNING, Library, pointer
 from cosim.fmi.description import Capabilities, Variable
-from cosim.fmi.library import DISCARD, WARNING, Library, pointer
 from cosim.fmi.references import Group
 from cosim.fmi.unit import DiscreteStates, StepEnd
 from cosim.native.library import LinesStruct, address

@@ -14,12 +14,12 @@ from typing import Final
 from xml.etree.ElementTree import Element
 
 from cosim.errors import FmuError
-from cosim.fmi.archive import look
-from cosim.fmi.capabilities import read_capabilities
-from cosim.fmi.dependencies import name_states, read_structure
 from cosim.fmi.description import Description
-from cosim.fmi.markup import Attributes, parse
-from cosim.fmi.variables import major, read_definitions, read_variables
+from cosim.fmi.reading.archive import look
+from cosim.fmi.reading.capabilities import read_capabilities
+from cosim.fmi.reading.dependencies import name_states, read_structure
+from cosim.fmi.reading.markup import Attributes, parse
+from cosim.fmi.reading.variables import major, read_definitions, read_variables
 
 XML: Final = "modelDescription.xml"
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from cosim.arrays import Vector
 from cosim.errors import RunError
-from cosim.fmi.messages import Message
+from cosim.fmi.binary.messages import Message
 from cosim.fmi.unit import DiscreteStates, ModelExchangeUnit
 
 EventKind: TypeAlias = Literal["state event", "time event", "step event", "input event"]

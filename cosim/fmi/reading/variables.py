@@ -15,7 +15,7 @@ from typing import Final, cast
 from xml.etree.ElementTree import Element
 
 from cosim.fmi.description import LARGEST_EXACT, Initial, Variable
-from cosim.fmi.markup import Attributes, Value, flag
+from cosim.fmi.reading.markup import Attributes, Value, flag
 from cosim.fmi.references import VariableType
 from cosim.units import BASE, BaseUnit, base_unit
 

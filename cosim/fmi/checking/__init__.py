@@ -1,0 +1,1 @@
+"""What is wrong with an FMU: every problem at once, foreign binaries in child processes."""

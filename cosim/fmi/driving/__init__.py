@@ -1,0 +1,1 @@
+"""Units driven over communication steps: initialisation, model exchange with solvers and events, co-simulation."""

@@ -1,0 +1,1 @@
+"""Our models and components as FMUs: descriptions, C sources, binaries."""
