@@ -24,7 +24,8 @@ The end of the run that a unit asks for is remembered, and comes with the next `
 from __future__ import annotations
 
 import math
-from typing import Final, NamedTuple, final
+from dataclasses import dataclass
+from typing import Final, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,7 +47,8 @@ HALVINGS: Final = 10  # of a step that is discarded
 CLOSE: Final = 1e-9  # of a communication step: times that are the same
 
 
-class _Ramp(NamedTuple):
+@dataclass(slots=True)
+class _Ramp:
     """The inputs over one communication step; instants in it are fractions of it, so that its ends and halves are exact."""
 
     t: float  # [s]
@@ -168,18 +170,20 @@ class CoSimulation:
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
         """Step K times; see :class:`cosim.core.contracts.Component`."""
-        rows = list(np.array(u, np.float64, order="C"))
-        y = np.empty((len(t) - 1, self.interface.n_y))
-        for k, t0 in enumerate(t[:-1].tolist()):
-            try:
-                self._leave_initialization(t0)
+        rows, k = list(np.array(u, np.float64, order="C")), 0
+        y = np.empty((len(rows) - 1, self._outputs.size))
+        try:
+            self._leave_initialization(float(t[0]))
+            for k, t0 in enumerate(t[:-1].tolist()):
                 completed = self._step(t0, h, rows[k], rows[k + 1])
                 if completed:
                     y[k] = self._outputs_for(rows[k + 1])
-            except RunError as error:
-                raise Stopped(y[:k].copy(), str(error)) from error
-            if self._ended:
-                raise Stopped(y[: k + completed].copy(), TERMINATED, failed=False)
+                if self._ended:
+                    raise Stopped(y[: k + completed].copy(), TERMINATED, failed=False)
+        except Stopped:
+            raise
+        except RunError as error:
+            raise Stopped(y[:k].copy(), str(error)) from error
         return y
 
     def _leave_initialization(self, t: float) -> None:
@@ -205,6 +209,11 @@ class CoSimulation:
         if self._cross(ramp, 0.0, 1.0, 0) < 1.0:
             return False
         self._read = self._unit.get_float64(self._outputs)
+        if self._inner_step.seen is not None:
+            self._look_for_an_inner_step(h)
+        return True
+
+    def _look_for_an_inner_step(self, h: float) -> None:
         n = self._inner_step.see(self._read, self._end)
         if n:
             self._say(
@@ -212,7 +221,6 @@ class CoSimulation:
                 f"its outputs change at every {_ordinal(n)} communication step only: it seems to keep an inner step of "
                 f"{n * h:.12g} s and to ignore the communication step of {h} s",
             )
-        return True
 
     def _cross(self, ramp: _Ramp, s0: float, s1: float, halvings: int) -> float:
         """Go from ``s0`` to ``s1``, in halves where the unit discards the whole; give how far the unit came."""
@@ -276,7 +284,7 @@ class CoSimulation:
         if not self._can.variable_step:
             reason = "it takes steps of one size only (canHandleVariableCommunicationStepSize is false)"
         elif not (undone or self._can.saves_state):
-            reason = "its state before the step cannot be restored (canGetAndSetFMUstate is false)"
+            reason = "its state before the step cannot be restored (canGetAndSetFMUstate is false, or not true)"
         elif halvings == HALVINGS:
             reason = f"the communication step of {ramp.h} s was halved {HALVINGS} times"
         else:

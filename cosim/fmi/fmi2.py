@@ -146,7 +146,7 @@ class Fmi2:
     def do_step(self, t: float, h: float) -> StepEnd:
         """Advance from ``t`` by ``h`` seconds (section 4.2.2: what discard means is asked for)."""
         if self._step(t, h, self._no_way_back) <= WARNING:
-            return StepEnd(completed=True, terminate=False, reached=t + h)
+            return StepEnd(True, False, False, False, t + h)
         ended, reached = c_int(), c_double()
         terminate = self._boolean_status(IS_TERMINATED, byref(ended)) < DISCARD and bool(ended.value)
         known = self._real_status(LAST_SUCCESSFUL_TIME, byref(reached)) < DISCARD

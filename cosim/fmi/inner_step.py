@@ -81,5 +81,6 @@ class InnerStep:
 
 
 def _counts(now: Vector, last: Vector, older: Vector | None) -> bool:
-    moved = np.abs(now - last) > RELATIVE * np.maximum(np.abs(now), np.abs(last))
+    with np.errstate(all="ignore"):  # what is not finite stops the run elsewhere
+        moved = np.abs(now - last) > RELATIVE * np.maximum(np.abs(now), np.abs(last))
     return bool(moved.any()) and (older is None or now.tobytes() != older.tobytes())

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping
 from typing import Final, Literal, NamedTuple, TypeAlias
 from xml.etree.ElementTree import Element
 
-from cosim.fmi.description import Description, Variable
+from cosim.fmi.description import MODE_NAMES, Description, Variable
 from cosim.fmi.variables import FLOATS, Definitions, major
 
 Level: TypeAlias = Literal["error", "warning", "note"]
@@ -222,17 +222,17 @@ def _notes(description: Description) -> Iterator[Finding]:
     """Say what is to be known before a run."""
     if not description.capabilities:
         yield Finding("error", "XML", "neither model exchange nor co-simulation; needed one of them")
-    face = description.interface
-    unknown = [signal.name for signal in face.outputs if face.inputs and not face.knows(signal.name)]
-    if unknown:
+    outputs = (v.name for v in description.variables if v.causality == "output" and v.is_signal and v.alias_of is None)
+    unknown = [name for name in outputs if name not in description.states and description.dependencies.get(name) is None]
+    if unknown and any(v.causality == "input" for v in description.variables):
         yield Finding("note", "structure", f"the file does not say on which inputs these depend directly: {', '.join(unknown)}")
     if description.clocks:
         yield Finding("warning", "structure", f"clocks, which are not supported: {', '.join(description.clocks)}")
     for mode, able in description.capabilities.items():
         if able.needs_tool:
-            yield Finding("note", mode, "needs the tool that made it, or its libraries, to run")
+            yield Finding("note", MODE_NAMES[mode], "needs the tool that made it, or its libraries, to run")
         if able.once_per_process:
-            yield Finding("note", mode, "can be instantiated only once in a process")
+            yield Finding("note", MODE_NAMES[mode], "can be instantiated only once in a process")
 
 
 def _negated(root: Element) -> Iterator[Finding]:

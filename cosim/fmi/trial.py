@@ -32,6 +32,7 @@ TIMEOUT: Final = 20.0  # [s] of wall time
 STEP: Final = 1e-3  # [s], where the FMU prefers none
 STEPS: Final = 3
 INSIDE: Final = "COSIM_TRIAL"  # set in the child: a trial inside a trial is none
+MISSING: Final = "missing function"
 ROOT: Final = Path(__file__).parents[2]
 
 
@@ -158,7 +159,7 @@ def symbols(story: _Story, library: str, *names: str) -> None:
         return
     for name in names:
         if not hasattr(found, name):
-            story.problem(f"missing function {name}")
+            story.problem(f"{MISSING} {name}")
 
 
 def run(story: _Story, path: str, mode: Mode) -> None:
@@ -201,7 +202,7 @@ def rollback(story: _Story, path: str, mode: Mode) -> None:
             with suppress(CosimError):  # they may be more than it bears
                 component.advance(t[STEPS:], h, 2.0 * u[STEPS:] + 1.0)
 
-        detours = {"steps": lambda: None, "steps with other inputs": other_inputs, "saving and freeing": component.save}
+        detours = {"steps": lambda: None, "steps with other inputs": other_inputs, "saving anew": component.save}
         for what, detour in detours.items():
             story.at(what)
             detour()

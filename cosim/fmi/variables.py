@@ -258,4 +258,5 @@ def _with_states(elements: list[Element], found: list[Variable], version: int, a
             attributes.problems.append(f"variable {variable.name!r}: derivative={number} is no variable")
         elif number is not None:
             states[variable.name] = names[number]
-    return [replace(variable, derivative_of=states.get(variable.alias_of or variable.name)) for variable in found]
+    of = [states.get(variable.alias_of or variable.name) for variable in found]
+    return [v if state is None else replace(v, derivative_of=state) for v, state in zip(found, of, strict=True)]

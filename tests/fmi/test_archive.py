@@ -6,6 +6,7 @@ import struct
 import tracemalloc
 import zipfile
 import zlib
+from random import Random
 
 import pytest
 
@@ -355,3 +356,22 @@ def test_a_good_archive_comes_out_whole(tmp_path):
     assert found.members == {*names, "modelDescription.xml"}
     assert {name: (folder / name).read_bytes() for name in names} == names
     assert (folder / "extra").is_dir()
+
+
+@pytest.mark.parametrize("count", [300, pytest.param(30_000, marks=pytest.mark.campaign)])
+def test_altered_archives(tmp_path, temporary, count):
+    """Bytes changed anywhere: it comes out whole, or is refused; nothing stands beside it or is left."""
+    good = [Entry("resources/a.txt", b"a" * 300), Entry("binaries/linux64/m.so", os.urandom(200), method=0), Entry("extra/")]
+    path, random = write(tmp_path / "x.fmu", good), Random(count)
+    data, refused = path.read_bytes(), 0
+    for _ in range(count):
+        altered = bytearray(data)
+        for _ in range(random.randint(1, 3)):
+            altered[random.randrange(len(data))] = random.choice((0, 1, 0x2F, 0x5C, 0xFF, random.randrange(256)))
+        path.write_bytes(altered)
+        with pytest.raises(FmuError) as error:
+            load(path)
+        refused += "neither model exchange" not in str(error.value)
+    assert 0.5 * count < refused < count
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["temporary", "x.fmu"]
+    assert not list(temporary.iterdir())

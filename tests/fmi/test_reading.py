@@ -1,10 +1,13 @@
 """Descriptions of FMI 1, 2 and 3 are read as the file says; what contradicts itself is refused, all of it in one report."""
 
 import math
+import re
+from random import Random
 
 import pytest
 
 from cosim.errors import FmuError
+from cosim.fmi.check import check
 from cosim.fmi.description import Capabilities
 from cosim.fmi.reading import read
 from cosim.units import BaseUnit
@@ -309,3 +312,40 @@ def test_foreign_units(foreign2, foreign3):
     assert three.states == ("x1", "x2")
     assert three.interface.feedthrough == {"x1": (), "x2": (), "y": None}
     assert three.interface.initial == {"y": None}
+
+
+VALUES = ("", "-1", "0", "1e999", "nan", "INF", "x", "1 2 3", "9" * 30, "4294967296", "true", "1_0", "²", " 5 ", "\n")
+
+
+def mutant(random: Random) -> str:
+    """Change a description in up to three places: attributes removed or other, elements removed or doubled."""
+    xml = random.choice((one(), FMI2, FMI3))
+    for _ in range(random.randint(1, 3)):
+        attribute = random.choice(list(re.finditer(r' \w+="([^"]*)"', xml)))
+        element = random.choice(list(re.finditer(r"<[A-Z]\w+[^<>]*/>", xml)))
+        xml = random.choice(
+            (
+                xml[: attribute.start()] + xml[attribute.end() :],
+                xml[: attribute.start(1)] + random.choice(VALUES) + xml[attribute.end(1) :],
+                xml[: element.start()] + xml[element.end() :],
+                xml[: element.end()] + element[0] + xml[element.end() :],
+            )
+        )
+    return xml
+
+
+@pytest.mark.parametrize("count", [200, pytest.param(20_000, marks=pytest.mark.campaign)])
+def test_mutants_are_read_or_refused(described, tmp_path, monkeypatch, count):
+    """Whatever the file says, reading gives a description with an interface, or one error; the check gives findings."""
+    monkeypatch.setattr("cosim.fmi.check._trials", lambda *_: [])
+    random, refused = Random(count), 0
+    for _ in range(count):
+        xml = mutant(random)
+        try:
+            found = described(xml)
+        except FmuError:
+            refused += 1
+        else:
+            assert found.interface.n_u <= found.n_states + 2**25
+        assert check(tmp_path / "x.fmu")
+    assert 0.2 * count < refused < 0.8 * count

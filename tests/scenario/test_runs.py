@@ -16,6 +16,7 @@ from cosim.scenario.document import shipped
 from cosim.scenario.execution import default_log
 from cosim.scenario.exporting import export_component
 from cosim.scenario.report import summarise
+from tests.fmi import lag
 
 SHORT = {"scenario.stop": 8.0}  # past the start of the identification at 6.461 s
 
@@ -371,3 +372,34 @@ def test_the_summary_counts_steps_not_rows():
     changes = {"identifier.period": 0.1, "scenario.stop": 1.0}
     found = summarise(cosim.run("academic", set=changes))
     assert (found.steps, found.end) == (1000, 1.0)
+
+
+def test_what_a_run_shows_about_an_fmu_is_in_the_log(tmp_path):
+    """An inner step of 10 ms under steps of 1 ms is told by the 10th spell of equal outputs, within a block of the run."""
+    path, out = lag.build(tmp_path, "2"), tmp_path / "a.mcap"
+    (tmp_path / "mine.toml").write_text(
+        f"""
+        [scenario]
+        name = "lagging"
+        stop = 0.2
+        step = 1e-3
+        [components.u]
+        kind = "sine"
+        amplitude = 1.0
+        rate = 1.0
+        [components.d]
+        kind = "constant"
+        value = 0.0
+        [components.lag]
+        kind = "fmu"
+        path = "{path.as_posix()}"
+        start = {{ inner = 0.01 }}
+        [connections]
+        "lag.u" = "u.y"
+        "lag.d" = "d.y"
+        """
+    )
+    cosim.run(tmp_path / "mine.toml", out=out)
+    (told,) = [m for m in open_log(out).messages() if "inner step" in m.text]
+    assert (told.level, told.name) == ("warning", "lag")
+    assert told.text.startswith("lag: its outputs change at every 10th communication step only")

@@ -10,7 +10,7 @@ enum {
     LONGEST,        /* longer steps are refused that overlap ... */
     FROM, TO,       /* ... this time */
     INNER,          /* the inner step, if there is one */
-    RETURNS,        /* returns early at the multiples of it */
+    RETURNS,        /* returns early at the multiples of it; negative: so much before the start of the step */
     EVENT,          /* a time event, where x grows by 1, at the multiples of it ... */
     ANNOUNCES,      /* ... which is announced, or only met (0); one more is at the start (2) */
     ITERATIONS,     /* of an event */
@@ -80,6 +80,10 @@ static Outcome lag_outcome(Lag *lag, double t, double *end)
         *end = fmin(*end, lag_next(p[EVENT], t));
         lag->due = *end;
         return MET_EVENT;
+    }
+    if (p[RETURNS] < 0.0) {
+        *end = t + p[RETURNS];
+        return EARLY;
     }
     if (p[RETURNS] > 0.0 && lag_next(p[RETURNS], t) < *end - close) {
         *end = lag_next(p[RETURNS], t);
