@@ -6,12 +6,14 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
+import cosim
 from cosim.core.contracts import Stopped
 from cosim.core.solver import SOLVERS
 from cosim.errors import FmuError
 from cosim.fmi.driving.events import KEPT, EventList, close, locate
+from cosim.log import open_log
 from cosim.testing import check_component, check_rollback
-from tests.fmi.eventful import Run
+from tests.fmi.eventful import Run, build
 
 STEPPING = SOLVERS[1:]  # all but the exact one
 MULTISTEP = ("BDF", "LSODA", "CVode")  # each start is of order 1, so that they need a closer tolerance for the same error
@@ -213,6 +215,30 @@ def test_the_end_of_the_run_is_asked_for_in_an_event(version):
             run(1.0, 0.1)
         assert (stop.value.failed, stop.value.steps) == (False, 3)
         assert run(0.3, 0.1)[-1, 0] == pytest.approx(0.3), "a new run has no end yet"
+
+
+def test_events_are_in_the_log(tmp_path):
+    """On /cosim/log, at level debug, in the block that they were in."""
+    (scenario := tmp_path / "ball.toml").write_text(f"""
+[scenario]
+name = "ball"
+stop = 1.0
+step = 0.01
+[components.zero]
+kind = "expression"
+y = "0.0*t"
+[components.plant]
+kind = "fmu"
+path = "{build("BALL")}"
+[connections]
+"plant.u" = "zero.y"
+"plant.d" = "zero.y"
+""")
+    cosim.run(str(scenario), out=tmp_path / "ball.mcap")
+    found = [(message.level, message.name, message.text) for message in open_log(tmp_path / "ball.mcap").messages()]
+    bounce = [text for level, name, text in found if (level, name) == ("debug", "plant")]
+    assert len(bounce) == 1
+    assert bounce[0].startswith("event: state event at t = 0.45152364098573")
 
 
 # --- the contract ---

@@ -42,7 +42,7 @@ class CVode:
         self._lib = lib = _sundials()
         self._f, self._n, self._rtol = f, n, rtol
         self._arrays: dict[int, Vector] = {}
-        self._raised: Exception | None = None
+        self._raised: BaseException | None = None
         self._words = ""
         self._context, self._memory = c_void_p(), None
         self._check(lib.SUNContext_Create(lib.SUN_COMM_NULL, byref(self._context)))
@@ -113,7 +113,7 @@ class CVode:
     def _slope(self, t: float, x: int, dx: int, _: object) -> int:
         try:
             self._at_address(dx)[:] = self._f(t, self._at_address(x))
-        except Exception as error:  # an exception cannot pass through C: raised again behind it
+        except BaseException as error:  # none can pass through C, not even Ctrl-C: raised again behind it
             self._raised = error
             return FAILED
         return 0
