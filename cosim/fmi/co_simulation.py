@@ -24,7 +24,8 @@ The end of the run that a unit asks for is remembered, and comes with the next `
 from __future__ import annotations
 
 import math
-from typing import Final, NamedTuple, final
+from dataclasses import dataclass
+from typing import Final, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,7 +47,8 @@ HALVINGS: Final = 10  # of a step that is discarded
 CLOSE: Final = 1e-9  # of a communication step: times that are the same
 
 
-class _Ramp(NamedTuple):
+@dataclass(slots=True)
+class _Ramp:
     """The inputs over one communication step; instants in it are fractions of it, so that its ends and halves are exact."""
 
     t: float  # [s]

@@ -222,7 +222,7 @@ class LoadedUnit:
         """Copy the whole state, into the memory of an earlier copy if one is given, or was let go of."""
         state: Any = into if into is not None else self._spare.pop() if self._spare else c_void_p()
         self._calls.get_state(byref(state))
-        if not any(known is state for known in self._states):
+        if state not in self._states:  # pointers are equal to themselves alone
             self._states.append(state)
         return state
 
