@@ -381,10 +381,10 @@ def test_a_sampled_controller_is_exported_for_co_simulation_only(call):
     """What lives in discrete time would be something else as a continuous FMU; the answer says so."""
     code, out, _ = call("export", "closed-loop", "--component", "controller", "--set", "controller.period=0.1", "--out", "c.fmu")
     assert code == 0
-    assert "c.fmu: FMI 2.0, co-simulation, binaries for" in out
+    assert "c.fmu: FMI 2.0, co-simulation, binary for" in out
     assert "co-simulation only: with a period the controller samples and holds" in out
     code, out, _ = call("export", "closed-loop", "--component", "controller", "--fmi", "3", "--out", "d.fmu")
-    assert "d.fmu: FMI 3.0, model exchange and co-simulation, binaries for" in out
+    assert "d.fmu: FMI 3.0, model exchange and co-simulation, binary for" in out
 
 
 def test_verify_compares_the_whole_log(call):

@@ -128,7 +128,8 @@ class Exported:
     def lines(self) -> list[str]:
         """What was written, for people."""
         kinds = " and ".join(MODE_NAMES[kind] for kind in self.kinds)
-        built = f"binaries for {', '.join(self.platforms)}" if self.platforms else "sources only"
+        binary = "binary" if len(self.platforms) == 1 else "binaries"
+        built = f"{binary} for {', '.join(self.platforms)}" if self.platforms else "sources only"
         return [f"{self.path}: FMI {self.version}, {kinds}, {built}", *self.notes]
 
 
