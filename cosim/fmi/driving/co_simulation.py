@@ -2,7 +2,7 @@
 
 One communication step from t0 to t1, usually in one part, else in several (s0 to s1 in fractions of the step)::
 
-    event at t0, where a discrete input changes and the unit has event mode
+    event at t0, where a discrete input has changed since the last one and the unit has event mode
     until s0 = 1:
         s1 = 1, or the next time event
         interpolating unit:   set inputs u(s0); set_input_derivatives (u1 - u0)/h; do_step     its outputs belong to u_end = u(s1)
@@ -12,6 +12,7 @@ One communication step from t0 to t1, usually in one part, else in several (s0 t
         (held and discrete:   u0, no slope                                                     u_end = u0)
         discarded:            back to s0, and in two halves from there to s1
         else:                 s0 = where it returned; event there, where the unit asks for it
+    event at t1, where a discrete input that feeds through changes: u1 is the value of u_end then
     y <- outputs + D (u1 - u_end), where the unit gives D by directional derivatives at t1
     (event:                   enter event mode, set discrete inputs, update_discrete_states until settled, enter step mode)
 
@@ -32,6 +33,7 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.contracts import Design, Stopped
+from cosim.core.signals import Interface
 from cosim.errors import FmuError, RunError
 from cosim.fmi.binary.messages import Message
 from cosim.fmi.description import Description
@@ -97,7 +99,9 @@ class CoSimulation:
         self._outputs = description.references("output")
         discrete = description.discrete_inputs
         self._stepped = _Inputs(description, ~discrete if self._can.event_mode else np.ones_like(discrete))
-        self._jumping = _Inputs(description, discrete & self._can.event_mode)
+        self._jumps = discrete & self._can.event_mode
+        self._jumping = _Inputs(description, self._jumps)
+        self._jumps_at_end = bool(_jumping_through(self.interface)) and self._can.event_mode
         self._lined = description.interpolated_inputs
         self._sloped, self._mixed = _Inputs(description, self._lined), bool((~discrete & ~self._lined).any())
         self._direct = Direct(unit) if self._can.directional_derivatives else None
@@ -141,7 +145,9 @@ class CoSimulation:
     def notes(self) -> tuple[str, ...]:
         """What is to be known about the results."""
         face = self.interface
-        corrected = self._direct.corrected if self._direct else ()
+        corrected = self._direct.corrected if self._direct else frozenset()
+        if self._jumps_at_end:
+            corrected |= _jumping_through(face)
         fed = [output.name for output in face.outputs if face.feeds(output.name) and output.name not in corrected]
         if not fed:
             return ()
@@ -199,7 +205,7 @@ class CoSimulation:
 
     def _step(self, t: float, h: float, u0: Vector, u1: Vector) -> bool:
         """Do one communication step; False: the unit asked for the end of the run inside it."""
-        change = u1 - u0
+        change, last = u1 - u0, u1
         if self._holds:
             change *= self._moves
             u1 = u0 + change
@@ -208,6 +214,9 @@ class CoSimulation:
             self._jump(t, self._jumping.of(u0))
         if self._cross(ramp, 0.0, 1.0, 0) < 1.0:
             return False
+        if self._jumps_at_end and not self._ended:
+            self._jump(ramp.time(1.0), self._jumping.of(last))
+            self._end = np.where(self._jumps, last, self._end)
         self._read = self._unit.get_float64(self._outputs)
         if self._inner_step.seen is not None:
             self._look_for_an_inner_step(h)
@@ -395,6 +404,13 @@ class _Inputs:
     def of(self, values: Vector) -> Vector:
         """Give their values."""
         return values if self._columns is None else values[self._columns]
+
+
+def _jumping_through(face: Interface) -> frozenset[str]:
+    """Name the outputs that depend directly on inputs, all of them discrete."""
+    discrete = {signal.name for signal in face.inputs if signal.variability == "discrete"}
+    fed = {output.name: face.feeds(output.name) for output in face.outputs}
+    return frozenset(name for name, inputs in fed.items() if inputs and discrete.issuperset(inputs))
 
 
 def _watched(description: Description) -> NDArray[np.intp]:
