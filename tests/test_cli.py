@@ -303,7 +303,7 @@ def test_an_interrupt_ends_the_run_cleanly_with_exit_130(tmp_path, number, reaso
 def test_progress_shows_time_speed_and_time_left_on_a_terminal(tmp_path):
     """On a terminal the bar stands on stderr while the run goes on, and is gone at the end."""
     reader, writer = pty.openpty()
-    command = [sys.executable, "-m", "cosim", "run", "closed-loop", "--stop", "60", "--out", str(tmp_path / "a.mcap")]
+    command = [sys.executable, "-m", "cosim", "run", "closed-loop", "--stop", "20", "--out", str(tmp_path / "a.mcap")]
     environment = {**os.environ, "TERM": "xterm", "COLUMNS": "120"}
     seen = b""
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=writer, env=environment) as process:
@@ -315,7 +315,7 @@ def test_progress_shows_time_speed_and_time_left_on_a_terminal(tmp_path):
     os.close(reader)
     assert process.returncode == 0
     text = seen.decode(errors="replace")
-    assert re.search(r"t = \d+\.\d\d of 60 s", text)
+    assert re.search(r"t = \d+\.\d\d of 20 s", text)
     assert re.search(r"\d x real time", text)
     assert re.search(r"\d:\d\d:\d\d", text)
     assert b"real time" in out  # the table, on stdout, has no bar in it
