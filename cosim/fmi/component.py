@@ -115,10 +115,12 @@ class Fmu:
 
     def close(self) -> None:
         """End the run, free the instance, remove the temporary folder. Twice does no harm."""
-        with suppress(RunError):  # an instance that cannot end is let go of all the same
-            self._unit.terminate()
-        self._unit.free_instance()
-        shutil.rmtree(self._folder, ignore_errors=True)
+        try:
+            with suppress(RunError):  # an instance that cannot end is let go of all the same
+                self._unit.terminate()
+            self._unit.free_instance()
+        finally:
+            shutil.rmtree(self._folder, ignore_errors=True)
 
 
 def load(

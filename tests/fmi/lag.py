@@ -18,8 +18,10 @@ VARIABLES = (  # name, causality, variability, initial, start
     ("x", "output", "continuous", "exact", 0.0),
     ("y", "output", "continuous", "calculated", None),
     ("calls", "output", "discrete", "exact", 0.0),
+    ("z", "local", "discrete", "calculated", None),
     *((name, "parameter", "fixed", "exact", STARTS.get(name, 0.0)) for name in PARAMETERS),
 )
+NUMBER = {name: number for number, (name, *_) in enumerate(VARIABLES)}
 CAN = {
     "1": {
         "lines": 'canInterpolateInputs="true"',
@@ -39,15 +41,24 @@ CAN = {
         "events": 'hasEventMode="true"',
         "inner step of 30 ms": 'fixedInternalStepSize="0.03"',
         "d moves": "",
+        "d is shown": "",
     },
 }
 
 
 def xml(version: str, *can: str) -> str:
-    """Describe the lag; ``can``: keys of ``CAN``. "d moves": it is continuous, but cannot be set inside a step."""
+    """Describe the lag; ``can``: keys of ``CAN``. "d moves": it is continuous, but cannot be set inside a step.
+
+    "d is shown": z = d is an output, and depends on d directly.
+    """
     describe = {"1": _xml1, "2": _xml2, "3": _xml3}[version]
     found = f'<?xml version="1.0" encoding="UTF-8"?>{describe(" ".join(CAN[version][key] for key in can))}'
     before, after = ('name="d" valueReference="1" causality="input" variability="' + kind for kind in ("discrete", "continuous"))
+    if "d is shown" in can:
+        output = f'<Output valueReference="{NUMBER["z"]}" dependencies="{NUMBER["d"]}"/>'
+        found = found.replace('causality="local"', 'causality="output"').replace(
+            "</ModelStructure>", f"{output}</ModelStructure>"
+        )
     return found.replace(before, after) if "d moves" in can else found
 
 
@@ -62,6 +73,8 @@ def _start(start):
 def _xml1(abilities):
     found = []
     for number, (name, causality, variability, _, start) in enumerate(VARIABLES):
+        if causality == "local":
+            continue
         fed = f"<DirectDependency>{'<Name>u</Name>' if name == 'y' else ''}</DirectDependency>"
         rest = 'variability="parameter"' if causality == "parameter" else f'causality="{causality}" variability="{variability}"'
         body = f"<Real/>{fed}" if causality == "output" else f"<Real {_start(start)}/>"

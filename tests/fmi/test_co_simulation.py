@@ -16,7 +16,7 @@ HELD = np.array([False, True])  # u, d
 U0, SLOPE = 0.5, 0.7
 # Values near 1 over at most 100 steps, each rounding a few times: below 100 * 10 * 2^-53 = 1.1e-13.
 ROUNDING = 2e-13
-X, Y, CALLS = 0, 1, 2
+X, Y, CALLS, Z = 0, 1, 2, 3
 
 
 @pytest.fixture(scope="session")
@@ -171,7 +171,7 @@ def test_outputs_belong_to_the_inputs_that_were_asked_for_last(opened):
 @pytest.mark.parametrize("version", ["1", "2", "3"])
 def test_the_contract_is_kept(opened, version):
     """Blocks of any size give equal bits, restore(save()) is the identity; with D outputs follow the inputs."""
-    everything = tuple(can for can in lag.CAN[version] if not can.startswith(("inner", "d moves")))
+    everything = tuple(can for can in lag.CAN[version] if not can.startswith(("inner", "d ")))
     check_component(lambda: opened(version, *everything).component, steps=12, h=0.1)
     if "state" in everything:
         check_rollback(lambda: opened(version, *everything).component, steps=12, h=0.1)
@@ -348,6 +348,41 @@ def test_discrete_inputs_are_set_in_event_mode(opened):
     y = run(opened("3", "events"), u=u)
     late = np.maximum(times() - 0.3, 0.0)
     assert y[:, X] == pytest.approx(1.0 - np.exp(-late), abs=ROUNDING)
+
+
+def switched(t):
+    """Give u = t, and d, which steps to 1 at 0.3 s and to 3 at 0.5 s."""
+    return np.column_stack([t, (t > 0.29) + 2.0 * (t > 0.49)])
+
+
+@pytest.mark.parametrize("can", [(), ("state",)])
+@pytest.mark.parametrize("blocks", [None, 1, 3])
+def test_outputs_show_a_discrete_input_at_the_instant_it_changes(opened, can, blocks):
+    """z = d at every communication point, y = x + u too; x follows d from there. Blocks of any size give the same."""
+    y = run(opened("3", "events", "D", "d is shown", *can), u=switched, blocks=blocks)
+    assert np.array_equal(y[:, Z], switched(times())[:, 1])
+    assert y[:, Y] - y[:, X] == pytest.approx(times(), abs=ROUNDING)
+    assert np.array_equal(y, run(opened("3", "events", "D", "d is shown", *can), u=switched))
+
+
+def test_a_unit_that_can_go_back_only_shows_what_a_discrete_input_would_do(opened):
+    """Outputs for an input that a loop may still correct change nothing; what it shows at its instant is no first-order error."""
+    check_component(lambda: opened("3", "events", "D", "state", "d is shown").component, steps=12, h=0.1)
+    check_rollback(lambda: opened("3", "events", "D", "state", "d is shown").component, steps=12, h=0.1)
+    assert opened("3", "events", "D", "state", "d is shown").component.notes == ()
+
+
+def test_no_event_happens_where_an_input_has_no_value(opened):
+    """NaN as before is no change."""
+    fmu = opened("3", "events", "d is shown", iterations=3.0)
+    u = np.column_stack([np.zeros(11), np.full(11, np.nan)])
+    fmu.component.prepare(0.1, HELD, {})
+    fmu.component.initialize(0.0, u[0])
+    fmu.component.advance(times()[:2], 0.1, u[:2])
+    entered = []
+    fmu.component._unit.enter_event_mode = lambda: entered.append(True)
+    fmu.component.advance(times()[1:], 0.1, u[1:])
+    assert entered == []
 
 
 def test_an_event_without_end_stops_the_run(opened):

@@ -70,6 +70,19 @@ def test_a_missing_symbol_is_named(tmp_path):
     )
     path = compile_fmu(tmp_path / "y.fmu", xml2(), "probe2.c", defines=("LACKS_RESET",))
     refused(path, r"the binary model\S+ cannot be used: it has no function fmi2Reset, which the standard requires")
+    path = compile_fmu(tmp_path / "z.fmu", xml2(), "probe2.c", defines=("LACKS_STATES",))
+    refused(path, r"cannot be used: it has no function fmi2SetContinuousStates, which the standard requires", mode="me")
+
+
+def test_a_state_that_cannot_be_freed_leaves_nothing_behind(probe2, monkeypatch):
+    """The instance is freed all the same, the library unloaded, the folder removed."""
+
+    def refuse(_):
+        raise RunError("fmi2FreeFMUstate returned 3 (error)")
+
+    with opened(probe2, mode="cs") as (_, unit):
+        unit.get_fmu_state()
+        monkeypatch.setattr(unit._calls, "free_state", refuse)
 
 
 def test_a_binary_for_another_machine(probe2, tmp_path):

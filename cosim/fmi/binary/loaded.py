@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from ctypes import byref, c_double, c_size_t, c_void_p
 from pathlib import Path
 from typing import Any, Final, final
@@ -66,15 +66,20 @@ class LoadedUnit:
         self.description = description
         self.messages = Messages()
         about = Instance(description, mode, name, folder, self.messages)
-        with _alone(about, label):
-            self._calls = calls = bind(library, about, label)
-        self._library, self._about = calls.library, about
+        with _alone(about, label), _loaded(library, about, label) as calls:
+            self._library, self._about, self._calls = calls.library, about, calls
+            self._bind(calls, mode)  # before there is an instance: what is missing leaves none behind
+            calls.instantiate()
+            if not calls.library.instance:
+                raise calls.library.refusal("it refuses to instantiate")
         self._freed = self._running = False
         self._states: list[c_void_p] = []  # all that the FMU allocated
         self._spare: list[c_void_p] = []  # those of them that nobody needs
         self._n, self._n_z = description.n_states, description.event_indicators
         self._x = np.empty(self._n)
         self._x_memory = pointer(self._x)
+
+    def _bind(self, calls: Calls, mode: Mode) -> None:
         self.enter_configuration_mode, self.exit_configuration_mode = (
             calls.enter_configuration_mode,
             calls.exit_configuration_mode,
@@ -125,7 +130,7 @@ class LoadedUnit:
         if not self._freed:
             self._freed = True
             for state in self._states:
-                if not self._library.over:
+                with suppress(RunError):  # what cannot be freed does not keep the rest
                     self._calls.free_state(byref(state))
             self._calls.free()
             self._library.unload()
@@ -261,25 +266,16 @@ def _alone(about: Instance, label: str) -> Iterator[None]:
         raise
 
 
-def bind(binary: Path, about: Instance, label: str) -> Calls:
-    """Load a binary, bind its calls, and instantiate; ``label`` names the FMU in messages.
-
-    Raises
-    ------
-    FmuError
-        If the library cannot be loaded, lacks a function, or refuses to instantiate. It is then unloaded.
-    """
+@contextmanager
+def _loaded(binary: Path, about: Instance, label: str) -> Iterator[Calls]:
+    """Load a binary and give its calls; after a failure it is unloaded."""
     prefix, version = VERSIONS[about.description.version[0]]
     library = Library(binary, prefix.format(identifier=about.capabilities.identifier), label, about.messages)
     try:
-        calls = version(library, about)
-        calls.instantiate()
-        if not library.instance:
-            raise library.refusal("it refuses to instantiate")
+        yield version(library, about)
     except BaseException:
         library.unload()
         raise
-    return calls
 
 
 def _string(text: str) -> bytes:

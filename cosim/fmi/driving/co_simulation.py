@@ -2,7 +2,7 @@
 
 One communication step from t0 to t1, usually in one part, else in several (s0 to s1 in fractions of the step)::
 
-    event at t0, where a discrete input has changed since the last one and the unit has event mode
+    event at t0, where a discrete input is not as before and the unit has event mode
     until s0 = 1:
         s1 = 1, or the next time event
         interpolating unit:   set inputs u(s0); set_input_derivatives (u1 - u0)/h; do_step     its outputs belong to u_end = u(s1)
@@ -12,12 +12,15 @@ One communication step from t0 to t1, usually in one part, else in several (s0 t
         (held and discrete:   u0, no slope                                                     u_end = u0)
         discarded:            back to s0, and in two halves from there to s1
         else:                 s0 = where it returned; event there, where the unit asks for it
-    event at t1, where a discrete input that feeds through changes: u1 is the value of u_end then
     y <- outputs + D (u1 - u_end), where the unit gives D by directional derivatives at t1
-    (event:                   enter event mode, set discrete inputs, update_discrete_states until settled, enter step mode)
+         (outputs after an event with the inputs u1, where a discrete one changes at t1)
+    (event:                   enter event mode, set inputs, update_discrete_states until settled, enter step mode)
 
-The mean makes the states second order. FMI forbids setting inputs and then reading outputs without a step between (FMI 2.0.4
-section 4.2.4), so that is never done: the correction asks for D alone.
+The mean makes the states second order. FMI forbids setting inputs and then reading outputs without a step or an event between
+(FMI 2.0.4 section 4.2.4), so that is never done: the correction asks for D alone.
+
+What a discrete input does at t1 a loop may still correct, as in ``motion.py``: a unit that can go back shows its
+outputs after the event and goes back; one that cannot is left behind it.
 
 The end of the run that a unit asks for is remembered, and comes with the next ``advance`` at the latest.
 """
@@ -33,7 +36,6 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.contracts import Design, Stopped
-from cosim.core.signals import Interface
 from cosim.errors import FmuError, RunError
 from cosim.fmi.binary.messages import Message
 from cosim.fmi.description import Description
@@ -99,14 +101,15 @@ class CoSimulation:
         self._outputs = description.references("output")
         discrete = description.discrete_inputs
         self._stepped = _Inputs(description, ~discrete if self._can.event_mode else np.ones_like(discrete))
-        self._jumps = discrete & self._can.event_mode
-        self._jumping = _Inputs(description, self._jumps)
-        self._jumps_at_end = bool(_jumping_through(self.interface)) and self._can.event_mode
+        self._jumping = _Inputs(description, discrete & self._can.event_mode)
+        self._inputs = description.references("input")
         self._lined = description.interpolated_inputs
         self._sloped, self._mixed = _Inputs(description, self._lined), bool((~discrete & ~self._lined).any())
-        self._direct = Direct(unit) if self._can.directional_derivatives else None
+        self._in_events = frozenset(s.name for s in self.interface.inputs if self._can.event_mode and s.variability == "discrete")
+        self._direct = Direct(unit, self._in_events) if self._can.directional_derivatives else None
         self._goes_back = self._can.saves_state and self._can.variable_step and not description.undoes_discarded_steps
         self._kept: object | None = None  # the unit's state before the last part; its memory is used again
+        self._before: object | None = None  # and before an event that is only shown
         self._inner_step = InnerStep(_watched(description))
         self._said: set[str] = set()  # what messages were about
         self._news: list[Message] = []
@@ -114,7 +117,7 @@ class CoSimulation:
         self._forget(np.zeros(len(discrete)), np.zeros(self._outputs.size))
 
     def _hold(self, held: Mask) -> None:
-        self._moves, self._holds = ~held, bool(held.any())
+        self._held, self._holds = held, bool(held.any())
 
     def _forget(self, u: Vector, y: Vector) -> None:
         self._read, self._end = y, u
@@ -145,10 +148,8 @@ class CoSimulation:
     def notes(self) -> tuple[str, ...]:
         """What is to be known about the results."""
         face = self.interface
-        corrected = self._direct.corrected if self._direct else frozenset()
-        if self._jumps_at_end:
-            corrected |= _jumping_through(face)
-        fed = [output.name for output in face.outputs if face.feeds(output.name) and output.name not in corrected]
+        corrected = self._direct.corrected if self._direct else ()
+        fed = [o.name for o in face.outputs if o.name not in corrected and not self._in_events.issuperset(face.feeds(o.name))]
         if not fed:
             return ()
         verb = "may depend" if not all(face.knows(name) for name in fed) else "depend" if len(fed) > 1 else "depends"
@@ -170,20 +171,23 @@ class CoSimulation:
         return self._read.copy()
 
     def outputs(self, t: float, u: Vector) -> Vector:
-        """Give the outputs last read, corrected to the inputs ``u`` where D is known."""
+        """Give the outputs last read, corrected to the inputs ``u`` where D is known; after an event where one is due."""
         self._leave_initialization(t)
-        return self._outputs_for(u).copy()
+        return self._look(t, np.array(u, np.float64)).copy()
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
         """Step K times; see :class:`cosim.core.contracts.Component`."""
         rows, k = list(np.array(u, np.float64, order="C")), 0
         y = np.empty((len(rows) - 1, self._outputs.size))
         try:
-            self._leave_initialization(float(t[0]))
-            for k, t0 in enumerate(t[:-1].tolist()):
+            instants = t.tolist()
+            self._leave_initialization(instants[0])
+            for k, t0 in enumerate(instants[:-1]):
                 completed = self._step(t0, h, rows[k], rows[k + 1])
+                if completed and k < len(y) - 1:
+                    self._jump(instants[k + 1], rows[k + 1])
                 if completed:
-                    y[k] = self._outputs_for(rows[k + 1])
+                    y[k] = self._look(instants[k + 1], rows[k + 1])
                 if self._ended:
                     raise Stopped(y[: k + completed].copy(), TERMINATED, failed=False)
         except Stopped:
@@ -197,6 +201,20 @@ class CoSimulation:
             self._settle(t)
             self._read = self._unit.get_float64(self._outputs)
 
+    def _look(self, t: float, u: Vector) -> Vector:
+        """Give the outputs at ``t``, the time reached, for inputs ``u``; goes back before an event, if the unit can."""
+        if self._can.saves_state and self._jumps(u):
+            self._before = self._unit.get_fmu_state(self._before)
+            own = self._own()
+            self._jump(t, u)
+            y = self._outputs_for(u)
+            if not self._ended:
+                self._unit.set_fmu_state(self._before)
+                self._set_own(own)
+            return y
+        self._jump(t, u)
+        return self._outputs_for(u)
+
     def _outputs_for(self, u: Vector) -> Vector:
         """Give y + D (u - u_end)."""
         return self._read if self._direct is None or u is self._end else self._direct.add(self._read, u - self._end)
@@ -205,18 +223,14 @@ class CoSimulation:
 
     def _step(self, t: float, h: float, u0: Vector, u1: Vector) -> bool:
         """Do one communication step; False: the unit asked for the end of the run inside it."""
-        change, last = u1 - u0, u1
+        change = u1 - u0
         if self._holds:
-            change *= self._moves
-            u1 = u0 + change
+            change[self._held] = 0.0
+            u1 = np.where(self._held, u0, u1)
         ramp = _Ramp(t, h, u0, u1, change)
-        if self._can.event_mode:
-            self._jump(t, self._jumping.of(u0))
+        self._jump(t, u0)
         if self._cross(ramp, 0.0, 1.0, 0) < 1.0:
             return False
-        if self._jumps_at_end and not self._ended:
-            self._jump(ramp.time(1.0), self._jumping.of(last))
-            self._end = np.where(self._jumps, last, self._end)
         self._read = self._unit.get_float64(self._outputs)
         if self._inner_step.seen is not None:
             self._look_for_an_inner_step(h)
@@ -337,16 +351,21 @@ class CoSimulation:
         """Whether the next time event is not after ``s``."""
         return self._next_event is not None and ramp.fraction(self._next_event) <= s
 
-    def _jump(self, t: float, given: Vector) -> None:
-        """Set the discrete inputs in an event, if they change."""
-        if not self._ended and (given != self._given).any():
-            self._event(t, given)
+    def _jumps(self, u: Vector) -> bool:
+        """Whether a discrete input that is set in events is not as before."""
+        return self._can.event_mode and not self._ended and self._jumping.of(u).tobytes() != self._given.tobytes()
 
-    def _event(self, t: float, given: Vector | None = None) -> None:
+    def _jump(self, t: float, u: Vector) -> None:
+        """Set all inputs in an event, if a discrete one changes; the outputs then belong to them."""
+        if self._jumps(u):
+            self._event(t, u)
+            self._read = self._unit.get_float64(self._outputs)
+
+    def _event(self, t: float, u: Vector | None = None) -> None:
         self._unit.enter_event_mode()
-        if given is not None:
-            self._unit.set_float64(self._jumping.references, given)
-            self._given = given
+        if u is not None:
+            self._unit.set_float64(self._inputs, u)
+            self._given, self._end = self._jumping.of(u), u
         self._settle(t)
 
     def _settle(self, t: float) -> None:
@@ -381,13 +400,20 @@ class CoSimulation:
         FmuError
             If the unit cannot.
         """
-        own = (self._start.t, self._read, self._end, self._given, self._next_event, self._ended, self._interpolates)
-        return save(self._unit, self._can, (*own, self._inner_step.seen))
+        return save(self._unit, self._can, self._own())
 
     def restore(self, state: SavedState) -> None:
         """Go back to a saved state."""
         self._unit.set_fmu_state(state.unit)
-        self._start.t, self._read, self._end, self._given, *own = state.own  # type: ignore[assignment]
+        self._set_own(state.own)
+
+    def _own(self) -> tuple[object, ...]:
+        """Give what belongs to the state beside the unit's own; arrays are replaced, never written to."""
+        own = (self._start.t, self._read, self._end, self._given, self._next_event, self._ended, self._interpolates)
+        return (*own, self._inner_step.seen)
+
+    def _set_own(self, state: tuple[object, ...]) -> None:
+        self._start.t, self._read, self._end, self._given, *own = state  # type: ignore[assignment]
         self._next_event, self._ended, self._interpolates, self._inner_step.seen = own  # type: ignore[assignment]
 
 
@@ -404,13 +430,6 @@ class _Inputs:
     def of(self, values: Vector) -> Vector:
         """Give their values."""
         return values if self._columns is None else values[self._columns]
-
-
-def _jumping_through(face: Interface) -> frozenset[str]:
-    """Name the outputs that depend directly on inputs, all of them discrete."""
-    discrete = {signal.name for signal in face.inputs if signal.variability == "discrete"}
-    fed = {output.name: face.feeds(output.name) for output in face.outputs}
-    return frozenset(name for name, inputs in fed.items() if inputs and discrete.issuperset(inputs))
 
 
 def _watched(description: Description) -> NDArray[np.intp]:

@@ -18,16 +18,25 @@ from cosim.fmi.unit import CoSimulationUnit
 class Direct:
     """D times a change of the inputs, by directional derivatives: from real inputs to continuous outputs.
 
-    ``corrected``: names of the outputs that depend on nothing else directly.
+    Parameters
+    ----------
+    unit : CoSimulationUnit
+    in_events : set of str
+        Names of the inputs that change in events only, so that outputs are always read for their last values.
+
+    Attributes
+    ----------
+    corrected : set of str
+        Names of the outputs that depend on nothing else directly.
     """
 
-    def __init__(self, unit: CoSimulationUnit) -> None:
+    def __init__(self, unit: CoSimulationUnit, in_events: frozenset[str]) -> None:
         face = unit.interface
-        real = {signal.name for signal in face.inputs if signal.kind == "real"}
+        real = {signal.name for signal in face.inputs if signal.kind == "real"} - in_events
         moving = [signal.name for signal in face.outputs if signal.kind == "real" and signal.variability == "continuous"]
-        fed = {name: face.feeds(name) for name in moving if face.feeds(name)}
+        fed = {name: face.feeds(name) for name in moving if real.intersection(face.feeds(name))}
         feeding = [signal.name for signal in face.inputs if any(signal.name in names for names in fed.values())]
-        self.corrected = frozenset(name for name, names in fed.items() if real.issuperset(names))
+        self.corrected = frozenset(name for name, names in fed.items() if (real | in_events).issuperset(names))
         self._unit = unit
         self._rows = _elements(face.output_columns(), fed)
         self._columns = _elements(face.input_columns(), [name for name in feeding if name in real])

@@ -130,7 +130,7 @@ class ModelExchange:
         self._unit.set_fmu_state(state.unit)
         self._start.t, motion = state.own  # type: ignore[assignment]
         self._motion.restore(motion)
-        if self._exact:
+        if self._exact and self._start.t is None:
             self._exact.state[:] = self._motion.now.x
 
     def _leave_initialization(self) -> None:

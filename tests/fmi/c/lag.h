@@ -7,6 +7,7 @@
 
 enum {
     U, D, X, Y, CALLS,
+    Z,              /* z = d */
     LONGEST,        /* longer steps are refused that overlap ... */
     FROM, TO,       /* ... this time */
     INNER,          /* the inner step, if there is one */
@@ -24,7 +25,7 @@ typedef enum { START, STEP, EVENT_MODE } Mode;
 typedef enum { DONE, DISCARDED, EARLY, MET_EVENT, ENDED, FAILED } Outcome;
 
 typedef struct {
-    double value[VALUES], slope, shown[CALLS], t, due, iteration;
+    double value[VALUES], slope, shown[LONGEST], t, due, iteration;
     int stale; /* inputs were set, no step was made */
     Mode mode;
 } Lag;
@@ -41,6 +42,7 @@ static void lag_show(Lag *lag)
 {
     lag->shown[X] = lag->value[X];
     lag->shown[Y] = lag->value[X] + lag->value[U];
+    lag->shown[Z] = lag->value[D];
     lag->stale = 0;
 }
 
@@ -59,7 +61,7 @@ static int lag_get(Lag *lag, unsigned reference, double *value)
 {
     if (lag->mode != STEP)
         lag_show(lag);
-    *value = reference == X || reference == Y ? lag->shown[reference] : lag->value[reference];
+    *value = reference == X || reference == Y || reference == Z ? lag->shown[reference] : lag->value[reference];
     return !lag->stale || reference < X;
 }
 

@@ -10,6 +10,9 @@
 #ifdef LACKS_RESET
 #define fmi2Reset not_fmi2Reset
 #endif
+#ifdef LACKS_STATES
+#define fmi2SetContinuousStates not_fmi2SetContinuousStates
+#endif
 
 enum { U, X, DER_X, Y, SLOPE, NO_WAY_BACK, REALS, ANSWER = 10, FLAG = 11, TEXT = 20 };
 
