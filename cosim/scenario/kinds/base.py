@@ -18,7 +18,7 @@ from cosim.theory.descriptor import DescriptorSystem
 if TYPE_CHECKING:
     from cosim.fmi.compare import NearStart
     from cosim.fmi.description import Description, Mode
-    from cosim.fmi.linearise import Linearisation
+    from cosim.fmi.linearising.linearisation import Linearisation
 
 Exportable: TypeAlias = LinearModel | DiscreteModel
 
