@@ -120,7 +120,10 @@ def replay(
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Run a log's scenario again with the recorded plant in the plant's place; nothing is needed but the log."""
+    """Run a log's scenario again on its recorded plant.
+
+    Nothing is needed but the log.
+    """
     from cosim import tables
     from cosim.log import open_log
     from cosim.scenario.execution import replay as replay_log
@@ -152,7 +155,10 @@ def diff(
     rtol: Annotated[float, typer.Option(min=0.0, help="Tolerance relative to each signal's largest value.")] = 0.0,
     as_json: JsonOption = False,
 ) -> None:
-    """Compare two logs signal by signal; exit 1 outside the tolerance."""
+    """Compare two logs signal by signal.
+
+    Exit 1 outside the tolerance.
+    """
     from cosim import tables
     from cosim.log import open_log
     from cosim.log.diff import diff as compare
@@ -182,7 +188,10 @@ def compare(
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Run a scenario on several plants and compare what is estimated; exit 1 where one of them fails."""
+    """Run a scenario on several plants and compare the estimates.
+
+    Exit 1 where one of them fails.
+    """
     from cosim import tables
     from cosim.scenario.comparing import compare as compare_plants
     from cosim.scenario.execution import load
@@ -220,7 +229,10 @@ def check(
     fmu: Annotated[Path, typer.Argument(metavar="FMU", help="An FMU (.fmu).")],
     as_json: JsonOption = False,
 ) -> None:
-    """Find everything that is wrong with an FMU: archive, schema, structure, binaries, trial runs; exit 1 at an error."""
+    """Find everything that is wrong with an FMU.
+
+    Archive, schema, structure, binaries and trial runs; exit 1 at an error.
+    """
     from cosim import tables
 
     tables.check(str(fmu), as_json=as_json)
@@ -242,7 +254,10 @@ def plot(
 
 @app.command(name="list")
 def list_(as_json: JsonOption = False) -> None:
-    """List the shipped scenarios, and the component kinds with their parameters."""
+    """List the shipped scenarios and the component kinds.
+
+    The kinds with their parameters.
+    """
     from cosim import tables
 
     tables.catalogue(as_json=as_json)
@@ -272,7 +287,10 @@ def export(
     force: Annotated[bool, typer.Option("--force", help="Replace a file that exists.")] = False,
     changes: SetOption = None,
 ) -> None:
-    """Export a component as an FMU, C source and binary, for model exchange and co-simulation; if discrete, for the latter."""
+    """Export a component as an FMU, C source and binary.
+
+    For model exchange and co-simulation; what is discrete, for co-simulation only.
+    """
     from cosim.scenario.exporting import export_component
 
     platforms = [] if platform is None else [name.strip() for name in platform.split(",")]
@@ -303,7 +321,10 @@ def linearize(
     as_toml: Annotated[bool, typer.Option("--toml", help="Print a table for [models] of a scenario.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Linearise an FMU at an operating point: A, B, C, D, poles, static gain."""
+    """Linearise an FMU at an operating point.
+
+    Print A, B, C and D, the poles and the static gain.
+    """
     from cosim import tables
     from cosim.scenario.linearising import linearise_file, model_table
 

@@ -461,3 +461,11 @@ def test_linearize_refuses_what_it_cannot_do(call, options, text):
     code, _, err = call("linearize", "plant.fmu", *options)
     assert code == 2
     assert text in err
+
+
+def test_the_overview_cuts_no_sentence_short(call):
+    """On a terminal of 80 columns each command is told in one line."""
+    code, out, _ = call("--help")
+    assert code == 0
+    assert "export     Export a component as an FMU, C source and binary." in out
+    assert "..." not in out

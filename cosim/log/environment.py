@@ -25,6 +25,7 @@ def environment() -> dict[str, str]:
     return {**packages, "python": platform.python_version(), "platform": platform.platform(), "processor": _processor()}
 
 
+@cache  # reading it takes a millisecond
 def _version(package: str) -> str:
     try:
         return version(package)
@@ -32,6 +33,7 @@ def _version(package: str) -> str:
         return "not installed"
 
 
+@cache
 def _processor() -> str:
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
