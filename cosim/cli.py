@@ -256,7 +256,7 @@ def plot(
 def list_(as_json: JsonOption = False) -> None:
     """List the shipped scenarios and the component kinds.
 
-    The kinds with their parameters.
+    Each kind with its parameters.
     """
     from cosim import tables
 
