@@ -354,7 +354,7 @@ class _Site:
             try:
                 component = self._build(name, spec)
                 periods[name] = self._period(name, spec)
-                components[name] = component if periods[name] == 1 else spec.slowed(component, periods[name])
+                components[name] = component if spec.own_step is None else spec.slowed(component, periods[name])
             except _RestsOnAnother:
                 pass
             except (CosimError, ValueError) as error:

@@ -78,7 +78,7 @@ class Fmu(Plant):
         return self.period
 
     def slowed(self, component: Component, n: int) -> Component:
-        return Sampled(component, n)
+        return Sampled(component, n) if n > 1 else component
 
     def build(self, name: str, site: Site) -> Component:
         return site.fmu(name, self.path, mode=self.mode, solver=self.solver, start=self.start)
