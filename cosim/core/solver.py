@@ -19,7 +19,8 @@ from cosim.errors import GraphError, RunError
 from cosim.native.step import HeldDiscretisation, NativeStep, affine, first_order_hold, linear
 
 ADAPTIVE: Final = ("RK45", "DOP853", "Radau", "BDF", "LSODA")  # scipy.integrate
-SOLVERS: Final = ("exact", "rk4", *ADAPTIVE, "CVode")
+TOLERANT: Final = (*ADAPTIVE, "CVode")  # what keeps to a relative tolerance
+SOLVERS: Final = ("exact", "rk4", *TOLERANT)
 
 Slope: TypeAlias = Callable[[float, Vector], Vector]  # (t, x) -> x'
 

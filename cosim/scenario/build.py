@@ -384,7 +384,7 @@ class _Site:
             try:
                 component = self._build(name, spec)
                 periods[name] = self._period(name, spec)
-                components[name] = component if periods[name] == 1 else spec.slowed(component, periods[name])
+                components[name] = component if spec.own_step is None else spec.slowed(component, periods[name])
             except _RestsOnAnother:
                 pass
             except (CosimError, ValueError) as error:
@@ -435,11 +435,19 @@ class _Site:
         return log
 
     def fmu(
-        self, name: str, path: str, *, mode: Literal["me", "cs"] | None, solver: str | None, start: Mapping[str, Any]
+        self,
+        name: str,
+        path: str,
+        *,
+        mode: Literal["me", "cs"] | None,
+        solver: str | None,
+        tolerance: float | None,
+        start: Mapping[str, Any],
     ) -> Component:
         from cosim.fmi.component import load
 
-        loaded = self._resources.enter_context(load(self.file(path), mode=mode, solver=solver, start=start, instance_name=name))
+        opened = load(self.file(path), mode=mode, solver=solver, rtol=tolerance, start=start, instance_name=name)
+        loaded = self._resources.enter_context(opened)
         facts = loaded.metadata
         self.attachments[f"{name}/modelDescription.xml"] = facts.pop("model_description")
         self.note(name, **facts)
