@@ -69,7 +69,7 @@ def test_a_plant_of_another_make_identifies_the_same(plant, files, generated):
     """Equal bits where the arithmetic is the same: rk4 on our derivatives, the exact discretisation, what was recorded.
 
     With the inputs added in another order, and with pythonfmu3's derivatives, y differs by rounding: 2e-16, which the filter
-    makes 1e3 times as much in delta_hat. Over 2.5 s that is 3e-13, which the smallest eigenvalue of the information, 1.9e-5, makes
+    makes 1e3 times as much in delta_hat. In 2.5 s that is 3e-13, which the smallest eigenvalue of the information, 1.9e-5, makes
     7e-11 in eta at most, and theta is its logarithm over 0.2 s or more: 1e-9 with room.
     The mean of the inputs leaves h^2/12 and pythonfmu's own solvers h^2/6 at most of signals up to 2.7: 7e-7 in y beside what is
     late. Both are at the rates of these signals, as the 5e-4 that are late: theta answers to both alike.
