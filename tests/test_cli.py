@@ -185,7 +185,7 @@ def test_check_tells_all_and_exits_1_at_an_error(call, tmp_path):
     code, out, _ = call("check", "x.fmu", "--json")
     found = json.loads(out)
     assert (code, found["errors"], found["warnings"]) == (1, 2, 2)
-    assert {"level": "error", "where": "variable 'x'", "text": "has 2 start values for 3 elements"} in found["findings"]
+    assert {"level": "error", "where": "XML", "text": "variable 'x': has 2 start values for 3 elements"} in found["findings"]
     assert call("check", "no.fmu") == (2, "", "cosim: no.fmu: there is no such file\n")
 
 
