@@ -179,13 +179,13 @@ def test_check_tells_all_and_exits_1_at_an_error(call, tmp_path):
     write(tmp_path / "x.fmu", [], xml=FMI3.replace('start="1 2 3"', 'start="1 2"').encode())
     code, out, _ = call("check", "x.fmu")
     assert code == 1
-    assert "error: variable 'x': has 2 start values for 3 elements\n" in out
+    assert "error: XML: variable 'x': has 2 start values for 3 elements\n" in out
     assert "warning: structure: clocks, which are not supported: tick\n" in out
     assert out.endswith("x.fmu: 2 errors, 2 warnings\n")
     code, out, _ = call("check", "x.fmu", "--json")
     found = json.loads(out)
     assert (code, found["errors"], found["warnings"]) == (1, 2, 2)
-    assert {"level": "error", "where": "variable 'x'", "text": "has 2 start values for 3 elements"} in found["findings"]
+    assert {"level": "error", "where": "XML", "text": "variable 'x': has 2 start values for 3 elements"} in found["findings"]
     assert call("check", "no.fmu") == (2, "", "cosim: no.fmu: there is no such file\n")
 
 

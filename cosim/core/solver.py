@@ -19,7 +19,8 @@ from cosim.errors import GraphError, RunError
 from cosim.native.step import HeldDiscretisation, NativeStep, affine, first_order_hold, linear
 
 ADAPTIVE: Final = ("RK45", "DOP853", "Radau", "BDF", "LSODA")  # scipy.integrate
-SOLVERS: Final = ("exact", "rk4", *ADAPTIVE, "CVode")
+TOLERANT: Final = (*ADAPTIVE, "CVode")  # what keeps to a relative tolerance
+SOLVERS: Final = ("exact", "rk4", *TOLERANT)
 
 Slope: TypeAlias = Callable[[float, Vector], Vector]  # (t, x) -> x'
 
@@ -292,7 +293,10 @@ class Adaptive:
 
 
 def _copied(attributes: dict[str, Any]) -> dict[str, Any]:
-    return {name: value.copy() if isinstance(value, np.ndarray) else value for name, value in attributes.items()}
+    copies = {name: value.copy() if isinstance(value, np.ndarray) else value for name, value in attributes.items()}
+    if "K_extended" in copies:  # DOP853 writes its stages to K, the beginning of K_extended, and interpolates from that
+        copies["K"] = copies["K_extended"][: len(copies["K"])]
+    return copies
 
 
 @final

@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import shutil
 import tempfile
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self, TypeAlias, final
 
+from cosim.core.solver import TOLERANT
 from cosim.errors import FmuError, RunError
 from cosim.fmi.binary.loaded import LoadedUnit
 from cosim.fmi.binary.messages import Message
@@ -44,8 +46,8 @@ class Fmu:
     component : FmuComponent
     folder : Path
         Where it was unpacked.
-    solver : str or None
-        Of a model exchange FMU.
+    solving : mapping
+        Of a model exchange FMU: its solver, and the tolerance where that keeps one.
     notes : tuple of str
         What is to be known about how it was opened.
     """
@@ -58,10 +60,10 @@ class Fmu:
         unit: LoadedUnit,
         component: FmuComponent,
         folder: Path,
-        solver: str | None,
+        solving: Mapping[str, str | float],
         notes: tuple[str, ...] = (),
     ) -> None:
-        self.component, self.mode, self._solver, self._notes = component, mode, solver, notes
+        self.component, self.mode, self._solving, self._notes = component, mode, solving, notes
         self._archive, self._unit, self._folder = archive, unit, folder
 
     @property
@@ -84,14 +86,14 @@ class Fmu:
 
     @property
     def metadata(self) -> dict[str, Any]:
-        """What a log keeps: path, sha256 and modelDescription.xml of the file, FMI version, mode, solver."""
+        """What a log keeps: path, sha256 and modelDescription.xml of the file, FMI version, mode, solver and tolerance."""
         found = self._archive
         return {
             "path": str(found.path),
             "sha256": found.sha256,
             "fmi_version": found.description.version,
             "mode": self.mode,
-            **({"solver": self._solver} if self._solver else {}),
+            **self._solving,
             "model_description": found.xml,
         }
 
@@ -128,7 +130,7 @@ def load(
     *,
     mode: Mode | None = None,
     solver: str | None = None,
-    rtol: float = RTOL,
+    rtol: float | None = None,
     start: Starts | None = None,
     instance_name: str | None = None,
 ) -> Fmu:
@@ -141,8 +143,8 @@ def load(
         Model exchange or co-simulation; None: the one that is there, model exchange where both are.
     solver : str or None
         Of a model exchange FMU; see :class:`ModelExchange`.
-    rtol : float
-        Relative tolerance of the states of a model exchange FMU, for the solvers that keep one.
+    rtol : float or None
+        Relative tolerance of the states of a model exchange FMU, for the solvers that keep one; None: 1e-9.
     start : mapping of variable name to StartValue
         Start values to set instead of the FMU's own: numbers, Booleans, items of enumerations, texts, lists; see ``start.py``.
     instance_name : str or None
@@ -160,6 +162,10 @@ def load(
         mode, starts = _mode(archive, mode), dict(start or {})
         if mode == "cs" and solver is not None:
             raise FmuError(f'{path}: solver {solver!r}: a co-simulation FMU brings its own; leave it out or use mode = "me"')
+        if mode == "cs" and rtol is not None:
+            raise FmuError(
+                f'{path}: relative tolerance {rtol}: a co-simulation FMU brings its own solver; leave it out or use mode = "me"'
+            )
         library = folder / _library(archive, mode)
         _check_architecture(archive, library)
         description = resized(archive.description, starts)
@@ -168,13 +174,15 @@ def load(
         name = instance_name or description.name
         unit = LoadedUnit(folder, library, description, mode=mode, name=name, label=str(archive.path))
         solver = solver or ("rk4" if mode == "me" else None)
+        rtol = RTOL if rtol is None and solver in TOLERANT else rtol
         component = ModelExchange(unit, solver, starts=starts, rtol=rtol) if mode == "me" else CoSimulation(unit, starts=starts)
     except BaseException:
         if unit is not None:
             unit.free_instance()
         shutil.rmtree(folder, ignore_errors=True)
         raise
-    return Fmu(archive, mode, unit=unit, component=component, folder=folder, solver=solver, notes=notes)
+    solving = {key: value for key, value in (("solver", solver), ("tolerance", rtol)) if value is not None}
+    return Fmu(archive, mode, unit=unit, component=component, folder=folder, solving=solving, notes=notes)
 
 
 def _limited(archive: Archive, description: Description, mode: Mode) -> tuple[Description, tuple[str, ...]]:

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import json
-import re
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
-import numpy as np
 from pydantic import ValidationError
 
 from cosim.blocks.replay import Replay
@@ -24,6 +22,7 @@ from cosim.scenario.document import FLAT, Document, Key, Problem, flatten
 from cosim.scenario.kinds import KINDS, Kind, Site
 from cosim.scenario.problems import problems_of
 from cosim.scenario.schema import File, matrix
+from cosim.scenario.truth import judge_truth
 from cosim.theory.descriptor import DescriptorSystem
 
 if TYPE_CHECKING:
@@ -165,7 +164,7 @@ def draft(document: Document, resources: ExitStack, *, recording: Recording | No
     components, periods, missing = site.build_all(problems)
     found = check_connections(layout_of(components), scenario.connections, missing) if components else {}
     problems += [(("connections", to), text) for to, text in found.items()]
-    truth, wrong = _judge_truth(scenario, components, missing, site)
+    truth, wrong = judge_truth(scenario.file, components, missing, site.warn)
     return Draft(scenario, site, clock, components, periods=periods, truth=truth, problems=(*problems, *wrong))
 
 
@@ -310,41 +309,6 @@ def _report(document: Document, problems: Iterable[Problem]) -> ScenarioError:
     return ScenarioError("\n".join(lines))
 
 
-def _judge_truth(
-    scenario: Scenario, components: Mapping[str, Component], missing: Collection[str], site: _Site
-) -> tuple[dict[str, Any], Problems]:
-    """Give the truths that can be compared; a swapped component need not have the signals that only the report asks for.
-
-    ``missing`` names components that could not be built: what touches them is not judged.
-    """
-    kept: dict[str, Any] = {}
-    problems: Problems = []
-    signals = {f"{n}.{s.name}": s for n, c in components.items() for s in (*c.interface.inputs, *c.interface.outputs)}
-    sizes = {port: signal.size for port, signal in signals.items()}
-    for true in filter(lambda true: isinstance(true, str) and true not in sizes, scenario.file.truth.values()):
-        element = re.fullmatch(r"(.*)\[(\d+)\]", str(true))
-        if element and int(element[2]) < sizes.get(element[1], 0):
-            sizes[str(true)] = 1
-    for estimate, truth in scenario.file.truth.items():
-        ports = {port: port.partition(".")[0] for port in ([estimate, truth] if isinstance(truth, str) else [estimate])}
-        unknown = [port for port in ports if port not in sizes]
-        mapped = {f"{name}.{port}" for name, swap in scenario.file.swap.items() for port in swap.map.values()}
-        swapped = [port for port in unknown if ports[port] in scenario.file.swap and port not in mapped]
-        size = sizes.get(truth) if isinstance(truth, str) else len(np.atleast_1d(truth))
-        if set(ports.values()) & set(missing):
-            continue
-        if swapped:
-            site.warn(ports[swapped[0]], f"has no {swapped[0]!r}: the report leaves out {estimate!r}")
-        elif unknown:
-            problems += [(("truth", estimate), f"there is no signal {port!r}; {nearest(port, signals)}") for port in unknown]
-        elif sizes[estimate] != size:
-            text = f"{estimate!r} has size {sizes[estimate]}, its truth {truth!r} has size {size}"
-            problems.append((("truth", estimate), text))
-        else:
-            kept[estimate] = truth
-    return kept, problems
-
-
 # --- building ---
 
 
@@ -384,7 +348,7 @@ class _Site:
             try:
                 component = self._build(name, spec)
                 periods[name] = self._period(name, spec)
-                components[name] = component if periods[name] == 1 else spec.slowed(component, periods[name])
+                components[name] = component if spec.own_step is None else spec.slowed(component, periods[name])
             except _RestsOnAnother:
                 pass
             except (CosimError, ValueError) as error:
@@ -435,11 +399,19 @@ class _Site:
         return log
 
     def fmu(
-        self, name: str, path: str, *, mode: Literal["me", "cs"] | None, solver: str | None, start: Mapping[str, Any]
+        self,
+        name: str,
+        path: str,
+        *,
+        mode: Literal["me", "cs"] | None,
+        solver: str | None,
+        tolerance: float | None,
+        start: Mapping[str, Any],
     ) -> Component:
         from cosim.fmi.component import load
 
-        loaded = self._resources.enter_context(load(self.file(path), mode=mode, solver=solver, start=start, instance_name=name))
+        opened = load(self.file(path), mode=mode, solver=solver, rtol=tolerance, start=start, instance_name=name)
+        loaded = self._resources.enter_context(opened)
         facts = loaded.metadata
         self.attachments[f"{name}/modelDescription.xml"] = facts.pop("model_description")
         self.note(name, **facts)

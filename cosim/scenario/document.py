@@ -56,9 +56,10 @@ class Document:
     swapped: bool = True
 
     def with_swaps(self, swaps: Mapping[str, str], maps: Mapping[str, str] | None = None) -> Document:
-        """Replace components; paths are taken from the working directory. Who is replaced again loses the maps given before."""
+        """Replace components; paths are taken from the working directory. Who is replaced again loses its map given before."""
         absolute = {name: str(Path(path).absolute()) for name, path in swaps.items()}
-        before = {} if swaps.keys() & self.swaps.keys() else self.maps
+        again = [swap for name, swap in self._swapped().swaps.items() if name in swaps] if self.maps else []
+        before = {port: name for port, name in self.maps.items() if not any(port in swap.map for swap in again)}
         return replace(self, swaps={**self.swaps, **absolute}, maps={**before, **(maps or {})})
 
     def with_changes(self, changes: Mapping[str, Any]) -> Document:

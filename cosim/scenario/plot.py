@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import itertools
-import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cosim.arrays import as_columns
 from cosim.core.contracts import Recording
 from cosim.errors import UsageError
-from cosim.scenario.report import difference, has_signal, rows_of, truth_of
+from cosim.scenario.report import difference, has_signal, rows_of, signal_of, truth_of
 
 if TYPE_CHECKING:
     from cosim.scenario.comparing import Comparison
@@ -68,7 +66,7 @@ def plot_run(recording: Recording, out: Path) -> None:
     need_plot(out, truth)
     figure, axes = _panels(len(truth))
     for axis, (estimate, true) in zip(axes, truth.items(), strict=True):
-        _draw_truth(axis, recording, true)
+        _draw_truth(axis, recording, estimate, true)
         _draw(axis, recording, estimate)
         axis.set_ylabel(estimate)
         _limit(axis, recording, estimate, true)
@@ -85,7 +83,7 @@ def plot_comparison(found: Comparison, out: Path) -> None:
     styles = dict(zip(recordings, _styles(len(recordings)), strict=True))
     for (left, right), (estimate, true) in zip(np.reshape(grid, (-1, 2)), truth.items(), strict=True):
         have = {label: recording for label, recording in recordings.items() if has_signal(recording, estimate)}
-        _draw_truth(left, next((one for one in have.values() if true == truth_of(one).get(estimate)), None), true)
+        _draw_truth(left, next((one for one in have.values() if true == truth_of(one).get(estimate)), None), estimate, true)
         for label, recording in have.items():
             _draw(left, recording, estimate, **styles[label])
         left.set_ylabel(estimate)
@@ -126,10 +124,10 @@ def _styles(count: int) -> Iterator[dict[str, Any]]:
         yield {"color": colour, "linestyle": dashes, "linewidth": width}
 
 
-def _draw_truth(axis: Any, recording: Recording | None, true: Any) -> None:
+def _draw_truth(axis: Any, recording: Recording | None, estimate: str, true: Any) -> None:
     if isinstance(true, str):
         if recording is not None:
-            _draw(axis, recording, true, **TRUTH)
+            _draw(axis, recording, true, like=estimate, **TRUTH)
         return
     for value in np.atleast_1d(true):
         axis.axhline(value, **TRUTH)
@@ -137,7 +135,7 @@ def _draw_truth(axis: Any, recording: Recording | None, true: Any) -> None:
 
 def _limit(axis: Any, recording: Recording, estimate: str, true: Any) -> None:
     """Keep a wild start of an estimate from hiding the rest."""
-    truth = np.atleast_1d(rows_of(recording, true) if isinstance(true, str) else np.array(true, dtype=np.float64))
+    truth = np.atleast_1d(rows_of(recording, true, like=estimate) if isinstance(true, str) else np.array(true, dtype=np.float64))
     settled = recording[estimate][-max(1, len(recording[estimate]) // 2) :]
     values = np.concatenate([truth.ravel(), settled.ravel()])
     low, high = values[np.isfinite(values)].min(), values[np.isfinite(values)].max()
@@ -154,17 +152,11 @@ def _panels(count: int, columns: int = 1) -> tuple[Any, list[Any]]:
     return figure, list(np.ravel(figure.subplots(count, columns, sharex=True)))
 
 
-def _draw(axis: Any, recording: Recording, signal: str, **style: Any) -> None:
+def _draw(axis: Any, recording: Recording, port: str, *, like: str | None = None, **style: Any) -> None:
     """Draw a signal, or one element of it, as what it is between two rows: straight lines, or held values."""
-    component, element = signal.partition(".")[0], re.fullmatch(r"(.*)\[(\d+)\]", signal)
-    known = {f"{name}.{s.name}": s for name, channel in recording.channels.items() for s in channel.signals}
-    if element is not None and signal not in known and element[1] in known and int(element[2]) < known[element[1]].size:
-        values, found = as_columns(recording[element[1]])[:, int(element[2])], known[element[1]]
-    else:
-        values = recording[signal]
-        found = known[signal]
-    shape = {"drawstyle": "steps-post"} if found.variability == "discrete" else {}
-    axis.plot(recording.time_ns(component) / 1e9, values, **({"linewidth": 1.2} | shape | style))
+    values = rows_of(recording, port, like=like)
+    shape = {"drawstyle": "steps-post"} if signal_of(recording, port).variability == "discrete" else {}
+    axis.plot(recording.time_ns(port.partition(".")[0]) / 1e9, values, **({"linewidth": 1.2} | shape | style))
 
 
 def _save(figure: Any, axes: Sequence[Any], out: Path, columns: int = 1) -> None:

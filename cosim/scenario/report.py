@@ -12,7 +12,9 @@ import numpy as np
 
 from cosim.arrays import Matrix, Vector, as_columns
 from cosim.core.contracts import Recording
+from cosim.core.signals import Signal
 from cosim.theory.uncertainty import information, verdict
+from cosim.units import conversion
 
 
 @dataclass(frozen=True)
@@ -72,18 +74,36 @@ def truth_of(recording: Recording) -> dict[str, Any]:
     return truth
 
 
-def rows_of(recording: Recording, port: str) -> Matrix:
-    """Give a signal, or one element of it, at every recorded row, shape (N, size)."""
-    element = re.fullmatch(r"(.*)\[(\d+)\]", port)
-    if element is None or has_signal(recording, port):
-        return as_columns(recording[port])
-    return as_columns(recording[element[1]])[:, [int(element[2])]]
+def rows_of(recording: Recording, port: str, *, like: str | None = None) -> Matrix:
+    """Give a signal, or one element of it, at every recorded row, shape (N, size); in the unit of ``like``, another port."""
+    name, columns = _part(recording, port)
+    rows = as_columns(recording[name])[:, columns]
+    if like is None:
+        return rows
+    found = conversion(signal_of(recording, port).measure, signal_of(recording, like).measure)
+    assert found is not None  # it was checked before the run
+    return found(rows)
+
+
+def signal_of(recording: Recording, port: str) -> Signal:
+    """Give the signal of a recorded port, or of one element of it."""
+    component, _, name = _part(recording, port)[0].partition(".")
+    return next(signal for signal in recording.channels[component].signals if signal.name == name)
 
 
 def has_signal(recording: Recording, signal: str) -> bool:
     """Whether ``component.signal`` was recorded."""
     component, _, name = signal.partition(".")
     return component in recording.channels and name in (one.name for one in recording.channels[component].signals)
+
+
+def _part(recording: Recording, port: str) -> tuple[str, slice]:
+    """Split a port into its signal and the columns of it; what is none of a recorded signal stays as it is."""
+    element = re.fullmatch(r"(.*)\[(\d+)\]", port)
+    if element is None or has_signal(recording, port) or not has_signal(recording, element[1]):
+        return port, slice(None)
+    index = int(element[2])
+    return (element[1], slice(index, index + 1)) if index < signal_of(recording, element[1]).size else (port, slice(None))
 
 
 def difference(first: Recording, other: Recording, signal: str) -> tuple[Matrix, Matrix]:
@@ -126,7 +146,7 @@ def _facts(recording: Recording, component: str) -> dict[str, Any]:
 def _signal_error(recording: Recording, estimate: str, true: str, since: float) -> SignalError:
     a, b = (recording.time_ns(port.partition(".")[0]) for port in (estimate, true))
     shared, i, j = np.intersect1d(a, b, return_indices=True)
-    error = np.abs(rows_of(recording, estimate)[i] - rows_of(recording, true)[j])
+    error = np.abs(rows_of(recording, estimate)[i] - rows_of(recording, true, like=estimate)[j])
     if not shared.size or shared[-1] / 1e9 < since:  # the run ended before the identification began
         since = 0.0
     window = error[shared / 1e9 >= since]

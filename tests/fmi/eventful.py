@@ -7,7 +7,6 @@ from tempfile import mkdtemp
 import numpy as np
 
 from cosim.fmi.component import load
-from cosim.fmi.driving.model_exchange import RTOL
 from tests.fmi.compiled import compile_fmu
 
 VARIABLES = ("u", "d", "x", "v", "der(x)", "der(v)", "q", "count", "p", "evaluations", "completed")
@@ -86,7 +85,14 @@ class Run:
     """A loaded FMU with its solver, run from 0."""
 
     def __init__(
-        self, model: str, solver: str = "rk4", *, p: float = 0.0, version: int = 2, nominal: float = 1.0, rtol: float = RTOL
+        self,
+        model: str,
+        solver: str = "rk4",
+        *,
+        p: float = 0.0,
+        version: int = 2,
+        nominal: float = 1.0,
+        rtol: float | None = None,
     ):
         self.fmu = load(build(model, version, nominal), solver=solver, rtol=rtol, start={"p": p})
         self.component = self.fmu.component

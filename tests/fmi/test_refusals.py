@@ -209,6 +209,7 @@ def test_solvers(exported):
     refused(exported, "no solver 'euler'; ", solver="euler")
     refused(exported, "solver 'exact' needs the matrices of a linear model", solver="exact")
     refused(exported, "a co-simulation FMU brings its own", solver="rk4", mode="cs")
+    refused(exported, "relative tolerance 1e-06: a co-simulation FMU brings its own solver", rtol=1e-6, mode="cs")
 
 
 @pytest.mark.parametrize(

@@ -23,11 +23,16 @@ SAMPLED = {"controller.period": 0.01}
 ACADEMIC = [("academic", name) for name in ("plant", "observer", "regressor", "identifier")]
 LOOP = [("closed-loop", name) for name in ("feedback", "error", "controller")]
 AGAIN = [("closed-loop", name) for name in ("plant", "observer", "regressor", "identifier")]  # the same kinds with other signals
-SAMPLED_UNITS = [("sampled", "controller"), ("slow", "identifier"), ("held", "identifier")]
+SAMPLED_UNITS = [("sampled", "controller"), ("step", "controller"), ("slow", "identifier"), ("held", "identifier")]
 UNITS = [*ACADEMIC, *LOOP, *SAMPLED_UNITS, *(pytest.param(*unit, marks=pytest.mark.campaign) for unit in AGAIN)]
 STATES = [("academic", "plant"), ("academic", "observer"), ("closed-loop", "controller")]  # linear models that have some
 DRIVERS = {"sampled": "error", "slow": "regressor"}
-CHANGES = {"sampled": SAMPLED, "slow": {"identifier.period": 0.1}, "held": {"scenario.hold": "start"}}
+CHANGES = {
+    "sampled": SAMPLED,
+    "step": {"controller.period": H},
+    "slow": {"identifier.period": 0.1},
+    "held": {"scenario.hold": "start"},
+}
 
 
 @dataclass(frozen=True)

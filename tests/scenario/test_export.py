@@ -42,7 +42,7 @@ def test_fmpy_finds_nothing_wrong(key, name, fmi, folder):
     assert validate_fmu(str(path)) == []
     found = fmpy.read_model_description(str(path), validate=True)
     assert found.coSimulation is not None
-    assert (found.modelExchange is None) == (name in ("regressor", "identifier") or key == "sampled")
+    assert (found.modelExchange is None) == (name in ("regressor", "identifier") or key in ("sampled", "step"))
 
 
 @FMI

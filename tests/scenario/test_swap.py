@@ -116,6 +116,18 @@ def test_a_log_of_an_fmu_replays_without_the_fmu(plant, tmp_path):
     assert json.loads(log.metadata["cosim.component.plant"]["facts"])["sha256"]
 
 
+def test_an_fmu_keeps_the_tolerance_of_its_table(plant):
+    """At 1e-3 RK45 crosses a step of 0.1 s at once, with some (2 h)^6/720 = 1e-7; at 1e-11 it is the exact solution to 1e-9."""
+    changes = {"scenario.step": 0.1, "scenario.stop": 4.0}
+
+    def run(tolerance):
+        return cosim.run("academic", swap={"plant": plant}, set={**changes, "plant.solver": "RK45", "plant.tolerance": tolerance})
+
+    exact, loose, tight = cosim.run("academic", set=changes)["plant.y"], run(1e-3), run(1e-11)
+    assert abs(tight["plant.y"] - exact).max() < 1e-9 < 1e-8 < abs(loose["plant.y"] - exact).max()
+    assert json.loads(tight.metadata["cosim.component.plant"]["facts"])["tolerance"] == 1e-11
+
+
 def test_a_sampled_fmu_answers_at_its_own_step(plant, tmp_path):
     """With a period the FMU lives on that step; its outputs hold between, and its channel keeps the rows of that step."""
     changes = {"plant.mode": "cs", "plant.period": 0.01, "scenario.stop": 1.0}

@@ -202,3 +202,11 @@ def test_a_name_is_given_once(options, text, capsys):
         main(["run", "academic", *options])
     assert left.value.code == 2
     assert text in capsys.readouterr().err
+
+
+def test_who_is_swapped_again_loses_its_own_map_only():
+    swapped = find("academic").with_swaps(
+        {"plant": "a.fmu", "observer": "b.fmu"}, {"plant.y": "out1", "observer.delta": "d", "observer.y": "in1"}
+    )
+    assert swapped.with_swaps({"plant": "c.fmu"}).maps == {"observer.delta": "d", "observer.y": "in1"}
+    assert swapped.with_swaps({"regressor": "c.fmu"}, {"regressor.mu": "m"}).maps == {**swapped.maps, "regressor.mu": "m"}

@@ -35,7 +35,7 @@ MIME = b"application/x-fmu-sharedlibrary"
 
 @final
 class Fmi1:
-    """FMI 1.0, one instance; see :class:`cosim.fmi.binding.Calls`."""
+    """FMI 1.0, one instance; see :class:`cosim.fmi.binary.binding.Calls`."""
 
     derivatives, nominals = "GetDerivatives", "GetNominalContinuousStates"
     dtypes: dict[str, DTypeLike] = {"Float64": np.float64, "Int32": np.int32, "Boolean": np.int8}  # noqa: RUF012

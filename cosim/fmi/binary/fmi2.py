@@ -21,7 +21,7 @@ LAST_SUCCESSFUL_TIME, IS_TERMINATED = 2, 3  # of fmi2StatusKind
 
 @final
 class Fmi2:
-    """FMI 2.0.4, one instance; see :class:`cosim.fmi.binding.Calls`."""
+    """FMI 2.0.4, one instance; see :class:`cosim.fmi.binary.binding.Calls`."""
 
     derivatives, nominals = "GetDerivatives", "GetNominalsOfContinuousStates"
     dtypes: dict[str, DTypeLike] = {"Float64": np.float64, "Int32": np.int32, "Boolean": np.int32}  # noqa: RUF012

@@ -40,7 +40,7 @@ _VALUES = (c_void_p, c_void_p, c_size_t, c_void_p, c_size_t)  # of a function th
 
 @final
 class Fmi3:
-    """FMI 3.0, one instance; see :class:`cosim.fmi.binding.Calls`."""
+    """FMI 3.0, one instance; see :class:`cosim.fmi.binary.binding.Calls`."""
 
     derivatives, nominals = "GetContinuousStateDerivatives", "GetNominalsOfContinuousStates"
     dtypes: dict[str, DTypeLike] = {**{name: np.dtype(name.lower()) for name in _NUMBERS}, "Boolean": np.bool_}  # noqa: RUF012

@@ -40,12 +40,12 @@ from cosim.errors import FmuError, RunError
 from cosim.fmi.binary.messages import Message
 from cosim.fmi.description import Description
 from cosim.fmi.driving.direct import Direct
+from cosim.fmi.driving.events import settle
 from cosim.fmi.driving.inner_step import InnerStep
 from cosim.fmi.driving.saved import SavedState, save
 from cosim.fmi.driving.start import Start, Starts
 from cosim.fmi.unit import TERMINATED, CoSimulationUnit, StepEnd
 
-EVENT_ITERATIONS: Final = 100
 PARTS: Final = 1000  # of one communication step, by early returns and time events
 HALVINGS: Final = 10  # of a step that is discarded
 CLOSE: Final = 1e-9  # of a communication step: times that are the same
@@ -369,13 +369,8 @@ class CoSimulation:
         self._settle(t)
 
     def _settle(self, t: float) -> None:
-        """Iterate the discrete states (FMI 3.0 section 4.2.2) and leave event mode."""
-        for _ in range(EVENT_ITERATIONS):
-            found = self._unit.update_discrete_states()
-            if found.terminate or not found.need_update:
-                break
-        else:
-            raise RunError(f"{self._name}: discrete states do not settle at t = {t} s after {EVENT_ITERATIONS} iterations")
+        """Let the discrete states settle, and leave event mode."""
+        found = settle(self._unit, t)
         self._next_event, self._ended = found.next_event_time, found.terminate
         if not self._ended:
             self._unit.enter_step_mode()

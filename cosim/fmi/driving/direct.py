@@ -16,7 +16,7 @@ from cosim.fmi.unit import CoSimulationUnit
 
 @final
 class Direct:
-    """D times a change of the inputs, by directional derivatives: from real inputs to continuous outputs.
+    """D times a change of the inputs, by directional derivatives: from real inputs to continuous outputs, both Float64.
 
     Parameters
     ----------
@@ -32,8 +32,9 @@ class Direct:
 
     def __init__(self, unit: CoSimulationUnit, in_events: frozenset[str]) -> None:
         face = unit.interface
-        real = {signal.name for signal in face.inputs if signal.kind == "real"} - in_events
-        moving = [signal.name for signal in face.outputs if signal.kind == "real" and signal.variability == "continuous"]
+        real = set(_doubles(unit.description, "input")) - in_events
+        doubles = set(_doubles(unit.description, "output"))
+        moving = [signal.name for signal in face.outputs if signal.name in doubles and signal.variability == "continuous"]
         fed = {name: face.feeds(name) for name in moving if real.intersection(face.feeds(name))}
         feeding = [signal.name for signal in face.inputs if any(signal.name in names for names in fed.values())]
         self.corrected = frozenset(name for name, names in fed.items() if (real | in_events).issuperset(names))
@@ -49,6 +50,11 @@ class Direct:
         if len(self._rows) and any(seed.tolist()):  # quicker than seed.any() for a few
             y[self._rows] += self._unit.get_directional_derivative(self._unknowns, self._knowns, seed)
         return y
+
+
+def _doubles(description: Description, causality: str) -> list[str]:
+    """Give the signals that directional derivatives are for."""
+    return [signal.name for signal, group in description.ports(causality) if all(v.type == "Float64" for v in group)]
 
 
 def _elements(columns: Mapping[str, slice], names: Iterable[str]) -> NDArray[np.intp]:

@@ -1,4 +1,4 @@
-"""Events of model exchange units: where they are, the iteration that settles them, and the list of what happened.
+"""Events: where those of model exchange are, the iteration that settles them in every kind, and the list of what happened.
 
 A state event is where an event indicator changes its domain, z > 0 or z <= 0 (FMI 2.0.4 section 3.1.1, FMI 3.0 section 3.1.1).
 Times that differ by a few roundings are one time: ``close``.
@@ -16,7 +16,7 @@ import numpy as np
 from cosim.arrays import Vector
 from cosim.errors import RunError
 from cosim.fmi.binary.messages import Message
-from cosim.fmi.unit import DiscreteStates, ModelExchangeUnit
+from cosim.fmi.unit import CoSimulationUnit, DiscreteStates, ModelExchangeUnit
 
 EventKind: TypeAlias = Literal["state event", "time event", "step event", "input event"]
 
@@ -78,26 +78,21 @@ def _root(za: float, zb: float) -> float:
     return min(max(za / (za - zb), 0.0), 1.0) if math.isfinite(za - zb) else 0.5
 
 
-def settle(unit: ModelExchangeUnit, t: float) -> DiscreteStates:
-    """Iterate the discrete states (FMI 2.0.4 section 3.2.2, FMI 3.0 section 3.2.1); give what came of it all together.
+def settle(unit: ModelExchangeUnit | CoSimulationUnit, t: float) -> DiscreteStates:
+    """Iterate the discrete states (FMI 2.0.4 section 3.2.2, FMI 3.0 sections 3.2.1 and 4.2.2); give what came of it all together.
 
     Raises
     ------
     RunError
-        If they do not settle, or the next time event is not after ``t``.
+        If they do not settle.
     """
-    name, values, nominals = unit.description.name, False, False
+    values, nominals = False, False
     for _ in range(ITERATIONS):
         found = unit.update_discrete_states()
         values, nominals = values or found.values_changed, nominals or found.nominals_changed
         if found.terminate or not found.need_update:
-            break
-    else:
-        raise RunError(f"{name}: discrete states do not settle at t = {t} s after {ITERATIONS} iterations")
-    time = found.next_event_time
-    if time is not None and not found.terminate and not time >= t - close(t):
-        raise RunError(f"{name}: at t = {t} s it announces a time event at {time} s; needed a time that is not over")
-    return found._replace(values_changed=values, nominals_changed=nominals)
+            return found._replace(values_changed=values, nominals_changed=nominals)
+    raise RunError(f"{unit.description.name}: discrete states do not settle at t = {t} s after {ITERATIONS} iterations")
 
 
 @final

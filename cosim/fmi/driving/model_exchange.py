@@ -13,7 +13,7 @@ import numpy as np
 
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.contracts import Design, Stopped
-from cosim.core.solver import SOLVERS, Linear, LinearModel
+from cosim.core.solver import SOLVERS, TOLERANT, Linear, LinearModel
 from cosim.errors import FmuError, RunError, nearest
 from cosim.fmi.binary.messages import Message
 from cosim.fmi.driving.motion import Line, Motion, Reached
@@ -37,14 +37,15 @@ class ModelExchange:
         One of ``cosim.core.solver.SOLVERS``; None: ``exact`` where the unit's model is known to be linear, else ``rk4``.
     starts : mapping of variable name to StartValue
         Start values to set instead of the unit's own.
-    rtol : float
-        Relative tolerance of the states, for the solvers that keep one; the absolute one is ``rtol`` times their nominal values.
+    rtol : float or None
+        Relative tolerance of the states, for the solvers that keep one (``TOLERANT``), else None; None there: ``RTOL``. The
+        absolute one is ``rtol`` times their nominal values.
 
     Raises
     ------
     FmuError
-        If there is no such solver, it needs what the unit or the machine does not have, the tolerance is not one, or a start
-        value is wrong.
+        If there is no such solver, it needs what the unit or the machine does not have, the tolerance is not one or for a solver
+        that keeps none, or a start value is wrong.
     """
 
     def __init__(
@@ -53,7 +54,7 @@ class ModelExchange:
         solver: str | None = None,
         *,
         starts: Starts | None = None,
-        rtol: float = RTOL,
+        rtol: float | None = None,
     ) -> None:
         self._unit, self._name = unit, unit.description.name
         self.solver = solver or ("rk4" if unit.linear is None else "exact")
@@ -63,6 +64,12 @@ class ModelExchange:
             raise FmuError(
                 f"{self._name}: solver 'exact' needs the matrices of a linear model, an FMU does not show them; use 'rk4'"
             )
+        if rtol is not None and self.solver not in TOLERANT:
+            raise FmuError(
+                f"{self._name}: relative tolerance {rtol}: solver {self.solver!r} takes the steps it is given; leave it out or "
+                f"use one of: {', '.join(TOLERANT)}"
+            )
+        rtol = RTOL if rtol is None else rtol
         if not CLOSEST <= rtol < 1.0:
             raise FmuError(f"{self._name}: relative tolerance {rtol}; needed at least {CLOSEST} and less than 1")
         self.interface = unit.interface

@@ -267,9 +267,12 @@ class Motion:
         found = settle(unit, now.t)
         now.due, self._set = (), math.nan
         now.ended |= found.terminate
-        now.next_event = math.inf if found.next_event_time is None else found.next_event_time
         if now.ended:
             return
+        now.next_event = math.inf if found.next_event_time is None else found.next_event_time
+        if not now.next_event >= now.t - close(now.t):
+            text = f"at t = {now.t} s it announces a time event at {now.next_event} s; needed a time that is not over"
+            raise RunError(f"{self._name}: {text}")
         unit.enter_continuous_time_mode()
         if self._n:
             now.x = unit.get_continuous_states()

@@ -53,7 +53,14 @@ class Site(Protocol):
         ...
 
     def fmu(
-        self, name: str, path: str, *, mode: Literal["me", "cs"] | None, solver: str | None, start: Mapping[str, Any]
+        self,
+        name: str,
+        path: str,
+        *,
+        mode: Literal["me", "cs"] | None,
+        solver: str | None,
+        tolerance: float | None,
+        start: Mapping[str, Any],
     ) -> Component:
         """Load an FMU; it is freed when the run is over."""
         ...
@@ -110,7 +117,7 @@ class Kind(Table):
 
     def slowed(self, component: Component, n: int) -> Component:
         """Put the component on a period of ``n`` communication steps: it goes on at every step and answers at every n-th."""
-        return Decimated(component, n)
+        return Decimated(component, n) if n > 1 else component
 
     def build(self, name: str, site: Site) -> Component:
         """Build the component."""

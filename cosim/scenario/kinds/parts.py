@@ -134,9 +134,9 @@ class Controller(Kind):
 
     def exportable(self, name: str, site: Site, place: Place) -> Exportable:
         model = self.linear_model(name, site)
-        every = 1 if self.period is None else whole_steps(self.period, site.step_ns, f"period of {name!r}")
-        if every == 1:
+        if self.period is None:
             return model
+        every = whole_steps(self.period, site.step_ns, f"period of {name!r}")
         discrete = first_order_hold(model.A, model.B, site.step_ns * every / NANOSECONDS, np.ones(model.interface.n_u, np.bool_))
         return DiscreteModel(
             self.slowed(Linear(model), every).interface,

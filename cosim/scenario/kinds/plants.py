@@ -66,6 +66,9 @@ class Fmu(Plant):
         None, description="model exchange or co-simulation; left out: me where it is offered"
     )
     solver: str | None = Field(None, description=f"for model exchange, one of: {', '.join(SOLVERS)}")
+    tolerance: Number | None = Field(
+        None, description="relative tolerance of the states, for solvers that keep one; left out: 1e-9"
+    )
     start: dict[str, Start] = Field(
         {},
         description="start values by variable: number, Boolean, item of an enumeration, text (a Binary in hexadecimal), list",
@@ -78,10 +81,10 @@ class Fmu(Plant):
         return self.period
 
     def slowed(self, component: Component, n: int) -> Component:
-        return Sampled(component, n)
+        return Sampled(component, n) if n > 1 else component
 
     def build(self, name: str, site: Site) -> Component:
-        return site.fmu(name, self.path, mode=self.mode, solver=self.solver, start=self.start)
+        return site.fmu(name, self.path, mode=self.mode, solver=self.solver, tolerance=self.tolerance, start=self.start)
 
     def description(self, name: str, site: Site) -> tuple[Mode, Description] | None:
         from cosim.fmi.description import MODES
