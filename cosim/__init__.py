@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from cosim.version import __version__
 
 if TYPE_CHECKING:
-    from cosim.fmi.linearise import linearize
+    from cosim.fmi.linearising.linearise import linearize
     from cosim.log.diff import diff
     from cosim.log.reader import open_log
     from cosim.scenario.comparing import compare
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 _HOMES = {
     "compare": "cosim.scenario.comparing",
     "diff": "cosim.log.diff",
-    "linearize": "cosim.fmi.linearise",
+    "linearize": "cosim.fmi.linearising.linearise",
     "load": "cosim.scenario.execution",
     "open_log": "cosim.log.reader",
     "replay": "cosim.scenario.execution",

@@ -18,7 +18,7 @@ from cosim.errors import UsageError
 if TYPE_CHECKING:
     from cosim.arrays import Matrix
     from cosim.core.contracts import Recording
-    from cosim.fmi.linearise import Linearisation
+    from cosim.fmi.linearising.linearisation import Linearisation
     from cosim.log.diff import Difference
     from cosim.scenario.build import Scenario
     from cosim.scenario.comparing import Comparison

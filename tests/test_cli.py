@@ -179,13 +179,13 @@ def test_check_tells_all_and_exits_1_at_an_error(call, tmp_path):
     write(tmp_path / "x.fmu", [], xml=FMI3.replace('start="1 2 3"', 'start="1 2"').encode())
     code, out, _ = call("check", "x.fmu")
     assert code == 1
-    assert "error: variable 'x': has 2 start values for 3 elements\n" in out
+    assert "error: XML: variable 'x': has 2 start values for 3 elements\n" in out
     assert "warning: structure: clocks, which are not supported: tick\n" in out
     assert out.endswith("x.fmu: 2 errors, 2 warnings\n")
     code, out, _ = call("check", "x.fmu", "--json")
     found = json.loads(out)
     assert (code, found["errors"], found["warnings"]) == (1, 2, 2)
-    assert {"level": "error", "where": "variable 'x'", "text": "has 2 start values for 3 elements"} in found["findings"]
+    assert {"level": "error", "where": "XML", "text": "variable 'x': has 2 start values for 3 elements"} in found["findings"]
     assert call("check", "no.fmu") == (2, "", "cosim: no.fmu: there is no such file\n")
 
 
@@ -303,7 +303,7 @@ def test_an_interrupt_ends_the_run_cleanly_with_exit_130(tmp_path, number, reaso
 def test_progress_shows_time_speed_and_time_left_on_a_terminal(tmp_path):
     """On a terminal the bar stands on stderr while the run goes on, and is gone at the end."""
     reader, writer = pty.openpty()
-    command = [sys.executable, "-m", "cosim", "run", "closed-loop", "--stop", "60", "--out", str(tmp_path / "a.mcap")]
+    command = [sys.executable, "-m", "cosim", "run", "closed-loop", "--stop", "20", "--out", str(tmp_path / "a.mcap")]
     environment = {**os.environ, "TERM": "xterm", "COLUMNS": "120"}
     seen = b""
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=writer, env=environment) as process:
@@ -315,7 +315,7 @@ def test_progress_shows_time_speed_and_time_left_on_a_terminal(tmp_path):
     os.close(reader)
     assert process.returncode == 0
     text = seen.decode(errors="replace")
-    assert re.search(r"t = \d+\.\d\d of 60 s", text)
+    assert re.search(r"t = \d+\.\d\d of 20 s", text)
     assert re.search(r"\d x real time", text)
     assert re.search(r"\d:\d\d:\d\d", text)
     assert b"real time" in out  # the table, on stdout, has no bar in it

@@ -189,18 +189,18 @@ class Graph:
         late = next(stage.late.get(name, frozenset()) for stage in self.stages if name in stage.names)
         held = []
         for signal in self.layout[name].interface.inputs:
-            discrete = signal.variability == "discrete" or self._variability(*self._sources[name][signal.name]) == "discrete"
+            discrete = signal.variability == "discrete" or self.variability(*self._sources[name][signal.name]) == "discrete"
             held += [self.hold == "start" or discrete or signal.name in late] * signal.size
         return np.array(held, dtype=np.bool_)
 
-    def _variability(self, name: str, output: str, seen: frozenset[str] = frozenset()) -> Variability:
-        """Resolve an inherited variability: discrete where every input behind it is."""
+    def variability(self, name: str, output: str, seen: frozenset[str] = frozenset()) -> Variability:
+        """Give the variability of an output; an inherited one is discrete where every input behind it is."""
         _, signal = self._ports.find(f"{name}.{output}", "output")
         if signal.variability != "inherited":
             return signal.variability
         if name in seen:
             return "discrete"
-        found = {self._variability(*port, seen | {name}) for port in self._sources[name].values()}
+        found = {self.variability(*port, seen | {name}) for port in self._sources[name].values()}
         return "discrete" if found == {"discrete"} else "continuous"
 
 

@@ -293,7 +293,10 @@ class Adaptive:
 
 
 def _copied(attributes: dict[str, Any]) -> dict[str, Any]:
-    return {name: value.copy() if isinstance(value, np.ndarray) else value for name, value in attributes.items()}
+    copies = {name: value.copy() if isinstance(value, np.ndarray) else value for name, value in attributes.items()}
+    if "K_extended" in copies:  # DOP853 writes its stages to K, the beginning of K_extended, and interpolates from that
+        copies["K"] = copies["K_extended"][: len(copies["K"])]
+    return copies
 
 
 @final

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
 from cosim.core.signals import Interface, Signal
+from cosim.fmi.linearising.linearisation import poles, static_gain
 from cosim.units import Conversion, conversion
 
 Verdict: TypeAlias = Literal["ok", "unknown", "differs", "error"]
@@ -23,7 +24,6 @@ Causality: TypeAlias = Literal["input", "output"]
 Pair: TypeAlias = tuple[str | None, str | None]  # a port before and the one that takes its place; None: there is none
 
 SAME = 1e-9  # relative difference of two numbers that are told to be different
-SINGULAR = 1e-12  # reciprocal condition of A below which there is no static gain
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,10 +69,7 @@ class NearStart:
     @staticmethod
     def of(A: Matrix, B: Matrix, C: Matrix, D: Matrix, *, error: float) -> NearStart:
         """Give poles and static gain D - C A^-1 B."""
-        values = np.linalg.svd(A, compute_uv=False)
-        regular = not values.size or values[-1] > max(SINGULAR * values[0], len(A) * error)
-        gain = D - C @ np.linalg.solve(A, B) if regular else None
-        return NearStart(np.sort_complex(np.linalg.eigvals(A).astype(np.complex128)), gain, error)
+        return NearStart(poles(A), static_gain(A, B, C, D, error=error), error)
 
 
 @dataclass(frozen=True, slots=True)

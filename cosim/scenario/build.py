@@ -168,13 +168,9 @@ def finish(made: Draft) -> Experiment:
         With every problem of the file.
     """
     scenario, site, clock, components = made.scenario, made.site, made.clock, made.components
-    settings = scenario.file.scenario
     if made.problems:
         raise _report(scenario.document, made.problems)
-    try:
-        graph = Graph(components, scenario.connections, coupling=settings.coupling, hold=settings.hold, periods=made.periods)
-    except CosimError as error:
-        raise _report(scenario.document, [(("connections",), str(error))]) from error
+    graph = _graph(scenario, components, scenario.connections, made.periods)
     for name, spec in scenario.specs.items():
         columns = components[name].interface.input_columns()
         held = {signal: bool(graph.held[name][at].any()) for signal, at in columns.items()}
@@ -194,6 +190,40 @@ def finish(made: Draft) -> Experiment:
         fmus=site.fmus,
         files=frozenset(site.files),
     )
+
+
+def upstream(made: Draft, component: str) -> Graph:
+    """Give the graph of a component and of all that it depends on; what is wrong with other components does not matter.
+
+    Raises
+    ------
+    ScenarioError
+        With every problem of the file, if one of these cannot be built or connected.
+    """
+    scenario, needed, waiting = made.scenario, set[str](), [component]
+    while waiting:
+        name = waiting.pop()
+        needed.add(name)
+        wires = (wire.source for to, wire in scenario.connections.items() if to.partition(".")[0] == name)
+        waiting += {source.partition(".")[0] for source in wires} - needed
+    components = {name: found for name, found in made.components.items() if name in needed}
+    connections = {to: wire for to, wire in scenario.connections.items() if to.partition(".")[0] in needed}
+    if len(components) < len(needed):
+        raise _report(scenario.document, made.problems)
+    return _graph(scenario, components, connections, {name: made.periods[name] for name in components})
+
+
+def _graph(
+    scenario: Scenario,
+    components: Mapping[str, Component],
+    connections: Mapping[str, Connection],
+    periods: Mapping[str, int],
+) -> Graph:
+    settings = scenario.file.scenario
+    try:
+        return Graph(components, connections, coupling=settings.coupling, hold=settings.hold, periods=periods)
+    except CosimError as error:
+        raise _report(scenario.document, [(("connections",), str(error))]) from error
 
 
 def _clock(scenario: Scenario, block: int | None, problems: Problems) -> Clock:

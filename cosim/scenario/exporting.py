@@ -5,13 +5,23 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, final
 
+from cosim.arrays import Mask
+from cosim.core.graph import Graph
+from cosim.core.signals import Interface
 from cosim.errors import UsageError, nearest
 from cosim.fmi.exporting.export import export
-from cosim.scenario.build import build, build_site
+from cosim.scenario.build import Scenario, build_site, draft, upstream
 from cosim.scenario.execution import load
+
+HOLDS = (
+    "its inputs hold over a step here, so its outputs do too; co-simulation in FMI 2.0 has no events to say so, and they are "
+    "declared continuous: FMI 3.0 declares them discrete"
+)
 
 
 def export_component(
@@ -26,12 +36,16 @@ def export_component(
 ) -> list[str]:
     """Write a component as an FMU; give lines that say what was written.
 
-    The scenario is built as for a run: what an identifier does with its rows rests on what drives it.
+    Only what the component rests on is built: an identifier treats its rows as they come from what drives it.
 
     Raises
     ------
     UsageError
-        If there is no such component, it cannot be exported, the version or a platform is not known, or the file exists.
+        If there is no such component, it cannot be exported, or the file exists or cannot be written.
+    FmuError
+        If the version or a platform is not known.
+    ScenarioError
+        If the file is wrong, or what the component rests on cannot be built.
     """
     if out.suffix != ".fmu":
         raise UsageError(f"{out}: needed a path that ends in .fmu")
@@ -41,14 +55,51 @@ def export_component(
     if component not in loaded.specs:
         raise UsageError(f"there is no component {component!r}; {nearest(component, loaded.specs)}")
     with ExitStack() as resources:
-        held = build(loaded.document, resources).graph.held[component]
-        model = loaded.specs[component].exportable(component, build_site(loaded, resources), held)
+        place = _Place(loaded, component, resources)
+        model = loaded.specs[component].exportable(component, build_site(loaded, resources), place)
+        holds = _inherits(model.interface) and place.is_discrete
+    if holds and fmi == "3":
+        model = replace(model, interface=_discrete(model.interface))
     name, description = _identifier(f"{loaded.name}_{component}"), f"{component} of scenario {loaded.name}"
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        return export(model, out, name=name, fmi=fmi, platforms=platforms, description=description).lines
+        lines = export(model, out, name=name, fmi=fmi, platforms=platforms, description=description).lines
     except OSError as error:
         raise UsageError(f"{out} cannot be written: {error.strerror or error}") from error
+    return [*lines, HOLDS] if holds and fmi == "2" else lines
+
+
+@final
+class _Place:
+    """Where a component stands; what drives it is built when that is asked for, and nothing else."""
+
+    def __init__(self, scenario: Scenario, component: str, resources: ExitStack) -> None:
+        self._scenario, self._component, self._resources = scenario, component, resources
+
+    @cached_property
+    def _graph(self) -> Graph:
+        return upstream(draft(self._scenario.document, self._resources), self._component)
+
+    @property
+    def held(self) -> Mask:
+        """Which input elements keep their value over a communication step, shape (n_u,)."""
+        return self._graph.held[self._component]
+
+    @property
+    def is_discrete(self) -> bool:
+        """Whether outputs that inherit their variability are discrete."""
+        face = self._graph.components[self._component].interface
+        return all(self._graph.variability(self._component, signal.name) == "discrete" for signal in face.outputs)
+
+
+def _inherits(face: Interface) -> bool:
+    return any(signal.variability == "inherited" for signal in face.outputs)
+
+
+def _discrete(face: Interface) -> Interface:
+    """Give an interface all of whose signals hold over a step."""
+    inputs, outputs = (tuple(replace(signal, variability="discrete") for signal in part) for part in (face.inputs, face.outputs))
+    return replace(face, inputs=inputs, outputs=outputs)
 
 
 def _identifier(name: str) -> str:

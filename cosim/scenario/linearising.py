@@ -18,7 +18,7 @@ from cosim.theory.descriptor import ReducedSystem
 from cosim.units import BaseUnit
 
 if TYPE_CHECKING:
-    from cosim.fmi.linearise import Linearisation, Method
+    from cosim.fmi.linearising.linearisation import Linearisation, Method
 
 
 def linearise_file(
@@ -31,7 +31,7 @@ def linearise_file(
     differences: bool,
 ) -> Linearisation:
     """Linearise an FMU, as :func:`cosim.linearize`."""
-    from cosim.fmi.linearise import linearize
+    from cosim.fmi.linearising.linearise import linearize
 
     method: Method | None = "central differences" if differences else None
     return linearize(path, at=at, start=start, inputs=inputs, outputs=outputs, method=method)

@@ -18,7 +18,7 @@ from cosim.scenario.schema import matrix
 from cosim.theory.descriptor import DescriptorSystem
 
 if TYPE_CHECKING:
-    from cosim.fmi.linearise import Linearisation
+    from cosim.fmi.linearising.linearisation import Linearisation
     from cosim.scenario.build import Scenario
 
 
@@ -165,14 +165,14 @@ class ScenarioSite:
         return self._linearised[name]
 
     def _linearise(self, path: str, **wanted: Any) -> dict[str, Any]:
-        from cosim.fmi.linearise import linearize
+        from cosim.fmi.linearising.linearise import linearize
         from cosim.fmi.reading.model_description import read
 
         file = self.file(path)
         return {"sha256": read(file).sha256, "result": linearize(file, **wanted).to_dict()}
 
     def _take(self, name: str, linearisation: dict[str, Any]) -> None:
-        from cosim.fmi.linearise import Linearisation
+        from cosim.fmi.linearising.linearisation import Linearisation
 
         found = self._linearised[name] = Linearisation.of(linearisation["result"])
         self.note(name, linearisation=linearisation)

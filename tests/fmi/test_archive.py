@@ -12,7 +12,8 @@ import pytest
 
 from cosim.errors import FmuError
 from cosim.fmi.component import load
-from cosim.fmi.reading.model_description import archive, read
+from cosim.fmi.reading import archive
+from cosim.fmi.reading.model_description import read
 from tests.fmi.archives import XML, Entry, deflate, write, zeros
 
 MEMORY = 50 * 2**20  # bytes beside what was there: an archive is never held whole, and its XML is small here

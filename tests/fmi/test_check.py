@@ -342,7 +342,7 @@ def test_findings_of_fmi_3(tmp_path):
     xml = xml.replace('name="small" valueReference="7"', 'name="small" valueReference="8"')
     path = write(tmp_path / "x.fmu", [], xml=xml.encode())
     errors, warnings = found(path), found(path, "warning")
-    assert "variable 'x': has 2 start values for 3 elements" in errors
+    assert "XML: variable 'x': has 2 start values for 3 elements" in errors
     assert "variable 'large': has the value reference 8 of 'small'; FMI 3 needs one for each" in errors
     assert "structure: 0 independent variables; FMI 3 needs exactly one, the time" in warnings
     assert "structure: clocks, which are not supported: tick" in warnings

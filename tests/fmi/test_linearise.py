@@ -12,9 +12,10 @@ from cosim.core.signals import Interface, Signal
 from cosim.core.solver import LinearModel
 from cosim.errors import FmuError, RunError
 from cosim.fmi.component import load
-from cosim.fmi.differences import differentiate
 from cosim.fmi.generated import GeneratedUnit
-from cosim.fmi.linearise import Linearisation, linearise
+from cosim.fmi.linearising.differences import differentiate
+from cosim.fmi.linearising.linearisation import Linearisation
+from cosim.fmi.linearising.linearise import linearise
 from tests.fmi import plant
 from tests.fmi.compiled import compile_fmu
 from tests.fmi.pendulum import FRICTION, OUTPUTS, G, jacobian, pendulum

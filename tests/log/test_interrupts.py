@@ -70,9 +70,9 @@ def is_whole(path, rows):
     )
 
 
-@pytest.mark.parametrize(("functions", "stride"), [(SWITCH, 1), (None, 17)])
+@pytest.mark.parametrize(("functions", "stride"), [(SWITCH, 3), (None, 17), pytest.param(SWITCH, 1, marks=pytest.mark.campaign)])
 def test_an_interrupt_at_any_instant_keeps_every_row_once(tmp_path, monkeypatch, functions, stride):
-    """At every one around the writing of a chunk, at some of all others: the file is whole or not there, and no other is left."""
+    """The file is whole or not there, and no other is left: at some instants around the writing of a chunk, and of all others."""
     monkeypatch.setattr(row_buffer, "CHUNK_BYTES", 700)
     rows, path = table(layout(), 12), tmp_path / "a.mcap"
     instant, came, kept = 1, True, 0

@@ -14,6 +14,7 @@ from cosim.errors import CosimError
 from cosim.fmi.component import ModelExchange, load
 from cosim.fmi.generated import GeneratedUnit
 from cosim.fmi.reading.model_description import read
+from cosim.scenario.document import find
 from cosim.scenario.exporting import export_component
 from tests.scenario.exported import ACADEMIC, STATES, STOP, UNITS, H, case, drive, export
 
@@ -298,3 +299,41 @@ def test_small_parts_are_the_same_as_fmus(fmi, tmp_path):
         assert read(path).description.name == f"small_parts_{name}"  # an identifier of C
         run = cosim.run(scenario, swap={name: path}, set={f"{name}.mode": "cs"})
         assert relative(run[f"{name}.y"], expected[f"{name}.y"]) <= 1e-14, name
+
+
+HELD = PARTS.replace('y = ["sin(7*t)", "cos(9*t) + 0.3"]', 'y = ["sin(7*t)", "cos(9*t) + 0.3"]\ndiscrete = true').replace(
+    "[connections]", '[components.after]\nkind = "lag"\ntime_constant = 0.05\nsize = 3\n[connections]\n"after.u" = "gain.y"'
+)
+
+
+def test_parts_that_inherit_steps_are_discrete(tmp_path):
+    """What they drive must go on holding it: a straight line in its place is off by half a step's change.
+
+    The inputs jump in an event at each communication point, and outputs that they feed show that there, bit for bit.
+    """
+    scenario = tmp_path / "held.toml"
+    scenario.write_text(HELD, encoding="utf-8")
+    expected = cosim.run(scenario)
+    for name in ("gain", "limit", "late"):
+        export_component(str(scenario), name, tmp_path / f"{name}.fmu", fmi="3")
+        about = read(tmp_path / f"{name}.fmu").description
+        assert {about[port].variability for port in ("u", "y")} == {"discrete"}
+        settings = {f"{name}.mode": "cs"}
+        run = cosim.run(scenario, out=tmp_path / f"{name}.mcap", swap={name: tmp_path / f"{name}.fmu"}, set=settings)
+        assert np.array_equal(run[f"{name}.y"], expected[f"{name}.y"]), name
+        assert np.array_equal(run["after.y"], expected["after.y"]), name
+        assert not [m for m in run.messages() if "first order in the step" in m.text], name
+    told = export_component(str(scenario), "gain", tmp_path / "gain2.fmu", fmi="2")
+    assert "co-simulation in FMI 2.0 has no events to say so" in told[-1]
+
+
+def test_what_a_component_does_not_rest_on_need_not_be_there(tmp_path):
+    """The observer needs its model, not the plant; the identifier takes rows as the plant gives them, and so needs that."""
+    scenario = tmp_path / "academic.toml"
+    plant = 'kind = "descriptor"\nmodel = "academic"\nx_a0 = [1.0, -1.0]'
+    before, after = find("academic").text.split(plant)
+    scenario.write_text(f'{before}kind = "fmu"\npath = "missing.fmu"{after}', encoding="utf-8")
+    lines = export_component(str(scenario), "observer", tmp_path / "observer.fmu")
+    assert "FMI 2.0, model exchange and co-simulation" in lines[0]
+    with pytest.raises(CosimError, match=r"missing\.fmu"):
+        export_component(str(scenario), "identifier", tmp_path / "identifier.fmu")

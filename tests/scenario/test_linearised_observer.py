@@ -10,7 +10,7 @@ import pytest
 
 import cosim
 from cosim.errors import ScenarioError, UsageError
-from cosim.fmi.linearise import linearize
+from cosim.fmi.linearising.linearise import linearize
 from cosim.scenario.exporting import export_component
 from cosim.scenario.linearising import model_table
 from tests.fmi.pendulum import jacobian, pendulum

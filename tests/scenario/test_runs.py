@@ -28,10 +28,11 @@ def logged(request, tmp_path_factory):
     return request.param, path, cosim.run(request.param, out=path, set=SHORT)
 
 
+@pytest.mark.parametrize("changes", [SHORT, pytest.param({}, marks=pytest.mark.campaign)], ids=["short", "whole"])
 @pytest.mark.parametrize("name", shipped())
-def test_blocks_do_not_change_a_bit(name, tmp_path):
-    """One call of 1000 steps, 1000 calls of one step, blocks of 7: equal bits in the log, over the whole run."""
-    logs = [cosim.run(name, out=tmp_path / f"{block}.mcap", block=block) for block in (1000, 1, 7)]
+def test_blocks_do_not_change_a_bit(name, changes, tmp_path):
+    """One call of 1000 steps, 1000 calls of one step, blocks of 7: equal bits in the log, identification included."""
+    logs = [cosim.run(name, out=tmp_path / f"{block}.mcap", block=block, set=changes) for block in (1000, 1, 7)]
     assert len({log.content_hash() for log in logs}) == 1
 
 

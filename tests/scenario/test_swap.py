@@ -67,8 +67,8 @@ def test_a_model_exchange_fmu_that_others_made_takes_the_plants_place(foreign3):
 
     Rounding in y, 1e-16, times filter_rate is 1e-13 in delta_hat, and theta2 answers to that with less than 1e2 times as much.
     """
-    run = cosim.run("academic", swap={"plant": foreign3}, set={"plant.mode": "me"})
-    reference = cosim.run("academic", set={"plant.solver": "rk4"})
+    run = cosim.run("academic", swap={"plant": foreign3}, set={"plant.mode": "me", "scenario.stop": 10.0})
+    reference = cosim.run("academic", set={"plant.solver": "rk4", "scenario.stop": 10.0})
     assert relative(reference, run, "plant.y") <= 1e-12
     assert abs(run["identifier.theta"][-1] - reference["identifier.theta"][-1]).max() <= 1e-9
 

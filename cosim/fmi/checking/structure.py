@@ -93,9 +93,6 @@ def _start(variable: Variable, element: Element, definitions: Definitions) -> Ch
         yield "error", f"has no start value, which causality {variable.causality} with initial {variable.initial} needs"
     if given and (variable.initial == "calculated" or variable.causality == "independent"):
         yield "warning", "has a start value, which nothing uses: it is calculated"
-    for values in (variable.start, variable.text):
-        if values is not None and len(values) != variable.size:
-            yield "error", f"has {len(values)} start values for {variable.size} elements"
     if variable.start is None:
         return
     if any(math.isnan(value) for value in variable.start):

@@ -27,10 +27,10 @@ import numpy as np
 from cosim.core.solver import LinearModel
 from cosim.errors import FmuError, nearest
 from cosim.fmi.description import MODE_NAMES, Description, Mode, Variable
+from cosim.fmi.exporting.arrays import with_arrays
 from cosim.fmi.exporting.compiling import advice, check_platforms, compile_sources
 from cosim.fmi.exporting.documenting import document
 from cosim.fmi.exporting.forms import Form, form_of
-from cosim.fmi.exporting.gathering import with_arrays
 from cosim.fmi.exporting.kernels import DiscreteModel, integer, integers
 from cosim.fmi.exporting.writing_fmi2 import write_fmi2
 from cosim.fmi.exporting.writing_fmi3 import write_build_description, write_fmi3

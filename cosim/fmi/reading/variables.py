@@ -90,9 +90,7 @@ def read_variables(root: Element, definitions: Definitions, attributes: Attribut
     version = major(root)
     reader = _Reader(version, definitions, attributes)
     elements = list(root.iterfind("ModelVariables/*"))
-    first = [(element, reader.variable(element)) for element in elements]
-    if version == 3:
-        first = _sized(first, attributes)
+    first = _sized([(element, reader.variable(element)) for element in elements], attributes)
     found = [variable for element, variable in first if version > 1 or element.get("alias") != "negatedAlias"]
     found += [
         replace(variable, name=alias.get("name", ""), alias_of=variable.name, doc=alias.get("description", variable.doc))
@@ -223,7 +221,7 @@ def _sized(first: list[tuple[Element, Variable]], attributes: Attributes) -> lis
     found = []
     for element, variable in first:
         dimensions: list[int | str] = []
-        size = 1
+        size, known = 1, len(attributes.problems)
         for dimension in element.iterfind("Dimension"):
             where = f"variable {variable.name!r}: Dimension"
             length, reference = (attributes.integer(dimension, key, where) for key in ("start", "valueReference"))
@@ -237,6 +235,11 @@ def _sized(first: list[tuple[Element, Variable]], attributes: Attributes) -> lis
             dimensions.append(parameter.name if parameter is not None else length)
             size *= length
         start, text = _spread(variable.start, size), _spread(variable.text, size)
+        attributes.problems += [
+            f"variable {variable.name!r}: has {len(values)} start values for {size} element{'s' * (size > 1)}"
+            for values in (start, text)
+            if values is not None and len(values) != size and len(attributes.problems) == known
+        ]
         found.append((element, replace(variable, dimensions=tuple(dimensions), size=size, start=start, text=text)))
     return found
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from cosim.scenario.kinds.base import LINEAR, Kind, Site
+from cosim.scenario.kinds.base import LINEAR, Exportable, Kind, Site
 from cosim.scenario.kinds.method import Identifier, RegressorKind, UnknownInputObserver
 from cosim.scenario.kinds.parts import Controller, Delay, Gain, Lag, Limit, Sum
 from cosim.scenario.kinds.plants import Descriptor, Fmu, Recording
@@ -34,4 +34,4 @@ KINDS: Mapping[str, type[Kind]] = {
     "identifier": Identifier,
 }
 
-__all__ = ["KINDS", "LINEAR", "Kind", "Site"]
+__all__ = ["KINDS", "LINEAR", "Exportable", "Kind", "Site"]

@@ -18,7 +18,7 @@ from cosim.theory.descriptor import DescriptorSystem
 if TYPE_CHECKING:
     from cosim.fmi.compare import NearStart
     from cosim.fmi.description import Description, Mode
-    from cosim.fmi.linearise import Linearisation
+    from cosim.fmi.linearising.linearisation import Linearisation
 
 Exportable: TypeAlias = LinearModel | DiscreteModel
 
@@ -87,6 +87,15 @@ class Site(Protocol):
         ...
 
 
+class Place(Protocol):
+    """Where a component stands among the others; worked out only where it is asked for."""
+
+    @property
+    def held(self) -> Mask:
+        """Which input elements keep their value over a communication step, shape (n_u,)."""
+        ...
+
+
 class Kind(Table):
     """A component's table."""
 
@@ -129,8 +138,8 @@ class Kind(Table):
         """Give the component as a linear model, where it is one: what an exact solver steps and an FMU can be made of."""
         raise UsageError(f"{name!r} is of kind {self.kind!r}, which is no linear model; what is: {', '.join(LINEAR)}")
 
-    def exportable(self, name: str, site: Site, held: Mask) -> Exportable:
-        """Give what an FMU is made of; ``held``: which input elements keep their value over a communication step here."""
+    def exportable(self, name: str, site: Site, place: Place) -> Exportable:
+        """Give what an FMU is made of."""
         if self.kind not in LINEAR:
             raise UsageError(f"{name!r} is of kind {self.kind!r}, which cannot be exported; what can be: {', '.join(EXPORTABLE)}")
         return self.linear_model(name, site)

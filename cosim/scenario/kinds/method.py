@@ -9,7 +9,6 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from cosim.arrays import Mask
 from cosim.blocks.identifier import LeastSquaresIdentifier
 from cosim.blocks.observer import observer_model
 from cosim.blocks.regressor import Regressor
@@ -21,7 +20,7 @@ from cosim.fmi.exporting import kernels
 from cosim.fmi.exporting.kernels import DiscreteModel
 from cosim.native.expression import Program, compile_expression
 from cosim.native.step import evaluate
-from cosim.scenario.kinds.base import Exportable, Kind, Site
+from cosim.scenario.kinds.base import Exportable, Kind, Place, Site
 from cosim.scenario.kinds.plants import Start
 from cosim.scenario.linearising import Belief, belief
 from cosim.scenario.schema import Number, Row, Rows, Table, matrix
@@ -130,7 +129,7 @@ class RegressorKind(Kind):
             site.warn(name, warning)
         return Regressor(terms, alphas=programs, steps=steps, delays=self.delays)
 
-    def exportable(self, name: str, site: Site, held: Mask) -> Exportable:
+    def exportable(self, name: str, site: Site, place: Place) -> Exportable:
         component = self.build(name, site)
         reason = "the regressor multiplies samples of the past, so it lives at the communication points and has no derivatives"
         return DiscreteModel(component.interface, kernels.regressor(component.constants), site.step_ns, reason)
@@ -182,12 +181,12 @@ class Identifier(Kind):
         site.note(name, P0=self.P0, unknowns=recovery.n_eta, remarks=_remarks(recovery))
         return LeastSquaresIdentifier(recovery, start=start, P0=self.P0)
 
-    def exportable(self, name: str, site: Site, held: Mask) -> Exportable:
+    def exportable(self, name: str, site: Site, place: Place) -> Exportable:
         component = self.build(name, site)
         every = 1 if self.period is None else whole_steps(self.period, site.step_ns, f"period of {name!r}")
         return DiscreteModel(
             component.interface if every == 1 else Decimated(component, every).interface,
-            kernels.least_squares(component.constants(component.start, held=bool(held.any()))),
+            kernels.least_squares(component.constants(component.start, held=bool(place.held.any()))),
             site.step_ns,
             "the identifier takes one row at every communication point, so it has no derivatives",
             every=every,

@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from cosim.arrays import Mask, Matrix
+from cosim.arrays import Matrix
 from cosim.blocks import arithmetic, dynamics
 from cosim.blocks.controller import controller
 from cosim.blocks.sampled import Sampled
@@ -18,7 +18,7 @@ from cosim.core.solver import Linear, LinearModel
 from cosim.fmi.exporting import kernels
 from cosim.fmi.exporting.kernels import DiscreteModel
 from cosim.native.step import first_order_hold
-from cosim.scenario.kinds.base import Exportable, Kind, Site
+from cosim.scenario.kinds.base import Exportable, Kind, Place, Site
 from cosim.scenario.schema import Number, Row, Rows, Whole, matrix
 
 
@@ -33,7 +33,7 @@ class Sum(Kind):
     def build(self, name: str, site: Site) -> Component:
         return arithmetic.sum_of(self.signs, size=self.size, unit=self.unit)
 
-    def exportable(self, name: str, site: Site, held: Mask) -> Exportable:
+    def exportable(self, name: str, site: Site, place: Place) -> Exportable:
         return _without_state(self.build(name, site).interface, np.kron(np.array([self.signs]), np.eye(self.size)))
 
 
@@ -47,7 +47,7 @@ class Gain(Kind):
     def build(self, name: str, site: Site) -> Component:
         return arithmetic.gain(self._matrix, unit=self.unit)
 
-    def exportable(self, name: str, site: Site, held: Mask) -> Exportable:
+    def exportable(self, name: str, site: Site, place: Place) -> Exportable:
         return _without_state(self.build(name, site).interface, self._matrix)
 
     @property
@@ -67,7 +67,7 @@ class Limit(Kind):
     def build(self, name: str, site: Site) -> Component:
         return arithmetic.limit(lower=self.lower, upper=self.upper, size=self.size, unit=self.unit)
 
-    def exportable(self, name: str, site: Site, held: Mask) -> Exportable:
+    def exportable(self, name: str, site: Site, place: Place) -> Exportable:
         face = self.build(name, site).interface
         reason = "a limit is not smooth, so it has no derivatives everywhere"
         return DiscreteModel(face, kernels.limit(float(self.lower), float(self.upper)), 0, reason)
@@ -98,7 +98,7 @@ class Delay(Kind):
     def build(self, name: str, site: Site) -> Component:
         return dynamics.Delay(self._steps(site), initial=self.initial, size=self.size, unit=self.unit)
 
-    def exportable(self, name: str, site: Site, held: Mask) -> Exportable:
+    def exportable(self, name: str, site: Site, place: Place) -> Exportable:
         kernel = kernels.delay(self._steps(site), self.size, self.initial)
         reason = "a delay line keeps samples of the communication points, so it has no derivatives"
         return DiscreteModel(self.build(name, site).interface, kernel, site.step_ns, reason)
@@ -132,7 +132,7 @@ class Controller(Kind):
         x0 = None if self.x0 is None else np.array(self.x0)
         return controller(A=matrix(self.A, "A"), B=matrix(self.B, "B"), C=matrix(self.C, "C"), D=D, x0=x0, unit=self.unit)
 
-    def exportable(self, name: str, site: Site, held: Mask) -> Exportable:
+    def exportable(self, name: str, site: Site, place: Place) -> Exportable:
         model = self.linear_model(name, site)
         if self.period is None:
             return model

@@ -96,7 +96,7 @@ class Fmu(Plant):
 
     def near_start(self, name: str, site: Site) -> NearStart:
         from cosim.fmi.compare import NearStart
-        from cosim.fmi.linearise import linearize
+        from cosim.fmi.linearising.linearise import linearize
         from cosim.fmi.reading.model_description import read
 
         path = site.file(self.path)

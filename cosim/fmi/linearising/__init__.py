@@ -1,0 +1,1 @@
+"""Units linearised at an operating point."""
