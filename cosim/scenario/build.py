@@ -4,39 +4,30 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
 
-from cosim.blocks.replay import Replay
-from cosim.core.clock import Clock, whole_steps
+from cosim.core.clock import Clock
 from cosim.core.connections import Connection, check_connections, layout_of
-from cosim.core.contracts import Component, Level, Recording
+from cosim.core.contracts import Component, Recording
 from cosim.core.graph import Graph
-from cosim.errors import CosimError, ScenarioError, UsageError, nearest
+from cosim.errors import CosimError, ScenarioError, nearest
 from cosim.scenario.document import FLAT, Document, Key, Problem, flatten
 from cosim.scenario.kinds import KINDS, Kind, Site
 from cosim.scenario.problems import problems_of
-from cosim.scenario.schema import File, matrix
+from cosim.scenario.schema import File
+from cosim.scenario.site import ScenarioSite, Speaker
 from cosim.scenario.truth import judge_truth
-from cosim.theory.descriptor import DescriptorSystem
 
 if TYPE_CHECKING:
-    from cosim.fmi.linearising.linearisation import Linearisation
+    pass
 
 Problems = list[Problem]
-
-
-class Speaker(Protocol):
-    """An opened FMU, as far as its messages go."""
-
-    def drain(self) -> Sequence[tuple[Level, str, str]]:
-        """Give what it said since the last call, as (level, category, text)."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -103,7 +94,7 @@ class Draft:
     """What could be built of a scenario, and what is wrong with the rest."""
 
     scenario: Scenario
-    site: _Site
+    site: ScenarioSite
     clock: Clock
     components: Mapping[str, Component]
     periods: Mapping[str, int]
@@ -158,7 +149,7 @@ def draft(document: Document, resources: ExitStack, *, recording: Recording | No
         If nothing can be built.
     """
     scenario, problems = _parse(document)
-    site = _Site(scenario, resources, recording)
+    site = ScenarioSite(scenario, resources, recording)
     clock = _clock(scenario, block, problems)
     site.step_ns = clock.step_ns
     components, periods, missing = site.build_all(problems)
@@ -248,7 +239,7 @@ def _clock(scenario: Scenario, block: int | None, problems: Problems) -> Clock:
 
 def build_site(scenario: Scenario, resources: ExitStack) -> Site:
     """Give what a single kind needs to build its component, outside a run."""
-    site = _Site(scenario, resources, None)
+    site = ScenarioSite(scenario, resources, None)
     site.step_ns = Clock(scenario.file.scenario.stop, scenario.file.scenario.step).step_ns
     return site
 
@@ -307,167 +298,6 @@ def _report(document: Document, problems: Iterable[Problem]) -> ScenarioError:
     for text, key in first.items():
         lines += [f"{document.label(key)}: {line}" for line in text.splitlines()]
     return ScenarioError("\n".join(lines))
-
-
-# --- building ---
-
-
-class _RestsOnAnother(UsageError):
-    """A component cannot be judged because one that it reads is wrong; that one is told."""
-
-
-class _Site:
-    """What kinds may know while they are built; keeps note of what each one read."""
-
-    step_ns: int
-    stop: float
-
-    def __init__(self, scenario: Scenario, resources: ExitStack, recording: Recording | None) -> None:
-        self._scenario, self._resources, self._recording = scenario, resources, recording
-        self._current = ""
-        self.stop = scenario.file.scenario.stop
-        self.facts: dict[str, dict[str, Any]] = {}
-        self.warnings: list[tuple[str, str]] = []
-        self.reads: dict[str, frozenset[str]] = {"": frozenset()}
-        self.attachments: dict[str, str] = {}
-        self.fmus: dict[str, Speaker] = {}
-        self._linearised: dict[str, Linearisation] = {}
-        self.files: set[Path] = set()
-
-    def build_all(self, problems: Problems) -> tuple[dict[str, Component], dict[str, int], set[str]]:
-        """Build every component that can be built; add what is wrong with the others to ``problems``."""
-        components: dict[str, Component] = {}
-        periods: dict[str, int] = {}
-        for name in self._scenario.file.models:
-            try:
-                self.model(name)
-            except (CosimError, ValueError) as error:
-                problems.append((("models", name), str(error)))
-        for name, spec in self._scenario.specs.items():
-            self._current, self.reads[name] = name, frozenset()
-            try:
-                component = self._build(name, spec)
-                periods[name] = self._period(name, spec)
-                components[name] = component if spec.own_step is None else spec.slowed(component, periods[name])
-            except _RestsOnAnother:
-                pass
-            except (CosimError, ValueError) as error:
-                problems.append((("components", name), str(error)))
-        return components, periods, set(self._scenario.file.components) - set(components)
-
-    def _build(self, name: str, spec: Kind) -> Component:
-        if self._recording is not None and not spec.computable:
-            return Replay(self._recording, name)
-        return spec.build(name, self)
-
-    def _period(self, name: str, spec: Kind) -> int:
-        return 1 if spec.own_step is None else whole_steps(spec.own_step, self.step_ns, f"period of {name!r}")
-
-    # --- what a kind may ask for ---
-
-    def model(self, name: str) -> DescriptorSystem:
-        models = self._scenario.file.models
-        if name not in models:
-            raise UsageError(f"there is no model {name!r} in [models]; {nearest(name, models)}")
-        self._read(f"models.{name}")
-        table = models[name]
-        arrays = {letter: matrix(getattr(table, letter), f"models.{name}.{letter}") for letter in ("A", "Bu", "Bd", "C")}
-        return DescriptorSystem(n_a=table.n_a, **arrays)
-
-    def spec(self, name: str) -> Kind:
-        self._read(f"components.{name}")
-        if name not in self._scenario.specs:
-            raise _RestsOnAnother
-        return self._scenario.specs[name]
-
-    def driver(self, to: str) -> str | None:
-        return self._scenario.driver(to)
-
-    def file(self, path: str) -> Path:
-        found = self._scenario.document.folder / path
-        self.files.add(found.resolve())
-        return found
-
-    def recording(self, path: str) -> Recording:
-        from cosim.log import open_log
-
-        log = open_log(self.file(path))
-        if log.step_ns != self.step_ns:
-            raise UsageError(
-                f"log {path!r} has steps of {log.step_ns / 1e9} s, the scenario of {self.step_ns / 1e9} s; needed the same"
-            )
-        return log
-
-    def fmu(
-        self,
-        name: str,
-        path: str,
-        *,
-        mode: Literal["me", "cs"] | None,
-        solver: str | None,
-        tolerance: float | None,
-        start: Mapping[str, Any],
-    ) -> Component:
-        from cosim.fmi.component import load
-
-        opened = load(self.file(path), mode=mode, solver=solver, rtol=tolerance, start=start, instance_name=name)
-        loaded = self._resources.enter_context(opened)
-        facts = loaded.metadata
-        self.attachments[f"{name}/modelDescription.xml"] = facts.pop("model_description")
-        self.note(name, **facts)
-        for text in loaded.notes:
-            self.warn(name, text)
-        self.fmus[name] = loaded
-        return loaded.component
-
-    def linearisation(
-        self,
-        name: str,
-        path: str,
-        *,
-        at: float,
-        start: Mapping[str, Any],
-        inputs: Sequence[str] | None,
-        outputs: Sequence[str],
-    ) -> Linearisation:
-        if name not in self._linearised:
-            chosen = {"inputs": None if inputs is None else list(inputs), "outputs": list(outputs)}
-            asked = {"fmu": path, "at": at, "start": dict(start), **chosen}
-            recorded = self._recorded_facts(name).get("linearisation", {})
-            if recorded.get("asked") != asked:
-                recorded = {"asked": asked, **self._linearise(path, at=at, start=start, inputs=inputs, outputs=outputs)}
-            self._take(name, recorded)
-        return self._linearised[name]
-
-    def _linearise(self, path: str, **wanted: Any) -> dict[str, Any]:
-        from cosim.fmi.linearising.linearise import linearize
-        from cosim.fmi.reading.model_description import read
-
-        file = self.file(path)
-        return {"sha256": read(file).sha256, "result": linearize(file, **wanted).to_dict()}
-
-    def _take(self, name: str, linearisation: dict[str, Any]) -> None:
-        from cosim.fmi.linearising.linearisation import Linearisation
-
-        found = self._linearised[name] = Linearisation.of(linearisation["result"])
-        self.note(name, linearisation=linearisation)
-        for text in found.notes:
-            self.warn(name, text)
-
-    def _recorded_facts(self, name: str) -> dict[str, Any]:
-        if self._recording is None:
-            return {}
-        found: dict[str, Any] = json.loads(self._recording.metadata.get(f"cosim.component.{name}", {}).get("facts", "{}"))
-        return found
-
-    def note(self, name: str, **facts: Any) -> None:
-        self.facts.setdefault(name, {}).update(facts)
-
-    def warn(self, name: str, text: str) -> None:
-        self.warnings.append((name, text))
-
-    def _read(self, table: str) -> None:
-        self.reads[self._current] |= {table}
 
 
 def fingerprint(scenario: Scenario, name: str, reads: frozenset[str]) -> str:

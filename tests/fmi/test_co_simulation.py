@@ -177,6 +177,15 @@ def test_the_contract_is_kept(opened, version):
         check_rollback(lambda: opened(version, *everything).component, steps=12, h=0.1)
 
 
+def test_a_held_input_that_loses_its_value_at_the_end_kept_it_until_then(opened):
+    """u = 1 held, without a value (NaN) from the end of the step on: x = 1 - exp(-h) there."""
+    component = opened("2").component
+    component.prepare(0.1, np.ones(2, np.bool_), {})
+    component.initialize(0.0, np.array([1.0, 0.0]))
+    y = component.advance(np.array([0.0, 0.1]), 0.1, np.array([[1.0, 0.0], [np.nan, 0.0]]))
+    assert y[0, X] == pytest.approx(1.0 - np.exp(-0.1), abs=ROUNDING)
+
+
 # --- discarded steps ---
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import cosim
+from cosim.errors import ScenarioError
 from cosim.scenario.build import parse
 from cosim.scenario.document import Document
 
@@ -49,3 +50,11 @@ def test_a_controller_with_a_period_samples_and_holds(tmp_path, n):
     # Values up to 1 over 100 steps, each rounding a few times: below 100 * 10 * 2^-53 = 1.1e-13.
     assert abs(run["controller.y"] - y).max() < 2e-13
     assert abs(run["lag.y"] - x).max() < 2e-13
+
+
+@pytest.mark.parametrize("period", [0.0, -0.01])
+def test_a_period_that_is_none_is_refused(tmp_path, period):
+    with pytest.raises(ScenarioError, match=r"period: found (0|-1) communication steps, needed at least 1"):
+        cosim.run(parse(Document(SAMPLED.format(period=period), "sampled", tmp_path)))
+    with pytest.raises(ScenarioError, match=r"period: found (0|-1) communication steps, needed at least 1"):
+        cosim.run("academic", set={"identifier.period": period / 10})

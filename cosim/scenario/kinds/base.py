@@ -117,7 +117,7 @@ class Kind(Table):
 
     def slowed(self, component: Component, n: int) -> Component:
         """Put the component on a period of ``n`` communication steps: it goes on at every step and answers at every n-th."""
-        return Decimated(component, n) if n > 1 else component
+        return component if n == 1 else Decimated(component, n)
 
     def build(self, name: str, site: Site) -> Component:
         """Build the component."""

@@ -81,7 +81,7 @@ class Fmu(Plant):
         return self.period
 
     def slowed(self, component: Component, n: int) -> Component:
-        return Sampled(component, n) if n > 1 else component
+        return component if n == 1 else Sampled(component, n)
 
     def build(self, name: str, site: Site) -> Component:
         return site.fmu(name, self.path, mode=self.mode, solver=self.solver, tolerance=self.tolerance, start=self.start)
