@@ -22,11 +22,13 @@ def export_component(
     fmi: str = "2",
     platforms: Sequence[str] = (),
     force: bool = False,
+    dae: bool = False,
     set: Mapping[str, Any] | None = None,
 ) -> list[str]:
     """Write a component as an FMU; give lines that say what was written.
 
-    The scenario is built as for a run: what an identifier does with its rows rests on what drives it.
+    The scenario is built as for a run: what an identifier does with its rows rests on what drives it. ``dae``: with its
+    algebraic equations beside the ordinary ones.
 
     Raises
     ------
@@ -42,7 +44,8 @@ def export_component(
         raise UsageError(f"there is no component {component!r}; {nearest(component, loaded.specs)}")
     with ExitStack() as resources:
         held = build(loaded.document, resources).graph.held[component]
-        model = loaded.specs[component].exportable(component, build_site(loaded, resources), held)
+        spec, site = loaded.specs[component], build_site(loaded, resources)
+        model = spec.descriptor_form(component, site) if dae else spec.exportable(component, site, held)
     name, description = _identifier(f"{loaded.name}_{component}"), f"{component} of scenario {loaded.name}"
     try:
         out.parent.mkdir(parents=True, exist_ok=True)

@@ -12,7 +12,8 @@ import pytest
 
 from cosim.errors import FmuError
 from cosim.fmi.component import load
-from cosim.fmi.reading.model_description import archive, read
+from cosim.fmi.reading import archive
+from cosim.fmi.reading.model_description import read
 from tests.fmi.archives import XML, Entry, deflate, write, zeros
 
 MEMORY = 50 * 2**20  # bytes beside what was there: an archive is never held whole, and its XML is small here
@@ -350,8 +351,8 @@ def test_a_good_archive_comes_out_whole(tmp_path):
     path = write(tmp_path / "x.fmu", [*entries, Entry("extra/", mode=stat.S_IFDIR | 0o755)])
     folder = tmp_path / "folder"
     folder.mkdir()
-    found = archive.look(path, "modelDescription.xml", folder)
-    assert found.wanted == XML.encode()
+    found = archive.look(path, ("modelDescription.xml",), folder)
+    assert found.wanted == {"modelDescription.xml": XML.encode()}
     assert found.members == {*names, "modelDescription.xml"}
     assert {name: (folder / name).read_bytes() for name in names} == names
     assert (folder / "extra").is_dir()

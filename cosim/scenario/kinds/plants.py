@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field, StrictBool, StrictInt, StrictStr
 
-from cosim.blocks.plant import descriptor_model
+from cosim.blocks.plant import descriptor_form, descriptor_model
 from cosim.blocks.replay import Replay
 from cosim.blocks.sampled import Sampled
 from cosim.core.contracts import Component
-from cosim.core.solver import SOLVERS, LinearModel
+from cosim.core.solver import SOLVERS, DescriptorModel, LinearModel
 from cosim.errors import UsageError, nearest
 from cosim.scenario.kinds.base import Kind, Site
 from cosim.scenario.schema import Number, Row
@@ -55,6 +55,9 @@ class Descriptor(Plant):
 
     def linear_model(self, name: str, site: Site) -> LinearModel:
         return descriptor_model(site.model(self.model), self.x_a0)
+
+    def descriptor_form(self, name: str, site: Site) -> DescriptorModel:
+        return descriptor_form(site.model(self.model), self.x_a0)
 
 
 class Fmu(Plant):
