@@ -405,11 +405,20 @@ class _Site:
         return log
 
     def fmu(
-        self, name: str, path: str, *, mode: Literal["me", "cs"] | None, solver: str | None, start: Mapping[str, Any]
+        self,
+        name: str,
+        path: str,
+        *,
+        mode: Literal["me", "cs"] | None,
+        solver: str | None,
+        dae: Literal["ode", "residual"],
+        start: Mapping[str, Any],
     ) -> Component:
         from cosim.fmi.component import load
 
-        loaded = self._resources.enter_context(load(self.file(path), mode=mode, solver=solver, start=start, instance_name=name))
+        loaded = self._resources.enter_context(
+            load(self.file(path), mode=mode, solver=solver, dae=dae, start=start, instance_name=name)
+        )
         facts = loaded.metadata
         self.attachments[f"{name}/modelDescription.xml"] = facts.pop("model_description")
         self.note(name, **facts)

@@ -73,7 +73,7 @@ class Version:
 
 
 def _with_time(description: Description) -> Description:
-    """Give arrays, and the independent variable that FMI 3 wants (FMI 3.0.2 section 2.4.7.4); its reference follows those of the states."""
+    """Give arrays, and the independent variable that FMI 3 wants (FMI 3.0.2 section 2.4.7.4), behind the states."""
     if any(v.name == "time" for v in description.variables):
         raise FmuError(f"{description.name}: a variable is called 'time', which in FMI 3 is the time; use FMI 2, or another name")
     ports = sum(v.causality in ("input", "output") for v in description.variables)

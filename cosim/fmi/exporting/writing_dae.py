@@ -18,8 +18,8 @@ from cosim.fmi.reading.dae import NAME, NAMESPACE, ROOT
 
 VERSION: Final = "0.0.1"
 NOTE: Final = (
-    f" Follows the text of the draft of {NAME}, version {VERSION}; its schema (root fmi-dae, attribute isDaeFmu, no structure) and "
-    "its sample (version 0.1) say otherwise. "
+    f" Follows the text of the draft of {NAME}, version {VERSION}; its schema (root fmi-dae, attribute isDaeFmu, no structure) "
+    "and its sample (version 0.1) say otherwise. "
 )
 
 

@@ -53,7 +53,14 @@ class Site(Protocol):
         ...
 
     def fmu(
-        self, name: str, path: str, *, mode: Literal["me", "cs"] | None, solver: str | None, start: Mapping[str, Any]
+        self,
+        name: str,
+        path: str,
+        *,
+        mode: Literal["me", "cs"] | None,
+        solver: str | None,
+        dae: Literal["ode", "residual"],
+        start: Mapping[str, Any],
     ) -> Component:
         """Load an FMU; it is freed when the run is over."""
         ...

@@ -69,6 +69,9 @@ class Fmu(Plant):
         None, description="model exchange or co-simulation; left out: me where it is offered"
     )
     solver: str | None = Field(None, description=f"for model exchange, one of: {', '.join(SOLVERS)}")
+    dae: Literal["ode", "residual"] = Field(
+        "ode", description="with a residual form (FMI-LS-DAE), for model exchange: whether the FMU or this solver solves for it"
+    )
     start: dict[str, Start] = Field(
         {},
         description="start values by variable: number, Boolean, item of an enumeration, text (a Binary in hexadecimal), list",
@@ -84,7 +87,7 @@ class Fmu(Plant):
         return Sampled(component, n)
 
     def build(self, name: str, site: Site) -> Component:
-        return site.fmu(name, self.path, mode=self.mode, solver=self.solver, start=self.start)
+        return site.fmu(name, self.path, mode=self.mode, solver=self.solver, dae=self.dae, start=self.start)
 
     def description(self, name: str, site: Site) -> tuple[Mode, Description] | None:
         from cosim.fmi.description import MODES
