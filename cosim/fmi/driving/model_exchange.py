@@ -46,8 +46,8 @@ class ModelExchange:
     Raises
     ------
     FmuError
-        If there is no such solver or residual form, it needs what the unit or the machine does not have, the tolerance is not one, or a start
-        value is wrong.
+        If there is no such solver or residual form, it needs what the unit or the machine does not have, the tolerance is not
+        one, or a start value is wrong.
     """
 
     def __init__(

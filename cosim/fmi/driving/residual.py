@@ -10,7 +10,8 @@ IV.5, IV.8 and VI.1). A step goes from t_0 to t_0 + h. Unknown are the stages X_
     Y_i = h sum_j a_ij f(t_j, X_j, z_j),   0 = g(t_i, X_i, z_i)
 
 The last stage is the end of the step (c_3 = 1), so that what is reached satisfies the algebraic equation. Newton's iteration uses
-one matrix for all of its steps, and for the next communication steps as long as it converges fast with it::
+one matrix for all of its steps, and for the next communication steps as long as it converges fast with it; where it does not, the
+derivatives are those of each stage at each iteration::
 
     [ I - h a (x) f_x    - h a (x) f_z ]
     [     I (x) g_x          I (x) g_z ]
@@ -21,7 +22,7 @@ The iteration ends where what is left is rounding: the only error is that of the
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Final, Literal, NamedTuple, TypeAlias, final
 
 import numpy as np
@@ -46,7 +47,8 @@ WEIGHTS: Final = np.array(
         [(16.0 - ROOT) / 36.0, (16.0 + ROOT) / 36.0, 1.0 / 9.0],
     ]
 )
-ITERATIONS: Final = 12
+FEW: Final = 7  # iterations with one matrix
+MANY: Final = 25  # iterations with a matrix of their own each
 EXACT: Final = 1e-15  # correction, relative to the scale, that is rounding
 PLATEAU: Final = 1e-11  # largest correction that may be rounding, where corrections do not become smaller any more
 SLOW: Final = 0.05  # rate of convergence from which the matrix is computed anew
@@ -155,7 +157,7 @@ class ResidualForm:
             change: Vector = np.linalg.solve(self._by_z(z, equations), -g).astype(np.float64)
             return change
 
-        found = newton(correction, z, self.nominals)
+        found = newton(correction, z, self.nominals, MANY)
         if found.wrong:
             raise failure(self._name, t, equations(found.v), found)
         self._unit.set_float64(self._algebraic, found.v)
@@ -178,20 +180,20 @@ def differences(f: Callable[[Vector], Vector], v: Vector, scale: Vector) -> Matr
 
 
 class Solution(NamedTuple):
-    """Where Newton's iteration ended. rate: how much smaller a correction was than the one before, at worst; wrong: why it failed."""
+    """Where Newton's iteration ended. rate: of one correction to the one before, at worst; wrong: why it failed, if it did."""
 
     v: Vector
     rate: float = math.inf
     wrong: str = ""
 
 
-def newton(correction: Callable[[Vector], Vector], v: Vector, nominals: Vector) -> Solution:
+def newton(correction: Callable[[Vector], Vector], v: Vector, nominals: Vector, iterations: int) -> Solution:
     """Correct ``v`` until what is left is rounding; a correction counts relative to v, or to its nominal value if that is larger.
 
     The next corrections sum up to ``rate / (1 - rate)`` times the last (Hairer and Wanner II, section IV.8).
     """
     before, rate, size = math.nan, 0.0, math.nan
-    for _ in range(ITERATIONS):
+    for _ in range(iterations):
         try:
             change = correction(v)
         except np.linalg.LinAlgError:
@@ -207,7 +209,7 @@ def newton(correction: Callable[[Vector], Vector], v: Vector, nominals: Vector) 
         if ratio > 0.5 and size <= PLATEAU:
             return Solution(v, rate)
         rate = ratio if ratio > rate else rate
-    return Solution(v, wrong=f"corrections do not vanish in {ITERATIONS} iterations, the last is {size:.3g}")
+    return Solution(v, wrong=f"corrections do not vanish in {iterations} iterations, the last is {size:.3g}")
 
 
 def failure(name: str, t: float, g: Vector, found: Solution) -> RunError:
@@ -271,13 +273,12 @@ class RadauIIA:
         self._begin, self._end, self._nominals, self._J, self._inverse = state  # type: ignore[misc]
 
     def _reach(self, t: float) -> Vector:
-        """Solve for the stages of a step from its begin to ``t``; a matrix that is not of here is tried first."""
-        fresh = self._J is None
-        found = self._stages(t)
-        if found.wrong and not fresh:
+        """Solve for the stages of a step from its begin to ``t``."""
+        found = self._stages(t, FEW)
+        if found.wrong:
             self._J = self._inverse = None
-            found = self._stages(t)
-        last = found.v.reshape(len(WEIGHTS), -1)[-1].copy()
+            found = self._stages(t, MANY)
+        last: Vector = found.v.reshape(len(WEIGHTS), -1)[-1].copy()
         last[: self._n] += self._begin[1][: self._n]
         if found.wrong:
             raise failure(self._name, t, self._f(t, last)[self._n :], found)
@@ -285,32 +286,32 @@ class RadauIIA:
             self._J = self._inverse = None
         return last
 
-    def _stages(self, t: float) -> Solution:
-        """Iterate for (Y_i, z_i), one stage after the other."""
+    def _stages(self, t: float, iterations: int) -> Solution:
+        """Iterate for (Y_i, z_i), one stage after the other: few times with the matrix that is kept, or many with new ones."""
         (begin, w), n = self._begin, self._n
         h, base = t - begin, np.concatenate([w[:n], np.zeros(w.size - n)])
-        times = (begin + NODES[0] * h, begin + NODES[1] * h, t)
-        try:
-            inverse = self._matrix(h)
-        except np.linalg.LinAlgError:
-            return Solution(np.tile(w - base, len(WEIGHTS)), wrong="its matrix is singular")
+        times, scale = (begin + NODES[0] * h, begin + NODES[1] * h, t), self._scale(w)
 
         def correction(v: Vector) -> Vector:
-            stages = v.reshape(len(times), -1)
-            rest = np.array([self._f(time, base + stage) for time, stage in zip(times, stages, strict=True)])
-            rest[:, :n] = stages[:, :n] - h * (WEIGHTS @ rest[:, :n])
+            stages = base + v.reshape(len(times), -1)
+            rest = np.array([self._f(time, stage) for time, stage in zip(times, stages, strict=True)])
+            rest[:, :n] = v.reshape(len(times), -1)[:, :n] - h * (WEIGHTS @ rest[:, :n])
+            if iterations == FEW:
+                inverse = self._kept(h)
+            else:
+                inverse = _inverse([self._jacobian(*stage, scale) for stage in zip(times, stages, strict=True)], n, h)
             change: Vector = inverse @ -rest.ravel()
             return change
 
-        return newton(correction, np.tile(w - base, len(times)), np.tile(self._scale(w), len(times)))
+        return newton(correction, np.tile(w - base, len(times)), np.tile(scale, len(times)), iterations)
 
-    def _matrix(self, h: float) -> Matrix:
-        """Give the inverse of the matrix of Newton's iteration for a step of length ``h``."""
+    def _kept(self, h: float) -> Matrix:
+        """Give the inverse for a step of length ``h``, with derivatives from where a step began."""
         if self._J is None:
             t, w = self._begin
             self._J, self._inverse = self._jacobian(t, w, self._scale(w)), None
         if self._inverse is None or abs(self._inverse[0] - h) > SAME * h:
-            self._inverse = h, _inverse(self._J, self._n, h)
+            self._inverse = h, _inverse([self._J] * len(WEIGHTS), self._n, h)
         return self._inverse[1]
 
     def _scale(self, w: Vector) -> Vector:
@@ -318,9 +319,10 @@ class RadauIIA:
         return scale
 
 
-def _inverse(J: Matrix, n: int, h: float) -> Matrix:
-    eye = np.eye(len(WEIGHTS))
-    matrix = np.einsum("ij,kl->ikjl", eye, J)
-    matrix[:, :n] = np.einsum("ij,kl->ikjl", eye, np.eye(n, J.shape[1])) - h * np.einsum("ij,kl->ikjl", WEIGHTS, J[:n])
-    inverse: Matrix = np.linalg.inv(matrix.reshape(len(eye) * len(J), -1)).astype(np.float64)
+def _inverse(J: Sequence[Matrix], n: int, h: float) -> Matrix:
+    """Give the inverse of the matrix of Newton's iteration for the derivatives at each stage."""
+    size, eye, by = len(J[0]), np.eye(len(J)), np.array(J)
+    matrix = np.einsum("ij,jkl->ikjl", eye, by)
+    matrix[:, :n] = np.einsum("ij,kl->ikjl", eye, np.eye(n, size)) - h * np.einsum("ij,jkl->ikjl", WEIGHTS, by[:, :n])
+    inverse: Matrix = np.linalg.inv(matrix.reshape(len(J) * size, -1)).astype(np.float64)
     return inverse

@@ -199,8 +199,8 @@ def _descriptor_equations(model: DescriptorModel) -> str:
     )
     return (
         f"<h3>Residual form</h3>\n<p>The rows of x', of y and of the residual are by_x x + by_z z + by_u u. z is "
-        f"{model.algebraic}: calculated, so that the residual is zero up to rounding, until the importer sets it in continuous-time "
-        f"or event mode; from then on x', y and the residual are those of the z that is set. See extra/, FMI-LS-DAE.</p>\n{matrices}"
+        f"{model.algebraic}: calculated, so that the residual is zero up to rounding, until the importer sets it in event or "
+        f"continuous-time mode; then x', y and the residual are those of the z that is set. See extra/, FMI-LS-DAE.</p>\n{matrices}"
     )
 
 
