@@ -198,9 +198,10 @@ def _descriptor_equations(model: DescriptorModel) -> str:
         f"<pre>{letter} =\n{escape(np.array2string(array, threshold=1000))}</pre>\n" for letter, array in model.arrays.items()
     )
     return (
-        f"<h3>Residual form</h3>\n<p>The rows of x', of y and of the residual are by_x x + by_z z + by_u u. z is "
+        "<h3>Residual form</h3>\n<p>The rows of x', of y and of the residual are by_x x + by_z z + by_u u. z is "
         f"{model.algebraic}: calculated, so that the residual is zero up to rounding, until the importer sets it in event or "
-        f"continuous-time mode; then x', y and the residual are those of the z that is set. See extra/, FMI-LS-DAE.</p>\n{matrices}"
+        "continuous-time mode; then x', y and the residual are those of the z that is set. See extra/, FMI-LS-DAE.</p>\n"
+        + matrices
     )
 
 
