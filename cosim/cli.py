@@ -285,6 +285,9 @@ def export(
         ),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace a file that exists.")] = False,
+    dae: Annotated[
+        bool, typer.Option("--dae", help="Of a descriptor plant, with FMI 3: its algebraic equations too (FMI-LS-DAE, a draft).")
+    ] = False,
     changes: SetOption = None,
 ) -> None:
     """Export a component as an FMU, C source and binary.
@@ -294,7 +297,8 @@ def export(
     from cosim.scenario.exporting import export_component
 
     platforms = [] if platform is None else [name.strip() for name in platform.split(",")]
-    for line in export_component(scenario, component, out, fmi=fmi, platforms=platforms, force=force, set=_edits(changes)):
+    edits = _edits(changes)
+    for line in export_component(scenario, component, out, fmi=fmi, platforms=platforms, force=force, dae=dae, set=edits):
         typer.echo(line)
 
 

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from cosim.arrays import Matrix
 from cosim.core.signals import Interface, Signal
-from cosim.core.solver import LinearModel, feedthrough_of, start_dependencies
+from cosim.core.solver import DescriptorModel, LinearModel, feedthrough_of, start_dependencies
 from cosim.errors import AssumptionError
 from cosim.theory.descriptor import DescriptorSystem, reduce
 
@@ -33,6 +33,25 @@ def descriptor_model(system: DescriptorSystem, x_a0: ArrayLike) -> LinearModel:
     return linear_model(
         inputs, tuple(outputs), states=tuple(outputs[1].elements), A=r.A_a, B=np.hstack([r.B_1a, r.B_2a]), C=C, D=D, X0=start
     )
+
+
+def descriptor_form(system: DescriptorSystem, x_a0: ArrayLike) -> DescriptorModel:
+    """Write a descriptor system as a model that keeps its equations (2)-(3), with x_b as algebraic variable.
+
+    Raises
+    ------
+    AssumptionError
+        As for ``descriptor_model``, or if there are no algebraic states.
+    """
+    reduced, n_a = descriptor_model(system, x_a0), system.n_a
+    n, n_b, n_y = len(system.A), len(system.A) - n_a, len(system.C)
+    if n_b == 0:
+        raise AssumptionError(f"n_a = {n_a} of {n} states: there are no algebraic states, and so no residual form")
+    B = np.hstack([system.Bu, system.Bd])
+    by_state = np.vstack([system.A[:n_a], system.C, np.eye(n), system.A[n_a:]])  # x_a', y, x_a and x_b, 0
+    by_u = np.vstack([B[:n_a], np.zeros((n_y + n, B.shape[1])), B[n_a:]])
+    by_x, by_z = (np.ascontiguousarray(part, np.float64) for part in (by_state[:, :n_a], by_state[:, n_a:]))
+    return DescriptorModel(reduced, "x_b", by_x, by_z, np.ascontiguousarray(by_u, np.float64))
 
 
 def linear_model(

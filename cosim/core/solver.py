@@ -73,6 +73,44 @@ class LinearModel:
         return affine([(self.C, x), (self.D, u)])
 
 
+@dataclass(frozen=True, slots=True)
+class DescriptorModel:
+    """A linear model, and the descriptor form from which its algebraic variables z were eliminated.
+
+    ::
+
+        [x']   [     ]     [     ]     [     ]
+        [y ] = [ by_x] x + [ by_z] z + [ by_u] u
+        [0 ]   [     ]     [     ]     [     ]
+
+    Parameters
+    ----------
+    reduced : LinearModel
+    algebraic : str
+        The output that is z, n_z elements.
+    by_x, by_z, by_u : Matrix, shapes (n_x + n_y + n_z, n_x), (n_x + n_y + n_z, n_z), (n_x + n_y + n_z, n_u)
+    """
+
+    reduced: LinearModel
+    algebraic: str
+    by_x: Matrix
+    by_z: Matrix
+    by_u: Matrix
+
+    def __post_init__(self) -> None:
+        n_x, face = len(self.reduced.states), self.reduced.interface
+        n_z = face.output_columns()[self.algebraic].stop - face.output_columns()[self.algebraic].start
+        for name, columns in (("by_x", n_x), ("by_z", n_z), ("by_u", face.n_u)):
+            found, needed = getattr(self, name).shape, (n_x + face.n_y + n_z, columns)
+            if found != needed:
+                raise GraphError(f"matrix {name}: found shape {found}, needed {needed}")
+
+    @property
+    def arrays(self) -> dict[str, Matrix]:
+        """The numbers of the descriptor form by name."""
+        return {"by_x": self.by_x, "by_z": self.by_z, "by_u": self.by_u}
+
+
 class Linear:
     """A linear model with its exact solver: a component that steps natively.
 

@@ -23,6 +23,7 @@ from cosim.fmi.checking.trial import can_roll_back
 from cosim.fmi.description import MODE_NAMES, MODES, Description, Mode
 from cosim.fmi.driving.co_simulation import CoSimulation
 from cosim.fmi.driving.model_exchange import RTOL, ModelExchange
+from cosim.fmi.driving.residual import DaeForm
 from cosim.fmi.driving.start import Starts, check_start, resized
 from cosim.fmi.platforms import ARCHITECTURE, SUFFIX, folders
 from cosim.fmi.reading.model_description import Archive, read
@@ -131,6 +132,7 @@ def load(
     mode: Mode | None = None,
     solver: str | None = None,
     rtol: float | None = None,
+    dae: DaeForm = "ode",
     start: Starts | None = None,
     instance_name: str | None = None,
 ) -> Fmu:
@@ -145,6 +147,8 @@ def load(
         Of a model exchange FMU; see :class:`ModelExchange`.
     rtol : float or None
         Relative tolerance of the states of a model exchange FMU, for the solvers that keep one; None: 1e-9.
+    dae : {"ode", "residual"}
+        Of a model exchange FMU with a residual form (FMI-LS-DAE): which of its forms is integrated.
     start : mapping of variable name to StartValue
         Start values to set instead of the FMU's own: numbers, Booleans, items of enumerations, texts, lists; see ``start.py``.
     instance_name : str or None
@@ -166,6 +170,8 @@ def load(
             raise FmuError(
                 f'{path}: relative tolerance {rtol}: a co-simulation FMU brings its own solver; leave it out or use mode = "me"'
             )
+        if mode == "cs" and dae == "residual":
+            raise FmuError(f'{path}: dae = "residual": a co-simulation FMU solves for itself; use mode = "me", or dae = "ode"')
         library = folder / _library(archive, mode)
         _check_architecture(archive, library)
         description = resized(archive.description, starts)
@@ -173,9 +179,13 @@ def load(
         description, notes = _limited(archive, description, mode)
         name = instance_name or description.name
         unit = LoadedUnit(folder, library, description, mode=mode, name=name, label=str(archive.path))
-        solver = solver or ("rk4" if mode == "me" else None)
+        component: FmuComponent
+        if mode == "me":
+            component = ModelExchange(unit, solver, starts=starts, rtol=rtol, dae=dae)
+            solver = component.solver
+        else:
+            component = CoSimulation(unit, starts=starts)
         rtol = RTOL if rtol is None and solver in TOLERANT else rtol
-        component = ModelExchange(unit, solver, starts=starts, rtol=rtol) if mode == "me" else CoSimulation(unit, starts=starts)
     except BaseException:
         if unit is not None:
             unit.free_instance()

@@ -125,6 +125,49 @@ class Capabilities:
 
 
 @dataclass(frozen=True, slots=True)
+class Formulation:
+    """A variable that is zero on the solution.
+
+    Parameters
+    ----------
+    name : str
+    dependencies : tuple of str or None
+        What it depends on; None: not said.
+    index : int or None
+        How often it must be differentiated, where that is said.
+    """
+
+    name: str
+    dependencies: tuple[str, ...] | None = None
+    index: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Dae:
+    """The residual form beside the ordinary one (FMI-LS-DAE, a draft): x' = f(t, x, z, u), 0 = g(t, x, z, u), y = h(t, x, z, u).
+
+    Parameters
+    ----------
+    version : str
+        Of the layered standard.
+    algebraic : tuple of str
+        Names of the variables z, which may be set while time moves.
+    residuals : tuple of tuple of Formulation
+        Of each equation: itself and, where they are given, its derivatives.
+    dependencies : mapping of output or derivative name to variable names, or to None
+        As in ``Description``, with z among what may be depended on.
+    problems : tuple of str
+        What is wrong with it; it is then not to be used.
+    """
+
+    version: str
+    algebraic: tuple[str, ...] = ()
+    residuals: tuple[tuple[Formulation, ...], ...] = ()
+    dependencies: Mapping[str, tuple[str, ...] | None] = field(default_factory=dict)
+    problems: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
 class Description:
     """A unit's description.
 
@@ -160,6 +203,8 @@ class Description:
         Of DefaultExperiment.
     tool : str
         What made it.
+    dae : Dae or None
+        Its residual form, where it has one.
     """
 
     name: str
@@ -179,6 +224,7 @@ class Description:
     default_step: float | None = None
     default_tolerance: float | None = None
     tool: str = ""
+    dae: Dae | None = None
     _named: dict[str, Variable] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -452,8 +498,9 @@ def _dependencies(model: Shape, linear: LinearModel | None) -> dict[str, tuple[s
             **dict.fromkeys(derivatives),
         }
     rows = zip([*outputs, *derivatives], [*linear.C, *linear.A], [*linear.D, *linear.B], strict=True)
-    return {name: (*_nonzero(inputs, of_u), *_nonzero(model.states, of_x)) for name, of_x, of_u in rows}
+    return {name: (*element_dependencies(inputs, of_u), *element_dependencies(model.states, of_x)) for name, of_x, of_u in rows}
 
 
-def _nonzero(names: Sequence[str], row: Iterable[float]) -> tuple[str, ...]:
+def element_dependencies(names: Sequence[str], row: Iterable[float]) -> tuple[str, ...]:
+    """Give the names whose entries in a row of a matrix are not zero."""
     return tuple(name for name, value in zip(names, row, strict=True) if value != 0.0)

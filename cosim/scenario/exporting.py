@@ -13,10 +13,12 @@ from typing import Any, final
 from cosim.arrays import Mask
 from cosim.core.graph import Graph
 from cosim.core.signals import Interface
+from cosim.core.solver import DescriptorModel
 from cosim.errors import UsageError, nearest
 from cosim.fmi.exporting.export import export
 from cosim.scenario.build import Scenario, build_site, draft, upstream
 from cosim.scenario.execution import load
+from cosim.scenario.kinds.base import Exportable
 
 HOLDS = (
     "its inputs hold over a step here, so its outputs do too; co-simulation in FMI 2.0 has no events to say so, and they are "
@@ -32,11 +34,13 @@ def export_component(
     fmi: str = "2",
     platforms: Sequence[str] = (),
     force: bool = False,
+    dae: bool = False,
     set: Mapping[str, Any] | None = None,
 ) -> list[str]:
     """Write a component as an FMU; give lines that say what was written.
 
-    Only what the component rests on is built: an identifier treats its rows as they come from what drives it.
+    Only what the component rests on is built: an identifier treats its rows as they come from what drives it. ``dae``: with its
+    algebraic equations beside the ordinary ones.
 
     Raises
     ------
@@ -55,11 +59,14 @@ def export_component(
     if component not in loaded.specs:
         raise UsageError(f"there is no component {component!r}; {nearest(component, loaded.specs)}")
     with ExitStack() as resources:
-        place = _Place(loaded, component, resources)
-        model = loaded.specs[component].exportable(component, build_site(loaded, resources), place)
-        holds = _inherits(model.interface) and place.is_discrete
-    if holds and fmi == "3":
-        model = replace(model, interface=_discrete(model.interface))
+        place, spec, site = _Place(loaded, component, resources), loaded.specs[component], build_site(loaded, resources)
+        model: DescriptorModel | Exportable
+        if dae:
+            model, holds = spec.descriptor_form(component, site), False
+        else:
+            ours = spec.exportable(component, site, place)
+            holds = _inherits(ours.interface) and place.is_discrete
+            model = replace(ours, interface=_discrete(ours.interface)) if holds and fmi == "3" else ours
     name, description = _identifier(f"{loaded.name}_{component}"), f"{component} of scenario {loaded.name}"
     try:
         out.parent.mkdir(parents=True, exist_ok=True)

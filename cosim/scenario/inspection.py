@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
@@ -122,6 +122,7 @@ def fmu(path: str) -> Section:
         "variables": rows,
         "dependencies": _lists(found.dependencies),
         "initial_dependencies": _lists(found.initial_dependencies),
+        "residual_form": found.dae and asdict(found.dae),
     }
 
 
@@ -144,7 +145,24 @@ def shown_fmu(found: Section) -> Section:
     units = {name: _si(base) for name, base in found["units"].items()}
     at_start = {row["name"]: names for row in found["variables"] if (names := _starts_with(found, row["name"]))}
     rows = [_shown_variable(row, found) for row in found["variables"]]
-    return {"fmu": about, "capabilities": capabilities, "units in SI": units, "variables": rows, "at the start": at_start}
+    shown = {"fmu": about, "capabilities": capabilities, "units in SI": units, "variables": rows, "at the start": at_start}
+    return shown | ({"residual form": _shown_form(found["residual_form"])} if found["residual_form"] else {})
+
+
+def _shown_form(dae: Section) -> Section:
+    """Show a residual form: its unknowns, its equations and what they depend on, what is wrong with it."""
+    about = {
+        "fmi-ls-dae": dae["version"],
+        "algebraic variables": ", ".join(dae["algebraic"]),
+        "problems": "; ".join(dae["problems"]),
+    }
+    equations = {f"0 = {one['name']}": one["dependencies"] for equation in dae["residuals"] for one in equation}
+    needs = {name: f"depends on {_names(names)}" for name, names in (equations | dae["dependencies"]).items()}
+    return {key: value for key, value in about.items() if value} | needs
+
+
+def _names(names: Sequence[str] | None) -> str:
+    return "what is not said" if names is None else ", ".join(names) or "nothing"
 
 
 def _listed(value: Any) -> Any:
@@ -174,7 +192,7 @@ def _starts_with(found: Section, name: str) -> str | None:
     if name not in found["initial_dependencies"]:
         return None
     names = found["initial_dependencies"][name]
-    return "depends on " + ("what is not said" if names is None else ", ".join(names) or "nothing")
+    return f"depends on {_names(names)}"
 
 
 def _shown_variable(row: Section, found: Section) -> Section:

@@ -129,12 +129,13 @@ class ScenarioSite:
         mode: Literal["me", "cs"] | None,
         solver: str | None,
         tolerance: float | None,
+        dae: Literal["ode", "residual"],
         start: Mapping[str, Any],
     ) -> Component:
         """Load an FMU; it is freed when the run is over."""
         from cosim.fmi.component import load
 
-        opened = load(self.file(path), mode=mode, solver=solver, rtol=tolerance, start=start, instance_name=name)
+        opened = load(self.file(path), mode=mode, solver=solver, rtol=tolerance, dae=dae, start=start, instance_name=name)
         loaded = self._resources.enter_context(opened)
         facts = loaded.metadata
         self.attachments[f"{name}/modelDescription.xml"] = facts.pop("model_description")

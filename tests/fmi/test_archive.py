@@ -351,8 +351,8 @@ def test_a_good_archive_comes_out_whole(tmp_path):
     path = write(tmp_path / "x.fmu", [*entries, Entry("extra/", mode=stat.S_IFDIR | 0o755)])
     folder = tmp_path / "folder"
     folder.mkdir()
-    found = archive.look(path, "modelDescription.xml", folder)
-    assert found.wanted == XML.encode()
+    found = archive.look(path, ("modelDescription.xml",), folder)
+    assert found.wanted == {"modelDescription.xml": XML.encode()}
     assert found.members == {*names, "modelDescription.xml"}
     assert {name: (folder / name).read_bytes() for name in names} == names
     assert (folder / "extra").is_dir()

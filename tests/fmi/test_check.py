@@ -173,9 +173,10 @@ def test_functions_of_every_version():
 def _described(xml):
     from xml.etree.ElementTree import fromstring
 
+    from cosim.fmi.reading.archive import Contents
     from cosim.fmi.reading.model_description import describe_root
 
-    return describe_root(fromstring(xml), frozenset(), "x", [])
+    return describe_root(fromstring(xml), Contents("", frozenset(), {}), "x", [])
 
 
 def test_a_library_that_is_missing_is_named(rogue, tmp_path):

@@ -49,11 +49,12 @@ def check(path: Path | str, *, timeout: float = TIMEOUT) -> tuple[Finding, ...]:
     with TemporaryDirectory(prefix="cosim-check-") as temporary:
         folder = Path(temporary)
         try:
-            root, members, _, raw = open_description(path, folder)
+            root, contents = open_description(path, folder)
         except FmuError as error:
             return (Finding("error", "archive" if XML not in str(error) else "XML", _bare(path, error)),)
         problems: list[str] = []
-        description = describe_root(root, members, path.stem, problems)
+        description = describe_root(root, contents, path.stem, problems)
+        raw = contents.wanted[XML]
         found = [Finding("error", "XML", problem) for problem in problems] + _schema(raw, major(root))
         found += findings(root, description, read_definitions(root, Attributes([])))
         if not any(finding.level in ("error", "warning") for finding in found):

@@ -13,6 +13,7 @@ from typing import Final, Literal, NamedTuple, TypeAlias
 from xml.etree.ElementTree import Element
 
 from cosim.fmi.description import MODE_NAMES, Description, Variable
+from cosim.fmi.reading.dae import MANIFEST
 from cosim.fmi.reading.variables import FLOATS, Definitions, major
 
 Level: TypeAlias = Literal["error", "warning", "note"]
@@ -58,6 +59,7 @@ def findings(root: Element, description: Description, definitions: Definitions) 
         checks = (_roles, _start, _range, _references)
         found += [Finding(level, where, text) for check in checks for level, text in check(variable, element, definitions)]
     found += [Finding(level, where, text) for where, level, text in _structure(root, description)]
+    found += list(_residual_form(description))
     return found + list(_names(root, description))
 
 
@@ -192,6 +194,17 @@ def _knowns(description: Description) -> Iterator[tuple[str, Level, str]]:
             wrong = [need for need in needs or () if need not in known and need != name]
             if wrong:
                 yield f"variable {name!r}", "warning", f"depends on {', '.join(wrong)}: {when}"
+
+
+def _residual_form(description: Description) -> Iterator[Finding]:
+    """Check the manifest of FMI-LS-DAE: the FMU runs without it, but not in the form that it promises."""
+    dae = description.dae
+    if dae is None:
+        return
+    for problem in dae.problems:
+        yield Finding("error", MANIFEST, problem)
+    if not dae.problems and not (dae.algebraic and dae.residuals):
+        yield Finding("warning", MANIFEST, "lists no AlgebraicVariables or no Residual, so that the residual form is not known")
 
 
 def _names(root: Element, description: Description) -> Iterator[Finding]:

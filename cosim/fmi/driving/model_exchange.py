@@ -17,6 +17,7 @@ from cosim.core.solver import SOLVERS, TOLERANT, Linear, LinearModel
 from cosim.errors import FmuError, RunError, nearest
 from cosim.fmi.binary.messages import Message
 from cosim.fmi.driving.motion import Line, Motion, Reached
+from cosim.fmi.driving.residual import FORMS, RADAU, DaeForm
 from cosim.fmi.driving.saved import SavedState, save
 from cosim.fmi.driving.start import Start, Starts
 from cosim.fmi.unit import TERMINATED, ModelExchangeUnit
@@ -40,12 +41,14 @@ class ModelExchange:
     rtol : float or None
         Relative tolerance of the states, for the solvers that keep one (``TOLERANT``), else None; None there: ``RTOL``. The
         absolute one is ``rtol`` times their nominal values.
+    dae : {"ode", "residual"}
+        Whether the unit calculates its algebraic variables, or they are solved for here; see ``residual.py``.
 
     Raises
     ------
     FmuError
-        If there is no such solver, it needs what the unit or the machine does not have, the tolerance is not one or for a solver
-        that keeps none, or a start value is wrong.
+        If there is no such solver or residual form, it needs what the unit or the machine does not have, the tolerance is not
+        one or for a solver that keeps none, or a start value is wrong.
     """
 
     def __init__(
@@ -55,10 +58,15 @@ class ModelExchange:
         *,
         starts: Starts | None = None,
         rtol: float | None = None,
+        dae: DaeForm = "ode",
     ) -> None:
         self._unit, self._name = unit, unit.description.name
-        self.solver = solver or ("rk4" if unit.linear is None else "exact")
-        if self.solver not in SOLVERS:
+        if dae not in FORMS:
+            raise FmuError(f"{self._name}: dae = {dae!r}; {nearest(dae, FORMS)}")
+        if dae == "residual" and solver is not None:
+            raise FmuError(f"{self._name}: solver {solver!r}: the residual form has its own, {RADAU}; leave one of both out")
+        self.solver = RADAU if dae == "residual" else solver or ("rk4" if unit.linear is None else "exact")
+        if self.solver not in (*SOLVERS, RADAU) or solver == RADAU:
             raise FmuError(f"{self._name}: no solver {solver!r}; {nearest(self.solver, SOLVERS)}")
         if self.solver == "exact" and unit.linear is None:
             raise FmuError(

@@ -12,6 +12,8 @@ One communication step from t0 to t1 (inputs in straight lines, held and discret
 
     (event:  enter_event_mode, set inputs, update_discrete_states until settled, enter_continuous_time_mode, read states)
 
+In the residual form x has z behind it. Where inputs or discrete states change without time, z is solved for; see ``residual.py``.
+
 The solver runs on over communication points, and starts anew after an event or where a continuous input jumps.
 
 An event at t1 belongs to the inputs there, which a loop may still correct. A unit that can go back shows its outputs after the
@@ -28,10 +30,11 @@ from typing import Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.arrays import Vector
+from cosim.arrays import Matrix, Vector
 from cosim.core.solver import Adaptive, RungeKutta, Slope, Solver, Stateless
 from cosim.errors import RunError
 from cosim.fmi.driving.events import EVENTS, EventKind, EventList, close, crosses, locate, settle
+from cosim.fmi.driving.residual import RADAU, RadauIIA, ResidualForm
 from cosim.fmi.unit import ModelExchangeUnit
 
 NONE: Final = np.empty(0)
@@ -42,7 +45,7 @@ class Reached:
     """Where a unit is. Arrays are replaced, never written to, so that a shallow copy keeps the state."""
 
     t: float = 0.0
-    x: Vector = field(default_factory=lambda: NONE)
+    x: Vector = field(default_factory=lambda: NONE)  # in the residual form with z behind
     given: Vector = field(default_factory=lambda: NONE)  # all inputs, as the unit has them
     indicators: Vector = field(default_factory=lambda: NONE)
     nominals: Vector = field(default_factory=lambda: NONE)
@@ -74,7 +77,7 @@ class Motion:
     ----------
     unit : ModelExchangeUnit
     solver : str
-        One of ``cosim.core.solver.SOLVERS``; ``exact``: its owner moves it.
+        One of ``cosim.core.solver.SOLVERS``, or ``RADAU`` for the residual form; ``exact``: its owner moves it.
     rtol : float
         Relative tolerance of the states.
 
@@ -93,7 +96,12 @@ class Motion:
         moving = (v for _, group in description.ports("input") for v in group if v.variability == "continuous")
         self._moving, self._columns = description.reference(v.name for v in moving), np.flatnonzero(~description.discrete_inputs)
         self._n, self._n_z = description.n_states, description.event_indicators
-        self._solver = _solver(solver, self._derivative, self._n, rtol)
+        self._form = ResidualForm(unit) if solver == RADAU else None
+        self._solver = (
+            _solver(solver, self._derivative, self._n, rtol)
+            if self._form is None
+            else RadauIIA(self._name, self._equations, self._jacobian, self._n)
+        )
         self._scaled = solver not in ("exact", "rk4") and self._n > 0  # the solver wants nominal values
         self._goes_back = self._capabilities.saves_state and solver != "exact"  # a linear model has nothing to undo
         self._copy: object | None = None  # of the unit's state; its memory is used again
@@ -195,8 +203,20 @@ class Motion:
             self._unit.set_time(t)
             self.set_continuous(self._line(t))
             self._set = t
-        if self._n:
+        if self._form is not None:
+            self._form.put(x)
+        elif self._n:
             self._unit.set_continuous_states(x)
+
+    def _equations(self, t: float, w: Vector) -> Vector:
+        assert self._form is not None
+        self._put(t, w)
+        return self._form.values()
+
+    def _jacobian(self, t: float, w: Vector, scale: Vector) -> Matrix:
+        assert self._form is not None
+        self._put(t, w)
+        return self._form.jacobian(w, lambda w: self._equations(t, w), scale)
 
     # --- inputs and events ---
 
@@ -217,9 +237,12 @@ class Motion:
         if now.ended:
             return self._unit.get_float64(self._outputs)
         if not (now.due or self._jumps(u)):
-            if u.tobytes() != now.given.tobytes() or math.isnan(self._set):
+            moved = u.tobytes() != now.given.tobytes()
+            if moved or math.isnan(self._set):
                 self.set_continuous(u)
                 self._set = math.nan
+                if self._form is not None:
+                    self._form.put(self._form.solved(now.t, now.x) if moved else now.x)
         elif self._goes_back:
             return self._look_ahead(u)
         else:
@@ -247,6 +270,8 @@ class Motion:
         elif u.tobytes() != now.given.tobytes():
             self.set_continuous(u)
             self._set, now.given = math.nan, u
+            if self._form is not None:
+                now.x = self._form.solved(now.t, now.x)
             self._restart()
             if self._n_z:
                 before, now.indicators = now.indicators, self._unit.get_event_indicators()
@@ -259,6 +284,8 @@ class Motion:
         self._unit.enter_event_mode()
         self._unit.set_float64(self._inputs, u)
         self.now.given = u
+        if self._form is not None:
+            self._form.solved(self.now.t, self.now.x)
         self._settle()
 
     def _settle(self) -> None:
@@ -274,7 +301,9 @@ class Motion:
             text = f"at t = {now.t} s it announces a time event at {now.next_event} s; needed a time that is not over"
             raise RunError(f"{self._name}: {text}")
         unit.enter_continuous_time_mode()
-        if self._n:
+        if self._form is not None:
+            now.x = self._form.solved(now.t, now.x)
+        elif self._n:
             now.x = unit.get_continuous_states()
         if self._n_z:
             now.indicators = unit.get_event_indicators()
@@ -282,12 +311,10 @@ class Motion:
             now.nominals = self._nominals()
 
     def _nominals(self) -> Vector:
-        if not self._scaled:
-            return np.ones(self._n)
-        nominals = np.abs(self._unit.get_nominals())
+        nominals = np.abs(self._unit.get_nominals()) if self._scaled else np.ones(self._n)
         for i in np.flatnonzero(~((nominals > 0.0) & (nominals < math.inf))).tolist():
             raise RunError(f"{self._name}: nominal value of state {i}: found {nominals[i]}, needed a number other than zero")
-        return nominals
+        return nominals if self._form is None else np.concatenate([nominals, self._form.nominals])
 
     def _restart(self) -> None:
         self._solver.start(self.now.t, self.now.x, self.now.nominals)

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
-from cosim.fmi.description import Description, Variable
+from cosim.fmi.description import Dae, Description, Formulation, Variable
 
 
 def with_arrays(description: Description) -> Description:
@@ -41,6 +41,17 @@ def with_arrays(description: Description) -> Description:
         states=_merged(description.states, names),
         dependencies=_merge(description.dependencies, names),
         initial_dependencies=initial,
+        dae=description.dae and _gathered(description.dae, names),
+    )
+
+
+def _gathered(dae: Dae, names: Mapping[str, str]) -> Dae:
+    needs = _merge({one.name: one.dependencies for formulations in dae.residuals for one in formulations}, names)
+    return replace(
+        dae,
+        algebraic=_merged(dae.algebraic, names),
+        residuals=tuple((Formulation(name, found),) for name, found in needs.items()),
+        dependencies=_merge(dae.dependencies, names),
     )
 
 

@@ -5,6 +5,7 @@ The parts of the C source, each in ``c/``::
     fmi2.c | fmi3.c               the functions of the standard
     unit.c                        variables, modes, time, steps, derivatives, copies of the state
     continuous.c | discrete.c     a linear model | a model that lives at the communication points, around one kernel
+    residual.c                    the equations of the algebraic variables that were eliminated from a linear model (FMI 3.0)
     model.c                       written here: the numbers
     cosim/native/*.c              the steps, as they run in the package: one arithmetic in two homes
 
@@ -24,7 +25,7 @@ from uuid import UUID
 
 import numpy as np
 
-from cosim.core.solver import LinearModel
+from cosim.core.solver import DescriptorModel, LinearModel
 from cosim.errors import FmuError, nearest
 from cosim.fmi.description import MODE_NAMES, Description, Mode, Variable
 from cosim.fmi.exporting.arrays import with_arrays
@@ -32,15 +33,17 @@ from cosim.fmi.exporting.compiling import advice, check_platforms, compile_sourc
 from cosim.fmi.exporting.documenting import document
 from cosim.fmi.exporting.forms import Form, form_of
 from cosim.fmi.exporting.kernels import DiscreteModel, integer, integers
+from cosim.fmi.exporting.writing_dae import write_dae
 from cosim.fmi.exporting.writing_fmi2 import write_fmi2
 from cosim.fmi.exporting.writing_fmi3 import write_build_description, write_fmi3
+from cosim.fmi.reading.dae import MANIFEST
 from cosim.native import build
 
 HERE = Path(__file__).resolve().parent / "c"
 EPOCH = (1980, 1, 1, 0, 0, 0)  # the same content gives the same archive
 LARGEST = 2**27  # doubles of an instance, 1 GiB
 
-Exportable: TypeAlias = LinearModel | DiscreteModel
+Exportable: TypeAlias = LinearModel | DescriptorModel | DiscreteModel
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +73,7 @@ class Version:
 
 
 def _with_time(description: Description) -> Description:
-    """Give arrays, and the independent variable that FMI 3 wants (FMI 3.0.2 section 2.4.7.4); its reference is the last."""
+    """Give arrays, and the independent variable that FMI 3 wants (FMI 3.0.2 section 2.4.7.4), behind the states."""
     if any(v.name == "time" for v in description.variables):
         raise FmuError(f"{description.name}: a variable is called 'time', which in FMI 3 is the time; use FMI 2, or another name")
     ports = sum(v.causality in ("input", "output") for v in description.variables)
@@ -147,7 +150,8 @@ def export(
 
     Parameters
     ----------
-    model : LinearModel or DiscreteModel
+    model : LinearModel, DescriptorModel or DiscreteModel
+        A descriptor model keeps its algebraic equations, for importers that solve them: FMI 3 only.
     path : Path or str
     name : str
         Name of the model; an identifier of C, as it is also that of the library.
@@ -163,14 +167,18 @@ def export(
     Raises
     ------
     FmuError
-        If the model holds a number that is not finite, the name is no identifier, the version or a platform is not known, or
-        the folder of ``path`` is missing.
+        If the model holds a number that is not finite, the name is no identifier, the version or a platform is not known or
+        cannot have what the model needs, or the folder of ``path`` is missing.
     """
     path = Path(path)
     _check_names(path, name, fmi)
     check_platforms(platforms)
     form, version = form_of(model, name), VERSIONS[fmi]
     _check_numbers(form)
+    if form.residuals and fmi != "3":
+        raise FmuError(
+            f"{name}: FMI {version.number} has no residual form; the layered standard for it is on top of FMI 3: use FMI 3"
+        )
     unit = version.arranged(_named(form.description, name, version))
     sources, main = _sources(form, version)
 
@@ -187,6 +195,7 @@ def export(
         **{f"sources/{file}": content for file, content in sources.items()},
         **{f"sources/{file}": content.encode() for file, content in version.build(name, main).items()},
         **{f"binaries/{binary.folder}/{binary.name}": binary.content for binary in binaries},
+        **({MANIFEST: write_dae(unit, constant=form.constant).encode()} if unit.dae else {}),
         **(extra or {}),
     }
     _write(path, files)
@@ -243,7 +252,7 @@ def _constants(form: Form, unit: Description, stamp: int) -> str:
         f"const int64_t model_step_ns = INT64_C({form.step_ns});",
         integer("model_has_derivatives", int("me" in unit.capabilities)),
         f"const int32_t model_memory = {form.memory}, model_work = {form.work};",
-        integers("model_size", [sizes.get(reference, 0) for reference in range(m + p + 2 * n + 1)]),
+        integers("model_size", [sizes.get(reference, 0) for reference in range(m + p + 2 * n + 1 + form.residuals)]),
     ]
     return "\n".join([*lines, *form.constants, ""])
 

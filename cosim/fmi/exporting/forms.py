@@ -5,7 +5,7 @@ What they have in common is what an FMU is made of, whatever its version: files,
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from html import escape
 
@@ -13,10 +13,22 @@ import numpy as np
 
 from cosim.arrays import Matrix
 from cosim.core.clock import NANOSECONDS
-from cosim.core.solver import LinearModel
-from cosim.fmi.description import Capabilities, Description, Mode, describe, states_of_outputs
+from cosim.core.solver import DescriptorModel, LinearModel
+from cosim.fmi.description import (
+    Capabilities,
+    Dae,
+    Description,
+    Formulation,
+    Mode,
+    Variable,
+    describe,
+    element_dependencies,
+    states_of_outputs,
+)
 from cosim.fmi.exporting.kernels import DiscreteModel, doubles, integer, integers
 
+RESIDUAL = "residual"  # the variable that is zero where the algebraic variables solve their equations
+NO_DESCRIPTOR = "const model_descriptor *const model_form = 0;"
 BOTH = Capabilities(
     directional_derivatives=True, adjoint_derivatives=True, saves_state=True, serializes_state=True, completed_step=False
 )
@@ -49,6 +61,8 @@ class Form:
         Every unknown is a sum of constants times what it depends on.
     reason : str
         Why it is for co-simulation only; empty: it is for model exchange too.
+    residuals : int
+        Elements of the residual, where it has one.
     """
 
     description: Description
@@ -64,10 +78,13 @@ class Form:
     step_ns: int = 0
     constant: bool = True
     reason: str = ""
+    residuals: int = 0
 
 
-def form_of(model: LinearModel | DiscreteModel, name: str) -> Form:
+def form_of(model: LinearModel | DescriptorModel | DiscreteModel, name: str) -> Form:
     """Give the form of a model; ``name`` is that of the unit."""
+    if isinstance(model, DescriptorModel):
+        return _descriptor(model, name)
     return _continuous(model, name) if isinstance(model, LinearModel) else _discrete(model, name)
 
 
@@ -91,6 +108,7 @@ def _continuous(model: LinearModel, name: str) -> Form:
             integers("model_state_of", states_of_outputs(model)),
             *(doubles(f"model_{letter}", array) for letter, array in model.arrays.items()),
             f"const uint8_t model_free[] = {{{', '.join(['0'] * max(1, m))}}};",
+            NO_DESCRIPTOR,
         ),
         numbers=model.arrays,
         equations=_linear_equations(model),
@@ -126,6 +144,67 @@ def _linear_equations(model: LinearModel) -> str:
     )
 
 
+# --- a linear model that keeps its algebraic equations ---
+
+
+def _descriptor(model: DescriptorModel, name: str) -> Form:
+    """Give the form of the reduced model, with the residual and its equations beside it; its references are the last."""
+    form, face = _continuous(model.reduced, name), model.reduced.interface
+    z, (n, m, p) = face.output_columns()[model.algebraic], form.size
+    n_z = z.stop - z.start
+    names = [RESIDUAL] if n_z == 1 else [f"{RESIDUAL}[{k}]" for k in range(n_z)]
+    variables = [
+        Variable(
+            residual, m + p + 2 * n + 1 + k, "local", initial="calculated", doc=f"zero where {model.algebraic} is the solution"
+        )
+        for k, residual in enumerate(names)
+    ]
+    unit = replace(form.description, variables=(*form.description.variables, *variables), dae=_residual_form(model, names))
+    of_output = [k - z.start if z.start <= k < z.stop else -1 for k in range(p)]
+    functions = "residual_follow, residual_rest, residual_partial"
+    return replace(
+        form,
+        description=unit,
+        sources=(*form.sources, "residual.c"),
+        headers=(*form.headers, "residual.h"),
+        constants=(
+            *(line for line in form.constants if line != NO_DESCRIPTOR),
+            '#include "residual.h"',
+            *(doubles(f"residual_{letter}", array) for letter, array in model.arrays.items()),
+            "static " + integers("of_output", of_output),
+            f"static const model_descriptor form = {{{n_z}, of_output, {functions}}};",
+            "const model_descriptor *const model_form = &form;",
+        ),
+        numbers={**form.numbers, **model.arrays},
+        equations=form.equations + _descriptor_equations(model),
+        residuals=n_z,
+    )
+
+
+def _residual_form(model: DescriptorModel, residuals: Sequence[str]) -> Dae:
+    face, states = model.reduced.interface, model.reduced.states
+    outputs = [element for signal in face.outputs for element in signal.elements]
+    algebraic = outputs[face.output_columns()[model.algebraic]]
+    knowns = [*states, *algebraic, *(element for signal in face.inputs for element in signal.elements)]
+    unknowns = [*(f"der({x})" for x in states), *outputs, *residuals]
+    rows = np.hstack([model.by_x, model.by_z, model.by_u])
+    needs = {name: element_dependencies(knowns, row) for name, row in zip(unknowns, rows, strict=True)}
+    equations = tuple((Formulation(name, needs.pop(name)),) for name in residuals)
+    return Dae("", tuple(algebraic), equations, needs)
+
+
+def _descriptor_equations(model: DescriptorModel) -> str:
+    matrices = "".join(
+        f"<pre>{letter} =\n{escape(np.array2string(array, threshold=1000))}</pre>\n" for letter, array in model.arrays.items()
+    )
+    return (
+        "<h3>Residual form</h3>\n<p>The rows of x', of y and of the residual are by_x x + by_z z + by_u u. z is "
+        f"{model.algebraic}: calculated, so that the residual is zero up to rounding, until the importer sets it in event or "
+        "continuous-time mode; then x', y and the residual are those of the z that is set. See extra/, FMI-LS-DAE.</p>\n"
+        + matrices
+    )
+
+
 # --- discrete ---
 
 
@@ -147,6 +226,7 @@ def _discrete(model: DiscreteModel, name: str) -> Form:
         memory=2 + m + p + model.kernel.memory,
         work=p,
         constants=(
+            NO_DESCRIPTOR,
             integers("model_is_exact", []),
             integers("model_state_of", [-1] * p),
             doubles("model_X0", []),

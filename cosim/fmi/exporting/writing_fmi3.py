@@ -34,7 +34,7 @@ def write_fmi3(description: Description, *, text: str, sources: Sequence[str], c
     updated = "cs" in description.capabilities and description.capabilities["cs"].interpolates_inputs
     for variable in description.variables:
         _variable(variables, variable, references, updated)
-    _structure(root, description, references, constant)
+    add_structure(root, description, references, constant)
     return finish(root)
 
 
@@ -81,15 +81,22 @@ def _variable(parent: Element, variable: Variable, references: dict[str, str], u
         SubElement(element, "Dimension", start=str(size))
 
 
-def _structure(root: Element, description: Description, references: dict[str, str], constant: bool) -> None:
+def add_structure(root: Element, description: Description, references: dict[str, str], constant: bool) -> Element:
+    """Write what depends on what; give the element."""
     structure = SubElement(root, "ModelStructure")
     for section, names in unknowns(description):
         for name in sorted(names, key=lambda name: int(references[name])):
-            unknown, needs = (
-                SubElement(structure, TAGS[section], valueReference=references[name]),
-                needs_of(description, section, name),
-            )
-            if needs is not None:
-                unknown.set("dependencies", " ".join(sorted((references[need] for need in needs), key=int)))
-            if needs and constant:
-                unknown.set("dependenciesKind", " ".join(["constant"] * len(needs)))
+            add_unknown(structure, TAGS[section], name, needs_of(description, section, name), references, constant)
+    return structure
+
+
+def add_unknown(
+    parent: Element, tag: str, name: str, needs: Sequence[str] | None, references: dict[str, str], constant: bool
+) -> Element:
+    """Write what one unknown depends on; None: not said."""
+    unknown = SubElement(parent, tag, valueReference=references[name])
+    if needs is not None:
+        unknown.set("dependencies", " ".join(sorted((references[need] for need in needs), key=int)))
+    if needs and constant:
+        unknown.set("dependenciesKind", " ".join(["constant"] * len(needs)))
+    return unknown

@@ -12,7 +12,7 @@ import re
 import stat
 import unicodedata
 import zipfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -42,23 +42,23 @@ class Contents:
         Of the file, in hexadecimal.
     members : frozenset of str
         Names of the files in it.
-    wanted : bytes or None
-        Content of the member that was asked for; None: it is not there.
+    wanted : mapping of str to bytes
+        Content of the members that were asked for, where they are there.
     """
 
     sha256: str
     members: frozenset[str]
-    wanted: bytes | None
+    wanted: Mapping[str, bytes]
 
 
-def look(path: Path, member: str, into: Path | None = None) -> Contents:
-    """Judge an archive and read one member of it; unpack all of it where a folder is given.
+def look(path: Path, wanted: Sequence[str], into: Path | None = None) -> Contents:
+    """Judge an archive and read some members of it; unpack all of it where a folder is given.
 
     Parameters
     ----------
     path : Path
-    member : str
-        At most ``XML_LARGEST`` bytes.
+    wanted : sequence of str
+        Members of at most ``XML_LARGEST`` bytes each.
     into : Path or None
         An empty folder. Nothing is ever written outside of it; after an error it holds a part.
 
@@ -69,12 +69,12 @@ def look(path: Path, member: str, into: Path | None = None) -> Contents:
     """
     with _opened(path) as (archive, sha256):
         files = _judged(path, archive)
-        wanted = io.BytesIO()
-        if member in files:
-            _copy(path, archive, files[member], wanted.write, XML_LARGEST)
+        read = {member: io.BytesIO() for member in wanted if member in files}
+        for member, content in read.items():
+            _copy(path, archive, files[member], content.write, XML_LARGEST)
         if into is not None:
             _unpack(path, archive, files, into)
-        return Contents(sha256, frozenset(files), wanted.getvalue() if member in files else None)
+        return Contents(sha256, frozenset(files), {member: content.getvalue() for member, content in read.items()})
 
 
 class _Bounded(io.FileIO):

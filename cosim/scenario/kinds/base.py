@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias
 from cosim.arrays import Mask
 from cosim.blocks.sampled import Decimated
 from cosim.core.contracts import Component
-from cosim.core.solver import Linear, LinearModel
+from cosim.core.solver import DescriptorModel, Linear, LinearModel
 from cosim.errors import UsageError
 from cosim.fmi.exporting.kernels import DiscreteModel
 from cosim.scenario.schema import Table
@@ -60,6 +60,7 @@ class Site(Protocol):
         mode: Literal["me", "cs"] | None,
         solver: str | None,
         tolerance: float | None,
+        dae: Literal["ode", "residual"],
         start: Mapping[str, Any],
     ) -> Component:
         """Load an FMU; it is freed when the run is over."""
@@ -137,6 +138,10 @@ class Kind(Table):
     def linear_model(self, name: str, site: Site) -> LinearModel:
         """Give the component as a linear model, where it is one: what an exact solver steps and an FMU can be made of."""
         raise UsageError(f"{name!r} is of kind {self.kind!r}, which is no linear model; what is: {', '.join(LINEAR)}")
+
+    def descriptor_form(self, name: str, site: Site) -> DescriptorModel:
+        """Give the component as a linear model with its algebraic equations, where it has some."""
+        raise UsageError(f"{name!r} is of kind {self.kind!r}, which has no algebraic equations; what has: descriptor")
 
     def exportable(self, name: str, site: Site, place: Place) -> Exportable:
         """Give what an FMU is made of."""

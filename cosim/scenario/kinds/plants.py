@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field, StrictBool, StrictInt, StrictStr
 
-from cosim.blocks.plant import descriptor_model
+from cosim.blocks.plant import descriptor_form, descriptor_model
 from cosim.blocks.replay import Replay
 from cosim.blocks.sampled import Sampled
 from cosim.core.contracts import Component
-from cosim.core.solver import SOLVERS, LinearModel
+from cosim.core.solver import SOLVERS, DescriptorModel, LinearModel
 from cosim.errors import UsageError, nearest
 from cosim.scenario.kinds.base import Kind, Site
 from cosim.scenario.schema import Number, Row
@@ -56,6 +56,9 @@ class Descriptor(Plant):
     def linear_model(self, name: str, site: Site) -> LinearModel:
         return descriptor_model(site.model(self.model), self.x_a0)
 
+    def descriptor_form(self, name: str, site: Site) -> DescriptorModel:
+        return descriptor_form(site.model(self.model), self.x_a0)
+
 
 class Fmu(Plant):
     """A real FMU, FMI 1.0, 2.0 or 3.0."""
@@ -68,6 +71,9 @@ class Fmu(Plant):
     solver: str | None = Field(None, description=f"for model exchange, one of: {', '.join(SOLVERS)}")
     tolerance: Number | None = Field(
         None, description="relative tolerance of the states, for solvers that keep one; left out: 1e-9"
+    )
+    dae: Literal["ode", "residual"] = Field(
+        "ode", description="with a residual form (FMI-LS-DAE), for model exchange: whether the FMU or this solver solves for it"
     )
     start: dict[str, Start] = Field(
         {},
@@ -84,7 +90,15 @@ class Fmu(Plant):
         return component if n == 1 else Sampled(component, n)
 
     def build(self, name: str, site: Site) -> Component:
-        return site.fmu(name, self.path, mode=self.mode, solver=self.solver, tolerance=self.tolerance, start=self.start)
+        return site.fmu(
+            name,
+            self.path,
+            mode=self.mode,
+            solver=self.solver,
+            tolerance=self.tolerance,
+            dae=self.dae,
+            start=self.start,
+        )
 
     def description(self, name: str, site: Site) -> tuple[Mode, Description] | None:
         from cosim.fmi.description import MODES

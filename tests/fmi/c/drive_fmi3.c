@@ -132,6 +132,32 @@ static void values(fmi3Instance c)
     free(in), free(out), free(back);
 }
 
+/* Gives algebraic variables: the residual shows it, y and x' follow, and their derivatives by them are told. */
+static void algebraic(fmi3Instance c, int may_be_set)
+{
+    const int32_t n_z = model_form->n_z;
+    int32_t first = 0;
+    while (model_form->of_output[first] < 0)
+        ++first;
+    references z = take(model_m + first, n_z), r = take(model_m + model_p + 2 * model_n + 1, n_z);
+    double *given = some(z.elements, 3.0), *back = some(z.elements, 0.0), *rest = some(r.elements, 0.0), *found = some(dx.elements, 0.0);
+    if (may_be_set)
+        DONE(fmi3SetFloat64(c, z.of, z.count, given, z.elements));
+    else
+        REFUSED(fmi3SetFloat64(c, z.of, z.count, given, z.elements));
+    REFUSED(fmi3SetFloat64(c, r.of, r.count, rest, r.elements));
+    DONE(fmi3GetFloat64(c, z.of, z.count, back, z.elements));
+    CHECK((memcmp(given, back, z.elements * sizeof(double)) == 0) == may_be_set);
+    DONE(fmi3GetFloat64(c, r.of, r.count, rest, r.elements));
+    CHECK((fabs(rest[0]) > 1e-9) == may_be_set);
+    REFUSED(fmi3GetFloat64(c, r.of, r.count, rest, r.elements + 1));
+    DONE(fmi3GetDirectionalDerivative(c, r.of, r.count, z.of, z.count, given, z.elements, rest, r.elements));
+    DONE(fmi3GetDirectionalDerivative(c, dx.of, dx.count, z.of, z.count, given, z.elements, found, dx.elements));
+    DONE(fmi3GetAdjointDerivative(c, r.of, r.count, z.of, z.count, rest, r.elements, back, z.elements));
+    REFUSED(fmi3GetDirectionalDerivative(c, r.of, r.count, r.of, r.count, rest, r.elements, rest, r.elements));
+    free(z.of), free(r.of), free(given), free(back), free(rest), free(found);
+}
+
 static void event_iteration(fmi3Instance c)
 {
     fmi3Boolean need = 1, terminate = 1, nominals = 1, changed = 1, has_time = 1;
@@ -147,6 +173,8 @@ static void model_exchange(void)
     fmi3Boolean event = 1, terminate = 1;
     begin(c);
     REFUSED(fmi3SetTime(c, 1.0));
+    if (model_form)
+        algebraic(c, 0);
     DONE(fmi3ExitInitializationMode(c));
     DONE(fmi3GetNumberOfContinuousStates(c, &n));
     DONE(fmi3GetNumberOfEventIndicators(c, &indicators));
@@ -169,6 +197,10 @@ static void model_exchange(void)
     DONE(fmi3GetEventIndicators(c, NULL, 0));
     REFUSED(fmi3GetEventIndicators(c, x, 1));
     values(c);
+    if (model_form) {
+        algebraic(c, 1);
+        values(c);
+    }
     DONE(fmi3CompletedIntegratorStep(c, 1, &event, &terminate));
     CHECK(!event && !terminate);
     DONE(fmi3EnterEventMode(c));

@@ -2,7 +2,7 @@
  * moves continuously, or in discrete.c, for one that lives at the communication points. Nothing here changes during a run, so
  * that all instances share it; what changes is the `memory` of an instance.
  *
- * Value references number the elements: inputs, outputs, derivatives, states, then the time. In FMI 3 a variable may be an array:
+ * Value references number the elements: inputs, outputs, derivatives, states, the time, then residuals. In FMI 3 a variable may be an array:
  * it has the reference of its first element. */
 #ifndef MODEL_H
 #define MODEL_H
@@ -29,7 +29,8 @@ extern const int32_t model_has_derivatives;   /* it may be exchanged as a model;
 extern const int32_t model_memory;           /* doubles of it; the first n are the states */
 extern const int32_t model_work;             /* doubles of scratch that steps may use and keep */
 
-typedef enum { MODEL_OUTPUT, MODEL_DERIVATIVE, MODEL_STATE } model_unknown;
+typedef enum { MODEL_OUTPUT, MODEL_DERIVATIVE, MODEL_STATE, MODEL_RESIDUAL } model_unknown;
+typedef enum { MODEL_BY_INPUT, MODEL_BY_STATE, MODEL_BY_ALGEBRAIC } model_known;
 
 /* Start at t with the inputs u; x0: start values of the states. */
 void model_start(double *memory, const double *x0, double t, const double *u);
@@ -40,6 +41,18 @@ const char *model_advance(double *memory, double *work, double t0, double t1, do
 /* d(unknown)/d(input or state) at the time reached; at_start: while the start is still being solved for. */
 double model_by_input(double *memory, double *work, double t, const double *u, model_unknown of, int32_t row, int32_t input, int at_start);
 double model_by_state(model_unknown of, int32_t row, int32_t state);
+
+/* A model some of whose outputs are algebraic variables z, which the importer may give: then all else follows from x, z and u, and
+ * the residual tells how far z is from the z that the model calculates. */
+typedef struct {
+    int32_t n_z;              /* elements of z, and of the residual */
+    const int32_t *of_output; /* (p) the algebraic variable that this output is, or -1 */
+    void (*follow)(const double *x, const double *z, const double *u, double *dx, double *y);
+    void (*residual)(const double *x, const double *z, const double *u, double *r);
+    double (*partial)(model_unknown of, int32_t row, model_known by, int32_t column); /* with all other knowns held */
+} model_descriptor;
+
+extern const model_descriptor *const model_form; /* NULL: it has no algebraic variables */
 
 #if defined __GNUC__ && !defined _WIN32
 #pragma GCC visibility pop

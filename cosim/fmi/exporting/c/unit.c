@@ -13,6 +13,7 @@
 static size_t n(void) { return (size_t)model_n; }
 static size_t m(void) { return (size_t)model_m; }
 static size_t p(void) { return (size_t)model_p; }
+static size_t n_z(void) { return model_form ? (size_t)model_form->n_z : 0; }
 
 static void copy_doubles(double *to, const double *from, size_t count)
 {
@@ -31,8 +32,8 @@ static double *take(double **rest, size_t count)
 
 unit *unit_new(void)
 {
-    const size_t changing = 3 + n() + 2 * m() + (size_t)model_memory;
-    const size_t computed = p() + n() + m() + (size_t)model_work;
+    const size_t changing = 4 + n() + 2 * m() + (size_t)model_memory + n_z();
+    const size_t computed = p() + n() + n_z() + m() + (size_t)model_work;
     unit *i = calloc(1, sizeof *i);
     double *rest = i ? calloc(changing + computed, sizeof(double)) : NULL;
     if (!rest) {
@@ -44,7 +45,8 @@ unit *unit_new(void)
     i->stamp = take(&rest, 1), i->mode = take(&rest, 1), i->time = take(&rest, 1);
     i->x0 = take(&rest, n()), i->u = take(&rest, m()), i->slope = take(&rest, m());
     i->memory = take(&rest, (size_t)model_memory);
-    i->y = take(&rest, p()), i->dx = take(&rest, n()), i->before = take(&rest, m());
+    i->is_given = take(&rest, 1), i->z = take(&rest, n_z());
+    i->y = take(&rest, p()), i->dx = take(&rest, n()), i->r = take(&rest, n_z()), i->before = take(&rest, m());
     i->work = take(&rest, (size_t)model_work);
     unit_reset(i);
     return i;
@@ -69,24 +71,38 @@ void unit_reset(unit *i)
 int unit_is_in(const unit *i, int modes) { return ((int)*i->mode & modes) != 0; }
 void unit_to(unit *i, int mode) { *i->mode = mode; }
 
-/* Outputs, derivatives and, before the run, the start. */
+/* The algebraic variable that an output is, or -1. */
+static int32_t algebraic_of(size_t output) { return model_form ? model_form->of_output[output] : -1; }
+
+/* Outputs, derivatives, the residual and, before the run, the start. */
 static void update(unit *i)
 {
     if (!i->stale)
         return;
-    if (unit_is_in(i, INSTANTIATED | INITIALIZATION))
+    if (unit_is_in(i, INSTANTIATED | INITIALIZATION)) {
         model_start(i->memory, i->x0, *i->time, i->u);
-    model_outputs(i->memory, *i->time, i->u, i->y, i->dx);
+        *i->is_given = 0.0;
+    }
+    if (*i->is_given != 0.0) {
+        model_form->follow(i->memory, i->z, i->u, i->dx, i->y);
+    } else {
+        model_outputs(i->memory, *i->time, i->u, i->y, i->dx);
+        for (size_t k = 0; k < p(); ++k)
+            if (algebraic_of(k) >= 0)
+                i->z[algebraic_of(k)] = i->y[k];
+    }
+    if (model_form)
+        model_form->residual(i->memory, i->z, i->u, i->r);
     i->stale = 0;
 }
 
 /* --- variables ----------------------------------------------------------------------------------------------------------- */
 
-typedef enum { INPUT, OUTPUT, DERIVATIVE, STATE, TIME, UNKNOWN } class_of;
+typedef enum { INPUT, OUTPUT, DERIVATIVE, STATE, TIME, RESIDUAL, UNKNOWN } class_of;
 
 static class_of classify(uint32_t reference, size_t *index)
 {
-    const size_t counts[] = {m(), p(), n(), n(), 1};
+    const size_t counts[] = {m(), p(), n(), n(), 1, n_z()};
     *index = reference;
     for (int class = INPUT; class < UNKNOWN; ++class) {
         if (*index < counts[class])
@@ -132,6 +148,7 @@ static double value_of(const unit *i, uint32_t element)
     case OUTPUT: return i->y[index];
     case DERIVATIVE: return i->dx[index];
     case STATE: return i->memory[index];
+    case RESIDUAL: return i->r[index];
     default: return *i->time;
     }
 }
@@ -148,6 +165,12 @@ const char *unit_get(unit *i, const uint32_t references[], size_t count, double 
     return NULL;
 }
 
+static int is_algebraic(uint32_t element)
+{
+    size_t index;
+    return classify(element, &index) == OUTPUT && algebraic_of(index) >= 0;
+}
+
 /* Where the value of an element that may be set now is kept, or NULL. */
 static double *place_of(const unit *i, uint32_t element)
 {
@@ -158,6 +181,8 @@ static double *place_of(const unit *i, uint32_t element)
         return i->u + index;
     if (state >= 0 && model_is_exact[state] && unit_is_in(i, INSTANTIATED | INITIALIZATION))
         return i->x0 + state;
+    if (is_algebraic(element) && unit_is_in(i, EVENT | CONTINUOUS))
+        return i->z + algebraic_of(index);
     return NULL;
 }
 
@@ -172,8 +197,11 @@ const char *unit_set(unit *i, const uint32_t references[], size_t count, const d
             if (!place_of(i, references[k] + e))
                 return "this variable cannot be set in this mode";
     for (size_t k = 0; k < count; ++k)
-        for (uint32_t e = 0; e < size_of(references[k]); ++e)
+        for (uint32_t e = 0; e < size_of(references[k]); ++e) {
             *place_of(i, references[k] + e) = *values++;
+            if (is_algebraic(references[k] + e))
+                *i->is_given = 1.0;
+        }
     i->stale = 1;
     return NULL;
 }
@@ -258,6 +286,7 @@ const char *unit_end_step(unit *i, double t, double h)
         return wrong;
     }
     *i->time = t1;
+    *i->is_given = 0.0;
     i->stale = 1;
     return NULL;
 }
@@ -284,18 +313,36 @@ void unit_move_inputs(unit *i, double h)
 
 /* --- derivatives: exact ---------------------------------------------------------------------------------------------------- */
 
-/* Entries d(row)/d(column) of one pair of elements; 0: they are no unknown and known. */
+static model_unknown unknown_of(class_of class)
+{
+    switch (class) {
+    case OUTPUT: return MODEL_OUTPUT;
+    case DERIVATIVE: return MODEL_DERIVATIVE;
+    case RESIDUAL: return MODEL_RESIDUAL;
+    default: return MODEL_STATE;
+    }
+}
+
+/* Entries d(row)/d(column) of one pair of elements; 0: they are no unknown and known. While algebraic variables are calculated,
+ * they follow the others; for the residual, and by themselves, they are knowns all the same. */
 static int entry(unit *i, uint32_t unknown, uint32_t known, double *value)
 {
     size_t row, column;
     const class_of of = classify(unknown, &row), by = classify(known, &column);
-    const int32_t state = state_of(by, column);
+    const int32_t state = state_of(by, column), z = by == OUTPUT ? algebraic_of(column) : -1;
     const int at_start = unit_is_in(i, INSTANTIATED | INITIALIZATION);
-    model_unknown what = of == OUTPUT ? MODEL_OUTPUT : of == DERIVATIVE ? MODEL_DERIVATIVE : MODEL_STATE;
-    if ((by != INPUT && state < 0) || (of != OUTPUT && of != DERIVATIVE && of != STATE))
+    const model_unknown what = unknown_of(of);
+    const model_known as = by == INPUT ? MODEL_BY_INPUT : z >= 0 ? MODEL_BY_ALGEBRAIC : MODEL_BY_STATE;
+    const int32_t r = (int32_t)row, c = by == INPUT ? (int32_t)column : z >= 0 ? z : state;
+    if ((by != INPUT && state < 0 && z < 0) || (of != OUTPUT && of != DERIVATIVE && of != STATE && of != RESIDUAL))
         return 0;
-    *value = by == INPUT ? model_by_input(i->memory, i->work, *i->time, i->u, what, (int32_t)row, (int32_t)column, at_start)
-                         : model_by_state(what, (int32_t)row, state);
+    if (of == STATE && z >= 0)
+        *value = 0.0;
+    else if (of != STATE && (of == RESIDUAL || z >= 0 || *i->is_given != 0.0))
+        *value = model_form->partial(what, r, as, c);
+    else
+        *value = by == INPUT ? model_by_input(i->memory, i->work, *i->time, i->u, what, r, c, at_start)
+                             : model_by_state(what, r, c);
     return 1;
 }
 
@@ -317,7 +364,7 @@ const char *unit_derivative(unit *i, int adjoint, const uint32_t unknowns[], siz
                 for (uint32_t f = 0; f < size_of(knowns[b]); ++f, ++column) {
                     double value;
                     if (!entry(i, unknowns[a] + e, knowns[b] + f, &value))
-                        return "unknowns are outputs, derivatives and states; knowns are inputs and states";
+                        return "unknowns are outputs, derivatives, states and residuals; knowns are inputs, states and algebraic variables";
                     sensitivity[adjoint ? column : row] += value * seed[adjoint ? row : column];
                 }
     return NULL;

@@ -21,7 +21,8 @@ typedef struct {
     size_t size; /* of everything that changes: values[0 .. size-1] */
     double *values, *stamp, *mode, *time, *x0, *u, *memory;
     double *slope;       /* (m) du/dt in the next step; FMI 2 */
-    double *y, *dx;      /* computed */
+    double *is_given, *z; /* (n_z) algebraic variables; whether the importer gave them, else they are calculated */
+    double *y, *dx, *r;  /* computed; r (n_z): the residual */
     double *before;      /* (m) inputs at the start of a step */
     double *work;
     char message[160];

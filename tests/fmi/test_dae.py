@@ -1,0 +1,256 @@
+"""Manifests of FMI-LS-DAE: written, read in all their variants, checked; and what an exported FMU does with them."""
+
+import re
+import zipfile
+
+import fmpy
+import numpy as np
+import pytest
+from fmpy.validation import validate_fmu
+
+from cosim.blocks.plant import descriptor_form
+from cosim.cli import main
+from cosim.core.solver import DescriptorModel
+from cosim.errors import AssumptionError, FmuError, GraphError
+from cosim.fmi.checking.check import check
+from cosim.fmi.component import load
+from cosim.fmi.description import Dae, Formulation
+from cosim.fmi.exporting.export import export
+from cosim.fmi.reading.dae import MANIFEST
+from cosim.fmi.reading.model_description import read
+from cosim.theory.descriptor import DescriptorSystem
+from tests.fmi.dae import ABOUT, LISTS, RATE, STRUCTURE, SYSTEM, build, descriptor, manifest
+
+A, B, C = SYSTEM.A, np.hstack([SYSTEM.Bu, SYSTEM.Bd]), SYSTEM.C
+RIGHT = LISTS + STRUCTURE.format(rate=RATE)
+
+
+@pytest.fixture(scope="module")
+def plant(tmp_path_factory):
+    return export(descriptor(), tmp_path_factory.mktemp("dae") / "plant.fmu", name="plant", fmi="3").path
+
+
+# --- out ---
+
+
+def test_a_dae_fmu_is_a_valid_fmu(plant):
+    """The validator of fmpy and our own check find nothing; x_b is one array, so is its residual."""
+    assert validate_fmu(str(plant)) == []
+    assert check(plant) == ()
+    found = fmpy.read_model_description(str(plant), validate=True)
+    assert {v.name: v.causality for v in found.modelVariables}["residual"] == "local"
+
+
+def test_what_is_written_is_read_again(plant):
+    """Dependencies are those of the partitioned equations (2)-(3): y of x_a and x_b, not of u."""
+    assert read(plant).description.dae == Dae(
+        version="0.0.1",
+        algebraic=("x_b",),
+        residuals=((Formulation("residual", ("u", "delta", "x_a", "x_b")),),),
+        dependencies={
+            "y": ("x_a", "x_b"),
+            "x_a": ("x_a",),
+            "x_b": ("x_b",),
+            "der(x_a)": ("u", "delta", "x_a", "x_b"),
+        },
+    )
+
+
+def test_the_manifest_names_the_version_that_it_follows(plant):
+    """Text, schema and sample of the draft disagree."""
+    with zipfile.ZipFile(plant) as archive:
+        text = archive.read(MANIFEST).decode()
+    assert 'fmi-ls:fmi-ls-version="0.0.1"' in text
+    assert "<!-- Follows the text of the draft of org.fmi-standard.fmi-ls-dae, version 0.0.1; its schema" in text
+
+
+class Driven:
+    """An exported plant in continuous-time mode, variable by variable."""
+
+    def __init__(self, fmu, u):
+        self.unit, self._description = fmu.unit, fmu.unit.description
+        fmu.component.prepare(0.1, np.zeros(2, np.bool_), {})
+        fmu.component.initialize(0.0, u)
+        fmu.component.outputs(0.0, u)
+
+    def __getitem__(self, name):
+        return self.unit.get_float64(self._description.reference([name]))
+
+    def give(self, name, values):
+        self.unit.set_float64(self._description.reference([name]), values)
+
+    def by(self, unknown, known):
+        """Give a block of the Jacobian."""
+        one, other = self._description.reference([unknown]), self._description.reference([known])
+        return np.column_stack([self.unit.get_directional_derivative(one, other, seed) for seed in np.eye(other.size)])
+
+
+U = np.array([0.75, -1.25])
+
+
+def test_algebraic_variables_are_calculated_until_they_are_given(plant):
+    """Calculated, the residual is rounding. Given, all is as of what was given, until a state returns: x_a', y, the residual."""
+    with load(plant) as fmu:
+        fmu = Driven(fmu, U)
+        x_a = fmu["x_a"]
+        solved = np.linalg.solve(A[2:, 2:], -A[2:, :2] @ x_a - B[2:] @ U)
+        assert fmu["x_b"] == pytest.approx(solved, rel=1e-14)
+        assert fmu["residual"] == pytest.approx(np.zeros(2), abs=1e-15)
+        ordinary, before = fmu["der(x_a)"], fmu.unit.get_fmu_state()
+        x_b = np.array([0.5, -3.0])
+        fmu.give("x_b", x_b)
+        state = np.concatenate([x_a, x_b])
+        assert np.array_equal(fmu["x_b"], x_b)
+        assert fmu["der(x_a)"] == pytest.approx(A[:2] @ state + B[:2] @ U, rel=1e-15)
+        assert fmu["residual"] == pytest.approx(A[2:] @ state + B[2:] @ U, rel=1e-15)
+        assert fmu["y"] == pytest.approx(C @ state, rel=1e-15)
+        fmu.give("u", np.array([2.0]))
+        assert fmu["residual"] == pytest.approx(A[2:] @ state + B[2:] @ [2.0, U[1]], rel=1e-15)
+        fmu.unit.set_fmu_state(before)
+        assert np.array_equal(fmu["der(x_a)"], ordinary)
+
+
+def test_derivatives_know_algebraic_variables_and_residuals(plant):
+    """Given, all blocks are those of the matrices; calculated, x_b follows, except by itself and in the residual."""
+    with load(plant) as fmu:
+        fmu = Driven(fmu, U)
+        reduced = A[:2, :2] - A[:2, 2:] @ np.linalg.solve(A[2:, 2:], A[2:, :2])
+        assert fmu.by("der(x_a)", "x_a") == pytest.approx(reduced, rel=1e-14)
+        for given in (False, True):
+            if given:
+                fmu.give("x_b", np.zeros(2))
+                assert np.array_equal(fmu.by("der(x_a)", "x_a"), A[:2, :2])
+                assert np.array_equal(fmu.by("der(x_a)", "delta"), B[:2, 1:])
+                assert np.array_equal(fmu.by("y", "x_a"), C[:, :2])
+            assert np.array_equal(fmu.by("der(x_a)", "x_b"), A[:2, 2:])
+            assert np.array_equal(fmu.by("y", "x_b"), C[:, 2:])
+            assert np.array_equal(fmu.by("residual", "x_b"), A[2:, 2:])
+            assert np.array_equal(fmu.by("residual", "x_a"), A[2:, :2])
+            assert np.array_equal(fmu.by("residual", "u"), B[2:, :1])
+
+
+def test_both_forms_agree_for_several_algebraic_variables(plant):
+    """The eigenvalues reach 3/s: a step of 2 ms is wrong by (3 h)^6 / 7200 = 6e-18, 200 of them are rounding, 200 times 4e-16.
+
+    rk4 as the ordinary solver is wrong by (3 h)^5 / 120 = 6e-14 in a step, 1.3e-11 in all.
+    """
+    t = np.arange(201) / 500.0
+    rows = np.column_stack([0.5 + t, 1.0 - 0.5 * t])
+    found = {}
+    for dae in ("ode", "residual"):
+        with load(plant, dae=dae) as fmu:
+            fmu.component.prepare(0.002, np.zeros(2, np.bool_), {})
+            found[dae] = np.vstack([fmu.component.initialize(0.0, rows[0]), fmu.component.advance(t, 0.002, rows)])
+    with load(plant, mode="cs") as fmu:  # its own steps are exact
+        fmu.component.prepare(0.002, np.zeros(2, np.bool_), {})
+        exact = np.vstack([fmu.component.initialize(0.0, rows[0]), fmu.component.advance(t, 0.002, rows)])
+    assert found["residual"] == pytest.approx(exact, abs=1e-13)
+    assert found["ode"] == pytest.approx(exact, abs=1.3e-11)
+
+
+def test_what_has_no_residual_form_is_refused(tmp_path):
+    """FMI 2, a system without algebraic states, matrices that do not fit."""
+    with pytest.raises(
+        FmuError, match=r"x: FMI 2.0 has no residual form; the layered standard for it is on top of FMI 3: use FMI 3"
+    ):
+        export(descriptor(), tmp_path / "x.fmu", name="x", fmi="2")
+    whole = DescriptorSystem(A=A, Bu=SYSTEM.Bu, Bd=SYSTEM.Bd, C=C, n_a=4)
+    with pytest.raises(AssumptionError, match="n_a = 4 of 4 states: there are no algebraic states, and so no residual form"):
+        descriptor_form(whole, np.zeros(4))
+    right = descriptor()
+    with pytest.raises(GraphError, match=r"matrix by_z: found shape \(9, 1\), needed \(9, 2\)"):
+        DescriptorModel(right.reduced, "x_b", right.by_x, right.by_z[:, :1], right.by_u)
+
+
+# --- in ---
+
+BARE = ABOUT.replace("fmi-ls:fmi-ls", "fmi-ls")
+
+
+@pytest.mark.parametrize(
+    ("root", "about"),
+    [
+        ("fmiLayeredStandardManifest", ABOUT),
+        ("fmiLayeredStandardManifest", BARE),
+        ("fmi-dae", f'{ABOUT} isDaeFmu="true"'),
+        ("fmi-dae", f'{BARE} isDaeFmu="true"'.replace("0.0.1", "0.1")),
+        ("fmi-dae", f"{ABOUT}".replace("DAE support in FMI", "DAE support in FMI.")),
+    ],
+)
+def test_all_variants_of_the_draft_are_read(root, about, tmp_path):
+    """Two roots, attributes with a namespace and without, two versions, a description with a full stop and without."""
+    dae = read(with_manifest(tmp_path / "x.fmu", manifest(RIGHT, root, about))).description.dae
+    assert dae.problems == ()
+    assert dae.algebraic == ("z",)
+    assert dae.residuals == ((Formulation("r"),),)
+    assert dae.dependencies == {"der(x)": ("z",)}
+
+
+def edited(old, new):
+    assert old in RIGHT
+    return manifest(RIGHT.replace(old, new, 1))
+
+
+BROKEN = {
+    "well-formed": ("<a", "it is not well-formed: "),
+    "root": (manifest(RIGHT, "fmi-ode"), "the root: found 'fmi-ode', needed fmiLayeredStandardManifest or fmi-dae"),
+    "name": (
+        manifest(RIGHT, about=ABOUT.replace("-ls-dae", "-ls-x")),
+        "fmi-ls-name: found 'org.fmi-standard.fmi-ls-x', needed org.",
+    ),
+    "version": (manifest(RIGHT, about=ABOUT.replace("0.0.1", "2.0")), "fmi-ls-version: found '2.0', needed 0.0.1 or 0.1"),
+    "z": (edited('"2"/>', '"99"/>'), "AlgebraicVariable: valueReference=99 is no variable"),
+    "r": (edited('"4"', '"98"'), "Formulation: valueReference=98 is no variable"),
+    "needs": (edited('dependencies="2"', 'dependencies="2 97"'), "'der(x)': dependencies name no variable: 97"),
+    "twice": (edited("</Alg", '<AlgebraicVariable valueReference="2"/></Alg'), "'z' is listed 2 times, needed once"),
+    "discrete": (edited('"2"/>', '"6"/>'), "'q': found a variable that is not real and continuous, needed one that is"),
+    "empty": (edited('<Formulation valueReference="4"/>', ""), "Residual: found no Formulation, needed one at least"),
+    "count": (
+        edited('<Residual><Formulation valueReference="4"/></Residual>', ""),
+        "found 0 residuals for 1 algebraic variables",
+    ),
+}
+
+
+def with_manifest(path, content):
+    """Copy the FMU with another manifest."""
+    with zipfile.ZipFile(build()) as source, zipfile.ZipFile(path, "w") as target:
+        for name in source.namelist():
+            target.writestr(name, content if name == MANIFEST else source.read(name))
+    return path
+
+
+@pytest.mark.parametrize("what", BROKEN)
+def test_a_broken_manifest_is_told_and_no_obstacle(what, tmp_path):
+    """With it the residual form is refused; the ordinary one runs."""
+    content, message = BROKEN[what]
+    path = with_manifest(tmp_path / "x.fmu", content)
+    assert any(message in problem for problem in read(path).description.dae.problems)
+    with pytest.raises(FmuError, match=rf'CUBIC: dae = "residual": {MANIFEST}: .*{re.escape(message)}'):
+        load(path, dae="residual")
+    load(path).close()
+
+
+def test_the_check_finds_all_that_is_wrong_with_a_manifest(tmp_path):
+    """Each problem is an error of the manifest."""
+    path = with_manifest(tmp_path / "x.fmu", edited('"4"', '"98"').replace("0.0.1", "2.0"))
+    assert [(found.level, found.text.split(":")[0]) for found in check(path) if found.where == MANIFEST] == [
+        ("error", "fmi-ls-version"),
+        ("error", "Formulation"),
+    ]
+
+
+def test_a_manifest_without_a_structure_is_a_warning(tmp_path):
+    """As the draft's own sample is."""
+    sample = manifest("", "fmi-dae", f'{ABOUT} isDaeFmu="true"')
+    (found,) = [finding for finding in check(with_manifest(tmp_path / "x.fmu", sample)) if finding.where == MANIFEST]
+    assert found.level == "warning"
+    assert "lists no AlgebraicVariables or no Residual" in found.text
+
+
+def test_info_shows_the_residual_form(capsys):
+    """Its version, its unknowns and its equations."""
+    with pytest.raises(SystemExit):
+        main(["info", str(build())])
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "residual form fmi-ls-dae 0.0.1 algebraic variables z 0 = r depends on what is not said der(x) depends on z" in shown

@@ -1,0 +1,211 @@
+"""The residual form of DAE FMUs: solved to the order of its method, against solutions that know nothing of it."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from cosim.core.contracts import Stopped
+from cosim.errors import FmuError, RunError
+from cosim.fmi.component import load
+from cosim.fmi.driving.residual import NODES, WEIGHTS
+from cosim.testing import check_component, check_rollback
+from tests.fmi.dae import ABOUT, LISTS, RATE, build, manifest
+
+DERIVATIVES = pytest.mark.parametrize("derivatives", [True, False])
+
+
+def line(t):
+    """Give a straight line, so that a communication step hides nothing."""
+    return 0.5 + t
+
+
+def still(t):
+    return np.zeros_like(t)
+
+
+def run(h, stop=2.0, *, u=line, held=False, model="CUBIC", derivatives=True, dae="residual", start=None):
+    """Give the outputs at every communication point: x (where there is one), z, q, y; and the events."""
+    with load(build(model, derivatives=derivatives), dae=dae, start=start) as fmu:
+        component, steps = fmu.component, round(stop / h)
+        t = np.arange(steps + 1) * round(h * 1e9) / 1e9
+        rows = u(t)[:, np.newaxis]
+        component.prepare(h, np.array([held]), {})
+        found = np.vstack([component.initialize(0.0, rows[0]), component.advance(t, h, rows)])
+        texts = [text for _, _, text in fmu.drain() if text.startswith("state event")]
+    return found, [float(text.split(" = ")[1][:-2]) for text in texts]
+
+
+def root(value):
+    """Give the real z of z^3 + z = value."""
+    (z,) = (r.real for r in np.roots([1.0, 0.0, 1.0, -value]) if abs(r.imag) < 1e-6)
+    return z
+
+
+@cache
+def reference():
+    """Differentiated, the equation is an ordinary one: (3 z^2 + 1) z' = x' + u' = 1 - z. Its error is some 1e-14."""
+    found = solve_ivp(
+        lambda t, z: (1.0 - z) / (3.0 * z * z + 1.0), (0.0, 2.0), [root(1.5)], method="DOP853", rtol=1e-13, atol=1e-15
+    )
+    z = found.y[0, -1]
+    return np.array([z**3 + z - 2.5, z])
+
+
+def test_the_coefficients_are_those_of_collocation_of_order_five():
+    """B(5) and C(3) of Hairer and Wanner II, section IV.5; the last row is that of the quadrature (stiffly accurate)."""
+    c = np.array([*NODES, 1.0])
+    for k in (1, 2, 3):
+        assert WEIGHTS @ c ** (k - 1) == pytest.approx(c**k / k, abs=2e-16)
+    for k in (1, 2, 3, 4, 5):
+        assert WEIGHTS[-1] @ c ** (k - 1) == pytest.approx(1.0 / k, abs=2e-16)
+
+
+@DERIVATIVES
+def test_halving_the_step_divides_the_error_by_thirty_two(derivatives):
+    """Order 5 for x and z, with the FMU's derivatives and without."""
+    coarse, fine = (abs(run(h, derivatives=derivatives)[0][-1, :2] - reference()) for h in (0.4, 0.2))
+    assert coarse / fine == pytest.approx([32.0, 32.0], abs=4.0)
+
+
+@DERIVATIVES
+def test_a_nonlinear_model_is_solved_to_rounding(derivatives):
+    """At 10 ms the method is wrong by 5e-10 / 40^5 = 5e-18; 200 steps round to some 200 times 1e-16, the reference to 1e-14.
+
+    The FMU's own form, with rk4, is wrong by h^4 times the fifth derivative over 120: below 1e-10.
+    """
+    found = run(0.01, derivatives=derivatives)[0]
+    assert found[-1, :2] == pytest.approx(reference(), abs=5e-14)
+    assert found[-1, 3] == found[-1, 0] + 2.0 * found[-1, 1]
+    assert run(0.01, dae="ode")[0][:, :2] == pytest.approx(found[:, :2], abs=1e-10)
+
+
+@DERIVATIVES
+def test_a_state_event_of_an_algebraic_variable_is_located(derivatives):
+    """z falls through 0.5, from where on x' is -4 z. The time is a quadrature: dt = -(3 z + 1/z)/q dz, from z(0)."""
+    found, events = run(0.02, u=still, derivatives=derivatives, start={"p": 0.5})
+
+    def passed(z):  # integral of 3 z + 1/z
+        return 1.5 * z * z + np.log(z)
+
+    expected = passed(root(1.0)) - passed(0.5)
+    assert events == pytest.approx([expected], abs=1e-11)  # the method: some 1e-10 at 0.4 s, by 20^5
+    z = found[-1, 1]
+    assert found[-1, 2] == 4.0
+    # then nearly z' = -4 z: a step is wrong by (4 h)^6 / 7200 of z, 70 of them by 3e-9
+    assert (passed(0.5) - passed(z)) / 4.0 == pytest.approx(2.0 - expected, abs=3e-9)
+
+
+def steps(t):
+    return np.where(np.round(t * 10.0) % 2.0 == 0.0, 1.0, -0.5)
+
+
+@pytest.mark.parametrize("held", [True, False])
+def test_z_solves_the_equation_with_the_inputs_of_its_time(held):
+    """Held inputs jump at communication points: there z jumps with them, and y shows it; x does not."""
+    with load(build(), dae="residual") as fmu:
+        component, t = fmu.component, np.arange(21) / 10.0
+        rows = steps(t)[:, np.newaxis]
+        component.prepare(0.1, np.array([held]), {})
+        found = np.vstack([component.initialize(0.0, rows[0]), component.advance(t, 0.1, rows)])
+        x, z, y = found[:, 0], found[:, 1], found[:, 3]
+        assert z**3 + z - x == pytest.approx(rows[:, 0], abs=4e-15)
+        assert np.array_equal(y, x + 2.0 * z)
+        other = component.outputs(2.0, np.array([7.0]))
+        assert other[1] == pytest.approx(root(found[-1, 0] + 7.0), abs=4e-15)
+        assert np.array_equal(component.outputs(2.0, rows[-1]), found[-1])
+
+
+def test_a_form_without_states_is_its_equation():
+    """z^3 + z = u at every time."""
+    z = run(0.1, model="STATIC")[0][:, 0]
+    assert z == pytest.approx([root(u) for u in line(np.arange(21) / 10.0)], abs=4e-15)
+
+
+@DERIVATIVES
+def test_the_contract_of_components_holds(derivatives):
+    """One call of K steps is K calls of one, bit for bit; outputs change nothing; what was saved comes back."""
+    with load(build(derivatives=derivatives), dae="residual", start={"p": 0.5}) as fmu:
+        check_component(lambda: fmu.component, steps=10, h=0.1)
+    with load(build(derivatives=derivatives), dae="residual", start={"p": 0.5}) as fmu:
+        check_rollback(lambda: fmu.component, steps=10, h=0.1)
+
+
+def test_where_there_is_no_solution_the_run_stops():
+    """0 = z^2 - x with x = 1 - t: z = sqrt(1 - t) as long as there is one."""
+    with pytest.raises(Stopped) as stopped:
+        run(0.01, model="FOLD")
+    rows = stopped.value.outputs
+    assert str(stopped.value).startswith("FOLD: no solution of the residual form at t = 1.0")
+    assert "largest residual" in str(stopped.value)
+    assert "Newton's iteration: corrections do not vanish in 25 iterations, the last is" in str(stopped.value)
+    t = np.arange(1, 91) / 100.0
+    assert rows[:90, 1] == pytest.approx(np.sqrt(1.0 - t), abs=1e-14)
+
+
+def test_a_start_at_which_z_is_not_determined_is_an_error():
+    """At z = 0 a small z changes z^2 by nothing."""
+    message = (
+        "FOLD: no solution of the residual form at t = 0.0 s: largest residual 1; Newton's iteration: its matrix is singular"
+    )
+    with load(build("FOLD"), dae="residual", start={"z": 0.0}) as fmu:
+        fmu.component.prepare(0.1, np.array([False]), {})
+        fmu.component.initialize(0.0, np.zeros(1))
+        with pytest.raises(RunError, match=message):
+            fmu.component.outputs(0.0, np.zeros(1))
+
+
+TWICE = '<Residual><Formulation valueReference="4" index="2"/><Formulation valueReference="7"/></Residual>'
+IMPLICIT = '<Residual><Formulation valueReference="4" dependencies="2 3"/></Residual>'
+
+
+@pytest.mark.parametrize(
+    ("extra", "message"),
+    [
+        (None, r'needed the manifest extra/org.fmi-standard.fmi-ls-dae/fmi-ls-manifest.xml; use "ode"'),
+        (manifest("", "fmi-dae", f'{ABOUT} isDaeFmu="false"'), "the FMU says nothing of a residual form"),
+        (
+            manifest("", "fmi-dae", f'{ABOUT} isDaeFmu="true"'),
+            "lists no AlgebraicVariables and no Residual, so that the form is not",
+        ),
+        (manifest(LISTS, "fmi-dae", f'{ABOUT} isDaeFmu="true"'), "found 0 residuals for 1 algebraic variables, needed as many"),
+        (
+            manifest(LISTS + f"<ModelStructure>{RATE}{TWICE}</ModelStructure>"),
+            "'r' is an equation of higher index; needed index 1",
+        ),
+        (
+            manifest(LISTS + f"<ModelStructure>{RATE}{IMPLICIT}</ModelStructure>"),
+            "'r' depends on derivatives of states; needed them",
+        ),
+    ],
+)
+def test_a_form_that_cannot_be_integrated_is_refused(extra, message):
+    """The message says what is missing; as an ordinary FMU it runs all the same."""
+    path = build(extra=extra)
+    with pytest.raises(FmuError, match=f'CUBIC: dae = "residual": .*{message}'):
+        load(path, dae="residual")
+    load(path).close()
+
+
+def test_only_model_exchange_of_fmi_3_without_another_solver_has_a_residual_form(request):
+    """A solver of one's own would not be used; other choices do not exist."""
+    with pytest.raises(FmuError, match=r"solver 'rk4': the residual form has its own, Radau IIA; leave one of both out"):
+        load(build(), dae="residual", solver="rk4")
+    with pytest.raises(FmuError, match="no solver 'Radau IIA'"):
+        load(build(), solver="Radau IIA")
+    with pytest.raises(FmuError, match=r"dae = 'dae'; "):
+        load(build(), dae="dae")
+    exported = request.getfixturevalue("exported")
+    with pytest.raises(
+        FmuError, match=r'dae = "residual": FMI 2.0 has no residual form, the layered standard is on top of FMI 3'
+    ):
+        load(exported, mode="me", dae="residual")
+    with pytest.raises(FmuError, match=r'dae = "residual": a co-simulation FMU solves for itself; use mode = "me"'):
+        load(exported, mode="cs", dae="residual")
+
+
+def test_what_is_integrated_stands_in_the_log():
+    """The solver's name says it."""
+    with load(build(), dae="residual") as fmu:
+        assert fmu.metadata["solver"] == "Radau IIA"
