@@ -75,9 +75,9 @@ def test_rk4_is_fourth_order():
 
 
 def test_any_model_can_be_a_unit():
-    """A model without matrices gets rk4; at rest in x = 1 for u = 1 it stays there."""
+    """A model without matrices gets a solver that keeps a tolerance; at rest in x = 1 for u = 1 it stays there."""
     component = ModelExchange(GeneratedUnit(Nonlinear()))
-    assert component.solver == "rk4"
+    assert component.solver == "RK45"
     y = run(component, step=0.1, held=np.array([False]), u=lambda t: np.ones((len(t), 1)))
     assert np.array_equal(y, np.full((21, 1), 2.0))
     with pytest.raises(FmuError, match="solver 'exact' needs the matrices of a linear model"):

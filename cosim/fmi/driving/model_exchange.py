@@ -35,7 +35,7 @@ class ModelExchange:
     unit : ModelExchangeUnit
         Just instantiated.
     solver : str or None
-        One of ``cosim.core.solver.SOLVERS``; None: ``exact`` where the unit's model is known to be linear, else ``rk4``.
+        One of ``cosim.core.solver.SOLVERS``; None: ``exact`` where the unit's model is known to be linear, else ``RK45``.
     starts : mapping of variable name to StartValue
         Start values to set instead of the unit's own.
     rtol : float or None
@@ -65,12 +65,12 @@ class ModelExchange:
             raise FmuError(f"{self._name}: dae = {dae!r}; {nearest(dae, FORMS)}")
         if dae == "residual" and solver is not None:
             raise FmuError(f"{self._name}: solver {solver!r}: the residual form has its own, {RADAU}; leave one of both out")
-        self.solver = RADAU if dae == "residual" else solver or ("rk4" if unit.linear is None else "exact")
+        self.solver = RADAU if dae == "residual" else solver or ("RK45" if unit.linear is None else "exact")
         if self.solver not in (*SOLVERS, RADAU) or solver == RADAU:
             raise FmuError(f"{self._name}: no solver {solver!r}; {nearest(self.solver, SOLVERS)}")
         if self.solver == "exact" and unit.linear is None:
             raise FmuError(
-                f"{self._name}: solver 'exact' needs the matrices of a linear model, an FMU does not show them; use 'rk4'"
+                f"{self._name}: solver 'exact' needs the matrices of a linear model, an FMU does not show them; use 'RK45'"
             )
         if rtol is not None and self.solver not in TOLERANT:
             raise FmuError(
