@@ -1,6 +1,6 @@
 """What a unit says about itself: the content of a modelDescription.xml, independent of the FMI version.
 
-``describe`` gives it for a linear model; ``reading.py`` reads it from an FMU, ``writing.py`` writes it.
+``describe`` gives it for a model of ours; ``reading/`` takes it from an FMU, ``exporting/`` writes it.
 """
 
 from __future__ import annotations

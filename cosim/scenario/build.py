@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pydantic import ValidationError
 
@@ -23,9 +23,6 @@ from cosim.scenario.problems import problems_of
 from cosim.scenario.schema import File
 from cosim.scenario.site import ScenarioSite, Speaker
 from cosim.scenario.truth import judge_truth
-
-if TYPE_CHECKING:
-    pass
 
 Problems = list[Problem]
 
