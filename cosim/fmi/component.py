@@ -19,7 +19,7 @@ from cosim.errors import FmuError, RunError
 from cosim.fmi.binary.loaded import LoadedUnit
 from cosim.fmi.binary.messages import Message
 from cosim.fmi.checking.binaries import built_for
-from cosim.fmi.checking.trial import can_roll_back
+from cosim.fmi.checking.child import can_roll_back
 from cosim.fmi.description import MODE_NAMES, MODES, Description, Mode
 from cosim.fmi.driving.co_simulation import CoSimulation
 from cosim.fmi.driving.model_exchange import RTOL, ModelExchange

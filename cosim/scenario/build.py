@@ -4,48 +4,27 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from pydantic import ValidationError
-
 from cosim.core.clock import Clock
 from cosim.core.connections import Connection, check_connections, layout_of
 from cosim.core.contracts import Component, Recording
 from cosim.core.graph import Graph
-from cosim.errors import CosimError, ScenarioError, nearest
-from cosim.scenario.document import FLAT, Document, Key, Problem, flatten
-from cosim.scenario.kinds import KINDS, Kind, Site
-from cosim.scenario.problems import problems_of
-from cosim.scenario.schema import File
+from cosim.errors import CosimError
+from cosim.scenario.document import Document, Problem
+from cosim.scenario.kinds import Site
+from cosim.scenario.parsing import Parsed, Problems, read, report
 from cosim.scenario.site import ScenarioSite, Speaker
 from cosim.scenario.truth import judge_truth
 
-Problems = list[Problem]
-
 
 @dataclass(frozen=True)
-class Scenario:
+class Scenario(Parsed):
     """A validated scenario file."""
-
-    document: Document
-    file: File
-    specs: Mapping[str, Kind]
-    connections: Mapping[str, Connection]
-    tree: Mapping[str, Any]
-
-    @property
-    def name(self) -> str:
-        """Name of the scenario."""
-        return self.file.scenario.name
-
-    def driver(self, to: str) -> str | None:
-        """Give the component that drives an input, ``component.input``."""
-        connection = self.connections.get(to)
-        return connection.source.partition(".")[0] if connection is not None else None
 
     def edit(
         self,
@@ -74,7 +53,7 @@ class Scenario:
 class Experiment:
     """A scenario ready to run."""
 
-    scenario: Scenario
+    scenario: Parsed
     graph: Graph
     clock: Clock
     truth: Mapping[str, Any]  # what the report compares
@@ -90,7 +69,7 @@ class Experiment:
 class Draft:
     """What could be built of a scenario, and what is wrong with the rest."""
 
-    scenario: Scenario
+    scenario: Parsed
     site: ScenarioSite
     clock: Clock
     components: Mapping[str, Component]
@@ -107,11 +86,11 @@ def parse(document: Document) -> Scenario:
     ScenarioError
         With every problem that can be seen without building the components.
     """
-    scenario, problems = _parse(document)
+    parsed, problems = read(document)
     if problems:
         with ExitStack() as resources:  # what is wrong with the rest belongs into the same report
             build(document, resources)
-    return scenario
+    return Scenario(parsed.document, parsed.file, parsed.specs, parsed.connections, parsed.tree)
 
 
 def build(
@@ -145,7 +124,7 @@ def draft(document: Document, resources: ExitStack, *, recording: Recording | No
     ScenarioError
         If nothing can be built.
     """
-    scenario, problems = _parse(document)
+    scenario, problems = read(document)
     site = ScenarioSite(scenario, resources, recording)
     clock = _clock(scenario, block, problems)
     site.step_ns = clock.step_ns
@@ -166,7 +145,7 @@ def finish(made: Draft) -> Experiment:
     """
     scenario, site, clock, components = made.scenario, made.site, made.clock, made.components
     if made.problems:
-        raise _report(scenario.document, made.problems)
+        raise report(scenario.document, made.problems)
     graph = _graph(scenario, components, scenario.connections, made.periods)
     for name, spec in scenario.specs.items():
         columns = components[name].interface.input_columns()
@@ -206,12 +185,12 @@ def upstream(made: Draft, component: str) -> Graph:
     components = {name: found for name, found in made.components.items() if name in needed}
     connections = {to: wire for to, wire in scenario.connections.items() if to.partition(".")[0] in needed}
     if len(components) < len(needed):
-        raise _report(scenario.document, made.problems)
+        raise report(scenario.document, made.problems)
     return _graph(scenario, components, connections, {name: made.periods[name] for name in components})
 
 
 def _graph(
-    scenario: Scenario,
+    scenario: Parsed,
     components: Mapping[str, Component],
     connections: Mapping[str, Connection],
     periods: Mapping[str, int],
@@ -220,17 +199,17 @@ def _graph(
     try:
         return Graph(components, connections, coupling=settings.coupling, hold=settings.hold, periods=periods)
     except CosimError as error:
-        raise _report(scenario.document, [(("connections",), str(error))]) from error
+        raise report(scenario.document, [(("connections",), str(error))]) from error
 
 
-def _clock(scenario: Scenario, block: int | None, problems: Problems) -> Clock:
+def _clock(scenario: Parsed, block: int | None, problems: Problems) -> Clock:
     """Make the clock; without one nothing else can be judged, so what is wrong with it is told with what is known already."""
     settings = scenario.file.scenario
     for key, attempt in (("step", (settings.step, settings.step)), ("stop", (settings.stop, settings.step))):
         try:
             Clock(*attempt)
         except CosimError as error:
-            raise _report(scenario.document, [*problems, (("scenario", key), str(error))]) from error
+            raise report(scenario.document, [*problems, (("scenario", key), str(error))]) from error
     return Clock(settings.stop, settings.step, block)
 
 
@@ -241,63 +220,7 @@ def build_site(scenario: Scenario, resources: ExitStack) -> Site:
     return site
 
 
-# --- reading ---
-
-
-def _parse(document: Document) -> tuple[Scenario, Problems]:
-    tree, problems = document.tree()
-    for table in FLAT:  # once more, for what was set
-        if isinstance(tree.get(table), dict):
-            tree[table], more = flatten(tree[table], (table,))
-            problems += more
-    try:
-        file = File.model_validate(tree)
-    except ValidationError as error:
-        problems += problems_of(error, File, tree, ())
-        specs, more = _specs(tree.get("components", {}))
-        raise _report(document, [*problems, *more]) from error
-    specs, more = _specs(file.components)
-    wires = {}
-    for to, given in file.connections.items():
-        parts = (given,) if isinstance(given, str) else (given.source, given.gain, given.offset, given.unit)
-        try:
-            wires[to] = Connection(*parts)
-        except CosimError as error:
-            more.append((("connections", to), str(error)))
-            wires[to] = Connection(parts[0])
-    return Scenario(document, file, specs, wires, tree), [*problems, *more]
-
-
-def _specs(tables: Any) -> tuple[dict[str, Kind], Problems]:
-    specs: dict[str, Kind] = {}
-    problems: Problems = []
-    for name, table in tables.items() if isinstance(tables, dict) else ():
-        key: Key = ("components", name)
-        if not isinstance(table, dict):
-            continue
-        kind = str(table.get("kind"))
-        if kind not in KINDS:
-            said = f"unknown kind {kind!r}" if "kind" in table else "'kind' is missing"
-            problems.append(((*key, "kind") if "kind" in table else key, f"{said}; {nearest(kind, KINDS)}"))
-            continue
-        try:
-            specs[name] = KINDS[kind].model_validate(table)
-        except ValidationError as error:
-            problems += problems_of(error, KINDS[kind], table, key)
-    return specs, problems
-
-
-def _report(document: Document, problems: Iterable[Problem]) -> ScenarioError:
-    first: dict[str, Key] = {}
-    for key, text in problems:  # one cause that several components run into is told once
-        first.setdefault(text, key)
-    lines = []
-    for text, key in first.items():
-        lines += [f"{document.label(key)}: {line}" for line in text.splitlines()]
-    return ScenarioError("\n".join(lines))
-
-
-def fingerprint(scenario: Scenario, name: str, reads: frozenset[str]) -> str:
+def fingerprint(scenario: Parsed, name: str, reads: frozenset[str]) -> str:
     """Hash everything that the design of a component rests on: its table, the tables it read, step and hold."""
     settings = scenario.file.scenario
     tables = {table: _lookup(scenario.tree, table) for table in sorted({f"components.{name}", *reads})}

@@ -14,12 +14,12 @@ from cosim.core.contracts import Component, Level, Recording
 from cosim.errors import CosimError, UsageError, nearest
 from cosim.scenario.document import Problem
 from cosim.scenario.kinds import Kind
+from cosim.scenario.parsing import Parsed
 from cosim.scenario.schema import matrix
 from cosim.theory.descriptor import DescriptorSystem
 
 if TYPE_CHECKING:
     from cosim.fmi.linearising.linearisation import Linearisation
-    from cosim.scenario.build import Scenario
 
 
 class Speaker(Protocol):
@@ -40,7 +40,7 @@ class ScenarioSite:
     step_ns: int
     stop: float
 
-    def __init__(self, scenario: Scenario, resources: ExitStack, recording: Recording | None) -> None:
+    def __init__(self, scenario: Parsed, resources: ExitStack, recording: Recording | None) -> None:
         self._scenario, self._resources, self._recording = scenario, resources, recording
         self._current = ""
         self.stop = scenario.file.scenario.stop

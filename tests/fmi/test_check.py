@@ -10,10 +10,10 @@ import fmpy
 import pytest
 
 from cosim.errors import FmuError
-from cosim.fmi.checking import trial
+from cosim.fmi.checking import child
 from cosim.fmi.checking.binaries import built_for, functions, machine_of
 from cosim.fmi.checking.check import check
-from cosim.fmi.checking.trial import attempt, can_roll_back
+from cosim.fmi.checking.child import attempt, can_roll_back
 from cosim.fmi.platforms import SUFFIX, folders
 from cosim.fmi.reading.model_description import read
 from cosim.native import build
@@ -140,10 +140,10 @@ def test_whether_a_unit_can_go_back(rogue, exported, monkeypatch):
     good, bad = read(exported), read(rogue("LIES"))
     assert can_roll_back(good, "me") == can_roll_back(good, "cs") == ()
     assert can_roll_back(bad, "cs") == ("goes back wrongly: after steps the same steps give other outputs",)
-    monkeypatch.setattr(trial, "attempt", lambda *_, **__: pytest.fail("asked again"))
+    monkeypatch.setattr(child, "attempt", lambda *_, **__: pytest.fail("asked again"))
     assert can_roll_back(good, "cs") == ()
     assert can_roll_back(bad, "cs")
-    monkeypatch.setenv(trial.INSIDE, "1")
+    monkeypatch.setenv(child.INSIDE, "1")
     assert can_roll_back(bad, "cs") == ()
 
 

@@ -10,8 +10,8 @@ from typing import Final
 
 from cosim.errors import FmuError
 from cosim.fmi.checking.binaries import built_for, functions, machine_of
+from cosim.fmi.checking.child import MISSING, TIMEOUT, attempt
 from cosim.fmi.checking.structure import Finding, Level, findings
-from cosim.fmi.checking.trial import MISSING, TIMEOUT, attempt
 from cosim.fmi.description import MODE_NAMES, Description, Mode
 from cosim.fmi.platforms import ARCHITECTURE, SUFFIX, SYSTEM, folders
 from cosim.fmi.reading.markup import Attributes
