@@ -23,7 +23,8 @@ from cosim.core.contracts import Model
 from cosim.core.signals import Interface
 from cosim.core.solver import LinearModel
 from cosim.errors import FmuError
-from cosim.fmi.description import Capabilities, Description, Variable, describe, states_of_outputs
+from cosim.fmi.describing import describe, states_of_outputs
+from cosim.fmi.description import Capabilities, Description, Variable
 from cosim.fmi.references import References
 from cosim.fmi.unit import DiscreteStates
 from cosim.native.step import affine

@@ -14,17 +14,8 @@ import numpy as np
 from cosim.arrays import Matrix
 from cosim.core.clock import NANOSECONDS
 from cosim.core.solver import DescriptorModel, LinearModel
-from cosim.fmi.description import (
-    Capabilities,
-    Dae,
-    Description,
-    Formulation,
-    Mode,
-    Variable,
-    describe,
-    element_dependencies,
-    states_of_outputs,
-)
+from cosim.fmi.describing import describe, element_dependencies, states_of_outputs
+from cosim.fmi.description import Capabilities, Dae, Description, Formulation, Mode, Variable
 from cosim.fmi.exporting.kernels import DiscreteModel, doubles, integer, integers
 
 RESIDUAL = "residual"  # the variable that is zero where the algebraic variables solve their equations
