@@ -71,6 +71,7 @@ void cosim_log_text(void *key, int status, const char *category, const char *tex
             self->first = (self->first + 1) % self->size;
             ++self->dropped;
         }
+        free->time = self->now;
         free->status = status;
         copy(free->category, sizeof free->category, category);
         copy(free->text, sizeof free->text, text);

@@ -13,6 +13,7 @@
 #define COSIM_TEXT 1001
 
 typedef struct {
+    double time; /* `now`, when it came */
     int32_t status;
     char category[COSIM_CATEGORY], text[COSIM_TEXT];
 } cosim_message;
@@ -25,6 +26,7 @@ typedef struct cosim_messages {
     int32_t size, first, count;
     int32_t expects; /* also takes what has a key that nobody knows: while an FMU of FMI 1.0 is instantiated */
     int64_t dropped;
+    double now; /* time of the simulation [s], written between the calls of the FMU; NaN: it did not begin */
 } cosim_messages;
 
 void cosim_messages_open(cosim_messages *self);  /* put into the list */

@@ -76,7 +76,7 @@ class LeastSquaresStruct(ctypes.Structure):
 class MessageStruct(ctypes.Structure):
     """cosim_message."""
 
-    _fields_ = (("status", c_int32), ("category", c_char * 100), ("text", c_char * 1001))
+    _fields_ = (("time", c_double), ("status", c_int32), ("category", c_char * 100), ("text", c_char * 1001))
 
 
 class MessagesStruct(ctypes.Structure):
@@ -86,6 +86,7 @@ class MessagesStruct(ctypes.Structure):
         *((name, c_void_p) for name in ("next", "key", "ring")),
         *((name, c_int32) for name in ("size", "first", "count", "expects")),
         ("dropped", c_int64),
+        ("now", c_double),
     )
 
 

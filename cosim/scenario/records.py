@@ -53,15 +53,17 @@ class Narrated:
 
     def write(self, block: Block, signals: Matrix) -> None:
         """Tell what was said in this block, and hand on."""
-        self._reached = int(block.time_ns[-1])
         self._tell()
+        self._reached = int(block.time_ns[-1])
         self._recorder.write(block, signals)
         self._last = signals[-1].copy()
 
     def _tell(self) -> None:
+        """Put what FMUs said at the time they said it; where that is not known, at the time reached before."""
         for name, fmu in self._experiment.fmus.items():
-            for level, category, text in fmu.drain():
-                self._recorder.message(self._reached, level, name, f"{category}: {text}" if category else text)
+            for time, level, category, text in fmu.drain():
+                time_ns = self._reached if time is None else round(time * 1e9)
+                self._recorder.message(time_ns, level, name, f"{category}: {text}" if category else text)
 
 
 def _level(error: BaseException) -> Level:

@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 class Speaker(Protocol):
     """An opened FMU, as far as its messages go."""
 
-    def drain(self) -> Sequence[tuple[Level, str, str]]:
-        """Give what it said since the last call, as (level, category, text)."""
+    def drain(self) -> Sequence[tuple[float | None, Level, str, str]]:
+        """Give what it said since the last call, as (time [s] or None, level, category, text)."""
         ...
 
 

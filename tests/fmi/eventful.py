@@ -122,4 +122,4 @@ class Run:
 
     def events(self, kind: str) -> list[float]:
         """Give the times of the events of one kind since the last call."""
-        return [float(text.split(" = ")[1][:-2]) for _, _, text in self.fmu.drain() if text.startswith(kind)]
+        return [float(text.split(" = ")[1][:-2]) for *_, text in self.fmu.drain() if text.startswith(kind)]

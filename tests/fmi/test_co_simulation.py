@@ -151,6 +151,7 @@ def test_a_unit_that_never_asks_for_inputs_gets_their_mean(opened, can):
     assert y[1, Y] - y[1, X] == pytest.approx(U0 + SLOPE * 0.1 if can else U0, abs=ROUNDING)
     assert fmu.drain() == [
         (
+            0.0,
             "warning",
             "",
             "lag: asked for no inputs in the step from t = 0.0 s, though it says it can (providesIntermediateUpdate): they "
@@ -340,6 +341,7 @@ def test_a_unit_of_one_step_size_meets_its_time_events_late_and_it_is_said(opene
     run(fmu)
     assert fmu.drain() == [
         (
+            0.2,
             "warning",
             "",
             "lag: the time event at t = 0.25 s is met at the end of the communication step only, as it takes steps of one size "
@@ -408,12 +410,13 @@ def test_an_event_without_end_stops_the_run(opened):
 
 @pytest.mark.parametrize("version", ["1", "2", "3"])
 def test_an_inner_step_that_ignores_ours_is_found(opened, version):
-    """h = 1 ms, inner step 10 ms: said once, whatever the inputs do."""
+    """h = 1 ms, inner step 10 ms: said once, at the end of the 10th of these, whatever the inputs do."""
     for u in (sine, lambda t: np.ones((len(t), 2))):
         fmu = opened(version, inner=0.01)
         run(fmu, step=1e-3, stop=0.2, u=u)
         assert fmu.drain() == [
             (
+                0.1,
                 "warning",
                 "",
                 "lag: its outputs change at every 10th communication step only: it seems to keep an inner step of 0.01 s and to "

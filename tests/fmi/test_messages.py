@@ -12,7 +12,8 @@ from cosim.errors import RunError
 from cosim.fmi.binary.messages import MESSAGES, Message, Messages
 from cosim.fmi.component import load
 from cosim.native.library import library
-from tests.fmi.probes import opened
+from tests.fmi.compiled import compile_fmu
+from tests.fmi.probes import opened, xml2
 
 KEY = 4711
 
@@ -31,7 +32,7 @@ def log(status, category, form, *arguments, key=KEY):
 
 def test_a_message_is_formatted_with_its_arguments(messages):
     log(0, b"logAll", b"%s: %d of %g %%", c_char_p(b"pump"), c_int(-3), c_double(2.5))
-    assert messages.drain() == [Message("info", "logAll", "pump: -3 of 2.5 %")]
+    assert messages.drain() == [Message(None, "info", "logAll", "pump: -3 of 2.5 %")]
 
 
 def test_levels_are_those_of_a_log(messages):
@@ -48,21 +49,25 @@ def test_long_messages_end_after_1000_bytes(messages, form):
     """Nothing beyond it is written, of the category neither."""
     log(1, b"c" * 500, form, *[c_char_p(b"x" * 5000)] * 10)
     (found,) = messages.drain()
-    assert found == Message("warning", "c" * 99, "x" * 1000)
+    assert found == Message(None, "warning", "c" * 99, "x" * 1000)
 
 
 def test_what_is_no_text_is_carried_all_the_same(messages):
     log(3, b"\xff", b"\xff")
     log(3, b"", None)
     library.cosim_log_text(c_void_p(KEY), c_int(0), None, c_char_p(b"%s %n %d"))  # FMI 3: no format
-    assert messages.drain() == [Message("error", "\ufffd", "\ufffd"), Message("error", "", ""), Message("info", "", "%s %n %d")]
+    assert messages.drain() == [
+        Message(None, "error", "\ufffd", "\ufffd"),
+        Message(None, "error", "", ""),
+        Message(None, "info", "", "%s %n %d"),
+    ]
 
 
 def test_the_last_ones_are_kept_and_the_others_counted(messages):
     for i in range(MESSAGES + 3):
         log(0, b"", b"%d", c_int(i))
     found = messages.drain()
-    assert found[0] == Message("warning", "", "3 earlier messages of the FMU were dropped")
+    assert found[0] == Message(None, "warning", "", "3 earlier messages of the FMU were dropped")
     assert [message.text for message in found[1:]] == [str(i) for i in range(3, MESSAGES + 3)]
     log(0, b"", b"new")
     assert [message.text for message in messages.drain()] == ["new"]
@@ -82,6 +87,21 @@ def test_messages_reach_the_one_that_listens(messages):
     log(0, b"", b"gone", key=KEY + 1)
 
 
+def test_a_message_has_the_time_at_which_it_came(messages):
+    """None before the start; how many were dropped is said with the first that is left."""
+    log(0, b"", b"early")
+    for k in range(MESSAGES + 2):
+        messages.clock.value = 0.5 * k
+        log(0, b"", b"%d", c_int(k))
+        if k == 1:
+            assert [(m.time, m.text) for m in messages.drain()] == [(None, "early"), (0.0, "0"), (0.5, "1")]
+    log(0, b"", b"again")
+    found = messages.drain()
+    assert found[0] == Message(1.5, "warning", "", "1 earlier messages of the FMU were dropped")
+    assert [(m.time, m.text) for m in found[1:-1]] == [(0.5 * k, str(k)) for k in range(3, MESSAGES + 2)]
+    assert (found[-1].time, found[-1].text) == (messages.clock.value, "again")
+
+
 def test_messages_from_other_threads(messages):
     """ctypes lets go of Python's lock in the call: the threads do run at once, and every message is kept or counted."""
     threads = [threading.Thread(target=lambda i=i: [log(0, b"", b"%d", c_int(i)) for _ in range(2000)]) for i in range(4)]
@@ -91,8 +111,8 @@ def test_messages_from_other_threads(messages):
     while any(thread.is_alive() for thread in threads):
         found += messages.drain()
     found += messages.drain()
-    dropped = [int(text.split()[0]) for _, _, text in found if "dropped" in text]
-    kept = [text for _, _, text in found if "dropped" not in text]
+    dropped = [int(text.split()[0]) for *_, text in found if "dropped" in text]
+    kept = [text for *_, text in found if "dropped" not in text]
     assert set(kept) <= {"0", "1", "2", "3"}
     assert len(kept) + sum(dropped) == 8000
 
@@ -103,7 +123,7 @@ def test_an_fmu_hands_over_its_messages(exported, capfd):
         assert fmu.drain() == []
         with pytest.raises(RunError, match="it said: error: call not allowed in this mode"):
             fmu.component._unit.do_step(0.0, 0.1)
-        ((level, _, text),) = fmu.drain()
+        ((_, level, _, text),) = fmu.drain()
         assert (level, text) == ("error", "call not allowed in this mode")
         assert fmu.drain() == []
     assert capfd.readouterr() == ("", "")
@@ -114,30 +134,83 @@ def test_two_units_keep_their_messages_apart(probe2, probe3):
         first.get_fmu_state()
         assert two.drain() == []
         second.get_fmu_state()
-    expected = [Message("info", "probe", "allocated a state"), Message("info", "probe", "freed")]
+    expected = [Message(None, "info", "probe", "allocated a state"), Message(None, "info", "probe", "freed")]
     assert (one.drain(), two.drain()) == (expected, expected)
 
 
-def test_messages_come_into_the_log_with_their_category(tmp_path, slave1):
-    scenario = tmp_path / "one.toml"
-    scenario.write_text(f"""
+@pytest.mark.parametrize("probe", ["probe2", "probe3"])
+def test_the_time_is_that_of_the_simulation(probe, request):
+    """That of the start, of ``set_time``, of the begin of the step; the probe says that it allocates a state."""
+
+    def said_at(fmu, unit):
+        unit.get_fmu_state()
+        (message,) = fmu.drain()
+        assert message.text == "allocated a state"
+        return message.time
+
+    path = request.getfixturevalue(probe)
+    with opened(path, mode="me") as (fmu, unit):
+        assert said_at(fmu, unit) is None
+        unit.enter_initialization_mode(2.0)
+        assert said_at(fmu, unit) == 2.0
+        unit.exit_initialization_mode()
+        unit.set_time(2.5)
+        assert said_at(fmu, unit) == 2.5
+    with opened(path, mode="cs") as (fmu, unit):
+        unit.enter_initialization_mode(2.0)
+        unit.exit_initialization_mode()
+        unit.do_step(2.0, 0.5)
+        assert said_at(fmu, unit) == 2.0
+        unit.do_step(2.5, 0.5)
+        assert said_at(fmu, unit) == 2.5
+
+
+def test_the_time_is_that_of_the_simulation_in_fmi_1(slave1):
+    with opened(slave1) as (fmu, unit):
+        unit.enter_initialization_mode(2.0)
+        unit.exit_initialization_mode()
+        assert [(message.time, message.text) for message in fmu.drain()] == [(None, "hello world"), (2.0, "x = 0")]
+        unit.do_step(2.5, 0.5)
+        log(0, b"", b"in the step", key=fmu._unit.messages._kept.key)
+        assert [message.time for message in fmu.drain()] == [2.5]
+
+
+@pytest.mark.parametrize("block", [1000, 7, 1])
+def test_messages_stand_in_the_log_at_the_time_they_were_said(tmp_path, block):
+    """However long the block, and in the order in which they came; the FMU says where each of its steps begins."""
+    fmu = compile_fmu(tmp_path / "model.fmu", xml2(), "probe2.c", defines=("SAYS",))
+    scenario = write(tmp_path, fmu, stop=0.9)
+    found = [m for m in cosim.run(scenario, out=tmp_path / "one.mcap", block=block).messages() if m.text.startswith("step: ")]
+    assert [message.time_ns for message in found] == [100_000_000 * k for k in range(9)]
+    assert [float(message.text.removeprefix("step: ")) for message in found] == [k / 10 for k in range(9)]
+
+
+def write(folder, fmu, *, stop=0.1):
+    """Write a scenario of one FMU with one input, u."""
+    path = folder / "one.toml"
+    path.write_text(f"""
 [scenario]
 name = "one"
-stop = 0.1
+stop = {stop}
 step = 0.1
 [components.plant]
 kind = "fmu"
-path = "{slave1}"
+mode = "cs"
+path = "{fmu}"
 [components.u]
 kind = "constant"
 value = 3.0
 [connections]
 "plant.u" = "u.y"
 """)
-    log = cosim.run(scenario, out=tmp_path / "one.mcap")
-    found = [(message.level, message.name, message.text) for message in log.messages()]
-    assert ("info", "plant", "probe: hello world") in found
-    assert ("info", "plant", "probe: x = 3") in found
+    return path
+
+
+def test_messages_come_into_the_log_with_their_category(tmp_path, slave1):
+    log = cosim.run(write(tmp_path, slave1), out=tmp_path / "one.mcap")
+    found = [(message.time_ns, message.level, message.name, message.text) for message in log.messages()]
+    assert (0, "info", "plant", "probe: hello world") in found
+    assert (0, "info", "plant", "probe: x = 3") in found
 
 
 def test_nothing_is_printed_where_fmpy_has_no_logger():

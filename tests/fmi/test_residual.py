@@ -33,7 +33,7 @@ def run(h, stop=2.0, *, u=line, held=False, model="CUBIC", derivatives=True, dae
         rows = u(t)[:, np.newaxis]
         component.prepare(h, np.array([held]), {})
         found = np.vstack([component.initialize(0.0, rows[0]), component.advance(t, h, rows)])
-        texts = [text for _, _, text in fmu.drain() if text.startswith("state event")]
+        texts = [text for *_, text in fmu.drain() if text.startswith("state event")]
     return found, [float(text.split(" = ")[1][:-2]) for text in texts]
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import cosim
-from cosim.errors import LogError, NonFiniteError, UsageError
+from cosim.errors import LogError, NonFiniteError, RunError, UsageError
 from cosim.log import open_log
 from cosim.scenario.document import shipped
 from cosim.scenario.execution import default_log
@@ -375,10 +375,10 @@ def test_the_summary_counts_steps_not_rows():
     assert (found.steps, found.end) == (1000, 1.0)
 
 
-def test_what_a_run_shows_about_an_fmu_is_in_the_log(tmp_path):
-    """An inner step of 10 ms under steps of 1 ms is told by the 10th spell of equal outputs, within a block of the run."""
-    path, out = lag.build(tmp_path, "2"), tmp_path / "a.mcap"
-    (tmp_path / "mine.toml").write_text(
+def lagging(folder, start):
+    """Write a scenario of 0.2 s around the lag, with start values as TOML."""
+    path = lag.build(folder, "2")
+    (scenario := folder / "mine.toml").write_text(
         f"""
         [scenario]
         name = "lagging"
@@ -394,13 +394,26 @@ def test_what_a_run_shows_about_an_fmu_is_in_the_log(tmp_path):
         [components.lag]
         kind = "fmu"
         path = "{path.as_posix()}"
-        start = {{ inner = 0.01 }}
+        start = {start}
         [connections]
         "lag.u" = "u.y"
         "lag.d" = "d.y"
         """
     )
-    cosim.run(tmp_path / "mine.toml", out=out)
+    return scenario
+
+
+def test_what_a_run_shows_about_an_fmu_is_in_the_log(tmp_path):
+    """An inner step of 10 ms under steps of 1 ms is told by the 10th spell of equal outputs, within a block of the run."""
+    cosim.run(lagging(tmp_path, "{ inner = 0.01 }"), out=(out := tmp_path / "a.mcap"), block=1000)
     (told,) = [m for m in open_log(out).messages() if "inner step" in m.text]
-    assert (told.level, told.name) == ("warning", "lag")
+    assert (told.time_ns, told.level, told.name) == (100_000_000, "warning", "lag")
     assert told.text.startswith("lag: its outputs change at every 10th communication step only")
+
+
+def test_what_an_fmu_says_of_its_failure_has_the_time_of_the_step_that_failed(tmp_path):
+    """That is where the run ended, inside its block."""
+    with pytest.raises(RunError, match="out of petrol"):
+        cosim.run(lagging(tmp_path, "{ fail = 0.155, status = 3.0 }"), out=(out := tmp_path / "a.mcap"), block=1000)
+    found = [(m.time_ns, m.level, m.name) for m in open_log(out).messages() if "out of petrol" in m.text]
+    assert found == [(155_000_000, "error", "lag"), (155_000_000, "error", "run")]

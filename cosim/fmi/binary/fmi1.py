@@ -42,7 +42,8 @@ class Fmi1:
     names: Final = {"Float64": "Real", "Int32": "Integer", "Boolean": "Boolean"}
 
     def __init__(self, library: Library, about: Instance) -> None:
-        self.library, self._about, fmi1 = library, about, declared("fmi1")
+        self.library, self._about, self._clock = library, about, about.messages.clock
+        fmi1 = declared("fmi1")
         call, values = library.call, (c_void_p, c_size_t, c_void_p)
         self._access = {(v, k): call(f"{v}{n}", *values) for v in ("Get", "Set") for k, n in self.names.items()}
         self._set_string, self._get_string = call("SetString", *values), call("GetString", *values)
@@ -235,6 +236,7 @@ class Fmi1:
 
     def do_step(self, t: float, h: float) -> StepEnd:
         """Advance from ``t`` by ``h`` seconds: always a new step, as there is no way back."""
+        self._clock.value = t
         if self._step(t, h, 1) <= WARNING:
             return StepEnd(completed=True, terminate=False, reached=t + h)
         reached = c_double()

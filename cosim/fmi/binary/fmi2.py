@@ -28,7 +28,8 @@ class Fmi2:
     names: Final = {"Float64": "Real", "Int32": "Integer", "Boolean": "Boolean"}
 
     def __init__(self, library: Library, about: Instance) -> None:
-        self.library, self._about, can = library, about, about.capabilities
+        self.library, self._about, self._clock = library, about, about.messages.clock
+        can = about.capabilities
         self._free = library.function("FreeInstance", None, c_void_p)
         self._create = library.function("Instantiate", c_void_p, c_char_p, c_int, c_char_p, c_char_p, c_void_p, c_int, c_int)
         self._no_way_back = int(not can.saves_state)
@@ -145,6 +146,7 @@ class Fmi2:
 
     def do_step(self, t: float, h: float) -> StepEnd:
         """Advance from ``t`` by ``h`` seconds (section 4.2.2: what discard means is asked for)."""
+        self._clock.value = t
         if self._step(t, h, self._no_way_back) <= WARNING:
             return StepEnd(True, False, False, False, t + h)
         ended, reached = c_int(), c_double()

@@ -46,7 +46,8 @@ class Fmi3:
     dtypes: dict[str, DTypeLike] = {**{name: np.dtype(name.lower()) for name in _NUMBERS}, "Boolean": np.bool_}  # noqa: RUF012
 
     def __init__(self, library: Library, about: Instance) -> None:
-        self.library, self._about, can = library, about, about.capabilities
+        self.library, self._about, self._clock = library, about, about.messages.clock
+        can = about.capabilities
         self._free = library.function("FreeInstance", None, c_void_p)
         self._lines = LinesStruct()
         self._lined: Group | None = None  # the inputs of the lines
@@ -186,6 +187,7 @@ class Fmi3:
 
     def do_step(self, t: float, h: float) -> StepEnd:
         """Advance from ``t`` by ``h`` seconds; a discarded step left the FMU as it was (section 4.2.1.2)."""
+        self._clock.value = t
         lines, followed = self._lines, math.inf
         lines.t0, lines.h, lines.asked = t, h, -math.inf
         status = self._step(t, h, *self._rest)

@@ -92,7 +92,7 @@ class LoadedUnit:
 
     def _bind_model_exchange(self, calls: Calls) -> None:
         call, vector = self._library.call, (c_void_p, c_size_t)
-        self.enter_continuous_time_mode, self.set_time = calls.enter_continuous_time_mode, call("SetTime", c_double)
+        self.enter_continuous_time_mode, self._set_time = calls.enter_continuous_time_mode, call("SetTime", c_double)
         self.completed_integrator_step = calls.completed_integrator_step
         self._set_states, self._get_states = call("SetContinuousStates", *vector), call("GetContinuousStates", *vector)
         self._get_derivatives, self._get_nominals = call(calls.derivatives, *vector), call(calls.nominals, *vector)
@@ -112,6 +112,7 @@ class LoadedUnit:
 
     def enter_initialization_mode(self, t: float) -> None:
         """Start at ``t`` [s]."""
+        self.messages.clock.value = t
         self._calls.enter_initialization_mode(t)
 
     def exit_initialization_mode(self) -> None:
@@ -135,6 +136,11 @@ class LoadedUnit:
             self._calls.free()
             self._library.unload()
             ALONE.discard(self._about.key)
+
+    def set_time(self, t: float) -> None:
+        """Move to ``t`` [s], in model exchange."""
+        self.messages.clock.value = t
+        self._set_time(t)
 
     # --- values ---
 

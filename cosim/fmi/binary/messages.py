@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import weakref
-from ctypes import addressof, byref
+from ctypes import addressof, byref, c_double
 from typing import Final, NamedTuple
 
 from cosim.core.contracts import Level
@@ -14,8 +15,12 @@ MESSAGES: Final = 100  # how many are kept until they are fetched
 
 
 class Message(NamedTuple):
-    """A message of an FMU; ``category`` is one of its LogCategories."""
+    """A message of an FMU, or of its driver about it; ``category`` is one of its LogCategories.
 
+    ``time`` [s] is when it was said, in the simulation; None: that is not known, or the simulation did not begin.
+    """
+
+    time: float | None
     level: Level
     category: str
     text: str
@@ -24,16 +29,27 @@ class Message(NamedTuple):
     def of(found: MessageStruct) -> Message:
         """Read what the callback took."""
         level: Level = LEVELS[found.status] if 0 <= found.status < len(LEVELS) else "warning"
-        return Message(level, found.category.decode("utf-8", "replace"), found.text.decode("utf-8", "replace"))
+        time = None if math.isnan(found.time) else found.time
+        return Message(time, level, found.category.decode("utf-8", "replace"), found.text.decode("utf-8", "replace"))
 
 
 class Messages:
-    """What an FMU logs, kept until it is fetched: the last ``MESSAGES`` of it, 1000 bytes each."""
+    """What an FMU logs, kept until it is fetched: the last ``MESSAGES`` of it, 1000 bytes each.
+
+    Attributes
+    ----------
+    clock : c_double
+        The time [s] that messages get; NaN before the start. Whoever calls the FMU writes it: where the initialization and
+        every communication step begin (what is said in a step or behind it has the time of its begin), and in model exchange
+        what ``set_time`` sets. It is the memory itself that C reads, as a store in a method would cost more than the rest.
+    """
 
     def __init__(self) -> None:
         ring = (MessageStruct * MESSAGES)()
         self._kept = MessagesStruct(ring=addressof(ring), size=MESSAGES)  # not cast: that makes a cycle of 100 kB
         self._out = MessageStruct()
+        self.clock = c_double.from_buffer(self._kept, MessagesStruct.now.offset)
+        self.clock.value = math.nan
         library.cosim_messages_open(byref(self._kept))
         weakref.finalize(self, _close, self._kept, ring)
 
@@ -52,11 +68,14 @@ class Messages:
     def drain(self) -> list[Message]:
         """Give the messages since the last call, and how many were dropped."""
         dropped = library.cosim_messages_dropped(byref(self._kept))
-        found = [Message("warning", "", f"{dropped} earlier messages of the FMU were dropped")] if dropped else []
+        found: list[Message] = []
         for _ in range(MESSAGES):  # not for ever, if it goes on to log from another thread
             if not library.cosim_messages_take(byref(self._kept), byref(self._out)):
                 break
             found.append(Message.of(self._out))
+        if dropped:
+            time = found[0].time if found else None
+            found.insert(0, Message(time, "warning", "", f"{dropped} earlier messages of the FMU were dropped"))
         return found
 
 

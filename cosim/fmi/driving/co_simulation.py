@@ -114,7 +114,7 @@ class CoSimulation:
             for k, t1 in enumerate(instants[1:]):
                 completed = stepping.step(instants[k], h, rows[k], rows[k + 1])
                 if completed:
-                    self._look_for_an_inner_step(h)
+                    self._look_for_an_inner_step(t1, h)
                     if k < len(y) - 1:
                         stepping.jump(t1, rows[k + 1])
                     y[k] = self._look(t1, rows[k + 1])
@@ -151,10 +151,11 @@ class CoSimulation:
 
     # --- messages, states ---
 
-    def _look_for_an_inner_step(self, h: float) -> None:
+    def _look_for_an_inner_step(self, t: float, h: float) -> None:
         n = self._inner_step.see(self._stepping.now.read, self._stepping.now.end)
         if n:
             self._remarks.add(
+                t,
                 "inner step",
                 f"its outputs change at every {_ordinal(n)} communication step only: it seems to keep an inner step of "
                 f"{n * h:.12g} s and to ignore the communication step of {h} s",

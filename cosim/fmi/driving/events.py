@@ -110,9 +110,9 @@ class EventList:
 
     def drain(self) -> list[Message]:
         """Give the events since the last call."""
-        found = [Message("debug", "event", f"{kind} at t = {t!r} s") for kind, t in self._kept]
+        found = [Message(t, "debug", "event", f"{kind} at t = {t!r} s") for kind, t in self._kept]
         if self._dropped:
-            found.insert(0, Message("debug", "event", f"{self._dropped} earlier events are not listed"))
+            found.insert(0, Message(found[0].time, "debug", "event", f"{self._dropped} earlier events are not listed"))
         self._kept.clear()
         self._dropped = 0
         return found

@@ -16,11 +16,11 @@ class Remarks:
         self._said: set[str] = set()  # what they were about
         self._news: list[Message] = []
 
-    def add(self, about: str, text: str) -> None:
-        """Say it, unless something was said about that before."""
+    def add(self, t: float, about: str, text: str) -> None:
+        """Say it at ``t`` [s], unless something was said about that before."""
         if about not in self._said:
             self._said.add(about)
-            self._news.append(Message("warning", "", f"{self._name}: {text}"))
+            self._news.append(Message(t, "warning", "", f"{self._name}: {text}"))
 
     def drain(self) -> list[Message]:
         """Give the warnings since the last call."""

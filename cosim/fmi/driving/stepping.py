@@ -197,6 +197,7 @@ class Stepping:
     def _stops_interpolating(self, t: float) -> None:
         self.now.interpolates = False
         self._remarks.add(
+            t,
             "interpolation",
             f"asked for no inputs in the step from t = {t} s, though it says it can (providesIntermediateUpdate): they stayed at "
             "their start there; from then on it gets their mean, and what outputs show of inputs directly belongs to that",
@@ -242,6 +243,7 @@ class Stepping:
         if self._can.variable_step:
             return s
         self._remarks.add(
+            ramp.time(s0),
             "time event",
             f"the time event at t = {event} s is met at the end of the communication step only, as it takes steps of one size "
             "(canHandleVariableCommunicationStepSize is false)",

@@ -1,6 +1,7 @@
 /* An FMU of FMI 2 that shows what it was called with: x' = u, z = x - 1 (event indicator), y = x.
  *
- * answer (Integer 10): the status of the next fmi2Reset or fmi2DoStep. mirror (String 20) gives back what was set. */
+ * answer (Integer 10): the status of the next fmi2Reset or fmi2DoStep. mirror (String 20) gives back what was set.
+ * With SAYS it logs the begin of every step. */
 #include "fmi2Functions.h"
 
 #include <stdio.h>
@@ -190,6 +191,9 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no_wa
     Unit *unit = c;
     double *real = unit->real;
     real[NO_WAY_BACK] = no_way_back;
+#ifdef SAYS
+    unit->functions->logger(unit->functions->componentEnvironment, "probe", fmi2OK, "step", "%.17g", t);
+#endif
     unit->reached = unit->answer == fmi2OK ? t + h : t + 0.25 * h;
     real[X] += real[U] * (unit->reached - t);
     return (fmi2Status)unit->answer;
