@@ -19,6 +19,7 @@ from tests.fmi.archives import write
 from tests.fmi.test_reading import FMI1, FMI2, FMI3
 
 SHORT = ["--stop", "0.1"]
+HEAD = '[scenario]\nname = "x"\nstop = 0.2\nstep = 0.1\n'
 
 
 @pytest.fixture
@@ -361,6 +362,15 @@ def test_without_truth_the_last_values_are_shown(call, tmp_path):
     )
     _, out, _ = call("run", "u.toml", "--out", "u.mcap")
     assert re.search(r"u\.y +2\b", out)
+
+
+def test_a_constant_may_be_true(call, tmp_path):
+    """A boolean signal, carried as 1.0."""
+    (tmp_path / "x.toml").write_text(f'{HEAD}[components.x]\nkind = "constant"\nvalue = true\n')
+    assert call("run", "x.toml", "--out", "x.mcap", "--quiet") == (0, "", "")
+    log = cosim.open_log("x.mcap")
+    assert log["x.y"].tolist() == [1.0, 1.0, 1.0]
+    assert log.channels["x"].interface.outputs[0].kind == "boolean"
 
 
 def test_what_cannot_be_written_is_one_line(call, tmp_path):
