@@ -50,6 +50,8 @@ def summary(
         typer.echo(f"warning: {name}: {text}", err=True)
     title = f"{found.scenario}: {found.end:g} s in {found.steps} steps"
     table = _errors(title, found) if found.signals or found.values else _last_values(title, recording)
+    if found.reason:
+        table.add_row("why it ended", "", "", found.reason)
     for identification in found.identifications:
         _identification(table, identification)
     for loop in found.loops:

@@ -16,6 +16,7 @@ import cosim
 from cosim.cli import main
 from cosim.fmi.description import Variable
 from tests.fmi.archives import write
+from tests.fmi.eventful import build
 from tests.fmi.test_reading import FMI1, FMI2, FMI3
 
 SHORT = ["--stop", "0.1"]
@@ -362,6 +363,23 @@ def test_without_truth_the_last_values_are_shown(call, tmp_path):
     )
     _, out, _ = call("run", "u.toml", "--out", "u.mcap")
     assert re.search(r"u\.y +2\b", out)
+
+
+def test_a_run_that_an_fmu_ends_says_why(call, tmp_path):
+    """Asked for at 0.325 s: the last row is that of 0.3 s. In the table, as JSON, in the log and of a run in memory."""
+    components = f'[components.plant]\nkind = "fmu"\npath = "{build("ENDS")}"\nstart = {{ p = 0.325 }}\n[components.zero]\n'
+    wires = 'kind = "constant"\nvalue = 0.0\n[connections]\n"plant.u" = "zero.y"\n"plant.d" = "zero.y"\n'
+    (tmp_path / "x.toml").write_text(HEAD.replace("0.2", "1.0") + components + wires)
+    reason = "'plant' stopped at t = 0.3 s: the unit asks for the end of the run"
+    code, out, err = call("run", "x.toml", "--out", "x.mcap")
+    assert (code, err.count("\n")) == (0, 1)  # its warning
+    words = " ".join(out.split())
+    assert "x: 0.3 s in 3 steps" in words
+    assert f"why it ended {reason}" in words
+    found = json.loads(call("run", "x.toml", "--json")[1])
+    recordings = (cosim.open_log("x.mcap"), cosim.run("x.toml"))
+    for status in ((found["status"], found["reason"]), *((one.status, one.reason) for one in recordings)):
+        assert status == ("complete", reason)
 
 
 def test_a_constant_may_be_true(call, tmp_path):

@@ -58,6 +58,8 @@ class Summary:
     scenario: str
     end: float  # s
     steps: int
+    status: str = "complete"
+    reason: str = ""  # why it ended so
     signals: tuple[SignalError, ...] = ()
     values: tuple[ValueOutcome, ...] = ()
     identifications: tuple[Identification, ...] = ()
@@ -131,6 +133,8 @@ def summarise(recording: Recording) -> Summary:
         scenario=run.get("scenario", ""),
         end=recording.end_ns / 1e9,
         steps=recording.steps,
+        status=recording.status,
+        reason=recording.reason,
         signals=tuple(signals),
         values=tuple(values),
         identifications=tuple(_identification(recording, name, found) for name, found in facts.items() if "unknowns" in found),
