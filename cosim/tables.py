@@ -49,7 +49,7 @@ def summary(
     for name, text in _warnings(recording):
         typer.echo(f"warning: {name}: {text}", err=True)
     title = f"{found.scenario}: {found.end:g} s in {found.steps} steps"
-    table = _errors(title, found) if found.signals or found.values else _last_values(title, recording)
+    table = _errors(title, found) if found.signals or found.values else _last_values(title, found, recording)
     if found.reason:
         table.add_row("why it ended", "", "", found.reason)
     for identification in found.identifications:
@@ -79,14 +79,14 @@ def _errors(title: str, found: Summary) -> Table:
     return table
 
 
-def _last_values(title: str, recording: Recording) -> Table:
+def _last_values(title: str, found: Summary, recording: Recording) -> Table:
     """Where there is no truth to compare with, show what the outputs ended with."""
+    from cosim.scenario.report import signal_of
+
     table = _table(title, ("", "at the end", "", ""))
-    for name, channel in recording.channels.items():
-        for signal in channel.interface.outputs:
-            rows = recording[f"{name}.{signal.name}"]
-            last = " ".join(f"{value:.6g}" for value in rows[-1:].ravel())
-            table.add_row(f"{name}.{signal.name}", last, "", signal.unit or "")
+    for name, last in found.last.items():
+        values = last if isinstance(last, list) else [last]
+        table.add_row(name, " ".join(f"{value:.6g}" for value in values), "", signal_of(recording, name).unit or "")
     return table
 
 

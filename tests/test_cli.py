@@ -363,6 +363,8 @@ def test_without_truth_the_last_values_are_shown(call, tmp_path):
     )
     _, out, _ = call("run", "u.toml", "--out", "u.mcap")
     assert re.search(r"u\.y +2\b", out)
+    assert json.loads(call("run", "u.toml", "--json")[1])["last"] == {"u.y": 2.0}
+    assert json.loads(call("run", "academic", *SHORT, "--json")[1])["last"] == {}, "there is truth"
 
 
 def test_a_run_that_an_fmu_ends_says_why(call, tmp_path):
