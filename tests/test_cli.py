@@ -448,6 +448,8 @@ def test_linearize_prints_matrices_poles_and_gain(call, tmp_path):
     words = " ".join(out.split())
     assert "der(x_a[0]) -1 1 der(x_a[1]) -1 -2 B" in words
     assert "D - C A^-1 B u delta y -1.33333 0.666667" in words
+    assert "static gain D - C A^-1 B" in out.splitlines()
+    assert "academic_plant at t = 0 s" in out.splitlines()
     assert "poles -1.5-0.866025j, -1.5+0.866025j columns by directional derivatives" in words
     code, out, _ = call("linearize", "plant.fmu", "--input", "delta", "--output", "y", "--differences", "--at", "2", "--json")
     found = json.loads(out)
