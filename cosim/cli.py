@@ -6,12 +6,13 @@ What a command needs is imported when it runs: ``cosim --help`` needs neither nu
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Collection, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TextIO
 
 import typer
 
@@ -400,8 +401,26 @@ def _progress(hidden: bool) -> Iterator[Progress | None]:
         yield reached
 
 
+def _keep_stdout() -> TextIO | None:
+    """Keep stdout for data: what C code prints to descriptor 1, also at its end, goes to stderr from here on.
+
+    Gives the stream that is stdout now; None where Python's stdout is not descriptor 1, or stdout or stderr is closed.
+    """
+    try:
+        if sys.stdout.fileno() != 1:
+            return None
+        sys.stdout.flush()
+        data = os.dup(1)
+        os.dup2(sys.stderr.fileno(), 1)
+    except (AttributeError, OSError, ValueError):  # no stream, no descriptor, none that is open
+        return None
+    sys.stdout = open(data, "w", encoding=sys.stdout.encoding, errors=sys.stdout.errors, closefd=False)  # noqa: SIM115
+    return sys.stdout
+
+
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line; every deliberate error becomes one message and an exit code."""
+    stdout = _keep_stdout()
     try:
         app(args=arguments)
     except CosimError as error:
@@ -410,4 +429,7 @@ def main(arguments: list[str] | None = None) -> None:
         sys.exit(error.exit_code)
     except OSError as error:  # stdout on a full disk, a folder that is gone
         sys.stderr.write(f"cosim: {error.filename or 'output'}: {error.strerror or error}\n")
+        if stdout is not None:  # what is left in its buffer has nowhere to go
+            with suppress(OSError):
+                stdout.close()
         sys.exit(1)

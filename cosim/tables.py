@@ -49,7 +49,9 @@ def summary(
     for name, text in _warnings(recording):
         typer.echo(f"warning: {name}: {text}", err=True)
     title = f"{found.scenario}: {found.end:g} s in {found.steps} steps"
-    table = _errors(title, found) if found.signals or found.values else _last_values(title, recording)
+    table = _errors(title, found) if found.signals or found.values else _last_values(title, found, recording)
+    if found.reason:
+        table.add_row("why it ended", "", "", found.reason)
     for identification in found.identifications:
         _identification(table, identification)
     for loop in found.loops:
@@ -61,7 +63,7 @@ def summary(
     if path is not None:
         table.add_row("log", "", "", str(path))
     console = _console()
-    console.print(table)
+    _show(console, table)
     if profile is not None:
         _profile(console, profile)
 
@@ -77,14 +79,14 @@ def _errors(title: str, found: Summary) -> Table:
     return table
 
 
-def _last_values(title: str, recording: Recording) -> Table:
+def _last_values(title: str, found: Summary, recording: Recording) -> Table:
     """Where there is no truth to compare with, show what the outputs ended with."""
+    from cosim.scenario.report import signal_of
+
     table = _table(title, ("", "at the end", "", ""))
-    for name, channel in recording.channels.items():
-        for signal in channel.interface.outputs:
-            rows = recording[f"{name}.{signal.name}"]
-            last = " ".join(f"{value:.6g}" for value in rows[-1:].ravel())
-            table.add_row(f"{name}.{signal.name}", last, "", signal.unit or "")
+    for name, last in found.last.items():
+        values = last if isinstance(last, list) else [last]
+        table.add_row(name, " ".join(f"{value:.6g}" for value in values), "", signal_of(recording, name).unit or "")
     return table
 
 
@@ -106,7 +108,7 @@ def _profile(console: Console, profile: Mapping[str, float]) -> None:
     table = _table("where the time went", ("", "s", "%"))
     for name, seconds in sorted(profile.items(), key=lambda item: -item[1]):
         table.add_row(name, f"{seconds:.4f}", f"{100 * seconds / total:.1f}" if total else "")
-    console.print(table)
+    _show(console, table)
 
 
 def _warnings(recording: Recording) -> list[tuple[str, str]]:
@@ -148,7 +150,7 @@ def difference(found: Difference, *, as_json: bool) -> None:
             "" if row.first is None else f"{row.first.signal} at {row.first.time_ns / 1e9} s: {row.first.a!r}, {row.first.b!r}"
         )
         table.add_row(row.signal, row.status, f"{row.largest:.3g}", f"{row.scale:.3g}", f"{row.ratio:.3g}", first)
-    _console().print(table)
+    _show(_console(), table)
     if any(row.largest > 0.0 and row.signal.endswith(".delta") for row in found.rows):
         typer.echo(
             "note: a reconstructed disturbance multiplies the last bit of y by filter_rate; give it a tolerance of its own"
@@ -172,13 +174,13 @@ def catalogue(*, as_json: bool) -> None:
     table = _table("shipped scenarios", ("name", "what it is"))
     for name, text in scenarios.items():
         table.add_row(name, text or find(name).source)
-    console.print(table)
+    _show(console, table)
     table = _table("component kinds", ("kind", "parameters", "what it does"))
     for kind in KINDS:
         lines = [f"{key}{'' if default == 'required' else f' = {default}'}" for key, default in parameters[kind].items()]
         table.add_row(kind, "\n".join(lines), does[kind])
         table.add_section()
-    console.print(table)
+    _show(console, table)
 
 
 def _parameters(cls: Any) -> dict[str, str]:
@@ -231,12 +233,12 @@ def _section(console: Console, title: str, content: Any) -> None:
         table = _table(title, columns)
         for row in content:
             table.add_row(*(_text(row.get(column)) for column in columns))
-        console.print(table)
+        _show(console, table)
     elif isinstance(content, Mapping):
         table = _table(title, ("", ""))
         for key, value in content.items():
             table.add_row(key, _text(value))
-        console.print(table)
+        _show(console, table)
 
 
 def linearisation(found: Linearisation, *, as_json: bool) -> None:
@@ -252,7 +254,7 @@ def linearisation(found: Linearisation, *, as_json: bool) -> None:
         point.add_row(name, f"{x:.6g}", f"{dx:.6g}")
     for name, value in (*zip(found.inputs, found.u, strict=True), *zip(found.outputs, found.y, strict=True)):
         point.add_row(name, f"{value:.6g}", "")
-    console.print(point)
+    _show(console, point)
     derivatives = [f"der({name})" for name in found.states]
     blocks = {
         "A": (found.A, derivatives, found.states),
@@ -272,7 +274,7 @@ def linearisation(found: Linearisation, *, as_json: bool) -> None:
     about.add_row("columns by", ", ".join(dict.fromkeys(found.made.values())))
     for note in found.notes:
         about.add_row("note", note)
-    console.print(about)
+    _show(console, about)
 
 
 def _matrix(console: Console, title: str, matrix: Matrix, *, rows: Sequence[str], columns: Sequence[str]) -> None:
@@ -280,7 +282,7 @@ def _matrix(console: Console, title: str, matrix: Matrix, *, rows: Sequence[str]
         table = _table(title, ("", *columns))
         for name, row in zip(rows, matrix.tolist(), strict=True):
             table.add_row(name, *(f"{value:.6g}" for value in row))
-        console.print(table)
+        _show(console, table)
 
 
 def comparison(scenario: Scenario, *, as_json: bool) -> None:
@@ -317,7 +319,7 @@ def plants(found: Comparison, *, as_json: bool) -> None:
     for outcome in found.outcomes:
         if outcome.error:
             table.add_row("", "", outcome.label, "failed", outcome.error.splitlines()[0], "")
-    _console().print(table)
+    _show(_console(), table)
     for outcome in found.outcomes:
         if outcome.error:
             typer.echo("\n".join(f"{outcome.label}: failed: {line}" for line in outcome.error.splitlines()), err=True)
@@ -352,10 +354,18 @@ def _text(value: Any) -> str:
 
 
 def _table(title: str, columns: Sequence[str]) -> Table:
-    table = Table(title=title or None, title_justify="left", title_style="bold", header_style="", box=None, padding=(0, 2, 0, 0))
+    table = Table(title=title, header_style="", box=None, padding=(0, 2, 0, 0))
     for column in columns:
         table.add_column(column, overflow="fold")
     return table
+
+
+def _show(console: Console, table: Table) -> None:
+    """Print the title on a line of its own, which a narrow table would break."""
+    if table.title:
+        console.print(table.title, style="bold", soft_wrap=True)
+        table.title = None
+    console.print(table)
 
 
 def _console() -> Console:

@@ -2,13 +2,16 @@
 
 import contextlib
 import dataclasses
+import fcntl
 import json
 import os
 import pty
 import re
 import signal
+import struct
 import subprocess
 import sys
+import termios
 
 import pytest
 
@@ -16,9 +19,13 @@ import cosim
 from cosim.cli import main
 from cosim.fmi.description import Variable
 from tests.fmi.archives import write
+from tests.fmi.compiled import compile_fmu
+from tests.fmi.eventful import build
+from tests.fmi.test_check import XML
 from tests.fmi.test_reading import FMI1, FMI2, FMI3
 
 SHORT = ["--stop", "0.1"]
+HEAD = '[scenario]\nname = "x"\nstop = 0.2\nstep = 0.1\n'
 
 
 @pytest.fixture
@@ -361,6 +368,77 @@ def test_without_truth_the_last_values_are_shown(call, tmp_path):
     )
     _, out, _ = call("run", "u.toml", "--out", "u.mcap")
     assert re.search(r"u\.y +2\b", out)
+    assert json.loads(call("run", "u.toml", "--json")[1])["last"] == {"u.y": 2.0}
+    assert json.loads(call("run", "academic", *SHORT, "--json")[1])["last"] == {}, "there is truth"
+
+
+def test_a_run_that_an_fmu_ends_says_why(call, tmp_path):
+    """Asked for at 0.325 s: the last row is that of 0.3 s. In the table, as JSON, in the log and of a run in memory."""
+    components = f'[components.plant]\nkind = "fmu"\npath = "{build("ENDS")}"\nstart = {{ p = 0.325 }}\n[components.zero]\n'
+    wires = 'kind = "constant"\nvalue = 0.0\n[connections]\n"plant.u" = "zero.y"\n"plant.d" = "zero.y"\n'
+    (tmp_path / "x.toml").write_text(HEAD.replace("0.2", "1.0") + components + wires)
+    reason = "'plant' stopped at t = 0.3 s: the unit asks for the end of the run"
+    code, out, err = call("run", "x.toml", "--out", "x.mcap")
+    assert (code, err.count("\n")) == (0, 1)  # its warning
+    words = " ".join(out.split())
+    assert "x: 0.3 s in 3 steps" in words
+    assert f"why it ended {reason}" in words
+    found = json.loads(call("run", "x.toml", "--json")[1])
+    recordings = (cosim.open_log("x.mcap"), cosim.run("x.toml"))
+    for status in ((found["status"], found["reason"]), *((one.status, one.reason) for one in recordings)):
+        assert status == ("complete", reason)
+
+
+@pytest.fixture
+def printing(tmp_path):
+    """Write a scenario of three steps with an FMU that prints a line in each."""
+    compile_fmu(tmp_path / "rogue.fmu", XML, "rogue2.c", defines=("ROGUE=PRINTS",))
+    components = '[components.p]\nkind = "fmu"\npath = "rogue.fmu"\n[components.one]\nkind = "constant"\nvalue = 1.0\n'
+    path = tmp_path / "x.toml"
+    path.write_text(f'{HEAD.replace("0.2", "0.3")}{components}[connections]\n"p.u" = "one.y"\n')
+    return [sys.executable, "-m", "cosim", "run", str(path), "--force", "--out", str(tmp_path / "x.mcap")]
+
+
+NOISE = "a line that nobody asked for\n" * 3
+
+
+def test_what_an_fmu_prints_does_not_reach_the_data(printing, tmp_path):
+    """It goes to stderr; stdout is ours, as a pipe and as a file."""
+    piped = subprocess.run([*printing, "--json"], capture_output=True, text=True, check=True)
+    with open(tmp_path / "out.json", "w+") as stream:
+        filed = subprocess.run([*printing, "--json"], stdout=stream, stderr=subprocess.PIPE, text=True, check=True)
+    for out, err in ((piped.stdout, piped.stderr), ((tmp_path / "out.json").read_text(), filed.stderr)):
+        assert json.loads(out)["steps"] == 3
+        assert NOISE in err
+
+
+def test_a_table_on_a_terminal_has_no_foreign_lines_in_it(printing):
+    """It is still a terminal to what prints the table, which is as wide as that."""
+    reader, writer = pty.openpty()
+    fcntl.ioctl(writer, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 60, 0, 0))
+    environment = {key: value for key, value in os.environ.items() if key not in ("COLUMNS", "NO_COLOR")} | {"TERM": "xterm"}
+    with subprocess.Popen(printing, stdin=writer, stdout=writer, stderr=subprocess.PIPE, text=True, env=environment) as process:
+        os.close(writer)
+        seen = b""
+        with contextlib.suppress(OSError):  # the terminal is closed when the process ends
+            while chunk := os.read(reader, 4096):
+                seen += chunk
+        _, err = process.communicate(timeout=60)
+    os.close(reader)
+    assert process.returncode == 0
+    assert NOISE in err
+    assert b"\x1b[1mx: 0.3 s in 3 steps" in seen
+    assert b"nobody" not in seen
+    assert max(map(len, seen.decode().splitlines())) <= 60 + len("\x1b[1m\x1b[0m")
+
+
+def test_a_constant_may_be_true(call, tmp_path):
+    """A boolean signal, carried as 1.0."""
+    (tmp_path / "x.toml").write_text(f'{HEAD}[components.x]\nkind = "constant"\nvalue = true\n')
+    assert call("run", "x.toml", "--out", "x.mcap", "--quiet") == (0, "", "")
+    log = cosim.open_log("x.mcap")
+    assert log["x.y"].tolist() == [1.0, 1.0, 1.0]
+    assert log.channels["x"].interface.outputs[0].kind == "boolean"
 
 
 def test_what_cannot_be_written_is_one_line(call, tmp_path):
@@ -372,9 +450,9 @@ def test_what_cannot_be_written_is_one_line(call, tmp_path):
     assert not list(tmp_path.glob(".*.part"))
     with open("/dev/full", "w") as stream:
         command = [sys.executable, "-m", "cosim", "list"]
-        done = subprocess.run(command, stdout=stream, stderr=subprocess.PIPE, text=True, check=False)
-    assert done.returncode == 1
-    assert done.stderr.startswith("cosim: output: ")
+        environment = {**os.environ, "PYTHONUNBUFFERED": ""}
+        done = subprocess.run(command, stdout=stream, stderr=subprocess.PIPE, text=True, check=False, env=environment)
+    assert (done.returncode, done.stderr) == (1, "cosim: output: No space left on device\n")
 
 
 def test_a_sampled_controller_is_exported_for_co_simulation_only(call):
@@ -418,6 +496,8 @@ def test_linearize_prints_matrices_poles_and_gain(call, tmp_path):
     words = " ".join(out.split())
     assert "der(x_a[0]) -1 1 der(x_a[1]) -1 -2 B" in words
     assert "D - C A^-1 B u delta y -1.33333 0.666667" in words
+    assert "static gain D - C A^-1 B" in out.splitlines()
+    assert "academic_plant at t = 0 s" in out.splitlines()
     assert "poles -1.5-0.866025j, -1.5+0.866025j columns by directional derivatives" in words
     code, out, _ = call("linearize", "plant.fmu", "--input", "delta", "--output", "y", "--differences", "--at", "2", "--json")
     found = json.loads(out)

@@ -8,7 +8,7 @@ import numpy as np
 
 from cosim.arrays import Mask, Matrix, Vector, frozen
 from cosim.core.contracts import Design, Stopped
-from cosim.core.signals import Interface, Signal, Variability
+from cosim.core.signals import Interface, Kind, Signal, Variability
 from cosim.errors import UsageError
 from cosim.native.expression import compile_expression
 from cosim.native.step import evaluate, expression
@@ -24,11 +24,14 @@ class Expression:
     variability : {"continuous", "discrete"}
         "discrete" for signals that jump.
     unit : str or None
+    kind : {"real", "integer", "boolean"}
     """
 
-    def __init__(self, texts: Sequence[str], *, variability: Variability = "continuous", unit: str | None = None) -> None:
+    def __init__(
+        self, texts: Sequence[str], *, variability: Variability = "continuous", unit: str | None = None, kind: Kind = "real"
+    ) -> None:
         self.programs = tuple(compile_expression(text) for text in texts)
-        self.interface = Interface(outputs=(Signal("y", len(texts), unit, variability),))
+        self.interface = Interface(outputs=(Signal("y", len(texts), unit, variability, kind=kind),))
         self._step = expression(self.programs)
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
@@ -48,9 +51,9 @@ class Expression:
         return self._step.advance(t, h, u)
 
 
-def constant(value: Sequence[float], *, unit: str | None = None) -> Expression:
+def constant(value: Sequence[float], *, unit: str | None = None, kind: Kind = "real") -> Expression:
     """``y = value``."""
-    return Expression([repr(float(v)) for v in value], unit=unit)
+    return Expression([repr(float(v)) for v in value], unit=unit, kind=kind)
 
 
 def step(*, time: float, before: float = 0.0, after: float = 1.0, unit: str | None = None) -> Expression:

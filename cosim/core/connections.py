@@ -133,6 +133,9 @@ def _check_connection(ports: Ports, to: str, connection: Connection) -> Iterable
     reached = unit_reached(connection, source, target)
     if conversion(reached, target.measure) is None:
         way = f"convert with {{ from = {connection.source!r}, gain = ..., unit = {target.unit!r} }}"
+        unknown = [repr(unit.name) for unit in (reached, target.measure) if unit.si is None]
+        if unknown:
+            way = f"unknown unit {' and '.join(unknown)}; {way}, and offset = ... where it has one, or define it in its FMU"
         problems.append(f"{found}: unit {_shown(reached)} cannot drive unit {_shown(target.measure)}; {way}")
     plain = not shape and connection.gain == 1.0 and connection.offset == 0.0
     if plain and not _same(source.measure, reached):

@@ -217,6 +217,16 @@ class Recording(Protocol):
     """A finished run to read from: a log file, or memory."""
 
     @property
+    def status(self) -> str:
+        """How it ended: ``complete``, ``failed`` or ``interrupted``."""
+        ...
+
+    @property
+    def reason(self) -> str:
+        """Why it ended so; empty where it came to its end."""
+        ...
+
+    @property
     def channels(self) -> Mapping[str, Channel]:
         """The recorded components by name."""
         ...

@@ -1,19 +1,23 @@
-"""Recorders: one that keeps everything in memory and is the recording afterwards, one that keeps nothing, one that watches."""
+"""Recorders: one that keeps everything in memory and is the recording afterwards, one that keeps nothing, one that watches.
+
+And what a recorder learns of the end of a run.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import cached_property
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Nanoseconds
-from cosim.core.contracts import Block, Plan, Recorder
+from cosim.core.contracts import Block, Plan, Recorder, Stopped
 from cosim.core.signals import Channel
-from cosim.errors import LogError, nearest
+from cosim.errors import Interrupted, LogError, nearest
 
 
 def find_signal(channels: Mapping[str, Channel], signal: str, *, source: str) -> tuple[Channel, slice]:
@@ -54,6 +58,27 @@ def find_channel(channels: Mapping[str, Channel], component: str, *, source: str
     return channels[component]
 
 
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """How a run ended, and why; a reason without an error is that of a component that asked for the end."""
+
+    status: Literal["complete", "failed", "interrupted"] = "complete"
+    reason: str = ""
+
+
+def outcome(error: BaseException | None) -> Outcome:
+    """Name how a run ended by what it ended with."""
+    match error:
+        case None:
+            return Outcome()
+        case Stopped(failed=False):
+            return Outcome("complete", str(error))
+        case KeyboardInterrupt() | Interrupted():
+            return Outcome("interrupted", str(error) or "interrupted by the user")
+        case _:
+            return Outcome("failed", str(error) or type(error).__name__)
+
+
 class Memory:
     """Keeps every row of a run in memory; implements Recorder and Recording."""
 
@@ -62,11 +87,13 @@ class Memory:
         self._rows: list[Matrix] = []
         self._times: list[Nanoseconds] = []
         self._steps: list[NDArray[np.int64]] = []
+        self._outcome = Outcome()
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None: ...
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self._outcome = outcome(error)
 
     def begin(self, plan: Plan) -> None:
         """Learn the layout."""
@@ -81,6 +108,16 @@ class Memory:
         self._rows.append(signals[first:].copy())
         self._times.append(block.time_ns[first:].copy())
         self._steps.append(np.arange(block.index + first, block.index + block.steps + 1))
+
+    @property
+    def status(self) -> str:
+        """How the run ended: ``complete``, ``failed`` or ``interrupted``."""
+        return self._outcome.status
+
+    @property
+    def reason(self) -> str:
+        """Why it ended so; empty where it came to its end."""
+        return self._outcome.reason
 
     @property
     def channels(self) -> Mapping[str, Channel]:

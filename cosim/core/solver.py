@@ -20,7 +20,8 @@ from cosim.native.step import HeldDiscretisation, NativeStep, affine, first_orde
 
 ADAPTIVE: Final = ("RK45", "DOP853", "Radau", "BDF", "LSODA")  # scipy.integrate
 TOLERANT: Final = (*ADAPTIVE, "CVode")  # what keeps to a relative tolerance
-SOLVERS: Final = ("exact", "rk4", *TOLERANT)
+STEPPING: Final = ("rk4", *TOLERANT)  # for any model
+SOLVERS: Final = ("exact", *STEPPING)
 
 Slope: TypeAlias = Callable[[float, Vector], Vector]  # (t, x) -> x'
 

@@ -108,6 +108,11 @@ class Log:
         return self._metadata.get(RESULT, {}).get("status", "unknown")
 
     @property
+    def reason(self) -> str:
+        """Why it ended so; empty where it came to its end."""
+        return self._metadata.get(RESULT, {}).get("reason", "")
+
+    @property
     def end_ns(self) -> int:
         """The last recorded instant [ns], as the result tells it; 0 if there are no rows."""
         return self._told("end_ns")

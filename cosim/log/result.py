@@ -5,12 +5,11 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
-from cosim.core.contracts import Stopped
-from cosim.errors import Interrupted
+from cosim.core.recorders import Outcome
 from cosim.log.metadata import seal
 from cosim.log.sink import Sink
 
@@ -24,27 +23,6 @@ class Reached:
 
     steps: int = 0
     end_ns: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class Outcome:
-    """How a run ended, and why."""
-
-    status: Literal["complete", "failed", "interrupted"]
-    reason: str
-
-
-def outcome(error: BaseException | None) -> Outcome:
-    """Name how a run ended by what it ended with."""
-    match error:
-        case None:
-            return Outcome("complete", "")
-        case Stopped(failed=False):
-            return Outcome("complete", str(error))
-        case KeyboardInterrupt() | Interrupted():
-            return Outcome("interrupted", str(error) or "interrupted by the user")
-        case _:
-            return Outcome("failed", str(error) or type(error).__name__)
 
 
 def write_result(sink: Sink, end: Outcome, reached: Reached, *, content_hash: str, more: Mapping[str, Any]) -> None:

@@ -15,6 +15,7 @@ from typing import Any, Self, final
 
 from cosim.arrays import Matrix
 from cosim.core.contracts import Block, Level, Plan
+from cosim.core.recorders import Outcome, outcome
 from cosim.core.signals import Interface
 from cosim.errors import LogError, LogWriteError, RunError
 from cosim.log.buffer import RowBuffer, message_run
@@ -25,7 +26,7 @@ from cosim.log.environment import library
 from cosim.log.interrupts import uninterrupted
 from cosim.log.layout import signals_json, split
 from cosim.log.preamble import Attachment, write_parts, write_preamble
-from cosim.log.result import Outcome, Reached, outcome, write_result
+from cosim.log.result import Reached, write_result
 from cosim.log.schema import encode_log
 from cosim.log.sink import Mark, Sink
 

@@ -17,6 +17,7 @@ TYPES = {
     "int_type": "a whole number",
     "bool_type": "true or false",
     "tuple_type": "a list",
+    "list_type": "a list",
     "dict_type": "a table",
     "model_type": "a table",
 }
@@ -33,7 +34,8 @@ def problems_of(error: ValidationError, table: type[BaseModel], data: Any, prefi
         else:
             problems.setdefault(path, []).append(_text(one, path, table))
     for path, types in needed.items():  # of the alternatives of a value, the one that went deepest says most
-        if not any(other[: len(path)] == path for other in problems):
+        whole = _whole(path) if len(types) > 1 or "a list" in types else path
+        if not any(other[: len(whole)] == whole for other in problems):
             value = _value(data, path)
             problems[path] = [f"found {_short(value)}; needed {' or '.join(dict.fromkeys(types))}"]
     return [((*prefix, *path), text) for path, texts in problems.items() for text in texts]
@@ -54,6 +56,13 @@ def _path(loc: tuple[int | str, ...], data: Any) -> Key:
             data = children[part]
             path.append(part)
     return tuple(path)
+
+
+def _whole(path: Key) -> Key:
+    """Give the list that an element stands in, also one of several dimensions: only as a whole it has a type."""
+    while path and isinstance(path[-1], int):
+        path = path[:-1]
+    return path
 
 
 def _value(data: Any, path: Key) -> Any:

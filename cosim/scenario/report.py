@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -58,9 +58,12 @@ class Summary:
     scenario: str
     end: float  # s
     steps: int
+    status: str = "complete"
+    reason: str = ""  # why it ended so
     signals: tuple[SignalError, ...] = ()
     values: tuple[ValueOutcome, ...] = ()
     identifications: tuple[Identification, ...] = ()
+    last: Mapping[str, float | list[float]] = field(default_factory=dict)  # where there is no truth: every output at the end
     loops: tuple[str, ...] = ()  # stages that advance step by step: an error of first order in the step
 
     def to_dict(self) -> dict[str, Any]:
@@ -131,11 +134,19 @@ def summarise(recording: Recording) -> Summary:
         scenario=run.get("scenario", ""),
         end=recording.end_ns / 1e9,
         steps=recording.steps,
+        status=recording.status,
+        reason=recording.reason,
         signals=tuple(signals),
         values=tuple(values),
+        last={} if truth else _last(recording),
         identifications=tuple(_identification(recording, name, found) for name, found in facts.items() if "unknowns" in found),
         loops=loops,
     )
+
+
+def _last(recording: Recording) -> dict[str, float | list[float]]:
+    names = [f"{name}.{signal.name}" for name, channel in recording.channels.items() for signal in channel.interface.outputs]
+    return {name: rows[-1].tolist() for name in names if len(rows := recording[name])}
 
 
 def _facts(recording: Recording, component: str) -> dict[str, Any]:

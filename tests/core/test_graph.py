@@ -157,7 +157,9 @@ def test_a_definition_tells_what_a_name_does_not():
     """Also for the unit that a connection names: it is that of the port with this name."""
     feet, sink = constant([3.0], unit="ft"), Delay(1)
     sink.interface = Interface((Signal("u", 1, "m"),), sink.interface.outputs)
-    with pytest.raises(GraphError, match=r"c\.y -> d\.u: unit 'ft' cannot drive unit 'm'; convert with \{ from = 'c\.y'"):
+    with pytest.raises(
+        GraphError, match=r"c\.y -> d\.u: unit 'ft' cannot drive unit 'm'; unknown unit 'ft'; convert with \{ from"
+    ):
         Graph({"c": feet, "d": sink}, {"d.u": "c.y"})
     feet.interface = Interface((), (Signal("y", 1, "ft", base=BaseUnit((0, 1, 0, 0, 0, 0, 0, 0), 0.3048)),))
     assert Graph({"c": feet, "d": sink}, {"d.u": "c.y"}).conversions == {"d.u": Conversion(0.3048, 0.0, 0.0, 1.0)}

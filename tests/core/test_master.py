@@ -32,6 +32,7 @@ class Guarded(Memory):
         return self
 
     def __exit__(self, kind, error, trace):
+        super().__exit__(kind, error, trace)
         self.calls.append(kind)
 
 
@@ -96,6 +97,8 @@ def test_a_regular_end_is_no_error(block):
     """A component that asks for the end gets it, with the step it completed."""
     memory = attempt({"x": script(stop(failed=False, done=[7.0]), 5), "a": integrator()}, {"a.u": "x.y"}, block=block)
     assert memory["x.y"].tolist() == [0, 1, 2, 3, 4, 7]
+    assert memory.status == "complete"
+    assert memory.reason == "'x' stopped at t = 0.5 s: enough"
     assert len(memory["a.y"]) == 6
 
 
@@ -203,7 +206,8 @@ def test_a_keyboard_interrupt_leaves_the_recorder_closed():
         def advance(self, t, h, u):
             raise KeyboardInterrupt
 
-    attempt({"x": Pressed([0.0])}, {}, KeyboardInterrupt)
+    memory = attempt({"x": Pressed([0.0])}, {}, KeyboardInterrupt)
+    assert (memory.status, memory.reason) == ("interrupted", "interrupted by the user")
 
 
 # --- recorders ---
@@ -227,6 +231,7 @@ def test_memory_keeps_the_rows_of_a_period():
     assert len(memory["d.y"]) == len(memory["d.u"]) == 4
     assert memory.time("d.y").tolist() == memory.time("d").tolist() == [0.0, 0.3, 0.6, 0.9]
     assert memory.metadata == {"name": "small"}
+    assert (memory.status, memory.reason) == ("complete", "")
     assert list(memory.channels) == ["u", "s", "d"]
 
 

@@ -8,14 +8,13 @@ import pytest
 
 import cosim
 from cosim.core.contracts import Stopped
-from cosim.core.solver import SOLVERS
+from cosim.core.solver import STEPPING
 from cosim.errors import FmuError
 from cosim.fmi.driving.events import KEPT, EventList, close, locate
 from cosim.log import open_log
 from cosim.testing import check_component, check_rollback
 from tests.fmi.eventful import Run, build
 
-STEPPING = SOLVERS[1:]  # all but the exact one
 MULTISTEP = ("BDF", "LSODA", "CVode")  # each start is of order 1, so that they need a closer tolerance for the same error
 
 

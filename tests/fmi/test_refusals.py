@@ -205,9 +205,17 @@ def test_all_wrong_start_values_are_reported_together(exported):
         load(exported, start={"nothing": 1.0, "y": 1.0})
 
 
+TAKEN = "rk4, RK45, DOP853, Radau, BDF, LSODA, CVode"  # by an FMU
+
+
 def test_solvers(exported):
-    refused(exported, "no solver 'euler'; ", solver="euler")
-    refused(exported, "solver 'exact' needs the matrices of a linear model", solver="exact")
+    """Offered is only what an FMU takes."""
+    refused(exported, f"no solver 'euler'; There is: {TAKEN}$", solver="euler")
+    refused(
+        exported,
+        f"solver 'exact' needs the matrices of a linear model, an FMU does not show them; use one of: {TAKEN}$",
+        solver="exact",
+    )
     refused(exported, "a co-simulation FMU brings its own", solver="rk4", mode="cs")
     refused(exported, "relative tolerance 1e-06: a co-simulation FMU brings its own solver", rtol=1e-6, mode="cs")
 

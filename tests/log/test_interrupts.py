@@ -23,6 +23,14 @@ SEEN = {str(path) for path in FOLDER.glob("*.py")} | {contextlib.__file__}
 SWITCH = {"_write_chunk", "_flush", "_save", "clear", "uninterrupted"}
 
 
+@pytest.fixture(autouse=True)
+def listening():
+    """Let Ctrl-C interrupt, also where the tests were started in the background and inherit that it is ignored."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 class Press:
     """Press Ctrl-C at the n-th instant of some functions, or all, of the log: a bytecode of the writer, a line of the rest."""
 

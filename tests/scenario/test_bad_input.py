@@ -131,6 +131,33 @@ CASES = {
 }  # fmt: skip
 
 
+START = """
+[scenario]
+name = "x"
+stop = 1.0
+step = 0.1
+[components.p]
+kind = "fmu"
+path = "x.fmu"
+start = { T = %s }
+"""
+STARTS = {
+    "nan": "T: found nan; needed a finite number",
+    "[1.0, nan]": "T.1: found nan; needed a finite number",
+    "[[1.0], [nan]]": "T.1.0: found nan; needed a finite number",
+    "{ a = 1 }": "T: found {'a': 1}; needed true or false or a whole number or a number or a string or a list",
+}
+
+
+@pytest.mark.parametrize("value", STARTS)
+def test_a_start_value_is_refused_in_one_line(value, tmp_path):
+    """Whatever else it might have been."""
+    (path := tmp_path / "x.toml").write_text(START % value)
+    with pytest.raises(ScenarioError) as caught:
+        cosim.run(path)
+    assert str(caught.value).replace(str(tmp_path), "") == f"/x.toml:9: components.p.start.{STARTS[value]}"
+
+
 @pytest.mark.parametrize("name", CASES)
 def test_bad_input_is_refused_with_its_place(name, tmp_path):
     """One clear error each: see CASES."""

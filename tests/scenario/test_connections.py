@@ -1,6 +1,7 @@
 """Connections of a scenario: units that are converted, and loops through FMUs that do not say what feeds through."""
 
 import json
+import re
 import zipfile
 
 import numpy as np
@@ -167,6 +168,18 @@ def test_units_that_cannot_be_converted_are_refused(units):
     units.write_text(UNITS.format(readout="Pa"))
     with pytest.raises(ScenarioError, match=r"sensor\.y -> readout\.u: unit 'K' cannot drive unit 'Pa'; convert with"):
         cosim.run(units)
+
+
+def test_a_unit_that_is_not_known_is_called_so(units):
+    """At either end, with what can be done about it; the gain and offset that it asks for are the way out."""
+    units.write_text(UNITS.format(readout="degF"))
+    way = "convert with { from = 'sensor.y', gain = ..., unit = 'degF' }, and offset = ... where it has one, or define it"
+    text = f"sensor.y -> readout.u: unit 'K' cannot drive unit 'degF'; unknown unit 'degF'; {way} in its FMU"
+    with pytest.raises(ScenarioError, match=re.escape(text)):
+        cosim.run(units)
+    fahrenheit = {"from": "sensor.y", "gain": 1.8, "offset": -459.67, "unit": "degF"}
+    log = cosim.run(units, set={"connections.readout.u": fahrenheit})
+    assert (log["readout.u"] == 1.8 * log["sensor.y"] - 459.67).all()
 
 
 @pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])

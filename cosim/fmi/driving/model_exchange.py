@@ -13,7 +13,7 @@ import numpy as np
 
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.contracts import Design, Stopped
-from cosim.core.solver import SOLVERS, TOLERANT, Linear, LinearModel
+from cosim.core.solver import SOLVERS, STEPPING, TOLERANT, Linear, LinearModel
 from cosim.errors import FmuError, RunError, nearest
 from cosim.fmi.binary.messages import Message
 from cosim.fmi.driving.motion import Line, Motion, Reached
@@ -67,10 +67,13 @@ class ModelExchange:
             raise FmuError(f"{self._name}: solver {solver!r}: the residual form has its own, {RADAU}; leave one of both out")
         self.solver = RADAU if dae == "residual" else solver or ("RK45" if unit.linear is None else "exact")
         if self.solver not in (*SOLVERS, RADAU) or solver == RADAU:
-            raise FmuError(f"{self._name}: no solver {solver!r}; {nearest(self.solver, SOLVERS)}")
+            raise FmuError(
+                f"{self._name}: no solver {solver!r}; {nearest(self.solver, STEPPING if unit.linear is None else SOLVERS)}"
+            )
         if self.solver == "exact" and unit.linear is None:
             raise FmuError(
-                f"{self._name}: solver 'exact' needs the matrices of a linear model, an FMU does not show them; use 'RK45'"
+                f"{self._name}: solver 'exact' needs the matrices of a linear model, an FMU does not show them; "
+                f"use one of: {', '.join(STEPPING)}"
             )
         if rtol is not None and self.solver not in TOLERANT:
             raise FmuError(

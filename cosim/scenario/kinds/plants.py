@@ -10,7 +10,7 @@ from cosim.blocks.plant import descriptor_form, descriptor_model
 from cosim.blocks.replay import Replay
 from cosim.blocks.sampled import Sampled
 from cosim.core.contracts import Component
-from cosim.core.solver import SOLVERS, DescriptorModel, LinearModel
+from cosim.core.solver import SOLVERS, STEPPING, DescriptorModel, LinearModel
 from cosim.errors import UsageError, nearest
 from cosim.scenario.kinds.base import Kind, Site
 from cosim.scenario.schema import Number, Row
@@ -68,7 +68,7 @@ class Fmu(Plant):
     mode: Literal["me", "cs"] | None = Field(
         None, description="model exchange or co-simulation; left out: me where it is offered"
     )
-    solver: str | None = Field(None, description=f"for model exchange, one of: {', '.join(SOLVERS)}")
+    solver: str | None = Field(None, description=f"for model exchange, one of: {', '.join(STEPPING)}")
     tolerance: Number | None = Field(
         None, description="relative tolerance of the states, for solvers that keep one; left out: 1e-9"
     )

@@ -29,11 +29,11 @@ class Constant(Kind):
     """y = value."""
 
     kind: Literal["constant"]
-    value: Number | Row = Field(description="value, or values")
+    value: Flag | Number | Row = Field(description="value, values, or true or false")
     unit: str | None = None
 
     def build(self, name: str, site: Site) -> Component:
-        return source.constant(_vector(self.value), unit=self.unit)
+        return source.constant(_vector(self.value), unit=self.unit, kind="boolean" if isinstance(self.value, bool) else "real")
 
 
 class Step(Kind):

@@ -6,7 +6,7 @@
 #include <unistd.h>
 #include "fmi2Functions.h"
 
-enum { GOOD, CRASH, HANG, EXITS, REFUSES, NAN_OUTPUT, OTHER_START, LIES, FORGETS, HANGS_BACK, CRASHES_FREE, FAILS_STEP, LOUD, LITTERS };
+enum { GOOD, CRASH, HANG, EXITS, REFUSES, NAN_OUTPUT, OTHER_START, LIES, FORGETS, HANGS_BACK, CRASHES_FREE, FAILS_STEP, LOUD, LITTERS, PRINTS };
 
 typedef struct {
     double x, u, memory;
@@ -84,6 +84,7 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no_wa
     if (ROGUE == HANG) for (;;) pause();
     if (ROGUE == FAILS_STEP) return fmi2Error;
     if (ROGUE == LOUD) for (int i = 0; i < 100000; i++) puts("a line that nobody asked for, and many more of them");
+    if (ROGUE == PRINTS) puts("a line that nobody asked for");
     m->memory += m->u;
     m->x = ROGUE == NAN_OUTPUT ? NAN : m->x + h * (m->u - m->x) + (ROGUE == FORGETS ? m->memory : 0.0);
     return fmi2OK;
