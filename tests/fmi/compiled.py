@@ -3,6 +3,7 @@
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import MappingProxyType
 
 import fmpy
@@ -13,6 +14,15 @@ from cosim.native import build
 HERE = Path(__file__).parent / "c"
 NOTHING: Mapping[str, str] = MappingProxyType({})
 HEADERS = Path(fmpy.__file__).parent / "c-code"
+
+
+_FOLDERS: list[TemporaryDirectory[str]] = []  # they are removed when the process ends
+
+
+def kept_folder() -> Path:
+    """Make a folder that stays until the process ends."""
+    _FOLDERS.append(TemporaryDirectory(prefix="cosim-test-", ignore_cleanup_errors=True))
+    return Path(_FOLDERS[-1].name)
 
 
 def compile_fmu(

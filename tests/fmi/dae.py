@@ -2,7 +2,6 @@
 
 from functools import cache
 from pathlib import Path
-from tempfile import mkdtemp
 
 import numpy as np
 
@@ -10,7 +9,7 @@ from cosim.blocks.plant import descriptor_form
 from cosim.core.solver import DescriptorModel
 from cosim.fmi.reading.dae import MANIFEST, NAME
 from cosim.theory.descriptor import DescriptorSystem
-from tests.fmi.compiled import compile_fmu
+from tests.fmi.compiled import compile_fmu, kept_folder
 
 SYSTEM = DescriptorSystem(
     A=np.array([[-1.0, 0.5, 1.0, 0.0], [0.0, -2.0, 0.25, -1.0], [1.0, 0.0, 2.0, 0.5], [0.5, -1.0, -0.25, 1.5]]),
@@ -66,7 +65,7 @@ def xml(model: str, *, derivatives: bool) -> str:
 @cache
 def build(model: str = "CUBIC", *, derivatives: bool = True, extra: str | None = "") -> Path:
     """Compile a model once; ``extra``: its manifest, "" for the right one, None for none."""
-    path = Path(mkdtemp(prefix="cosim-test-")) / f"{model}.fmu"
+    path = kept_folder() / f"{model}.fmu"
     right = manifest(LISTS + STRUCTURE.format(rate="" if model == "STATIC" else RATE))
     members = {} if extra is None else {MANIFEST: extra or right}
     defines = (f"MODEL={model}", *(["DERIVATIVES"] if derivatives else []))

@@ -2,12 +2,11 @@
 
 from functools import cache
 from pathlib import Path
-from tempfile import mkdtemp
 
 import numpy as np
 
 from cosim.fmi.component import load
-from tests.fmi.compiled import compile_fmu
+from tests.fmi.compiled import compile_fmu, kept_folder
 
 VARIABLES = ("u", "d", "x", "v", "der(x)", "der(v)", "q", "count", "p", "evaluations", "completed")
 STATES = {"BALL": 2, "FRICTION": 2, "COUNTER": 0}  # else 1
@@ -76,7 +75,7 @@ def xml3(model: str) -> str:
 
 @cache
 def build(model: str, version: int = 2, nominal: float = 1.0) -> Path:
-    path = Path(mkdtemp(prefix="cosim-test-")) / f"{model}{version}.fmu"
+    path = kept_folder() / f"{model}{version}.fmu"
     xml = {2: xml2, 3: xml3}[version](model)
     return compile_fmu(path, xml, "events.c", defines=(f"FMI={version}", f"MODEL={model}", f"NOMINAL={nominal}"))
 
