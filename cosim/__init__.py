@@ -11,16 +11,16 @@ from typing import TYPE_CHECKING, Any
 from cosim.version import __version__
 
 if TYPE_CHECKING:
-    from cosim.fmi.linearising.linearise import linearize
+    from cosim.fmi.linearizing.linearize import linearize
     from cosim.log.diff import diff
     from cosim.log.reader import open_log
-    from cosim.scenario.comparing import compare
+    from cosim.report.comparing import compare
     from cosim.scenario.execution import load, replay, run
 
 _HOMES = {
-    "compare": "cosim.scenario.comparing",
+    "compare": "cosim.report.comparing",
     "diff": "cosim.log.diff",
-    "linearize": "cosim.fmi.linearising.linearise",
+    "linearize": "cosim.fmi.linearizing.linearize",
     "load": "cosim.scenario.execution",
     "open_log": "cosim.log.reader",
     "replay": "cosim.scenario.execution",

@@ -12,7 +12,9 @@ Matrix: TypeAlias = NDArray[np.float64]  # shape (n, m)
 Mask: TypeAlias = NDArray[np.bool_]  # shape (n,)
 Nanoseconds: TypeAlias = NDArray[np.int64]  # shape (n,)
 
-NAN = float(np.uint64(0x7FF8000000000000).view(np.float64))  # the one NaN: equal runs have equal bits
+NAN = float(
+    np.uint64(0x7FF8000000000000).view(np.float64)
+)  # the one NaN: equal runs have equal bits
 
 
 def frozen(values: ArrayLike, ndim: int) -> NDArray[np.float64]:

@@ -32,12 +32,21 @@ app = typer.Typer(
 )
 
 ScenarioArgument = Annotated[
-    str, typer.Argument(metavar="SCENARIO", help="A shipped scenario by name, or a path to a .toml file.")
+    str,
+    typer.Argument(
+        metavar="SCENARIO", help="A shipped scenario by name, or a path to a .toml file."
+    ),
 ]
-LogArgument = Annotated[Path, typer.Argument(metavar="LOG", help="A log that 'cosim run' wrote (.mcap).")]
+LogArgument = Annotated[
+    Path, typer.Argument(metavar="LOG", help="A log that 'cosim run' wrote (.mcap).")
+]
 SetOption = Annotated[
     list[str] | None,
-    typer.Option("--set", metavar="COMPONENT.PARAMETER=VALUE", help="Set a value, such as observer.filter_rate=500. Repeatable."),
+    typer.Option(
+        "--set",
+        metavar="COMPONENT.PARAMETER=VALUE",
+        help="Set a value, such as observer.filter_rate=500. Repeatable.",
+    ),
 ]
 SwapOption = Annotated[
     list[str] | None,
@@ -50,15 +59,23 @@ SwapOption = Annotated[
 MapOption = Annotated[
     list[str] | None,
     typer.Option(
-        "--map", metavar="PORT=NAME", help="What a swapped component calls a port, such as observer.y=out1. Repeatable."
+        "--map",
+        metavar="PORT=NAME",
+        help="What a swapped component calls a port, such as observer.y=out1. Repeatable.",
     ),
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
 ForceOption = Annotated[bool, typer.Option("--force", help="Replace a log that exists.")]
-OutOption = Annotated[Path | None, typer.Option("--out", "-o", metavar="PATH", help="Log to write (.mcap).")]
-StopOption = Annotated[float | None, typer.Option(help="End of the run [s]; the same as --set scenario.stop=...")]
-PlotOption = Annotated[Path | None, typer.Option(metavar="FILE", help="Draw the estimates and their truth.")]
+OutOption = Annotated[
+    Path | None, typer.Option("--out", "-o", metavar="PATH", help="Log to write (.mcap).")
+]
+StopOption = Annotated[
+    float | None, typer.Option(help="End of the run [s]; the same as --set scenario.stop=...")
+]
+PlotOption = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="Draw the estimates and their truth.")
+]
 
 
 @app.command()
@@ -66,29 +83,46 @@ def run(
     scenario: ScenarioArgument,
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", metavar="PATH", help="Log to write (.mcap); else logs/<scenario>.mcap, -2, -3, ..."),
+        typer.Option(
+            "--out",
+            "-o",
+            metavar="PATH",
+            help="Log to write (.mcap); else logs/<scenario>.mcap, -2, -3, ...",
+        ),
     ] = None,
     force: ForceOption = False,
     changes: SetOption = None,
     swaps: SwapOption = None,
     maps: MapOption = None,
     stop: StopOption = None,
-    step: Annotated[float | None, typer.Option(help="Communication step [s]; the same as --set scenario.step=...")] = None,
+    step: Annotated[
+        float | None,
+        typer.Option(help="Communication step [s]; the same as --set scenario.step=..."),
+    ] = None,
     plot: PlotOption = None,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
-    profile: Annotated[bool, typer.Option("--profile", help="Show where the time went, by component.")] = False,
+    profile: Annotated[
+        bool, typer.Option("--profile", help="Show where the time went, by component.")
+    ] = False,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Check and compare the ports of swapped components; run nothing.")
+        bool,
+        typer.Option(
+            "--dry-run", help="Check and compare the ports of swapped components; run nothing."
+        ),
     ] = False,
 ) -> None:
     """Run a scenario and record every signal to an MCAP log."""
-    from cosim import tables
+    from cosim.report import tables
     from cosim.scenario.execution import default_log, load
     from cosim.scenario.execution import run as run_scenario
 
     imported = perf_counter()
-    edits = _edits(changes) | {f"scenario.{key}": value for key, value in (("stop", stop), ("step", step)) if value is not None}
+    edits = _edits(changes) | {
+        f"scenario.{key}": value
+        for key, value in (("stop", stop), ("step", step))
+        if value is not None
+    }
     loaded = load(scenario)
     edited = loaded.edit(swap=_once(swaps, "--swap"), map=_once(maps, "--map"), set=edits)
     if dry_run:
@@ -101,7 +135,7 @@ def run(
         log = run_scenario(edited, out=path, force=force, progress=progress, profile=seconds)
     wall = {"imports": imported - BEGAN, "run and log": perf_counter() - imported}
     if plot is not None:
-        from cosim.scenario.plot import plot_run
+        from cosim.report.plots import plot_run
 
         plot_run(log, plot)
     tables.summary(log, path=path, wall=wall, profile=seconds, as_json=as_json, quiet=quiet)
@@ -111,7 +145,11 @@ def run(
 def replay(
     log: LogArgument,
     verify: Annotated[
-        bool, typer.Option("--verify", help="Compare every signal bit for bit with the log; exit 1 at a difference.")
+        bool,
+        typer.Option(
+            "--verify",
+            help="Compare every signal bit for bit with the log; exit 1 at a difference.",
+        ),
     ] = False,
     out: OutOption = None,
     force: ForceOption = False,
@@ -125,11 +163,11 @@ def replay(
 
     Nothing is needed but the log.
     """
-    from cosim import tables
+    from cosim.report import tables
     from cosim.log import open_log
+    from cosim.report.plots import plot_run
+    from cosim.report.summary import truth_of
     from cosim.scenario.execution import replay as replay_log
-    from cosim.scenario.plot import plot_run
-    from cosim.scenario.report import truth_of
 
     imported = perf_counter()
     source = open_log(log)
@@ -153,14 +191,16 @@ def diff(
     a: Annotated[Path, typer.Argument(metavar="A", help="A log.")],
     b: Annotated[Path, typer.Argument(metavar="B", help="Another log.")],
     atol: Annotated[float, typer.Option(min=0.0, help="Absolute tolerance.")] = 0.0,
-    rtol: Annotated[float, typer.Option(min=0.0, help="Tolerance relative to each signal's largest value.")] = 0.0,
+    rtol: Annotated[
+        float, typer.Option(min=0.0, help="Tolerance relative to each signal's largest value.")
+    ] = 0.0,
     as_json: JsonOption = False,
 ) -> None:
     """Compare two logs signal by signal.
 
     Exit 1 outside the tolerance.
     """
-    from cosim import tables
+    from cosim.report import tables
     from cosim.log import open_log
     from cosim.log.diff import diff as compare
 
@@ -183,9 +223,19 @@ def compare(
     ],
     maps: MapOption = None,
     changes: SetOption = None,
-    base: Annotated[bool, typer.Option("--base/--no-base", help="Run the scenario's own component too, as the first.")] = True,
-    plot: Annotated[Path | None, typer.Option(metavar="FILE", help="Draw the estimates of all, and their differences.")] = None,
-    out: Annotated[Path | None, typer.Option("--out", "-o", metavar="DIR", help="Folder to write the logs to.")] = None,
+    base: Annotated[
+        bool,
+        typer.Option(
+            "--base/--no-base", help="Run the scenario's own component too, as the first."
+        ),
+    ] = True,
+    plot: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Draw the estimates of all, and their differences."),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", metavar="DIR", help="Folder to write the logs to.")
+    ] = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -193,8 +243,8 @@ def compare(
 
     Exit 1 where one of them fails.
     """
-    from cosim import tables
-    from cosim.scenario.comparing import compare as compare_plants
+    from cosim.report import tables
+    from cosim.report.comparing import compare as compare_plants
     from cosim.scenario.execution import load
 
     alternatives: dict[str, list[str]] = {}
@@ -204,9 +254,17 @@ def compare(
     loaded = load(scenario)
     _need_plot(plot, loaded.file.truth)
     edits = _edits(changes)
-    found = compare_plants(loaded, swap=alternatives, map=_once(maps, "--map"), set=edits, base=base, out=out, force=force)
+    found = compare_plants(
+        loaded,
+        swap=alternatives,
+        map=_once(maps, "--map"),
+        set=edits,
+        base=base,
+        out=out,
+        force=force,
+    )
     if plot is not None and found.recordings:
-        from cosim.scenario.plot import plot_comparison
+        from cosim.report.plots import plot_comparison
 
         plot_comparison(found, plot)
     tables.plants(found, as_json=as_json)
@@ -216,11 +274,16 @@ def compare(
 
 @app.command()
 def info(
-    what: Annotated[str, typer.Argument(metavar="LOG|FMU|SCENARIO", help="A log (.mcap), an FMU (.fmu) or a scenario.")],
+    what: Annotated[
+        str,
+        typer.Argument(
+            metavar="LOG|FMU|SCENARIO", help="A log (.mcap), an FMU (.fmu) or a scenario."
+        ),
+    ],
     as_json: JsonOption = False,
 ) -> None:
     """Show what a log, an FMU or a scenario contains."""
-    from cosim import tables
+    from cosim.report import tables
 
     tables.info(what, as_json=as_json)
 
@@ -234,7 +297,7 @@ def check(
 
     Archive, schema, structure, binaries and trial runs; exit 1 at an error.
     """
-    from cosim import tables
+    from cosim.report import tables
 
     tables.check(str(fmu), as_json=as_json)
 
@@ -242,12 +305,17 @@ def check(
 @app.command()
 def plot(
     log: LogArgument,
-    signals: Annotated[list[str], typer.Argument(metavar="SIGNAL...", help="Signals, such as observer.delta.")],
-    out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="Picture to write (.png, .svg, .pdf).")],
+    signals: Annotated[
+        list[str], typer.Argument(metavar="SIGNAL...", help="Signals, such as observer.delta.")
+    ],
+    out: Annotated[
+        Path,
+        typer.Option("--out", "-o", metavar="FILE", help="Picture to write (.png, .svg, .pdf)."),
+    ],
 ) -> None:
     """Draw signals of a log over time."""
     from cosim.log import open_log
-    from cosim.scenario.plot import plot_signals
+    from cosim.report.plots import plot_signals
 
     plot_signals(open_log(log), signals, out)
     typer.echo(str(out))
@@ -259,7 +327,7 @@ def list_(as_json: JsonOption = False) -> None:
 
     Each kind with its parameters.
     """
-    from cosim import tables
+    from cosim.report import tables
 
     tables.catalogue(as_json=as_json)
 
@@ -287,7 +355,11 @@ def export(
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace a file that exists.")] = False,
     dae: Annotated[
-        bool, typer.Option("--dae", help="Of a descriptor plant, with FMI 3: its algebraic equations too (FMI-LS-DAE, a draft).")
+        bool,
+        typer.Option(
+            "--dae",
+            help="Of a descriptor plant, with FMI 3: its algebraic equations too (FMI-LS-DAE, a draft).",
+        ),
     ] = False,
     changes: SetOption = None,
 ) -> None:
@@ -299,7 +371,9 @@ def export(
 
     platforms = [] if platform is None else [name.strip() for name in platform.split(",")]
     edits = _edits(changes)
-    for line in export_component(scenario, component, out, fmi=fmi, platforms=platforms, force=force, dae=dae, set=edits):
+    for line in export_component(
+        scenario, component, out, fmi=fmi, platforms=platforms, force=force, dae=dae, set=edits
+    ):
         typer.echo(line)
 
 
@@ -307,47 +381,69 @@ def export(
 def linearize(
     fmu: Annotated[Path, typer.Argument(metavar="FMU", help="An FMU for model exchange (.fmu).")],
     at: Annotated[
-        float, typer.Option(metavar="T", help="Linearise where it arrives at this time with constant inputs [s].")
+        float,
+        typer.Option(
+            metavar="T", help="Linearize where it arrives at this time with constant inputs [s]."
+        ),
     ] = 0.0,
     values: Annotated[
         list[str] | None,
-        typer.Option("--set", metavar="NAME=VALUE", help="Start value of an input, a parameter or a state. Repeatable."),
+        typer.Option(
+            "--set",
+            metavar="NAME=VALUE",
+            help="Start value of an input, a parameter or a state. Repeatable.",
+        ),
     ] = None,
     inputs: Annotated[
-        list[str] | None, typer.Option("--input", metavar="NAME", help="Only these, in this order. Repeatable.")
+        list[str] | None,
+        typer.Option("--input", metavar="NAME", help="Only these, in this order. Repeatable."),
     ] = None,
     outputs: Annotated[
-        list[str] | None, typer.Option("--output", metavar="NAME", help="Only these, in this order. Repeatable.")
+        list[str] | None,
+        typer.Option("--output", metavar="NAME", help="Only these, in this order. Repeatable."),
     ] = None,
     disturbances: Annotated[
-        list[str] | None, typer.Option("--disturbance", metavar="NAME", help="With --toml: an input that is unknown. Repeatable.")
+        list[str] | None,
+        typer.Option(
+            "--disturbance",
+            metavar="NAME",
+            help="With --toml: an input that is unknown. Repeatable.",
+        ),
     ] = None,
-    differences: Annotated[bool, typer.Option("--differences", help="Central differences, whatever the FMU has.")] = False,
-    as_toml: Annotated[bool, typer.Option("--toml", help="Print a table for [models] of a scenario.")] = False,
+    differences: Annotated[
+        bool, typer.Option("--differences", help="Central differences, whatever the FMU has.")
+    ] = False,
+    as_toml: Annotated[
+        bool, typer.Option("--toml", help="Print a table for [models] of a scenario.")
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Linearise an FMU at an operating point.
+    """Linearize an FMU at an operating point.
 
     Print A, B, C and D, the poles and the static gain.
     """
-    from cosim import tables
-    from cosim.scenario.linearising import linearise_file, model_table
+    from cosim.report import tables
+    from cosim.scenario.linearizing import linearize_file, model_table
 
     if as_toml and as_json:
         raise UsageError("--toml and --json: give one of them")
     if bool(disturbances) != as_toml:
-        raise UsageError("--toml and --disturbance NAME go together: a table of [models] tells known inputs from unknown ones")
-    found = linearise_file(fmu, at=at, start=_edits(values), inputs=inputs, outputs=outputs, differences=differences)
+        raise UsageError(
+            "--toml and --disturbance NAME go together: a table of [models] tells known inputs from unknown ones"
+        )
+    found = linearize_file(
+        fmu, at=at, start=_edits(values), inputs=inputs, outputs=outputs, differences=differences
+    )
     if disturbances:
         for note in found.notes:
             typer.echo(f"note: {note}", err=True)
         typer.echo(model_table(found, disturbances), nl=False)
     else:
-        tables.linearisation(found, as_json=as_json)
+        tables.linearization(found, as_json=as_json)
 
 
 def _need_plot(out: Path | None, truth: Collection[str]) -> None:
-    from cosim.scenario.plot import need_plot
+    from cosim.report.plots import need_plot
 
     if out is not None:
         need_plot(out, truth)
@@ -389,14 +485,25 @@ def _progress(hidden: bool) -> Iterator[Progress | None]:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-    columns = (TextColumn("{task.fields[clock]}"), BarColumn(), TextColumn("{task.fields[speed]}"), TimeRemainingColumn())
+    columns = (
+        TextColumn("{task.fields[clock]}"),
+        BarColumn(),
+        TextColumn("{task.fields[speed]}"),
+        TimeRemainingColumn(),
+    )
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("", total=None, clock="", speed="")
         began = perf_counter()
 
         def reached(time: float, end: float) -> None:
             speed = time / max(perf_counter() - began, 1e-9)
-            bar.update(task, completed=time, total=end, clock=f"t = {time:.2f} of {end:g} s", speed=f"{speed:.3g} x real time")
+            bar.update(
+                task,
+                completed=time,
+                total=end,
+                clock=f"t = {time:.2f} of {end:g} s",
+                speed=f"{speed:.3g} x real time",
+            )
 
         yield reached
 
@@ -414,7 +521,9 @@ def _keep_stdout() -> TextIO | None:
         os.dup2(sys.stderr.fileno(), 1)
     except (AttributeError, OSError, ValueError):  # no stream, no descriptor, none that is open
         return None
-    sys.stdout = open(data, "w", encoding=sys.stdout.encoding, errors=sys.stdout.errors, closefd=False)  # noqa: SIM115
+    sys.stdout = open(
+        data, "w", encoding=sys.stdout.encoding, errors=sys.stdout.errors, closefd=False
+    )
     return sys.stdout
 
 

@@ -22,7 +22,12 @@ class RollbackComponent(Component, Rollback, Protocol):
 
 
 def check_component(
-    make: Callable[[], Component], *, inputs: Matrix | None = None, h: float = 1e-3, steps: int = 30, seed: int = 0
+    make: Callable[[], Component],
+    *,
+    inputs: Matrix | None = None,
+    h: float = 1e-3,
+    steps: int = 30,
+    seed: int = 0,
 ) -> None:
     """Check that a component keeps the contract.
 
@@ -64,7 +69,12 @@ def check_component(
 
 
 def check_rollback(
-    make: Callable[[], RollbackComponent], *, inputs: Matrix | None = None, h: float = 1e-3, steps: int = 30, seed: int = 0
+    make: Callable[[], RollbackComponent],
+    *,
+    inputs: Matrix | None = None,
+    h: float = 1e-3,
+    steps: int = 30,
+    seed: int = 0,
 ) -> None:
     """Check that ``restore(save())`` is the identity, straight after ``initialize`` and later, as often as asked.
 
@@ -87,14 +97,23 @@ def check_rollback(
         expected = bench.advance(component, k, bench.steps)
         for _ in range(2):
             component.restore(state)
-            bench.compare("restore goes back to the outputs at save", bench.outputs(component, k, bench.u[k]), now, k)
+            bench.compare(
+                "restore goes back to the outputs at save",
+                bench.outputs(component, k, bench.u[k]),
+                now,
+                k,
+            )
             rows = bench.advance(component, k, bench.steps)
-            bench.compare("a restored component goes on as it did after save", rows, expected, k + 1)
+            bench.compare(
+                "a restored component goes on as it did after save", rows, expected, k + 1
+            )
 
 
 def _check_values(bench: _Bench, rows: Matrix) -> None:
     """Require that only optional outputs are NaN, with the bits of the one NaN, and none is infinite."""
-    optional = np.array([s.optional for s in bench.interface.outputs for _ in range(s.size)], dtype=np.bool_)
+    optional = np.array(
+        [s.optional for s in bench.interface.outputs for _ in range(s.size)], dtype=np.bool_
+    )
     no_value = (rows.view(np.uint64) == np.array(NAN).view(np.uint64)) & optional
     law = "a value is finite, or cosim.arrays.NAN in an optional output"
     bench.compare(law, rows, np.where(np.isfinite(rows) | no_value, rows, 0.0))
@@ -106,14 +125,19 @@ def _check_repeatable(bench: _Bench, held: Mask, expected: Matrix) -> None:
     design = component.prepare(bench.h, held, {})
     replayed = bench.make()
     replayed.prepare(bench.h, held, {name: np.array(array) for name, array in design.items()})
-    laws = {"a second component repeats the run": component, "a component takes its recorded design": replayed}
+    laws = {
+        "a second component repeats the run": component,
+        "a component takes its recorded design": replayed,
+    }
     for law, other in laws.items():
         first = other.initialize(float(bench.t[0]), bench.u[0].copy())
         bench.compare(law, np.vstack([first, bench.advance(other, 0, bench.steps)]), expected)
     component.initialize(float(bench.t[0]), bench.perturbed[0].copy())
     again = component.initialize(float(bench.t[0]), bench.u[0].copy())
     rows = np.vstack([again, bench.advance(component, 0, bench.steps)])
-    bench.compare("initialize forgets the past, and an earlier initialize with other inputs", rows, expected)
+    bench.compare(
+        "initialize forgets the past, and an earlier initialize with other inputs", rows, expected
+    )
 
 
 def _check_blocks(bench: _Bench, held: Mask, expected: Matrix) -> None:
@@ -121,12 +145,16 @@ def _check_blocks(bench: _Bench, held: Mask, expected: Matrix) -> None:
     for size in (1, 7):
         component, first = bench.start(held)
         edges = [*range(0, bench.steps, size), bench.steps]
-        rows = np.vstack([first, *(bench.advance(component, begin, end) for begin, end in pairwise(edges))])
+        rows = np.vstack(
+            [first, *(bench.advance(component, begin, end) for begin, end in pairwise(edges))]
+        )
         bench.compare(f"blocks of {size} give the bits of one block", rows, expected)
     component, row = bench.start(held)
     for k in range(bench.steps + 1):
         bench.outputs(component, k, bench.perturbed[k])
-        bench.compare("outputs gives the last row again", bench.outputs(component, k, bench.u[k]), row, k)
+        bench.compare(
+            "outputs gives the last row again", bench.outputs(component, k, bench.u[k]), row, k
+        )
         if k < bench.steps:
             row = bench.advance(component, k, k + 1)
             bench.compare("outputs changes nothing", row, expected[k + 1], k + 1)
@@ -142,8 +170,13 @@ def _check_ownership(bench: _Bench, held: Mask, expected: Matrix) -> None:
         u[:] = bench.u[begin : end + 1]
         now = component.outputs(float(t[0]), u[0])
         rows = component.advance(t, bench.h, u)
-        if not (np.array_equal(u, bench.u[begin : end + 1], equal_nan=True) and np.array_equal(t, bench.t[begin : end + 1])):
-            raise AssertionError(f"advance does not write to its arguments: they changed in the block from t = {t[0]} s")
+        if not (
+            np.array_equal(u, bench.u[begin : end + 1], equal_nan=True)
+            and np.array_equal(t, bench.t[begin : end + 1])
+        ):
+            raise AssertionError(
+                f"advance does not write to its arguments: they changed in the block from t = {t[0]} s"
+            )
         law = "arguments and results of earlier calls are no part of the state, rows of inputs may be strided"
         bench.compare(law, rows, expected[begin + 1 : end + 1], begin + 1)
         for array in (u, t, rows, now):
@@ -160,7 +193,12 @@ def _check_feedthrough(bench: _Bench, held: Mask, expected: Matrix) -> None:
             u = bench.u[k].copy()
             u[columns] = bench.perturbed[k, columns]
             law = f"outputs ignores {name!r}, which is not declared to feed through"
-            bench.compare(law, np.where(bench.fed_by(name), expected[k], bench.outputs(component, k, u)), expected[k], k)
+            bench.compare(
+                law,
+                np.where(bench.fed_by(name), expected[k], bench.outputs(component, k, u)),
+                expected[k],
+                k,
+            )
 
 
 def _check_start(bench: _Bench, held: Mask, first: Vector) -> None:
@@ -182,7 +220,9 @@ def _check_late_inputs(bench: _Bench, held: Mask, expected: Matrix) -> None:
         fed |= bench.fed_by(name) & held[columns].any()
     for k in range(1, bench.steps + 1):
         end = np.where(held, bench.perturbed[k], bench.u[k])
-        row = component.advance(bench.t[k - 1 : k + 1], bench.h, np.vstack([bench.u[k - 1], end]))[0]
+        row = component.advance(bench.t[k - 1 : k + 1], bench.h, np.vstack([bench.u[k - 1], end]))[
+            0
+        ]
         law = "advance ignores a held input at the end of the step where it is not declared to feed through"
         bench.compare(law, np.where(fed, expected[k], row), expected[k], k)
         law = "the state ignores a held input at the end of the step"
@@ -192,16 +232,26 @@ def _check_late_inputs(bench: _Bench, held: Mask, expected: Matrix) -> None:
 class _Bench:
     """A component's times and inputs, and other inputs to put in their place."""
 
-    def __init__(self, make: Callable[[], Component], inputs: Matrix | None, h: float, steps: int, seed: int) -> None:
+    def __init__(
+        self, make: Callable[[], Component], inputs: Matrix | None, h: float, steps: int, seed: int
+    ) -> None:
         self.make, self.interface = make, make().interface
         self.n_u, self.n_y = self.interface.n_u, self.interface.n_y
         if inputs is not None and (inputs.shape[1:] != (self.n_u,) or len(inputs) < 2):
-            raise AssertionError(f"inputs have shape {inputs.shape}, needed (steps + 1, {self.n_u}) with at least one step")
+            raise AssertionError(
+                f"inputs have shape {inputs.shape}, needed (steps + 1, {self.n_u}) with at least one step"
+            )
         self.steps, step_ns = steps if inputs is None else len(inputs) - 1, nanoseconds(h)
         self.h, self.t = step_ns / 1e9, seconds(np.arange(self.steps + 1, dtype=np.int64) * step_ns)
-        kinds = np.array([signal.kind for signal in self.interface.inputs for _ in range(signal.size)])
+        kinds = np.array(
+            [signal.kind for signal in self.interface.inputs for _ in range(signal.size)]
+        )
         noise = np.random.default_rng(seed).standard_normal((self.steps + 1, self.n_u))
-        drawn = np.where(kinds == "boolean", noise > 0.0, np.where(kinds == "integer", np.round(5.0 * noise), noise))
+        drawn = np.where(
+            kinds == "boolean",
+            noise > 0.0,
+            np.where(kinds == "integer", np.round(5.0 * noise), noise),
+        )
         self.u = np.array(drawn if inputs is None else inputs, dtype=np.float64)
         other = np.where(kinds == "integer", self.u + 1.0, self.u + 1.0 + noise**2)
         self.perturbed = np.where(kinds == "boolean", 1.0 - self.u, other)
@@ -209,7 +259,11 @@ class _Bench:
     def masks(self) -> list[Mask]:
         """Put straight lines everywhere, hold every input, hold every other one."""
         sizes = [signal.size for signal in self.interface.inputs]
-        masks = [np.zeros(len(sizes), np.bool_), np.ones(len(sizes), np.bool_), np.arange(len(sizes)) % 2 == 0]
+        masks = [
+            np.zeros(len(sizes), np.bool_),
+            np.ones(len(sizes), np.bool_),
+            np.arange(len(sizes)) % 2 == 0,
+        ]
         return [np.repeat(mask, sizes) for mask in masks[: 1 + min(len(sizes), 2)]]
 
     def start(self, held: Mask) -> tuple[Component, Vector]:
@@ -232,25 +286,42 @@ class _Bench:
 
     def fed_by(self, name: str) -> Mask:
         """Mark the output elements that an input is declared to feed through to."""
-        return np.array([name in self.interface.feeds(o.name) for o in self.interface.outputs for _ in range(o.size)], np.bool_)
+        return np.array(
+            [
+                name in self.interface.feeds(o.name)
+                for o in self.interface.outputs
+                for _ in range(o.size)
+            ],
+            np.bool_,
+        )
 
     def fed_at_start(self, name: str) -> Mask:
         """Mark the output elements that an input is declared to count for at the start."""
         outputs = self.interface.outputs
-        return np.array([name in self.interface.feeds_at_start(o.name) for o in outputs for _ in range(o.size)], np.bool_)
+        return np.array(
+            [name in self.interface.feeds_at_start(o.name) for o in outputs for _ in range(o.size)],
+            np.bool_,
+        )
 
     def compare(self, law: str, found: Matrix, expected: Matrix, first: int = 0) -> None:
         """Require equal bits of rows, the first of them at row ``first``."""
         found, expected = np.atleast_2d(found), np.atleast_2d(expected)
-        wrong = np.argwhere(np.ascontiguousarray(found).view(np.uint64) != np.ascontiguousarray(expected).view(np.uint64))
+        wrong = np.argwhere(
+            np.ascontiguousarray(found).view(np.uint64)
+            != np.ascontiguousarray(expected).view(np.uint64)
+        )
         if len(wrong):
             row, column = wrong[0]
-            label = [element for signal in self.interface.outputs for element in signal.elements][column]
+            label = [element for signal in self.interface.outputs for element in signal.elements][
+                column
+            ]
             values = f"found {float(found[row, column])!r}, needed {float(expected[row, column])!r}"
             raise AssertionError(f"{law}: {label!r} at t = {self.t[first + row]} s: {values}")
 
     @staticmethod
     def _sized(call: str, found: Vector, shape: tuple[int, ...]) -> Vector:
         if found.shape != shape or found.dtype != np.float64:
-            raise AssertionError(f"{call} gives float64 of shape {shape}: found {found.dtype} of shape {found.shape}")
+            raise AssertionError(
+                f"{call} gives float64 of shape {shape}: found {found.dtype} of shape {found.shape}"
+            )
         return found.copy()

@@ -68,7 +68,9 @@ _PREFIXED: Final[Mapping[str, str]] = {  # only what is in use, and has one read
     "Pa": "hkMG", "bar": "m", "J": "mkMG", "W": "numkMG", "C": "pnum", "V": "numkM", "Ohm": "mkMG", "S": "um", "F": "pnum",
     "H": "num", "Wb": "m", "T": "num",
 }  # fmt: skip
-_ROUNDED: Final = 1e-9  # definitions of one name differ by the digits that were written, not by more
+_ROUNDED: Final = (
+    1e-9  # definitions of one name differ by the digits that were written, not by more
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +83,9 @@ class BaseUnit:
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.factor) and self.factor and math.isfinite(self.offset)):
-            raise ValueError(f"unit: found factor {self.factor} and offset {self.offset}; needed finite numbers, no factor 0")
+            raise ValueError(
+                f"unit: found factor {self.factor} and offset {self.offset}; needed finite numbers, no factor 0"
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +125,11 @@ class Conversion:
 
     def __call__(self, values: Values) -> Values:
         """Convert."""
-        return values if self.copies else ((values * self.factor1 + self.offset1) - self.offset2) / self.factor2
+        return (
+            values
+            if self.copies
+            else ((values * self.factor1 + self.offset1) - self.offset2) / self.factor2
+        )
 
     def __str__(self) -> str:
         return f"((v * {self.factor1!r} + {self.offset1!r}) - {self.offset2!r}) / {self.factor2!r}"
@@ -133,7 +141,11 @@ def conversion(first: Unit, second: Unit) -> Conversion | None:
     Where one is not declared there is nothing to compare. One name is one unit where at most one of the two is defined, or both
     are to within their written digits; other names need a meaning each, and the same powers of the base units.
     """
-    if first.name is None or second.name is None or (first.name == second.name and _agree(first.base, second.base)):
+    if (
+        first.name is None
+        or second.name is None
+        or (first.name == second.name and _agree(first.base, second.base))
+    ):
         return Conversion()
     one, other = first.si, second.si
     if one is None or other is None or one.exponents != other.exponents:
@@ -145,7 +157,9 @@ def _agree(one: BaseUnit | None, other: BaseUnit | None) -> bool:
     if one is None or other is None:
         return True
     pairs = ((one.factor, other.factor), (one.offset, other.offset))
-    return one.exponents == other.exponents and all(math.isclose(*pair, rel_tol=_ROUNDED) for pair in pairs)
+    return one.exponents == other.exponents and all(
+        math.isclose(*pair, rel_tol=_ROUNDED) for pair in pairs
+    )
 
 
 def base_unit(unit: str) -> BaseUnit | None:
@@ -166,7 +180,11 @@ def base_unit(unit: str) -> BaseUnit | None:
         for base, exponent in powers.items():
             exponents[base] += exponent * power
     size = _float(factor, pi)
-    return BaseUnit(tuple(exponents.values()), size, _CELSIUS if unit.strip() == "degC" else 0.0) if size else None
+    return (
+        BaseUnit(tuple(exponents.values()), size, _CELSIUS if unit.strip() == "degC" else 0.0)
+        if size
+        else None
+    )
 
 
 def _symbol(text: str) -> tuple[str, Fraction, Mapping[str, int]] | None:

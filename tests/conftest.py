@@ -25,7 +25,9 @@ REFERENCE = HERE / "reference" / "cases.json"
 @pytest.fixture(scope="session")
 def case() -> Callable[[str], dict[str, Any]]:
     """Look up a case of `tests/reference/cases.json` by its id: `case("C01")`."""
-    cases = {entry["id"]: entry for entry in json.loads(REFERENCE.read_text(encoding="utf-8"))["cases"]}
+    cases = {
+        entry["id"]: entry for entry in json.loads(REFERENCE.read_text(encoding="utf-8"))["cases"]
+    }
     return cases.__getitem__
 
 

@@ -22,10 +22,10 @@ ALLOWED = {
     "log": BASE | {"core"},
     "testing": BASE | {"core"},
     "scenario": BASE | {"native", "theory", "core", "blocks", "fmi", "log"},
-    "tables": {"errors", "arrays", "core", "fmi", "scenario", "log"},
-    "cli": {"errors", "scenario", "log", "tables"},
+    "report": BASE | {"theory", "core", "fmi", "log", "scenario"},
+    "cli": {"errors", "scenario", "log", "report", "fmi"},
     "__main__": {"cli"},
-    "__init__": {"scenario", "log", "fmi", "version"},
+    "__init__": {"scenario", "log", "fmi", "report", "version"},
 }
 OUTSIDE = {
     "fmpy": {"fmi"},
@@ -34,9 +34,9 @@ OUTSIDE = {
     "zstandard": {"log"},
     "lz4": {"log"},
     "pydantic": {"scenario"},
-    "matplotlib": {"scenario"},
-    "typer": {"cli", "tables"},
-    "rich": {"cli", "tables"},
+    "matplotlib": {"report"},
+    "typer": {"cli", "report"},
+    "rich": {"cli", "report"},
 }
 MODULES = sorted(ROOT.rglob("*.py"))
 
@@ -56,7 +56,10 @@ def imports(path: Path) -> set[str]:
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path}: imports are absolute"
             assert node.module is not None
-            found |= {f"{node.module}.{alias.name}" if node.module == "cosim" else node.module for alias in node.names}
+            found |= {
+                f"{node.module}.{alias.name}" if node.module == "cosim" else node.module
+                for alias in node.names
+            }
     return found
 
 
@@ -67,7 +70,9 @@ def test_lower_layers_never_import_upper_ones(path):
     for module in imports(path):
         parts = module.split(".")
         if parts[0] == "cosim" and len(parts) > 1:
-            assert parts[1] == layer or parts[1] in ALLOWED[layer], f"{path}: {layer} imports {module}"
+            assert parts[1] == layer or parts[1] in ALLOWED[layer], (
+                f"{path}: {layer} imports {module}"
+            )
 
 
 @pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(ROOT)))
@@ -75,7 +80,9 @@ def test_outside_libraries_have_one_home(path):
     """fmpy is imported in fmi only, mcap in log only, and so on."""
     for module in imports(path):
         homes = OUTSIDE.get(module.split(".")[0])
-        assert homes is None or part(path) in homes, f"{path} imports {module}, which belongs to {homes}"
+        assert homes is None or part(path) in homes, (
+            f"{path} imports {module}, which belongs to {homes}"
+        )
 
 
 def test_theory_and_core_do_not_know_each_other():
@@ -87,7 +94,8 @@ def test_theory_and_core_do_not_know_each_other():
 def test_the_master_is_the_smallest_file_of_the_core():
     """The kernel stays small: no module of the core with code of its own is shorter."""
     lengths = {
-        path.name: sum(1 for line in path.read_text().splitlines() if line.strip()) for path in (ROOT / "core").glob("*.py")
+        path.name: sum(1 for line in path.read_text().splitlines() if line.strip())
+        for path in (ROOT / "core").glob("*.py")
     }
     del lengths["__init__.py"]
     assert min(lengths, key=lambda name: lengths[name]) == "master.py"
@@ -96,11 +104,17 @@ def test_the_master_is_the_smallest_file_of_the_core():
 def test_the_top_level_holds_what_it_should():
     """pyproject.toml, cosim, fmus, tests, logs, README.md and dot-files."""
     top = ROOT.parent
-    found = {entry.name for entry in top.iterdir() if not entry.name.startswith(".") and entry.name not in ("build", "dist")}
+    found = {
+        entry.name
+        for entry in top.iterdir()
+        if not entry.name.startswith(".") and entry.name not in ("build", "dist")
+    }
     assert found == {"pyproject.toml", "cosim", "fmus", "tests", "logs", "README.md"}
 
 
 def test_every_folder_of_the_package_has_tests():
     """The tests mirror the package."""
-    folders = {path.name for path in ROOT.iterdir() if path.is_dir() and (path / "__init__.py").exists()}
+    folders = {
+        path.name for path in ROOT.iterdir() if path.is_dir() and (path / "__init__.py").exists()
+    }
     assert folders <= {path.name for path in (ROOT.parent / "tests").iterdir()}

@@ -78,7 +78,12 @@ def test_json_is_json_and_complete(call):
     found = json.loads(out)
     assert (code, err) == (0, "")
     assert found["steps"] == 100
-    assert found["values"][0] == {"estimate": "identifier.theta[0]", "value": None, "truth": -0.1, "error": None}
+    assert found["values"][0] == {
+        "estimate": "identifier.theta[0]",
+        "value": None,
+        "truth": -0.1,
+        "error": None,
+    }
     assert set(found["profile"]) >= {"plant", "observer", "recorder and master"}
 
 
@@ -89,7 +94,18 @@ def test_quiet_prints_nothing(call):
 
 def test_set_step_and_stop_reach_the_run(call):
     """--set, --step and --stop change the scenario."""
-    call("run", "academic", "--stop", "0.2", "--step", "0.002", "--set", "observer.filter_rate=500", "--out", "a.mcap")
+    call(
+        "run",
+        "academic",
+        "--stop",
+        "0.2",
+        "--step",
+        "0.002",
+        "--set",
+        "observer.filter_rate=500",
+        "--out",
+        "a.mcap",
+    )
     log = cosim.open_log("a.mcap")
     assert (log.step_ns, log.time("plant")[-1]) == (2_000_000, 0.2)
     assert json.loads(log.metadata["cosim.component.observer"]["table"])["filter_rate"] == 500
@@ -173,7 +189,11 @@ def test_info_of_fmus_of_every_version(call, tmp_path):
     found = json.loads(call("info", "3.fmu", "--json")[1])
     variables = {variable["name"]: variable for variable in found["variables"]}
     assert set(variables["u"]) == {field.name for field in dataclasses.fields(Variable)}
-    assert (variables["u"]["start"], variables["u"]["dimensions"], variables["u"]["maximum"]) == ([0.5] * 6, ["n", 2], None)
+    assert (variables["u"]["start"], variables["u"]["dimensions"], variables["u"]["maximum"]) == (
+        [0.5] * 6,
+        ["n", 2],
+        None,
+    )
     assert found["units"]["mm"]["factor"] == 0.001
     assert (found["dependencies"]["y"], found["initial_dependencies"]["dx"]) == (["u", "x"], None)
     assert found["capabilities"]["cs"]["interpolates_inputs"]
@@ -192,7 +212,11 @@ def test_check_tells_all_and_exits_1_at_an_error(call, tmp_path):
     code, out, _ = call("check", "x.fmu", "--json")
     found = json.loads(out)
     assert (code, found["errors"], found["warnings"]) == (1, 2, 2)
-    assert {"level": "error", "where": "XML", "text": "variable 'x': has 2 start values for 3 elements"} in found["findings"]
+    assert {
+        "level": "error",
+        "where": "XML",
+        "text": "variable 'x': has 2 start values for 3 elements",
+    } in found["findings"]
     assert call("check", "no.fmu") == (2, "", "cosim: no.fmu: there is no such file\n")
 
 
@@ -200,7 +224,11 @@ def test_plot_writes_pictures(call, tmp_path):
     """plot and run --plot write files of the format asked for, and refuse others."""
     pytest.importorskip("matplotlib")
     call("run", "academic", *SHORT, "--out", "a.mcap", "--plot", "run.png")
-    assert call("plot", "a.mcap", "observer.delta", "plant.x_a", "--out", "two.svg") == (0, "two.svg\n", "")
+    assert call("plot", "a.mcap", "observer.delta", "plant.x_a", "--out", "two.svg") == (
+        0,
+        "two.svg\n",
+        "",
+    )
     assert (tmp_path / "run.png").read_bytes().startswith(b"\x89PNG")
     assert b"<svg" in (tmp_path / "two.svg").read_bytes()[:1000]
     code, _, err = call("plot", "a.mcap", "observer.delta", "--out", "two.xyz")
@@ -230,7 +258,9 @@ def test_export_refuses_what_cannot_be_an_fmu(call):
     """The message says what can be exported."""
     code, _, err = call("export", "academic", "--component", "delta", "--out", "i.fmu")
     assert code == 2
-    assert "'delta' is of kind 'disturbance', which cannot be exported; what can be: descriptor" in err
+    assert (
+        "'delta' is of kind 'disturbance', which cannot be exported; what can be: descriptor" in err
+    )
     code, _, err = call("export", "academic", "--component", "plnt", "--out", "i.fmu")
     assert "there is no component 'plnt'; did you mean 'plant'?" in err
 
@@ -259,7 +289,13 @@ def test_a_log_that_is_none_is_refused(call, tmp_path, make, pattern):
 
 
 def run_python(code, *arguments):
-    return subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True, check=True, timeout=60).stdout
+    return subprocess.run(
+        [sys.executable, "-c", code, *arguments],
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=60,
+    ).stdout
 
 
 def test_help_imports_neither_numpy_nor_fmpy():
@@ -268,7 +304,9 @@ def test_help_imports_neither_numpy_nor_fmpy():
         "import sys\nfrom cosim.cli import main\ntry:\n    main(['--help'])\nexcept SystemExit:\n    pass\n"
         "print([name for name in ('numpy', 'fmpy', 'scipy', 'mcap', 'pydantic') if name in sys.modules], file=sys.stderr)\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60
+    )
     assert "Usage" in done.stdout
     assert done.stderr.strip() == "[]"
 
@@ -283,13 +321,26 @@ def test_a_run_without_fmus_does_not_import_fmpy(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("number", "reason"), [(signal.SIGINT, "interrupted by the user"), (signal.SIGTERM, "terminated from outside")]
+    ("number", "reason"),
+    [(signal.SIGINT, "interrupted by the user"), (signal.SIGTERM, "terminated from outside")],
 )
 def test_an_interrupt_ends_the_run_cleanly_with_exit_130(tmp_path, number, reason):
     """Ctrl-C, and a request to terminate, leave a valid log with everything up to that moment; its status says so."""
     path = tmp_path / "long.mcap"
-    command = [sys.executable, "-m", "cosim", "run", "closed-loop", "--stop", "10000", "--out", str(path)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    command = [
+        sys.executable,
+        "-m",
+        "cosim",
+        "run",
+        "closed-loop",
+        "--stop",
+        "10000",
+        "--out",
+        str(path),
+    ]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
         for _ in range(3000):  # until the first chunk is in the file
             if path.exists() and path.stat().st_size > 100_000:
                 break
@@ -310,10 +361,22 @@ def test_an_interrupt_ends_the_run_cleanly_with_exit_130(tmp_path, number, reaso
 def test_progress_shows_time_speed_and_time_left_on_a_terminal(tmp_path):
     """On a terminal the bar stands on stderr while the run goes on, and is gone at the end."""
     reader, writer = pty.openpty()
-    command = [sys.executable, "-m", "cosim", "run", "closed-loop", "--stop", "20", "--out", str(tmp_path / "a.mcap")]
+    command = [
+        sys.executable,
+        "-m",
+        "cosim",
+        "run",
+        "closed-loop",
+        "--stop",
+        "20",
+        "--out",
+        str(tmp_path / "a.mcap"),
+    ]
     environment = {**os.environ, "TERM": "xterm", "COLUMNS": "120"}
     seen = b""
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=writer, env=environment) as process:
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=writer, env=environment
+    ) as process:
         os.close(writer)
         with contextlib.suppress(OSError):  # the terminal is closed when the process ends
             while chunk := os.read(reader, 4096):
@@ -385,7 +448,10 @@ def test_a_run_that_an_fmu_ends_says_why(call, tmp_path):
     assert f"why it ended {reason}" in words
     found = json.loads(call("run", "x.toml", "--json")[1])
     recordings = (cosim.open_log("x.mcap"), cosim.run("x.toml"))
-    for status in ((found["status"], found["reason"]), *((one.status, one.reason) for one in recordings)):
+    for status in (
+        (found["status"], found["reason"]),
+        *((one.status, one.reason) for one in recordings),
+    ):
         assert status == ("complete", reason)
 
 
@@ -396,7 +462,16 @@ def printing(tmp_path):
     components = '[components.p]\nkind = "fmu"\npath = "rogue.fmu"\n[components.one]\nkind = "constant"\nvalue = 1.0\n'
     path = tmp_path / "x.toml"
     path.write_text(f'{HEAD.replace("0.2", "0.3")}{components}[connections]\n"p.u" = "one.y"\n')
-    return [sys.executable, "-m", "cosim", "run", str(path), "--force", "--out", str(tmp_path / "x.mcap")]
+    return [
+        sys.executable,
+        "-m",
+        "cosim",
+        "run",
+        str(path),
+        "--force",
+        "--out",
+        str(tmp_path / "x.mcap"),
+    ]
 
 
 NOISE = "a line that nobody asked for\n" * 3
@@ -406,8 +481,13 @@ def test_what_an_fmu_prints_does_not_reach_the_data(printing, tmp_path):
     """It goes to stderr; stdout is ours, as a pipe and as a file."""
     piped = subprocess.run([*printing, "--json"], capture_output=True, text=True, check=True)
     with open(tmp_path / "out.json", "w+") as stream:
-        filed = subprocess.run([*printing, "--json"], stdout=stream, stderr=subprocess.PIPE, text=True, check=True)
-    for out, err in ((piped.stdout, piped.stderr), ((tmp_path / "out.json").read_text(), filed.stderr)):
+        filed = subprocess.run(
+            [*printing, "--json"], stdout=stream, stderr=subprocess.PIPE, text=True, check=True
+        )
+    for out, err in (
+        (piped.stdout, piped.stderr),
+        ((tmp_path / "out.json").read_text(), filed.stderr),
+    ):
         assert json.loads(out)["steps"] == 3
         assert NOISE in err
 
@@ -416,8 +496,12 @@ def test_a_table_on_a_terminal_has_no_foreign_lines_in_it(printing):
     """It is still a terminal to what prints the table, which is as wide as that."""
     reader, writer = pty.openpty()
     fcntl.ioctl(writer, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 60, 0, 0))
-    environment = {key: value for key, value in os.environ.items() if key not in ("COLUMNS", "NO_COLOR")} | {"TERM": "xterm"}
-    with subprocess.Popen(printing, stdin=writer, stdout=writer, stderr=subprocess.PIPE, text=True, env=environment) as process:
+    environment = {
+        key: value for key, value in os.environ.items() if key not in ("COLUMNS", "NO_COLOR")
+    } | {"TERM": "xterm"}
+    with subprocess.Popen(
+        printing, stdin=writer, stdout=writer, stderr=subprocess.PIPE, text=True, env=environment
+    ) as process:
         os.close(writer)
         seen = b""
         with contextlib.suppress(OSError):  # the terminal is closed when the process ends
@@ -444,24 +528,39 @@ def test_a_constant_may_be_true(call, tmp_path):
 def test_what_cannot_be_written_is_one_line(call, tmp_path):
     """A folder where a file should be, and a disk that is full: no traceback."""
     (tmp_path / "folder.fmu").mkdir()
-    code, _, err = call("export", "academic", "--component", "plant", "--out", "folder.fmu", "--force")
+    code, _, err = call(
+        "export", "academic", "--component", "plant", "--out", "folder.fmu", "--force"
+    )
     assert code == 2
     assert err.startswith("cosim: folder.fmu cannot be written: ")
     assert not list(tmp_path.glob(".*.part"))
     with open("/dev/full", "w") as stream:
         command = [sys.executable, "-m", "cosim", "list"]
         environment = {**os.environ, "PYTHONUNBUFFERED": ""}
-        done = subprocess.run(command, stdout=stream, stderr=subprocess.PIPE, text=True, check=False, env=environment)
+        done = subprocess.run(
+            command, stdout=stream, stderr=subprocess.PIPE, text=True, check=False, env=environment
+        )
     assert (done.returncode, done.stderr) == (1, "cosim: output: No space left on device\n")
 
 
 def test_a_sampled_controller_is_exported_for_co_simulation_only(call):
     """What lives in discrete time would be something else as a continuous FMU; the answer says so."""
-    code, out, _ = call("export", "closed-loop", "--component", "controller", "--set", "controller.period=0.1", "--out", "c.fmu")
+    code, out, _ = call(
+        "export",
+        "closed-loop",
+        "--component",
+        "controller",
+        "--set",
+        "controller.period=0.1",
+        "--out",
+        "c.fmu",
+    )
     assert code == 0
     assert "c.fmu: FMI 2.0, co-simulation, binary for" in out
     assert "co-simulation only: with a period the controller samples and holds" in out
-    code, out, _ = call("export", "closed-loop", "--component", "controller", "--fmi", "3", "--out", "d.fmu")
+    code, out, _ = call(
+        "export", "closed-loop", "--component", "controller", "--fmi", "3", "--out", "d.fmu"
+    )
     assert "d.fmu: FMI 3.0, model exchange and co-simulation, binary for" in out
 
 
@@ -499,9 +598,25 @@ def test_linearize_prints_matrices_poles_and_gain(call, tmp_path):
     assert "static gain D - C A^-1 B" in out.splitlines()
     assert "academic_plant at t = 0 s" in out.splitlines()
     assert "poles -1.5-0.866025j, -1.5+0.866025j columns by directional derivatives" in words
-    code, out, _ = call("linearize", "plant.fmu", "--input", "delta", "--output", "y", "--differences", "--at", "2", "--json")
+    code, out, _ = call(
+        "linearize",
+        "plant.fmu",
+        "--input",
+        "delta",
+        "--output",
+        "y",
+        "--differences",
+        "--at",
+        "2",
+        "--json",
+    )
     found = json.loads(out)
-    assert (code, found["t"], found["inputs"], found["made"]["delta"]) == (0, 2.0, ["delta"], "central differences")
+    assert (code, found["t"], found["inputs"], found["made"]["delta"]) == (
+        0,
+        2.0,
+        ["delta"],
+        "central differences",
+    )
     assert found["static_gain"][0] == pytest.approx([2.0 / 3.0], rel=1e-9)
 
 
@@ -518,7 +633,9 @@ def test_linearize_says_where_there_is_no_gain(call, tmp_path):
 def test_linearize_prints_a_table_for_a_scenario(call):
     """Ready for [models]; notes go to stderr."""
     call("export", "academic", "--component", "plant", "--out", "plant.fmu")
-    code, out, _ = call("linearize", "plant.fmu", "--output", "y", "--toml", "--disturbance", "delta")
+    code, out, _ = call(
+        "linearize", "plant.fmu", "--output", "y", "--toml", "--disturbance", "delta"
+    )
     assert code == 0
     assert "[models.academic_plant]" in out
     assert "Bd = [[1.0], [0.0], [0.0]]" in out

@@ -42,7 +42,13 @@ def test_commands_print_what_the_readme_shows(tmp_path, monkeypatch, capsys):
         with pytest.raises(SystemExit) as left:
             main(words[1:])
         output = capsys.readouterr()
-        expected = 1 if words[1] == "diff" and "--atol" in words else 2 if "observer.filter_rat=500" in words else 0
+        expected = (
+            1
+            if words[1] == "diff" and "--atol" in words
+            else 2
+            if "observer.filter_rat=500" in words
+            else 0
+        )
         assert (left.value.code or 0) == expected, (command, output.err)
         if redirected:
             Path(redirected.strip()).write_text(output.out)
@@ -57,7 +63,9 @@ def test_python_runs(number, tmp_path, monkeypatch, capsys):
     """Every Python block runs as it stands."""
     (tmp_path / "logs").mkdir()
     monkeypatch.chdir(tmp_path)
-    exec(compile(blocks("python")[number], f"README block {number}", "exec"), {"__name__": "readme"})
+    exec(
+        compile(blocks("python")[number], f"README block {number}", "exec"), {"__name__": "readme"}
+    )
     printed = capsys.readouterr().out.split()
     if number == 0:
         assert printed[0] == "40.0"
@@ -68,13 +76,21 @@ def test_python_runs(number, tmp_path, monkeypatch, capsys):
 
 def test_a_graph_of_ones_own_takes_less_than_20_lines():
     """From the class to the printed result."""
-    lines = blocks("python")[1].split("class Integrator", 1)[1].split("check_component(")[0].strip().splitlines()
+    lines = (
+        blocks("python")[1]
+        .split("class Integrator", 1)[1]
+        .split("check_component(")[0]
+        .strip()
+        .splitlines()
+    )
     assert len([line for line in lines if line.strip()]) < 20
 
 
 def test_the_set_up_commands_stand_on_lines_of_their_own():
     """Two lines to paste."""
-    lines = [line.strip() for line in README.splitlines() if line.strip().startswith("python3 -m venv")]
+    lines = [
+        line.strip() for line in README.splitlines() if line.strip().startswith("python3 -m venv")
+    ]
     assert len(lines) == 2
     assert lines[0].endswith(".venv/bin/cosim run academic")
     assert lines[1].endswith(".venv/bin/python -m pytest")

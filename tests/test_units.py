@@ -42,7 +42,20 @@ def test_powers_of_prefixes_are_rounded_once():
 
 def test_what_has_more_than_one_reading_is_not_read():
     """Prefixes stand only before symbols with which they are in use; names that are something else stay that."""
-    for name in ("Gs", "furlong", "Nm", "kkg", "mmin", "ft", "m99", "", "m/", "mdegC", "GW9.GW9", "C°"):
+    for name in (
+        "Gs",
+        "furlong",
+        "Nm",
+        "kkg",
+        "mmin",
+        "ft",
+        "m99",
+        "",
+        "m/",
+        "mdegC",
+        "GW9.GW9",
+        "C°",
+    ):
         assert base_unit(name) is None, name
     assert base_unit("cd").exponents == tuple(int(base == "cd") for base in BASE)
     assert base_unit("min").factor == 60.0
@@ -94,23 +107,33 @@ def test_a_definition_counts_more_than_a_name():
     assert conversion(furlong, Unit("m"))(2.0) == 402.336
     assert conversion(furlong, Unit("furlong")).copies
     assert conversion(furlong, Unit("furlong", BaseUnit(LENGTH, 201.16800000001))).copies
-    assert conversion(furlong, Unit("furlong", BaseUnit(LENGTH, 201.0))) == Conversion(201.168, 0.0, 0.0, 201.0)
+    assert conversion(furlong, Unit("furlong", BaseUnit(LENGTH, 201.0))) == Conversion(
+        201.168, 0.0, 0.0, 201.0
+    )
     assert conversion(Unit("h", BaseUnit(LENGTH)), Unit("h", base_unit("h"))) is None
     turns = BaseUnit(base_unit("rad/s").exponents, 2.0 * math.pi)
     assert conversion(Unit("Hz", turns), Unit("Hz")).copies
     assert conversion(Unit("Hz", turns), Unit("rad/s"))(1.0) == 2.0 * math.pi
 
 
-@pytest.mark.parametrize(("factor", "offset"), [(0.0, 0.0), (math.nan, 0.0), (math.inf, 0.0), (1.0, math.inf)])
+@pytest.mark.parametrize(
+    ("factor", "offset"), [(0.0, 0.0), (math.nan, 0.0), (math.inf, 0.0), (1.0, math.inf)]
+)
 def test_a_unit_that_cannot_be_converted_back_is_refused(factor, offset):
     """Its factor is finite and not 0."""
-    with pytest.raises(ValueError, match=rf"unit: found factor {factor} and offset {offset}; needed finite numbers, no factor 0"):
+    with pytest.raises(
+        ValueError,
+        match=rf"unit: found factor {factor} and offset {offset}; needed finite numbers, no factor 0",
+    ):
         BaseUnit(LENGTH, factor, offset)
 
 
 sizes = st.floats(1e-9, 1e9)
 units = st.builds(
-    lambda name, factor, offset: Unit(name, BaseUnit(LENGTH, factor, offset)), st.text(max_size=2), sizes, st.floats(-1e3, 1e3)
+    lambda name, factor, offset: Unit(name, BaseUnit(LENGTH, factor, offset)),
+    st.text(max_size=2),
+    sizes,
+    st.floats(-1e3, 1e3),
 )
 
 
@@ -119,7 +142,9 @@ def test_there_and_back_is_the_same_but_for_rounding(one, other, value):
     """Each of the four operations rounds by half a unit in the last place of its result; offsets are the largest of them."""
     there, back = conversion(one, other), conversion(other, one)
     largest = max(abs(value * one.si.factor), abs(one.si.offset), abs(other.si.offset))
-    assert abs(back(there(value)) - value) <= 8 * np.finfo(float).eps * (abs(value) + largest / one.si.factor)
+    assert abs(back(there(value)) - value) <= 8 * np.finfo(float).eps * (
+        abs(value) + largest / one.si.factor
+    )
 
 
 @given(units, st.floats(allow_nan=True), units)

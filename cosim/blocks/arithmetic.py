@@ -61,7 +61,9 @@ def sum_of(signs: Sequence[float], *, size: int = 1, unit: str | None = None) ->
 
     if not signs:
         raise UsageError("sum: found no signs, needed one for each input, like [1, -1]")
-    return Static(_through([Signal(f"u{i + 1}", size, unit) for i in range(len(signs))], size, unit), function)
+    return Static(
+        _through([Signal(f"u{i + 1}", size, unit) for i in range(len(signs))], size, unit), function
+    )
 
 
 def gain(K: Matrix, *, unit: str | None = None) -> Static:
@@ -86,4 +88,6 @@ def limit(*, lower: float, upper: float, size: int = 1, unit: str | None = None)
     """
     if not lower < upper:
         raise UsageError(f"limit: found lower = {lower} and upper = {upper}, needed lower < upper")
-    return Static(_through([Signal("u", size, unit)], size, unit), lambda u: np.clip(u, lower, upper))
+    return Static(
+        _through([Signal("u", size, unit)], size, unit), lambda u: np.clip(u, lower, upper)
+    )

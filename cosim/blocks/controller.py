@@ -6,13 +6,19 @@ import numpy as np
 
 from cosim.arrays import Matrix, Vector
 from cosim.blocks.plant import linear_model
+from cosim.core.linear import LinearModel
 from cosim.core.signals import Signal
-from cosim.core.solver import LinearModel
 from cosim.errors import UsageError
 
 
 def controller(
-    *, A: Matrix, B: Matrix, C: Matrix, D: Matrix | None = None, x0: Vector | None = None, unit: str | None = None
+    *,
+    A: Matrix,
+    B: Matrix,
+    C: Matrix,
+    D: Matrix | None = None,
+    x0: Vector | None = None,
+    unit: str | None = None,
 ) -> LinearModel:
     """``x' = A x + B u``, ``y = C x + D u``: input u, output y, and the state x as an output.
 
@@ -24,7 +30,13 @@ def controller(
     n, m, p = len(A), B.shape[1], len(C)
     D = np.zeros((p, m)) if D is None else D
     x0 = np.zeros(n) if x0 is None else x0
-    needed = {"A": (A, (n, n)), "B": (B, (n, m)), "C": (C, (p, n)), "D": (D, (p, m)), "x0": (x0, (n,))}
+    needed = {
+        "A": (A, (n, n)),
+        "B": (B, (n, m)),
+        "C": (C, (p, n)),
+        "D": (D, (p, m)),
+        "x0": (x0, (n,)),
+    }
     for name, (matrix, shape) in needed.items():
         if matrix.shape != shape:
             raise UsageError(f"controller: {name} has shape {matrix.shape}, needed {shape}")

@@ -6,13 +6,15 @@ import numpy as np
 
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.contracts import Design
+from cosim.core.linear import LinearModel
 from cosim.core.signals import Interface, Signal
-from cosim.core.solver import LinearModel
 from cosim.errors import UsageError
 from cosim.native.step import delay
 
 
-def lag(*, time_constant: float, start: float | None = None, size: int = 1, unit: str | None = None) -> LinearModel:
+def lag(
+    *, time_constant: float, start: float | None = None, size: int = 1, unit: str | None = None
+) -> LinearModel:
     """First-order lag ``T y' = u - y`` as a model; ``start`` left out: y(0) = u(0), without a transient.
 
     Raises
@@ -25,10 +27,14 @@ def lag(*, time_constant: float, start: float | None = None, size: int = 1, unit
     eye, rate = np.eye(size), 1.0 / time_constant
     follow = eye if start is None else np.zeros((size, size))
     initial = {"y": ("u",)} if start is None else {}
-    signals = Interface((Signal("u", size, unit),), (Signal("y", size, unit, role="state"),), initial=initial)
+    signals = Interface(
+        (Signal("u", size, unit),), (Signal("y", size, unit, role="state"),), initial=initial
+    )
     states = tuple(signals.outputs[0].elements)
     X0 = np.full(size, 0.0 if start is None else start)
-    return LinearModel(signals, states, -rate * eye, rate * eye, eye, np.zeros((size, size)), X0, follow)
+    return LinearModel(
+        signals, states, -rate * eye, rate * eye, eye, np.zeros((size, size)), X0, follow
+    )
 
 
 LARGEST = 2**27  # values in a delay line, 1 GiB
@@ -45,14 +51,20 @@ class Delay:
         y until the first sample arrives; None: u(0).
     """
 
-    def __init__(self, steps: int, *, initial: float | None = None, size: int = 1, unit: str | None = None) -> None:
+    def __init__(
+        self, steps: int, *, initial: float | None = None, size: int = 1, unit: str | None = None
+    ) -> None:
         if steps < 1:
             raise UsageError(f"delay: found {steps} communication steps, needed at least 1")
         if steps * size > LARGEST:
-            raise UsageError(f"delay: {steps} communication steps of {size} values do not fit; at most {LARGEST} values")
+            raise UsageError(
+                f"delay: {steps} communication steps of {size} values do not fit; at most {LARGEST} values"
+            )
         self.initial = initial
         follows = {"y": ("u",)} if initial is None else {}
-        self.interface = Interface((Signal("u", size, unit),), (Signal("y", size, unit, "inherited"),), initial=follows)
+        self.interface = Interface(
+            (Signal("u", size, unit),), (Signal("y", size, unit, "inherited"),), initial=follows
+        )
         self._size = size
         self._step = delay(steps, size)
 

@@ -27,7 +27,9 @@ class LeastSquaresIdentifier:
 
     def __init__(self, recovery: Recovery, *, start: float, P0: float | None = None) -> None:
         if P0 is not None and not 0.0 < P0 < np.inf:
-            raise UsageError(f"P0: found {P0}, needed a positive finite number; leave it out for no prior")
+            raise UsageError(
+                f"P0: found {P0}, needed a positive finite number; leave it out for no prior"
+            )
         self.recovery, self.start, self.P0 = recovery, start, P0
         self.interface = Interface(
             (Signal("regressor", recovery.n_eta + 1, optional=True, role="input"),),
@@ -72,7 +74,10 @@ class LeastSquaresIdentifier:
         if len(y):
             self._last = y[-1].copy()
         if self._kernel.step.status == NO_VALUE:
-            raise Stopped(y, f"the regressor has no value at the start time {self._counts_from} s; start after the longest delay")
+            raise Stopped(
+                y,
+                f"the regressor has no value at the start time {self._counts_from} s; start after the longest delay",
+            )
         return y
 
     def save(self) -> tuple[Vector, Vector]:

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cosim.blocks.plant import linear_model
+from cosim.core.linear import LinearModel
 from cosim.core.signals import Signal
-from cosim.core.solver import LinearModel
 from cosim.theory.descriptor import ReducedSystem
-from cosim.theory.observer import ObserverDesign, realise, start
+from cosim.theory.observer import ObserverDesign, realize, start
 
 
 def observer_model(
@@ -38,7 +38,7 @@ def observer_model(
     constant : bool
         The last input of ``reduced`` is the constant 1: no input of the model, but a state ``one`` that stays at 1.
     """
-    system = realise(reduced, design)
+    system = realize(reduced, design)
     X0, Xu = start(reduced, design, x_a0=x_a0, q0=q0)
     n, n_y, n_d, n_b = len(reduced.A_a), len(reduced.C3), reduced.B_2a.shape[1], len(reduced.Kx)
     outputs = [Signal("x_a", n, role="estimate"), Signal("delta", n_d, role="estimate")]

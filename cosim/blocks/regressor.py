@@ -10,8 +10,8 @@ from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.contracts import Design
 from cosim.core.signals import Interface, Signal
 from cosim.native.expression import Program
-from cosim.native.step import Regressor as Kernel
 from cosim.native.step import RegressorConstants
+from cosim.native.step import RegressorStep as Kernel
 from cosim.theory.regression import Term
 
 
@@ -29,10 +29,17 @@ class Regressor:
     """
 
     def __init__(
-        self, terms: Sequence[Term], *, alphas: Sequence[Program], steps: Sequence[int], delays: Sequence[float]
+        self,
+        terms: Sequence[Term],
+        *,
+        alphas: Sequence[Program],
+        steps: Sequence[int],
+        delays: Sequence[float],
     ) -> None:
         rows = len(delays)
-        factor = np.array([[b * rows + i for b, part in enumerate(term.parts) for i in part] for term in terms])
+        factor = np.array(
+            [[b * rows + i for b, part in enumerate(term.parts) for i in part] for term in terms]
+        )
         self.constants = RegressorConstants(
             alphas=alphas,
             steps=steps,

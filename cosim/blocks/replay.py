@@ -26,13 +26,19 @@ class Replay:
     def __init__(self, recording: Recording, component: str, *, inputs: bool = True) -> None:
         channel = recording.channels.get(component)
         if channel is None:
-            raise LogError(f"the log has no component {component!r}; it has: {', '.join(recording.channels)}")
+            raise LogError(
+                f"the log has no component {component!r}; it has: {', '.join(recording.channels)}"
+            )
         if not len(recording.time_ns(component)):
-            raise LogError(f"the log has no rows of {component!r}; needed at least the one at t = 0")
+            raise LogError(
+                f"the log has no rows of {component!r}; needed at least the one at t = 0"
+            )
         found = channel.interface
         self.interface = found if inputs else Interface((), found.outputs, {})
         columns = [as_columns(recording[f"{component}.{signal.name}"]) for signal in found.outputs]
-        self._rows = np.hstack(columns) if columns else np.zeros((len(recording.time_ns(component)), 0))
+        self._rows = (
+            np.hstack(columns) if columns else np.zeros((len(recording.time_ns(component)), 0))
+        )
         self._time = recording.time_ns(component) / 1e9
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:

@@ -23,7 +23,10 @@ def _held_between(interface: Interface, n: int) -> Interface:
     """
     if n < 1:
         raise ClockError(f"period: found {n} communication steps, needed at least 1")
-    return replace(interface, outputs=tuple(replace(signal, variability="discrete") for signal in interface.outputs))
+    return replace(
+        interface,
+        outputs=tuple(replace(signal, variability="discrete") for signal in interface.outputs),
+    )
 
 
 class Sampled:
@@ -66,7 +69,9 @@ class Sampled:
             try:
                 rows[k] = self._step(t[k : k + 2], h, u[k : k + 2])
             except Stopped as stop:
-                rows[k : k + stop.steps] = stop.outputs  # it may have completed its step before it ends
+                rows[k : k + stop.steps] = (
+                    stop.outputs
+                )  # it may have completed its step before it ends
                 raise Stopped(rows[: k + stop.steps], str(stop), failed=stop.failed) from stop
             except RunError as error:
                 raise Stopped(rows[:k], str(error)) from error
@@ -79,7 +84,9 @@ class Sampled:
         self._count += 1
         if self._count == self._n:
             begin, u0 = self._start
-            self._y = self._component.advance(np.array([begin, t[1]]), self._own(h), np.vstack([u0, u[1]]))[0].copy()
+            self._y = self._component.advance(
+                np.array([begin, t[1]]), self._own(h), np.vstack([u0, u[1]])
+            )[0].copy()
             self._count = 0
         return self._y
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from cosim.arrays import Mask, Matrix, Vector, frozen
 from cosim.core.contracts import Design, Stopped
-from cosim.core.signals import Interface, Kind, Signal, Variability
+from cosim.core.signals import Interface, Signal, SignalType, Variability
 from cosim.errors import UsageError
 from cosim.native.expression import compile_expression
 from cosim.native.step import evaluate, expression
@@ -28,7 +28,12 @@ class Expression:
     """
 
     def __init__(
-        self, texts: Sequence[str], *, variability: Variability = "continuous", unit: str | None = None, kind: Kind = "real"
+        self,
+        texts: Sequence[str],
+        *,
+        variability: Variability = "continuous",
+        unit: str | None = None,
+        kind: SignalType = "real",
     ) -> None:
         self.programs = tuple(compile_expression(text) for text in texts)
         self.interface = Interface(outputs=(Signal("y", len(texts), unit, variability, kind=kind),))
@@ -51,28 +56,57 @@ class Expression:
         return self._step.advance(t, h, u)
 
 
-def constant(value: Sequence[float], *, unit: str | None = None, kind: Kind = "real") -> Expression:
+def constant(
+    value: Sequence[float], *, unit: str | None = None, kind: SignalType = "real"
+) -> Expression:
     """``y = value``."""
     return Expression([repr(float(v)) for v in value], unit=unit, kind=kind)
 
 
-def step(*, time: float, before: float = 0.0, after: float = 1.0, unit: str | None = None) -> Expression:
+def step(
+    *, time: float, before: float = 0.0, after: float = 1.0, unit: str | None = None
+) -> Expression:
     """``y = before`` until ``time`` [s], then ``after``: a discrete signal."""
     past = f"step(t - {float(time)!r})"  # products with 0 and 1: both values to the last bit
-    return Expression([f"{float(before)!r}*(1 - {past}) + {float(after)!r}*{past}"], variability="discrete", unit=unit)
+    return Expression(
+        [f"{float(before)!r}*(1 - {past}) + {float(after)!r}*{past}"],
+        variability="discrete",
+        unit=unit,
+    )
 
 
-def ramp(*, slope: float, start: float = 0.0, offset: float = 0.0, unit: str | None = None) -> Expression:
+def ramp(
+    *, slope: float, start: float = 0.0, offset: float = 0.0, unit: str | None = None
+) -> Expression:
     """``y = offset + slope max(0, t - start)``."""
-    return Expression([f"{float(offset)!r} + {float(slope)!r}*max(0, t - {float(start)!r})"], unit=unit)
+    return Expression(
+        [f"{float(offset)!r} + {float(slope)!r}*max(0, t - {float(start)!r})"], unit=unit
+    )
 
 
-def sine(*, rate: float, amplitude: float = 1.0, phase: float = 0.0, offset: float = 0.0, unit: str | None = None) -> Expression:
+def sine(
+    *,
+    rate: float,
+    amplitude: float = 1.0,
+    phase: float = 0.0,
+    offset: float = 0.0,
+    unit: str | None = None,
+) -> Expression:
     """``y = offset + amplitude sin(rate t + phase)``; rate in rad/s."""
-    return Expression([f"{float(offset)!r} + {float(amplitude)!r}*sin({float(rate)!r}*t + {float(phase)!r})"], unit=unit)
+    return Expression(
+        [f"{float(offset)!r} + {float(amplitude)!r}*sin({float(rate)!r}*t + {float(phase)!r})"],
+        unit=unit,
+    )
 
 
-def chirp(*, rate: float, sweep: float, amplitude: float = 1.0, offset: float = 0.0, unit: str | None = None) -> Expression:
+def chirp(
+    *,
+    rate: float,
+    sweep: float,
+    amplitude: float = 1.0,
+    offset: float = 0.0,
+    unit: str | None = None,
+) -> Expression:
     """``y = offset + amplitude sin(rate t + sweep t^2 / 2)``: the rate [rad/s] grows by ``sweep`` [rad/s^2]."""
     angle = f"({float(rate)!r} + {0.5 * float(sweep)!r}*t)*t"
     return Expression([f"{float(offset)!r} + {float(amplitude)!r}*sin({angle})"], unit=unit)
@@ -97,9 +131,13 @@ class Table:
         From ``advance``, where the table ends.
     """
 
-    def __init__(self, t: Vector, y: Matrix, *, hold: bool = False, unit: str | None = None) -> None:
+    def __init__(
+        self, t: Vector, y: Matrix, *, hold: bool = False, unit: str | None = None
+    ) -> None:
         if len(t) < 2 or len(t) != len(y):
-            raise UsageError(f"table: found {len(t)} instants and {len(y)} values, needed the same number of both, at least 2")
+            raise UsageError(
+                f"table: found {len(t)} instants and {len(y)} values, needed the same number of both, at least 2"
+            )
         if not (np.isfinite(t).all() and np.isfinite(y).all()):
             raise UsageError("table: found NaN or infinity, needed finite numbers")
         late = np.flatnonzero(np.diff(t) <= 0.0)
@@ -108,7 +146,9 @@ class Table:
                 f"table: t[{late[0] + 1}] = {t[late[0] + 1]} s does not come after {t[late[0]]} s; needed increasing instants"
             )
         self.t, self.y, self.hold = frozen(t, 1), frozen(y, 2), hold
-        self.interface = Interface(outputs=(Signal("y", y.shape[1], unit, "discrete" if hold else "continuous"),))
+        self.interface = Interface(
+            outputs=(Signal("y", y.shape[1], unit, "discrete" if hold else "continuous"),)
+        )
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Nothing rests on linear algebra."""
@@ -153,7 +193,9 @@ class Noise:
     size : int
     """
 
-    def __init__(self, *, deviation: float, seed: int, size: int = 1, unit: str | None = None) -> None:
+    def __init__(
+        self, *, deviation: float, seed: int, size: int = 1, unit: str | None = None
+    ) -> None:
         self.deviation, self.seed, self.size = deviation, seed, size
         self.interface = Interface(outputs=(Signal("y", size, unit, "discrete"),))
         self._last = np.zeros(size)

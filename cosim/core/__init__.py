@@ -4,10 +4,10 @@ from cosim.core.clock import Clock
 from cosim.core.connections import Connection
 from cosim.core.contracts import Component, Model, Recorder, Recording, Stopped
 from cosim.core.graph import Graph
+from cosim.core.linear import Linear, LinearModel
 from cosim.core.master import run
 from cosim.core.recorders import Memory, Nothing, Watched
 from cosim.core.signals import Interface, Signal
-from cosim.core.solver import Linear, LinearModel
 
 __all__ = [
     "Clock",

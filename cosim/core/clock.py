@@ -37,7 +37,9 @@ def nanoseconds(seconds: float | str) -> int:
         nearest = (whole or (1 if exact > 0 else -1)) / NANOSECONDS
         raise ClockError(f"{seconds} s is not a whole number of nanoseconds; nearest: {nearest} s")
     if abs(whole) > LARGEST_NS:
-        raise ClockError(f"{seconds} s does not fit into 64-bit nanoseconds; at most {LARGEST_NS / NANOSECONDS:.3e} s")
+        raise ClockError(
+            f"{seconds} s does not fit into 64-bit nanoseconds; at most {LARGEST_NS / NANOSECONDS:.3e} s"
+        )
     return whole
 
 
@@ -58,7 +60,9 @@ def whole_steps(duration: float | str, step_ns: int, what: str) -> int:
     steps, rest = divmod(ns, step_ns)
     if rest:
         nearest = max(1, round(ns / step_ns)) * step_ns / NANOSECONDS
-        raise ClockError(f"{what}: {duration} s is not a whole number of {step_ns / NANOSECONDS} s steps; nearest: {nearest} s")
+        raise ClockError(
+            f"{what}: {duration} s is not a whole number of {step_ns / NANOSECONDS} s steps; nearest: {nearest} s"
+        )
     return steps
 
 

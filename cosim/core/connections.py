@@ -40,7 +40,9 @@ class Connection:
         try:
             gain = np.array(self.gain, np.float64)
         except ValueError as error:
-            raise GraphError(f"{self.source!r}: gain has rows of different lengths; needed a number or a matrix") from error
+            raise GraphError(
+                f"{self.source!r}: gain has rows of different lengths; needed a number or a matrix"
+            ) from error
         if gain.ndim not in (0, 2) or not np.isfinite(gain).all() or not np.isfinite(self.offset):
             raise GraphError(
                 f"{self.source!r}: found gain {self.gain} and offset {self.offset}; needed finite numbers or a matrix"
@@ -59,7 +61,9 @@ class Ports:
         """Find a port of one kind."""
         name, _, wanted = port.partition(".")
         if name not in self.channels:
-            raise GraphError(f"{port!r}: there is no component {name!r}; {nearest(name, self.channels)}")
+            raise GraphError(
+                f"{port!r}: there is no component {name!r}; {nearest(name, self.channels)}"
+            )
         channel = self.channels[name]
         signals = channel.interface.inputs if causality == "input" else channel.interface.outputs
         for signal in signals:
@@ -67,13 +71,19 @@ class Ports:
                 return channel, signal
         other = "input" if causality == "output" else "output"
         if wanted in (signal.name for signal in channel.signals):
-            raise GraphError(f"{port!r} is an {other} of {name!r}; needed an {causality}. There is: {_names(signals)}")
-        raise GraphError(f"{port!r}: {name!r} has no {causality} {wanted!r}; {nearest(wanted, [s.name for s in signals])}")
+            raise GraphError(
+                f"{port!r} is an {other} of {name!r}; needed an {causality}. There is: {_names(signals)}"
+            )
+        raise GraphError(
+            f"{port!r}: {name!r} has no {causality} {wanted!r}; {nearest(wanted, [s.name for s in signals])}"
+        )
 
     def has(self, port: str) -> bool:
         """Say whether an output has just this name."""
         name, _, wanted = port.partition(".")
-        return name in self.channels and any(s.name == wanted for s in self.channels[name].interface.outputs)
+        return name in self.channels and any(
+            s.name == wanted for s in self.channels[name].interface.outputs
+        )
 
     def source(self, port: str) -> tuple[Channel, Signal, slice]:
         """Find an output, or one element of it, and its columns in the row."""
@@ -86,11 +96,15 @@ class Ports:
             return channel, signal, columns
         index = int(element[2])
         if index >= signal.size:
-            raise GraphError(f"{port!r}: '{channel.name}.{signal.name}' has {signal.size} elements, numbered from 0")
+            raise GraphError(
+                f"{port!r}: '{channel.name}.{signal.name}' has {signal.size} elements, numbered from 0"
+            )
         return channel, signal, slice(columns.start + index, columns.start + index + 1)
 
 
-def check_connections(layout: Layout, connections: Mapping[str, Connection], missing: Collection[str] = ()) -> dict[str, str]:
+def check_connections(
+    layout: Layout, connections: Mapping[str, Connection], missing: Collection[str] = ()
+) -> dict[str, str]:
     """Find every problem of the connections, by the input it belongs to.
 
     ``missing`` names components that are meant to be there but could not be built: what touches them is not judged.
@@ -129,20 +143,28 @@ def _check_connection(ports: Ports, to: str, connection: Connection) -> Iterable
         if shape != (target.size, size):
             problems.append(f"{found}: gain has shape {shape}, needed ({target.size}, {size})")
     elif size != target.size:
-        problems.append(f"{found}: size {size}{_unit(source)} cannot drive size {target.size}{_unit(target)}")
+        problems.append(
+            f"{found}: size {size}{_unit(source)} cannot drive size {target.size}{_unit(target)}"
+        )
     reached = unit_reached(connection, source, target)
     if conversion(reached, target.measure) is None:
         way = f"convert with {{ from = {connection.source!r}, gain = ..., unit = {target.unit!r} }}"
         unknown = [repr(unit.name) for unit in (reached, target.measure) if unit.si is None]
         if unknown:
             way = f"unknown unit {' and '.join(unknown)}; {way}, and offset = ... where it has one, or define it in its FMU"
-        problems.append(f"{found}: unit {_shown(reached)} cannot drive unit {_shown(target.measure)}; {way}")
+        problems.append(
+            f"{found}: unit {_shown(reached)} cannot drive unit {_shown(target.measure)}; {way}"
+        )
     plain = not shape and connection.gain == 1.0 and connection.offset == 0.0
     if plain and not _same(source.measure, reached):
         way = "needs its gain; without it the unit is converted"
-        problems.append(f"{found}: the source has unit {source.unit!r}; unit = {connection.unit!r} {way}")
+        problems.append(
+            f"{found}: the source has unit {source.unit!r}; unit = {connection.unit!r} {way}"
+        )
     if source.optional and not target.optional:
-        problems.append(f"{found}: the source may carry no value (NaN), the input needs one at every step")
+        problems.append(
+            f"{found}: the source may carry no value (NaN), the input needs one at every step"
+        )
     return problems
 
 
@@ -150,7 +172,9 @@ def unit_reached(connection: Connection, source: Signal, target: Signal) -> Unit
     """Give the unit after gain and offset; a name that either port uses means what it means there."""
     if connection.unit is None:
         return source.measure
-    return next((s.measure for s in (source, target) if s.unit == connection.unit), Unit(connection.unit))
+    return next(
+        (s.measure for s in (source, target) if s.unit == connection.unit), Unit(connection.unit)
+    )
 
 
 def converted(ports: Ports, to: str, connection: Connection) -> Conversion:
@@ -170,7 +194,11 @@ def _shown(unit: Unit) -> str:
     """Name a unit, with what it is where a definition says so."""
     if unit.base is None:
         return repr(unit.name)
-    powers = ".".join(name if n == 1 else f"{name}{n}" for name, n in zip(BASE, unit.base.exponents, strict=True) if n)
+    powers = ".".join(
+        name if n == 1 else f"{name}{n}"
+        for name, n in zip(BASE, unit.base.exponents, strict=True)
+        if n
+    )
     return f"{unit.name!r} ({powers or '1'})"
 
 
@@ -182,7 +210,9 @@ def _unit(signal: Signal) -> str:
     return "" if signal.unit is None else f" [{signal.unit}]"
 
 
-def layout_of(components: Mapping[str, Component], periods: Mapping[str, int] | None = None) -> Layout:
+def layout_of(
+    components: Mapping[str, Component], periods: Mapping[str, int] | None = None
+) -> Layout:
     """Give every component its columns."""
     channels: list[Channel] = []
     for name, component in components.items():

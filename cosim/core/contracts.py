@@ -19,7 +19,7 @@ from cosim.core.signals import Channel, Interface, Layout
 from cosim.errors import RunError
 
 Design: TypeAlias = Mapping[str, NDArray[np.float64]]
-Level: TypeAlias = Literal["debug", "info", "warning", "error", "fatal"]  # of a message
+MessageLevel: TypeAlias = Literal["debug", "info", "warning", "error", "fatal"]  # of a message
 
 
 class Component(Protocol):
@@ -31,7 +31,7 @@ class Component(Protocol):
         ...
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
-        """Compute, once before the run, what rests on design-time linear algebra: gains, discretised matrices.
+        """Compute, once before the run, what rests on design-time linear algebra: gains, discretized matrices.
 
         BLAS and LAPACK give other bits on other processors, so the result is recorded, and a replay takes it from there.
 
@@ -120,7 +120,9 @@ class Stopped(RunError):
 
     def at(self, component: str, t: float) -> Stopped:
         """Name the component and the time [s] in the message."""
-        return Stopped(self.outputs, f"{component!r} stopped at t = {t} s: {self}", failed=self.failed)
+        return Stopped(
+            self.outputs, f"{component!r} stopped at t = {t} s: {self}", failed=self.failed
+        )
 
 
 class Model(Protocol):
@@ -199,7 +201,12 @@ class Recorder(Protocol):
 
     def __enter__(self) -> Self: ...
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None: ...
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None: ...
 
     def begin(self, plan: Plan) -> None:
         """Learn what will be written; called once, before the first write."""

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
 from cosim.core.contracts import Block, Component, Stopped
-from cosim.core.order import Kind
+from cosim.core.order import OperationKind
 from cosim.errors import RunError
 from cosim.units import Conversion
 
@@ -33,12 +33,16 @@ class Wire:
     conversion: Conversion
 
     @staticmethod
-    def of(to: slice, source: slice, gain: NDArray[np.float64], offset: float, conversion: Conversion) -> Wire:
+    def of(
+        to: slice, source: slice, gain: NDArray[np.float64], offset: float, conversion: Conversion
+    ) -> Wire:
         """Build a wire from a number or a matrix; no map where the gain is 1 and the offset 0."""
         if gain.ndim == 2:
             return Wire(to, source, gain, offset, conversion)
         plain = gain == 1.0 and offset == 0.0
-        return Wire(to, source, None if plain else gain * np.eye(to.stop - to.start), offset, conversion)
+        return Wire(
+            to, source, None if plain else gain * np.eye(to.stop - to.start), offset, conversion
+        )
 
     def copy(self, signals: Matrix, rows: slice) -> None:
         """Fill the input columns of some rows; sums run in a fixed order, without BLAS."""
@@ -69,7 +73,7 @@ class Member:
         for wire in self.wires:
             wire.copy(signals, rows)
 
-    def perform(self, kind: Kind, time: Vector, h: float, rows: Matrix) -> None:
+    def perform(self, kind: OperationKind, time: Vector, h: float, rows: Matrix) -> None:
         """Carry out one operation of a loop over one step, from row 0 to row 1."""
         if kind == "advance":
             rows[1:, self.outputs] = self.advance(time, h, rows)
@@ -81,7 +85,9 @@ class Member:
         y = self.component.advance(time, h, rows[:, self.inputs])
         needed = (len(time) - 1, self.outputs.stop - self.outputs.start)
         if np.shape(y) != needed:
-            raise RunError(f"advance gave an array of shape {np.shape(y)}, its interface needs {needed}")
+            raise RunError(
+                f"advance gave an array of shape {np.shape(y)}, its interface needs {needed}"
+            )
         return y
 
 
@@ -150,7 +156,7 @@ class Loop:
 
     coupling: str
     members: tuple[Member, ...]
-    operations: tuple[tuple[Kind, Member], ...]
+    operations: tuple[tuple[OperationKind, Member], ...]
     late: Mapping[str, frozenset[str]]
     warnings: tuple[tuple[str, str], ...]
 
@@ -162,7 +168,12 @@ class Loop:
     @property
     def description(self) -> str:
         """For the log."""
-        return " ".join([self.coupling, *(m.name if kind == "advance" else f"({m.name})" for kind, m in self.operations)])
+        return " ".join(
+            [
+                self.coupling,
+                *(m.name if kind == "advance" else f"({m.name})" for kind, m in self.operations),
+            ]
+        )
 
     def advance(self, block: Block, signals: Matrix) -> None:
         """Advance step by step."""

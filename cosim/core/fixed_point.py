@@ -18,7 +18,9 @@ Function: TypeAlias = Callable[[Vector], Vector]
 RELATIVE: Final = 1e-9  # largest residual of a solution, of the values
 ROUNDING: Final = 64 * float(np.finfo(np.float64).eps)  # and of the largest value that took part
 STEPS: Final = 50  # of Newton's method
-DIFFERENCE: Final = -20  # power of two, of the value: rounding leaves errors of some 2^-32 in a derivative
+DIFFERENCE: Final = (
+    -20
+)  # power of two, of the value: rounding leaves errors of some 2^-32 in a derivative
 SINGULAR: Final = 1e-8  # least pivot
 
 
@@ -38,13 +40,20 @@ class Found:
     @property
     def excess(self) -> float:
         """The worst residual in units of what is needed: 1 or less is a solution."""
-        return 0.0 if self.residual == 0.0 else self.residual / self.needed if self.needed else np.inf
+        return (
+            0.0 if self.residual == 0.0 else self.residual / self.needed if self.needed else np.inf
+        )
 
 
 def judge(v: Vector, w: Vector, largest: float) -> Found:
     """Hold the residual against the values; ``largest``: the largest value that took part in computing w."""
-    residual, needed = np.abs(w - v), RELATIVE * np.maximum(np.abs(v), np.abs(w)) + ROUNDING * largest
-    excess = np.where(residual == 0.0, 0.0, residual / np.maximum(needed, np.finfo(np.float64).tiny))
+    residual, needed = (
+        np.abs(w - v),
+        RELATIVE * np.maximum(np.abs(v), np.abs(w)) + ROUNDING * largest,
+    )
+    excess = np.where(
+        residual == 0.0, 0.0, residual / np.maximum(needed, np.finfo(np.float64).tiny)
+    )
     if not np.isfinite(excess).all():
         return Found(v, int(np.argmin(np.isfinite(excess))))
     i = int(np.argmax(excess))
@@ -75,7 +84,9 @@ def newton(function: Function, v: Vector, largest: Callable[[], float]) -> Found
     for _ in range(STEPS):
         w = function(v)
         found = judge(v, w, largest())
-        if not np.isfinite(found.excess) or (best.excess <= 1.0 and found.excess >= 0.5 * best.excess):
+        if not np.isfinite(found.excess) or (
+            best.excess <= 1.0 and found.excess >= 0.5 * best.excess
+        ):
             break  # at the level of rounding
         best = found if found.excess < best.excess else best
         if found.excess == 0.0:

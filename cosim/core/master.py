@@ -3,7 +3,7 @@
 ::
 
     plan   <- every component computes its design for the communication step
-    row 0  <- every component initialised with its inputs
+    row 0  <- every component initialized with its inputs
     for block in clock.blocks:
         for stage in graph.stages:
             stage.advance(block, signals)       # a cascade: one call; a loop: step by step
@@ -29,7 +29,9 @@ from cosim.errors import NonFiniteError, RunError
 BLOCK_BYTES = 16 * 2**20  # memory for the rows of one block
 
 
-def run(graph: Graph, clock: Clock, recorder: Recorder, *, designs: Mapping[str, Design] | None = None) -> None:
+def run(
+    graph: Graph, clock: Clock, recorder: Recorder, *, designs: Mapping[str, Design] | None = None
+) -> None:
     """Run a graph from 0 to ``clock.stop``.
 
     Parameters
@@ -50,7 +52,10 @@ def run(graph: Graph, clock: Clock, recorder: Recorder, *, designs: Mapping[str,
         told to the recorder.
     """
     try:
-        with recorder, np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # what is not finite is named below
+        with (
+            recorder,
+            np.errstate(over="ignore", invalid="ignore", divide="ignore"),
+        ):  # what is not finite is named below
             recorder.begin(graph.prepare(clock.step_ns, designs))
             limit = max(1, BLOCK_BYTES // (8 * graph.layout.width + 8))
             signals = np.zeros((min(limit, clock.steps) + 1, graph.layout.width))
@@ -91,4 +96,6 @@ def _need_finite_start(graph: Graph, signals: Matrix) -> None:
 
 
 def _non_finite(bad: NonFinite, t: float) -> NonFiniteError:
-    return NonFiniteError(f"{bad.label!r} became {bad.value} at t = {t} s; the log keeps everything before")
+    return NonFiniteError(
+        f"{bad.label!r} became {bad.value} at t = {t} s; the log keeps everything before"
+    )

@@ -6,7 +6,7 @@ Which inputs are late (:mod:`cosim.core.coupling`) is fixed before the run:
 * Jacobi: all inputs from inside the loop are late.
 
 A circle of outputs that are known to feed through to each other is refused. Feedthrough that is unknown counts as there, except
-where it would close a circle: there it is taken as not there (:class:`Doubt`). If it is there after all, its output has been
+where it would close a circle: there it is taken as not there (:class:`UnknownFeedthrough`). If it is there after all, its output has been
 computed with the late input's value from the start of the step.
 """
 
@@ -24,12 +24,12 @@ from cosim.errors import AlgebraicLoopError
 Port: TypeAlias = tuple[str, str]  # component, signal
 Behind: TypeAlias = Mapping[Port, Collection[Port]]  # the ports that each port depends on directly
 Feeds: TypeAlias = dict[str, tuple[str, ...]]  # the inputs that feed through to each output
-Kind: TypeAlias = Literal["advance", "refresh"]
-Operation: TypeAlias = tuple[Kind, str]
+OperationKind: TypeAlias = Literal["advance", "refresh"]
+Operation: TypeAlias = tuple[OperationKind, str]
 
 
 @dataclass(frozen=True, slots=True)
-class Doubt:
+class UnknownFeedthrough:
     """Feedthrough of a component that is unknown, and was taken as not there because it would close a circle."""
 
     component: str
@@ -37,7 +37,10 @@ class Doubt:
     inputs: tuple[str, ...]
 
     def __str__(self) -> str:
-        outputs, inputs = (_some([f"{self.component}.{name}" for name in names]) for names in (self.outputs, self.inputs))
+        outputs, inputs = (
+            _some([f"{self.component}.{name}" for name in names])
+            for names in (self.outputs, self.inputs)
+        )
         return (
             f"{outputs} may depend directly on {inputs} (the FMU does not say): taken as not feeding through; if it does, the "
             "loop is solved with the value of the step before"
@@ -53,15 +56,17 @@ class LoopOrder:
     operations : tuple of Operation
     late : mapping of component name to frozenset of str
         Inputs that are known only after the component has advanced.
-    doubts : tuple of Doubt
+    doubts : tuple of UnknownFeedthrough
     """
 
     operations: tuple[Operation, ...]
     late: Mapping[str, frozenset[str]]
-    doubts: tuple[Doubt, ...]
+    doubts: tuple[UnknownFeedthrough, ...]
 
 
-def order_loop(interfaces: Mapping[str, Interface], sources: Mapping[str, Mapping[str, Port]], *, jacobi: bool) -> LoopOrder:
+def order_loop(
+    interfaces: Mapping[str, Interface], sources: Mapping[str, Mapping[str, Port]], *, jacobi: bool
+) -> LoopOrder:
     """Fix the order of operations in a loop, and which inputs are late.
 
     Parameters
@@ -84,14 +89,20 @@ def order_loop(interfaces: Mapping[str, Interface], sources: Mapping[str, Mappin
         for name in interfaces:
             order.advance(name, late=order.inside(name))
         for name in interfaces:  # outputs that no late input reaches are right already
-            order.known.update((name, o) for o, inputs in feeds[name].items() if not order.late[name].intersection(inputs))
+            order.known.update(
+                (name, o)
+                for o, inputs in feeds[name].items()
+                if not order.late[name].intersection(inputs)
+            )
         order.refresh()
     else:
         waiting = list(interfaces)
         while waiting:
             name = min(waiting, key=order.unknown_feedthrough)
             waiting.remove(name)
-            order.advance(name, late=frozenset(i for i in order.inside(name) if not order.is_known(name, i)))
+            order.advance(
+                name, late=frozenset(i for i in order.inside(name) if not order.is_known(name, i))
+            )
             order.settle(name)
             order.refresh()
     return LoopOrder(tuple(order.operations), order.late, doubts)
@@ -100,7 +111,9 @@ def order_loop(interfaces: Mapping[str, Interface], sources: Mapping[str, Mappin
 class _Order:
     """The order of operations of a loop while it is found; ``known``: the outputs at the end of the step that are final."""
 
-    def __init__(self, feeds: Mapping[str, Feeds], sources: Mapping[str, Mapping[str, Port]]) -> None:
+    def __init__(
+        self, feeds: Mapping[str, Feeds], sources: Mapping[str, Mapping[str, Port]]
+    ) -> None:
         self.feeds, self.sources = feeds, sources
         self.known: set[Port] = set()
         self.operations: list[Operation] = []
@@ -123,7 +136,11 @@ class _Order:
 
     def settle(self, name: str) -> bool:
         """Take the outputs as known whose feedthrough inputs are; say whether any is new."""
-        ports = {(name, o) for o, inputs in self.feeds[name].items() if all(self.is_known(name, i) for i in inputs)}
+        ports = {
+            (name, o)
+            for o, inputs in self.feeds[name].items()
+            if all(self.is_known(name, i) for i in inputs)
+        }
         news = not ports <= self.known
         self.known |= ports
         return news
@@ -141,39 +158,71 @@ class _Order:
 
 def _feedthrough(
     interfaces: Mapping[str, Interface], sources: Mapping[str, Mapping[str, Port]]
-) -> tuple[dict[str, Feeds], tuple[Doubt, ...]]:
+) -> tuple[dict[str, Feeds], tuple[UnknownFeedthrough, ...]]:
     """Say what feeds through to each output of each component; where that is unknown, all that closes no circle."""
     known = {
-        n: {o.name: face.feeds(o.name) if face.knows(o.name) else () for o in face.outputs} for n, face in interfaces.items()
+        n: {o.name: face.feeds(o.name) if face.knows(o.name) else () for o in face.outputs}
+        for n, face in interfaces.items()
     }
-    circle = find_circle(_behind(known, sources))
+    circle = find_cycle(_behind(known, sources))
     if circle:
         raise AlgebraicLoopError(
             f"{' -> '.join('.'.join(port) for port in circle)}: every output here feeds through; put a component with a state of "
             "its own between, such as a lag or a delay"
         )
-    feeds = {name: {o.name: face.feeds(o.name) for o in face.outputs} for name, face in interfaces.items()}
+    feeds = {
+        name: {o.name: face.feeds(o.name) for o in face.outputs}
+        for name, face in interfaces.items()
+    }
     doubts = []
-    while circle := find_circle(behind := _behind(feeds, sources)):
-        name = next(a[0] for a, b in pairwise(circle) if a in behind[b] and a[0] == b[0] and not interfaces[a[0]].knows(b[1]))
-        circle_of, outputs = circles(behind), [o for o in feeds[name] if not interfaces[name].knows(o)]
-        closing = [(o, i) for o in outputs for i in feeds[name][o] if circle_of[name, i] == circle_of[name, o]]
+    while circle := find_cycle(behind := _behind(feeds, sources)):
+        name = next(
+            a[0]
+            for a, b in pairwise(circle)
+            if a in behind[b] and a[0] == b[0] and not interfaces[a[0]].knows(b[1])
+        )
+        cycle_of, outputs = (
+            cycles(behind),
+            [o for o in feeds[name] if not interfaces[name].knows(o)],
+        )
+        closing = [
+            (o, i)
+            for o in outputs
+            for i in feeds[name][o]
+            if cycle_of[name, i] == cycle_of[name, o]
+        ]
         for output in outputs:
-            feeds[name][output] = tuple(i for i in feeds[name][output] if (output, i) not in closing)
-        doubts.append(Doubt(name, tuple(dict.fromkeys(o for o, _ in closing)), tuple(dict.fromkeys(i for _, i in closing))))
+            feeds[name][output] = tuple(
+                i for i in feeds[name][output] if (output, i) not in closing
+            )
+        doubts.append(
+            UnknownFeedthrough(
+                name,
+                tuple(dict.fromkeys(o for o, _ in closing)),
+                tuple(dict.fromkeys(i for _, i in closing)),
+            )
+        )
     return feeds, tuple(doubts)
 
 
-def _behind(feeds: Mapping[str, Feeds], sources: Mapping[str, Mapping[str, Port]]) -> dict[Port, list[Port]]:
+def _behind(
+    feeds: Mapping[str, Feeds], sources: Mapping[str, Mapping[str, Port]]
+) -> dict[Port, list[Port]]:
     """Give the ports of a loop that each of them follows at once: along connections, and through components."""
     behind: dict[Port, list[Port]] = {}
     for name, outputs in feeds.items():
-        behind |= {(name, signal): [source] if source[0] in feeds else [] for signal, source in sources[name].items()}
-        behind |= {(name, output): [(name, signal) for signal in inputs] for output, inputs in outputs.items()}
+        behind |= {
+            (name, signal): [source] if source[0] in feeds else []
+            for signal, source in sources[name].items()
+        }
+        behind |= {
+            (name, output): [(name, signal) for signal in inputs]
+            for output, inputs in outputs.items()
+        }
     return behind
 
 
-def find_circle(behind: Behind) -> list[Port]:
+def find_cycle(behind: Behind) -> list[Port]:
     """Find a circle among ports, each with those it depends on; give it closed, in the direction of the signals, or nothing."""
     try:
         TopologicalSorter(behind).prepare()
@@ -182,7 +231,7 @@ def find_circle(behind: Behind) -> list[Port]:
     return []
 
 
-def circles(behind: Behind) -> dict[Port, Port]:
+def cycles(behind: Behind) -> dict[Port, Port]:
     """Give for every port one that stands for all those it depends on and that depend on it (Tarjan, 1972)."""
     number: dict[Port, int] = {}
     least: dict[Port, int] = {}

@@ -20,7 +20,9 @@ from cosim.core.signals import Channel
 from cosim.errors import Interrupted, LogError, nearest
 
 
-def find_signal(channels: Mapping[str, Channel], signal: str, *, source: str) -> tuple[Channel, slice]:
+def find_signal(
+    channels: Mapping[str, Channel], signal: str, *, source: str
+) -> tuple[Channel, slice]:
     """Find a recorded ``component.signal``: its channel and its columns in the row.
 
     Parameters
@@ -59,24 +61,24 @@ def find_channel(channels: Mapping[str, Channel], component: str, *, source: str
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class EndOfRun:
     """How a run ended, and why; a reason without an error is that of a component that asked for the end."""
 
     status: Literal["complete", "failed", "interrupted"] = "complete"
     reason: str = ""
 
 
-def outcome(error: BaseException | None) -> Outcome:
+def end_of_run(error: BaseException | None) -> EndOfRun:
     """Name how a run ended by what it ended with."""
     match error:
         case None:
-            return Outcome()
+            return EndOfRun()
         case Stopped(failed=False):
-            return Outcome("complete", str(error))
+            return EndOfRun("complete", str(error))
         case KeyboardInterrupt() | Interrupted():
-            return Outcome("interrupted", str(error) or "interrupted by the user")
+            return EndOfRun("interrupted", str(error) or "interrupted by the user")
         case _:
-            return Outcome("failed", str(error) or type(error).__name__)
+            return EndOfRun("failed", str(error) or type(error).__name__)
 
 
 class Memory:
@@ -87,13 +89,18 @@ class Memory:
         self._rows: list[Matrix] = []
         self._times: list[Nanoseconds] = []
         self._steps: list[NDArray[np.int64]] = []
-        self._outcome = Outcome()
+        self._outcome = EndOfRun()
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self._outcome = outcome(error)
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._outcome = end_of_run(error)
 
     def begin(self, plan: Plan) -> None:
         """Learn the layout."""
@@ -166,7 +173,12 @@ class Nothing:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None: ...
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None: ...
 
     def begin(self, plan: Plan) -> None:
         """Do nothing."""
@@ -192,7 +204,12 @@ class Watched:
         self._recorder.__enter__()
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         self._recorder.__exit__(kind, error, trace)
 
     def begin(self, plan: Plan) -> None:

@@ -10,7 +10,7 @@ from cosim.errors import GraphError
 from cosim.units import BaseUnit, Unit
 
 Variability = Literal["continuous", "discrete", "inherited"]
-Kind = Literal["real", "integer", "boolean"]
+SignalType = Literal["real", "integer", "boolean"]
 Role = Literal["input", "output", "state", "estimate"]
 
 
@@ -46,7 +46,7 @@ class Signal:
     unit: str | None = None
     variability: Variability = "continuous"
     optional: bool = False
-    kind: Kind = "real"
+    kind: SignalType = "real"
     role: Role = "output"
     base: BaseUnit | None = None
     start: tuple[float, ...] = ()
@@ -55,7 +55,9 @@ class Signal:
         if self.size < 1:
             raise GraphError(f"signal {self.name!r}: size {self.size}, needed at least 1")
         if self.start and len(self.start) != self.size:
-            raise GraphError(f"signal {self.name!r}: {len(self.start)} start values, needed {self.size} or none")
+            raise GraphError(
+                f"signal {self.name!r}: {len(self.start)} start values, needed {self.size} or none"
+            )
 
     @property
     def measure(self) -> Unit:
@@ -97,7 +99,9 @@ class Interface:
         names = [signal.name for signal in (*self.inputs, *self.outputs)]
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
-            raise GraphError(f"signal {twice[0]!r} is declared twice in one interface; every signal needs its own name")
+            raise GraphError(
+                f"signal {twice[0]!r} is declared twice in one interface; every signal needs its own name"
+            )
 
     @property
     def n_u(self) -> int:

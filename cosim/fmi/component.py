@@ -14,20 +14,20 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self, TypeAlias, final
 
-from cosim.core.solver import TOLERANT
 from cosim.errors import FmuError, RunError
-from cosim.fmi.binary.loaded import LoadedUnit
+from cosim.fmi.binary.loaded import LoadedInstance
 from cosim.fmi.binary.messages import Message
 from cosim.fmi.checking.binaries import built_for
 from cosim.fmi.checking.child import can_roll_back
-from cosim.fmi.description import MODE_NAMES, MODES, Description, Mode
+from cosim.fmi.description import INTERFACE_TYPE_NAMES, INTERFACE_TYPES, Description, InterfaceType
 from cosim.fmi.driving.co_simulation import CoSimulation
+from cosim.fmi.driving.initialization import Starts, check_start, resized
 from cosim.fmi.driving.model_exchange import RTOL, ModelExchange
 from cosim.fmi.driving.residual import DaeForm
-from cosim.fmi.driving.start import Starts, check_start, resized
+from cosim.fmi.driving.solvers import TOLERANT
+from cosim.fmi.instance import ModelExchangeInstance
 from cosim.fmi.platforms import ARCHITECTURE, SUFFIX, folders
 from cosim.fmi.reading.model_description import Archive, read
-from cosim.fmi.unit import ModelExchangeUnit
 
 __all__ = ["CoSimulation", "Fmu", "ModelExchange", "load"]
 
@@ -43,7 +43,7 @@ class Fmu:
     ----------
     archive : Archive
     mode : Mode
-    unit : LoadedUnit
+    unit : LoadedInstance
     component : FmuComponent
     folder : Path
         Where it was unpacked.
@@ -56,24 +56,29 @@ class Fmu:
     def __init__(
         self,
         archive: Archive,
-        mode: Mode,
+        interface_type: InterfaceType,
         *,
-        unit: LoadedUnit,
+        instance: LoadedInstance,
         component: FmuComponent,
         folder: Path,
         solving: Mapping[str, str | float],
         notes: tuple[str, ...] = (),
     ) -> None:
-        self.component, self.mode, self._solving, self._notes = component, mode, solving, notes
-        self._archive, self._unit, self._folder = archive, unit, folder
+        self.component, self.interface_type, self._solving, self._notes = (
+            component,
+            interface_type,
+            solving,
+            notes,
+        )
+        self._archive, self._instance, self._folder = archive, instance, folder
 
     @property
     def description(self) -> Description:
         """Variables, structure, capabilities; arrays as large as the structural parameters say."""
-        return self._unit.description
+        return self._instance.description
 
     @property
-    def unit(self) -> ModelExchangeUnit:
+    def instance(self) -> ModelExchangeInstance:
         """The instance itself, for what is asked of model exchange outside a run.
 
         Raises
@@ -81,9 +86,11 @@ class Fmu:
         FmuError
             If it was opened for co-simulation.
         """
-        if self.mode != "me":
-            raise FmuError(f'{self._archive.path}: opened for co-simulation; its unit is there with mode = "me"')
-        return self._unit
+        if self.interface_type != "me":
+            raise FmuError(
+                f'{self._archive.path}: opened for co-simulation; its instance is there with interface_type = "me"'
+            )
+        return self._instance
 
     @property
     def metadata(self) -> dict[str, Any]:
@@ -93,7 +100,7 @@ class Fmu:
             "path": str(found.path),
             "sha256": found.sha256,
             "fmi_version": found.description.version,
-            "mode": self.mode,
+            "interface_type": self.interface_type,
             **self._solving,
             "model_description": found.xml,
         }
@@ -108,20 +115,25 @@ class Fmu:
 
         The level is "info", "warning", "error" or "fatal", from the FMI status, and "debug" of an event.
         """
-        return self._unit.messages.drain() + self.component.drain()
+        return self._instance.messages.drain() + self.component.drain()
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         self.close()
 
     def close(self) -> None:
         """End the run, free the instance, remove the temporary folder. Twice does no harm."""
         try:
             with suppress(RunError):  # an instance that cannot end is let go of all the same
-                self._unit.terminate()
-            self._unit.free_instance()
+                self._instance.terminate()
+            self._instance.free_instance()
         finally:
             shutil.rmtree(self._folder, ignore_errors=True)
 
@@ -129,7 +141,7 @@ class Fmu:
 def load(
     path: Path | str,
     *,
-    mode: Mode | None = None,
+    interface_type: InterfaceType | None = None,
     solver: str | None = None,
     rtol: float | None = None,
     dae: DaeForm = "ode",
@@ -160,82 +172,126 @@ def load(
         If it is no FMU, cannot run here or in this mode, or a start value is wrong. Nothing is left behind.
     """
     folder = Path(tempfile.mkdtemp(prefix="cosim-fmu-"))
-    unit: LoadedUnit | None = None
+    instance: LoadedInstance | None = None
     try:
         archive = read(path, into=folder)
-        mode, starts = _mode(archive, mode), dict(start or {})
-        if mode == "cs" and solver is not None:
-            raise FmuError(f'{path}: solver {solver!r}: a co-simulation FMU brings its own; leave it out or use mode = "me"')
-        if mode == "cs" and rtol is not None:
+        interface_type, starts = _mode(archive, interface_type), dict(start or {})
+        if interface_type == "cs" and solver is not None:
             raise FmuError(
-                f'{path}: relative tolerance {rtol}: a co-simulation FMU brings its own solver; leave it out or use mode = "me"'
+                f'{path}: solver {solver!r}: a co-simulation FMU brings its own; leave it out or use interface_type = "me"'
             )
-        if mode == "cs" and dae == "residual":
-            raise FmuError(f'{path}: dae = "residual": a co-simulation FMU solves for itself; use mode = "me", or dae = "ode"')
-        library = folder / _library(archive, mode)
+        if interface_type == "cs" and rtol is not None:
+            raise FmuError(
+                f'{path}: relative tolerance {rtol}: a co-simulation FMU brings its own solver; leave it out or use interface_type = "me"'
+            )
+        if interface_type == "cs" and dae == "residual":
+            raise FmuError(
+                f'{path}: dae = "residual": a co-simulation FMU solves for itself; use interface_type = "me", or dae = "ode"'
+            )
+        library = folder / _library(archive, interface_type)
         _check_architecture(archive, library)
         description = resized(archive.description, starts)
         check_start(description, starts)
-        description, notes = _limited(archive, description, mode)
+        description, notes = _limited(archive, description, interface_type)
         name = instance_name or description.name
-        unit = LoadedUnit(folder, library, description, mode=mode, name=name, label=str(archive.path))
+        instance = LoadedInstance(
+            folder,
+            library,
+            description,
+            interface_type=interface_type,
+            name=name,
+            label=str(archive.path),
+        )
         component: FmuComponent
-        if mode == "me":
-            component = ModelExchange(unit, solver, starts=starts, rtol=rtol, dae=dae)
+        if interface_type == "me":
+            component = ModelExchange(instance, solver, starts=starts, rtol=rtol, dae=dae)
             solver = component.solver
         else:
-            component = CoSimulation(unit, starts=starts)
+            component = CoSimulation(instance, starts=starts)
         rtol = RTOL if rtol is None and solver in TOLERANT else rtol
     except BaseException:
-        if unit is not None:
-            unit.free_instance()
+        if instance is not None:
+            instance.free_instance()
         shutil.rmtree(folder, ignore_errors=True)
         raise
-    solving = {key: value for key, value in (("solver", solver), ("tolerance", rtol)) if value is not None}
-    return Fmu(archive, mode, unit=unit, component=component, folder=folder, solving=solving, notes=notes)
+    solving = {
+        key: value for key, value in (("solver", solver), ("tolerance", rtol)) if value is not None
+    }
+    return Fmu(
+        archive,
+        interface_type,
+        instance=instance,
+        component=component,
+        folder=folder,
+        solving=solving,
+        notes=notes,
+    )
 
 
-def _limited(archive: Archive, description: Description, mode: Mode) -> tuple[Description, tuple[str, ...]]:
+def _limited(
+    archive: Archive, description: Description, interface_type: InterfaceType
+) -> tuple[Description, tuple[str, ...]]:
     """Take from a description what is not supported or cannot be relied on; give what is to be known about that.
 
     A clock that an FMU only shows needs nothing from us. One that it must be given would never tick in model exchange; in
     co-simulation the FMU drives it itself, once it was told that event mode is not used.
     """
-    can, notes = description.capabilities[mode], []
+    can, notes = description.capabilities[interface_type], []
     if description.clocks:
         can = replace(can, event_mode=False)
         named = f"clocks are not supported: {', '.join(description.clocks)}"
         given = [name for name in description.clocks if description[name].causality == "input"]
-        if mode == "me" and given:
-            other = '; use mode = "cs"' if "cs" in description.capabilities else ""
-            raise FmuError(f"{archive.path}: {named}; in model exchange {', '.join(given)} would have to be ticked{other}")
-        notes.append(f"{description.name}: {named}{'; the FMU drives them itself, without event mode' * (mode == 'cs')}")
-    problems = can_roll_back(archive, mode) if can.saves_state and description.tool != OUR_TOOL else ()
+        if interface_type == "me" and given:
+            other = '; use interface_type = "cs"' if "cs" in description.capabilities else ""
+            raise FmuError(
+                f"{archive.path}: {named}; in model exchange {', '.join(given)} would have to be ticked{other}"
+            )
+        notes.append(
+            f"{description.name}: {named}{'; the FMU drives them itself, without event mode' * (interface_type == 'cs')}"
+        )
+    problems = (
+        can_roll_back(archive, interface_type)
+        if can.saves_state and description.tool != OUR_TOOL
+        else ()
+    )
     if problems:
         can = replace(can, saves_state=False)
-        notes.append(f"{description.name}: its state is not saved, although it says that it can be: {'; '.join(problems)}")
-    return replace(description, capabilities={**description.capabilities, mode: can}), tuple(notes)
+        notes.append(
+            f"{description.name}: its state is not saved, although it says that it can be: {'; '.join(problems)}"
+        )
+    return replace(
+        description, capabilities={**description.capabilities, interface_type: can}
+    ), tuple(notes)
 
 
-def _mode(archive: Archive, wanted: Mode | None) -> Mode:
-    there = [mode for mode in MODES if mode in archive.description.capabilities]
+def _mode(archive: Archive, wanted: InterfaceType | None) -> InterfaceType:
+    there = [
+        interface_type
+        for interface_type in INTERFACE_TYPES
+        if interface_type in archive.description.capabilities
+    ]
     if not there:
-        raise FmuError(f"{archive.path}: neither model exchange nor co-simulation; needed one of them")
+        raise FmuError(
+            f"{archive.path}: neither model exchange nor co-simulation; needed one of them"
+        )
     if wanted is None:
         return there[0]
-    if wanted not in MODES:
+    if wanted not in INTERFACE_TYPES:
         raise FmuError(f'{archive.path}: mode {wanted!r}; needed "me" or "cs"')
     if wanted not in there:
         raise FmuError(
-            f'{archive.path}: not for {MODE_NAMES[wanted]} (mode = "{wanted}"); it is for {MODE_NAMES[there[0]]}: '
-            f'mode = "{there[0]}"'
+            f'{archive.path}: not for {INTERFACE_TYPE_NAMES[wanted]} (interface_type = "{wanted}"); it is for {INTERFACE_TYPE_NAMES[there[0]]}: '
+            f'interface_type = "{there[0]}"'
         )
     return wanted
 
 
-def _library(archive: Archive, mode: Mode) -> str:
+def _library(archive: Archive, interface_type: InterfaceType) -> str:
     """Give the member of the archive that is the binary for this machine."""
-    description, identifier = archive.description, archive.description.capabilities[mode].identifier
+    description, identifier = (
+        archive.description,
+        archive.description.capabilities[interface_type].identifier,
+    )
     wanted = folders(description.version)
     for folder in wanted:
         member = f"binaries/{folder}/{identifier}{SUFFIX}"

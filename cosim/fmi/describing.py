@@ -7,8 +7,8 @@ from typing import Protocol
 
 import numpy as np
 
+from cosim.core.linear import LinearModel
 from cosim.core.signals import Interface, Signal
-from cosim.core.solver import LinearModel
 from cosim.errors import FmuError
 from cosim.fmi.description import NO_VALUE, Description, Initial, Variable
 
@@ -45,10 +45,22 @@ def describe(model: Shape, name: str, linear: LinearModel | None) -> Description
     shown = {outputs[i] for i in range(p) if state_of[i] >= 0}
 
     def state(index: int) -> tuple[Initial, tuple[float, ...] | None]:
-        return ("exact", (float(linear.X0[index]),)) if linear and exact[index] else ("calculated", None)
+        return (
+            ("exact", (float(linear.X0[index]),))
+            if linear and exact[index]
+            else ("calculated", None)
+        )
 
     variables = [
-        Variable(element, number, "input", unit=signal.unit, variability=_variability(signal), start=(0.0,), doc=_doc(signal))
+        Variable(
+            element,
+            number,
+            "input",
+            unit=signal.unit,
+            variability=_variability(signal),
+            start=(0.0,),
+            doc=_doc(signal),
+        )
         for number, (signal, element) in enumerate((s, e) for s in face.inputs for e in s.elements)
     ]
     for i, (signal, element) in enumerate((s, e) for s in face.outputs for e in s.elements):
@@ -69,7 +81,11 @@ def describe(model: Shape, name: str, linear: LinearModel | None) -> Description
     for j, x in enumerate(model.states):
         unit = units.get(x) if x in shown else None
         rate = None if unit is None else f"{unit}/s"
-        variables.append(Variable(f"der({x})", m + p + j, "local", unit=rate, initial="calculated", derivative_of=x))
+        variables.append(
+            Variable(
+                f"der({x})", m + p + j, "local", unit=rate, initial="calculated", derivative_of=x
+            )
+        )
     for j, x in enumerate(model.states):
         if x not in shown:
             initial, start = state(j)
@@ -77,8 +93,18 @@ def describe(model: Shape, name: str, linear: LinearModel | None) -> Description
     names = [v.name for v in variables]
     twice = next((v for v in names if names.count(v) > 1), None)
     if twice:
-        raise FmuError(f"{name}: {twice!r} is a state and another variable; give the state a name of its own")
-    return Description(name, "", "2.0", tuple(variables), model.states, _dependencies(model, linear), event_indicators=0)
+        raise FmuError(
+            f"{name}: {twice!r} is a state and another variable; give the state a name of its own"
+        )
+    return Description(
+        name,
+        "",
+        "2.0",
+        tuple(variables),
+        model.states,
+        _dependencies(model, linear),
+        event_indicators=0,
+    )
 
 
 def _doc(signal: Signal) -> str:
@@ -108,15 +134,23 @@ def _dependencies(model: Shape, linear: LinearModel | None) -> dict[str, tuple[s
         return {
             **{
                 element: tuple(
-                    e for s in model.interface.inputs if s.name in model.interface.feeds(signal.name) for e in s.elements
+                    e
+                    for s in model.interface.inputs
+                    if s.name in model.interface.feeds(signal.name)
+                    for e in s.elements
                 )
                 for signal in model.interface.outputs
                 for element in signal.elements
             },
             **dict.fromkeys(derivatives),
         }
-    rows = zip([*outputs, *derivatives], [*linear.C, *linear.A], [*linear.D, *linear.B], strict=True)
-    return {name: (*element_dependencies(inputs, of_u), *element_dependencies(model.states, of_x)) for name, of_x, of_u in rows}
+    rows = zip(
+        [*outputs, *derivatives], [*linear.C, *linear.A], [*linear.D, *linear.B], strict=True
+    )
+    return {
+        name: (*element_dependencies(inputs, of_u), *element_dependencies(model.states, of_x))
+        for name, of_x, of_u in rows
+    }
 
 
 def element_dependencies(names: Sequence[str], row: Iterable[float]) -> tuple[str, ...]:

@@ -14,15 +14,15 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from cosim.arrays import Mask
-from cosim.core.signals import Interface, Kind, Signal
+from cosim.core.signals import Interface, Signal, SignalType
 from cosim.errors import FmuError, nearest
 from cosim.fmi.references import References, VariableType
 from cosim.units import BaseUnit
 
-Mode: TypeAlias = Literal["me", "cs"]  # model exchange, co-simulation
+InterfaceType: TypeAlias = Literal["me", "cs"]  # model exchange, co-simulation
 Initial: TypeAlias = Literal["exact", "approx", "calculated"]
-MODES: tuple[Mode, ...] = ("me", "cs")
-MODE_NAMES: Mapping[Mode, str] = {"me": "model exchange", "cs": "co-simulation"}
+INTERFACE_TYPES: tuple[InterfaceType, ...] = ("me", "cs")
+INTERFACE_TYPE_NAMES: Mapping[InterfaceType, str] = {"me": "model exchange", "cs": "co-simulation"}
 NO_VALUE = "NaN: no value yet"  # begins the description of a variable that may have none; FMI has no other word for it
 LARGEST_EXACT = 2**53  # integers beyond it are not all float64
 
@@ -89,7 +89,9 @@ class Variable:
     @property
     def settable(self) -> bool:
         """Whether a start value may be given (FMI 2.0.4 section 2.2.7: initial exact or approx, or an input)."""
-        return self.variability != "constant" and (self.causality == "input" or self.initial in ("exact", "approx"))
+        return self.variability != "constant" and (
+            self.causality == "input" or self.initial in ("exact", "approx")
+        )
 
     @property
     def is_signal(self) -> bool:
@@ -97,7 +99,7 @@ class Variable:
         return self.type not in ("String", "Binary", "Clock")
 
     @property
-    def kind(self) -> Kind:
+    def kind(self) -> SignalType:
         """What its signal carries."""
         if self.type in ("Float32", "Float64"):
             return "real"
@@ -113,7 +115,9 @@ class Capabilities:
     adjoint_derivatives: bool = False  # FMI 3
     saves_state: bool = False
     serializes_state: bool = False
-    interpolates_inputs: bool = False  # co-simulation: input derivatives (FMI 1 and 2), Intermediate Update (FMI 3)
+    interpolates_inputs: bool = (
+        False  # co-simulation: input derivatives (FMI 1 and 2), Intermediate Update (FMI 3)
+    )
     variable_step: bool = False  # co-simulation
     fixed_step: float | None = None  # co-simulation, FMI 3 [s]
     event_mode: bool = False  # co-simulation, FMI 3
@@ -214,7 +218,7 @@ class Description:
     dependencies: Mapping[str, tuple[str, ...] | None] = field(default_factory=dict)
     initial_dependencies: Mapping[str, tuple[str, ...] | None] = field(default_factory=dict)
     unnamed_states: int = 0
-    capabilities: Mapping[Mode, Capabilities] = field(default_factory=dict)
+    capabilities: Mapping[InterfaceType, Capabilities] = field(default_factory=dict)
     event_indicators: int = 0
     indicators: tuple[str, ...] = ()
     clocks: tuple[str, ...] = ()
@@ -252,12 +256,18 @@ class Description:
         What is ``read`` beside the outputs stands behind them. Second names (``alias_of``) are left out.
         """
         beside = [self[name] for name in self.read] if causality == "output" else []
-        carried = [v for v in self.variables if v.causality == causality and v.is_signal and v.alias_of is None] + beside
+        carried = [
+            v
+            for v in self.variables
+            if v.causality == causality and v.is_signal and v.alias_of is None
+        ] + beside
         return tuple((self._signal(name, group), group) for name, group in _vectors(carried))
 
     def references(self, causality: str) -> References:
         """Give the references of all inputs or outputs, in the order of the interface."""
-        return References.of([(v.type, v.reference, v.size) for _, group in self.ports(causality) for v in group])
+        return References.of(
+            [(v.type, v.reference, v.size) for _, group in self.ports(causality) for v in group]
+        )
 
     def reference(self, names: Iterable[str]) -> References:
         """Give the references of variables by name."""
@@ -267,7 +277,13 @@ class Description:
     def discrete_inputs(self) -> Mask:
         """Which elements of the input vector hold their value between events, shape (n_u,)."""
         return np.array(
-            [v.variability != "continuous" for _, group in self.ports("input") for v in group for _ in range(v.size)], np.bool_
+            [
+                v.variability != "continuous"
+                for _, group in self.ports("input")
+                for v in group
+                for _ in range(v.size)
+            ],
+            np.bool_,
         )
 
     @property
@@ -279,7 +295,13 @@ class Description:
     def interpolated_inputs(self) -> Mask:
         """Which elements of the input vector can follow a straight line inside a step, if the unit interpolates, shape (n_u,)."""
         variables = [v for _, group in self.ports("input") for v in group for _ in range(v.size)]
-        return np.array([v.variability == "continuous" and v.type == "Float64" and v.inside_steps for v in variables], np.bool_)
+        return np.array(
+            [
+                v.variability == "continuous" and v.type == "Float64" and v.inside_steps
+                for v in variables
+            ],
+            np.bool_,
+        )
 
     @property
     def n_states(self) -> int:
@@ -292,7 +314,11 @@ class Description:
         inputs, outputs = self.ports("input"), self.ports("output")
         port_of = {v.name: signal.name for signal, group in inputs for v in group}
         states = set(self.states)
-        direct = {v.name: () if v.name in states else self.dependencies.get(v.name) for _, group in outputs for v in group}
+        direct = {
+            v.name: () if v.name in states else self.dependencies.get(v.name)
+            for _, group in outputs
+            for v in group
+        }
         at_start = direct | dict(self.initial_dependencies)
         feedthrough = {signal.name: _feeds(group, direct, port_of) for signal, group in outputs}
         initial = {
@@ -300,7 +326,9 @@ class Description:
             for signal, group in outputs
             if any(v.name in self.initial_dependencies for v in group)
         }
-        return Interface(tuple(s for s, _ in inputs), tuple(s for s, _ in outputs), feedthrough, initial)
+        return Interface(
+            tuple(s for s, _ in inputs), tuple(s for s, _ in outputs), feedthrough, initial
+        )
 
     def resized(self, structural: Mapping[str, int]) -> Description:
         """Give the description with other values of structural parameters (FMI 3.0 section 2.4.7.5.1).
@@ -315,13 +343,21 @@ class Description:
         for name, value in structural.items():
             variable = self[name]
             if variable.causality != "structuralParameter":
-                raise FmuError(f"{self.name}: {name!r} is no structural parameter, but of causality {variable.causality}")
+                raise FmuError(
+                    f"{self.name}: {name!r} is no structural parameter, but of causality {variable.causality}"
+                )
             if value % 1 != 0 or not max(1, variable.minimum) <= value <= variable.maximum:
                 needed = f"a whole number from {max(1, variable.minimum):g} to {variable.maximum:g}"
-                raise FmuError(f"{self.name}: structural parameter {name!r}: found {value}, needed {needed}")
+                raise FmuError(
+                    f"{self.name}: structural parameter {name!r}: found {value}, needed {needed}"
+                )
         variables = tuple(self._sized(variable, structural) for variable in self.variables)
         sizes = {variable.name: variable.size for variable in variables}
-        indicators = sum(sizes[name] for name in self.indicators) if self.indicators else self.event_indicators
+        indicators = (
+            sum(sizes[name] for name in self.indicators)
+            if self.indicators
+            else self.event_indicators
+        )
         return replace(self, variables=variables, event_indicators=indicators)
 
     def _sized(self, variable: Variable, structural: Mapping[str, int]) -> Variable:
@@ -331,11 +367,19 @@ class Description:
         if not any(dimension in structural for dimension in variable.dimensions):
             return variable
         lengths = [
-            d if isinstance(d, int) else int(structural[d]) if d in structural else int((self[d].start or (1,))[0])
+            d
+            if isinstance(d, int)
+            else int(structural[d])
+            if d in structural
+            else int((self[d].start or (1,))[0])
             for d in variable.dimensions
         ]
         size = math.prod(lengths)
-        return variable if size == variable.size else replace(variable, size=size, start=None, text=None)
+        return (
+            variable
+            if size == variable.size
+            else replace(variable, size=size, start=None, text=None)
+        )
 
     def _signal(self, name: str, group: Sequence[Variable]) -> Signal:
         first = group[0]
@@ -354,7 +398,9 @@ class Description:
 
 
 def _feeds(
-    group: Sequence[Variable], dependencies: Mapping[str, tuple[str, ...] | None], port_of: Mapping[str, str]
+    group: Sequence[Variable],
+    dependencies: Mapping[str, tuple[str, ...] | None],
+    port_of: Mapping[str, str],
 ) -> tuple[str, ...] | None:
     """Give the inputs on which a group of variables depends; None: not said of one of them."""
     found: set[str] = set()
@@ -385,7 +431,13 @@ def _vectors(variables: Sequence[Variable]) -> list[tuple[str, tuple[Variable, .
         family = families.get(base, {})
         numbers, first = sorted(family), min(family, default=0)
         alike = len({(v.kind, v.unit, v.base, v.variability) for v in family.values()}) == 1
-        if variable in family.values() and alike and first in (0, 1) and base not in names and numbers[-1] - first < len(numbers):
+        if (
+            variable in family.values()
+            and alike
+            and first in (0, 1)
+            and base not in names
+            and numbers[-1] - first < len(numbers)
+        ):
             if base not in done:
                 found.append((base, tuple(family[i] for i in numbers)))
                 done.add(base)

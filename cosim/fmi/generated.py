@@ -20,16 +20,18 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Vector
 from cosim.core.contracts import Model
+from cosim.core.linear import LinearModel
 from cosim.core.signals import Interface
-from cosim.core.solver import LinearModel
 from cosim.errors import FmuError
 from cosim.fmi.describing import describe, states_of_outputs
 from cosim.fmi.description import Capabilities, Description, Variable
+from cosim.fmi.instance import DiscreteStates
 from cosim.fmi.references import References
-from cosim.fmi.unit import DiscreteStates
 from cosim.native.step import affine
 
-Phase: TypeAlias = Literal["instantiated", "initialization", "event", "continuous", "terminated", "freed"]
+Phase: TypeAlias = Literal[
+    "instantiated", "initialization", "event", "continuous", "terminated", "freed"
+]
 
 RUNNING: Final = ("event", "continuous")
 READABLE: Final = ("initialization", "event", "continuous", "terminated")
@@ -57,7 +59,7 @@ ALLOWED: Final[Mapping[str, tuple[str, ...]]] = {
 
 
 @final
-class GeneratedUnit:
+class GeneratedInstance:
     """A model as a model exchange unit.
 
     Parameters
@@ -70,19 +72,25 @@ class GeneratedUnit:
         The same model, where it is linear: derivatives in any direction are then exact, and the exact solver is there.
     """
 
-    def __init__(self, model: Model, name: str = "model", *, linear: LinearModel | None = None) -> None:
+    def __init__(
+        self, model: Model, name: str = "model", *, linear: LinearModel | None = None
+    ) -> None:
         self._model, self._linear, self._name = model, linear, name
-        capabilities = Capabilities(name, directional_derivatives=linear is not None, saves_state=True, completed_step=False)
-        self._description = replace(describe(model, name, linear), capabilities={"me": capabilities})
+        capabilities = Capabilities(
+            name, directional_derivatives=linear is not None, saves_state=True, completed_step=False
+        )
+        self._description = replace(
+            describe(model, name, linear), capabilities={"me": capabilities}
+        )
         self._n, self._m, self._p = len(model.states), model.interface.n_u, model.interface.n_y
         self._state_of = states_of_outputs(linear) if linear else [-1] * self._p
         self._phase: Phase = "instantiated"
         self._set_defaults()
 
     @staticmethod
-    def of(model: LinearModel, name: str = "model") -> GeneratedUnit:
+    def of(model: LinearModel, name: str = "model") -> GeneratedInstance:
         """Build the unit of a linear model."""
-        return GeneratedUnit(model, name, linear=model)
+        return GeneratedInstance(model, name, linear=model)
 
     @property
     def description(self) -> Description:
@@ -113,7 +121,9 @@ class GeneratedUnit:
 
     def _require(self, call: str) -> None:
         if self._phase not in ALLOWED[call]:
-            raise FmuError(f"{self._name}: {call} is not allowed in mode {self._phase!r}; allowed in: {', '.join(ALLOWED[call])}")
+            raise FmuError(
+                f"{self._name}: {call} is not allowed in mode {self._phase!r}; allowed in: {', '.join(ALLOWED[call])}"
+            )
 
     # --- modes ---
 
@@ -192,7 +202,9 @@ class GeneratedUnit:
         """Set inputs; before the run also start values of states that do not depend on inputs."""
         self._require("set_float64")
         for group in references.groups:
-            for reference, value in zip(group.references.tolist(), values[group.columns].tolist(), strict=True):
+            for reference, value in zip(
+                group.references.tolist(), values[group.columns].tolist(), strict=True
+            ):
                 if reference < self._m:
                     self._u[reference] = value
                 else:
@@ -264,7 +276,9 @@ class GeneratedUnit:
 
     # --- directional derivatives and states ---
 
-    def get_directional_derivative(self, unknowns: References, knowns: References, seed: Vector) -> Vector:
+    def get_directional_derivative(
+        self, unknowns: References, knowns: References, seed: Vector
+    ) -> Vector:
         """Give d(unknowns)/d(knowns) . seed from the matrices (FMI 2.0.4 section 2.1.9).
 
         Raises
@@ -295,9 +309,15 @@ class GeneratedUnit:
     def _known(self, reference: int) -> int:
         if reference < self._m:
             return reference
-        state = self._state(reference) if not self._m + self._p <= reference < self._m + self._p + self._n else -1
+        state = (
+            self._state(reference)
+            if not self._m + self._p <= reference < self._m + self._p + self._n
+            else -1
+        )
         if state < 0:
-            raise FmuError(f"{self._name}: the knowns of a directional derivative are inputs and states")
+            raise FmuError(
+                f"{self._name}: the knowns of a directional derivative are inputs and states"
+            )
         return self._m + state
 
     def get_fmu_state(self, into: object | None = None) -> object:

@@ -40,11 +40,17 @@ class References:
     @staticmethod
     def of(variables: Sequence[tuple[VariableType, int, int]]) -> References:
         """Put (type, value reference, size) together by type."""
-        starts = np.concatenate([[0], np.cumsum([size for _, _, size in variables])]).astype(np.intp)
+        starts = np.concatenate([[0], np.cumsum([size for _, _, size in variables])]).astype(
+            np.intp
+        )
         groups = []
         for kind in dict.fromkeys(kind for kind, _, _ in variables):
             mine = [i for i, variable in enumerate(variables) if variable[0] == kind]
-            columns = np.concatenate([np.arange(starts[i], starts[i + 1], dtype=np.intp) for i in mine])
+            columns = np.concatenate(
+                [np.arange(starts[i], starts[i + 1], dtype=np.intp) for i in mine]
+            )
             references = np.array([variables[i][1] for i in mine], np.uint32)
             groups.append(Group(kind, references, columns, references.ctypes.data, len(mine)))
-        return References(tuple(groups), int(starts[-1]), len(groups) == 1 and groups[0].type == "Float64")
+        return References(
+            tuple(groups), int(starts[-1]), len(groups) == 1 and groups[0].type == "Float64"
+        )

@@ -19,7 +19,7 @@ from cosim.core.contracts import Block
 from cosim.core.signals import Layout
 from cosim.log.content import hashable
 from cosim.log.layout import HEADER, Part, blank_records, group_columns, record_dtype
-from cosim.log.result import Reached
+from cosim.log.result import LastRow
 from cosim.log.sink import Run
 
 CHUNK_BYTES = 2**20  # of records, uncompressed
@@ -48,8 +48,14 @@ class RowBuffer:
         self._time_ns = np.empty(self._capacity, dtype=np.int64)
         self._step = np.empty(self._capacity, dtype=np.int64)
         self._count = 0
-        kept = {period: -(-self._capacity // period) for period in {part.channel.period for _, part in parts}}
-        self._parts = [(part, blank_records(number, part.size, kept[part.channel.period])) for number, part in parts]
+        kept = {
+            period: -(-self._capacity // period)
+            for period in {part.channel.period for _, part in parts}
+        }
+        self._parts = [
+            (part, blank_records(number, part.size, kept[part.channel.period]))
+            for number, part in parts
+        ]
 
     @property
     def full(self) -> bool:
@@ -57,10 +63,10 @@ class RowBuffer:
         return self._count == self._capacity
 
     @property
-    def reached(self) -> Reached | None:
+    def reached(self) -> LastRow | None:
         """The last row taken; None: there is none."""
         last = self._count - 1
-        return None if last < 0 else Reached(int(self._step[last]), int(self._time_ns[last]))
+        return None if last < 0 else LastRow(int(self._step[last]), int(self._time_ns[last]))
 
     def take(self, block: Block, signals: Matrix, start: int) -> int:
         """Copy rows of a block from ``start`` on, as many as there is room for; give the row to go on at."""
@@ -75,7 +81,9 @@ class RowBuffer:
     def runs(self) -> list[Run]:
         """Give the message records of all rows taken, one run per channel; valid until more is taken."""
         kept = self._kept()
-        runs = [self._run(part, records, kept[part.channel.period]) for part, records in self._parts]
+        runs = [
+            self._run(part, records, kept[part.channel.period]) for part, records in self._parts
+        ]
         return [run for run in runs if len(run.time_ns)]
 
     def hash_into(self, hashes: Mapping[str, hashlib._Hash]) -> None:
@@ -83,7 +91,9 @@ class RowBuffer:
         kept = self._kept()
         for channel in self._layout.channels:
             chosen = kept[channel.period]
-            hashes[channel.name].update(hashable(self._time_ns[chosen], self._rows[chosen, channel.columns]))
+            hashes[channel.name].update(
+                hashable(self._time_ns[chosen], self._rows[chosen, channel.columns])
+            )
 
     def clear(self) -> None:
         """Forget the rows."""
@@ -95,7 +105,11 @@ class RowBuffer:
         return {period: self._every(period) for period in periods}
 
     def _every(self, period: int) -> slice | NDArray[np.intp]:
-        return slice(self._count) if period == 1 else np.flatnonzero(self._step[: self._count] % period == 0)
+        return (
+            slice(self._count)
+            if period == 1
+            else np.flatnonzero(self._step[: self._count] % period == 0)
+        )
 
     def _run(self, part: Part, blank: NDArray[np.void], kept: slice | NDArray[np.intp]) -> Run:
         time_ns: Nanoseconds = self._time_ns[kept].copy()
@@ -114,7 +128,9 @@ def message_run(messages: Sequence[tuple[int, bytes]], *, channel_id: int, step_
     records, offsets, size = [], [], 0
     for time_ns, data in messages:
         length, step = _MESSAGE.size - HEADER + len(data), time_ns // step_ns & 0xFFFFFFFF
-        records.append(_MESSAGE.pack(Opcode.MESSAGE, length, channel_id, step, time_ns, time_ns) + data)
+        records.append(
+            _MESSAGE.pack(Opcode.MESSAGE, length, channel_id, step, time_ns, time_ns) + data
+        )
         offsets.append(size)
         size += len(records[-1])
     times = np.array([time_ns for time_ns, _ in messages], dtype=np.int64)

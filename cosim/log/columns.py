@@ -13,7 +13,7 @@ _FIRST_ROWS = 1024
 
 
 @final
-class Rows:
+class SignalRows:
     """The rows of one part of a component; grows as they come.
 
     Parameters

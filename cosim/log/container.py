@@ -25,9 +25,16 @@ from cosim.errors import LogError
 from cosim.log.compression import MOST_BYTES, decompress
 from cosim.log.layout import HEADER
 from cosim.log.scan import Loose, scan
-from cosim.log.walk import Place, damage, walk
+from cosim.log.walk import RecordSpan, damage, walk
 
-MALFORMED = (McapError, ValueError, KeyError, TypeError, OverflowError, struct.error)  # what parsing bytes from outside may raise
+MALFORMED = (
+    McapError,
+    ValueError,
+    KeyError,
+    TypeError,
+    OverflowError,
+    struct.error,
+)  # what parsing bytes from outside may raise
 
 _READ_BYTES = 2**22
 _SIZES = struct.Struct("<QQQI")  # of a chunk: first and last time, size, CRC
@@ -85,7 +92,11 @@ class Container:
         """
         with self.open() as stream:
             for place in self.contents.data:
-                yield self._chunk(stream, place) if place.opcode == Opcode.CHUNK else _read(stream, place)
+                yield (
+                    self._chunk(stream, place)
+                    if place.opcode == Opcode.CHUNK
+                    else _read(stream, place)
+                )
 
     def channels(self) -> Mapping[int, records.Channel]:
         """Give the channels by id: from the summary, or else from outside the chunks, or else from inside."""
@@ -105,8 +116,15 @@ class Container:
 
     def expected(self, channel_id: int, size: int) -> int:
         """Say how many messages of ``size`` bytes to make room for: what the summary says, as far as the chunks can hold it."""
-        told = self.summary.statistics.channel_message_counts.get(channel_id, 0) if self.summary.statistics else 0
-        room = sum(MOST_BYTES if place.opcode == Opcode.CHUNK else place.stop - place.start for place in self.contents.data)
+        told = (
+            self.summary.statistics.channel_message_counts.get(channel_id, 0)
+            if self.summary.statistics
+            else 0
+        )
+        room = sum(
+            MOST_BYTES if place.opcode == Opcode.CHUNK else place.stop - place.start
+            for place in self.contents.data
+        )
         return min(told, room // size)
 
     def metadata(self) -> Iterator[records.Metadata]:
@@ -116,9 +134,11 @@ class Container:
                 try:
                     yield records.Metadata.read(_content(_read(stream, place)))
                 except MALFORMED as error:
-                    raise self.damaged(place.start, f"a metadata record cannot be read: {error}") from error
+                    raise self.damaged(
+                        place.start, f"a metadata record cannot be read: {error}"
+                    ) from error
 
-    def attachments(self) -> dict[str, Place]:
+    def attachments(self) -> dict[str, RecordSpan]:
         """Give the attachments' names and places, without their content."""
         places = {}
         with self.open() as stream:
@@ -129,7 +149,7 @@ class Container:
                 places[name.decode(errors="replace")] = place
         return places
 
-    def attachment(self, place: Place) -> bytes:
+    def attachment(self, place: RecordSpan) -> bytes:
         """Give the content of an attachment, checked by its CRC.
 
         Raises
@@ -151,30 +171,37 @@ class Container:
         """Make the error that says where the file is damaged."""
         return damage(self.path, offset, reason)
 
-    def _chunk(self, stream: BinaryIO, place: Place) -> bytes:
+    def _chunk(self, stream: BinaryIO, place: RecordSpan) -> bytes:
         try:
             first, last, size, crc, compression, length = self._sizes(stream, place)
             index = self._indexes.get(place.start)
-            told = index and (index.message_start_time, index.message_end_time, index.uncompressed_size, index.compression)
+            told = index and (
+                index.message_start_time,
+                index.message_end_time,
+                index.uncompressed_size,
+                index.compression,
+            )
             if told and told != (first, last, size, compression):
                 raise ValueError("a chunk differs from its index")
             return decompress(stream.read(length), compression, size=size, crc=crc)
         except MALFORMED as error:
             raise self.damaged(place.start, str(error)) from error
 
-    def _sizes(self, stream: BinaryIO, place: Place) -> tuple[int, int, int, int, str, int]:
+    def _sizes(self, stream: BinaryIO, place: RecordSpan) -> tuple[int, int, int, int, str, int]:
         """Read a chunk up to its data: first and last time, size, CRC, compression, length of the data."""
         stream.seek(place.start + HEADER)
         first, last, size, crc = _SIZES.unpack(stream.read(_SIZES.size))
         compression = stream.read(min(int.from_bytes(stream.read(4), "little"), 16)).decode()
         (length,) = struct.unpack("<Q", stream.read(8))
         if stream.tell() + length > place.stop:
-            raise ValueError(f"a chunk with {length} bytes of data in a record of {place.stop - place.start}")
+            raise ValueError(
+                f"a chunk with {length} bytes of data in a record of {place.stop - place.start}"
+            )
         return first, last, size, crc, compression, length
 
     def _summary(self, stream: BinaryIO) -> Summary:
         """Read the summary; an empty one if there is none."""
-        place = Place(Opcode.FOOTER, self.contents.footer, self.contents.footer + FOOTER_SIZE)
+        place = RecordSpan(Opcode.FOOTER, self.contents.footer, self.contents.footer + FOOTER_SIZE)
         summary = Summary()
         try:
             footer = records.Footer.read(_content(_read(stream, place)))
@@ -204,9 +231,15 @@ class Container:
                     f"{self.path} is damaged: found {found} chunks, metadata records and attachments, its summary says {needed}"
                 )
         if self._indexes.keys() - set(chunks):
-            raise self.damaged(min(self._indexes.keys() - set(chunks)), "no chunk there, though its index says so")
+            raise self.damaged(
+                min(self._indexes.keys() - set(chunks)), "no chunk there, though its index says so"
+            )
         bare = len(chunks) < len(self.contents.data)
-        if bare and self.contents.data_crc and _crc(stream, self.contents.data_end) != self.contents.data_crc:
+        if (
+            bare
+            and self.contents.data_crc
+            and _crc(stream, self.contents.data_end) != self.contents.data_crc
+        ):
             raise self.damaged(self.contents.data_end, "the CRC of the data does not fit")
 
 
@@ -224,7 +257,7 @@ def _identity(status: os.stat_result) -> tuple[int, int, int]:
     return status.st_ino, status.st_size, status.st_mtime_ns
 
 
-def _read(stream: BinaryIO, place: Place) -> bytes:
+def _read(stream: BinaryIO, place: RecordSpan) -> bytes:
     stream.seek(place.start)
     return stream.read(place.stop - place.start)
 

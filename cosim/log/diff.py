@@ -16,7 +16,9 @@ from cosim.arrays import Mask, Matrix, Nanoseconds
 from cosim.core.contracts import Recording
 from cosim.core.signals import Signal
 
-Status = Literal["equal", "within", "outside", "other times", "other size", "only in a", "only in b"]
+Status = Literal[
+    "equal", "within", "outside", "other times", "other size", "only in a", "only in b"
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +32,7 @@ class Moment:
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class SignalDifference:
     """How one signal compares.
 
     Parameters
@@ -69,10 +71,10 @@ class Row:
 
 
 @dataclass(frozen=True, slots=True)
-class Difference:
+class LogDifference:
     """How two runs compare, signal by signal."""
 
-    rows: tuple[Row, ...]
+    rows: tuple[SignalDifference, ...]
     atol: float
     rtol: float
 
@@ -89,7 +91,11 @@ class Difference:
     @property
     def first(self) -> Moment | None:
         """The earliest time outside the tolerance; of several, the first signal's in the order of a."""
-        return min((row.first for row in self.rows if row.first), key=lambda moment: moment.time_ns, default=None)
+        return min(
+            (row.first for row in self.rows if row.first),
+            key=lambda moment: moment.time_ns,
+            default=None,
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Give everything as JSON values."""
@@ -105,7 +111,7 @@ class Difference:
         }
 
 
-def diff(a: Recording, b: Recording, *, atol: float = 0.0, rtol: float = 0.0) -> Difference:
+def diff(a: Recording, b: Recording, *, atol: float = 0.0, rtol: float = 0.0) -> LogDifference:
     """Compare two runs signal by signal.
 
     Parameters
@@ -117,30 +123,52 @@ def diff(a: Recording, b: Recording, *, atol: float = 0.0, rtol: float = 0.0) ->
     rtol : float
         As a part of each signal's largest |a|.
     """
-    sizes = [{f"{c.name}.{s.name}": (c.name, s) for c in run.channels.values() for s in c.signals} for run in (a, b)]
-    shared = {name: _shared(a.time_ns(name), b.time_ns(name)) for name in a.channels if name in b.channels}
+    sizes = [
+        {f"{c.name}.{s.name}": (c.name, s) for c in run.channels.values() for s in c.signals}
+        for run in (a, b)
+    ]
+    shared = {
+        name: _shared(a.time_ns(name), b.time_ns(name)) for name in a.channels if name in b.channels
+    }
     rows = []
     for name in [*sizes[0], *(name for name in sizes[1] if name not in sizes[0])]:
         component, signal = sizes[0].get(name) or sizes[1][name]
         if name not in sizes[1]:
-            rows.append(Row(name, "only in a", (len(a.time_ns(component)), 0, 0)))
+            rows.append(SignalDifference(name, "only in a", (len(a.time_ns(component)), 0, 0)))
         elif name not in sizes[0]:
-            rows.append(Row(name, "only in b", (0, len(b.time_ns(component)), 0)))
+            rows.append(SignalDifference(name, "only in b", (0, len(b.time_ns(component)), 0)))
         elif signal.size != sizes[1][name][1].size:
-            rows.append(Row(name, "other size", (len(a.time_ns(component)), len(b.time_ns(component)), 0)))
+            rows.append(
+                SignalDifference(
+                    name, "other size", (len(a.time_ns(component)), len(b.time_ns(component)), 0)
+                )
+            )
         else:
             pair = a[name].reshape(-1, signal.size), b[name].reshape(-1, signal.size)
-            rows.append(_compare(name, signal, pair, times=a.time_ns(component), shared=shared[component], tol=(atol, rtol)))
-    return Difference(tuple(rows), atol, rtol)
+            rows.append(
+                _compare(
+                    name,
+                    signal,
+                    pair,
+                    times=a.time_ns(component),
+                    shared=shared[component],
+                    tol=(atol, rtol),
+                )
+            )
+    return LogDifference(tuple(rows), atol, rtol)
 
 
-Shared = tuple[NDArray[np.intp], NDArray[np.intp]] | None  # rows of a and of b at the same instants; None: all, one by one
+Shared = (
+    tuple[NDArray[np.intp], NDArray[np.intp]] | None
+)  # rows of a and of b at the same instants; None: all, one by one
 
 
 def _shared(a: Nanoseconds, b: Nanoseconds) -> Shared:
     if np.array_equal(a, b):
         return None
-    _, rows_a, rows_b = np.intersect1d(_instants(a), _instants(b), assume_unique=True, return_indices=True)
+    _, rows_a, rows_b = np.intersect1d(
+        _instants(a), _instants(b), assume_unique=True, return_indices=True
+    )
     return rows_a, rows_b
 
 
@@ -153,8 +181,14 @@ def _instants(time_ns: Nanoseconds) -> NDArray[np.void]:
 
 
 def _compare(
-    name: str, signal: Signal, pair: tuple[Matrix, Matrix], *, times: Nanoseconds, shared: Shared, tol: tuple[float, float]
-) -> Row:
+    name: str,
+    signal: Signal,
+    pair: tuple[Matrix, Matrix],
+    *,
+    times: Nanoseconds,
+    shared: Shared,
+    tol: tuple[float, float],
+) -> SignalDifference:
     a, b = pair
     finite = np.abs(a[np.isfinite(a)])
     scale = float(finite.max()) if finite.size else 0.0
@@ -171,10 +205,14 @@ def _compare(
         status = "other times"
     largest = float(distance.max()) if distance.size else 0.0
     count = (len(pair[0]), len(pair[1]), len(times))
-    return Row(name, status, count, largest, scale, tolerance, _first(name, signal, outside, (times, a, b)))
+    return SignalDifference(
+        name, status, count, largest, scale, tolerance, _first(name, signal, outside, (times, a, b))
+    )
 
 
-def _first(name: str, signal: Signal, outside: Mask, values: tuple[Nanoseconds, Matrix, Matrix]) -> Moment | None:
+def _first(
+    name: str, signal: Signal, outside: Mask, values: tuple[Nanoseconds, Matrix, Matrix]
+) -> Moment | None:
     """Give the first time, and there the first element, that is outside."""
     if not outside.any():
         return None

@@ -20,7 +20,7 @@ def create(path: Path) -> io.RawIOBase:
 
 
 @final
-class Draft:
+class UnfinishedLog:
     """A file to be published, or discarded.
 
     Parameters
@@ -70,7 +70,9 @@ class Draft:
             else:
                 _move(self._hidden, self.path)
         except FileExistsError as error:
-            raise LogError(f"{self.path} exists by now; choose another path, or --force to replace it") from error
+            raise LogError(
+                f"{self.path} exists by now; choose another path, or --force to replace it"
+            ) from error
         except OSError as error:
             raise LogError(f"{self.path} cannot be created: {error.strerror or error}") from error
         self.published = True
@@ -91,7 +93,9 @@ def _move(source: Path, target: Path) -> None:
         os.link(source, target)
     except FileExistsError:
         raise
-    except OSError:  # a file system without hard links: reserve the name, then replace what reserves it
+    except (
+        OSError
+    ):  # a file system without hard links: reserve the name, then replace what reserves it
         target.open("xb").close()
         source.replace(target)
     else:

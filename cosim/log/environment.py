@@ -22,7 +22,12 @@ def library() -> str:
 def environment() -> dict[str, str]:
     """Describe Python, the packages that compute, the platform and the processor."""
     packages = {"cosim": __version__, **{name: _version(name) for name in _PACKAGES}}
-    return {**packages, "python": platform.python_version(), "platform": platform.platform(), "processor": _processor()}
+    return {
+        **packages,
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "processor": _processor(),
+    }
 
 
 @cache  # reading it takes a millisecond
@@ -46,4 +51,8 @@ def _processor() -> str:
 def other_environment(recording: Recording) -> dict[str, tuple[str, str]]:
     """Give what was different on the machine that wrote a log: name, then and now."""
     then, now = recording.metadata.get("cosim.env", {}), environment()
-    return {key: (str(then[key]), value) for key, value in now.items() if key in then and then[key] != value}
+    return {
+        key: (str(then[key]), value)
+        for key, value in now.items()
+        if key in then and then[key] != value
+    }

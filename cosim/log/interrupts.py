@@ -21,7 +21,9 @@ def uninterrupted() -> Iterator[None]:
     ignored or kills, nothing is changed.
     """
     found = {number: signal.getsignal(number) for number in SIGNALS}
-    handlers: dict[int, Handler] = {number: handler for number, handler in found.items() if callable(handler)}
+    handlers: dict[int, Handler] = {
+        number: handler for number, handler in found.items() if callable(handler)
+    }
     if threading.current_thread() is not threading.main_thread() or not handlers:
         yield
         return

@@ -30,7 +30,11 @@ HEADER = 9  # bytes: opcode u1, length u8
 Records: TypeAlias = NDArray[np.void]  # shape (n,), of a dtype by record_dtype
 
 _SEALED_AS = "cosim.channel"
-_GROUPS = (("short", 1, 16), ("middle", 16, 2048), ("long", 2048, MOST_ELEMENTS + 1))  # fields whose tags have 1, 2, 3 bytes
+_GROUPS = (
+    ("short", 1, 16),
+    ("middle", 16, 2048),
+    ("long", 2048, MOST_ELEMENTS + 1),
+)  # fields whose tags have 1, 2, 3 bytes
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +95,10 @@ def split(channel: Channel, *, kind: str, step_ns: int) -> list[Part]:
     """Split a component into parts of at most 4096 elements; one without signals has one empty part."""
     width = channel.columns.stop - channel.columns.start
     starts = range(0, max(width, 1), MOST_ELEMENTS)
-    return [Part(channel, kind, step_ns, slice(start, min(start + MOST_ELEMENTS, width))) for start in starts]
+    return [
+        Part(channel, kind, step_ns, slice(start, min(start + MOST_ELEMENTS, width)))
+        for start in starts
+    ]
 
 
 def read_part(metadata: Mapping[str, str]) -> Part:
@@ -106,9 +113,15 @@ def read_part(metadata: Mapping[str, str]) -> Part:
     step_ns, period_ns = int(items["cosim.step_ns"]), int(items["cosim.period_ns"])
     start, stop = (int(text) for text in items["cosim.columns"].split(":"))
     if step_ns < 1 or period_ns % step_ns or not 0 <= stop - start <= MOST_ELEMENTS:
-        raise ValueError(f"period {period_ns} ns, step {step_ns} ns, columns {start}:{stop} do not fit together")
-    interface = _interface(json.loads(items["cosim.signals"]), json.loads(items.get("cosim.initial", "{}")))
-    channel = Channel(items["cosim.component"], interface, int(items["cosim.start"]), period_ns // step_ns)
+        raise ValueError(
+            f"period {period_ns} ns, step {step_ns} ns, columns {start}:{stop} do not fit together"
+        )
+    interface = _interface(
+        json.loads(items["cosim.signals"]), json.loads(items.get("cosim.initial", "{}"))
+    )
+    channel = Channel(
+        items["cosim.component"], interface, int(items["cosim.start"]), period_ns // step_ns
+    )
     return Part(channel, items["cosim.kind"], step_ns, slice(start, stop))
 
 
@@ -120,7 +133,10 @@ def signals_json(interface: Interface) -> str:
     """
     entries = []
     for signal in (*interface.inputs, *interface.outputs):
-        entry: dict[str, Any] = {"causality": "input" if signal in interface.inputs else "output", **asdict(signal)}
+        entry: dict[str, Any] = {
+            "causality": "input" if signal in interface.inputs else "output",
+            **asdict(signal),
+        }
         for name in ("base", "start"):
             if not entry[name]:
                 del entry[name]
@@ -139,7 +155,9 @@ def _interface(entries: list[dict[str, Any]], initial: Mapping[str, Any]) -> Int
         if "feedthrough" in signal:
             feedthrough[signal["name"]] = _names(signal.pop("feedthrough"))
         if "base" in signal:
-            signal["base"] = BaseUnit(**signal["base"] | {"exponents": tuple(signal["base"]["exponents"])})
+            signal["base"] = BaseUnit(
+                **signal["base"] | {"exponents": tuple(signal["base"]["exponents"])}
+            )
         sides[side].append(Signal(**signal | {"start": tuple(signal.get("start", ()))}))
     known = {output: _names(names) for output, names in initial.items()}
     return Interface(tuple(sides["input"]), tuple(sides["output"]), feedthrough, known)
@@ -151,7 +169,12 @@ def _names(names: list[str] | None) -> tuple[str, ...] | None:
 
 def record_dtype(size: int) -> np.dtype[np.void]:
     """Describe a whole message record of ``size`` doubles."""
-    head: list[Any] = [("opcode", "u1"), ("length", "<u8"), ("channel_id", "<u2"), ("sequence", "<u4")]
+    head: list[Any] = [
+        ("opcode", "u1"),
+        ("length", "<u8"),
+        ("channel_id", "<u2"),
+        ("sequence", "<u4"),
+    ]
     head += [("log_time", "<u8"), ("publish_time", "<u8")]
     for width, (name, first, stop) in enumerate(_GROUPS, start=1):
         count = min(size + 1, stop) - first
@@ -164,7 +187,11 @@ def blank_records(channel_id: int, size: int, count: int) -> Records:
     """Make ``count`` message records with everything constant filled in."""
     dtype = record_dtype(size)
     records = np.zeros(count, dtype)
-    records["opcode"], records["length"], records["channel_id"] = Opcode.MESSAGE, dtype.itemsize - HEADER, channel_id
+    records["opcode"], records["length"], records["channel_id"] = (
+        Opcode.MESSAGE,
+        dtype.itemsize - HEADER,
+        channel_id,
+    )
     for name, tags in tags_of(size).items():
         records[name]["tag"] = tags
     return records
@@ -176,14 +203,21 @@ def tags_of(size: int) -> dict[str, NDArray[np.uint8]]:
     for width, (name, first, stop) in enumerate(_GROUPS, start=1):
         keys = np.arange(first, min(size + 1, stop), dtype=np.int64) << 3 | 1
         if len(keys):
-            varint = np.stack([keys >> 7 * i & 0x7F | (0x80 if i < width - 1 else 0) for i in range(width)], axis=1)
+            varint = np.stack(
+                [keys >> 7 * i & 0x7F | (0x80 if i < width - 1 else 0) for i in range(width)],
+                axis=1,
+            )
             tags[name] = varint.astype(np.uint8)
     return tags
 
 
 def group_columns(size: int) -> dict[str, slice]:
     """Say which elements of a part stand in which group of fields."""
-    return {name: slice(first - 1, min(size + 1, stop) - 1) for name, first, stop in _GROUPS if size >= first}
+    return {
+        name: slice(first - 1, min(size + 1, stop) - 1)
+        for name, first, stop in _GROUPS
+        if size >= first
+    }
 
 
 def copy_values(records: Records, into: Matrix) -> None:
@@ -197,6 +231,10 @@ def copy_values(records: Records, into: Matrix) -> None:
     size = into.shape[1]
     tags = tags_of(size)
     for name, columns in group_columns(size).items():
-        if not np.array_equal(records[name]["tag"], np.broadcast_to(tags[name], records[name]["tag"].shape)):
-            raise ValueError("messages with other fields than declared: written or re-encoded by another tool")
+        if not np.array_equal(
+            records[name]["tag"], np.broadcast_to(tags[name], records[name]["tag"].shape)
+        ):
+            raise ValueError(
+                "messages with other fields than declared: written or re-encoded by another tool"
+            )
         into[:, columns] = records[name]["value"]

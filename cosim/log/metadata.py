@@ -53,7 +53,12 @@ def _checksum(name: str, items: Mapping[str, str]) -> str:
 
 def encode_design(design: Design) -> str:
     """Write arrays as JSON, bit for bit: shape, and base64 of the little-endian doubles in C order."""
-    return compact({name: {"shape": list(np.shape(array)), "data": _base64(array)} for name, array in design.items()})
+    return compact(
+        {
+            name: {"shape": list(np.shape(array)), "data": _base64(array)}
+            for name, array in design.items()
+        }
+    )
 
 
 def _base64(array: NDArray[np.float64]) -> str:
@@ -72,6 +77,10 @@ def decode_design(text: str) -> dict[str, NDArray[np.float64]]:
 
 
 def _array(shape: list[int], data: str) -> NDArray[np.float64]:
-    array = np.frombuffer(base64.b64decode(data, validate=True), dtype="<f8").astype(np.float64).reshape(shape)
+    array = (
+        np.frombuffer(base64.b64decode(data, validate=True), dtype="<f8")
+        .astype(np.float64)
+        .reshape(shape)
+    )
     array.setflags(write=False)
     return array

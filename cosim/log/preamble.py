@@ -30,14 +30,20 @@ def write_parts(sink: Sink, parts: Sequence[Part]) -> list[int]:
     messages = identifiers([part.title for part in parts])
     return [
         sink.channel(
-            f"/{part.title}", schema=(f"cosim.{message}", component_schema(message, part.elements)), metadata=part.metadata
+            f"/{part.title}",
+            schema=(f"cosim.{message}", component_schema(message, part.elements)),
+            metadata=part.metadata,
         )
         for part, message in zip(parts, messages, strict=True)
     ]
 
 
 def write_preamble(
-    sink: Sink, plan: Plan, *, metadata: Mapping[str, Mapping[str, str]], attachments: Sequence[Attachment]
+    sink: Sink,
+    plan: Plan,
+    *,
+    metadata: Mapping[str, Mapping[str, str]],
+    attachments: Sequence[Attachment],
 ) -> int:
     """Write the channel of messages, the metadata and the attachments; give the channel's id."""
     log_id = sink.channel(LOG_TOPIC, schema=(LOG_SCHEMA, log_schema()), metadata={})
@@ -55,6 +61,9 @@ def _completed(plan: Plan, metadata: Mapping[str, Mapping[str, str]]) -> dict[st
     for channel in plan.layout.channels:
         held = [bool(value) for value in plan.held.get(channel.name, ())]
         design = encode_design(plan.designs.get(channel.name, {}))
-        ours[f"cosim.component.{channel.name}"] = {"cosim.design": design, "cosim.held": compact(held)}
+        ours[f"cosim.component.{channel.name}"] = {
+            "cosim.design": design,
+            "cosim.held": compact(held),
+        }
     names = [*metadata, *(name for name in ours if name not in metadata)]
     return {name: {**metadata.get(name, {}), **ours.get(name, {})} for name in names}

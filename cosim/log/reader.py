@@ -15,11 +15,11 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Matrix, Nanoseconds, Vector
-from cosim.core.contracts import Design, Level
+from cosim.core.contracts import Design, MessageLevel
 from cosim.core.recorders import find_channel, find_signal
 from cosim.core.signals import Channel
 from cosim.errors import GraphError, LogError, nearest
-from cosim.log.columns import Rows
+from cosim.log.columns import SignalRows
 from cosim.log.container import MALFORMED, Container
 from cosim.log.content import combine, hashable
 from cosim.log.layout import Part, read_part, record_dtype, signals_json
@@ -33,11 +33,11 @@ _TIME = slice(6, 14)  # of a message record's content
 
 
 @dataclass(frozen=True, slots=True)
-class Message:
+class LogMessage:
     """A message of the run or of a component."""
 
     time_ns: int
-    level: Level
+    level: MessageLevel
     name: str
     text: str
 
@@ -135,22 +135,37 @@ class Log:
     @property
     def designs(self) -> Mapping[str, Design]:
         """The design-time arrays of every component, bit for bit."""
-        return {name: self._component_metadata(name, "cosim.design", {}, decode_design) for name in self._channels}
+        return {
+            name: self._component_metadata(name, "cosim.design", {}, decode_design)
+            for name in self._channels
+        }
 
     @property
     def held(self) -> Mapping[str, Mask]:
         """Which input elements of every component held their value over a step."""
-        free = {name: np.zeros(channel.interface.n_u, dtype=np.bool_) for name, channel in self._channels.items()}
-        return {name: self._component_metadata(name, "cosim.held", mask, _mask) for name, mask in free.items()}
+        free = {
+            name: np.zeros(channel.interface.n_u, dtype=np.bool_)
+            for name, channel in self._channels.items()
+        }
+        return {
+            name: self._component_metadata(name, "cosim.held", mask, _mask)
+            for name, mask in free.items()
+        }
 
     def signals(self) -> list[str]:
         """Names of all signals, ``component.signal``."""
-        return [f"{name}.{signal.name}" for name, channel in self._channels.items() for signal in channel.signals]
+        return [
+            f"{name}.{signal.name}"
+            for name, channel in self._channels.items()
+            for signal in channel.signals
+        ]
 
     def __getitem__(self, signal: str) -> NDArray[np.float64]:
         """Give ``component.signal`` at every recorded row: shape (N,) for size 1, else (N, size); read-only."""
         channel, columns = find_signal(self._channels, signal, source=str(self.path))
-        values = self.rows(channel.name)[:, columns.start - channel.start : columns.stop - channel.start]
+        values = self.rows(channel.name)[
+            :, columns.start - channel.start : columns.stop - channel.start
+        ]
         return values[:, 0] if values.shape[1] == 1 else values
 
     def rows(self, component: str) -> Matrix:
@@ -163,7 +178,9 @@ class Log:
 
     def time(self, name: str) -> Vector:
         """Give the instants of a signal's or component's rows, shape (N,) [s]."""
-        channel = find_signal(self._channels, name, source=str(self.path))[0] if "." in name else None
+        channel = (
+            find_signal(self._channels, name, source=str(self.path))[0] if "." in name else None
+        )
         return self.time_ns(channel.name if channel else name) / 1e9
 
     def load(self, *components: str) -> None:
@@ -174,19 +191,27 @@ class Log:
     def attachment(self, name: str) -> bytes:
         """Give the content of an attachment."""
         if name not in self._attachments:
-            raise LogError(f"{self.path} has no attachment {name!r}; {nearest(name, self._attachments)}")
+            raise LogError(
+                f"{self.path} has no attachment {name!r}; {nearest(name, self._attachments)}"
+            )
         return self._file.attachment(self._attachments[name])
 
-    def messages(self) -> list[Message]:
+    def messages(self) -> list[LogMessage]:
         """Give what the run and its components said, in the order of time."""
-        spoken = {number for number, channel in self._declared.items() if channel.topic == LOG_TOPIC}
+        spoken = {
+            number for number, channel in self._declared.items() if channel.topic == LOG_TOPIC
+        }
         found = []
         try:
             for block in self._file.blocks():
                 for record in scan(block, self._dtypes()):
-                    if isinstance(record, Loose) and record.opcode == Opcode.MESSAGE and record.channel_id in spoken:
+                    if (
+                        isinstance(record, Loose)
+                        and record.opcode == Opcode.MESSAGE
+                        and record.channel_id in spoken
+                    ):
                         time_ns = int.from_bytes(record.content[_TIME], "little")
-                        found.append(Message(time_ns, *decode_log(record.content[22:])))
+                        found.append(LogMessage(time_ns, *decode_log(record.content[22:])))
         except MALFORMED as error:
             raise LogError(f"{self.path} is damaged: {error}") from error
         return sorted(found, key=lambda message: message.time_ns)
@@ -212,8 +237,13 @@ class Log:
         if not components:
             return {}
         dtypes = self._dtypes()
-        wanted = {number: part for number, part in self._parts.items() if part.channel.name in components}
-        rows = {number: Rows(part, self._file.expected(number, dtypes[number].itemsize)) for number, part in wanted.items()}
+        wanted = {
+            number: part for number, part in self._parts.items() if part.channel.name in components
+        }
+        rows = {
+            number: SignalRows(part, self._file.expected(number, dtypes[number].itemsize))
+            for number, part in wanted.items()
+        }
         try:
             for block in self._file.blocks():
                 for found in scan(block, dtypes):
@@ -222,7 +252,10 @@ class Log:
                     elif found[0] in rows:
                         rows[found[0]].append(found[1])
             self._check_counts(rows)
-            return {name: _joined([part for part in rows.values() if part.component == name]) for name in components}
+            return {
+                name: _joined([part for part in rows.values() if part.component == name])
+                for name in components
+            }
         except MALFORMED as error:
             raise LogError(f"{self.path} is damaged: {error}") from error
 
@@ -230,43 +263,69 @@ class Log:
         if found.opcode == Opcode.MESSAGE and found.channel_id not in self._declared:
             raise ValueError(f"a message of channel {found.channel_id}, which is declared nowhere")
 
-    def _check_counts(self, rows: Mapping[int, Rows]) -> None:
+    def _check_counts(self, rows: Mapping[int, SignalRows]) -> None:
         told = self._file.summary.statistics
         for number, found in rows.items():
             needed = told.channel_message_counts.get(number, 0) if told else found.count
             if found.count != needed:
-                raise ValueError(f"{found.count} rows of {found.component!r} found, its summary says {needed}")
+                raise ValueError(
+                    f"{found.count} rows of {found.component!r} found, its summary says {needed}"
+                )
 
     def _dtypes(self) -> dict[int, np.dtype[np.void]]:
         return {number: record_dtype(part.size) for number, part in self._parts.items()}
 
     def _read_parts(self) -> dict[int, Part]:
-        ours = {number: channel for number, channel in self._declared.items() if "cosim.component" in channel.metadata}
+        ours = {
+            number: channel
+            for number, channel in self._declared.items()
+            if "cosim.component" in channel.metadata
+        }
         if not ours:
-            topics = ", ".join(channel.topic for channel in self._declared.values()) or "no channels at all"
-            raise LogError(f"{self.path} has no channels of cosim, which carry 'cosim.component'; found: {topics}")
+            topics = (
+                ", ".join(channel.topic for channel in self._declared.values())
+                or "no channels at all"
+            )
+            raise LogError(
+                f"{self.path} has no channels of cosim, which carry 'cosim.component'; found: {topics}"
+            )
         parts = {}
         for number, channel in ours.items():
             try:
                 parts[number] = read_part(channel.metadata)
             except (*MALFORMED, GraphError) as error:
-                raise LogError(f"{self.path}: channel {channel.topic!r} cannot be understood: {error}") from error
+                raise LogError(
+                    f"{self.path}: channel {channel.topic!r} cannot be understood: {error}"
+                ) from error
         return parts
 
     def _read_channels(self) -> dict[str, Channel]:
         channels = {}
-        for part in sorted(self._parts.values(), key=lambda part: (part.channel.start, part.channel.name)):
+        for part in sorted(
+            self._parts.values(), key=lambda part: (part.channel.start, part.channel.name)
+        ):
             channels[part.channel.name] = part.channel
         for name, channel in channels.items():
-            spans = sorted((part.columns.start, part.columns.stop) for part in self._parts.values() if part.channel.name == name)
+            spans = sorted(
+                (part.columns.start, part.columns.stop)
+                for part in self._parts.values()
+                if part.channel.name == name
+            )
             edges = [0, *(stop for _, stop in spans)]
-            if [start for start, _ in spans] != edges[:-1] or edges[-1] != channel.columns.stop - channel.start:
-                raise LogError(f"{self.path}: component {name!r} is not there once and whole; its channels hold columns {spans}")
+            if [start for start, _ in spans] != edges[:-1] or edges[
+                -1
+            ] != channel.columns.stop - channel.start:
+                raise LogError(
+                    f"{self.path}: component {name!r} is not there once and whole; its channels hold columns {spans}"
+                )
         return channels
 
     def _read_metadata(self) -> dict[str, Mapping[str, str]]:
         try:
-            return {record.name: unseal(record.name, record.metadata) for record in self._file.metadata()}
+            return {
+                record.name: unseal(record.name, record.metadata)
+                for record in self._file.metadata()
+            }
         except ValueError as error:
             raise LogError(f"{self.path}: {error}") from error
 
@@ -274,17 +333,21 @@ class Log:
         try:
             return int(self._metadata[RESULT][key])
         except MALFORMED as error:
-            raise LogError(f"{self.path} does not tell {key!r}: needed a {RESULT} record, which cosim writes") from error
+            raise LogError(
+                f"{self.path} does not tell {key!r}: needed a {RESULT} record, which cosim writes"
+            ) from error
 
     def _component_metadata(self, component: str, key: str, default: Any, parse: Any) -> Any:
         text = self._metadata.get(f"cosim.component.{component}", {}).get(key)
         try:
             return default if text is None else parse(text)
         except MALFORMED as error:
-            raise LogError(f"{self.path}: {key} of {component!r} cannot be understood: {error}") from error
+            raise LogError(
+                f"{self.path}: {key} of {component!r} cannot be understood: {error}"
+            ) from error
 
 
-def _joined(parts: list[Rows]) -> tuple[Nanoseconds, Matrix]:
+def _joined(parts: list[SignalRows]) -> tuple[Nanoseconds, Matrix]:
     """Put the parts of a component side by side."""
     ordered = [rows.sorted() for rows in sorted(parts, key=lambda rows: rows.part.columns.start)]
     time_ns, values = ordered[0]

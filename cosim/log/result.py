@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.core.recorders import Outcome
+from cosim.core.recorders import EndOfRun
 from cosim.log.metadata import seal
 from cosim.log.sink import Sink
 
@@ -18,14 +18,16 @@ RESULT_FILE = "result.json"
 
 
 @dataclass(frozen=True, slots=True)
-class Reached:
+class LastRow:
     """The last row of a run."""
 
     steps: int = 0
     end_ns: int = 0
 
 
-def write_result(sink: Sink, end: Outcome, reached: Reached, *, content_hash: str, more: Mapping[str, Any]) -> None:
+def write_result(
+    sink: Sink, end: EndOfRun, reached: LastRow, *, content_hash: str, more: Mapping[str, Any]
+) -> None:
     """Write the record and the attachment; ``more`` goes to the attachment alone.
 
     Raises

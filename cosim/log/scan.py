@@ -29,7 +29,9 @@ class Loose:
     content: bytes
 
 
-def scan(data: bytes, dtypes: Mapping[int, np.dtype[np.void]]) -> Iterator[tuple[int, Records] | Loose]:
+def scan(
+    data: bytes, dtypes: Mapping[int, np.dtype[np.void]]
+) -> Iterator[tuple[int, Records] | Loose]:
     """Give the records in ``data`` in their order: runs of messages of the channels in ``dtypes``, and all others one by one.
 
     Raises
@@ -45,7 +47,11 @@ def scan(data: bytes, dtypes: Mapping[int, np.dtype[np.void]]) -> Iterator[tuple
         stop = at + HEADER + length
         if stop > len(data) or (opcode == Opcode.MESSAGE and length < 22):
             raise ValueError(f"a record of {length} bytes does not fit into its chunk")
-        channel_id = int.from_bytes(data[at + HEADER : at + _HEAD_BYTES], "little") if opcode == Opcode.MESSAGE else 0
+        channel_id = (
+            int.from_bytes(data[at + HEADER : at + _HEAD_BYTES], "little")
+            if opcode == Opcode.MESSAGE
+            else 0
+        )
         dtype = dtypes.get(channel_id)
         if dtype is None or opcode != Opcode.MESSAGE:
             yield Loose(opcode, channel_id, data[at + HEADER : stop])

@@ -89,19 +89,31 @@ class Sink:
 
     def mark(self) -> Mark:
         """Remember the place reached."""
-        return Mark(self._position, self._crc, len(self._chunks), len(self._metadata), len(self._attachments))
+        return Mark(
+            self._position,
+            self._crc,
+            len(self._chunks),
+            len(self._metadata),
+            len(self._attachments),
+        )
 
     def rewind(self, mark: Mark) -> None:
         """Forget, on the disk too, what was written since ``mark``."""
         self._stream.truncate(mark.position)
         self._stream.seek(mark.position)
         self._position, self._crc = mark.position, mark.crc
-        del self._chunks[mark.chunks :], self._metadata[mark.metadata :], self._attachments[mark.attachments :]
+        del (
+            self._chunks[mark.chunks :],
+            self._metadata[mark.metadata :],
+            self._attachments[mark.attachments :],
+        )
 
     def channel(self, topic: str, *, schema: tuple[str, bytes], metadata: dict[str, str]) -> int:
         """Write a channel with its own protobuf schema (name, FileDescriptorSet); give the channel's id."""
         number = len(self._channels) + 1
-        self._schemas.append(records.Schema(id=number, data=schema[1], encoding="protobuf", name=schema[0]))
+        self._schemas.append(
+            records.Schema(id=number, data=schema[1], encoding="protobuf", name=schema[0])
+        )
         self._channels.append(records.Channel(number, topic, "protobuf", metadata, number))
         self.append(encoded(self._schemas[-1], self._channels[-1]))
         return number
@@ -109,29 +121,48 @@ class Sink:
     def metadata(self, name: str, items: dict[str, str]) -> None:
         """Write a metadata record."""
         data = encoded(records.Metadata(name=name, metadata=items))
-        self._metadata.append(records.MetadataIndex(offset=self.append(data), length=len(data), name=name))
+        self._metadata.append(
+            records.MetadataIndex(offset=self.append(data), length=len(data), name=name)
+        )
 
     def attachment(self, name: str, media_type: str, content: bytes) -> None:
         """Write an attachment, at time 0."""
-        data = encoded(records.Attachment(create_time=0, log_time=0, name=name, media_type=media_type, data=content))
+        data = encoded(
+            records.Attachment(
+                create_time=0, log_time=0, name=name, media_type=media_type, data=content
+            )
+        )
         start = self.append(data)
-        self._attachments.append(records.AttachmentIndex(start, len(data), 0, 0, len(content), name, media_type))
+        self._attachments.append(
+            records.AttachmentIndex(start, len(data), 0, 0, len(content), name, media_type)
+        )
 
     def chunk(self, runs: Sequence[Run], compression: Compression) -> None:
         """Write message records as one chunk, with its message indexes."""
         content = b"".join(run.data for run in runs)
         packed = compress(content, compression)
         name = "" if compression == "none" else compression
-        first, last = min(int(run.time_ns.min()) for run in runs), max(int(run.time_ns.max()) for run in runs)
+        first, last = (
+            min(int(run.time_ns.min()) for run in runs),
+            max(int(run.time_ns.max()) for run in runs),
+        )
         label = struct.pack("<I", len(name)) + name.encode()
-        sizes = struct.pack("<QQQI", first, last, len(content), zlib.crc32(content)) + label + struct.pack("<Q", len(packed))
+        sizes = (
+            struct.pack("<QQQI", first, last, len(content), zlib.crc32(content))
+            + label
+            + struct.pack("<Q", len(packed))
+        )
         length = len(sizes) + len(packed)
         pieces = [struct.pack("<BQ", Opcode.CHUNK, length), sizes, packed, *_indexes(runs)]
         start = self.append(b"".join(pieces))
 
-        index = records.ChunkIndex(9 + length, start, name, len(packed), last, 0, {}, first, len(content))
+        index = records.ChunkIndex(
+            9 + length, start, name, len(packed), last, 0, {}, first, len(content)
+        )
         for run, piece in zip(runs, pieces[3:], strict=True):
-            index.message_index_offsets[run.channel_id] = start + 9 + length + index.message_index_length
+            index.message_index_offsets[run.channel_id] = (
+                start + 9 + length + index.message_index_length
+            )
             index.message_index_length += len(piece)
         self._chunks.append((index, {run.channel_id: len(run.time_ns) for run in runs}))
 
@@ -192,6 +223,9 @@ def _indexes(runs: Sequence[Run]) -> list[bytes]:
         entries = np.empty(len(run.time_ns), _INDEX_ENTRY)
         entries["log_time"], entries["offset"] = run.time_ns, run.offsets + base
         size = entries.nbytes
-        pieces.append(struct.pack("<BQHI", Opcode.MESSAGE_INDEX, 6 + size, run.channel_id, size) + entries.tobytes())
+        pieces.append(
+            struct.pack("<BQHI", Opcode.MESSAGE_INDEX, 6 + size, run.channel_id, size)
+            + entries.tobytes()
+        )
         base += len(run.data)
     return pieces

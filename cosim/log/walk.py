@@ -20,7 +20,7 @@ _SPAN_BYTES = 2**22  # of messages outside chunks that are taken as one piece
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class RecordSpan:
     """Where a record, or a span of messages outside chunks, stands: from ``start`` to ``stop``, headers included."""
 
     opcode: int
@@ -29,19 +29,19 @@ class Place:
 
 
 @dataclass(slots=True)
-class Contents:
+class FileContents:
     """What a file holds, in the order of the file."""
 
-    data: list[Place] = field(default_factory=list)  # chunks and spans of messages
-    channels: list[Place] = field(default_factory=list)  # outside chunks
-    metadata: list[Place] = field(default_factory=list)
-    attachments: list[Place] = field(default_factory=list)
+    data: list[RecordSpan] = field(default_factory=list)  # chunks and spans of messages
+    channels: list[RecordSpan] = field(default_factory=list)  # outside chunks
+    metadata: list[RecordSpan] = field(default_factory=list)
+    attachments: list[RecordSpan] = field(default_factory=list)
     data_end: int = 0
     data_crc: int = 0
     footer: int = 0
 
 
-def walk(path: Path, stream: BinaryIO) -> Contents:
+def walk(path: Path, stream: BinaryIO) -> FileContents:
     """Go from record to record up to the footer.
 
     Raises
@@ -54,7 +54,7 @@ def walk(path: Path, stream: BinaryIO) -> Contents:
     magic = stream.read(len(MCAP0_MAGIC))
     if magic != MCAP0_MAGIC:
         raise LogError(f"{path} is no MCAP file: it begins with {magic!r}, needed {MCAP0_MAGIC!r}")
-    contents, at, opcode = Contents(), len(MCAP0_MAGIC), 0
+    contents, at, opcode = FileContents(), len(MCAP0_MAGIC), 0
     while opcode != Opcode.FOOTER:
         stream.seek(at)
         head = stream.read(HEADER)
@@ -62,7 +62,7 @@ def walk(path: Path, stream: BinaryIO) -> Contents:
         if len(head) < HEADER or stop > size:
             raise _cut(path, stream, contents, (at, size))
         opcode = head[0]
-        _sort(contents, Place(opcode, at, stop))
+        _sort(contents, RecordSpan(opcode, at, stop))
         if opcode == Opcode.DATA_END and not contents.data_end:
             contents.data_end, contents.data_crc = at, int.from_bytes(stream.read(4), "little")
         at = stop
@@ -72,7 +72,7 @@ def walk(path: Path, stream: BinaryIO) -> Contents:
     return contents
 
 
-def _cut(path: Path, stream: BinaryIO, contents: Contents, end: tuple[int, int]) -> LogError:
+def _cut(path: Path, stream: BinaryIO, contents: FileContents, end: tuple[int, int]) -> LogError:
     """Make the error of a file without its end, of which what stands before the first byte of ``end`` is whole."""
     at, size = end
     stream.seek(max(size - len(MCAP0_MAGIC), 0))
@@ -84,7 +84,7 @@ def _cut(path: Path, stream: BinaryIO, contents: Contents, end: tuple[int, int])
     )
 
 
-def _whole(stream: BinaryIO, contents: Contents) -> str:
+def _whole(stream: BinaryIO, contents: FileContents) -> str:
     """Say how much is there, and what to do."""
     chunks = [place for place in contents.data if place.opcode == Opcode.CHUNK]
     if not chunks:
@@ -99,7 +99,7 @@ def damage(path: Path, offset: int, reason: str) -> LogError:
     return LogError(f"{path} is damaged at byte {offset}: {reason}")
 
 
-def _sort(contents: Contents, place: Place) -> None:
+def _sort(contents: FileContents, place: RecordSpan) -> None:
     """Put a record where it belongs."""
     if place.opcode == Opcode.FOOTER:
         contents.footer = place.start
@@ -115,6 +115,11 @@ def _sort(contents: Contents, place: Place) -> None:
         contents.channels.append(place)
     elif place.opcode == Opcode.MESSAGE:
         last = contents.data[-1] if contents.data else None
-        if last and last.opcode == Opcode.MESSAGE and last.stop == place.start and place.stop - last.start <= _SPAN_BYTES:
-            place = Place(Opcode.MESSAGE, contents.data.pop().start, place.stop)
+        if (
+            last
+            and last.opcode == Opcode.MESSAGE
+            and last.stop == place.start
+            and place.stop - last.start <= _SPAN_BYTES
+        ):
+            place = RecordSpan(Opcode.MESSAGE, contents.data.pop().start, place.stop)
         contents.data.append(place)

@@ -14,19 +14,19 @@ from types import TracebackType
 from typing import Any, Self, final
 
 from cosim.arrays import Matrix
-from cosim.core.contracts import Block, Level, Plan
-from cosim.core.recorders import Outcome, outcome
+from cosim.core.contracts import Block, MessageLevel, Plan
+from cosim.core.recorders import EndOfRun, end_of_run
 from cosim.core.signals import Interface
 from cosim.errors import LogError, LogWriteError, RunError
 from cosim.log.buffer import RowBuffer, message_run
 from cosim.log.compression import Compression
 from cosim.log.content import combine
-from cosim.log.draft import Draft
+from cosim.log.draft import UnfinishedLog
 from cosim.log.environment import library
 from cosim.log.interrupts import uninterrupted
 from cosim.log.layout import signals_json, split
 from cosim.log.preamble import Attachment, write_parts, write_preamble
-from cosim.log.result import Reached, write_result
+from cosim.log.result import LastRow, write_result
 from cosim.log.schema import encode_log
 from cosim.log.sink import Mark, Sink
 
@@ -40,7 +40,7 @@ class _Saved:
 
     mark: Mark
     hashes: dict[str, hashlib._Hash]
-    reached: Reached
+    reached: LastRow
 
 
 @final
@@ -84,11 +84,11 @@ class McapRecorder:
         self.result: dict[str, Any] = {}
         self._force, self._compression = force, compression
         self._kinds, self._metadata, self._attachments = kinds or {}, metadata or {}, attachments
-        self._draft = Draft(self.path, force=force)
+        self._draft = UnfinishedLog(self.path, force=force)
         self._sink: Sink | None = None
         self._saved: deque[_Saved] = deque(maxlen=_MARKS)
         self._messages: list[tuple[int, bytes]] = []
-        self._reached = Reached()
+        self._reached = LastRow()
 
     def __enter__(self) -> Self:
         """Refuse a path that exists.
@@ -99,12 +99,19 @@ class McapRecorder:
             If the file exists and ``force`` is false, or the path is a folder.
         """
         if self.path.is_dir():
-            raise LogError(f"{self.path} is a folder; name a file, such as {self.path / 'run.mcap'}")
+            raise LogError(
+                f"{self.path} is a folder; name a file, such as {self.path / 'run.mcap'}"
+            )
         if not self._force and self.path.exists():
             raise LogError(f"{self.path} exists; choose another path, or --force to replace it")
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         """Write what is buffered, the result and the summary; remove what was refused.
 
         Raises
@@ -119,7 +126,7 @@ class McapRecorder:
                 wanted = self._draft.published or error is None or isinstance(error, RunError)
                 if self._sink is not None and wanted:
                     self._draft.publish()
-                    self._complete(self._sink, outcome(error))
+                    self._complete(self._sink, end_of_run(error))
             finally:
                 self._draft.discard()
                 self._sink = None
@@ -137,14 +144,22 @@ class McapRecorder:
 
     def _begin(self, plan: Plan, stream: RawIOBase) -> None:
         channels = plan.layout.channels
-        parts = [p for c in channels for p in split(c, kind=self._kinds.get(c.name, ""), step_ns=plan.step_ns)]
+        parts = [
+            p
+            for c in channels
+            for p in split(c, kind=self._kinds.get(c.name, ""), step_ns=plan.step_ns)
+        ]
         try:
             sink = Sink(stream, library=library())
             ids = write_parts(sink, parts)
-            self._log_id = write_preamble(sink, plan, metadata=self._metadata, attachments=self._attachments)
+            self._log_id = write_preamble(
+                sink, plan, metadata=self._metadata, attachments=self._attachments
+            )
         except OSError as error:
             raise LogError(f"{self.path} cannot be written: {error.strerror or error}") from error
-        self._interfaces: dict[str, Interface] = {channel.name: channel.interface for channel in channels}
+        self._interfaces: dict[str, Interface] = {
+            channel.name: channel.interface for channel in channels
+        }
         self._hashes = {channel.name: hashlib.sha256() for channel in channels}
         self._buffer = RowBuffer(plan.layout, list(zip(ids, parts, strict=True)))
         self._step_ns = plan.step_ns
@@ -162,7 +177,9 @@ class McapRecorder:
             If the file cannot be written to, or a time is negative.
         """
         if block.time_ns[0] < 0:
-            raise LogWriteError(f"{self.path}: time {block.time_ns[0]} ns; the times of a log begin at 0")
+            raise LogWriteError(
+                f"{self.path}: time {block.time_ns[0]} ns; the times of a log begin at 0"
+            )
         first = not self._draft.published
         if first:
             with uninterrupted():
@@ -173,12 +190,14 @@ class McapRecorder:
             if self._buffer.full or time.monotonic() - self._flushed >= _FLUSH_AFTER:
                 self._write_chunk()
 
-    def message(self, time_ns: int, level: Level, name: str, text: str) -> None:
+    def message(self, time_ns: int, level: MessageLevel, name: str, text: str) -> None:
         """Record a message of the run or of a component at a simulation time [ns] on ``/cosim/log``."""
         self._messages.append((time_ns, encode_log(time_ns, level, name, text)))
 
     def _write_chunk(self) -> None:
-        with uninterrupted():  # between the mark and the cleared buffer, an interrupt would write the rows twice
+        with (
+            uninterrupted()
+        ):  # between the mark and the cleared buffer, an interrupt would write the rows twice
             try:
                 self._flush()
             except OSError as error:
@@ -220,7 +239,11 @@ class McapRecorder:
             saved = self._saved.pop()
             with suppress(OSError):
                 sink.rewind(saved.mark)
-                self._close(sink, saved, Outcome("failed", f"the log could not be written further: {reason}"))
+                self._close(
+                    sink,
+                    saved,
+                    EndOfRun("failed", f"the log could not be written further: {reason}"),
+                )
                 whole = f"up to t = {saved.reached.end_ns / 1e9} s it is a valid file"
                 break
         else:
@@ -228,7 +251,7 @@ class McapRecorder:
             whole = "it has no end"
         raise LogWriteError(f"{self.path} cannot be written further: {reason}; {whole}") from error
 
-    def _complete(self, sink: Sink, end: Outcome) -> None:
+    def _complete(self, sink: Sink, end: EndOfRun) -> None:
         try:
             sink.rewind(self._saved[-1].mark)  # where a write was not finished
             self._hashes = _copied(self._saved[-1].hashes)
@@ -237,9 +260,12 @@ class McapRecorder:
         except OSError as failure:
             self._fail(failure)
 
-    def _close(self, sink: Sink, saved: _Saved, end: Outcome) -> None:
+    def _close(self, sink: Sink, saved: _Saved, end: EndOfRun) -> None:
         """Write the result and the end of the file."""
-        digests = [(name, signals_json(self._interfaces[name]), digest.hexdigest()) for name, digest in saved.hashes.items()]
+        digests = [
+            (name, signals_json(self._interfaces[name]), digest.hexdigest())
+            for name, digest in saved.hashes.items()
+        ]
         write_result(sink, end, saved.reached, content_hash=combine(digests), more=self.result)
         sink.close()
 

@@ -29,7 +29,9 @@ def compiler() -> list[str]:
         return [found]
     if importlib.util.find_spec("ziglang") is not None:
         system = {"linux": "linux-gnu", "darwin": "macos", "win32": "windows-gnu"}[sys.platform]
-        machine = {"AMD64": "x86_64", "arm64": "aarch64"}.get(platform.machine(), platform.machine())
+        machine = {"AMD64": "x86_64", "arm64": "aarch64"}.get(
+            platform.machine(), platform.machine()
+        )
         return cross_compiler(f"{machine}-{system}")
     return []
 
@@ -42,7 +44,11 @@ def cross_compiler(target: str) -> list[str]:
 
 
 def compile_library(
-    sources: Iterable[Path], target: Path, options: Iterable[str] = (), *, command: Sequence[str] | None = None
+    sources: Iterable[Path],
+    target: Path,
+    options: Iterable[str] = (),
+    *,
+    command: Sequence[str] | None = None,
 ) -> None:
     """Compile C sources to a shared library; ``options`` go to the compiler as they are.
 
@@ -67,7 +73,9 @@ def compile_library(
         raise RuntimeError(f"{' '.join(command)} failed:\n{result.stderr}")
 
 
-if "hatchling" in sys.modules:  # a build; elsewhere only the compiler above is wanted, and importing hatchling costs time
+if (
+    "hatchling" in sys.modules
+):  # a build; elsewhere only the compiler above is wanted, and importing hatchling costs time
     from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
     class KernelBuildHook(BuildHookInterface):  # type: ignore[type-arg,misc,unused-ignore]
@@ -82,4 +90,6 @@ if "hatchling" in sys.modules:  # a build; elsewhere only the compiler above is 
             compile_library((HERE / name for name in SOURCES), HERE / LIBRARY)
             build_data["artifacts"].append(f"cosim/native/{LIBRARY}")
             build_data["pure_python"] = False
-            build_data["tag"] = f"py3-none-{sysconfig.get_platform().replace('-', '_').replace('.', '_')}"
+            build_data["tag"] = (
+                f"py3-none-{sysconfig.get_platform().replace('-', '_').replace('.', '_')}"
+            )

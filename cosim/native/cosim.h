@@ -31,7 +31,7 @@ void cosim_multiply_add(int32_t rows, int32_t columns, const double *M, const do
 /* E = exp(M) for M of shape (n, n), by scaling, a Taylor series and squaring; `work` has 2 n n doubles. */
 void cosim_exponential(int32_t n, const double *M, double *E, double *work);
 
-/* Exact discretisation of x' = A x + B u for inputs that move in straight lines: x(t+h) = Ad x + B0 u(t) + B1 u(t+h).
+/* Exact discretization of x' = A x + B u for inputs that move in straight lines: x(t+h) = Ad x + B0 u(t) + B1 u(t+h).
  * held[j] != 0: input j keeps u(t) over the step. `work` has 4 N N doubles, N = n + 2 m. */
 void cosim_first_order_hold(int32_t n, int32_t m, const double *A, const double *B, double h, const uint8_t *held, double *Ad,
                             double *B0, double *B1, double *work);
@@ -89,7 +89,7 @@ void cosim_regressor_outputs(const cosim_regressor *self, double t, double delta
 #define COSIM_SINE 3         /* V = 2: one sine */
 typedef struct {
     int32_t kind;
-    int32_t index[3]; /* which chi; 0 is the normaliser */
+    int32_t index[3]; /* which chi; 0 is the normalizer */
     int32_t theta[2]; /* where the results belong */
     double sign[3];
     double spacing; /* [s] */

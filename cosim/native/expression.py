@@ -15,10 +15,43 @@ from numpy.typing import NDArray
 
 from cosim.errors import UsageError, nearest
 
-FUNCTIONS = ("sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "exp", "log", "sqrt", "abs", "sign", "step")
-OPERATIONS = ("t", "add", "subtract", "multiply", "divide", "power", "min", "max", "negate", *FUNCTIONS)  # expression.c's order
+FUNCTIONS = (
+    "sin",
+    "cos",
+    "tan",
+    "asin",
+    "acos",
+    "atan",
+    "sinh",
+    "cosh",
+    "tanh",
+    "exp",
+    "log",
+    "sqrt",
+    "abs",
+    "sign",
+    "step",
+)
+OPERATIONS = (
+    "t",
+    "add",
+    "subtract",
+    "multiply",
+    "divide",
+    "power",
+    "min",
+    "max",
+    "negate",
+    *FUNCTIONS,
+)  # expression.c's order
 _CODE = {name: code for code, name in enumerate(OPERATIONS)}
-_BINARY = {ast.Add: "add", ast.Sub: "subtract", ast.Mult: "multiply", ast.Div: "divide", ast.Pow: "power"}
+_BINARY = {
+    ast.Add: "add",
+    ast.Sub: "subtract",
+    ast.Mult: "multiply",
+    ast.Div: "divide",
+    ast.Pow: "power",
+}
 _CONSTANTS = {"pi": math.pi, "e": math.e}
 _STACK = 64  # COSIM_STACK of cosim.h
 
@@ -43,7 +76,9 @@ def compile_expression(text: str) -> Program:
     try:
         tree = ast.parse(text.strip(), mode="eval")
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-        place = f" at column {error.offset}" if isinstance(error, SyntaxError) and error.offset else ""
+        place = (
+            f" at column {error.offset}" if isinstance(error, SyntaxError) and error.offset else ""
+        )
         raise UsageError(
             f"expression {text!r}: not an expression{place}; needed something like '1.35 + 0.25*sin(1.7*t)'"
         ) from error
@@ -51,10 +86,14 @@ def compile_expression(text: str) -> Program:
     try:
         depth = compiler.emit(tree.body)
     except RecursionError as error:
-        raise UsageError(f"expression {text!r}: nested too deep to be read; write it with fewer terms") from error
+        raise UsageError(
+            f"expression {text!r}: nested too deep to be read; write it with fewer terms"
+        ) from error
     if depth > _STACK:
         raise UsageError(f"expression {text!r}: nested {depth} deep, at most {_STACK}")
-    return Program(text, np.array(compiler.code, np.int32), np.array(compiler.constants or [0.0], np.float64))
+    return Program(
+        text, np.array(compiler.code, np.int32), np.array(compiler.constants or [0.0], np.float64)
+    )
 
 
 class _Compiler:
@@ -79,7 +118,10 @@ class _Compiler:
             case ast.Name(id=name) if name in _CONSTANTS:
                 return self.constant(_CONSTANTS[name])
             case ast.Name(id=name):
-                raise self.refuse(f"unknown name {name!r}", nearest(name, ["t", *_CONSTANTS, *FUNCTIONS, "min", "max"]))
+                raise self.refuse(
+                    f"unknown name {name!r}",
+                    nearest(name, ["t", *_CONSTANTS, *FUNCTIONS, "min", "max"]),
+                )
             case ast.UnaryOp(op=ast.UAdd(), operand=operand):
                 return self.emit(operand)
             case ast.UnaryOp(op=ast.USub(), operand=operand):
@@ -89,7 +131,10 @@ class _Compiler:
             case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]):
                 return self.function(name, arguments)
             case _:
-                raise self.refuse(f"{ast.unparse(node)!r}", "only numbers, t, pi, e, + - * / ** and functions are allowed")
+                raise self.refuse(
+                    f"{ast.unparse(node)!r}",
+                    "only numbers, t, pi, e, + - * / ** and functions are allowed",
+                )
 
     def constant(self, value: float) -> int:
         try:
@@ -105,7 +150,9 @@ class _Compiler:
     def function(self, name: str, arguments: list[ast.expr]) -> int:
         count = 2 if name in ("min", "max") else 1
         if name not in FUNCTIONS and count == 1:
-            raise self.refuse(f"unknown function {name!r}", nearest(name, [*FUNCTIONS, "min", "max"]))
+            raise self.refuse(
+                f"unknown function {name!r}", nearest(name, [*FUNCTIONS, "min", "max"])
+            )
         if len(arguments) != count:
             raise self.refuse(f"{name} with {len(arguments)} arguments", f"needed {count}")
         return self.call(name, arguments)

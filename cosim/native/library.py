@@ -45,7 +45,10 @@ class RegressorStruct(ctypes.Structure):
 
     _fields_ = (
         *((name, c_int32) for name in ("rows", "blocks", "terms", "factors")),
-        *((name, c_void_p) for name in ("steps", "delays", "alphas", "row", "factor", "sign", "memory")),
+        *(
+            (name, c_void_p)
+            for name in ("steps", "delays", "alphas", "row", "factor", "sign", "memory")
+        ),
     )
 
 
@@ -76,7 +79,12 @@ class LeastSquaresStruct(ctypes.Structure):
 class MessageStruct(ctypes.Structure):
     """cosim_message."""
 
-    _fields_ = (("time", c_double), ("status", c_int32), ("category", c_char * 100), ("text", c_char * 1001))
+    _fields_ = (
+        ("time", c_double),
+        ("status", c_int32),
+        ("category", c_char * 100),
+        ("text", c_char * 1001),
+    )
 
 
 class MessagesStruct(ctypes.Structure):
@@ -110,19 +118,43 @@ def _load() -> Any:
     try:
         library = ctypes.CDLL(str(path))
     except OSError as error:
-        raise UsageError(f"the compiled kernels {path} cannot be loaded ({error}); run 'pip install -e .' again") from error
+        raise UsageError(
+            f"the compiled kernels {path} cannot be loaded ({error}); run 'pip install -e .' again"
+        ) from error
     doubles = c_void_p
     signatures: dict[str, tuple[Any, list[Any]]] = {
         "cosim_cascade": (
             c_int64,
-            [c_void_p, c_void_p, c_int64, doubles, c_double, doubles, c_int64, doubles, c_int64, POINTER(c_int32)],
+            [
+                c_void_p,
+                c_void_p,
+                c_int64,
+                doubles,
+                c_double,
+                doubles,
+                c_int64,
+                doubles,
+                c_int64,
+                POINTER(c_int32),
+            ],
         ),
         "cosim_multiply": (None, [c_int32, c_int32, doubles, doubles, doubles]),
         "cosim_multiply_add": (None, [c_int32, c_int32, doubles, doubles, doubles]),
         "cosim_exponential": (None, [c_int32, doubles, doubles, doubles]),
         "cosim_first_order_hold": (
             None,
-            [c_int32, c_int32, doubles, doubles, c_double, POINTER(c_uint8), doubles, doubles, doubles, doubles],
+            [
+                c_int32,
+                c_int32,
+                doubles,
+                doubles,
+                c_double,
+                POINTER(c_uint8),
+                doubles,
+                doubles,
+                doubles,
+                doubles,
+            ],
         ),
         "cosim_evaluate": (c_double, [POINTER(ProgramStruct), c_double]),
         "cosim_regressor_outputs": (None, [c_void_p, c_double, c_double, doubles]),

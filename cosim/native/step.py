@@ -47,7 +47,15 @@ class NativeStep:
         Arrays that ``state`` points into.
     """
 
-    def __init__(self, function: int, state: ctypes.Structure, *, n_y: int, memory: Vector, keep: Sequence[object] = ()) -> None:
+    def __init__(
+        self,
+        function: int,
+        state: ctypes.Structure,
+        *,
+        n_y: int,
+        memory: Vector,
+        keep: Sequence[object] = (),
+    ) -> None:
         self.function = function
         self.state = state
         self.n_y = n_y
@@ -88,7 +96,7 @@ class NativeStep:
 
 
 @dataclass(frozen=True, slots=True)
-class HeldDiscretisation:
+class HeldDiscretization:
     """x(t+h) = Ad x(t) + B0 u(t) + B1 u(t+h), exact for straight-line (or held) inputs."""
 
     Ad: Matrix
@@ -96,8 +104,8 @@ class HeldDiscretisation:
     B1: Matrix
 
 
-def first_order_hold(A: Matrix, B: Matrix, h: float, held: Mask) -> HeldDiscretisation:
-    """Discretise x' = A x + B u exactly over a step of ``h`` seconds.
+def first_order_hold(A: Matrix, B: Matrix, h: float, held: Mask) -> HeldDiscretization:
+    """Discretize x' = A x + B u exactly over a step of ``h`` seconds.
 
     Parameters
     ----------
@@ -113,8 +121,10 @@ def first_order_hold(A: Matrix, B: Matrix, h: float, held: Mask) -> HeldDiscreti
     Ad, B0, B1 = np.empty((n, n)), np.empty((n, m)), np.empty((n, m))
     work = np.empty(4 * (n + 2 * m) ** 2)
     mask = (ctypes.c_uint8 * max(m, 1))(*map(int, held))
-    library.cosim_first_order_hold(n, m, pointer(A), pointer(B), h, mask, pointer(Ad), pointer(B0), pointer(B1), pointer(work))
-    return HeldDiscretisation(Ad, B0, B1)
+    library.cosim_first_order_hold(
+        n, m, pointer(A), pointer(B), h, mask, pointer(Ad), pointer(B0), pointer(B1), pointer(work)
+    )
+    return HeldDiscretization(Ad, B0, B1)
 
 
 def exponential(M: Matrix) -> Matrix:
@@ -134,9 +144,11 @@ def affine(pairs: Sequence[tuple[Matrix, Vector]]) -> Vector:
     return y
 
 
-def linear(discrete: HeldDiscretisation, C: Matrix, D: Matrix) -> NativeStep:
-    """Step a discretised linear system; memory: x (n), scratch (n)."""
-    arrays = [np.ascontiguousarray(M, np.float64) for M in (discrete.Ad, discrete.B0, discrete.B1, C, D)]
+def linear(discrete: HeldDiscretization, C: Matrix, D: Matrix) -> NativeStep:
+    """Step a discretized linear system; memory: x (n), scratch (n)."""
+    arrays = [
+        np.ascontiguousarray(M, np.float64) for M in (discrete.Ad, discrete.B0, discrete.B1, C, D)
+    ]
     memory = np.zeros(2 * len(discrete.Ad) + 1)
     n, m, p = len(discrete.Ad), discrete.B0.shape[1], len(C)
     state = LinearStruct(n, m, p, *map(pointer, arrays), pointer(memory))
@@ -146,7 +158,12 @@ def linear(discrete: HeldDiscretisation, C: Matrix, D: Matrix) -> NativeStep:
 def delay(steps: int, width: int) -> NativeStep:
     """Give the input ``steps`` communication steps later; memory: the row due now, ring of ``steps`` rows."""
     memory = np.zeros(1 + steps * width)
-    return NativeStep(address("cosim_delay_step"), DelayStruct(steps, width, pointer(memory)), n_y=width, memory=memory)
+    return NativeStep(
+        address("cosim_delay_step"),
+        DelayStruct(steps, width, pointer(memory)),
+        n_y=width,
+        memory=memory,
+    )
 
 
 def evaluate(program: Program, t: float) -> float:
@@ -167,7 +184,13 @@ def expression(programs: Sequence[Program]) -> NativeStep:
     """Give the values of expressions in t; no memory."""
     array = _programs(programs)
     state = ExpressionStruct(len(programs), ctypes.addressof(array))
-    return NativeStep(address("cosim_expression_step"), state, n_y=len(programs), memory=np.zeros(0), keep=(array, *programs))
+    return NativeStep(
+        address("cosim_expression_step"),
+        state,
+        n_y=len(programs),
+        memory=np.zeros(0),
+        keep=(array, *programs),
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,7 +220,7 @@ class RegressorConstants:
         return 1 + max(self.steps) + len(self.alphas) * len(self.steps)
 
 
-class Regressor:
+class RegressorStep:
     """The products mu (21)-(25) over a ring of delayed samples."""
 
     def __init__(self, constants: RegressorConstants) -> None:
@@ -226,7 +249,11 @@ class Regressor:
             pointer(memory),
         )
         self.step = NativeStep(
-            address("cosim_regressor_step"), state, n_y=terms, memory=memory, keep=(programs, *constants.alphas, *arrays)
+            address("cosim_regressor_step"),
+            state,
+            n_y=terms,
+            memory=memory,
+            keep=(programs, *constants.alphas, *arrays),
         )
 
     def reset(self) -> None:
@@ -316,7 +343,9 @@ class LeastSquares:
             pointer(memory),
         )
         n_y = constants.parameters + constants.unknowns
-        self.step = NativeStep(address("cosim_least_squares_step"), state, n_y=n_y, memory=memory, keep=(plans,))
+        self.step = NativeStep(
+            address("cosim_least_squares_step"), state, n_y=n_y, memory=memory, keep=(plans,)
+        )
 
     def initialize(self) -> Vector:
         """Forget the past; there is no estimate yet."""

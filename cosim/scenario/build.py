@@ -15,11 +15,11 @@ from cosim.core.connections import Connection, check_connections, layout_of
 from cosim.core.contracts import Component, Recording
 from cosim.core.graph import Graph
 from cosim.errors import CosimError
+from cosim.scenario.context import MessageSource, ScenarioBuildContext
 from cosim.scenario.document import Document, Problem
-from cosim.scenario.kinds import Site
+from cosim.scenario.kinds import BuildContext
 from cosim.scenario.parsing import Parsed, Problems, read, report
-from cosim.scenario.site import ScenarioSite, Speaker
-from cosim.scenario.truth import judge_truth
+from cosim.scenario.truth import check_truth
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Scenario(Parsed):
     def swap(self, *, map: Mapping[str, str] | None = None, **paths: str | Path) -> Scenario:
         """Put an FMU (.fmu) or a recorded component (.mcap) in the place of a component.
 
-        ``map`` gives the names that ports have there, such as ``{"observer.y": "out1"}``; see :mod:`cosim.scenario.swapping`.
+        ``map`` gives the names that ports have there, such as ``{"observer.y": "out1"}``; see :mod:`cosim.scenario.swap`.
         """
         return self.edit(swap=paths, map=map)
 
@@ -59,9 +59,13 @@ class Experiment:
     truth: Mapping[str, Any]  # what the report compares
     facts: Mapping[str, Mapping[str, Any]]
     warnings: tuple[tuple[str, str], ...]
-    reads: Mapping[str, frozenset[str]]  # tables that were read to build each component, but for its own
+    reads: Mapping[
+        str, frozenset[str]
+    ]  # tables that were read to build each component, but for its own
     attachments: Mapping[str, str] = field(default_factory=dict)
-    fmus: Mapping[str, Speaker] = field(default_factory=dict)  # what was opened for this run and may have something to say
+    fmus: Mapping[str, MessageSource] = field(
+        default_factory=dict
+    )  # what was opened for this run and may have something to say
     files: frozenset[Path] = frozenset()  # what is read besides the scenario
 
 
@@ -70,7 +74,7 @@ class Draft:
     """What could be built of a scenario, and what is wrong with the rest."""
 
     scenario: Parsed
-    site: ScenarioSite
+    context: ScenarioBuildContext
     clock: Clock
     components: Mapping[str, Component]
     periods: Mapping[str, int]
@@ -94,7 +98,11 @@ def parse(document: Document) -> Scenario:
 
 
 def build(
-    document: Document, resources: ExitStack, *, recording: Recording | None = None, block: int | None = None
+    document: Document,
+    resources: ExitStack,
+    *,
+    recording: Recording | None = None,
+    block: int | None = None,
 ) -> Experiment:
     """Build graph and clock.
 
@@ -116,7 +124,13 @@ def build(
     return finish(draft(document, resources, recording=recording, block=block))
 
 
-def draft(document: Document, resources: ExitStack, *, recording: Recording | None = None, block: int | None = None) -> Draft:
+def draft(
+    document: Document,
+    resources: ExitStack,
+    *,
+    recording: Recording | None = None,
+    block: int | None = None,
+) -> Draft:
     """Build what can be built, and say what is wrong with the rest; parameters as of ``build``.
 
     Raises
@@ -125,14 +139,26 @@ def draft(document: Document, resources: ExitStack, *, recording: Recording | No
         If nothing can be built.
     """
     scenario, problems = read(document)
-    site = ScenarioSite(scenario, resources, recording)
+    context = ScenarioBuildContext(scenario, resources, recording)
     clock = _clock(scenario, block, problems)
-    site.step_ns = clock.step_ns
-    components, periods, missing = site.build_all(problems)
-    found = check_connections(layout_of(components), scenario.connections, missing) if components else {}
+    context.step_ns = clock.step_ns
+    components, periods, missing = context.build_all(problems)
+    found = (
+        check_connections(layout_of(components), scenario.connections, missing)
+        if components
+        else {}
+    )
     problems += [(("connections", to), text) for to, text in found.items()]
-    truth, wrong = judge_truth(scenario.file, components, missing, site.warn)
-    return Draft(scenario, site, clock, components, periods=periods, truth=truth, problems=(*problems, *wrong))
+    truth, wrong = check_truth(scenario.file, components, missing, context.warn)
+    return Draft(
+        scenario,
+        context,
+        clock,
+        components,
+        periods=periods,
+        truth=truth,
+        problems=(*problems, *wrong),
+    )
 
 
 def finish(made: Draft) -> Experiment:
@@ -143,7 +169,7 @@ def finish(made: Draft) -> Experiment:
     ScenarioError
         With every problem of the file.
     """
-    scenario, site, clock, components = made.scenario, made.site, made.clock, made.components
+    scenario, context, clock, components = made.scenario, made.context, made.clock, made.components
     if made.problems:
         raise report(scenario.document, made.problems)
     graph = _graph(scenario, components, scenario.connections, made.periods)
@@ -151,20 +177,20 @@ def finish(made: Draft) -> Experiment:
         columns = components[name].interface.input_columns()
         held = {signal: bool(graph.held[name][at].any()) for signal, at in columns.items()}
         for text in spec.advice(held, clock.step_ns / 1e9):
-            site.warn(name, text)
+            context.warn(name, text)
     for name, text in graph.warnings:
-        site.warn(name, text)
+        context.warn(name, text)
     return Experiment(
         scenario,
         graph,
         clock,
         truth=made.truth,
-        facts=site.facts,
-        warnings=tuple(site.warnings),
-        reads=site.reads,
-        attachments=site.attachments,
-        fmus=site.fmus,
-        files=frozenset(site.files),
+        facts=context.facts,
+        warnings=tuple(context.warnings),
+        reads=context.reads,
+        attachments=context.attachments,
+        fmus=context.fmus,
+        files=frozenset(context.files),
     )
 
 
@@ -180,13 +206,19 @@ def upstream(made: Draft, component: str) -> Graph:
     while waiting:
         name = waiting.pop()
         needed.add(name)
-        wires = (wire.source for to, wire in scenario.connections.items() if to.partition(".")[0] == name)
+        wires = (
+            wire.source for to, wire in scenario.connections.items() if to.partition(".")[0] == name
+        )
         waiting += {source.partition(".")[0] for source in wires} - needed
     components = {name: found for name, found in made.components.items() if name in needed}
-    connections = {to: wire for to, wire in scenario.connections.items() if to.partition(".")[0] in needed}
+    connections = {
+        to: wire for to, wire in scenario.connections.items() if to.partition(".")[0] in needed
+    }
     if len(components) < len(needed):
         raise report(scenario.document, made.problems)
-    return _graph(scenario, components, connections, {name: made.periods[name] for name in components})
+    return _graph(
+        scenario, components, connections, {name: made.periods[name] for name in components}
+    )
 
 
 def _graph(
@@ -197,7 +229,13 @@ def _graph(
 ) -> Graph:
     settings = scenario.file.scenario
     try:
-        return Graph(components, connections, coupling=settings.coupling, hold=settings.hold, periods=periods)
+        return Graph(
+            components,
+            connections,
+            coupling=settings.coupling,
+            input_interpolation=settings.input_interpolation,
+            periods=periods,
+        )
     except CosimError as error:
         raise report(scenario.document, [(("connections",), str(error))]) from error
 
@@ -205,7 +243,10 @@ def _graph(
 def _clock(scenario: Parsed, block: int | None, problems: Problems) -> Clock:
     """Make the clock; without one nothing else can be judged, so what is wrong with it is told with what is known already."""
     settings = scenario.file.scenario
-    for key, attempt in (("step", (settings.step, settings.step)), ("stop", (settings.stop, settings.step))):
+    for key, attempt in (
+        ("step", (settings.step, settings.step)),
+        ("stop", (settings.stop, settings.step)),
+    ):
         try:
             Clock(*attempt)
         except CosimError as error:
@@ -213,18 +254,22 @@ def _clock(scenario: Parsed, block: int | None, problems: Problems) -> Clock:
     return Clock(settings.stop, settings.step, block)
 
 
-def build_site(scenario: Scenario, resources: ExitStack) -> Site:
+def build_context(scenario: Scenario, resources: ExitStack) -> BuildContext:
     """Give what a single kind needs to build its component, outside a run."""
-    site = ScenarioSite(scenario, resources, None)
-    site.step_ns = Clock(scenario.file.scenario.stop, scenario.file.scenario.step).step_ns
-    return site
+    context = ScenarioBuildContext(scenario, resources, None)
+    context.step_ns = Clock(scenario.file.scenario.stop, scenario.file.scenario.step).step_ns
+    return context
 
 
 def fingerprint(scenario: Parsed, name: str, reads: frozenset[str]) -> str:
     """Hash everything that the design of a component rests on: its table, the tables it read, step and hold."""
     settings = scenario.file.scenario
-    tables = {table: _lookup(scenario.tree, table) for table in sorted({f"components.{name}", *reads})}
-    text = json.dumps([tables, settings.step, settings.hold, settings.coupling], sort_keys=True)
+    tables = {
+        table: _lookup(scenario.tree, table) for table in sorted({f"components.{name}", *reads})
+    }
+    text = json.dumps(
+        [tables, settings.step, settings.input_interpolation, settings.coupling], sort_keys=True
+    )
     return hashlib.sha256(text.encode()).hexdigest()
 
 

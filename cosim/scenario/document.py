@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from cosim.errors import ScenarioError, nearest
-from cosim.scenario.swapping import MAP, Swapped, apply
+from cosim.scenario.swap import MAP, Swapped, apply
 
 Key = tuple[str | int, ...]
 Problem = tuple[Key, str]
@@ -40,7 +40,7 @@ class Document:
     swaps : mapping of component name to path
         Components whose whole table is replaced.
     maps : mapping of port to name
-        Ports that have another name in the swapped component; see :mod:`cosim.scenario.swapping`.
+        Ports that have another name in the swapped component; see :mod:`cosim.scenario.swap`.
     changes : mapping of dotted key to value
         Values set after that, such as ``observer.filter_rate``.
     swapped : bool
@@ -55,22 +55,40 @@ class Document:
     changes: Mapping[str, Any] = field(default_factory=dict)
     swapped: bool = True
 
-    def with_swaps(self, swaps: Mapping[str, str], maps: Mapping[str, str] | None = None) -> Document:
+    def with_swaps(
+        self, swaps: Mapping[str, str], maps: Mapping[str, str] | None = None
+    ) -> Document:
         """Replace components; paths are taken from the working directory. Who is replaced again loses its map given before."""
         absolute = {name: str(Path(path).absolute()) for name, path in swaps.items()}
-        again = [swap for name, swap in self._swapped().swaps.items() if name in swaps] if self.maps else []
-        before = {port: name for port, name in self.maps.items() if not any(port in swap.map for swap in again)}
+        again = (
+            [swap for name, swap in self._swapped().swaps.items() if name in swaps]
+            if self.maps
+            else []
+        )
+        before = {
+            port: name
+            for port, name in self.maps.items()
+            if not any(port in swap.map for swap in again)
+        }
         return replace(self, swaps={**self.swaps, **absolute}, maps={**before, **(maps or {})})
 
     def with_changes(self, changes: Mapping[str, Any]) -> Document:
         """Set values; ``components.observer.L`` and ``observer.L`` are the same key."""
-        return replace(self, changes={**self.changes, **{short(key): plain(value) for key, value in changes.items()}})
+        return replace(
+            self,
+            changes={
+                **self.changes,
+                **{short(key): plain(value) for key, value in changes.items()},
+            },
+        )
 
     def unswapped(self) -> tuple[list[str], Document]:
         """Give the names of the swapped components, and the document as it was without the swaps and what was set for them."""
         names = list(self._swapped().swaps)
         of_them = [*(f"{name}." for name in names), *(f"connections.{name}." for name in names)]
-        kept = {key: value for key, value in self.changes.items() if not key.startswith(tuple(of_them))}
+        kept = {
+            key: value for key, value in self.changes.items() if not key.startswith(tuple(of_them))
+        }
         return names, replace(self, changes=kept, swapped=False)
 
     def edits(self) -> str:
@@ -83,7 +101,9 @@ class Document:
         """Rebuild a document from a log."""
         found = json.loads(edits)
         maps = found.get("maps", {})
-        return Document(text, found["source"], folder, swaps=found["swaps"], maps=maps, changes=found["changes"])
+        return Document(
+            text, found["source"], folder, swaps=found["swaps"], maps=maps, changes=found["changes"]
+        )
 
     def tree(self) -> tuple[dict[str, Any], list[Problem]]:
         """Parse the text, make the swaps and apply the changes; give the tables, and what is wrong with swaps and changes.
@@ -136,7 +156,9 @@ class Document:
             return f"--swap {names[1]}"
         line = find_line(self.text, names)
         inside = [f"--set {change}" for change in self.changes if change.startswith(f"{dotted}.")]
-        return (f"{self.source}:{line}" if line else self.source) + (f" (with {', '.join(inside)})" if inside else "")
+        return (f"{self.source}:{line}" if line else self.source) + (
+            f" (with {', '.join(inside)})" if inside else ""
+        )
 
     def _swapped(self) -> Swapped:
         tree, _ = self._flat()
@@ -178,9 +200,13 @@ def find(name: str) -> Document:
                 f"{name}: cannot be read ({error.strerror}); needed a scenario file, or one of: {', '.join(shipped())}"
             ) from error
         except UnicodeDecodeError as error:
-            raise ScenarioError(f"{name}: is no text in UTF-8 ({error}); needed a scenario in TOML") from error
+            raise ScenarioError(
+                f"{name}: is no text in UTF-8 ({error}); needed a scenario in TOML"
+            ) from error
     if name in shipped():
-        text = (resources.files("cosim.scenario") / "library" / f"{name}{SUFFIX}").read_text(encoding="utf-8")
+        text = (resources.files("cosim.scenario") / "library" / f"{name}{SUFFIX}").read_text(
+            encoding="utf-8"
+        )
         return Document(text, name, Path.cwd())
     raise ScenarioError(
         f"there is no scenario {name!r}; give a path to a .toml file, or a shipped one. {nearest(name, shipped())}"
@@ -190,7 +216,9 @@ def find(name: str) -> Document:
 def shipped() -> list[str]:
     """List the names of the shipped scenarios."""
     folder = resources.files("cosim.scenario") / "library"
-    return sorted(entry.name.removesuffix(SUFFIX) for entry in folder.iterdir() if entry.name.endswith(SUFFIX))
+    return sorted(
+        entry.name.removesuffix(SUFFIX) for entry in folder.iterdir() if entry.name.endswith(SUFFIX)
+    )
 
 
 def flatten(tree: Mapping[str, Any], prefix: Key) -> tuple[dict[str, Any], list[Problem]]:

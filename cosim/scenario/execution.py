@@ -19,11 +19,11 @@ from cosim.core.recorders import Memory, Watched
 from cosim.errors import Interrupted, LogError, UsageError
 from cosim.log import Log, McapRecorder, open_log
 from cosim.scenario.build import Experiment, Scenario, build, parse
-from cosim.scenario.contract import Contract, examine
 from cosim.scenario.document import Document, find, short
 from cosim.scenario.profile import Timed
-from cosim.scenario.records import SCENARIO_FILE, Narrated, attachments_of, metadata_of
+from cosim.scenario.records import SCENARIO_FILE, MessageRecorder, attachments_of, metadata_of
 from cosim.scenario.replaying import cut_off, designs_that_hold
+from cosim.scenario.swap_report import Contract, examine
 
 Progress = Callable[[float, float], None]  # simulated time, end [s]
 
@@ -84,11 +84,21 @@ def run(
     CosimError
         UsageError before the first step, RunError after it; see :mod:`cosim.errors`.
     """
-    edited = (scenario if isinstance(scenario, Scenario) else load(scenario)).edit(swap=swap, map=map, set=set)
+    edited = (scenario if isinstance(scenario, Scenario) else load(scenario)).edit(
+        swap=swap, map=map, set=set
+    )
     contract = examine(edited.document) if edited.file.swap else None
     if contract is not None:
         contract.check()
-    return _execute(edited.document, out=out, force=force, block=block, progress=progress, profile=profile, contract=contract)
+    return _execute(
+        edited.document,
+        out=out,
+        force=force,
+        block=block,
+        progress=progress,
+        profile=profile,
+        contract=contract,
+    )
 
 
 def replay(
@@ -118,15 +128,27 @@ def replay(
     changes = {short(key): value for key, value in (set or {}).items()}
     if "scenario.step" in changes:
         found, needed = changes["scenario.step"], source.step_ns / 1e9
-        raise UsageError(f"scenario.step: found {found} s, a replay keeps the recorded {needed} s; run the scenario to change it")
+        raise UsageError(
+            f"scenario.step: found {found} s, a replay keeps the recorded {needed} s; run the scenario to change it"
+        )
     recorded_end = source.end_ns / 1e9
     if recorded_end == 0.0:
         raise LogError("the log has no step to replay; it ends where it begins")
     stop = changes.setdefault("scenario.stop", recorded_end)
     if isinstance(stop, (int, float)) and stop > recorded_end:
-        raise UsageError(f"--set scenario.stop: found {stop} s, the recording ends at {recorded_end} s; needed no more than that")
+        raise UsageError(
+            f"--set scenario.stop: found {stop} s, the recording ends at {recorded_end} s; needed no more than that"
+        )
     document = recorded_document(source).with_changes(changes)
-    return _execute(document, out=out, force=force, block=block, progress=progress, source=source, changed=set or {})
+    return _execute(
+        document,
+        out=out,
+        force=force,
+        block=block,
+        progress=progress,
+        source=source,
+        changed=set or {},
+    )
 
 
 def recorded_document(log: Log) -> Document:
@@ -164,7 +186,9 @@ def _execute(
         if contract is not None:
             experiment = _with_contract(experiment, contract)
         if source is not None:
-            experiment = replace(experiment, warnings=(*experiment.warnings, *cut_off(experiment, changed or {})))
+            experiment = replace(
+                experiment, warnings=(*experiment.warnings, *cut_off(experiment, changed or {}))
+            )
         designs = {} if source is None else designs_that_hold(experiment, source, changed or {})
         graph = experiment.graph if profile is None else _timed(experiment.graph, profile)
         metadata = metadata_of(experiment)
@@ -172,11 +196,22 @@ def _execute(
         recorder: Recorder = memory
         if out is not None:
             kinds = {name: spec.kind for name, spec in experiment.scenario.specs.items()}
-            log = McapRecorder(out, force=force, kinds=kinds, metadata=metadata, attachments=attachments_of(experiment))
-            recorder = Narrated(log, experiment)
+            log = McapRecorder(
+                out,
+                force=force,
+                kinds=kinds,
+                metadata=metadata,
+                attachments=attachments_of(experiment),
+            )
+            recorder = MessageRecorder(log, experiment)
         began = perf_counter()
         with _interruptible() as check:
-            run_graph(graph, experiment.clock, _watched(recorder, experiment, progress, check), designs=designs)
+            run_graph(
+                graph,
+                experiment.clock,
+                _watched(recorder, experiment, progress, check),
+                designs=designs,
+            )
         if profile is not None:
             profile["recorder and master"] = perf_counter() - began - sum(profile.values())
     return memory if out is None else open_log(out)
@@ -191,11 +226,21 @@ def _with_contract(experiment: Experiment, contract: Contract) -> Experiment:
 
 
 def _timed(graph: Graph, profile: dict[str, float]) -> Graph:
-    components = {name: Timed(component, name, profile) for name, component in graph.components.items()}
-    return Graph(components, graph.connections, coupling=graph.coupling, hold=graph.hold, periods=graph.periods)
+    components = {
+        name: Timed(component, name, profile) for name, component in graph.components.items()
+    }
+    return Graph(
+        components,
+        graph.connections,
+        coupling=graph.coupling,
+        input_interpolation=graph.input_interpolation,
+        periods=graph.periods,
+    )
 
 
-def _watched(recorder: Recorder, experiment: Experiment, progress: Progress | None, check: Callable[[], None]) -> Recorder:
+def _watched(
+    recorder: Recorder, experiment: Experiment, progress: Progress | None, check: Callable[[], None]
+) -> Recorder:
     end = experiment.clock.stop
 
     def reached(block: Block) -> None:
@@ -221,7 +266,11 @@ def _interruptible() -> Iterator[Callable[[], None]]:
 
     def check() -> None:
         if pressed:
-            raise Interrupted("interrupted by the user" if pressed[0] == signal.SIGINT else "terminated from outside")
+            raise Interrupted(
+                "interrupted by the user"
+                if pressed[0] == signal.SIGINT
+                else "terminated from outside"
+            )
 
     before = {number: signal.signal(number, press) for number in (signal.SIGINT, signal.SIGTERM)}
     try:

@@ -12,11 +12,11 @@ from typing import Any, final
 
 from cosim.arrays import Mask
 from cosim.core.graph import Graph
+from cosim.core.linear import DescriptorModel
 from cosim.core.signals import Interface
-from cosim.core.solver import DescriptorModel
 from cosim.errors import UsageError, nearest
 from cosim.fmi.exporting.export import export
-from cosim.scenario.build import Scenario, build_site, draft, upstream
+from cosim.scenario.build import Scenario, build_context, draft, upstream
 from cosim.scenario.execution import load
 from cosim.scenario.kinds.base import Exportable
 
@@ -59,25 +59,36 @@ def export_component(
     if component not in loaded.specs:
         raise UsageError(f"there is no component {component!r}; {nearest(component, loaded.specs)}")
     with ExitStack() as resources:
-        place, spec, site = _Place(loaded, component, resources), loaded.specs[component], build_site(loaded, resources)
+        place, spec, context = (
+            _Wiring(loaded, component, resources),
+            loaded.specs[component],
+            build_context(loaded, resources),
+        )
         model: DescriptorModel | Exportable
         if dae:
-            model, holds = spec.descriptor_form(component, site), False
+            model, holds = spec.descriptor_form(component, context), False
         else:
-            ours = spec.exportable(component, site, place)
+            ours = spec.exportable(component, context, place)
             holds = _inherits(ours.interface) and place.is_discrete
-            model = replace(ours, interface=_discrete(ours.interface)) if holds and fmi == "3" else ours
-    name, description = _identifier(f"{loaded.name}_{component}"), f"{component} of scenario {loaded.name}"
+            model = (
+                replace(ours, interface=_discrete(ours.interface)) if holds and fmi == "3" else ours
+            )
+    name, description = (
+        _identifier(f"{loaded.name}_{component}"),
+        f"{component} of scenario {loaded.name}",
+    )
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        lines = export(model, out, name=name, fmi=fmi, platforms=platforms, description=description).lines
+        lines = export(
+            model, out, name=name, fmi=fmi, platforms=platforms, description=description
+        ).lines
     except OSError as error:
         raise UsageError(f"{out} cannot be written: {error.strerror or error}") from error
     return [*lines, HOLDS] if holds and fmi == "2" else lines
 
 
 @final
-class _Place:
+class _Wiring:
     """Where a component stands; what drives it is built when that is asked for, and nothing else."""
 
     def __init__(self, scenario: Scenario, component: str, resources: ExitStack) -> None:
@@ -96,7 +107,10 @@ class _Place:
     def is_discrete(self) -> bool:
         """Whether outputs that inherit their variability are discrete."""
         face = self._graph.components[self._component].interface
-        return all(self._graph.variability(self._component, signal.name) == "discrete" for signal in face.outputs)
+        return all(
+            self._graph.variability(self._component, signal.name) == "discrete"
+            for signal in face.outputs
+        )
 
 
 def _inherits(face: Interface) -> bool:
@@ -105,7 +119,10 @@ def _inherits(face: Interface) -> bool:
 
 def _discrete(face: Interface) -> Interface:
     """Give an interface all of whose signals hold over a step."""
-    inputs, outputs = (tuple(replace(signal, variability="discrete") for signal in part) for part in (face.inputs, face.outputs))
+    inputs, outputs = (
+        tuple(replace(signal, variability="discrete") for signal in part)
+        for part in (face.inputs, face.outputs)
+    )
     return replace(face, inputs=inputs, outputs=outputs)
 
 

@@ -71,7 +71,11 @@ def read(document: Document) -> tuple[Parsed, Problems]:
     specs, more = _specs(file.components)
     wires = {}
     for to, given in file.connections.items():
-        parts = (given,) if isinstance(given, str) else (given.source, given.gain, given.offset, given.unit)
+        parts = (
+            (given,)
+            if isinstance(given, str)
+            else (given.source, given.gain, given.offset, given.unit)
+        )
         try:
             wires[to] = Connection(*parts)
         except CosimError as error:
@@ -90,7 +94,9 @@ def _specs(tables: Any) -> tuple[dict[str, Kind], Problems]:
         kind = str(table.get("kind"))
         if kind not in KINDS:
             said = f"unknown kind {kind!r}" if "kind" in table else "'kind' is missing"
-            problems.append(((*key, "kind") if "kind" in table else key, f"{said}; {nearest(kind, KINDS)}"))
+            problems.append(
+                ((*key, "kind") if "kind" in table else key, f"{said}; {nearest(kind, KINDS)}")
+            )
             continue
         try:
             specs[name] = KINDS[kind].model_validate(table)

@@ -23,7 +23,9 @@ TYPES = {
 }
 
 
-def problems_of(error: ValidationError, table: type[BaseModel], data: Any, prefix: Key) -> list[tuple[Key, str]]:
+def problems_of(
+    error: ValidationError, table: type[BaseModel], data: Any, prefix: Key
+) -> list[tuple[Key, str]]:
     """Translate a validation error of ``data``, which stands under the key ``prefix``."""
     found = [(_path(one["loc"], data), dict(one)) for one in error.errors(include_url=False)]
     problems: dict[Key, list[str]] = {}
@@ -33,7 +35,10 @@ def problems_of(error: ValidationError, table: type[BaseModel], data: Any, prefi
             needed.setdefault(path, []).append(TYPES[one["type"]])
         else:
             problems.setdefault(path, []).append(_text(one, path, table))
-    for path, types in needed.items():  # of the alternatives of a value, the one that went deepest says most
+    for (
+        path,
+        types,
+    ) in needed.items():  # of the alternatives of a value, the one that went deepest says most
         whole = _whole(path) if len(types) > 1 or "a list" in types else path
         if not any(other[: len(whole)] == whole for other in problems):
             value = _value(data, path)
@@ -106,4 +111,11 @@ def _fields(table: type[BaseModel], path: Key) -> dict[str, FieldInfo]:
 def _table_in(annotation: Any) -> type[BaseModel] | None:
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
-    return next((found for inner in getattr(annotation, "__args__", ()) if (found := _table_in(inner)) is not None), None)
+    return next(
+        (
+            found
+            for inner in getattr(annotation, "__args__", ())
+            if (found := _table_in(inner)) is not None
+        ),
+        None,
+    )

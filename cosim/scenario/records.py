@@ -9,7 +9,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from cosim.arrays import Matrix, Vector
-from cosim.core.contracts import Block, Level, Plan, Stopped
+from cosim.core.contracts import Block, MessageLevel, Plan, Stopped
 from cosim.errors import Interrupted
 from cosim.log import Attachment, McapRecorder
 from cosim.log.interrupts import uninterrupted
@@ -19,7 +19,7 @@ from cosim.units import Conversion
 SCENARIO_FILE = "scenario.toml"
 
 
-class Narrated:
+class MessageRecorder:
     """Hands everything on to the recorder of a log, and puts the messages of the run and of its FMUs on ``/cosim/log``."""
 
     def __init__(self, recorder: McapRecorder, experiment: Experiment) -> None:
@@ -30,7 +30,12 @@ class Narrated:
         self._recorder.__enter__()
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         try:
             with uninterrupted():
                 self._conclude(error)
@@ -40,10 +45,14 @@ class Narrated:
     def _conclude(self, error: BaseException | None) -> None:
         self._tell()
         if error is not None:
-            self._recorder.message(self._reached, _level(error), "run", str(error) or type(error).__name__)
+            self._recorder.message(
+                self._reached, _level(error), "run", str(error) or type(error).__name__
+            )
         if self._last is not None:
             values = zip(self._experiment.graph.labels(), self._last.tolist(), strict=True)
-            self._recorder.result["last"] = {label: value if math.isfinite(value) else None for label, value in values}
+            self._recorder.result["last"] = {
+                label: value if math.isfinite(value) else None for label, value in values
+            }
 
     def begin(self, plan: Plan) -> None:
         """Hand on, then tell what is to be known before the first step."""
@@ -63,10 +72,12 @@ class Narrated:
         for name, fmu in self._experiment.fmus.items():
             for time, level, category, text in fmu.drain():
                 time_ns = self._reached if time is None else round(time * 1e9)
-                self._recorder.message(time_ns, level, name, f"{category}: {text}" if category else text)
+                self._recorder.message(
+                    time_ns, level, name, f"{category}: {text}" if category else text
+                )
 
 
-def _level(error: BaseException) -> Level:
+def _level(error: BaseException) -> MessageLevel:
     match error:
         case Stopped(failed=False):
             return "info"
@@ -91,7 +102,8 @@ def metadata_of(experiment: Experiment) -> dict[str, dict[str, str]]:
             "warnings": json.dumps(experiment.warnings),
         },
         "cosim.connections": {
-            to: json.dumps(_plain(wire, experiment.graph.conversions.get(to))) for to, wire in scenario.connections.items()
+            to: json.dumps(_plain(wire, experiment.graph.conversions.get(to)))
+            for to, wire in scenario.connections.items()
         },
     }
     for name in scenario.specs:
@@ -105,7 +117,12 @@ def metadata_of(experiment: Experiment) -> dict[str, dict[str, str]]:
 
 def _plain(wire: Any, conversion: Conversion | None) -> dict[str, Any]:
     """Give a connection in plain values; its conversion only where units are converted."""
-    plain = {"from": wire.source, "gain": wire.gain.tolist(), "offset": wire.offset, "unit": wire.unit}
+    plain = {
+        "from": wire.source,
+        "gain": wire.gain.tolist(),
+        "offset": wire.offset,
+        "unit": wire.unit,
+    }
     return plain if conversion is None else {**plain, "conversion": asdict(conversion)}
 
 

@@ -10,70 +10,79 @@ from pydantic import BaseModel, ConfigDict, Field
 Number = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 Whole = Annotated[int, Field(strict=True)]
 Flag = Annotated[bool, Field(strict=True)]
-Row = tuple[Number, ...]
-Rows = tuple[Row, ...]
+NumberRow = tuple[Number, ...]
+NumberRows = tuple[NumberRow, ...]
 
 NAME = r"^[A-Za-z][A-Za-z0-9_-]*$"
 
 
-class Table(BaseModel):
+class TomlTable(BaseModel):
     """A table of the file: frozen, no unknown keys, no conversions between types."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=False, validate_default=False)
 
 
-class Settings(Table):
+class Settings(TomlTable):
     """The table [scenario]."""
 
     name: Annotated[str, Field(pattern=NAME)]
     stop: Number = Field(description="end of the run [s]")
     step: Number = Field(description="communication step [s]")
-    coupling: Literal["gauss-seidel", "jacobi"] = Field("gauss-seidel", description="how the components of a loop advance")
-    hold: Literal["line", "start"] = Field("line", description="inputs inside a step: straight lines, or held from the start")
+    coupling: Literal["gauss-seidel", "jacobi"] = Field(
+        "gauss-seidel", description="how the components of a loop advance"
+    )
+    input_interpolation: Literal["linear", "zero-order"] = Field(
+        "linear", description="inputs inside a step: linear interpolation, or zero-order hold"
+    )
     description: str = ""
 
 
-class DescriptorTable(Table):
+class DescriptorTable(TomlTable):
     """A table of [models]: E x' = A x + Bu u + Bd delta, y = C x, E = diag(I, 0)."""
 
     n_a: Whole = Field(ge=1, description="number of dynamic states")
-    A: Rows
-    Bu: Rows
-    Bd: Rows
-    C: Rows
+    A: NumberRows
+    Bu: NumberRows
+    Bd: NumberRows
+    C: NumberRows
 
 
-class ConnectionTable(Table):
+class ConnectionTable(TomlTable):
     """A connection with a linear map, which leads to ``unit``; from there it is converted to the unit of the input."""
 
     source: str = Field(alias="from")
-    gain: Number | Rows = 1.0
+    gain: Number | NumberRows = 1.0
     offset: Number = 0.0
     unit: str | None = None
 
 
-class SwapTable(Table):
+class SwapTable(TomlTable):
     """An entry of [swap]: ``plant = { path = "x.fmu", map = { "observer.y" = "out1" } }``, or short ``plant = "x.fmu"``.
 
     It puts an FMU or a recorded component in a component's place, whose table stays in the file for comparison.
     """
 
-    path: str = Field(description="path of an .fmu (x.fmu#me and x.fmu#cs choose its mode) or of a recorded log (.mcap)")
-    map: dict[str, str] = Field({}, description="port as the scenario writes it = name of the new component's port in its place")
+    path: str = Field(
+        description="path of an .fmu (x.fmu#me and x.fmu#cs choose its mode) or of a recorded log (.mcap)"
+    )
+    map: dict[str, str] = Field(
+        {},
+        description="port as the scenario writes it = name of the new component's port in its place",
+    )
 
 
-class File(Table):
+class File(TomlTable):
     """The content of a scenario file, but for its components, which their kinds describe."""
 
     scenario: Settings
     models: dict[str, DescriptorTable] = {}
     components: dict[Annotated[str, Field(pattern=NAME)], dict[str, Any]]
     connections: dict[str, str | ConnectionTable] = {}
-    truth: dict[str, str | Number | Row] = {}
+    truth: dict[str, str | Number | NumberRow] = {}
     swap: dict[str, SwapTable] = {}
 
 
-def matrix(rows: Rows, name: str) -> np.ndarray[Any, np.dtype[np.float64]]:
+def matrix(rows: NumberRows, name: str) -> np.ndarray[Any, np.dtype[np.float64]]:
     """Turn rows into a matrix.
 
     Raises
@@ -83,5 +92,7 @@ def matrix(rows: Rows, name: str) -> np.ndarray[Any, np.dtype[np.float64]]:
     """
     lengths = [len(row) for row in rows]
     if not rows or len(set(lengths)) != 1 or lengths[0] == 0:
-        raise ValueError(f"{name}: found rows of lengths {lengths}, needed rows of one length, like [[0, 1], [2, 3]]")
+        raise ValueError(
+            f"{name}: found rows of lengths {lengths}, needed rows of one length, like [[0, 1], [2, 3]]"
+        )
     return np.array(rows, dtype=np.float64)

@@ -16,8 +16,11 @@ from cosim.scenario.schema import File
 from cosim.units import conversion
 
 
-def judge_truth(
-    file: File, components: Mapping[str, Component], missing: Collection[str], warn: Callable[[str, str], None]
+def check_truth(
+    file: File,
+    components: Mapping[str, Component],
+    missing: Collection[str],
+    warn: Callable[[str, str], None],
 ) -> tuple[dict[str, Any], list[Problem]]:
     """Give the truths that can be compared, and what is wrong with others.
 
@@ -34,10 +37,16 @@ def judge_truth(
     """
     kept: dict[str, Any] = {}
     problems: list[Problem] = []
-    signals = {f"{n}.{s.name}": s for n, c in components.items() for s in (*c.interface.inputs, *c.interface.outputs)}
+    signals = {
+        f"{n}.{s.name}": s
+        for n, c in components.items()
+        for s in (*c.interface.inputs, *c.interface.outputs)
+    }
     mapped = {f"{name}.{port}" for name, swap in file.swap.items() for port in swap.map.values()}
     for estimate, truth in file.truth.items():
-        found = {estimate: _sized(signals, estimate)} | ({truth: _true(signals, truth)} if isinstance(truth, str) else {})
+        found = {estimate: _sized(signals, estimate)} | (
+            {truth: _true(signals, truth)} if isinstance(truth, str) else {}
+        )
         unknown = [port for port, one in found.items() if one is None]
         lost = [port for port in unknown if _component(port) in file.swap and port not in mapped]
         if {_component(port) for port in found} & set(missing):
@@ -45,7 +54,10 @@ def judge_truth(
         if lost:
             warn(_component(lost[0]), f"has no {lost[0]!r}: the report leaves out {estimate!r}")
         elif unknown:
-            problems += [(("truth", estimate), f"there is no signal {port!r}; {nearest(port, signals)}") for port in unknown]
+            problems += [
+                (("truth", estimate), f"there is no signal {port!r}; {nearest(port, signals)}")
+                for port in unknown
+            ]
         elif text := _mismatch(estimate, truth, [one for one in found.values() if one is not None]):
             problems.append((("truth", estimate), text))
         else:
@@ -63,7 +75,12 @@ def _sized(signals: Mapping[str, Signal], port: str) -> _Sized | None:
 def _true(signals: Mapping[str, Signal], port: str) -> _Sized | None:
     """Find a signal, or one element of it."""
     element = re.fullmatch(r"(.*)\[(\d+)\]", port)
-    if port not in signals and element and element[1] in signals and int(element[2]) < signals[element[1]].size:
+    if (
+        port not in signals
+        and element
+        and element[1] in signals
+        and int(element[2]) < signals[element[1]].size
+    ):
         return signals[element[1]], 1
     return _sized(signals, port)
 

@@ -59,10 +59,30 @@ class DescriptorSystem:
         for name in ("A", "Bu", "Bd", "C"):
             object.__setattr__(self, name, _matrix(name, getattr(self, name)))
         n = self.A.shape[1]
-        _need(self.A.shape == (n, n) and n > 0, "A", self.A, "(n, n): one row and one column per state")
-        _need(self.Bu.shape[0] == n, "Bu", self.Bu, f"({n}, n_u): one row per state, one column per input")
-        _need(self.Bd.shape[0] == n, "Bd", self.Bd, f"({n}, n_d): one row per state, one column per disturbance")
-        _need(self.C.shape[1] == n and self.C.shape[0] > 0, "C", self.C, f"(n_y, {n}): one row per output, one column per state")
+        _need(
+            self.A.shape == (n, n) and n > 0,
+            "A",
+            self.A,
+            "(n, n): one row and one column per state",
+        )
+        _need(
+            self.Bu.shape[0] == n,
+            "Bu",
+            self.Bu,
+            f"({n}, n_u): one row per state, one column per input",
+        )
+        _need(
+            self.Bd.shape[0] == n,
+            "Bd",
+            self.Bd,
+            f"({n}, n_d): one row per state, one column per disturbance",
+        )
+        _need(
+            self.C.shape[1] == n and self.C.shape[0] > 0,
+            "C",
+            self.C,
+            f"(n_y, {n}): one row per output, one column per state",
+        )
         if not 1 <= self.n_a <= n:
             raise AssumptionError(
                 f"Assumption 1 (1): n_a = {self.n_a}; needed 1..{n}, the number of dynamic states among the {n} rows of A"
@@ -122,14 +142,18 @@ def reduce(system: DescriptorSystem) -> ReducedSystem:
             f"Assumption 2 (3): A22 is singular (rank {rank(A[b, b])} of {len(A[b, b])}, condition {condition:.3g}), so x_b is "
             f"not determined by the algebraic equation; {_pencil_verdict(system)}"
         )
-    K: Matrix = (0.0 - np.linalg.solve(A[b, b], np.hstack([A[b, a], Bu[b], Bd[b]]))).astype(np.float64)
+    K: Matrix = (0.0 - np.linalg.solve(A[b, b], np.hstack([A[b, a], Bu[b], Bd[b]]))).astype(
+        np.float64
+    )
     inverse: Matrix = np.abs(np.linalg.inv(A[b, b])).astype(np.float64)
     sums = inverse @ np.abs(np.hstack([A[b, a], Bu[b], Bd[b]]))
     K = without_rounding(K, sums, condition)
     Kx, Ku, Kd = np.split(K, [system.n_a, system.n_a + Bu.shape[1]], axis=1)
 
     def through(direct: Matrix, left: Matrix, right: Matrix) -> Matrix:
-        return without_rounding(direct + left @ right, np.abs(direct) + np.abs(left) @ np.abs(right), condition)
+        return without_rounding(
+            direct + left @ right, np.abs(direct) + np.abs(left) @ np.abs(right), condition
+        )
 
     no_u, no_d = np.zeros((len(C), Bu.shape[1])), np.zeros((len(C), Bd.shape[1]))
     return ReducedSystem(
@@ -165,7 +189,9 @@ def pencil_index(system: DescriptorSystem) -> int:
     size = np.linalg.norm(A) or 1.0
     s = min(size * np.array([0.37, 0.83, 1.71, 2.93]), key=lambda point: _condition(point * E - A))
     if not _condition(s * E - A) < 1.0 / SINGULAR:
-        raise AssumptionError("PENCIL_SINGULAR: det(s E - A) = 0 at every s; the equations do not determine the states")
+        raise AssumptionError(
+            "PENCIL_SINGULAR: det(s E - A) = 0 at every s; the equations do not determine the states"
+        )
     H = np.linalg.solve(s * E - A, E * s)
     index = 0
     while H.size:
@@ -193,7 +219,9 @@ def invariant_zeros(reduced: ReducedSystem) -> ComplexVector:
     k = V.shape[1]
     basis = np.hstack([np.vstack([V, np.zeros((len(C), k))]), np.vstack([B, D])])
     if rank(basis) < basis.shape[1]:
-        raise AssumptionError("the transfer from delta to y does not have full rank, so every s is an invariant zero")
+        raise AssumptionError(
+            "the transfer from delta to y does not have full rank, so every s is an invariant zero"
+        )
     X = np.linalg.lstsq(basis, np.vstack([A, C]) @ V, rcond=None)[0][:k]
     return np.sort_complex(np.linalg.eigvals(X).astype(np.complex128))
 
@@ -201,7 +229,9 @@ def invariant_zeros(reduced: ReducedSystem) -> ComplexVector:
 def disturbance_transfer(reduced: ReducedSystem, s: complex) -> ComplexMatrix:
     """Give the transfer matrix from delta to y at ``s`` [1/s], `C3 (s I - A_a)^-1 B_2a + C5`, shape ``(n_y, n_d)``."""
     resolvent = s * np.eye(len(reduced.A_a)) - reduced.A_a
-    return np.asarray(reduced.C3 @ np.linalg.solve(resolvent, reduced.B_2a) + reduced.C5, dtype=np.complex128)
+    return np.asarray(
+        reduced.C3 @ np.linalg.solve(resolvent, reduced.B_2a) + reduced.C5, dtype=np.complex128
+    )
 
 
 def _matrix(name: str, values: Matrix) -> Matrix:
@@ -211,7 +241,9 @@ def _matrix(name: str, values: Matrix) -> Matrix:
         raise AssumptionError(f"{name} is not a matrix: {error}") from error
     if not np.isfinite(matrix).all():
         row, column = np.argwhere(~np.isfinite(matrix))[0]
-        raise AssumptionError(f"{name}[{row}, {column}] is {matrix[row, column]}; needed a finite number")
+        raise AssumptionError(
+            f"{name}[{row}, {column}] is {matrix[row, column]}; needed a finite number"
+        )
     return matrix
 
 

@@ -103,7 +103,7 @@ class Sine:
 
 
 @dataclass(frozen=True)
-class Block:
+class AlphaGroup:
     """Components that share one alpha: their positions in the disturbance (4) and their families."""
 
     alpha: str
@@ -116,7 +116,9 @@ class Block:
         return sum(family.v for family in self.families)
 
 
-FAMILIES: Mapping[str, Family] = MappingProxyType({family.name: family for family in (Exponential(), Sine())})
+FAMILIES: Mapping[str, Family] = MappingProxyType(
+    {family.name: family for family in (Exponential(), Sine())}
+)
 
 
 def family_named(name: str) -> Family:
@@ -128,7 +130,9 @@ def family_named(name: str) -> Family:
         If there is no such family.
     """
     if name not in FAMILIES:
-        raise AssumptionError(f"Assumption 3 (5): no disturbance family {name!r}; {nearest(name, FAMILIES)}")
+        raise AssumptionError(
+            f"Assumption 3 (5): no disturbance family {name!r}; {nearest(name, FAMILIES)}"
+        )
     return FAMILIES[name]
 
 
@@ -159,12 +163,21 @@ def K(family: Family, theta: ArrayLike, D: float) -> Vector:
     return row
 
 
-def coefficients(families: Sequence[Family], thetas: Sequence[ArrayLike], delays: Sequence[float]) -> Matrix:
+def coefficients(
+    families: Sequence[Family], thetas: Sequence[ArrayLike], delays: Sequence[float]
+) -> Matrix:
     """Stack the rows K of components that share one alpha, shape ``(len(delays), sum of v)``."""
-    return np.array([np.concatenate([K(kind, theta, D) for kind, theta in zip(families, thetas, strict=True)]) for D in delays])
+    return np.array(
+        [
+            np.concatenate(
+                [K(kind, theta, D) for kind, theta in zip(families, thetas, strict=True)]
+            )
+            for D in delays
+        ]
+    )
 
 
-def group(alphas: Sequence[str], families: Sequence[Family]) -> tuple[Block, ...]:
+def group(alphas: Sequence[str], families: Sequence[Family]) -> tuple[AlphaGroup, ...]:
     """Group the components of (4) by alpha, blocks in the order of their first component.
 
     Parameters
@@ -174,6 +187,10 @@ def group(alphas: Sequence[str], families: Sequence[Family]) -> tuple[Block, ...
     families : sequence of Family
         The family of each component.
     """
-    members = {alpha: tuple(i for i, other in enumerate(alphas) if other == alpha) for alpha in alphas}
+    members = {
+        alpha: tuple(i for i, other in enumerate(alphas) if other == alpha) for alpha in alphas
+    }
     pairs = list(zip(alphas, families, strict=True))
-    return tuple(Block(alpha, of, tuple(pairs[i][1] for i in of)) for alpha, of in members.items())
+    return tuple(
+        AlphaGroup(alpha, of, tuple(pairs[i][1] for i in of)) for alpha, of in members.items()
+    )

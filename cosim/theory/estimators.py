@@ -1,6 +1,6 @@
 """From the regression to the parameters: least squares (33)-(34) and the recovery of theta from eta (35).
 
-The recovery generalises (35). Take a block b, a set S of `V_b + 1` rows, and leave the other rows to the other blocks, always in
+The recovery generalizes (35). Take a block b, a set S of `V_b + 1` rows, and leave the other rows to the other blocks, always in
 the same way. The terms of (25) with the row j in S for delta and the rest of S for block b then differ only in the minors of
 block b, and for a disturbance of this block alone (25) says
 
@@ -26,14 +26,16 @@ from scipy.linalg import solve_triangular
 
 from cosim.arrays import NAN, Matrix, Vector
 from cosim.errors import AssumptionError
-from cosim.theory.disturbance import Block, Exponential, Sine
+from cosim.theory.disturbance import AlphaGroup, Exponential, Sine
 from cosim.theory.regression import Term, check_delays
 
-RANK = 2.0**-26  # pivot over the largest one: below it R'R, the information, is singular to rounding (estimate.c too)
+RANK = (
+    2.0**-26
+)  # pivot over the largest one: below it R'R, the information, is singular to rounding (estimate.c too)
 EQUAL_SPACING = 1e-9  # relative difference of two spacings that still counts as none
 
 
-class Kind(IntEnum):
+class RecoveryKind(IntEnum):
     """How theta of a block follows from the coefficients `c = sign chi` of its recurrence, delays ascending."""
 
     EXPONENTIAL = 1  # c1 w + c0 = 0, theta = -ln(w) / spacing
@@ -54,14 +56,14 @@ class BlockRecovery:
     signs : tuple of int
         Sign of each of these terms.
     spacing : float
-        Distance of neighbouring delays [s].
+        Distance of neighboring delays [s].
     theta : tuple of int
         Where the results belong in theta.
     limit : float
         Rate [rad/s] above which theta is taken for a slower one; infinite for exponentials.
     """
 
-    kind: Kind
+    kind: RecoveryKind
     terms: tuple[int, ...]
     signs: tuple[int, ...]
     spacing: float
@@ -78,7 +80,7 @@ class Recovery:
     n_theta: int
 
 
-def plan(terms: Sequence[Term], blocks: Sequence[Block], delays: Sequence[float]) -> Recovery:
+def plan(terms: Sequence[Term], blocks: Sequence[AlphaGroup], delays: Sequence[float]) -> Recovery:
     """Plan the recovery (35) of theta from eta.
 
     Parameters
@@ -101,7 +103,9 @@ def plan(terms: Sequence[Term], blocks: Sequence[Block], delays: Sequence[float]
     for b, block in enumerate(blocks):
         kind = _kind(block)
         rows, others = _equally_spaced_rows(b, terms, block, delays)
-        chosen = [position[j, (*others[:b], tuple(sorted(set(rows) - {j})), *others[b:])] for j in rows]
+        chosen = [
+            position[j, (*others[:b], tuple(sorted(set(rows) - {j})), *others[b:])] for j in rows
+        ]
         spacing = float(delays[rows[1]] - delays[rows[0]])
         recoveries.append(
             BlockRecovery(
@@ -110,17 +114,24 @@ def plan(terms: Sequence[Term], blocks: Sequence[Block], delays: Sequence[float]
                 signs=tuple(terms[c].sign for c in chosen),
                 spacing=spacing,
                 theta=block.components,
-                limit=math.pi / spacing if kind is Kind.SINE else math.inf,
+                limit=math.pi / spacing if kind is RecoveryKind.SINE else math.inf,
             )
         )
-    return Recovery(tuple(recoveries), n_eta=len(terms) - 1, n_theta=sum(len(block.components) for block in blocks))
+    return Recovery(
+        tuple(recoveries),
+        n_eta=len(terms) - 1,
+        n_theta=sum(len(block.components) for block in blocks),
+    )
 
 
 def recover(plan: Recovery, eta: Vector) -> Vector:
     """Recover theta from eta (35), shape ``(n_theta,)``; NaN for a block where eta belongs to no theta."""
     theta = np.full(plan.n_theta, NAN)
     for block in plan.blocks:
-        c = [sign * (float(eta[term - 1]) if term else 1.0) for term, sign in zip(block.terms, block.signs, strict=True)]
+        c = [
+            sign * (float(eta[term - 1]) if term else 1.0)
+            for term, sign in zip(block.terms, block.signs, strict=True)
+        ]
         if all(map(math.isfinite, c)):
             theta[list(block.theta)] = _FORMULAS[block.kind](c, block.spacing)
     return theta
@@ -165,9 +176,13 @@ def least_squares(mu: Matrix, weights: Vector, prior: float | None = None) -> Ve
     return eta
 
 
-def _kind(block: Block) -> Kind:
+def _kind(block: AlphaGroup) -> RecoveryKind:
     names = tuple(family.name for family in block.families)
-    known = {("exponential",): Kind.EXPONENTIAL, ("exponential",) * 2: Kind.EXPONENTIALS, ("sine",): Kind.SINE}
+    known = {
+        ("exponential",): RecoveryKind.EXPONENTIAL,
+        ("exponential",) * 2: RecoveryKind.EXPONENTIALS,
+        ("sine",): RecoveryKind.SINE,
+    }
     if names not in known:
         raise AssumptionError(
             f"(35): no formula for theta of the components {list(block.components)} that share alpha {block.alpha!r} "
@@ -178,7 +193,7 @@ def _kind(block: Block) -> Kind:
 
 
 def _equally_spaced_rows(
-    b: int, terms: Sequence[Term], block: Block, delays: Sequence[float]
+    b: int, terms: Sequence[Term], block: AlphaGroup, delays: Sequence[float]
 ) -> tuple[tuple[int, ...], tuple[tuple[int, ...], ...]]:
     """Find S, by ascending delay, and the rows of the other blocks; the paper's choice first."""
     for rows, others in _row_sets(b, terms[0]):
@@ -217,7 +232,11 @@ def _sine(c: Sequence[float], spacing: float) -> list[float]:
     return [Sine().theta_from_roots(_roots(*c), spacing)[0]] if c[0] else [NAN]
 
 
-_FORMULAS = {Kind.EXPONENTIAL: _exponential, Kind.EXPONENTIALS: _exponentials, Kind.SINE: _sine}
+_FORMULAS = {
+    RecoveryKind.EXPONENTIAL: _exponential,
+    RecoveryKind.EXPONENTIALS: _exponentials,
+    RecoveryKind.SINE: _sine,
+}
 
 
 def _roots(a: float, b: float, c: float) -> tuple[complex, complex]:

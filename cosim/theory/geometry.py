@@ -6,7 +6,7 @@ The **output-nulling subspace** V is the largest one in which the state can be k
 
 It shrinks at every step or has arrived, so at most n steps are made. Without inputs it is the unobservable subspace of (A, C).
 On V there are X and U with `[A; C] V = [V; 0] X + [B; D] U`; the eigenvalues of X are the invariant zeros where X is unique.
-A row of (C, D), a column of (B, D) or the unit of time may be scaled without changing V, so all are normalised before any rank is
+A row of (C, D), a column of (B, D) or the unit of time may be scaled without changing V, so all are normalized before any rank is
 decided: one relative tolerance then serves every unit.
 """
 
@@ -16,7 +16,7 @@ import numpy as np
 
 from cosim.arrays import Matrix
 
-RANK_TOLERANCE = 1e-9  # of singular values, relative to matrices normalised to one
+RANK_TOLERANCE = 1e-9  # of singular values, relative to matrices normalized to one
 
 
 def rank(matrix: Matrix, rtol: float = RANK_TOLERANCE) -> int:
@@ -26,7 +26,9 @@ def rank(matrix: Matrix, rtol: float = RANK_TOLERANCE) -> int:
 
 def without_rounding(sums: Matrix, magnitudes: Matrix, condition: float = 1.0) -> Matrix:
     """Set to zero what is smaller than the rounding error of a sum whose terms have these magnitudes in all."""
-    return np.where(np.abs(sums) > 8.0 * np.finfo(np.float64).eps * condition * magnitudes, sums, 0.0)
+    return np.where(
+        np.abs(sums) > 8.0 * np.finfo(np.float64).eps * condition * magnitudes, sums, 0.0
+    )
 
 
 def null_space(matrix: Matrix, tolerance: float = RANK_TOLERANCE) -> Matrix:

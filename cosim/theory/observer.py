@@ -1,4 +1,4 @@
-"""Unknown-input observer design (13)-(18), its realisation with one derivative filter (19)-(20), and the start time (36)-(38).
+"""Unknown-input observer design (13)-(18), its realization with one derivative filter (19)-(20), and the start time (36)-(38).
 
 Any number of inputs, disturbances and outputs. With `w = y - C4 u` and `G = (C3 B_2a)^+`::
 
@@ -69,7 +69,11 @@ class StartTime:
 
 
 def design(
-    reduced: ReducedSystem, *, L: ArrayLike | None = None, poles: Sequence[complex] | None = None, filter_rate: float
+    reduced: ReducedSystem,
+    *,
+    L: ArrayLike | None = None,
+    poles: Sequence[complex] | None = None,
+    filter_rate: float,
 ) -> ObserverDesign:
     """Design the observer (14)-(18) with a given gain or with given poles.
 
@@ -91,7 +95,9 @@ def design(
         `M - L C3` not Hurwitz, or if the filter rate is not positive.
     """
     if not 0.0 < filter_rate < math.inf:
-        raise AssumptionError(f"(19): filter_rate = {filter_rate:g}; needed a positive finite rate [rad/s]")
+        raise AssumptionError(
+            f"(19): filter_rate = {filter_rate:g}; needed a positive finite rate [rad/s]"
+        )
     if (L is None) == (poles is None):
         raise AssumptionError(
             "(17): give either L or poles, not both"
@@ -100,13 +106,20 @@ def design(
         )
     G = decoupling(reduced)
     F = reduced.B_2a @ G
-    M, N = reduced.A_a - F @ (reduced.C3 @ reduced.A_a), reduced.B_1a - F @ (reduced.C3 @ reduced.B_1a)
+    M, N = (
+        reduced.A_a - F @ (reduced.C3 @ reduced.A_a),
+        reduced.B_1a - F @ (reduced.C3 @ reduced.B_1a),
+    )
     V = output_nulling(M, np.zeros((len(M), 0)), reduced.C3, np.zeros((len(reduced.C3), 0)))
     W = orthogonal_complement(V)
     fixed_modes = _sorted_eigenvalues(V.T @ M @ V)
     need_detectable(fixed_modes, M)
     observable, seen = W.T @ M @ W, reduced.C3 @ W
-    gain = _gain(L, reduced.C3.T.shape) if poles is None else W @ place(observable, seen, poles, fixed_modes)
+    gain = (
+        _gain(L, reduced.C3.T.shape)
+        if poles is None
+        else W @ place(observable, seen, poles, fixed_modes)
+    )
     movable = _sorted_eigenvalues(observable - W.T @ gain @ seen)
     need_hurwitz(movable, M - gain @ reduced.C3, fixed_modes)
     eigenvalues = np.sort_complex(np.concatenate([movable, fixed_modes]))
@@ -123,7 +136,7 @@ def design(
     )
 
 
-def realise(reduced: ReducedSystem, observer: ObserverDesign) -> StateSpace:
+def realize(reduced: ReducedSystem, observer: ObserverDesign) -> StateSpace:
     """Write observer, filter and reconstruction (18)-(20), (8) as one linear system.
 
     Returns
@@ -147,7 +160,9 @@ def realise(reduced: ReducedSystem, observer: ObserverDesign) -> StateSpace:
         reduced.Kx @ x_hat[0] + reduced.Kd @ delta_hat[0],
         without_rounding(
             reduced.Kx @ x_hat[1] + reduced.Ku @ U + reduced.Kd @ delta_hat[1],
-            np.abs(reduced.Kx) @ np.abs(x_hat[1]) + np.abs(reduced.Ku) @ U + np.abs(reduced.Kd) @ np.abs(delta_hat[1]),
+            np.abs(reduced.Kx) @ np.abs(x_hat[1])
+            + np.abs(reduced.Ku) @ U
+            + np.abs(reduced.Kd) @ np.abs(delta_hat[1]),
         ),
     )
     return StateSpace(
@@ -159,9 +174,13 @@ def realise(reduced: ReducedSystem, observer: ObserverDesign) -> StateSpace:
 
 
 def start(
-    reduced: ReducedSystem, observer: ObserverDesign, *, x_a0: ArrayLike | None = None, q0: ArrayLike | None = None
+    reduced: ReducedSystem,
+    observer: ObserverDesign,
+    *,
+    x_a0: ArrayLike | None = None,
+    q0: ArrayLike | None = None,
 ) -> tuple[Vector, Matrix]:
-    """Give the start of the realised observer as `x(0) = X0 + Xw [u(0); y(0)]`.
+    """Give the start of the realized observer as `x(0) = X0 + Xw [u(0); y(0)]`.
 
     Parameters
     ----------
@@ -193,7 +212,12 @@ def start(
 
 
 def start_time(
-    *, lambda_obs: float, filter_rate: float, delays: Sequence[float], epsilon_observer: float, epsilon_filter: float
+    *,
+    lambda_obs: float,
+    filter_rate: float,
+    delays: Sequence[float],
+    epsilon_observer: float,
+    epsilon_filter: float,
 ) -> StartTime:
     """Give the time after which the transients have left the regression, `T_id = T_obs + T_f + D_max` (36)-(38).
 
@@ -214,12 +238,19 @@ def start_time(
     for name, rate in (("lambda_obs", lambda_obs), ("filter_rate", filter_rate)):
         if not 0.0 < rate < math.inf:
             raise AssumptionError(f"(36)-(38): {name} = {rate:g}; needed a positive finite rate")
-    for name, fraction in (("epsilon_observer", epsilon_observer), ("epsilon_filter", epsilon_filter)):
+    for name, fraction in (
+        ("epsilon_observer", epsilon_observer),
+        ("epsilon_filter", epsilon_filter),
+    ):
         if not 0.0 < fraction < 1.0:
             raise AssumptionError(f"(36)-(38): {name} = {fraction:g}; needed a fraction in (0, 1)")
     if not delays:
         raise AssumptionError("(36): no delays; needed at least one")
-    T_obs, T_f, D_max = math.log(1.0 / epsilon_observer) / lambda_obs, math.log(1.0 / epsilon_filter) / filter_rate, max(delays)
+    T_obs, T_f, D_max = (
+        math.log(1.0 / epsilon_observer) / lambda_obs,
+        math.log(1.0 / epsilon_filter) / filter_rate,
+        max(delays),
+    )
     return StartTime(T_obs=T_obs, T_f=T_f, D_max=D_max, T_id=T_obs + T_f + D_max)
 
 
@@ -228,14 +259,20 @@ def _gain(L: ArrayLike | None, shape: tuple[int, ...]) -> Matrix:
     if gain.ndim == 1 and shape[1] == 1:
         gain = gain[:, None]
     if gain.shape != shape:
-        raise AssumptionError(f"(17): L has shape {gain.shape}; needed {shape}: one row per dynamic state, one column per output")
+        raise AssumptionError(
+            f"(17): L has shape {gain.shape}; needed {shape}: one row per dynamic state, one column per output"
+        )
     if not np.isfinite(gain).all():
         raise AssumptionError(f"(17): L = {gain.tolist()}; needed finite numbers")
     return gain
 
 
 def _sorted_eigenvalues(matrix: Matrix) -> ComplexVector:
-    return np.sort_complex(np.linalg.eigvals(matrix).astype(np.complex128)) if matrix.size else np.zeros(0, dtype=np.complex128)
+    return (
+        np.sort_complex(np.linalg.eigvals(matrix).astype(np.complex128))
+        if matrix.size
+        else np.zeros(0, dtype=np.complex128)
+    )
 
 
 def _start_vector(name: str, values: ArrayLike, size: int) -> Vector:

@@ -49,7 +49,9 @@ def place(A: Matrix, C: Matrix, poles: Sequence[complex], fixed_modes: ComplexVe
                 f"(17): pole {modes([pole])} is given {times} times; needed at most {k}, the number of independent outputs"
             )
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # what it warns of, a placement not reached, is checked below
+            warnings.simplefilter(
+                "ignore"
+            )  # what it warns of, a placement not reached, is checked below
             from scipy.signal import place_poles  # half a second to import, and seldom needed
 
             gain = place_poles(A.T, rows.T, wanted).gain_matrix.T
@@ -67,16 +69,23 @@ def place(A: Matrix, C: Matrix, poles: Sequence[complex], fixed_modes: ComplexVe
 def modes(eigenvalues: Sequence[complex] | ComplexVector) -> str:
     """Write eigenvalues for a message: `+1, -2+3j`, or `none`."""
     return (
-        ", ".join(f"{mode.real:+.6g}" + (f"{mode.imag:+.6g}j" if mode.imag else "") for mode in map(complex, eigenvalues))
+        ", ".join(
+            f"{mode.real:+.6g}" + (f"{mode.imag:+.6g}j" if mode.imag else "")
+            for mode in map(complex, eigenvalues)
+        )
         or "none"
     )
 
 
 def _need_placeable(poles: ComplexVector, n: int, fixed_modes: ComplexVector) -> None:
     if len(poles) != n:
-        raise AssumptionError(f"(17): {len(poles)} poles given; needed {n}, as many as L can place; fixed: {modes(fixed_modes)}")
+        raise AssumptionError(
+            f"(17): {len(poles)} poles given; needed {n}, as many as L can place; fixed: {modes(fixed_modes)}"
+        )
     if not np.isfinite(poles).all() or (poles.real >= 0.0).any():
-        raise AssumptionError(f"(17): poles {modes(poles)}; needed finite poles with negative real parts")
+        raise AssumptionError(
+            f"(17): poles {modes(poles)}; needed finite poles with negative real parts"
+        )
     if not np.array_equal(poles, np.sort_complex(poles.conj())):
         raise AssumptionError(f"(17): poles {modes(poles)}; complex poles come in conjugate pairs")
 

@@ -59,9 +59,14 @@ def expand(sizes: tuple[int, ...]) -> tuple[Term, ...]:
             f"(21): block sizes {list(sizes)}; needed at least one block, each with at least one basis function"
         )
     rows = tuple(range(sum(sizes) + 1))
-    choices = [(row, parts) for row in rows for parts in _partitions(rows[:row] + rows[row + 1 :], sizes)]
+    choices = [
+        (row, parts) for row in rows for parts in _partitions(rows[:row] + rows[row + 1 :], sizes)
+    ]
     choices.sort(key=lambda choice: (_holder(rows[-1], *choice), choice))
-    return tuple(Term(row, parts, _parity((row, *(i for part in parts for i in part)))) for row, parts in choices)
+    return tuple(
+        Term(row, parts, _parity((row, *(i for part in parts for i in part))))
+        for row, parts in choices
+    )
 
 
 def mu(terms: Sequence[Term], delta: Matrix, alpha: Matrix) -> Matrix:
@@ -81,7 +86,9 @@ def mu(terms: Sequence[Term], delta: Matrix, alpha: Matrix) -> Matrix:
     Matrix
         Shape ``(N, q + 1)``; `p = -mu[:, 0]` and `m = mu[:, 1:]` (26).
     """
-    return np.stack([term.sign * delta[:, term.row] for term in terms], axis=1) * alpha_products(terms, alpha)
+    return np.stack([term.sign * delta[:, term.row] for term in terms], axis=1) * alpha_products(
+        terms, alpha
+    )
 
 
 def alpha_products(terms: Sequence[Term], alpha: Matrix) -> Matrix:
@@ -108,12 +115,19 @@ def chi(terms: Sequence[Term], K: Sequence[Matrix]) -> Vector:
     Vector
         Shape ``(q + 1,)``.
     """
-    with np.errstate(divide="ignore"):  # the logarithm inside det of a minor that underflows to zero
+    with np.errstate(
+        divide="ignore"
+    ):  # the logarithm inside det of a minor that underflows to zero
         minors = [
-            {part: float(np.linalg.det(rows[list(part)])) for part in {term.parts[block] for term in terms}}
+            {
+                part: float(np.linalg.det(rows[list(part)]))
+                for part in {term.parts[block] for term in terms}
+            }
             for block, rows in enumerate(K)
         ]
-    return np.array([math.prod(minors[block][part] for block, part in enumerate(term.parts)) for term in terms])
+    return np.array(
+        [math.prod(minors[block][part] for block, part in enumerate(term.parts)) for term in terms]
+    )
 
 
 def eta(terms: Sequence[Term], K: Sequence[Matrix]) -> Vector:
@@ -145,10 +159,14 @@ def check_delays(delays: Sequence[float], needed: int) -> None:
         )
     for j, D in enumerate(delays, start=1):
         if not 0.0 <= D < math.inf:
-            raise AssumptionError(f"Assumption 3 (5): D_{j} = {D:g} s; needed a finite delay, not negative")
+            raise AssumptionError(
+                f"Assumption 3 (5): D_{j} = {D:g} s; needed a finite delay, not negative"
+            )
     for (i, first), (j, second) in combinations(enumerate(delays, start=1), 2):
         if first == second:
-            raise AssumptionError(f"Assumption 3 (5): D_{i} = D_{j} = {first:g} s; needed pairwise distinct delays")
+            raise AssumptionError(
+                f"Assumption 3 (5): D_{i} = D_{j} = {first:g} s; needed pairwise distinct delays"
+            )
 
 
 def collinear(terms: Sequence[Term], alpha: Matrix, names: Sequence[str]) -> None:
@@ -210,7 +228,9 @@ def linear_route(sizes: Sequence[int]) -> str:
     )
 
 
-def _partitions(rows: tuple[int, ...], sizes: tuple[int, ...]) -> Iterator[tuple[tuple[int, ...], ...]]:
+def _partitions(
+    rows: tuple[int, ...], sizes: tuple[int, ...]
+) -> Iterator[tuple[tuple[int, ...], ...]]:
     """Give each way to share the rows among the blocks, once."""
     if not sizes:
         yield ()

@@ -6,7 +6,9 @@ import numpy as np
 
 from cosim.arrays import Matrix, Vector
 
-COMPARABLE = 0.1  # prior over information above which the prior decides a direction as much as the data do
+COMPARABLE = (
+    0.1  # prior over information above which the prior decides a direction as much as the data do
+)
 
 
 def information(m: Matrix, dt: float) -> Matrix:

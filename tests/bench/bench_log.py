@@ -47,7 +47,9 @@ def ours(path: Path, rows: np.ndarray, compression: str, size: int = 1000) -> No
         recorder.begin(Plan(layout(), STEP_NS, {}, {}, ()))
         for start in range(0, STEPS, size):
             time_ns = np.arange(start, start + size + 1) * STEP_NS
-            recorder.write(Block(start, time_ns, time_ns / 1e9, 1e-3), rows[start : start + size + 1])
+            recorder.write(
+                Block(start, time_ns, time_ns / 1e9, 1e-3), rows[start : start + size + 1]
+            )
 
 
 def stock(path: Path, rows: np.ndarray, compression: str) -> None:
@@ -108,15 +110,26 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         mine, theirs = Path(folder) / "ours.mcap", Path(folder) / "stock.mcap"
         floor = timed(raw, mine, rows)
-        out(f"{count} messages of 8 doubles on average; bare bytes to a file: {floor * 1e9 / count:.0f} ns a message\n")
+        out(
+            f"{count} messages of 8 doubles on average; bare bytes to a file: {floor * 1e9 / count:.0f} ns a message\n"
+        )
         for compression in ("none", "zstd"):
-            fast, slow = timed(ours, mine, rows, compression), timed(stock, theirs, rows, compression, repeat=1)
+            fast, slow = (
+                timed(ours, mine, rows, compression),
+                timed(stock, theirs, rows, compression, repeat=1),
+            )
             single = timed(ours, mine, rows, compression, 1, repeat=1)
-            out(f"write, {compression}: {slow / fast:.1f}x stock, {fast / floor:.1f}x the time of bare bytes; ")
+            out(
+                f"write, {compression}: {slow / fast:.1f}x stock, {fast / floor:.1f}x the time of bare bytes; "
+            )
             out(f"in blocks of one step {slow / single:.1f}x stock; ")
-            out(f"{fast * 1e9 / count:.0f} ns a message, size {mine.stat().st_size / theirs.stat().st_size:.2f} of stock\n")
+            out(
+                f"{fast * 1e9 / count:.0f} ns a message, size {mine.stat().st_size / theirs.stat().st_size:.2f} of stock\n"
+            )
             fast, slow = timed(read_ours, mine), timed(read_stock, mine, repeat=1)
-            out(f"read, {compression}: {slow / fast:.1f}x stock, {fast * 1e9 / count:.0f} ns a message\n")
+            out(
+                f"read, {compression}: {slow / fast:.1f}x stock, {fast * 1e9 / count:.0f} ns a message\n"
+            )
 
 
 if __name__ == "__main__":

@@ -26,7 +26,18 @@ def main() -> None:
     """Print medians and ratios."""
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / "academic.mcap"
-        run = [sys.executable, "-m", "cosim", "run", "academic", "--out", str(log), "--force", "--json", "--profile"]
+        run = [
+            sys.executable,
+            "-m",
+            "cosim",
+            "run",
+            "academic",
+            "--out",
+            str(log),
+            "--force",
+            "--json",
+            "--profile",
+        ]
         commands = {
             "python -c pass": [sys.executable, "-c", "pass"],
             "import of the libraries": [sys.executable, "-c", LIBRARIES],
@@ -43,7 +54,10 @@ def main() -> None:
             print(f"{name:28s} {median:6.3f} s   {median / base:5.2f} x the imports")
         found = json.loads(subprocess.run(run, check=True, capture_output=True, text=True).stdout)
         print("of it:", ", ".join(f"{part} {value:.3f} s" for part, value in found["wall"].items()))
-        print("in the run:", ", ".join(f"{part} {value:.4f} s" for part, value in found["profile"].items()))
+        print(
+            "in the run:",
+            ", ".join(f"{part} {value:.4f} s" for part, value in found["profile"].items()),
+        )
         errors = ", ".join(f"{value['estimate']} {value['error']:.2g}" for value in found["values"])
         print(f"accuracy: {errors}; log of {log.stat().st_size / 1e6:.1f} MB")
 

@@ -18,10 +18,10 @@ from cosim.blocks.sampled import Decimated, Sampled
 from cosim.blocks.source import Expression, Noise, Table, chirp, constant, ramp, sine, step
 from cosim.core.clock import Clock
 from cosim.core.graph import Graph
+from cosim.core.linear import Linear
 from cosim.core.master import run
 from cosim.core.recorders import Memory
 from cosim.core.signals import Interface, Signal
-from cosim.core.solver import Linear
 from cosim.native.expression import compile_expression
 from cosim.testing import check_component, check_rollback
 from cosim.theory.descriptor import reduce
@@ -50,20 +50,28 @@ def observer():
 
 
 def regressor(steps=(2, 4, 6)):
-    alphas = [compile_expression("1.35 + 0.25*sin(1.7*t)"), compile_expression("1.1 + 0.2*cos(2.3*t)")]
+    alphas = [
+        compile_expression("1.35 + 0.25*sin(1.7*t)"),
+        compile_expression("1.1 + 0.2*cos(2.3*t)"),
+    ]
     return Regressor(expand((1, 1)), alphas=alphas, steps=steps, delays=[n * H for n in steps])
 
 
 def identifier(**options):
     blocks = group(["a", "b"], [Exponential()] * 2)
-    return LeastSquaresIdentifier(plan(expand((1, 1)), blocks, [1.0, 2.0, 3.0]), start=3 * H, **options)
+    return LeastSquaresIdentifier(
+        plan(expand((1, 1)), blocks, [1.0, 2.0, 3.0]), start=3 * H, **options
+    )
 
 
 def recording():
     memory = Memory()
     run(
         Graph(
-            {"u": sine(amplitude=1.0, rate=900.0, phase=0.1, offset=0.0), "lag": Linear(lag(time_constant=0.01))},
+            {
+                "u": sine(amplitude=1.0, rate=900.0, phase=0.1, offset=0.0),
+                "lag": Linear(lag(time_constant=0.01)),
+            },
             {"lag.u": "u.y"},
         ),
         Clock(0.03, H),
@@ -79,8 +87,12 @@ COMPONENTS = {
     "sine": lambda: sine(amplitude=2.0, rate=300.0, phase=0.4, offset=1.0),
     "chirp": lambda: chirp(amplitude=2.0, rate=300.0, sweep=1e4, offset=1.0),
     "expression": lambda: Expression(["t**2", "exp(-t)*cos(500*t)"], variability="discrete"),
-    "table": lambda: Table(np.linspace(0.0, 0.03, 12), np.random.default_rng(1).standard_normal((12, 2))),
-    "held table": lambda: Table(np.linspace(0.0, 0.03, 12), np.random.default_rng(1).standard_normal((12, 2)), hold=True),
+    "table": lambda: Table(
+        np.linspace(0.0, 0.03, 12), np.random.default_rng(1).standard_normal((12, 2))
+    ),
+    "held table": lambda: Table(
+        np.linspace(0.0, 0.03, 12), np.random.default_rng(1).standard_normal((12, 2)), hold=True
+    ),
     "noise": lambda: Noise(deviation=2.0, seed=3, size=2),
     "sum": lambda: sum_of([1.0, -2.0, 0.5], size=2),
     "gain": lambda: gain(np.array([[1.0, 2.0], [0.0, -1.0], [3.0, 0.5]])),
@@ -127,12 +139,19 @@ class Broken(Static):
 
     def __init__(self, fault="", *, optional=False, feedthrough=None):
         outputs = (Signal("y", optional=optional), Signal("n"))
-        super().__init__(Interface((Signal("u"),), outputs, {"y": ("u",)} if feedthrough is None else feedthrough), None)
+        super().__init__(
+            Interface(
+                (Signal("u"),), outputs, {"y": ("u",)} if feedthrough is None else feedthrough
+            ),
+            None,
+        )
         self.fault, self.steps = fault, 0
         self.made = Broken.count = getattr(Broken, "count", 0) + 1
 
     def prepare(self, h, held, recorded):
-        self.gain = recorded.get("gain", np.ones(1))[0] * (2.0 if self.fault == "ignores its design" and recorded else 1.0)
+        self.gain = recorded.get("gain", np.ones(1))[0] * (
+            2.0 if self.fault == "ignores its design" and recorded else 1.0
+        )
         return {"gain": np.ones(1)}
 
     def initialize(self, t, u):
@@ -164,10 +183,21 @@ class Broken(Static):
             rows[0, 1] += self.kept[0, 0] == 1e3
         self.kept = u
         self.row = rows[-1].copy()
-        return rows[:, 0] if self.fault == "shape" else rows.astype(np.float32) if self.fault == "type" else rows
+        return (
+            rows[:, 0]
+            if self.fault == "shape"
+            else rows.astype(np.float32)
+            if self.fault == "type"
+            else rows
+        )
 
     def _row(self, u):
-        value = {"nan": np.nan, "negative nan": -np.array(NAN), "infinite": np.inf, "by chance": self.made}.get(self.fault, u[0])
+        value = {
+            "nan": np.nan,
+            "negative nan": -np.array(NAN),
+            "infinite": np.inf,
+            "by chance": self.made,
+        }.get(self.fault, u[0])
         return np.array([self.gain * value, self.steps])
 
 
@@ -202,21 +232,26 @@ def test_a_broken_law_is_named(fault):
 
 def test_stale_outputs_are_noticed_where_inputs_feed_through():
     """Outputs that do not follow a late input cannot repair a loop."""
-    with pytest.raises(AssertionError, match="the state ignores a held input at the end of the step: 'y'"):
+    with pytest.raises(
+        AssertionError, match="the state ignores a held input at the end of the step: 'y'"
+    ):
         check_component(lambda: Broken("stale outputs"))
 
 
 def test_another_nan_is_refused_where_none_may_be():
     """There is one NaN, so that equal runs have equal bits."""
     check_component(lambda: Broken("nan", optional=True))
-    with pytest.raises(AssertionError, match=r"a value is finite, or cosim.arrays.NAN in an optional output: 'y'"):
+    with pytest.raises(
+        AssertionError, match=r"a value is finite, or cosim.arrays.NAN in an optional output: 'y'"
+    ):
         check_component(lambda: Broken("negative nan", optional=True))
 
 
 def test_an_undeclared_feedthrough_is_named():
     """The order of a loop rests on what is declared."""
     with pytest.raises(
-        AssertionError, match=r"outputs ignores 'u', which is not declared to feed through: 'y' at t = 0.0 s: found"
+        AssertionError,
+        match=r"outputs ignores 'u', which is not declared to feed through: 'y' at t = 0.0 s: found",
     ):
         check_component(lambda: Broken(feedthrough={}))
 
@@ -229,12 +264,16 @@ def test_an_undeclared_dependency_at_the_start_is_named():
     law = r"initialize ignores 'u', which is not declared to count at the start: 'y' at t = 0.0 s: found"
     with pytest.raises(AssertionError, match=law):
         check_component(lambda: Linear(silent))
-    check_component(lambda: Linear(replace(silent, interface=replace(silent.interface, initial={"y": None}))))
+    check_component(
+        lambda: Linear(replace(silent, interface=replace(silent.interface, initial={"y": None})))
+    )
 
 
 def test_inputs_of_the_wrong_shape_are_refused():
     """The inputs given are those of the component."""
-    with pytest.raises(AssertionError, match=r"inputs have shape \(5, 3\), needed \(steps \+ 1, 1\)"):
+    with pytest.raises(
+        AssertionError, match=r"inputs have shape \(5, 3\), needed \(steps \+ 1, 1\)"
+    ):
         check_component(lambda: Delay(1), inputs=np.zeros((5, 3)))
 
 
@@ -246,7 +285,9 @@ def test_integers_and_booleans_are_given_what_they_take():
         seen.append(u.copy())
         return u[:, :1] + u[:, 1:]
 
-    interface = Interface((Signal("i", kind="integer"), Signal("b", kind="boolean")), (Signal("y"),), {"y": None})
+    interface = Interface(
+        (Signal("i", kind="integer"), Signal("b", kind="boolean")), (Signal("y"),), {"y": None}
+    )
     check_component(lambda: Static(interface, look))
     given = np.vstack(seen)
     given = given[(given != 1e3).all(axis=1)]

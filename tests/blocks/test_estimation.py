@@ -22,7 +22,13 @@ A, B = "1.35 + 0.25*sin(1.7*t)", "1.1 + 0.2*cos(2.3*t)"
 
 
 def amplitude(text, t):
-    return 1.35 + 0.25 * np.sin(1.7 * t) if text == A else 1.1 + 0.2 * np.cos(2.3 * t) if text == B else np.ones_like(t)
+    return (
+        1.35 + 0.25 * np.sin(1.7 * t)
+        if text == A
+        else 1.1 + 0.2 * np.cos(2.3 * t)
+        if text == B
+        else np.ones_like(t)
+    )
 
 
 class Example:
@@ -37,7 +43,11 @@ class Example:
         self.steps = [round(D / H) for D in delays]
         self.delta = sum(
             amplitude(alpha, self.t)
-            * (np.exp(theta * self.t) if family.v == 1 else 0.8 * np.sin(theta * self.t) + 0.4 * np.cos(theta * self.t))
+            * (
+                np.exp(theta * self.t)
+                if family.v == 1
+                else 0.8 * np.sin(theta * self.t) + 0.4 * np.cos(theta * self.t)
+            )
             for alpha, family, theta in zip(alphas, families, thetas, strict=True)
         )
         first = max(self.steps)
@@ -52,7 +62,10 @@ class Example:
         return Regressor(self.terms, alphas=programs, steps=self.steps, delays=self.delays)
 
     def exact_eta(self):
-        K = [coefficients(block.families, [self.thetas[i] for i in block.components], self.delays) for block in self.blocks]
+        K = [
+            coefficients(block.families, [self.thetas[i] for i in block.components], self.delays)
+            for block in self.blocks
+        ]
         return eta(self.terms, K)
 
     def expected(self, start, end, prior=None, *, held=False):
@@ -61,15 +74,21 @@ class Example:
         if held:
             found = least_squares(self.mu[first:end], np.full(end - first, H), prior)
         else:
-            found = least_squares(self.mu[first : end + 1], trapezoid_weights(self.t[first : end + 1]), prior)
+            found = least_squares(
+                self.mu[first : end + 1], trapezoid_weights(self.t[first : end + 1]), prior
+            )
         return np.concatenate([recover(self.recovery, found), found])
 
 
 EXAMPLES = {
     "two alphas": Example([A, B], [Exponential()] * 2, [-0.1, -0.3], [1.0, 2.0, 3.0], 12.0),
-    "two exponentials of one alpha": Example(["1", "1"], [Exponential()] * 2, [-0.1, -0.3], [1.0, 2.0, 3.0], 12.0),
+    "two exponentials of one alpha": Example(
+        ["1", "1"], [Exponential()] * 2, [-0.1, -0.3], [1.0, 2.0, 3.0], 12.0
+    ),
     "a sine": Example([A], [Sine()], [1.3], [0.5, 1.0, 1.5], 10.0),
-    "delays in another order": Example([A, B], [Exponential()] * 2, [-0.1, -0.3], [0.0, 2.0, 1.0], 8.0),
+    "delays in another order": Example(
+        [A, B], [Exponential()] * 2, [-0.1, -0.3], [0.0, 2.0, 1.0], 8.0
+    ),
 }
 
 
@@ -115,12 +134,18 @@ def test_two_exponentials_of_one_alpha_are_those_of_the_reference(case):
     """C09: theta from the samples, the larger one first."""
     reference = case("C09")
     example = EXAMPLES["two exponentials of one alpha"]
-    for times_, values in zip(reference["delta_samples"]["t_minus_D"], reference["delta_samples"]["values"], strict=True):
+    for times_, values in zip(
+        reference["delta_samples"]["t_minus_D"], reference["delta_samples"]["values"], strict=True
+    ):
         np.testing.assert_allclose(
-            np.exp(-0.1 * np.array(times_)) + np.exp(-0.3 * np.array(times_)), values, atol=reference["tol"]
+            np.exp(-0.1 * np.array(times_)) + np.exp(-0.3 * np.array(times_)),
+            values,
+            atol=reference["tol"],
         )
     found = drive(LeastSquaresIdentifier(example.recovery, start=3.0), example.mu, step_ns=STEP_NS)
-    np.testing.assert_allclose(found[-1, :2], reference["expected"]["recovered_theta_sorted"][::-1], rtol=1e-9)
+    np.testing.assert_allclose(
+        found[-1, :2], reference["expected"]["recovered_theta_sorted"][::-1], rtol=1e-9
+    )
 
 
 def test_a_sine_is_that_of_the_reference(case):
@@ -128,7 +153,9 @@ def test_a_sine_is_that_of_the_reference(case):
     reference = case("C08")
     example = EXAMPLES["a sine"]
     row = [np.interp(650 - n, range(len(example.t)), example.delta) for n in (0, 50, 100)]
-    np.testing.assert_allclose(row, reference["delta_samples"]["values"][0], rtol=0, atol=reference["tol"])
+    np.testing.assert_allclose(
+        row, reference["delta_samples"]["values"][0], rtol=0, atol=reference["tol"]
+    )
     found = drive(LeastSquaresIdentifier(example.recovery, start=1.5), example.mu, step_ns=STEP_NS)
     assert found[-1, 0] == pytest.approx(reference["expected"]["omega"], rel=1e-9)
 
@@ -136,10 +163,14 @@ def test_a_sine_is_that_of_the_reference(case):
 def test_there_is_no_estimate_before_there_is_information():
     """Without a prior: no value until the start, nor while fewer rows than unknowns came in; with one: at once."""
     example = EXAMPLES["two alphas"]
-    bare = drive(LeastSquaresIdentifier(example.recovery, start=3.0), example.mu, step_ns=STEP_NS, held=True)
+    bare = drive(
+        LeastSquaresIdentifier(example.recovery, start=3.0), example.mu, step_ns=STEP_NS, held=True
+    )
     assert np.isnan(bare[: 300 + 5]).all()  # five unknowns: the fifth row arrives at 3.0 s + 5 h
     assert np.isfinite(bare[300 + 30 :]).all()
-    prior = drive(LeastSquaresIdentifier(example.recovery, start=3.0, P0=10.0), example.mu, step_ns=STEP_NS)
+    prior = drive(
+        LeastSquaresIdentifier(example.recovery, start=3.0, P0=10.0), example.mu, step_ns=STEP_NS
+    )
     assert np.isnan(prior[:301]).all()
     assert np.isfinite(prior[301:, 2:]).all()
 
@@ -148,7 +179,9 @@ def test_a_disturbance_of_nothing_never_gives_an_estimate():
     """Zero, or so small that its square vanishes: no information, and no 0/0."""
     example = EXAMPLES["two alphas"]
     for scale in (0.0, 1e-180):
-        found = drive(LeastSquaresIdentifier(example.recovery, start=3.0), scale * example.mu, step_ns=STEP_NS)
+        found = drive(
+            LeastSquaresIdentifier(example.recovery, start=3.0), scale * example.mu, step_ns=STEP_NS
+        )
         assert np.isnan(found).all()
     tiny = np.where(np.arange(len(example.mu))[:, None] < 500, 1e-180, 1.0) * example.mu
     found = drive(LeastSquaresIdentifier(example.recovery, start=3.0), tiny, step_ns=STEP_NS)
@@ -190,7 +223,10 @@ def test_a_recorded_start_time_is_used():
 @pytest.mark.parametrize("P0", [0.0, -1.0, math.inf, math.nan])
 def test_a_prior_that_is_none_is_refused(P0):
     """P0 is positive and finite, or left out."""
-    with pytest.raises(UsageError, match=r"P0: found .*, needed a positive finite number; leave it out for no prior"):
+    with pytest.raises(
+        UsageError,
+        match=r"P0: found .*, needed a positive finite number; leave it out for no prior",
+    ):
         LeastSquaresIdentifier(EXAMPLES["a sine"].recovery, start=2.0, P0=P0)
 
 
@@ -200,4 +236,8 @@ def test_the_identifier_keeps_the_contract_on_data_it_can_use(name):
     example = EXAMPLES[name]
     last = max(example.steps) + 30
     start = last * H - 0.2
-    check_component(lambda: LeastSquaresIdentifier(example.recovery, start=start), inputs=example.mu[: last + 1], h=H)
+    check_component(
+        lambda: LeastSquaresIdentifier(example.recovery, start=start),
+        inputs=example.mu[: last + 1],
+        h=H,
+    )

@@ -11,9 +11,9 @@ from cosim.blocks.source import sine
 from cosim.core.clock import Clock
 from cosim.core.contracts import Stopped
 from cosim.core.graph import Graph
+from cosim.core.linear import Linear
 from cosim.core.master import run
 from cosim.core.recorders import Memory
-from cosim.core.solver import Linear
 from cosim.errors import GraphError, LogError, UsageError
 from tests.blocks.stepping import drive, times
 
@@ -39,7 +39,9 @@ def test_limit_cuts_off():
     """Values inside pass unchanged."""
     found = drive(limit(lower=-0.5, upper=0.25, size=2), RANDOM)
     assert (found == np.minimum(np.maximum(RANDOM, -0.5), 0.25)).all()
-    with pytest.raises(UsageError, match=r"limit: found lower = 1.0 and upper = 1.0, needed lower < upper"):
+    with pytest.raises(
+        UsageError, match=r"limit: found lower = 1.0 and upper = 1.0, needed lower < upper"
+    ):
         limit(lower=1.0, upper=1.0)
 
 
@@ -56,18 +58,27 @@ def test_a_lag_answers_a_ramp_on_straight_lines_exactly():
     """For u = t: y = t - T (1 - exp(-t/T)): no error of the step size; held inputs lag by half a step more."""
     t = times(200)
     exact = t - 0.05 * -np.expm1(-t / 0.05)
-    lines, held = (drive(Linear(lag(time_constant=0.05)), t[:, None], held=held)[:, 0] for held in (False, True))
+    lines, held = (
+        drive(Linear(lag(time_constant=0.05)), t[:, None], held=held)[:, 0]
+        for held in (False, True)
+    )
     np.testing.assert_allclose(lines, exact, rtol=0, atol=200 * 1.2e-16)
-    assert held[-1] - exact[-1] == pytest.approx(-0.5e-3, rel=0.03)  # 1 - exp(-4) of it is settled; next term h/(12 T)
+    assert held[-1] - exact[-1] == pytest.approx(
+        -0.5e-3, rel=0.03
+    )  # 1 - exp(-4) of it is settled; next term h/(12 T)
 
 
 def test_a_lag_starts_without_a_transient_unless_told():
     """`start` left out: y(0) = u(0) and stays there; given: y(0) = start, whatever the input."""
     u = np.full((30, 2), 3.0)
     # Ad + B0 + B1 = 1 up to rounding, added up over 30 steps of a value of 3
-    np.testing.assert_allclose(drive(Linear(lag(time_constant=0.01, size=2)), u), u, rtol=0, atol=30 * 3 * 2.3e-16)
+    np.testing.assert_allclose(
+        drive(Linear(lag(time_constant=0.01, size=2)), u), u, rtol=0, atol=30 * 3 * 2.3e-16
+    )
     assert (drive(Linear(lag(time_constant=0.01, start=-1.0, size=2)), u)[0] == -1.0).all()
-    with pytest.raises(UsageError, match=r"lag: found time_constant = 0.0 s, needed a positive time"):
+    with pytest.raises(
+        UsageError, match=r"lag: found time_constant = 0.0 s, needed a positive time"
+    ):
         lag(time_constant=0.0)
 
 
@@ -93,14 +104,24 @@ def test_a_controller_shows_its_state_and_declares_its_feedthrough():
     assert model.interface.feeds("x") == ()
     found = drive(Linear(model), np.ones((101, 1)), held=True)
     x = -np.expm1(-2.0 * times(100)) / 2.0
-    np.testing.assert_allclose(found, np.column_stack([3.0 * x + 0.5, x]), rtol=0, atol=100 * 3 * 1.2e-16)
+    np.testing.assert_allclose(
+        found, np.column_stack([3.0 * x + 0.5, x]), rtol=0, atol=100 * 3 * 1.2e-16
+    )
     assert controller(A=np.eye(1), B=np.eye(1), C=np.eye(1)).interface.feeds("y") == ()
 
 
-@pytest.mark.parametrize(("name", "shape"), [("B", (3, 1)), ("C", (1, 3)), ("D", (2, 1)), ("x0", (3,))])
+@pytest.mark.parametrize(
+    ("name", "shape"), [("B", (3, 1)), ("C", (1, 3)), ("D", (2, 1)), ("x0", (3,))]
+)
 def test_a_controller_of_the_wrong_shape_is_refused(name, shape):
     """The matrix is named, with both shapes."""
-    matrices = {"A": np.eye(2), "B": np.ones((2, 1)), "C": np.ones((1, 2)), "D": np.zeros((1, 1)), "x0": np.zeros(2)}
+    matrices = {
+        "A": np.eye(2),
+        "B": np.ones((2, 1)),
+        "C": np.ones((1, 2)),
+        "D": np.zeros((1, 1)),
+        "x0": np.zeros(2),
+    }
     text = f"controller: {name} has shape {shape}, needed {matrices[name].shape}"
     with pytest.raises(UsageError) as error:
         controller(**{**matrices, name: np.zeros(shape)})
@@ -109,7 +130,10 @@ def test_a_controller_of_the_wrong_shape_is_refused(name, shape):
 
 @pytest.fixture(scope="module")
 def recording():
-    components = {"u": sine(amplitude=1.0, rate=90.0, phase=0.1, offset=0.0), "lag": Linear(lag(time_constant=0.01))}
+    components = {
+        "u": sine(amplitude=1.0, rate=90.0, phase=0.1, offset=0.0),
+        "lag": Linear(lag(time_constant=0.01)),
+    }
     memory = Memory()
     run(Graph(components, {"lag.u": "u.y"}), Clock(0.03, 1e-3), memory)
     return memory

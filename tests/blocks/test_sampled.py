@@ -11,9 +11,9 @@ from cosim.blocks.source import Table, sine
 from cosim.core.clock import Clock
 from cosim.core.contracts import Stopped
 from cosim.core.graph import Graph
+from cosim.core.linear import Linear
 from cosim.core.master import run
 from cosim.core.recorders import Memory
-from cosim.core.solver import Linear
 from cosim.errors import ClockError
 from tests.blocks.stepping import drive
 
@@ -23,7 +23,9 @@ U = np.random.default_rng(4).standard_normal((10 * N + 1, 1))
 
 def through():
     """Give x' = -20 (x - u), y = x + u / 2."""
-    return Linear(controller(A=np.array([[-20.0]]), B=np.array([[20.0]]), C=np.eye(1), D=np.array([[0.5]])))
+    return Linear(
+        controller(A=np.array([[-20.0]]), B=np.array([[20.0]]), C=np.eye(1), D=np.array([[0.5]]))
+    )
 
 
 @pytest.mark.parametrize("held", [False, True])
@@ -32,14 +34,20 @@ def test_sampled_is_the_component_on_its_own_grid(held):
     found = drive(Sampled(through(), N), U, held=held)
     alone = drive(through(), U[::N], step_ns=N * 1_000_000, held=held)
     assert (found == np.repeat(alone, N, axis=0)[: len(found)]).all()
-    assert all(signal.variability == "discrete" for signal in Sampled(through(), N).interface.outputs)
+    assert all(
+        signal.variability == "discrete" for signal in Sampled(through(), N).interface.outputs
+    )
 
 
 def test_sampled_agrees_with_the_exact_step_response():
     """Take x' = -20 (x - u) from 0 with u held at 1: 1 - exp(-20 t) at the ends of the slow steps."""
-    found = drive(Sampled(Linear(lag(time_constant=0.05, start=0.0)), N), np.ones((10 * N + 1, 1)), held=True)[:, 0]
+    found = drive(
+        Sampled(Linear(lag(time_constant=0.05, start=0.0)), N), np.ones((10 * N + 1, 1)), held=True
+    )[:, 0]
     t = (np.arange(10 * N + 1) // N) * N * 1e-3
-    np.testing.assert_allclose(found, -np.expm1(-20.0 * t), rtol=0, atol=10 * 2.3e-16)  # ten steps, one last bit each
+    np.testing.assert_allclose(
+        found, -np.expm1(-20.0 * t), rtol=0, atol=10 * 2.3e-16
+    )  # ten steps, one last bit each
 
 
 def test_what_a_sampled_component_holds_follows_an_input_that_was_known_late():
@@ -55,7 +63,9 @@ def test_what_a_sampled_component_holds_follows_an_input_that_was_known_late():
 def test_sampled_passes_a_stop_on():
     """With the rows up to there."""
     source = Sampled(Table(np.array([0.0, 0.01]), np.ones((2, 1))), 4)
-    with pytest.raises(Stopped, match=r"table: covers 0.0 s to 0.01 s, was asked for 0.012 s") as stop:
+    with pytest.raises(
+        Stopped, match=r"table: covers 0.0 s to 0.01 s, was asked for 0.012 s"
+    ) as stop:
         drive(source, np.zeros((31, 0)))
     assert stop.value.steps == 11
 
@@ -64,7 +74,9 @@ def test_sampled_passes_a_stop_on():
 def test_decimated_keeps_its_answer_between(held):
     """The component sees every row; every n-th of its answers is passed on and holds."""
     every = drive(through(), U, held=held)
-    assert (drive(Decimated(through(), N), U, held=held) == np.repeat(every[::N], N, axis=0)[: len(U)]).all()
+    assert (
+        drive(Decimated(through(), N), U, held=held) == np.repeat(every[::N], N, axis=0)[: len(U)]
+    ).all()
 
 
 def test_decimated_declares_the_feedthrough_of_its_component():
@@ -78,7 +90,9 @@ def test_decimated_passes_a_stop_on():
     t, y = np.array([0.0, 0.01]), np.array([[0.0], [10.0]])
     with pytest.raises(Stopped, match=r"was asked for 0.011 s") as stop:
         drive(Decimated(Table(t, y), 4), np.zeros((31, 0)))
-    np.testing.assert_allclose(stop.value.outputs[:, 0], [0, 0, 0, 4, 4, 4, 4, 8, 8, 8], rtol=0, atol=2e-15)
+    np.testing.assert_allclose(
+        stop.value.outputs[:, 0], [0, 0, 0, 4, 4, 4, 4, 8, 8, 8], rtol=0, atol=2e-15
+    )
 
 
 @pytest.mark.parametrize("kind", [Sampled, Decimated])

@@ -47,8 +47,12 @@ def test_a_sine_is_the_closed_form():
 def test_the_rate_of_a_chirp_grows_by_the_sweep():
     """The phase is the integral of rate + sweep t."""
     found = rows(chirp(amplitude=1.5, rate=3.0, sweep=4.0, offset=-0.5))[:, 0]
-    np.testing.assert_allclose(found, -0.5 + 1.5 * np.sin(3.0 * T + 2.0 * T**2), rtol=0, atol=1e-14)  # argument below 14
-    assert rows(chirp(amplitude=1.0, rate=0.0, sweep=math.pi, offset=0.0))[1000, 0] == pytest.approx(1.0, abs=1e-15)
+    np.testing.assert_allclose(
+        found, -0.5 + 1.5 * np.sin(3.0 * T + 2.0 * T**2), rtol=0, atol=1e-14
+    )  # argument below 14
+    assert rows(chirp(amplitude=1.0, rate=0.0, sweep=math.pi, offset=0.0))[
+        1000, 0
+    ] == pytest.approx(1.0, abs=1e-15)
 
 
 def test_an_expression_gives_the_same_bits_at_a_point_and_in_a_block():
@@ -60,7 +64,9 @@ def test_an_expression_gives_the_same_bits_at_a_point_and_in_a_block():
 
 
 def table(**options):
-    return Table(np.array([0.0, 0.5, 1.0]), np.array([[0.0, 1.0], [2.0, 0.0], [2.0, 5.0]]), **options)
+    return Table(
+        np.array([0.0, 0.5, 1.0]), np.array([[0.0, 1.0], [2.0, 0.0], [2.0, 5.0]]), **options
+    )
 
 
 def test_a_table_draws_straight_lines():
@@ -69,8 +75,12 @@ def test_a_table_draws_straight_lines():
     assert source.interface.outputs[0].variability == "continuous"
     u = np.zeros((1001, 0))
     t = times(1000)
-    expected = np.column_stack([np.where(t < 0.5, 4.0 * t, 2.0), np.where(t < 0.5, 1.0 - 2.0 * t, 10.0 * (t - 0.5))])
-    np.testing.assert_allclose(drive(source, u), expected, rtol=0, atol=2e-15)  # values below 5: a few of their last bits
+    expected = np.column_stack(
+        [np.where(t < 0.5, 4.0 * t, 2.0), np.where(t < 0.5, 1.0 - 2.0 * t, 10.0 * (t - 0.5))]
+    )
+    np.testing.assert_allclose(
+        drive(source, u), expected, rtol=0, atol=2e-15
+    )  # values below 5: a few of their last bits
 
 
 def test_a_held_table_keeps_each_value():
@@ -79,7 +89,9 @@ def test_a_held_table_keeps_each_value():
     assert source.interface.outputs[0].variability == "discrete"
     found = drive(source, np.zeros((1001, 0)))
     k = np.arange(1001)[:, np.newaxis]
-    assert (found == np.where(k < 500, [0.0, 1.0], np.where(k < 1000, [2.0, 0.0], [2.0, 5.0]))).all()
+    assert (
+        found == np.where(k < 500, [0.0, 1.0], np.where(k < 1000, [2.0, 0.0], [2.0, 5.0]))
+    ).all()
 
 
 @pytest.mark.parametrize("hold", [False, True])
@@ -89,7 +101,9 @@ def test_a_table_refuses_beyond_its_ends(hold):
     for t in (-0.001, 1.001):
         with pytest.raises(UsageError, match=rf"table: covers 0.0 s to 1.0 s, was asked for {t} s"):
             source.initialize(t, np.zeros(0))
-    with pytest.raises(Stopped, match=r"table: covers 0.0 s to 1.0 s, was asked for 1.001 s") as stop:
+    with pytest.raises(
+        Stopped, match=r"table: covers 0.0 s to 1.0 s, was asked for 1.001 s"
+    ) as stop:
         drive(source, np.zeros((1501, 0)))
     assert stop.value.failed
     np.testing.assert_array_equal(stop.value.outputs, drive(source, np.zeros((1001, 0)))[1:])
@@ -107,11 +121,19 @@ def test_a_table_does_not_change_with_the_arrays_it_was_made_from():
 @pytest.mark.parametrize(
     ("t", "y", "text"),
     [
-        ([0.0], [[1.0]], "found 1 instants and 1 values, needed the same number of both, at least 2"),
+        (
+            [0.0],
+            [[1.0]],
+            "found 1 instants and 1 values, needed the same number of both, at least 2",
+        ),
         ([0.0, 1.0], [[1.0]], "found 2 instants and 1 values"),
         ([0.0, np.nan], [[1.0], [2.0]], "found NaN or infinity, needed finite numbers"),
         ([0.0, 1.0], [[1.0], [np.inf]], "found NaN or infinity, needed finite numbers"),
-        ([0.0, 1.0, 1.0], [[1.0], [2.0], [3.0]], r"t\[2\] = 1.0 s does not come after 1.0 s; needed increasing instants"),
+        (
+            [0.0, 1.0, 1.0],
+            [[1.0], [2.0], [3.0]],
+            r"t\[2\] = 1.0 s does not come after 1.0 s; needed increasing instants",
+        ),
     ],
 )
 def test_a_table_that_is_none_is_refused(t, y, text):

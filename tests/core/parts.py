@@ -8,8 +8,8 @@ from cosim.blocks.arithmetic import gain
 from cosim.blocks.controller import controller
 from cosim.blocks.dynamics import lag
 from cosim.core.contracts import Stopped
+from cosim.core.linear import Linear, LinearModel
 from cosim.core.signals import Interface, Signal
-from cosim.core.solver import Linear, LinearModel
 
 
 def integrator(rate: float = 1.0, start: float = 0.0) -> Linear:
@@ -19,7 +19,11 @@ def integrator(rate: float = 1.0, start: float = 0.0) -> Linear:
 
 def through(D: float = 0.5) -> Linear:
     """Give x' = -2 x + u, y = x + D u, x."""
-    return Linear(controller(A=np.array([[-2.0]]), B=np.eye(1), C=np.eye(1), D=np.array([[D]]), x0=np.array([0.3])))
+    return Linear(
+        controller(
+            A=np.array([[-2.0]]), B=np.eye(1), C=np.eye(1), D=np.array([[D]]), x0=np.array([0.3])
+        )
+    )
 
 
 def times(K: float):
@@ -31,7 +35,11 @@ def half_through() -> Linear:
     """Give a plant x' = -3 x + u with the outputs v = x, without feedthrough, and y = 2 x + 0.5 u, with it."""
     interface = Interface((Signal("u"),), (Signal("v"), Signal("y")), {"v": (), "y": ("u",)})
     C, D = np.array([[1.0], [2.0]]), np.array([[0.0], [0.5]])
-    return Linear(LinearModel(interface, ("x",), -3.0 * np.eye(1), np.eye(1), C, D, np.array([1.0]), np.zeros((1, 1))))
+    return Linear(
+        LinearModel(
+            interface, ("x",), -3.0 * np.eye(1), np.eye(1), C, D, np.array([1.0]), np.zeros((1, 1))
+        )
+    )
 
 
 class Scripted:
@@ -39,7 +47,9 @@ class Scripted:
 
     def __init__(self, values, *, optional=False, inputs=0):
         self.values = values
-        self.interface = Interface(tuple(Signal(f"u{i}") for i in range(inputs)), (Signal("y", optional=optional),))
+        self.interface = Interface(
+            tuple(Signal(f"u{i}") for i in range(inputs)), (Signal("y", optional=optional),)
+        )
 
     def prepare(self, h, held, recorded):
         return {}
@@ -57,7 +67,9 @@ class Scripted:
         for _ in range(len(t) - 1):
             value = self.values[self.k + 1]
             if isinstance(value, Stopped):
-                raise Stopped(np.reshape([*rows, *value.outputs], (-1, 1)), str(value), failed=value.failed)
+                raise Stopped(
+                    np.reshape([*rows, *value.outputs], (-1, 1)), str(value), failed=value.failed
+                )
             if isinstance(value, Exception):
                 raise value
             self.k += 1
@@ -79,7 +91,9 @@ class Starter:
 
     def initialize(self, t, u):
         self.calls.append(u.tolist())
-        self.y = np.atleast_1d(np.asarray(self.function(*np.split(u, len(self.interface.inputs))), np.float64)).copy()
+        self.y = np.atleast_1d(
+            np.asarray(self.function(*np.split(u, len(self.interface.inputs))), np.float64)
+        ).copy()
         return self.y.copy()
 
     def outputs(self, t, u):

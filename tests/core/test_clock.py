@@ -48,13 +48,20 @@ def test_seconds_are_never_accumulated():
     """Every point is its integer divided once; adding up 40 000 steps of 1 ms, or k h, gives other numbers."""
     blocks = list(Clock(40.0, 1e-3, 1000).blocks(10**6))
     time = np.concatenate([blocks[0].time[:1], *(block.time[1:] for block in blocks)])
-    assert all(found == k / 1000 for k, found in enumerate(time))  # k/1000 is the nearest double to k ms
+    assert all(
+        found == k / 1000 for k, found in enumerate(time)
+    )  # k/1000 is the nearest double to k ms
     assert (np.cumsum(np.full(40_000, 1e-3)) != time[1:]).mean() > 0.9
     assert (seconds(np.array([15_345_000_000])) == 15.345).all()
 
 
 @settings(deadline=None)
-@given(st.integers(1, 3000), st.integers(1, 10**7), st.one_of(st.none(), st.integers(1, 4000)), st.integers(1, 4000))
+@given(
+    st.integers(1, 3000),
+    st.integers(1, 10**7),
+    st.one_of(st.none(), st.integers(1, 4000)),
+    st.integers(1, 4000),
+)
 def test_blocks_cover_the_grid_once_whatever_their_size(steps, step_ns, size, limit):
     """Each begins at the last point of the one before; none is longer than the limit or the size."""
     clock = Clock(steps * step_ns / 1e9, step_ns / 1e9, size)
@@ -63,10 +70,14 @@ def test_blocks_cover_the_grid_once_whatever_their_size(steps, step_ns, size, li
     assert max(block.steps for block in blocks) <= min(limit, size or limit)
     ns = np.concatenate([blocks[0].time_ns[:1], *(block.time_ns[1:] for block in blocks)])
     assert (ns == np.arange(steps + 1) * step_ns).all()
-    assert [block.index for block in blocks] == np.cumsum([0, *(block.steps for block in blocks[:-1])]).tolist()
+    assert [block.index for block in blocks] == np.cumsum(
+        [0, *(block.steps for block in blocks[:-1])]
+    ).tolist()
     for before, after in pairwise(blocks):
         assert before.time_ns[-1] == after.time_ns[0]
-    assert all((block.time == block.time_ns / 1e9).all() and block.h == step_ns / 1e9 for block in blocks)
+    assert all(
+        (block.time == block.time_ns / 1e9).all() and block.h == step_ns / 1e9 for block in blocks
+    )
 
 
 def test_a_block_can_be_cut():
@@ -79,11 +90,17 @@ def test_a_block_can_be_cut():
 @pytest.mark.parametrize(
     ("options", "text"),
     [
-        ({"stop": 1.0, "step": 0.3}, r"stop: 1.0 s is not a whole number of 0.3 s steps; nearest: 0.9 s"),
+        (
+            {"stop": 1.0, "step": 0.3},
+            r"stop: 1.0 s is not a whole number of 0.3 s steps; nearest: 0.9 s",
+        ),
         ({"stop": 1.0, "step": 0.0}, r"step: found 0.0 s, needed a positive time"),
         ({"stop": 1.0, "step": -1e-3}, r"step: found -0.001 s, needed a positive time"),
         ({"stop": 0.0, "step": 1e-3}, r"stop: found 0.0 s, needed a positive time"),
-        ({"stop": 1.0, "step": 1e-10}, r"1e-10 s is not a whole number of nanoseconds; nearest: 1e-09 s"),
+        (
+            {"stop": 1.0, "step": 1e-10},
+            r"1e-10 s is not a whole number of nanoseconds; nearest: 1e-09 s",
+        ),
         ({"stop": 1.0, "step": 1e-3, "block": 0}, r"block: found 0 steps, needed at least 1"),
     ],
 )
@@ -96,5 +113,8 @@ def test_a_grid_that_is_none_is_refused(options, text):
 def test_a_duration_off_the_grid_is_refused_by_name():
     """Delays and periods are whole numbers of steps."""
     assert whole_steps(3.0, 1_000_000, "delays[2]") == 3000
-    with pytest.raises(ClockError, match=r"period: 0.0003 s is not a whole number of 0.001 s steps; nearest: 0.001 s"):
+    with pytest.raises(
+        ClockError,
+        match=r"period: 0.0003 s is not a whole number of 0.001 s steps; nearest: 0.001 s",
+    ):
         whole_steps(3e-4, 1_000_000, "period")

@@ -12,7 +12,11 @@ elements = st.floats(-1.0, 1.0).map(lambda x: round(x, 3))
 
 
 @given(
-    st.integers(1, 6).flatmap(lambda n: st.tuples(arrays(float, (n, n), elements=elements), arrays(float, n, elements=elements)))
+    st.integers(1, 6).flatmap(
+        lambda n: st.tuples(
+            arrays(float, (n, n), elements=elements), arrays(float, n, elements=elements)
+        )
+    )
 )
 def test_elimination_agrees_with_lapack(system):
     """A diagonal that outweighs its row keeps the condition number below 2 n + 1; rounding stays below 1e-13."""
@@ -23,8 +27,15 @@ def test_elimination_agrees_with_lapack(system):
 
 def test_elimination_needs_its_pivots():
     """A zero on the diagonal is no obstacle; a rank too low is, also where rounding hides it."""
-    assert eliminate(np.array([[0.0, 1.0], [1.0, 0.0]]), np.array([2.0, 3.0])).tolist() == [3.0, 2.0]
-    for matrix in ([[1.0, 2.0], [2.0, 4.0]], [[0.1, 0.3], [0.1 + 1e-12, 0.3]], [[np.nan, 1.0], [1.0, 1.0]]):
+    assert eliminate(np.array([[0.0, 1.0], [1.0, 0.0]]), np.array([2.0, 3.0])).tolist() == [
+        3.0,
+        2.0,
+    ]
+    for matrix in (
+        [[1.0, 2.0], [2.0, 4.0]],
+        [[0.1, 0.3], [0.1 + 1e-12, 0.3]],
+        [[np.nan, 1.0], [1.0, 1.0]],
+    ):
         with pytest.raises(SingularError):
             eliminate(np.array(matrix), np.ones(2))
 
@@ -33,10 +44,16 @@ def test_elimination_needs_its_pivots():
 def test_a_linear_circle_has_its_closed_form(n, seed):
     """``w = G v + b``: v = (1 - G)^-1 b to 1e-13, from any start; sizes of the unknowns differ by 1e8."""
     random = np.random.default_rng(seed)
-    G, b, size = random.uniform(-3.0, 3.0, (n, n)), random.uniform(-1.0, 1.0, n), 10.0 ** random.uniform(-4.0, 4.0, n)
+    G, b, size = (
+        random.uniform(-3.0, 3.0, (n, n)),
+        random.uniform(-1.0, 1.0, n),
+        10.0 ** random.uniform(-4.0, 4.0, n),
+    )
     if np.linalg.cond(np.eye(n) - G) > 50.0:
         return
-    found = newton(lambda v: (G @ (v / size) + b) * size, random.uniform(-1.0, 1.0, n) * size, lambda: 0.0)
+    found = newton(
+        lambda v: (G @ (v / size) + b) * size, random.uniform(-1.0, 1.0, n) * size, lambda: 0.0
+    )
     exact = np.linalg.solve(np.eye(n) - G, b)
     # the residual at the level of rounding, some 16 eps of the largest term, times the condition number
     assert np.abs(found.v / size - exact).max() <= 1e-13 * max(1.0, np.abs(exact).max())
@@ -46,7 +63,10 @@ def test_a_linear_circle_has_its_closed_form(n, seed):
 def test_a_nonlinear_circle_is_solved():
     """v = cos v has the root 0.7390851332151607 (Dottie's number, OEIS A003957); v^2 = 2 by a slope that repels sweeps."""
     assert abs(newton(np.cos, np.zeros(1), lambda: 1.0).v[0] - 0.7390851332151607) <= 2e-16
-    assert abs(newton(lambda v: v + (2.0 - v * v) * 3.0, np.ones(1), lambda: 2.0).v[0] - np.sqrt(2.0)) <= 4e-16
+    assert (
+        abs(newton(lambda v: v + (2.0 - v * v) * 3.0, np.ones(1), lambda: 2.0).v[0] - np.sqrt(2.0))
+        <= 4e-16
+    )
 
 
 def test_a_solution_at_zero_is_judged_by_what_took_part():

@@ -9,10 +9,10 @@ from cosim.blocks.source import Noise, Table, constant, sine
 from cosim.core.clock import Clock
 from cosim.core.connections import Connection
 from cosim.core.graph import Graph
+from cosim.core.linear import Linear
 from cosim.core.master import run
 from cosim.core.recorders import Memory
 from cosim.core.signals import Interface, Signal
-from cosim.core.solver import Linear
 from cosim.errors import AlgebraicLoopError, GraphError
 from cosim.units import BaseUnit, Conversion
 from tests.core.parts import Scripted, integrator, through, times
@@ -31,10 +31,16 @@ def graph(connections, **options):
 @pytest.mark.parametrize(
     ("connections", "text"),
     [
-        ({"lab.u": "u.y"}, "'lab.u': there is no component 'lab'; did you mean 'lag'? There is: u, one, lag, small"),
+        (
+            {"lab.u": "u.y"},
+            "'lab.u': there is no component 'lab'; did you mean 'lag'? There is: u, one, lag, small",
+        ),
         ({"lag.u": "v.y"}, "'v.y': there is no component 'v'; There is: u, one, lag, small"),
         ({"lag.yy": "u.y"}, "'lag.yy': 'lag' has no input 'yy'; There is: u"),
-        ({"lag.u": "small.yy"}, "'small.yy': 'small' has no output 'yy'; did you mean 'y'? There is: y"),
+        (
+            {"lag.u": "small.yy"},
+            "'small.yy': 'small' has no output 'yy'; did you mean 'y'? There is: y",
+        ),
         ({"u.x": "one.y"}, "'u.x': 'u' has no input 'x'; there are none"),
         ({"lag": "u.y"}, "'lag': 'lag' has no input ''"),
         ({"lag.u": "one.y"}, "one.y -> lag.u: size 1 cannot drive size 3 [m]"),
@@ -47,8 +53,14 @@ def graph(connections, **options):
             {"lag.u": Connection("u.y", unit="mm")},
             "u.y -> lag.u: the source has unit 'm'; unit = 'mm' needs its gain; without it the unit is converted",
         ),
-        ({"lag.u": Connection("u.y", ((1.0, 2.0, 3.0),))}, "u.y -> lag.u: gain has shape (1, 3), needed (3, 3)"),
-        ({"small.u": Connection("u.y", ((1.0,),), unit="s")}, "u.y -> small.u: gain has shape (1, 1), needed (1, 3)"),
+        (
+            {"lag.u": Connection("u.y", ((1.0, 2.0, 3.0),))},
+            "u.y -> lag.u: gain has shape (1, 3), needed (3, 3)",
+        ),
+        (
+            {"small.u": Connection("u.y", ((1.0,),), unit="s")},
+            "u.y -> small.u: gain has shape (1, 1), needed (1, 3)",
+        ),
     ],
 )
 def test_a_connection_that_does_not_fit_is_refused(connections, text):
@@ -61,7 +73,10 @@ def test_a_connection_that_does_not_fit_is_refused(connections, text):
 def test_several_problems_are_reported_together():
     """One line each."""
     with pytest.raises(GraphError) as error:
-        Graph({"a": integrator(), "b": integrator(), "c": constant([1.0, 2.0])}, {"a.u": "c.y", "b.v": "c.y", "x.u": "c.y"})
+        Graph(
+            {"a": integrator(), "b": integrator(), "c": constant([1.0, 2.0])},
+            {"a.u": "c.y", "b.v": "c.y", "x.u": "c.y"},
+        )
     lines = str(error.value).splitlines()
     assert len(lines) == 4
     assert lines[0].startswith("c.y -> a.u: size 2 cannot drive size 1")
@@ -72,8 +87,14 @@ def test_several_problems_are_reported_together():
     ("options", "text"),
     [
         ({"coupling": "newtonian"}, "coupling: found 'newtonian'; There is: gauss-seidel, jacobi"),
-        ({"coupling": "gauss-seidl"}, "coupling: found 'gauss-seidl'; did you mean 'gauss-seidel'?"),
-        ({"hold": "lines"}, "hold: found 'lines'; did you mean 'line'? There is: line, start"),
+        (
+            {"coupling": "gauss-seidl"},
+            "coupling: found 'gauss-seidl'; did you mean 'gauss-seidel'?",
+        ),
+        (
+            {"input_interpolation": "liner"},
+            "input_interpolation: found 'liner'; did you mean 'linear'? There is: linear, zero-order",
+        ),
         ({"periods": {"lab": 2}}, "periods: there is no component 'lab'; did you mean 'lag'?"),
         ({"periods": {"lag": 0}}, "periods: found 0 steps for 'lag', needed at least 1"),
     ],
@@ -89,7 +110,9 @@ def test_names_and_numbers_are_checked():
     """No components, a dot in a name, a signal of no size, one declared twice."""
     with pytest.raises(GraphError, match="the graph has no components; needed at least one"):
         Graph({}, {})
-    with pytest.raises(GraphError, match=r"component 'a\.b': a component's name must not be empty and has no dot"):
+    with pytest.raises(
+        GraphError, match=r"component 'a\.b': a component's name must not be empty and has no dot"
+    ):
         Graph({"a.b": constant([1.0])}, {})
     with pytest.raises(GraphError, match="component '': a component's name must not be empty"):
         Graph({"": constant([1.0])}, {})
@@ -102,7 +125,8 @@ def test_names_and_numbers_are_checked():
 def test_an_optional_output_drives_only_what_takes_no_value():
     """NaN means "no value yet" and must not reach an input that needs one."""
     with pytest.raises(
-        GraphError, match=r"a\.y -> b\.u: the source may carry no value \(NaN\), the input needs one at every step"
+        GraphError,
+        match=r"a\.y -> b\.u: the source may carry no value \(NaN\), the input needs one at every step",
     ):
         Graph({"a": Scripted([0.0], optional=True), "b": integrator()}, {"b.u": "a.y"})
 
@@ -111,7 +135,13 @@ def test_elements_gains_offsets_and_matrices_reach_the_input():
     """`x[1]` is one element; a gain and an offset act on each; a matrix maps; a name that looks like an element is a name."""
     odd = Interface((), (Signal("x[1]"), Signal("x", 2)), {})
     memory = Memory()
-    components = {"c": constant([1.0, 2.0, 4.0]), "odd": Scripted([0.0] * 9), "a": Delay(1), "b": Delay(1), "m": Delay(1, size=2)}
+    components = {
+        "c": constant([1.0, 2.0, 4.0]),
+        "odd": Scripted([0.0] * 9),
+        "a": Delay(1),
+        "b": Delay(1),
+        "m": Delay(1, size=2),
+    }
     components["odd"].interface = odd
     components["odd"].outputs = lambda t, u: np.array([7.0, 8.0, 9.0])
     components["odd"].advance = lambda t, h, u: np.tile([7.0, 8.0, 9.0], (len(t) - 1, 1))
@@ -133,7 +163,10 @@ def converted(connection, source, target):
     """Give what arrives at the input of 2.5 and -40 at an output, both by unit."""
     sink = Delay(1, size=2)
     sink.interface = Interface((Signal("u", 2, target),), sink.interface.outputs)
-    graph, row = Graph({"c": constant([2.5, -40.0], unit=source), "d": sink}, {"d.u": connection}), np.zeros(6)
+    graph, row = (
+        Graph({"c": constant([2.5, -40.0], unit=source), "d": sink}, {"d.u": connection}),
+        np.zeros(6),
+    )
     graph.initialize(0.0, row)
     return row[2:4].tolist(), graph.conversions
 
@@ -142,15 +175,33 @@ def test_values_are_converted_between_units():
     """By the formula, after gain and offset; what has one unit is copied bit for bit."""
     celsius = Conversion(1.0, 273.15, 0.0, 1.0)
     assert converted("c.y", "degC", "K") == ([275.65, -40.0 + 273.15], {"d.u": celsius})
-    assert converted("c.y", "mm", "m") == ([2.5 * 1e-3, -40.0 * 1e-3], {"d.u": Conversion(1e-3, 0.0, 0.0, 1.0)})
-    assert converted("c.y", "m", "mm") == ([2.5 / 1e-3, -40.0 / 1e-3], {"d.u": Conversion(1.0, 0.0, 0.0, 1e-3)})
-    assert (
-        converted("c.y", "m", "m") == converted("c.y", None, "m") == converted("c.y", "furlong", "furlong") == ([2.5, -40.0], {})
+    assert converted("c.y", "mm", "m") == (
+        [2.5 * 1e-3, -40.0 * 1e-3],
+        {"d.u": Conversion(1e-3, 0.0, 0.0, 1.0)},
     )
-    assert converted(Connection("c.y", 2.0, 1.0), "degC", "K") == ([6.0 + 273.15, -79.0 + 273.15], {"d.u": celsius})
-    assert converted(Connection("c.y", 2.0, 1.0, unit="degC"), "V", "K") == ([6.0 + 273.15, -79.0 + 273.15], {"d.u": celsius})
+    assert converted("c.y", "m", "mm") == (
+        [2.5 / 1e-3, -40.0 / 1e-3],
+        {"d.u": Conversion(1.0, 0.0, 0.0, 1e-3)},
+    )
+    assert (
+        converted("c.y", "m", "m")
+        == converted("c.y", None, "m")
+        == converted("c.y", "furlong", "furlong")
+        == ([2.5, -40.0], {})
+    )
+    assert converted(Connection("c.y", 2.0, 1.0), "degC", "K") == (
+        [6.0 + 273.15, -79.0 + 273.15],
+        {"d.u": celsius},
+    )
+    assert converted(Connection("c.y", 2.0, 1.0, unit="degC"), "V", "K") == (
+        [6.0 + 273.15, -79.0 + 273.15],
+        {"d.u": celsius},
+    )
     assert converted(Connection("c.y", 2.0, unit="K"), "V", "K") == ([5.0, -80.0], {})
-    assert converted(Connection("c.y", unit="degC"), None, "K") == ([275.65, -40.0 + 273.15], {"d.u": celsius})
+    assert converted(Connection("c.y", unit="degC"), None, "K") == (
+        [275.65, -40.0 + 273.15],
+        {"d.u": celsius},
+    )
 
 
 def test_a_definition_tells_what_a_name_does_not():
@@ -158,13 +209,20 @@ def test_a_definition_tells_what_a_name_does_not():
     feet, sink = constant([3.0], unit="ft"), Delay(1)
     sink.interface = Interface((Signal("u", 1, "m"),), sink.interface.outputs)
     with pytest.raises(
-        GraphError, match=r"c\.y -> d\.u: unit 'ft' cannot drive unit 'm'; unknown unit 'ft'; convert with \{ from"
+        GraphError,
+        match=r"c\.y -> d\.u: unit 'ft' cannot drive unit 'm'; unknown unit 'ft'; convert with \{ from",
     ):
         Graph({"c": feet, "d": sink}, {"d.u": "c.y"})
-    feet.interface = Interface((), (Signal("y", 1, "ft", base=BaseUnit((0, 1, 0, 0, 0, 0, 0, 0), 0.3048)),))
-    assert Graph({"c": feet, "d": sink}, {"d.u": "c.y"}).conversions == {"d.u": Conversion(0.3048, 0.0, 0.0, 1.0)}
+    feet.interface = Interface(
+        (), (Signal("y", 1, "ft", base=BaseUnit((0, 1, 0, 0, 0, 0, 0, 0), 0.3048)),)
+    )
+    assert Graph({"c": feet, "d": sink}, {"d.u": "c.y"}).conversions == {
+        "d.u": Conversion(0.3048, 0.0, 0.0, 1.0)
+    }
     named = Connection("c.y", 2.0, unit="ft")
-    assert Graph({"c": feet, "d": sink}, {"d.u": named}).conversions == {"d.u": Conversion(0.3048, 0.0, 0.0, 1.0)}
+    assert Graph({"c": feet, "d": sink}, {"d.u": named}).conversions == {
+        "d.u": Conversion(0.3048, 0.0, 0.0, 1.0)
+    }
     sink.interface = Interface((Signal("u", 1, "s"),), sink.interface.outputs)
     with pytest.raises(GraphError, match=r"unit 'ft' \(m\) cannot drive unit 's'"):
         Graph({"c": feet, "d": sink}, {"d.u": "c.y"})
@@ -224,7 +282,9 @@ def test_a_known_circle_beside_an_unknown_one_is_refused():
 
 def test_a_lag_that_chases_its_own_tail_is_refused():
     """Before anything is recorded."""
-    looped = Graph({"lag": Linear(lag(time_constant=1.0))}, {"lag.u": Connection("lag.y", 1.0, 1.0)})
+    looped = Graph(
+        {"lag": Linear(lag(time_constant=1.0))}, {"lag.u": Connection("lag.y", 1.0, 1.0)}
+    )
     memory = Memory()
     with pytest.raises(GraphError, match=r"no initial values for lag\.u -> lag\.y -> lag\.u"):
         run(looped, Clock(1.0, 0.1), memory)
@@ -247,9 +307,17 @@ def test_what_holds_over_a_step_follows_variability():
         "both.u1": "line.y", "both.u2": "noise.y", "discrete.u1": "table.y", "discrete.u2": "noise.y", "delayed.u": "discrete.y",
         "sink.u": Connection("discrete.y", ((1.0,), (1.0,), (1.0,))), "last.u": Connection("both.y", ((1.0,),) * 4),
     }  # fmt: skip
-    held = {name: mask.tolist() for name, mask in Graph(components, connections).prepare(10**6).held.items()}
+    held = {
+        name: mask.tolist()
+        for name, mask in Graph(components, connections).prepare(10**6).held.items()
+    }
     assert held == {
         "line": [], "noise": [], "table": [], "both": [False, True], "discrete": [True, True], "delayed": [True],
         "sink": [True] * 3, "last": [False] * 4,
     }  # fmt: skip
-    assert all(mask.all() for mask in Graph(components, connections, hold="start").prepare(10**6).held.values())
+    assert all(
+        mask.all()
+        for mask in Graph(components, connections, input_interpolation="zero-order")
+        .prepare(10**6)
+        .held.values()
+    )

@@ -70,7 +70,11 @@ def test_a_stop_cuts_the_block_for_all(block):
         "n": Noise(deviation=1.0, seed=1),
     }
     memory = attempt(
-        components, {"x.u0": "early.y", "behind.u": "x.y"}, Stopped, block=block, text=r"'x' stopped at t = 0\.4 s: enough"
+        components,
+        {"x.u0": "early.y", "behind.u": "x.y"},
+        Stopped,
+        block=block,
+        text=r"'x' stopped at t = 0\.4 s: enough",
     )
     for name in components:
         assert memory.time(name).tolist() == [0.0, 0.1, 0.2, 0.3, 0.4]
@@ -78,7 +82,9 @@ def test_a_stop_cuts_the_block_for_all(block):
 
 
 @pytest.mark.parametrize("block", BLOCKS)
-@pytest.mark.parametrize("behind", [integrator, lambda: Delay(2), lambda: Decimated(integrator(), 2), lambda: times(2.0)])
+@pytest.mark.parametrize(
+    "behind", [integrator, lambda: Delay(2), lambda: Decimated(integrator(), 2), lambda: times(2.0)]
+)
 def test_a_stop_in_the_very_first_step_leaves_the_start(behind, block):
     """Components behind are not asked for steps that are not there."""
     components = {
@@ -95,7 +101,11 @@ def test_a_stop_in_the_very_first_step_leaves_the_start(behind, block):
 @pytest.mark.parametrize("block", BLOCKS)
 def test_a_regular_end_is_no_error(block):
     """A component that asks for the end gets it, with the step it completed."""
-    memory = attempt({"x": script(stop(failed=False, done=[7.0]), 5), "a": integrator()}, {"a.u": "x.y"}, block=block)
+    memory = attempt(
+        {"x": script(stop(failed=False, done=[7.0]), 5), "a": integrator()},
+        {"a.u": "x.y"},
+        block=block,
+    )
     assert memory["x.y"].tolist() == [0, 1, 2, 3, 4, 7]
     assert memory.status == "complete"
     assert memory.reason == "'x' stopped at t = 0.5 s: enough"
@@ -108,7 +118,13 @@ def test_the_first_of_two_stops_counts(block):
     late, early = script(stop(), 6), script(stop(failed=False), 4)
     assert len(attempt({"late": late, "early": early}, {}, block=block)["late.y"]) == 4
     late, early = script(stop(failed=False), 6), script(stop(), 4)
-    attempt({"late": late, "early": early}, {}, Stopped, block=block, text=r"'early' stopped at t = 0\.3\d* s: enough")
+    attempt(
+        {"late": late, "early": early},
+        {},
+        Stopped,
+        block=block,
+        text=r"'early' stopped at t = 0\.3\d* s: enough",
+    )
 
 
 @pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
@@ -116,7 +132,11 @@ def test_the_first_of_two_stops_counts(block):
 def test_a_loop_stops_with_everything_before(block, coupling):
     """A failed step is not recorded; a step completed before a regular end is, for every component of the loop."""
     for failed, done, rows in ((True, [], 5), (False, [], 5), (False, [7.0], 6)):
-        components = {"x": script(stop(failed=failed, done=done), 5, inputs=1), "a": integrator(), "behind": times(1.0)}
+        components = {
+            "x": script(stop(failed=failed, done=done), 5, inputs=1),
+            "a": integrator(),
+            "behind": times(1.0),
+        }
         memory = attempt(
             components,
             {"a.u": "x.y", "x.u0": "a.y", "behind.u": "a.y"},
@@ -136,7 +156,9 @@ def test_a_value_that_is_not_finite_stops_the_run(value, block):
     """It is named where it arose, not where it was seen first; everything before is recorded."""
     components = {"behind": times(2.0), "x": script(value, 5), "b": integrator()}
     text = rf"^'x\.y' became {value} at t = 0\.5 s; the log keeps everything before$"
-    memory = attempt(components, {"behind.u": "x.y", "b.u": "x.y"}, NonFiniteError, block=block, text=text)
+    memory = attempt(
+        components, {"behind.u": "x.y", "b.u": "x.y"}, NonFiniteError, block=block, text=text
+    )
     assert memory["x.y"].tolist() == [0, 1, 2, 3, 4]
     assert len(memory["behind.y"]) == 5
 
@@ -145,9 +167,21 @@ def test_a_value_that_is_not_finite_stops_the_run(value, block):
 def test_the_first_value_that_is_not_finite_is_named(block):
     """By time; an element of a vector by its number."""
     vector = {"a": script(np.nan, 7), "b": script(np.nan, 4), "v": gain(np.array([[0.0], [1.0]]))}
-    attempt(vector, {"v.u": "a.y"}, NonFiniteError, block=block, text=r"^'b\.y' became nan at t = 0\.4 s")
+    attempt(
+        vector,
+        {"v.u": "a.y"},
+        NonFiniteError,
+        block=block,
+        text=r"^'b\.y' became nan at t = 0\.4 s",
+    )
     big = {"a": Scripted([1e300] * 12), "v": gain(np.array([[0.0], [1e10]]))}
-    attempt(big, {"v.u": "a.y"}, NonFiniteError, block=block, text=r"^'v\.y\[1\]' became inf at t = 0\.0 s")
+    attempt(
+        big,
+        {"v.u": "a.y"},
+        NonFiniteError,
+        block=block,
+        text=r"^'v\.y\[1\]' became inf at t = 0\.0 s",
+    )
 
 
 @pytest.mark.parametrize("block", BLOCKS)
@@ -155,13 +189,19 @@ def test_what_a_gain_makes_infinite_is_named_at_the_input(block):
     """The output before it is sound."""
     components = {"a": script(1e300, 3), "b": times(1.0)}
     attempt(
-        components, {"b.u": Connection("a.y", 1e10)}, NonFiniteError, block=block, text=r"^'b\.u' became inf at t = 0\.3\d* s"
+        components,
+        {"b.u": Connection("a.y", 1e10)},
+        NonFiniteError,
+        block=block,
+        text=r"^'b\.u' became inf at t = 0\.3\d* s",
     )
 
 
 def test_a_start_that_is_not_finite_leaves_nothing():
     """At t = 0 there is nothing before."""
-    memory = attempt({"x": script(np.nan, 0)}, {}, NonFiniteError, text=r"'x\.y' became nan at t = 0\.0 s")
+    memory = attempt(
+        {"x": script(np.nan, 0)}, {}, NonFiniteError, text=r"'x\.y' became nan at t = 0\.0 s"
+    )
     assert memory["x.y"].shape == (0,)
     assert memory.time_ns("x").shape == (0,)
 
@@ -171,7 +211,13 @@ def test_no_value_yet_passes_where_it_may(block):
     """NaN in an optional output goes on; infinity does not."""
     memory = attempt({"x": script(np.nan, 5, optional=True)}, {}, block=block)
     assert np.isnan(memory["x.y"]).tolist() == [k == 5 for k in range(11)]
-    attempt({"x": script(np.inf, 5, optional=True)}, {}, NonFiniteError, block=block, text=r"'x\.y' became inf at t = 0\.5 s")
+    attempt(
+        {"x": script(np.inf, 5, optional=True)},
+        {},
+        NonFiniteError,
+        block=block,
+        text=r"'x\.y' became inf at t = 0\.5 s",
+    )
 
 
 class Fussy(Scripted):
@@ -189,13 +235,21 @@ class Fussy(Scripted):
 def test_the_cause_is_named_not_who_suffers(block):
     """A component behind never sees the value that is not finite, so that its complaint does not hide where it arose."""
     components = {"x": script(np.nan, 5), "fussy": Fussy(list(range(12)), inputs=1)}
-    attempt(components, {"fussy.u0": "x.y"}, NonFiniteError, block=block, text=r"'x\.y' became nan at t = 0\.5 s")
+    attempt(
+        components,
+        {"fussy.u0": "x.y"},
+        NonFiniteError,
+        block=block,
+        text=r"'x\.y' became nan at t = 0\.5 s",
+    )
 
 
 @pytest.mark.parametrize("block", [1, 3])
 def test_an_exception_inside_a_component_leaves_the_recorder_closed(block):
     """With every block before it."""
-    memory = attempt({"x": script(ZeroDivisionError("mine"), 5)}, {}, ZeroDivisionError, block=block, text="mine")
+    memory = attempt(
+        {"x": script(ZeroDivisionError("mine"), 5)}, {}, ZeroDivisionError, block=block, text="mine"
+    )
     assert memory["x.y"].tolist() == list(range(5 if block == 1 else 4))
 
 
@@ -241,7 +295,9 @@ def test_memory_names_what_was_not_recorded():
     run(small(), Clock(1.0, 0.1), memory)
     with pytest.raises(LogError, match="the run has no component 'x'; There is: u, s, d"):
         memory["x.y"]
-    with pytest.raises(LogError, match=r"'s\.u3': 's' has no signal 'u3'; did you mean 'u2'\? There is: u1, u2, y"):
+    with pytest.raises(
+        LogError, match=r"'s\.u3': 's' has no signal 'u3'; did you mean 'u2'\? There is: u1, u2, y"
+    ):
         memory["s.u3"]
 
 
@@ -304,13 +360,18 @@ class Refusing:
         (lambda part: Sampled(part, 1), True),
         (lambda part: Sampled(part, 2), True),
         (lambda part: Sampled(part, 2), False),
-        (lambda part: Decimated(part, 2), False),  # Decimated asks for outputs where a block begins, and only there
+        (
+            lambda part: Decimated(part, 2),
+            False,
+        ),  # Decimated asks for outputs where a block begins, and only there
     ],
 )
 def test_what_a_failing_component_leaves_does_not_depend_on_the_block(wrap, asked):
     """An error of a component behind a period keeps the rows before it, whatever the block, and names component and time."""
     kept = []
     for block in (1, 7, 1000):
-        memory = attempt({"c": wrap(Refusing(asked=asked))}, {}, Stopped, block=block, text="'c' stopped at t = ")
+        memory = attempt(
+            {"c": wrap(Refusing(asked=asked))}, {}, Stopped, block=block, text="'c' stopped at t = "
+        )
         kept.append(memory["c.y"].tolist())
     assert kept[0] == kept[1] == kept[2]

@@ -18,7 +18,10 @@ def memory(first=0, offset=0, period=3, sizes=(4, 4)):
     kept.begin(Plan(Layout((channel,)), 10, {}, {}, ()))
     for size in sizes:
         steps = np.arange(first, first + size + 1)
-        kept.write(Block(first, steps * 10 + offset, steps / 1e8, 1e-8), np.repeat(steps[:, None], 3, axis=1).astype(float))
+        kept.write(
+            Block(first, steps * 10 + offset, steps / 1e8, 1e-8),
+            np.repeat(steps[:, None], 3, axis=1).astype(float),
+        )
         first += size
     return kept
 
@@ -36,7 +39,11 @@ def test_the_end_of_a_run_is_told():
     """The last step, kept or not; a block that stopped at once adds nothing; without rows there is 0."""
     assert (memory().steps, memory().end_ns) == (8, 80)
     assert (memory(sizes=(4, 4, 0)).steps, memory(sizes=(4, 4, 0)).end_ns) == (8, 80)
-    assert (memory(sizes=()).steps, memory(sizes=()).end_ns, memory(sizes=())["c.p.q"].shape) == (0, 0, (0, 2))
+    assert (memory(sizes=()).steps, memory(sizes=()).end_ns, memory(sizes=())["c.p.q"].shape) == (
+        0,
+        0,
+        (0, 2),
+    )
 
 
 def test_signal_names_may_have_dots_and_unknown_ones_are_answered_with_the_nearest():
@@ -44,7 +51,10 @@ def test_signal_names_may_have_dots_and_unknown_ones_are_answered_with_the_neare
     kept = memory(period=1)
     assert kept["c.p.q"].shape == (9, 2)
     assert kept.time("c.p.q").tolist() == kept.time("c").tolist()
-    with pytest.raises(LogError, match=r"the run has no 'c\.p': 'c' has no signal 'p'; did you mean 'p\.q'\? There is: n, p\.q"):
+    with pytest.raises(
+        LogError,
+        match=r"the run has no 'c\.p': 'c' has no signal 'p'; did you mean 'p\.q'\? There is: n, p\.q",
+    ):
         kept["c.p"]
     with pytest.raises(LogError, match="the run has no component 'd'; There is: c"):
         kept.time("d.n")

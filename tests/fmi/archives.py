@@ -9,9 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-XML = (
-    '<?xml version="1.0"?><fmiModelDescription fmiVersion="2.0" modelName="m" guid="{1}"><ModelVariables/></fmiModelDescription>'
-)
+XML = '<?xml version="1.0"?><fmiModelDescription fmiVersion="2.0" modelName="m" guid="{1}"><ModelVariables/></fmiModelDescription>'
 
 
 @dataclass(frozen=True)
@@ -21,7 +19,7 @@ class Entry:
     name: str | bytes
     content: bytes = b""
     method: int = 8
-    mode: int = 0o100644
+    interface_type: int = 0o100644
     flags: int = 0
     packed: bytes | None = None
     size: int | None = None  # declared, unpacked
@@ -31,7 +29,9 @@ class Entry:
     extra: bytes = b""
 
 
-def write(path: Path, entries: Sequence[Entry], *, xml: bytes | None = XML.encode(), tail: bytes = b"") -> Path:
+def write(
+    path: Path, entries: Sequence[Entry], *, xml: bytes | None = XML.encode(), tail: bytes = b""
+) -> Path:
     """Write an archive: the description first, unless it is None."""
     body, directory = bytearray(), bytearray()
     described = [Entry("modelDescription.xml", xml)] if xml is not None else []
@@ -49,9 +49,22 @@ def write(path: Path, entries: Sequence[Entry], *, xml: bytes | None = XML.encod
         offset = len(body) if entry.offset is None else entry.offset
         if entry.offset is None:
             body += struct.pack("<4s5H3I2H", b"PK\3\4", 20, *fields) + name + entry.extra + packed
-        directory += struct.pack("<4s6H3I5H2I", b"PK\1\2", 0x314, 20, *fields, 0, 0, 0, entry.mode << 16, offset)
+        directory += struct.pack(
+            "<4s6H3I5H2I",
+            b"PK\1\2",
+            0x314,
+            20,
+            *fields,
+            0,
+            0,
+            0,
+            entry.interface_type << 16,
+            offset,
+        )
         directory += name + entry.extra
-    end = struct.pack("<4s4H2IH", b"PK\5\6", 0, 0, len(written), len(written), len(directory), len(body), 0)
+    end = struct.pack(
+        "<4s4H2IH", b"PK\5\6", 0, 0, len(written), len(written), len(directory), len(body), 0
+    )
     path.write_bytes(bytes(body + directory) + end + tail)
     return path
 

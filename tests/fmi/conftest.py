@@ -21,7 +21,11 @@ def exported(tmp_path_factory) -> Path:
 def edited(exported, tmp_path):
     """Write a copy of the exported FMU with its modelDescription.xml or its members changed."""
 
-    def edit(*replacements: tuple[str, str], without: str = "no such member", extra: dict[str, bytes] | None = None) -> Path:
+    def edit(
+        *replacements: tuple[str, str],
+        without: str = "no such member",
+        extra: dict[str, bytes] | None = None,
+    ) -> Path:
         path = tmp_path / "edited.fmu"
         with zipfile.ZipFile(exported) as source, zipfile.ZipFile(path, "w") as target:
             for name in source.namelist():
@@ -50,7 +54,9 @@ def temporary(tmp_path, monkeypatch) -> Path:
 
 @pytest.fixture(scope="session")
 def probe2(tmp_path_factory) -> Path:
-    return compile_fmu(tmp_path_factory.mktemp("probe") / "probe2.fmu", xml2(indicators=1), "probe2.c")
+    return compile_fmu(
+        tmp_path_factory.mktemp("probe") / "probe2.fmu", xml2(indicators=1), "probe2.c"
+    )
 
 
 @pytest.fixture(scope="session")
@@ -60,7 +66,11 @@ def probe3(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="session", params=["me", "cs"])
 def probe1(request, tmp_path_factory) -> Path:
-    return compile_fmu(tmp_path_factory.mktemp("probe") / "probe1.fmu", xml1(mode=request.param), "probe1.c")
+    return compile_fmu(
+        tmp_path_factory.mktemp("probe") / "probe1.fmu",
+        xml1(interface_type=request.param),
+        "probe1.c",
+    )
 
 
 @pytest.fixture(scope="session")
@@ -70,4 +80,6 @@ def slave1(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="session")
 def model1(tmp_path_factory) -> Path:
-    return compile_fmu(tmp_path_factory.mktemp("probe") / "model1.fmu", xml1(mode="me"), "probe1.c")
+    return compile_fmu(
+        tmp_path_factory.mktemp("probe") / "model1.fmu", xml1(interface_type="me"), "probe1.c"
+    )

@@ -6,13 +6,20 @@ from pathlib import Path
 import numpy as np
 
 from cosim.blocks.plant import descriptor_form
-from cosim.core.solver import DescriptorModel
+from cosim.core.linear import DescriptorModel
 from cosim.fmi.reading.dae import MANIFEST, NAME
 from cosim.theory.descriptor import DescriptorSystem
 from tests.fmi.compiled import compile_fmu, kept_folder
 
 SYSTEM = DescriptorSystem(
-    A=np.array([[-1.0, 0.5, 1.0, 0.0], [0.0, -2.0, 0.25, -1.0], [1.0, 0.0, 2.0, 0.5], [0.5, -1.0, -0.25, 1.5]]),
+    A=np.array(
+        [
+            [-1.0, 0.5, 1.0, 0.0],
+            [0.0, -2.0, 0.25, -1.0],
+            [1.0, 0.0, 2.0, 0.5],
+            [0.5, -1.0, -0.25, 1.5],
+        ]
+    ),
     Bu=np.array([[0.0], [2.0], [1.0], [0.5]]),
     Bd=np.array([[1.0], [0.0], [0.0], [-0.5]]),
     C=np.array([[2.0, 0.0, 1.0, -1.0]]),
@@ -30,7 +37,9 @@ ABOUT = (
     'fmi-ls:fmi-ls-description="Layered standard for DAE support in FMI"'
 )
 LISTS = '<AlgebraicVariables><AlgebraicVariable valueReference="2"/></AlgebraicVariables>'
-STRUCTURE = '<ModelStructure>{rate}<Residual><Formulation valueReference="4"/></Residual></ModelStructure>'
+STRUCTURE = (
+    '<ModelStructure>{rate}<Residual><Formulation valueReference="4"/></Residual></ModelStructure>'
+)
 RATE = '<ContinuousStateDerivative valueReference="3" dependencies="2"/>'
 
 
@@ -69,4 +78,6 @@ def build(model: str = "CUBIC", *, derivatives: bool = True, extra: str | None =
     right = manifest(LISTS + STRUCTURE.format(rate="" if model == "STATIC" else RATE))
     members = {} if extra is None else {MANIFEST: extra or right}
     defines = (f"MODEL={model}", *(["DERIVATIVES"] if derivatives else []))
-    return compile_fmu(path, xml(model, derivatives=derivatives), "dae.c", defines=defines, extra=members)
+    return compile_fmu(
+        path, xml(model, derivatives=derivatives), "dae.c", defines=defines, extra=members
+    )

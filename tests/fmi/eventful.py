@@ -11,12 +11,16 @@ from tests.fmi.compiled import compile_fmu, kept_folder
 VARIABLES = ("u", "d", "x", "v", "der(x)", "der(v)", "q", "count", "p", "evaluations", "completed")
 STATES = {"BALL": 2, "FRICTION": 2, "COUNTER": 0}  # else 1
 INDICATORS = {"FRICTION": 2, "TWO": 3, "SAW": 0, "COUNTER": 0, "MEMORY": 0}  # else 1
-CAUSALITY = {"u": "input", "d": "input", "p": "parameter"} | dict.fromkeys(("x", "v", "q", "count"), "output")
+CAUSALITY = {"u": "input", "d": "input", "p": "parameter"} | dict.fromkeys(
+    ("x", "v", "q", "count"), "output"
+)
 
 
 def _attributes(name: str, states: tuple[str, ...]) -> str:
     causality = CAUSALITY.get(name, "local")
-    variability = {"p": "fixed", "d": "discrete", "q": "discrete", "count": "discrete"}.get(name, "continuous")
+    variability = {"p": "fixed", "d": "discrete", "q": "discrete", "count": "discrete"}.get(
+        name, "continuous"
+    )
     initial = {"input": "", "parameter": ' initial="exact"'}.get(causality, ' initial="calculated"')
     if name in states:
         initial = ' initial="exact"'
@@ -58,12 +62,16 @@ def xml3(model: str) -> str:
         + "/>"
         for name in VARIABLES
     )
-    indicators = "".join(f'<Float64 name="z{i}" valueReference="{20 + i}" causality="local"/>' for i in range(n_z))
+    indicators = "".join(
+        f'<Float64 name="z{i}" valueReference="{20 + i}" causality="local"/>' for i in range(n_z)
+    )
     outputs = "".join(
         f'<Output valueReference="{VARIABLES.index(name)}" dependencies="{"" if name in "xv" else "0 1"}"/>'
         for name in ("x", "v", "q", "count")
     )
-    derivatives = "".join(f'<ContinuousStateDerivative valueReference="{VARIABLES.index(name)}"/>' for name in rates)
+    derivatives = "".join(
+        f'<ContinuousStateDerivative valueReference="{VARIABLES.index(name)}"/>' for name in rates
+    )
     crossings = "".join(f'<EventIndicator valueReference="{20 + i}"/>' for i in range(n_z))
     return f"""<?xml version="1.0" encoding="UTF-8"?>
 <fmiModelDescription fmiVersion="3.0" modelName="{model}" instantiationToken="x">
@@ -77,7 +85,9 @@ def xml3(model: str) -> str:
 def build(model: str, version: int = 2, nominal: float = 1.0) -> Path:
     path = kept_folder() / f"{model}{version}.fmu"
     xml = {2: xml2, 3: xml3}[version](model)
-    return compile_fmu(path, xml, "events.c", defines=(f"FMI={version}", f"MODEL={model}", f"NOMINAL={nominal}"))
+    return compile_fmu(
+        path, xml, "events.c", defines=(f"FMI={version}", f"MODEL={model}", f"NOMINAL={nominal}")
+    )
 
 
 class Run:
@@ -102,7 +112,9 @@ class Run:
     def __exit__(self, *error):
         self.fmu.close()
 
-    def __call__(self, stop: float, step: float, *, u=None, blocks: int | None = None, held=(False, False)):
+    def __call__(
+        self, stop: float, step: float, *, u=None, blocks: int | None = None, held=(False, False)
+    ):
         """Give x, v, q, count at every communication point; ``u`` gives the input u at a time."""
         steps = round(stop / step)
         t = np.arange(steps + 1) * round(step * 1e9) / 1e9
@@ -116,9 +128,13 @@ class Run:
 
     def value(self, name: str) -> float:
         """Give a variable, as it is."""
-        unit = self.component._unit
+        unit = self.component._instance
         return float(unit.get_float64(unit.description.reference([name]))[0])
 
     def events(self, kind: str) -> list[float]:
         """Give the times of the events of one kind since the last call."""
-        return [float(text.split(" = ")[1][:-2]) for *_, text in self.fmu.drain() if text.startswith(kind)]
+        return [
+            float(text.split(" = ")[1][:-2])
+            for *_, text in self.fmu.drain()
+            if text.startswith(kind)
+        ]

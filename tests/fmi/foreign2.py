@@ -12,15 +12,25 @@ class Foreign2(Fmi2Slave):
         self.steps, self.late, self.gain, self.sign = 0, False, 1, True
         for name in ("u", "delta"):
             self.register_variable(Real(name, causality=Fmi2Causality.input))
-        self.register_variable(Real("y", causality=Fmi2Causality.output, getter=lambda: self.x1 - self.u))
-        self.register_variable(Real("x_a[1]", causality=Fmi2Causality.output, getter=lambda: self.x1))
-        self.register_variable(Real("x_a[2]", causality=Fmi2Causality.output, getter=lambda: self.x2))
-        self.register_variable(Real("x_b", causality=Fmi2Causality.output, getter=lambda: -self.x1 - self.u))
+        self.register_variable(
+            Real("y", causality=Fmi2Causality.output, getter=lambda: self.x1 - self.u)
+        )
+        self.register_variable(
+            Real("x_a[1]", causality=Fmi2Causality.output, getter=lambda: self.x1)
+        )
+        self.register_variable(
+            Real("x_a[2]", causality=Fmi2Causality.output, getter=lambda: self.x2)
+        )
+        self.register_variable(
+            Real("x_b", causality=Fmi2Causality.output, getter=lambda: -self.x1 - self.u)
+        )
         self.register_variable(Integer("steps", causality=Fmi2Causality.output))
         self.register_variable(Boolean("late", causality=Fmi2Causality.output))
         self.register_variable(Integer("gain", causality=Fmi2Causality.input))
         self.register_variable(Boolean("sign", causality=Fmi2Causality.input))
-        self.register_variable(Real("limit", causality=Fmi2Causality.parameter, variability=Fmi2Variability.tunable))
+        self.register_variable(
+            Real("limit", causality=Fmi2Causality.parameter, variability=Fmi2Variability.tunable)
+        )
 
     def rate(self, x1, x2):
         return -x1 + x2 - self.u + self.delta, -x1 - 2.0 * x2 + self.u

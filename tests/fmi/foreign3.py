@@ -1,4 +1,12 @@
-from pythonfmu3 import CoSimulation, Float64, Fmi3Causality, Fmi3Initial, Fmi3SlaveBase, Fmi3Variability, ModelExchange
+from pythonfmu3 import (
+    CoSimulation,
+    Float64,
+    Fmi3Causality,
+    Fmi3Initial,
+    Fmi3SlaveBase,
+    Fmi3Variability,
+    ModelExchange,
+)
 
 
 class Foreign3(Fmi3SlaveBase, ModelExchange, CoSimulation):
@@ -9,7 +17,10 @@ class Foreign3(Fmi3SlaveBase, ModelExchange, CoSimulation):
         self.time = self.u = self.delta = 0.0
         self.x1, self.x2, self.der1, self.der2 = 1.0, -1.0, 0.0, 0.0
         moving = {"variability": Fmi3Variability.continuous}
-        output, local = {"causality": Fmi3Causality.output, **moving}, {"causality": Fmi3Causality.local, **moving}
+        output, local = (
+            {"causality": Fmi3Causality.output, **moving},
+            {"causality": Fmi3Causality.local, **moving},
+        )
         self.register_variable(Float64("time", causality=Fmi3Causality.independent, **moving))
         self.register_variable(Float64("u", causality=Fmi3Causality.input, **moving))
         self.register_variable(Float64("delta", causality=Fmi3Causality.input, **moving))

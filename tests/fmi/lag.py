@@ -53,7 +53,10 @@ def xml(version: str, *can: str) -> str:
     """
     describe = {"1": _xml1, "2": _xml2, "3": _xml3}[version]
     found = f'<?xml version="1.0" encoding="UTF-8"?>{describe(" ".join(CAN[version][key] for key in can))}'
-    before, after = ('name="d" valueReference="1" causality="input" variability="' + kind for kind in ("discrete", "continuous"))
+    before, after = (
+        'name="d" valueReference="1" causality="input" variability="' + kind
+        for kind in ("discrete", "continuous")
+    )
     if "d is shown" in can:
         output = f'<Output valueReference="{NUMBER["z"]}" dependencies="{NUMBER["d"]}"/>'
         found = found.replace('causality="local"', 'causality="output"').replace(
@@ -76,7 +79,11 @@ def _xml1(abilities):
         if causality == "local":
             continue
         fed = f"<DirectDependency>{'<Name>u</Name>' if name == 'y' else ''}</DirectDependency>"
-        rest = 'variability="parameter"' if causality == "parameter" else f'causality="{causality}" variability="{variability}"'
+        rest = (
+            'variability="parameter"'
+            if causality == "parameter"
+            else f'causality="{causality}" variability="{variability}"'
+        )
         body = f"<Real/>{fed}" if causality == "output" else f"<Real {_start(start)}/>"
         found.append(f"<ScalarVariable {_attributes(number, name, rest)}>{body}</ScalarVariable>")
     return (
@@ -89,9 +96,17 @@ def _xml1(abilities):
 def _xml2(abilities):
     found = []
     for number, (name, causality, variability, initial, start) in enumerate(VARIABLES):
-        rest = (f'causality="{causality}" variability="{variability}"', f'initial="{initial}"' if initial else "")
-        found.append(f"<ScalarVariable {_attributes(number, name, *rest)}><Real {_start(start)}/></ScalarVariable>")
-    outputs = "".join(f'<Unknown index="{i}" dependencies="{inputs}"/>' for i, inputs in ((3, ""), (4, "1"), (5, "")))
+        rest = (
+            f'causality="{causality}" variability="{variability}"',
+            f'initial="{initial}"' if initial else "",
+        )
+        found.append(
+            f"<ScalarVariable {_attributes(number, name, *rest)}><Real {_start(start)}/></ScalarVariable>"
+        )
+    outputs = "".join(
+        f'<Unknown index="{i}" dependencies="{inputs}"/>'
+        for i, inputs in ((3, ""), (4, "1"), (5, ""))
+    )
     return (
         f'<fmiModelDescription fmiVersion="2.0" modelName="lag" guid="lag"><CoSimulation modelIdentifier="model" {abilities}/>'
         f"<ModelVariables>{''.join(found)}</ModelVariables><ModelStructure><Outputs>{outputs}</Outputs></ModelStructure>"
@@ -102,10 +117,17 @@ def _xml2(abilities):
 def _xml3(abilities):
     found = []
     for number, (name, causality, variability, initial, start) in enumerate(VARIABLES):
-        rest = (f'causality="{causality}" variability="{variability}"', f'initial="{initial}"' if initial else "", _start(start))
+        rest = (
+            f'causality="{causality}" variability="{variability}"',
+            f'initial="{initial}"' if initial else "",
+            _start(start),
+        )
         asked = 'intermediateUpdate="true"' if name == "u" else ""
         found.append(f"<Float64 {_attributes(number, name, *rest, asked)}/>")
-    outputs = "".join(f'<Output valueReference="{i}" dependencies="{inputs}"/>' for i, inputs in ((2, ""), (3, "0"), (4, "")))
+    outputs = "".join(
+        f'<Output valueReference="{i}" dependencies="{inputs}"/>'
+        for i, inputs in ((2, ""), (3, "0"), (4, ""))
+    )
     return (
         f'<fmiModelDescription fmiVersion="3.0" modelName="lag" instantiationToken="lag"><CoSimulation modelIdentifier="model" '
         f"{abilities}/><ModelVariables>{''.join(found)}</ModelVariables><ModelStructure>{outputs}</ModelStructure>"

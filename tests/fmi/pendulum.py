@@ -13,14 +13,29 @@ VARIABLES = (  # value references as in c/pendulum.c; angle and push are other n
     ("wind", 1, 'causality="input" variability="continuous"', 'start="0" unit="N.m"'),
     ("theta", 2, 'causality="local" variability="continuous" initial="exact"', 'start="0.5"'),
     ("omega", 3, 'causality="local" variability="continuous" initial="exact"', 'start="0"'),
-    ("der(theta)", 4, 'causality="local" variability="continuous" initial="calculated"', 'derivative="3"'),
-    ("der(omega)", 5, 'causality="local" variability="continuous" initial="calculated"', 'derivative="4"'),
+    (
+        "der(theta)",
+        4,
+        'causality="local" variability="continuous" initial="calculated"',
+        'derivative="3"',
+    ),
+    (
+        "der(omega)",
+        5,
+        'causality="local" variability="continuous" initial="calculated"',
+        'derivative="4"',
+    ),
     ("y", 6, 'causality="output" variability="continuous" initial="calculated"', ""),
     ("reach", 7, 'causality="output" variability="continuous" initial="calculated"', 'unit="rev"'),
     ("power", 8, 'causality="output" variability="continuous" initial="calculated"', ""),
     ("angle", 2, 'causality="output" variability="continuous"', ""),
     ("push", 5, 'causality="output" variability="continuous" initial="calculated"', ""),
-    ("length", 9, 'causality="parameter" variability="fixed" initial="exact"', 'start="1" min="0.1"'),
+    (
+        "length",
+        9,
+        'causality="parameter" variability="fixed" initial="exact"',
+        'start="1" min="0.1"',
+    ),
 )
 OUTPUTS = ("y", "reach", "power", "angle", "push")
 
@@ -46,7 +61,9 @@ def pendulum(path, *, derivatives: bool, level: bool = True, edit=lambda xml: xm
 <ModelVariables>{"".join(scalars)}</ModelVariables>
 <ModelStructure><Outputs>{outputs}</Outputs><Derivatives><Unknown index="5"/><Unknown index="6"/></Derivatives></ModelStructure>
 </fmiModelDescription>"""
-    return compile_fmu(path, edit(xml), "pendulum.c", defines=("DERIVATIVES",) if derivatives else ())
+    return compile_fmu(
+        path, edit(xml), "pendulum.c", defines=("DERIVATIVES",) if derivatives else ()
+    )
 
 
 def jacobian(theta, omega, torque, length=1.0):

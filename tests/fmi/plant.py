@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from cosim.core.linear import LinearModel
 from cosim.core.signals import Interface, Signal
-from cosim.core.solver import LinearModel
 
 A = np.array([[-1.0, 1.0], [-1.0, -2.0]])
 B = np.array([[-1.0, 1.0], [1.0, 0.0]])
@@ -31,7 +31,9 @@ def inputs(t, slope=SLOPE):
 def transition(t: float):
     """exp(A t): A + 1.5 I squares to -3/4 I, so exp(A t) = exp(-1.5 t) (cos(w t) I + sin(w t)/w (A + 1.5 I)), w = sqrt(3)/2."""
     w = np.sqrt(3.0) / 2.0
-    return np.exp(-1.5 * t) * (np.cos(w * t) * np.eye(2) + np.sin(w * t) / w * (A + 1.5 * np.eye(2)))
+    return np.exp(-1.5 * t) * (
+        np.cos(w * t) * np.eye(2) + np.sin(w * t) / w * (A + 1.5 * np.eye(2))
+    )
 
 
 def solution(t, slope=SLOPE):
@@ -42,7 +44,9 @@ def solution(t, slope=SLOPE):
     return x @ C.T + inputs(t, slope) @ D.T
 
 
-def run(component, *, step: float, stop: float = 2.0, blocks: int | None = None, held=FREE, u=inputs):
+def run(
+    component, *, step: float, stop: float = 2.0, blocks: int | None = None, held=FREE, u=inputs
+):
     """Run a component from 0; outputs at every communication point, shape (steps + 1, n_y)."""
     steps = round(stop / step)
     t = np.arange(steps + 1) * round(step * 1e9) / 1e9

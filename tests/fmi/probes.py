@@ -34,7 +34,18 @@ def xml2(*, state: bool = True, indicators: int = 0) -> str:
 </fmiModelDescription>"""
 
 
-NUMBERS = ("Float32", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64", "Boolean")
+NUMBERS = (
+    "Float32",
+    "Int8",
+    "UInt8",
+    "Int16",
+    "UInt16",
+    "Int32",
+    "UInt32",
+    "Int64",
+    "UInt64",
+    "Boolean",
+)
 
 
 def _numbers3() -> str:
@@ -45,15 +56,22 @@ def _numbers3() -> str:
             ("false", "false false false") if kind == "Boolean" else ("0", "0 0 0"),
             'causality="parameter" variability="fixed"',
         )
-        found.append(f'<{kind} name="{kind}" valueReference="{10 * k}" {varies} start="{start[0]}"/>')
+        found.append(
+            f'<{kind} name="{kind}" valueReference="{10 * k}" {varies} start="{start[0]}"/>'
+        )
         dimension = '<Dimension start="3"/>'
-        found.append(f'<{kind} name="{kind}s" valueReference="{10 * k + 1}" {varies} start="{start[1]}">{dimension}</{kind}>')
+        found.append(
+            f'<{kind} name="{kind}s" valueReference="{10 * k + 1}" {varies} start="{start[1]}">{dimension}</{kind}>'
+        )
     return "\n".join(found)
 
 
 def xml3(*, event_mode: bool = False, token: str = "probe") -> str:
     can = 'modelIdentifier="model" canGetAndSetFMUState="true"'
-    local, fixed = 'causality="local" initial="calculated"', 'causality="parameter" variability="fixed"'
+    local, fixed = (
+        'causality="local" initial="calculated"',
+        'causality="parameter" variability="fixed"',
+    )
     return f"""<?xml version="1.0" encoding="UTF-8"?>
 <fmiModelDescription fmiVersion="3.0" modelName="probe" instantiationToken="{token}">
 <ModelExchange {can}/>
@@ -65,7 +83,7 @@ def xml3(*, event_mode: bool = False, token: str = "probe") -> str:
 <Float64 name="der(x)" valueReference="30" {local} derivative="20"/>
 <Float64 name="no_way_back" valueReference="40" {local}/>
 <Float64 name="Float64s" valueReference="51" {fixed} start="0 0 0"><Dimension start="3"/></Float64>
-<UInt8 name="behaviour" valueReference="500" {fixed} start="0"/>
+<UInt8 name="behavior" valueReference="500" {fixed} start="0"/>
 <Boolean name="event_mode" valueReference="510" {local} variability="discrete"/>
 <Boolean name="early_return" valueReference="520" {local} variability="discrete"/>
 <UInt8 name="configured" valueReference="530" {local} variability="discrete"/>
@@ -79,7 +97,7 @@ def xml3(*, event_mode: bool = False, token: str = "probe") -> str:
 </fmiModelDescription>"""
 
 
-def xml1(*, mode: str = "cs", once: bool = False) -> str:
+def xml1(*, interface_type: str = "cs", once: bool = False) -> str:
     capabilities = 'canInterpolateInputs="true" canHandleVariableCommunicationStepSize="true"'
     implementation = f"""<Implementation><CoSimulation_StandAlone>
 <Capabilities {capabilities} canBeInstantiatedOnlyOncePerProcess="{str(once).lower()}"/>
@@ -94,11 +112,11 @@ def xml1(*, mode: str = "cs", once: bool = False) -> str:
 <ScalarVariable name="der(x)" valueReference="3"><Real/></ScalarVariable>
 <ScalarVariable name="y" valueReference="4" causality="output"><Real/></ScalarVariable>
 <ScalarVariable name="slope" valueReference="5"><Real/></ScalarVariable>
-<ScalarVariable name="behaviour" valueReference="10" variability="parameter"><Integer start="0"/></ScalarVariable>
+<ScalarVariable name="behavior" valueReference="10" variability="parameter"><Integer start="0"/></ScalarVariable>
 <ScalarVariable name="count" valueReference="11"><Integer/></ScalarVariable>
 <ScalarVariable name="flag" valueReference="12" variability="parameter"><Boolean start="false"/></ScalarVariable>
 <ScalarVariable name="text" valueReference="13" variability="parameter"><String start=""/></ScalarVariable>
-</ModelVariables>{implementation if mode == "cs" else ""}
+</ModelVariables>{implementation if interface_type == "cs" else ""}
 </fmiModelDescription>"""
 
 
@@ -106,11 +124,13 @@ def xml1(*, mode: str = "cs", once: bool = False) -> str:
 def opened(path, **options):
     """Give the opened FMU and its unit."""
     with load(path, **options) as fmu:
-        yield fmu, fmu.component._unit
+        yield fmu, fmu.component._instance
 
 
 def put(unit, **values):
-    unit.set_float64(unit.description.reference(values), np.array(list(values.values()), np.float64))
+    unit.set_float64(
+        unit.description.reference(values), np.array(list(values.values()), np.float64)
+    )
 
 
 def got(unit, *names):

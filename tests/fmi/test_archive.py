@@ -16,7 +16,9 @@ from cosim.fmi.reading import archive
 from cosim.fmi.reading.model_description import read
 from tests.fmi.archives import XML, Entry, deflate, write, zeros
 
-MEMORY = 50 * 2**20  # bytes beside what was there: an archive is never held whole, and its XML is small here
+MEMORY = (
+    50 * 2**20
+)  # bytes beside what was there: an archive is never held whole, and its XML is small here
 
 
 @pytest.fixture
@@ -45,7 +47,10 @@ def refused(path, text):
         tracemalloc.stop()
 
 
-CONTROL, BACKSLASH = "an entry with a control character in its name", "an entry with a backslash in its name"
+CONTROL, BACKSLASH = (
+    "an entry with a control character in its name",
+    "an entry with a backslash in its name",
+)
 NAMES = {
     "/etc/evil": "an entry with an absolute path: '/etc/evil'",
     "//server/share/evil": "an entry with an absolute path",
@@ -106,18 +111,21 @@ CLASHES = {
 def test_names_that_clash(place, names, text):
     """Names that are one file on some system are one too many."""
     refused(
-        write(place / "x.fmu", [Entry(name, b"" if name.endswith("/") else b"x") for name in names]), f"the archive has {text}"
+        write(
+            place / "x.fmu", [Entry(name, b"" if name.endswith("/") else b"x") for name in names]
+        ),
+        f"the archive has {text}",
     )
 
 
 KINDS = {
-    "link": (Entry("a", b"/etc/passwd", mode=stat.S_IFLNK | 0o777), "a link, where it may have files and folders only: 'a'"),
-    "link to a folder": (Entry("a/", b"", mode=stat.S_IFLNK | 0o777), "a link, where it may have files and folders only: 'a/'"),
-    "device": (Entry("a", b"", mode=stat.S_IFBLK | 0o600), "a special file"),
-    "pipe": (Entry("a", b"", mode=stat.S_IFIFO | 0o600), "a special file"),
-    "socket": (Entry("a", b"", mode=stat.S_IFSOCK | 0o600), "a special file"),
-    "folder without a slash": (Entry("a", b"", mode=stat.S_IFDIR | 0o700), "a special file"),
-    "folder with content": (Entry("a/", b"x", mode=stat.S_IFDIR | 0o700), "a folder with content of its own: 'a/'"),
+    "link": (Entry("a", b"/etc/passwd", interface_type=stat.S_IFLNK | 0o777), "a link, where it may have files and folders only: 'a'"),
+    "link to a folder": (Entry("a/", b"", interface_type=stat.S_IFLNK | 0o777), "a link, where it may have files and folders only: 'a/'"),
+    "device": (Entry("a", b"", interface_type=stat.S_IFBLK | 0o600), "a special file"),
+    "pipe": (Entry("a", b"", interface_type=stat.S_IFIFO | 0o600), "a special file"),
+    "socket": (Entry("a", b"", interface_type=stat.S_IFSOCK | 0o600), "a special file"),
+    "folder without a slash": (Entry("a", b"", interface_type=stat.S_IFDIR | 0o700), "a special file"),
+    "folder with content": (Entry("a/", b"x", interface_type=stat.S_IFDIR | 0o700), "a folder with content of its own: 'a/'"),
     "encrypted": (Entry("a", b"x", flags=1), "an encrypted entry: 'a'"),
     "strongly encrypted": (Entry("a", b"x", flags=0x41), "an encrypted entry: 'a'"),
     "deflate64": (Entry("a", b"x", method=9), r"an entry with compression method 9 \(needed 0, stored, or 8, deflated\): 'a'"),
@@ -135,7 +143,10 @@ def test_kinds_of_entries(place, entry, text):
 
 def test_a_name_that_is_no_text(place):
     """Said to be UTF-8, and is not."""
-    refused(write(place / "x.fmu", [Entry(b"\xff\xfe", b"x", flags=0x800)]), "not an FMU, as it is no zip archive")
+    refused(
+        write(place / "x.fmu", [Entry(b"\xff\xfe", b"x", flags=0x800)]),
+        "not an FMU, as it is no zip archive",
+    )
 
 
 def test_a_hard_link_is_a_file(place):
@@ -164,21 +175,27 @@ def test_a_size_that_is_declared_too_small(place):
 def test_a_size_that_is_declared_too_large(place):
     """What does not come out was not there."""
     path = write(place / "x.fmu", [Entry("resources/a", b"x" * 100, size=200)])
-    with pytest.raises(FmuError, match="'resources/a' has 100 bytes unpacked; the archive says 200"):
+    with pytest.raises(
+        FmuError, match="'resources/a' has 100 bytes unpacked; the archive says 200"
+    ):
         load(path)
 
 
 def test_the_sum_of_declared_sizes(place):
     """The first reason to refuse, before anything is unpacked."""
     entries = [Entry(f"resources/{i}", b"x", size=2**28) for i in range(5)]
-    refused(write(place / "x.fmu", entries), r"unpacked, the archive would have 1342\d{6} bytes; needed at most 1073741824")
+    refused(
+        write(place / "x.fmu", entries),
+        r"unpacked, the archive would have 1342\d{6} bytes; needed at most 1073741824",
+    )
 
 
 def test_a_ratio(place):
     """Zeros pack a thousand times: 64 MiB in 65 kB; a small file of zeros is none."""
     bomb = Entry("resources/bomb", packed=zeros(2**26), size=2**26, crc=zlib.crc32(bytes(2**26)))
     with pytest.raises(
-        FmuError, match=r"'resources/bomb' is packed more than 200 times: 65\d{3} bytes unpack to 13\d{6} or more"
+        FmuError,
+        match=r"'resources/bomb' is packed more than 200 times: 65\d{3} bytes unpack to 13\d{6} or more",
     ):
         load(write(place / "x.fmu", [bomb]))
     with pytest.raises(FmuError, match="neither model exchange"):
@@ -213,19 +230,32 @@ def test_a_list_of_entries_that_is_long(place):
     """The list is not read before its length is known: here 20 MB of extra fields."""
     extra = struct.pack("<HH", 0xCAFE, 60_000) + bytes(60_000)
     entries = [Entry(f"resources/{i}", extra=extra, offset=0) for i in range(340)]
-    refused(write(place / "x.fmu", entries), r"the archive's list of entries takes 204\d{5} bytes; needed at most 16777216")
+    refused(
+        write(place / "x.fmu", entries),
+        r"the archive's list of entries takes 204\d{5} bytes; needed at most 16777216",
+    )
 
 
 def test_entries_that_overlap(place):
     """Many entries with the bytes of one."""
     names = [Entry(f"resources/{i}", b"x" * 1000, offset=0) for i in range(10)]
-    refused(write(place / "x.fmu", names), "the archive has overlapping entries: 'resources/0' begins inside another")
+    refused(
+        write(place / "x.fmu", names),
+        "the archive has overlapping entries: 'resources/0' begins inside another",
+    )
 
 
 def test_entries_that_quote_each_other(place):
     """The packed content of the first holds the second whole."""
-    inner = struct.pack("<4s5H3I2H", b"PK\3\4", 20, 0x800, 0, 0, 33, zlib.crc32(b"x"), 1, 1, 1, 0) + b"bx"
-    path = write(place / "x.fmu", [Entry("a", inner, method=0), Entry("b", b"x", method=0, offset=31)], xml=None)
+    inner = (
+        struct.pack("<4s5H3I2H", b"PK\3\4", 20, 0x800, 0, 0, 33, zlib.crc32(b"x"), 1, 1, 1, 0)
+        + b"bx"
+    )
+    path = write(
+        place / "x.fmu",
+        [Entry("a", inner, method=0), Entry("b", b"x", method=0, offset=31)],
+        xml=None,
+    )
     refused(path, "the archive has overlapping entries: 'b' begins inside another")
 
 
@@ -239,13 +269,21 @@ def test_an_archive_that_is_cut(place):
 
 
 def test_an_entry_that_reaches_beyond_the_end(place):
-    path = write(place / "x.fmu", [Entry("resources/a", b"x", method=0, packed_size=2000, size=2000)])
-    refused(path, "the archive has an entry that reaches beyond the others: the file is truncated or altered")
+    path = write(
+        place / "x.fmu", [Entry("resources/a", b"x", method=0, packed_size=2000, size=2000)]
+    )
+    refused(
+        path,
+        "the archive has an entry that reaches beyond the others: the file is truncated or altered",
+    )
 
 
 @pytest.mark.parametrize("method", [0, 8])
 def test_a_wrong_sum(place, method):
-    with pytest.raises(FmuError, match="the archive cannot be unpacked: BadZipFile: Bad CRC-32 for file 'resources/a'"):
+    with pytest.raises(
+        FmuError,
+        match="the archive cannot be unpacked: BadZipFile: Bad CRC-32 for file 'resources/a'",
+    ):
         load(write(place / "x.fmu", [Entry("resources/a", b"x" * 10, method=method, crc=1)]))
 
 
@@ -256,7 +294,10 @@ def test_a_stream_that_is_no_stream(place):
 
 def test_a_stream_that_is_cut(place):
     content = os.urandom(1000)
-    with pytest.raises(FmuError, match=r"'resources/a' has .* bytes unpacked; the archive says 1000|EOFError|Bad CRC"):
+    with pytest.raises(
+        FmuError,
+        match=r"'resources/a' has .* bytes unpacked; the archive says 1000|EOFError|Bad CRC",
+    ):
         load(write(place / "x.fmu", [Entry("resources/a", content, packed=deflate(content)[:500])]))
 
 
@@ -265,7 +306,9 @@ def test_another_name_in_the_local_header(place):
     data = path.read_bytes()
     where = data.index(b"resources/a")
     path.write_bytes(data[:where] + b"../../evil!" + data[where + 11 :])
-    with pytest.raises(FmuError, match="the archive cannot be unpacked: BadZipFile: File name in directory"):
+    with pytest.raises(
+        FmuError, match="the archive cannot be unpacked: BadZipFile: File name in directory"
+    ):
         load(path)
 
 
@@ -283,11 +326,18 @@ def test_an_empty_file(place):
 
 
 def test_no_description(place):
-    refused(write(place / "x.fmu", [], xml=None), "not an FMU, as the archive has no modelDescription.xml")
+    refused(
+        write(place / "x.fmu", [], xml=None),
+        "not an FMU, as the archive has no modelDescription.xml",
+    )
 
 
 def test_a_description_that_is_a_folder(place):
-    path = write(place / "x.fmu", [Entry("modelDescription.xml/"), Entry("modelDescription.xml/a", b"x")], xml=None)
+    path = write(
+        place / "x.fmu",
+        [Entry("modelDescription.xml/"), Entry("modelDescription.xml/a", b"x")],
+        xml=None,
+    )
     refused(path, "not an FMU, as the archive has no modelDescription.xml")
 
 
@@ -307,20 +357,31 @@ DOCUMENT_TYPES = {
 def test_document_types(place, text, encoding):
     """Whatever its encoding, a document with a type is refused before its entities are used."""
     named = "utf-16" if encoding.startswith("utf-16") else encoding
-    body = XML.partition("?>")[2].replace("<ModelVariables/>", "&l9;&e;" if "ENTITY" in text else "<ModelVariables/>")
+    body = XML.partition("?>")[2].replace(
+        "<ModelVariables/>", "&l9;&e;" if "ENTITY" in text else "<ModelVariables/>"
+    )
     xml = f'<?xml version="1.0" encoding="{named}"?>{text}{body}'.encode(encoding)
     if encoding.startswith("utf-16-"):
         xml = (b"\xfe\xff" if encoding.endswith("be") else b"\xff\xfe") + xml
-    refused(write(place / "x.fmu", [], xml=xml), "modelDescription.xml is not well-formed: it has a document type")
+    refused(
+        write(place / "x.fmu", [], xml=xml),
+        "modelDescription.xml is not well-formed: it has a document type",
+    )
 
 
 def test_an_entity_that_is_not_known(place):
-    refused(write(place / "x.fmu", [], xml=XML.replace('"m"', '"&e;"').encode()), "not well-formed: undefined entity")
+    refused(
+        write(place / "x.fmu", [], xml=XML.replace('"m"', '"&e;"').encode()),
+        "not well-formed: undefined entity",
+    )
 
 
 def test_a_deep_description(place):
     xml = XML.replace("<ModelVariables/>", "<a>" * 100_000 + "</a>" * 100_000).encode()
-    refused(write(place / "x.fmu", [], xml=xml), "not well-formed: elements stand more than 64 deep in each other")
+    refused(
+        write(place / "x.fmu", [], xml=xml),
+        "not well-formed: elements stand more than 64 deep in each other",
+    )
 
 
 def test_a_huge_description(place, monkeypatch):
@@ -328,27 +389,41 @@ def test_a_huge_description(place, monkeypatch):
     assert archive.XML_LARGEST == 64 * 2**20
     monkeypatch.setattr(archive, "XML_LARGEST", 10_000)
     xml = XML.replace("<ModelVariables/>", "<!--" + os.urandom(6000).hex() + "-->").encode()
-    refused(write(place / "x.fmu", [], xml=xml), "'modelDescription.xml' has more than 10000 bytes unpacked")
+    refused(
+        write(place / "x.fmu", [], xml=xml),
+        "'modelDescription.xml' has more than 10000 bytes unpacked",
+    )
 
 
 def test_a_description_that_is_a_bomb(place):
     """64 MiB of blanks in 65 kB."""
     xml = XML.encode() + b" " * 2**21
-    refused(write(place / "x.fmu", [], xml=xml), "'modelDescription.xml' is packed more than 200 times")
+    refused(
+        write(place / "x.fmu", [], xml=xml), "'modelDescription.xml' is packed more than 200 times"
+    )
 
 
-@pytest.mark.parametrize("identifier", ["../../x", "/tmp/x", "a/b", "a.b", "", "a\\b", "9a", "ünit", "a b", "a\n"])
+@pytest.mark.parametrize(
+    "identifier", ["../../x", "/tmp/x", "a/b", "a.b", "", "a\\b", "9a", "ünit", "a b", "a\n"]
+)
 def test_an_identifier_that_is_a_path(place, identifier):
     """It becomes the name of the library that is loaded."""
-    xml = XML.replace("<ModelVariables/>", f'<CoSimulation modelIdentifier="{identifier}"/><ModelVariables/>').encode()
-    refused(write(place / "x.fmu", [], xml=xml), "CoSimulation: modelIdentifier .* is no identifier of C")
+    xml = XML.replace(
+        "<ModelVariables/>", f'<CoSimulation modelIdentifier="{identifier}"/><ModelVariables/>'
+    ).encode()
+    refused(
+        write(place / "x.fmu", [], xml=xml),
+        "CoSimulation: modelIdentifier .* is no identifier of C",
+    )
 
 
 def test_a_good_archive_comes_out_whole(tmp_path):
     """Folders, empty ones too, files in folders that are not listed, stored and deflated; the sum is the file's."""
     names = {"resources/a.txt": b"a" * 1000, "documentation/ü/b.txt": b"b", "empty": b""}
     entries = [Entry(name, content, method=len(content) % 2 * 8) for name, content in names.items()]
-    path = write(tmp_path / "x.fmu", [*entries, Entry("extra/", mode=stat.S_IFDIR | 0o755)])
+    path = write(
+        tmp_path / "x.fmu", [*entries, Entry("extra/", interface_type=stat.S_IFDIR | 0o755)]
+    )
     folder = tmp_path / "folder"
     folder.mkdir()
     found = archive.look(path, ("modelDescription.xml",), folder)
@@ -361,13 +436,19 @@ def test_a_good_archive_comes_out_whole(tmp_path):
 @pytest.mark.parametrize("count", [300, pytest.param(30_000, marks=pytest.mark.campaign)])
 def test_altered_archives(tmp_path, temporary, count):
     """Bytes changed anywhere: it comes out whole, or is refused; nothing stands beside it or is left."""
-    good = [Entry("resources/a.txt", b"a" * 300), Entry("binaries/linux64/m.so", os.urandom(200), method=0), Entry("extra/")]
+    good = [
+        Entry("resources/a.txt", b"a" * 300),
+        Entry("binaries/linux64/m.so", os.urandom(200), method=0),
+        Entry("extra/"),
+    ]
     path, random = write(tmp_path / "x.fmu", good), Random(count)
     data, refused = path.read_bytes(), 0
     for _ in range(count):
         altered = bytearray(data)
         for _ in range(random.randint(1, 3)):
-            altered[random.randrange(len(data))] = random.choice((0, 1, 0x2F, 0x5C, 0xFF, random.randrange(256)))
+            altered[random.randrange(len(data))] = random.choice(
+                (0, 1, 0x2F, 0x5C, 0xFF, random.randrange(256))
+            )
         path.write_bytes(altered)
         with pytest.raises(FmuError) as error:
             load(path)

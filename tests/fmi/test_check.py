@@ -49,7 +49,9 @@ def rogue(tmp_path) -> Callable[..., Path]:
     """Compile the FMU that does one thing wrong."""
 
     def make(what: str, xml: str = XML, *defines: str) -> Path:
-        return compile_fmu(tmp_path / "rogue.fmu", xml, "rogue2.c", defines=(f"ROGUE={what}", *defines))
+        return compile_fmu(
+            tmp_path / "rogue.fmu", xml, "rogue2.c", defines=(f"ROGUE={what}", *defines)
+        )
 
     return make
 
@@ -64,7 +66,11 @@ def nothing_left(temporary):
 
 
 def found(path, level="error", **options):
-    return [f"{finding.where}: {finding.text}" for finding in check(path, **options) if finding.level == level]
+    return [
+        f"{finding.where}: {finding.text}"
+        for finding in check(path, **options)
+        if finding.level == level
+    ]
 
 
 # --- good ones ---
@@ -81,8 +87,12 @@ def test_foreign_units_have_no_errors(foreign2, foreign3):
     assert found(foreign2) == found(foreign3) == []
     assert found(foreign2, "warning")[0].startswith("initial unknowns: not listed: late, ")
     assert found(foreign3, "warning") == []
-    assert "structure: the file does not say on which inputs these depend directly: y" in found(foreign3, "note")
-    assert "co-simulation: needs the tool that made it, or its libraries, to run" in found(foreign3, "note")
+    assert "structure: the file does not say on which inputs these depend directly: y" in found(
+        foreign3, "note"
+    )
+    assert "co-simulation: needs the tool that made it, or its libraries, to run" in found(
+        foreign3, "note"
+    )
 
 
 def test_what_is_loud_is_not_heard(rogue, capfd):
@@ -123,23 +133,29 @@ def test_rogues(rogue, what, text):
 
 def test_functions_that_nobody_calls(probe1):
     """A unit of FMI 1 that runs all the same."""
-    mode = next(iter(read(probe1).description.capabilities))
+    interface_type = next(iter(read(probe1).description.capabilities))
     assert all(": missing function model_fmi" in problem for problem in found(probe1))
-    assert attempt("run", str(probe1), mode) == ()
+    assert attempt("run", str(probe1), interface_type) == ()
 
 
 def test_what_hangs(rogue):
     """The child is ended after the time it has."""
-    assert found(rogue("HANG"), timeout=3.0) == [f"{RUN}: hangs: did not end within 3 s, at: steps of 0.001 s"]
+    assert found(rogue("HANG"), timeout=3.0) == [
+        f"{RUN}: hangs: did not end within 3 s, at: steps of 0.001 s"
+    ]
     path = rogue("HANGS_BACK")
-    assert found(path, timeout=3.0) == [f"{BACK}: hangs: did not end within 3 s, at: going back after steps"]
+    assert found(path, timeout=3.0) == [
+        f"{BACK}: hangs: did not end within 3 s, at: going back after steps"
+    ]
 
 
 def test_whether_a_unit_can_go_back(rogue, exported, monkeypatch):
     """Asked once for each file; inside a trial the answer is yes, or it would never end."""
     good, bad = read(exported), read(rogue("LIES"))
     assert can_roll_back(good, "me") == can_roll_back(good, "cs") == ()
-    assert can_roll_back(bad, "cs") == ("goes back wrongly: after steps the same steps give other outputs",)
+    assert can_roll_back(bad, "cs") == (
+        "goes back wrongly: after steps the same steps give other outputs",
+    )
     monkeypatch.setattr(child, "attempt", lambda *_, **__: pytest.fail("asked again"))
     assert can_roll_back(good, "cs") == ()
     assert can_roll_back(bad, "cs")
@@ -154,29 +170,46 @@ def test_missing_functions_are_named(rogue):
     """All of those that the version, the kind and the capabilities need."""
     serial = 'canGetAndSetFMUstate="true" canSerializeFMUstate="true" providesDirectionalDerivative="true"'
     path = rogue("GOOD", XML.replace('canGetAndSetFMUstate="true"', serial), "WITHOUT_STEP")
-    names = ("DoStep", "SerializedFMUstateSize", "SerializeFMUstate", "DeSerializeFMUstate", "GetDirectionalDerivative")
+    names = (
+        "DoStep",
+        "SerializedFMUstateSize",
+        "SerializeFMUstate",
+        "DeSerializeFMUstate",
+        "GetDirectionalDerivative",
+    )
     problems = found(path)
-    assert problems[:-1] == [f"binary, co-simulation: missing function fmi2{name}" for name in names]
+    assert problems[:-1] == [
+        f"binary, co-simulation: missing function fmi2{name}" for name in names
+    ]
     assert problems[-1].startswith(f"{RUN}: the binary model{SUFFIX} cannot be used: ")
 
 
 def test_functions_of_every_version():
     """The names that the headers of the standard have."""
     headers = Path(fmpy.__file__).parent / "c-code"
-    known = "".join((headers / f"fmi{n}Functions.h").read_text() for n in (1, 2, 3)).replace("fmi1", "one_fmi")
-    for xml in (FMI1.replace("{implementation}", ""), FMI1.replace("{implementation}", "<Implementation/>"), XML, FMI3):
+    known = "".join((headers / f"fmi{n}Functions.h").read_text() for n in (1, 2, 3)).replace(
+        "fmi1", "one_fmi"
+    )
+    for xml in (
+        FMI1.replace("{implementation}", ""),
+        FMI1.replace("{implementation}", "<Implementation/>"),
+        XML,
+        FMI3,
+    ):
         description = _described(xml)
-        for mode in description.capabilities:
-            assert [name for name in functions(description, mode) if name not in known] == []
+        for interface_type in description.capabilities:
+            assert [
+                name for name in functions(description, interface_type) if name not in known
+            ] == []
 
 
 def _described(xml):
     from xml.etree.ElementTree import fromstring
 
-    from cosim.fmi.reading.archive import Contents
+    from cosim.fmi.reading.archive import ArchiveContents
     from cosim.fmi.reading.model_description import describe_root
 
-    return describe_root(fromstring(xml), Contents("", frozenset(), {}), "x", [])
+    return describe_root(fromstring(xml), ArchiveContents("", frozenset(), {}), "x", [])
 
 
 def test_a_library_that_is_missing_is_named(rogue, tmp_path):
@@ -187,22 +220,37 @@ def test_a_library_that_is_missing_is_named(rogue, tmp_path):
     build.compile_library([tmp_path / "needed.c"], needed / "libneeded.so")
     path = rogue("GOOD")
     library = tmp_path / f"rogue{SUFFIX}"
-    options = [f"-I{HERE.parents[0]}", f"-I{Path(fmpy.__file__).parent / 'c-code'}", "-DROGUE=GOOD", "-Wl,--no-as-needed"]
+    options = [
+        f"-I{HERE.parents[0]}",
+        f"-I{Path(fmpy.__file__).parent / 'c-code'}",
+        "-DROGUE=GOOD",
+        "-Wl,--no-as-needed",
+    ]
     build.compile_library([HERE / "rogue2.c"], library, [*options, f"-L{needed}", "-lneeded"])
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("modelDescription.xml", XML)
         archive.write(library, f"binaries/{folders('2.0')[0]}/model{SUFFIX}")
     shutil.rmtree(needed)
     assert len(problems := found(path)) == 1
-    assert problems[0].startswith("binary, co-simulation: cannot be loaded: libneeded.so: cannot open shared object file")
+    assert problems[0].startswith(
+        "binary, co-simulation: cannot be loaded: libneeded.so: cannot open shared object file"
+    )
 
 
 def head(kind, machine):
     """Begin a binary as its format says."""
     if kind == "elf":
-        return b"\x7fELF\2\1\1" + bytes(9) + (3).to_bytes(2, "little") + machine.to_bytes(2, "little")
+        return (
+            b"\x7fELF\2\1\1" + bytes(9) + (3).to_bytes(2, "little") + machine.to_bytes(2, "little")
+        )
     if kind == "pe":
-        return b"MZ" + bytes(58) + (64).to_bytes(4, "little") + b"PE\0\0" + machine.to_bytes(2, "little")
+        return (
+            b"MZ"
+            + bytes(58)
+            + (64).to_bytes(4, "little")
+            + b"PE\0\0"
+            + machine.to_bytes(2, "little")
+        )
     return b"\xcf\xfa\xed\xfe" + machine.to_bytes(4, "little")
 
 
@@ -246,8 +294,14 @@ def test_binaries_in_the_wrong_place(tmp_path):
         "win32/other.dll": head("pe", 0x14C),
         "plan9/model.so": b"",
     }
-    path = write(tmp_path / "x.fmu", [Entry(f"binaries/{k}", v) for k, v in members.items()], xml=XML.encode())
-    assert found(path) == [f"binary: binaries/{mine}/model{SUFFIX} is for aarch64-linux; needed x86_64-linux"]
+    path = write(
+        tmp_path / "x.fmu",
+        [Entry(f"binaries/{k}", v) for k, v in members.items()],
+        xml=XML.encode(),
+    )
+    assert found(path) == [
+        f"binary: binaries/{mine}/model{SUFFIX} is for aarch64-linux; needed x86_64-linux"
+    ]
     assert found(path, "warning") == [
         "binary: binaries/darwin64/model.dylib is no shared library",
         "binary: binaries/plan9 is no platform of the standard",
@@ -257,13 +311,19 @@ def test_binaries_in_the_wrong_place(tmp_path):
 
 
 def test_no_binary_for_this_machine(tmp_path):
-    path = write(tmp_path / "x.fmu", [Entry("binaries/win64/model.dll", head("pe", 0x8664))], xml=XML.encode())
+    path = write(
+        tmp_path / "x.fmu",
+        [Entry("binaries/win64/model.dll", head("pe", 0x8664))],
+        xml=XML.encode(),
+    )
     assert found(path) == ["binary: none for this machine (x86_64-linux); there is: win64"]
 
 
 def test_a_trial_that_cannot_be(tmp_path):
     """What Python raises in the child is told."""
-    assert attempt("run", str(tmp_path / "no.fmu"), "cs") == (f"{tmp_path / 'no.fmu'}: there is no such file",)
+    assert attempt("run", str(tmp_path / "no.fmu"), "cs") == (
+        f"{tmp_path / 'no.fmu'}: there is no such file",
+    )
     assert attempt("run")[0].startswith("TypeError: run() missing")
 
 
@@ -318,13 +378,19 @@ FINDINGS = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("before", "after", "level", "text"), FINDINGS, ids=[text[:50] for *_, text in FINDINGS])
+@pytest.mark.parametrize(
+    ("before", "after", "level", "text"), FINDINGS, ids=[text[:50] for *_, text in FINDINGS]
+)
 def test_findings_in_a_description(tmp_path, monkeypatch, before, after, level, text):
     """Each rule of the standard on its own."""
     monkeypatch.setattr("cosim.fmi.checking.check._trials", lambda *_: [])
     assert before in XML
     xml = XML.replace(before, after, 1)
-    xml = xml.replace('guid="rogue"', 'guid="rogue" variableNamingConvention="structured"') if "'a b'" in text else xml
+    xml = (
+        xml.replace('guid="rogue"', 'guid="rogue" variableNamingConvention="structured"')
+        if "'a b'" in text
+        else xml
+    )
     problems = found(write(tmp_path / "x.fmu", [], xml=xml.encode()), level)
     assert [problem for problem in problems if problem.startswith(text)], problems
 
@@ -339,12 +405,16 @@ def test_the_pattern_for_findings_has_none(tmp_path, monkeypatch):
 
 def test_findings_of_fmi_3(tmp_path):
     """One independent variable, a reference for each, start values for every element, no clocks here."""
-    xml = FMI3.replace('causality="independent"', 'causality="local"').replace('start="1 2 3"', 'start="1 2"')
+    xml = FMI3.replace('causality="independent"', 'causality="local"').replace(
+        'start="1 2 3"', 'start="1 2"'
+    )
     xml = xml.replace('name="small" valueReference="7"', 'name="small" valueReference="8"')
     path = write(tmp_path / "x.fmu", [], xml=xml.encode())
     errors, warnings = found(path), found(path, "warning")
     assert "XML: variable 'x': has 2 start values for 3 elements" in errors
-    assert "variable 'large': has the value reference 8 of 'small'; FMI 3 needs one for each" in errors
+    assert (
+        "variable 'large': has the value reference 8 of 'small'; FMI 3 needs one for each" in errors
+    )
     assert "structure: 0 independent variables; FMI 3 needs exactly one, the time" in warnings
     assert "structure: clocks, which are not supported: tick" in warnings
 
@@ -355,7 +425,9 @@ def test_findings_of_fmi_1(tmp_path):
     path = write(tmp_path / "x.fmu", [], xml=xml.encode())
     text = "variable 'w': is another variable negated (negatedAlias); no call gives that, and it is left out"
     assert text in found(path, "note")
-    port = xml.replace('name="w" valueReference="1"', 'name="w" valueReference="1" causality="output"')
+    port = xml.replace(
+        'name="w" valueReference="1"', 'name="w" valueReference="1" causality="output"'
+    )
     assert text in found(write(path, [], xml=port.encode()), "warning")
 
 
@@ -367,8 +439,10 @@ def test_neither_kind(tmp_path):
 
 def test_all_problems_at_once(rogue):
     """Schema, structure and binary in one report, errors first."""
-    xml = XML.replace('start="2" min="0"', 'start="7" min="0"').replace('<Unknown index="2" dependencies=""/>', "")
-    xml = xml.replace('unit="m"', 'unit="km"').replace('guid="rogue"', 'guid="rogue" colour="red"')
+    xml = XML.replace('start="2" min="0"', 'start="7" min="0"').replace(
+        '<Unknown index="2" dependencies=""/>', ""
+    )
+    xml = xml.replace('unit="m"', 'unit="km"').replace('guid="rogue"', 'guid="rogue" color="red"')
     findings = check(rogue("CRASH", xml))
     assert {finding.where for finding in findings if finding.level == "error"} == {
         "schema", "variable 'k'", "outputs", RUN,
@@ -382,8 +456,14 @@ def test_all_problems_at_once(rogue):
     ("xml", "text"),
     [
         ("<fmi", "XML: modelDescription.xml is not well-formed: unclosed token"),
-        ("<!DOCTYPE x><x/>", "XML: modelDescription.xml is not well-formed: it has a document type"),
-        ('<x fmiVersion="4"/>', "archive: unknown FMI version '4'; FMI 1.0, 2.0 and 3.0 are supported"),
+        (
+            "<!DOCTYPE x><x/>",
+            "XML: modelDescription.xml is not well-formed: it has a document type",
+        ),
+        (
+            '<x fmiVersion="4"/>',
+            "archive: unknown FMI version '4'; FMI 1.0, 2.0 and 3.0 are supported",
+        ),
     ],
 )
 def test_what_cannot_be_read_has_one_finding(tmp_path, xml, text):

@@ -27,7 +27,12 @@ def path(tmp_path_factory):
 
     @cache
     def path(version, *can):
-        return lag.able(compiled[version], folder / f"{version}-{'-'.join(can)}.fmu".replace(" ", "_"), version, *can)
+        return lag.able(
+            compiled[version],
+            folder / f"{version}-{'-'.join(can)}.fmu".replace(" ", "_"),
+            version,
+            *can,
+        )
 
     return path
 
@@ -76,7 +81,10 @@ def times(step=0.1, stop=1.0):
 @pytest.mark.parametrize(("version", "can"), [("2", ("D",)), ("3", ("D",)), ("3", ("D", "events"))])
 def test_mean_inputs_are_second_order_and_D_makes_feedthrough_so(opened, version, can):
     """Halving the step quarters the error of x and of y = x + u; what is read is never read after inputs were set."""
-    coarse, fine = (abs(run(opened(version, *can), step=h, u=sine)[1:, :2] - reference(h)[1:]).max(axis=0) for h in (0.1, 0.05))
+    coarse, fine = (
+        abs(run(opened(version, *can), step=h, u=sine)[1:, :2] - reference(h)[1:]).max(axis=0)
+        for h in (0.1, 0.05)
+    )
     assert ((coarse / fine > 3.8) & (coarse / fine < 4.2)).all()
     assert opened(version, *can).component.notes == ()
 
@@ -230,9 +238,7 @@ def test_halves_do_not_depend_on_blocks(opened, version, can, blocks):
 def test_discards_without_end_stop_the_run(opened, version, can):
     """After 10 halvings, so below 0.1 s / 1024, with the rows that were completed."""
     fmu = opened(version, *can, longest=0.0, begin=0.5)
-    text = (
-        r"lag: discarded the step of 9\.76\d*e-05 s from t = 0\.5 s; no smaller one is tried, as the communication step of 0\.1 s"
-    )
+    text = r"lag: discarded the step of 9\.76\d*e-05 s from t = 0\.5 s; no smaller one is tried, as the communication step of 0\.1 s"
     with pytest.raises(Stopped, match=f"{text} was halved 10 times") as stop:
         run(fmu)
     assert (stop.value.steps, stop.value.failed) == (5, True)
@@ -241,16 +247,33 @@ def test_discards_without_end_stop_the_run(opened, version, can):
 @pytest.mark.parametrize(
     ("version", "can", "reason"),
     [
-        ("1", ("any step",), r"its state before the step cannot be restored \(canGetAndSetFMUstate is false, or not true\)"),
-        ("2", ("any step",), r"its state before the step cannot be restored \(canGetAndSetFMUstate is false, or not true\)"),
-        ("2", ("state",), r"it takes steps of one size only \(canHandleVariableCommunicationStepSize is false\)"),
-        ("3", (), r"it takes steps of one size only \(canHandleVariableCommunicationStepSize is false\)"),
+        (
+            "1",
+            ("any step",),
+            r"its state before the step cannot be restored \(canGetAndSetFMUstate is false, or not true\)",
+        ),
+        (
+            "2",
+            ("any step",),
+            r"its state before the step cannot be restored \(canGetAndSetFMUstate is false, or not true\)",
+        ),
+        (
+            "2",
+            ("state",),
+            r"it takes steps of one size only \(canHandleVariableCommunicationStepSize is false\)",
+        ),
+        (
+            "3",
+            (),
+            r"it takes steps of one size only \(canHandleVariableCommunicationStepSize is false\)",
+        ),
     ],
 )
 def test_a_discarded_step_stops_the_run_where_nothing_can_be_done(opened, version, can, reason):
     fmu = opened(version, *can, longest=0.03, begin=0.4)
     with pytest.raises(
-        Stopped, match=rf"lag: discarded the step of 0\.1 s from t = 0\.4 s; no smaller one is tried, as {reason}"
+        Stopped,
+        match=rf"lag: discarded the step of 0\.1 s from t = 0\.4 s; no smaller one is tried, as {reason}",
     ) as stop:
         run(fmu)
     assert (stop.value.steps, stop.value.failed) == (4, True)
@@ -266,7 +289,9 @@ def test_the_wish_to_end_ends_the_run_with_the_rows_completed(opened, version):
     assert (stop.value.steps, stop.value.failed) == (3, False)
 
 
-@pytest.mark.parametrize("start", [{"status": -1.0, "event": 0.3, "announces": 1.0}, {"status": -2.0}])
+@pytest.mark.parametrize(
+    "start", [{"status": -1.0, "event": 0.3, "announces": 1.0}, {"status": -2.0}]
+)
 def test_the_wish_to_end_may_come_with_a_completed_step(opened, start):
     """In an event at 0.3 s, or with the step to it: its row counts, and the next step is not begun."""
     fmu = opened("3", "events", "any step", end=0.3, **start)
@@ -281,7 +306,9 @@ def test_the_wish_to_end_may_come_with_a_completed_step(opened, start):
 @pytest.mark.parametrize(("status", "name"), [(3.0, "error"), (4.0, "fatal")])
 @pytest.mark.parametrize("version", ["1", "2", "3"])
 def test_failures_carry_the_last_words(opened, version, status, name):
-    with pytest.raises(Stopped, match=rf"fmi{version}?DoStep returned \d \({name}\); it said: error: out of petrol") as stop:
+    with pytest.raises(
+        Stopped, match=rf"fmi{version}?DoStep returned \d \({name}\); it said: error: out of petrol"
+    ) as stop:
         run(opened(version, fail=0.35, status=status))
     assert (stop.value.steps, stop.value.failed) == (3, True)
 
@@ -303,7 +330,8 @@ def test_early_returns_are_gone_on_from(opened, can):
 
 def test_returns_without_end_stop_the_run(opened):
     with pytest.raises(
-        Stopped, match=r"lag: 1000 returns did not reach the end of the step of 0\.1 s from t = 0\.0 s; the last was at t"
+        Stopped,
+        match=r"lag: 1000 returns did not reach the end of the step of 0\.1 s from t = 0\.0 s; the last was at t",
     ) as stop:
         run(opened("3", returns=1e-6))
     assert stop.value.steps == 0
@@ -320,7 +348,10 @@ def test_a_return_to_before_the_step_stops_the_run(opened):
 @pytest.mark.parametrize("period", [0.25, 0.2])
 def test_time_events_are_met(opened, announces, period):
     """Announced or not, between and on communication points: x grows by 1 exactly there, and the row shows it after the event."""
-    y = run(opened("3", "events", "any step", event=period, announces=announces), u=lambda t: np.zeros((len(t), 2)))
+    y = run(
+        opened("3", "events", "any step", event=period, announces=announces),
+        u=lambda t: np.zeros((len(t), 2)),
+    )
     t, events = times(), np.arange(1, 6) * period
     expected = [np.exp(-(now - events[events <= now + 1e-9])).sum() for now in t]
     assert y[:, X] == pytest.approx(expected, abs=ROUNDING)
@@ -332,7 +363,9 @@ def test_an_event_at_the_start_is_seen(opened):
     component.prepare(0.1, HELD, {})
     assert component.initialize(0.0, np.zeros(2))[X] == 0.0
     assert component.outputs(0.0, np.zeros(2))[X] == 1.0
-    assert component.advance(times(), 0.1, rest(times()))[:, X] == pytest.approx(np.exp(-times()[1:]), abs=ROUNDING)
+    assert component.advance(times(), 0.1, rest(times()))[:, X] == pytest.approx(
+        np.exp(-times()[1:]), abs=ROUNDING
+    )
 
 
 def test_a_unit_of_one_step_size_meets_its_time_events_late_and_it_is_said(opened):
@@ -378,8 +411,12 @@ def test_outputs_show_a_discrete_input_at_the_instant_it_changes(opened, can, bl
 
 def test_a_unit_that_can_go_back_only_shows_what_a_discrete_input_would_do(opened):
     """Outputs for an input that a loop may still correct change nothing; what it shows at its instant is no first-order error."""
-    check_component(lambda: opened("3", "events", "D", "state", "d is shown").component, steps=12, h=0.1)
-    check_rollback(lambda: opened("3", "events", "D", "state", "d is shown").component, steps=12, h=0.1)
+    check_component(
+        lambda: opened("3", "events", "D", "state", "d is shown").component, steps=12, h=0.1
+    )
+    check_rollback(
+        lambda: opened("3", "events", "D", "state", "d is shown").component, steps=12, h=0.1
+    )
     assert opened("3", "events", "D", "state", "d is shown").component.notes == ()
 
 
@@ -391,7 +428,7 @@ def test_no_event_happens_where_an_input_has_no_value(opened):
     fmu.component.initialize(0.0, u[0])
     fmu.component.advance(times()[:2], 0.1, u[:2])
     entered = []
-    fmu.component._unit.enter_event_mode = lambda: entered.append(True)
+    fmu.component._instance.enter_event_mode = lambda: entered.append(True)
     fmu.component.advance(times()[1:], 0.1, u[1:])
     assert entered == []
 
@@ -400,7 +437,9 @@ def test_an_event_without_end_stops_the_run(opened):
     fmu = opened("3", "events", "any step", event=0.25, announces=1.0, iterations=101.0)
     fmu.component.prepare(0.1, HELD, {})
     fmu.component.initialize(0.0, np.zeros(2))
-    with pytest.raises(Stopped, match=r"lag: discrete states do not settle at t = 0\.0 s after 100 iterations"):
+    with pytest.raises(
+        Stopped, match=r"lag: discrete states do not settle at t = 0\.0 s after 100 iterations"
+    ):
         fmu.component.advance(times(), 0.1, line(times()))
     assert run(opened("3", "events", "any step", event=0.25, iterations=100.0))[-1, CALLS] == 12
 

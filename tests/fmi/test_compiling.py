@@ -26,7 +26,11 @@ MACHINES = {  # e_machine of ELF; Machine of PE; cputype of Mach-O
     "x86_64-darwin": (MACH_O, 0x01000007),
     "aarch64-darwin": (MACH_O, 0x0100000C),
 }
-FOLDERS = {"x86_64-linux": "linux64", "x86_64-windows": "win64", "x86_64-darwin": "darwin64"}  # FMI 2.0.4 section 2.3
+FOLDERS = {
+    "x86_64-linux": "linux64",
+    "x86_64-windows": "win64",
+    "x86_64-darwin": "darwin64",
+}  # FMI 2.0.4 section 2.3
 
 
 def machine(content):
@@ -34,7 +38,9 @@ def machine(content):
     if content.startswith(ELF):
         return ELF, struct.unpack_from("<H", content, 18)[0]
     if content.startswith(PE):
-        return PE, struct.unpack_from("<H", content, struct.unpack_from("<I", content, 0x3C)[0] + 4)[0]
+        return PE, struct.unpack_from(
+            "<H", content, struct.unpack_from("<I", content, 0x3C)[0] + 4
+        )[0]
     return content[:4], struct.unpack_from("<I", content, 4)[0]
 
 
@@ -55,9 +61,13 @@ def test_zig_compiles_for_another_machine(fmi, tmp_path):
     """The binary is for that machine, and FMI 2.0 has no name for this one: the answer says so."""
     found = export(model(), tmp_path / "x.fmu", name="plant", fmi=fmi, platforms=["aarch64-linux"])
     check_binaries(found, ["aarch64-linux"], fmi)
-    assert (found.notes == ("FMI 2.0 has no name for aarch64-linux; its folder is FMI 3.0's",)) == (fmi == "2")
+    assert (found.notes == ("FMI 2.0 has no name for aarch64-linux; its folder is FMI 3.0's",)) == (
+        fmi == "2"
+    )
     if HERE != "aarch64-linux":
-        with pytest.raises(FmuError, match="no binary for this platform; found binaries for: aarch64-linux"):
+        with pytest.raises(
+            FmuError, match="no binary for this platform; found binaries for: aarch64-linux"
+        ):
             load(found.path)
 
 
@@ -73,15 +83,18 @@ def test_zig_compiles_for_every_machine(fmi, tmp_path):
 
 
 @needs_zig
-@pytest.mark.skipif(shutil.which("cc") is None or HERE not in PLATFORMS, reason="no cc to compare with")
+@pytest.mark.skipif(
+    shutil.which("cc") is None or HERE not in PLATFORMS, reason="no cc to compare with"
+)
 def test_zig_and_cc_give_the_same_bits(tmp_path):
     """Both without fused multiply-adds and without the instructions of the host."""
     paths = [
-        export(model(), tmp_path / f"{len(platforms)}.fmu", name="plant", platforms=platforms).path for platforms in ([], [HERE])
+        export(model(), tmp_path / f"{len(platforms)}.fmu", name="plant", platforms=platforms).path
+        for platforms in ([], [HERE])
     ]
     runs = []
     for path in paths:
-        with load(path, mode="cs") as fmu:
+        with load(path, interface_type="cs") as fmu:
             runs.append(run(fmu.component, step=0.01))
     assert np.array_equal(*runs)
 
@@ -90,7 +103,8 @@ def test_without_zig_other_machines_are_refused(tmp_path, monkeypatch):
     """The message names the extra."""
     monkeypatch.setattr(build, "cross_compiler", lambda target: [])
     with pytest.raises(
-        FmuError, match=r"platform aarch64-linux: .* ziglang, which is not installed; pip install 'cosim\[build\]'"
+        FmuError,
+        match=r"platform aarch64-linux: .* ziglang, which is not installed; pip install 'cosim\[build\]'",
     ):
         export(model(), tmp_path / "x.fmu", name="plant", platforms=["aarch64-linux"])
     assert list(tmp_path.iterdir()) == []
@@ -104,6 +118,8 @@ def test_what_the_compiler_refuses_is_passed_on(tmp_path, monkeypatch):
 
     monkeypatch.setattr(build, "compiler", lambda: ["cc"])
     monkeypatch.setattr(build, "compile_library", refuse)
-    with pytest.raises(FmuError, match=r"the FMU 'plant' could not be compiled: cc failed:\nmodel\.c:1: error"):
+    with pytest.raises(
+        FmuError, match=r"the FMU 'plant' could not be compiled: cc failed:\nmodel\.c:1: error"
+    ):
         export(model(), tmp_path / "x.fmu", name="plant")
     assert list(tmp_path.iterdir()) == []

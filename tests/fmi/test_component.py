@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from cosim.core.contracts import Stopped
+from cosim.core.linear import Linear
 from cosim.core.signals import Interface, Signal
-from cosim.core.solver import Linear
 from cosim.errors import FmuError, RunError
 from cosim.fmi.component import CoSimulation, ModelExchange, load
-from cosim.fmi.generated import GeneratedUnit
+from cosim.fmi.generated import GeneratedInstance
 from tests.fmi.plant import FACE, SLOPE, A, B, C, D, grid, inputs, model, run, solution
 
 # At 1 ms and 2 s: 2000 steps, each rounding a few numbers of size 1: well below 2000 * 8 * 2^-53 = 1.8e-12.
@@ -36,7 +36,7 @@ class Nonlinear:
 
 
 def generated(solver=None):
-    return ModelExchange(GeneratedUnit.of(model()), solver)
+    return ModelExchange(GeneratedInstance.of(model()), solver)
 
 
 def test_generated_unit_with_the_exact_solver_is_the_closed_form():
@@ -65,35 +65,39 @@ def test_adaptive_solvers_drive_a_loaded_unit(solver, exported):
         return rows
 
     with load(exported, solver=solver) as fmu:
-        assert np.array_equal(run(fmu.component, step=0.1, u=fixed), run(generated(solver), step=0.1))
+        assert np.array_equal(
+            run(fmu.component, step=0.1, u=fixed), run(generated(solver), step=0.1)
+        )
 
 
 def test_rk4_is_fourth_order():
     """Halving the step divides the error by 16."""
-    coarse, fine = (abs(run(generated("rk4"), step=h) - solution(grid(h))).max() for h in (0.1, 0.05))
+    coarse, fine = (
+        abs(run(generated("rk4"), step=h) - solution(grid(h))).max() for h in (0.1, 0.05)
+    )
     assert 14.0 < coarse / fine < 18.5
 
 
 def test_any_model_can_be_a_unit():
     """A model without matrices gets a solver that keeps a tolerance; at rest in x = 1 for u = 1 it stays there."""
-    component = ModelExchange(GeneratedUnit(Nonlinear()))
+    component = ModelExchange(GeneratedInstance(Nonlinear()))
     assert component.solver == "RK45"
     y = run(component, step=0.1, held=np.array([False]), u=lambda t: np.ones((len(t), 1)))
     assert np.array_equal(y, np.full((21, 1), 2.0))
     with pytest.raises(FmuError, match="solver 'exact' needs the matrices of a linear model"):
-        ModelExchange(GeneratedUnit(Nonlinear()), "exact")
+        ModelExchange(GeneratedInstance(Nonlinear()), "exact")
 
 
 def test_loaded_model_exchange_equals_the_generated_unit_bit_for_bit(exported):
     """Same solver, same kernel in the same order: there is nothing that could differ."""
     with load(exported, solver="rk4") as fmu:
-        assert fmu.mode == "me"
+        assert fmu.interface_type == "me"
         assert np.array_equal(run(fmu.component, step=1e-3), run(generated("rk4"), step=1e-3))
 
 
 def test_co_simulation_with_input_derivatives_equals_the_exact_solver(exported):
     """The FMU does the same first-order hold; u0 + h slope differs from u1 by rounding."""
-    with load(exported, mode="cs") as fmu:
+    with load(exported, interface_type="cs") as fmu:
         assert abs(run(fmu.component, step=1e-3) - run(generated(), step=1e-3)).max() < ROUNDING
         assert fmu.component.notes == ()
 
@@ -103,8 +107,10 @@ DERIVATIVES = (' providesDirectionalDerivative="true"', "")
 
 
 def errors(path, step):
-    with load(path, mode="cs") as fmu:
-        return abs(run(fmu.component, step=step) - solution(grid(step))).max(axis=0), fmu.component.notes
+    with load(path, interface_type="cs") as fmu:
+        return abs(run(fmu.component, step=step) - solution(grid(step))).max(
+            axis=0
+        ), fmu.component.notes
 
 
 def test_co_simulation_with_mean_inputs_and_known_D_is_second_order(edited):
@@ -131,7 +137,7 @@ def test_co_simulation_with_mean_inputs_and_unknown_D_is_first_order_where_it_fe
 
 def test_an_interpolating_unit_without_D_warns_of_held_inputs_whenever_it_is_asked(edited):
     """Which inputs are held is known after prepare only; the warning names the condition, so it is right before it too."""
-    with load(edited(DERIVATIVES), mode="cs") as fmu:
+    with load(edited(DERIVATIVES), interface_type="cs") as fmu:
         before = fmu.component.notes
         fmu.component.prepare(1e-3, np.array([True, False]), {})
         assert fmu.component.notes == before
@@ -141,20 +147,27 @@ def test_an_interpolating_unit_without_D_warns_of_held_inputs_whenever_it_is_ask
     )
 
 
-@pytest.mark.parametrize("mode", ["me", "cs"])
+@pytest.mark.parametrize("interface_type", ["me", "cs"])
 @pytest.mark.parametrize("mask", [(True, False), (True, True)])
-def test_held_inputs_keep_their_value_and_reach_the_outputs_at_the_end(exported, mode, mask):
-    """Held inputs in an FMU act as in the exact discretisation; rk4 at 1 ms is exact to rounding."""
+def test_held_inputs_keep_their_value_and_reach_the_outputs_at_the_end(
+    exported, interface_type, mask
+):
+    """Held inputs in an FMU act as in the exact discretization; rk4 at 1 ms is exact to rounding."""
     held = np.array(mask)
     expected = run(generated(), step=1e-3, held=held)
-    with load(exported, mode=mode) as fmu:
+    with load(exported, interface_type=interface_type) as fmu:
         assert abs(run(fmu.component, step=1e-3, held=held) - expected).max() < ROUNDING
 
 
 def test_held_inputs_of_a_generated_unit_with_rk4():
     """An input that jumps goes through event mode; the result is that of the exact solver."""
     held = np.array([True, False])
-    assert abs(run(generated("rk4"), step=1e-3, held=held) - run(generated(), step=1e-3, held=held)).max() < ROUNDING
+    assert (
+        abs(
+            run(generated("rk4"), step=1e-3, held=held) - run(generated(), step=1e-3, held=held)
+        ).max()
+        < ROUNDING
+    )
 
 
 @pytest.mark.parametrize("kind", ["exact", "rk4", "DOP853", "me", "cs"])
@@ -163,7 +176,7 @@ def test_results_do_not_depend_on_blocks(kind, exported):
 
     def once(blocks):
         if kind in ("me", "cs"):
-            with load(exported, mode=kind) as fmu:
+            with load(exported, interface_type=kind) as fmu:
                 return run(fmu.component, step=1e-2, blocks=blocks)
         return run(generated(kind), step=1e-2, blocks=blocks)
 
@@ -175,7 +188,7 @@ def test_results_do_not_depend_on_blocks(kind, exported):
 @pytest.mark.parametrize("kind", ["exact", "rk4", "me", "cs"])
 def test_save_and_restore_is_the_identity(kind, exported):
     """Going back and on again gives the same bits; the FMU's copies are freed with the saved objects."""
-    fmu = load(exported, mode=kind) if kind in ("me", "cs") else None
+    fmu = load(exported, interface_type=kind) if kind in ("me", "cs") else None
     component = fmu.component if fmu else generated(kind)
     try:
         run(component, step=0.01, stop=0.5)
@@ -195,7 +208,7 @@ def test_save_and_restore_is_the_identity(kind, exported):
 @pytest.mark.parametrize("kind", ["exact", "rk4", "me", "cs"])
 def test_initialize_may_be_repeated_and_forgets_the_past(kind, exported):
     """Other inputs before the first advance, and a second run after it, leave no trace; outputs changes nothing."""
-    fmu = load(exported, mode=kind) if kind in ("me", "cs") else None
+    fmu = load(exported, interface_type=kind) if kind in ("me", "cs") else None
     component = fmu.component if fmu else generated(kind)
     first = run(component, step=0.01, stop=0.2)
     component.initialize(0.0, np.array([9.0, 9.0]))
@@ -218,7 +231,9 @@ def test_design_is_recorded_and_taken_from_the_record():
         doubled = {**design, "C": 2.0 * design["C"], "D": 2.0 * design["D"]}
         component = generated(solver)
         assert component.prepare(0.01, held, doubled).keys() == design.keys()
-        assert component.initialize(0.0, inputs(0.0)) == pytest.approx(2.0 * solution([0.0])[0], abs=1e-14)
+        assert component.initialize(0.0, inputs(0.0)) == pytest.approx(
+            2.0 * solution([0.0])[0], abs=1e-14
+        )
 
 
 # --- FMUs that others wrote ---
@@ -262,13 +277,17 @@ def test_pythonfmu3_unit_is_run_in_both_kinds(foreign3, capfd):
     state = [1, 2]
     with load(foreign3) as fmu:
         assert fmu.metadata["fmi_version"] == "3.0"
-        assert fmu.metadata["mode"] == "me"
+        assert fmu.metadata["interface_type"] == "me"
         rows = run(fmu.component, step=1e-2)
         assert abs(rows[:, [2, 0, 1]] - solution(grid(1e-2))[:, :3]).max() < 1e-9
     coarse, fine = ([], [])
     for step, errors_ in ((0.02, coarse), (0.01, fine)):
-        with load(foreign3, mode="cs") as fmu:
-            errors_.extend(abs(run(fmu.component, step=step)[:, :2] - solution(grid(step))[:, state]).max(axis=0))
+        with load(foreign3, interface_type="cs") as fmu:
+            errors_.extend(
+                abs(run(fmu.component, step=step)[:, :2] - solution(grid(step))[:, state]).max(
+                    axis=0
+                )
+            )
     assert ((np.divide(coarse, fine) > 3.8) & (np.divide(coarse, fine) < 4.2)).all()
     assert capfd.readouterr() == ("", "")
 
@@ -281,16 +300,25 @@ def test_a_step_that_does_not_end_keeps_what_was_before(foreign2, limit, capfd):
     assert isinstance(stop.value, RunError)
     assert stop.value.steps == round(limit / 0.01)
     assert stop.value.failed == (limit == 0.15)
-    asked, failed = "the unit asks for the end of the run", r"Foreign2\.fmu: fmi2DoStep returned \d \((error|fatal)\)"
+    asked, failed = (
+        "the unit asks for the end of the run",
+        r"Foreign2\.fmu: fmi2DoStep returned \d \((error|fatal)\)",
+    )
     assert re.search(failed if stop.value.failed else asked, str(stop.value))
     assert capfd.readouterr() == ("", "")
 
 
 def test_integers_and_booleans_are_never_rounded(foreign2):
     """A value that is no integer, or no Boolean, is refused."""
-    with load(foreign2) as fmu, pytest.raises(RunError, match=r"\[1.5\] cannot be set: needed numbers of type Int32"):
+    with (
+        load(foreign2) as fmu,
+        pytest.raises(RunError, match=r"\[1.5\] cannot be set: needed numbers of type Int32"),
+    ):
         fmu.component.initialize(0.0, np.array([0.0, 0.0, 1.5, 0.0]))
-    with load(foreign2) as fmu, pytest.raises(RunError, match=r"\[2.0\] cannot be set: needed numbers of type Boolean"):
+    with (
+        load(foreign2) as fmu,
+        pytest.raises(RunError, match=r"\[2.0\] cannot be set: needed numbers of type Boolean"),
+    ):
         fmu.component.initialize(0.0, np.array([0.0, 0.0, 1.0, 2.0]))
     with load(foreign2) as fmu, pytest.raises(FmuError, match="the unit cannot save its state"):
         fmu.component.save()
@@ -298,12 +326,12 @@ def test_integers_and_booleans_are_never_rounded(foreign2):
 
 def test_start_values_are_set_and_survive_a_second_run(exported):
     """x_a[0] = 3: y = x1 - u follows, after a reset too."""
-    for mode in ("me", "cs"):
-        with load(exported, mode=mode, start={"x_a[0]": 3.0}) as fmu:
+    for interface_type in ("me", "cs"):
+        with load(exported, interface_type=interface_type, start={"x_a[0]": 3.0}) as fmu:
             first = run(fmu.component, step=0.1)
             assert first[0] == pytest.approx([2.5, 3.0, -1.0, -3.5])
             assert np.array_equal(first, run(fmu.component, step=0.1))
-    component = ModelExchange(GeneratedUnit.of(model()), starts={"x_a[0]": 3.0})
+    component = ModelExchange(GeneratedInstance.of(model()), starts={"x_a[0]": 3.0})
     assert run(component, step=0.1) == pytest.approx(first, abs=1e-12)
 
 
@@ -312,6 +340,6 @@ def test_components_keep_the_contract_of_the_interface(exported):
     with load(exported) as fmu:
         assert fmu.component.interface == replace(FACE, initial={"y": ("u",), "x_b": ("u",)})
         assert isinstance(fmu.component, ModelExchange)
-    with load(exported, mode="cs") as fmu:
+    with load(exported, interface_type="cs") as fmu:
         assert isinstance(fmu.component, CoSimulation)
     assert A.shape == B.shape

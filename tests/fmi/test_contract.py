@@ -4,24 +4,30 @@ import numpy as np
 import pytest
 
 from cosim.core.contracts import Stopped
+from cosim.core.linear import Linear, LinearModel
 from cosim.core.signals import Interface, Signal
-from cosim.core.solver import Linear, LinearModel
 from cosim.fmi.component import ModelExchange, load
 from cosim.fmi.exporting.export import export
-from cosim.fmi.generated import GeneratedUnit
-from cosim.fmi.unit import DiscreteStates
+from cosim.fmi.generated import GeneratedInstance
+from cosim.fmi.instance import DiscreteStates
 from cosim.testing import check_component, check_rollback
 
 A, X0 = np.array([[-1.0, 1.0], [-1.0, -2.0]]), np.array([1.0, -1.0])
 C = np.array([[1.0, 0.0], [1.0, 0.0]])  # v feeds through, w is the state
-VARIABILITIES = {"discrete": ("discrete",), "continuous": ("continuous",), "both": ("continuous", "discrete")}
+VARIABILITIES = {
+    "discrete": ("discrete",),
+    "continuous": ("continuous",),
+    "both": ("continuous", "discrete"),
+}
 
 
 def model(inputs) -> LinearModel:
     """x' = A x + B u, v = x_1 + u_1 (+ u_2), w = x_1: every input feeds through to v, none to w."""
     names = VARIABILITIES[inputs]
     face = Interface(
-        tuple(Signal(name[0], variability=name) for name in names), (Signal("v"), Signal("w")), {"v": tuple(n[0] for n in names)}
+        tuple(Signal(name[0], variability=name) for name in names),
+        (Signal("v"), Signal("w")),
+        {"v": tuple(n[0] for n in names)},
     )
     B, D = np.ones((2, len(names))), np.vstack([np.ones(len(names)), np.zeros(len(names))])
     return LinearModel(face, ("x[0]", "x[1]"), A, B, C, D, X0, np.zeros((2, len(names))))
@@ -40,17 +46,17 @@ def path(inputs, tmp_path_factory):
 @pytest.mark.parametrize("solver", ["exact", "rk4"])
 def test_generated_units_keep_the_contract(inputs, solver):
     """With discrete inputs, continuous ones and both."""
-    check_component(lambda: ModelExchange(GeneratedUnit.of(model(inputs)), solver))
-    check_rollback(lambda: ModelExchange(GeneratedUnit.of(model(inputs)), solver))
+    check_component(lambda: ModelExchange(GeneratedInstance.of(model(inputs)), solver))
+    check_rollback(lambda: ModelExchange(GeneratedInstance.of(model(inputs)), solver))
 
 
-@pytest.mark.parametrize("mode", ["me", "cs"])
-def test_loaded_units_keep_the_contract(path, mode):
+@pytest.mark.parametrize("interface_type", ["me", "cs"])
+def test_loaded_units_keep_the_contract(path, interface_type):
     """Both kinds: the co-simulation unit corrects its outputs by D, so that they follow the inputs."""
     loaded = []
 
     def make():
-        loaded.append(load(path, mode=mode))
+        loaded.append(load(path, interface_type=interface_type))
         return loaded[-1].component
 
     check_component(make)
@@ -72,7 +78,7 @@ def test_co_simulation_units_without_D_keep_the_contract(edited, able):
     file, loaded = edited(*lost), []
 
     def make():
-        loaded.append(load(file, mode="cs"))
+        loaded.append(load(file, interface_type="cs"))
         return loaded[-1].component
 
     check_component(make)
@@ -93,13 +99,13 @@ def test_a_co_simulation_unit_of_others_keeps_the_contract(foreign2):
         fmu.close()
 
 
-@pytest.mark.parametrize("mode", ["me", "cs"])
-def test_an_fmi_3_unit_of_others_keeps_the_contract(foreign3, mode):
+@pytest.mark.parametrize("interface_type", ["me", "cs"])
+def test_an_fmi_3_unit_of_others_keeps_the_contract(foreign3, interface_type):
     """By pythonfmu3: dependencies unknown, no D, no saved states."""
     loaded = []
 
     def make():
-        loaded.append(load(foreign3, mode=mode))
+        loaded.append(load(foreign3, interface_type=interface_type))
         return loaded[-1].component
 
     check_component(make, steps=10)
@@ -123,8 +129,16 @@ def test_inputs_that_are_late_reach_the_unit(inputs, path):
     u = np.random.default_rng(1).standard_normal((40, len(VARIABILITIES[inputs])))
     held = np.ones(u.shape[1], np.bool_)
     expected = drive_late(Linear(model(inputs)), u, held)
-    assert np.array_equal(drive_late(ModelExchange(GeneratedUnit.of(model(inputs)), "exact"), u, held), expected)
-    assert abs(drive_late(ModelExchange(GeneratedUnit.of(model(inputs)), "rk4"), u, held) - expected).max() < 1e-8
+    assert np.array_equal(
+        drive_late(ModelExchange(GeneratedInstance.of(model(inputs)), "exact"), u, held), expected
+    )
+    assert (
+        abs(
+            drive_late(ModelExchange(GeneratedInstance.of(model(inputs)), "rk4"), u, held)
+            - expected
+        ).max()
+        < 1e-8
+    )
     with load(path) as fmu:
         assert abs(drive_late(fmu.component, u, held)[:, :2] - expected).max() < 1e-8
 
@@ -133,7 +147,10 @@ def test_discrete_inputs_are_held_whoever_drives_them(path, inputs):
     """A straight line cannot go into a discrete input: its value from the start of the step counts, in every kind."""
     names = VARIABILITIES[inputs]
     u = np.random.default_rng(2).standard_normal((40, len(names)))
-    discrete, free = np.array([name == "discrete" for name in names]), np.zeros(len(names), np.bool_)
+    discrete, free = (
+        np.array([name == "discrete" for name in names]),
+        np.zeros(len(names), np.bool_),
+    )
     t = np.arange(40) * 0.01
 
     def run(component, held):
@@ -143,9 +160,14 @@ def test_discrete_inputs_are_held_whoever_drives_them(path, inputs):
 
     expected = run(Linear(model(inputs)), discrete)
     for solver in ("exact", "rk4"):
-        assert abs(run(ModelExchange(GeneratedUnit.of(model(inputs)), solver), free) - expected).max() < 1e-8
-    for mode in ("me", "cs"):
-        with load(path, mode=mode) as fmu:
+        assert (
+            abs(
+                run(ModelExchange(GeneratedInstance.of(model(inputs)), solver), free) - expected
+            ).max()
+            < 1e-8
+        )
+    for interface_type in ("me", "cs"):
+        with load(path, interface_type=interface_type) as fmu:
             assert abs(run(fmu.component, free) - expected).max() < 1e-8
 
 
@@ -153,29 +175,38 @@ class Watched:
     """A generated unit that notes in which mode its inputs are set, and may ask for the end."""
 
     def __init__(self, inputs, end_at=None):
-        self._unit, self._end_at = GeneratedUnit.of(model(inputs), "watched"), end_at
+        self._instance, self._end_at = GeneratedInstance.of(model(inputs), "watched"), end_at
         self._events, self._event, self.wrong = 0, True, []
-        self._discrete = {v.reference for v in self._unit.description.variables if v.variability == "discrete"}
+        self._discrete = {
+            v.reference for v in self._instance.description.variables if v.variability == "discrete"
+        }
 
     def __getattr__(self, name):
-        return getattr(self._unit, name)
+        return getattr(self._instance, name)
 
     def enter_event_mode(self):
         self._event = True
-        self._unit.enter_event_mode()
+        self._instance.enter_event_mode()
 
     def enter_continuous_time_mode(self):
         self._event = False
-        self._unit.enter_continuous_time_mode()
+        self._instance.enter_continuous_time_mode()
 
     def set_float64(self, references, values):
         if not self._event:
-            self.wrong += [r for group in references.groups for r in group.references.tolist() if r in self._discrete]
-        self._unit.set_float64(references, values)
+            self.wrong += [
+                r
+                for group in references.groups
+                for r in group.references.tolist()
+                if r in self._discrete
+            ]
+        self._instance.set_float64(references, values)
 
     def update_discrete_states(self):
         self._events += 1
-        return DiscreteStates(need_update=False, terminate=self._events == self._end_at, next_event_time=None)
+        return DiscreteStates(
+            need_update=False, terminate=self._events == self._end_at, next_event_time=None
+        )
 
 
 def test_discrete_inputs_are_set_in_event_mode_only(inputs):

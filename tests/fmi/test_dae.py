@@ -10,7 +10,7 @@ from fmpy.validation import validate_fmu
 
 from cosim.blocks.plant import descriptor_form
 from cosim.cli import main
-from cosim.core.solver import DescriptorModel
+from cosim.core.linear import DescriptorModel
 from cosim.errors import AssumptionError, FmuError, GraphError
 from cosim.fmi.checking.check import check
 from cosim.fmi.component import load
@@ -27,7 +27,9 @@ RIGHT = LISTS + STRUCTURE.format(rate=RATE)
 
 @pytest.fixture(scope="module")
 def plant(tmp_path_factory):
-    return export(descriptor(), tmp_path_factory.mktemp("dae") / "plant.fmu", name="plant", fmi="3").path
+    return export(
+        descriptor(), tmp_path_factory.mktemp("dae") / "plant.fmu", name="plant", fmi="3"
+    ).path
 
 
 # --- out ---
@@ -61,28 +63,33 @@ def test_the_manifest_names_the_version_that_it_follows(plant):
     with zipfile.ZipFile(plant) as archive:
         text = archive.read(MANIFEST).decode()
     assert 'fmi-ls:fmi-ls-version="0.0.1"' in text
-    assert "<!-- Follows the text of the draft of org.fmi-standard.fmi-ls-dae, version 0.0.1; its schema" in text
+    assert (
+        "<!-- Follows the text of the draft of org.fmi-standard.fmi-ls-dae, version 0.0.1; its schema"
+        in text
+    )
 
 
 class Driven:
     """An exported plant in continuous-time mode, variable by variable."""
 
     def __init__(self, fmu, u):
-        self.unit, self._description = fmu.unit, fmu.unit.description
+        self.instance, self._description = fmu.instance, fmu.instance.description
         fmu.component.prepare(0.1, np.zeros(2, np.bool_), {})
         fmu.component.initialize(0.0, u)
         fmu.component.outputs(0.0, u)
 
     def __getitem__(self, name):
-        return self.unit.get_float64(self._description.reference([name]))
+        return self.instance.get_float64(self._description.reference([name]))
 
     def give(self, name, values):
-        self.unit.set_float64(self._description.reference([name]), values)
+        self.instance.set_float64(self._description.reference([name]), values)
 
     def by(self, unknown, known):
         """Give a block of the Jacobian."""
         one, other = self._description.reference([unknown]), self._description.reference([known])
-        return np.column_stack([self.unit.get_directional_derivative(one, other, seed) for seed in np.eye(other.size)])
+        return np.column_stack(
+            [self.instance.get_directional_derivative(one, other, seed) for seed in np.eye(other.size)]
+        )
 
 
 U = np.array([0.75, -1.25])
@@ -96,7 +103,7 @@ def test_algebraic_variables_are_calculated_until_they_are_given(plant):
         solved = np.linalg.solve(A[2:, 2:], -A[2:, :2] @ x_a - B[2:] @ U)
         assert fmu["x_b"] == pytest.approx(solved, rel=1e-14)
         assert fmu["residual"] == pytest.approx(np.zeros(2), abs=1e-15)
-        ordinary, before = fmu["der(x_a)"], fmu.unit.get_fmu_state()
+        ordinary, before = fmu["der(x_a)"], fmu.instance.get_fmu_state()
         x_b = np.array([0.5, -3.0])
         fmu.give("x_b", x_b)
         state = np.concatenate([x_a, x_b])
@@ -106,7 +113,7 @@ def test_algebraic_variables_are_calculated_until_they_are_given(plant):
         assert fmu["y"] == pytest.approx(C @ state, rel=1e-15)
         fmu.give("u", np.array([2.0]))
         assert fmu["residual"] == pytest.approx(A[2:] @ state + B[2:] @ [2.0, U[1]], rel=1e-15)
-        fmu.unit.set_fmu_state(before)
+        fmu.instance.set_fmu_state(before)
         assert np.array_equal(fmu["der(x_a)"], ordinary)
 
 
@@ -140,10 +147,14 @@ def test_both_forms_agree_for_several_algebraic_variables(plant):
     for dae in ("ode", "residual"):
         with load(plant, dae=dae) as fmu:
             fmu.component.prepare(0.002, np.zeros(2, np.bool_), {})
-            found[dae] = np.vstack([fmu.component.initialize(0.0, rows[0]), fmu.component.advance(t, 0.002, rows)])
-    with load(plant, mode="cs") as fmu:  # its own steps are exact
+            found[dae] = np.vstack(
+                [fmu.component.initialize(0.0, rows[0]), fmu.component.advance(t, 0.002, rows)]
+            )
+    with load(plant, interface_type="cs") as fmu:  # its own steps are exact
         fmu.component.prepare(0.002, np.zeros(2, np.bool_), {})
-        exact = np.vstack([fmu.component.initialize(0.0, rows[0]), fmu.component.advance(t, 0.002, rows)])
+        exact = np.vstack(
+            [fmu.component.initialize(0.0, rows[0]), fmu.component.advance(t, 0.002, rows)]
+        )
     assert found["residual"] == pytest.approx(exact, abs=1e-13)
     assert found["ode"] == pytest.approx(exact, abs=1.3e-11)
 
@@ -151,11 +162,15 @@ def test_both_forms_agree_for_several_algebraic_variables(plant):
 def test_what_has_no_residual_form_is_refused(tmp_path):
     """FMI 2, a system without algebraic states, matrices that do not fit."""
     with pytest.raises(
-        FmuError, match=r"x: FMI 2.0 has no residual form; the layered standard for it is on top of FMI 3: use FMI 3"
+        FmuError,
+        match=r"x: FMI 2.0 has no residual form; the layered standard for it is on top of FMI 3: use FMI 3",
     ):
         export(descriptor(), tmp_path / "x.fmu", name="x", fmi="2")
     whole = DescriptorSystem(A=A, Bu=SYSTEM.Bu, Bd=SYSTEM.Bd, C=C, n_a=4)
-    with pytest.raises(AssumptionError, match="n_a = 4 of 4 states: there are no algebraic states, and so no residual form"):
+    with pytest.raises(
+        AssumptionError,
+        match="n_a = 4 of 4 states: there are no algebraic states, and so no residual form",
+    ):
         descriptor_form(whole, np.zeros(4))
     right = descriptor()
     with pytest.raises(GraphError, match=r"matrix by_z: found shape \(9, 1\), needed \(9, 2\)"):
@@ -193,18 +208,36 @@ def edited(old, new):
 
 BROKEN = {
     "well-formed": ("<a", "it is not well-formed: "),
-    "root": (manifest(RIGHT, "fmi-ode"), "the root: found 'fmi-ode', needed fmiLayeredStandardManifest or fmi-dae"),
+    "root": (
+        manifest(RIGHT, "fmi-ode"),
+        "the root: found 'fmi-ode', needed fmiLayeredStandardManifest or fmi-dae",
+    ),
     "name": (
         manifest(RIGHT, about=ABOUT.replace("-ls-dae", "-ls-x")),
         "fmi-ls-name: found 'org.fmi-standard.fmi-ls-x', needed org.",
     ),
-    "version": (manifest(RIGHT, about=ABOUT.replace("0.0.1", "2.0")), "fmi-ls-version: found '2.0', needed 0.0.1 or 0.1"),
+    "version": (
+        manifest(RIGHT, about=ABOUT.replace("0.0.1", "2.0")),
+        "fmi-ls-version: found '2.0', needed 0.0.1 or 0.1",
+    ),
     "z": (edited('"2"/>', '"99"/>'), "AlgebraicVariable: valueReference=99 is no variable"),
     "r": (edited('"4"', '"98"'), "Formulation: valueReference=98 is no variable"),
-    "needs": (edited('dependencies="2"', 'dependencies="2 97"'), "'der(x)': dependencies name no variable: 97"),
-    "twice": (edited("</Alg", '<AlgebraicVariable valueReference="2"/></Alg'), "'z' is listed 2 times, needed once"),
-    "discrete": (edited('"2"/>', '"6"/>'), "'q': found a variable that is not real and continuous, needed one that is"),
-    "empty": (edited('<Formulation valueReference="4"/>', ""), "Residual: found no Formulation, needed one at least"),
+    "needs": (
+        edited('dependencies="2"', 'dependencies="2 97"'),
+        "'der(x)': dependencies name no variable: 97",
+    ),
+    "twice": (
+        edited("</Alg", '<AlgebraicVariable valueReference="2"/></Alg'),
+        "'z' is listed 2 times, needed once",
+    ),
+    "discrete": (
+        edited('"2"/>', '"6"/>'),
+        "'q': found a variable that is not real and continuous, needed one that is",
+    ),
+    "empty": (
+        edited('<Formulation valueReference="4"/>', ""),
+        "Residual: found no Formulation, needed one at least",
+    ),
     "count": (
         edited('<Residual><Formulation valueReference="4"/></Residual>', ""),
         "found 0 residuals for 1 algebraic variables",
@@ -226,7 +259,9 @@ def test_a_broken_manifest_is_told_and_no_obstacle(what, tmp_path):
     content, message = BROKEN[what]
     path = with_manifest(tmp_path / "x.fmu", content)
     assert any(message in problem for problem in read(path).description.dae.problems)
-    with pytest.raises(FmuError, match=rf'CUBIC: dae = "residual": {MANIFEST}: .*{re.escape(message)}'):
+    with pytest.raises(
+        FmuError, match=rf'CUBIC: dae = "residual": {MANIFEST}: .*{re.escape(message)}'
+    ):
         load(path, dae="residual")
     load(path).close()
 
@@ -234,7 +269,9 @@ def test_a_broken_manifest_is_told_and_no_obstacle(what, tmp_path):
 def test_the_check_finds_all_that_is_wrong_with_a_manifest(tmp_path):
     """Each problem is an error of the manifest."""
     path = with_manifest(tmp_path / "x.fmu", edited('"4"', '"98"').replace("0.0.1", "2.0"))
-    assert [(found.level, found.text.split(":")[0]) for found in check(path) if found.where == MANIFEST] == [
+    assert [
+        (found.level, found.text.split(":")[0]) for found in check(path) if found.where == MANIFEST
+    ] == [
         ("error", "fmi-ls-version"),
         ("error", "Formulation"),
     ]
@@ -243,7 +280,11 @@ def test_the_check_finds_all_that_is_wrong_with_a_manifest(tmp_path):
 def test_a_manifest_without_a_structure_is_a_warning(tmp_path):
     """As the draft's own sample is."""
     sample = manifest("", "fmi-dae", f'{ABOUT} isDaeFmu="true"')
-    (found,) = [finding for finding in check(with_manifest(tmp_path / "x.fmu", sample)) if finding.where == MANIFEST]
+    (found,) = [
+        finding
+        for finding in check(with_manifest(tmp_path / "x.fmu", sample))
+        if finding.where == MANIFEST
+    ]
     assert found.level == "warning"
     assert "lists no AlgebraicVariables or no Residual" in found.text
 
@@ -253,4 +294,7 @@ def test_info_shows_the_residual_form(capsys):
     with pytest.raises(SystemExit):
         main(["info", str(build())])
     shown = " ".join(capsys.readouterr().out.split())
-    assert "residual form fmi-ls-dae 0.0.1 algebraic variables z 0 = r depends on what is not said der(x) depends on z" in shown
+    assert (
+        "residual form fmi-ls-dae 0.0.1 algebraic variables z 0 = r depends on what is not said der(x) depends on z"
+        in shown
+    )

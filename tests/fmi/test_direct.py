@@ -26,10 +26,18 @@ def test_only_double_precision_is_corrected():
     asked = []
 
     def answer(unknowns, knowns, seed):
-        asked.append([(g.type, g.references.tolist()) for references in (unknowns, knowns) for g in references.groups])
+        asked.append(
+            [
+                (g.type, g.references.tolist())
+                for references in (unknowns, knowns)
+                for g in references.groups
+            ]
+        )
         return np.array([2.0, 3.0]) * seed
 
-    unit = SimpleNamespace(description=description, interface=description.interface, get_directional_derivative=answer)
+    unit = SimpleNamespace(
+        description=description, interface=description.interface, get_directional_derivative=answer
+    )
     direct = Direct(unit, frozenset())
     assert np.array_equal(direct.add(np.zeros(3), np.array([5.0, 1.0])), [2.0, 3.0, 0.0])
     assert asked == [[("Float64", [2, 3]), ("Float64", [1])]]

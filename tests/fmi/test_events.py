@@ -8,14 +8,18 @@ import pytest
 
 import cosim
 from cosim.core.contracts import Stopped
-from cosim.core.solver import STEPPING
 from cosim.errors import FmuError
 from cosim.fmi.driving.events import KEPT, EventList, close, locate
+from cosim.fmi.driving.solvers import STEPPING
 from cosim.log import open_log
 from cosim.testing import check_component, check_rollback
 from tests.fmi.eventful import Run, build
 
-MULTISTEP = ("BDF", "LSODA", "CVode")  # each start is of order 1, so that they need a closer tolerance for the same error
+MULTISTEP = (
+    "BDF",
+    "LSODA",
+    "CVode",
+)  # each start is of order 1, so that they need a closer tolerance for the same error
 
 
 def tolerance(solver):
@@ -54,7 +58,9 @@ def test_a_ball_that_does_not_come_to_rest_is_an_error():
     """The bounces accumulate at t = sqrt(2/g) (1 + 0.7)/(1 - 0.7) = 2.5587; the run keeps what was before."""
     with (
         Run("BALL") as run,
-        pytest.raises(Stopped, match=r"BALL: 1000 events between t = 2.55 s and 2.56 s, the last at 2.558") as stop,
+        pytest.raises(
+            Stopped, match=r"BALL: 1000 events between t = 2.55 s and 2.56 s, the last at 2.558"
+        ) as stop,
     ):
         run(3.0, 0.01)
     assert (stop.value.failed, stop.value.steps) == (True, 255)
@@ -80,7 +86,13 @@ def test_coulomb_friction_sticks_and_slips(solver, version):
     assert found == pytest.approx([0.5, stick, 2.5], abs=2e-9)
     assert rows[20, 1] == pytest.approx(0.25, abs=1e-8)
     assert rows[-1, 1] == pytest.approx(-0.25, abs=1e-8)
-    forward = 0.125 / 3 + 0.25 * (stick - 1.0) + 1.5 * (stick - 1.0) ** 2 - (stick**3 - 1.0) / 3.0 + (stick - 1.0)
+    forward = (
+        0.125 / 3
+        + 0.25 * (stick - 1.0)
+        + 1.5 * (stick - 1.0) ** 2
+        - (stick**3 - 1.0) / 3.0
+        + (stick - 1.0)
+    )
     assert rows[48, 0] == pytest.approx(forward, abs=1e-8)
     assert np.array_equal(rows[[9, 11, 44, 48, 51], 2], [0.0, 1.0, 1.0, 0.0, -1.0])
 
@@ -169,7 +181,9 @@ def test_a_sawtooth_on_and_between_communication_points(solver, version, period)
     assert np.array_equal(rows[:, 3], ticks)
     assert abs(rows[:, 0] - (t - ticks * period)).max() < 1e-12
     # the last point's own event happens with the next step
-    assert found == pytest.approx([period * k for k in range(1, 1 + int(ticks[-1]) - (period == 0.1))], abs=1e-15)
+    assert found == pytest.approx(
+        [period * k for k in range(1, 1 + int(ticks[-1]) - (period == 0.1))], abs=1e-15
+    )
 
 
 @pytest.mark.parametrize("solver", STEPPING)
@@ -189,7 +203,8 @@ def test_discrete_states_that_never_settle_are_an_error():
     """FMI sets no limit: ours is 100 iterations; the message names the FMU and the time."""
     with Run("ENDLESS", p=0.325) as run:
         with pytest.raises(
-            Stopped, match=r"ENDLESS: discrete states do not settle at t = 0.325\d* s after 100 iterations"
+            Stopped,
+            match=r"ENDLESS: discrete states do not settle at t = 0.325\d* s after 100 iterations",
         ) as stop:
             run(1.0, 0.1)
         assert (stop.value.failed, stop.value.steps) == (True, 3)
@@ -235,7 +250,9 @@ path = "{build("BALL")}"
 """)
     cosim.run(str(scenario), out=tmp_path / "ball.mcap", block=1000)
     found = open_log(tmp_path / "ball.mcap").messages()
-    (bounce,) = [message for message in found if (message.level, message.name) == ("debug", "plant")]
+    (bounce,) = [
+        message for message in found if (message.level, message.name) == ("debug", "plant")
+    ]
     assert bounce.text.startswith("event: state event at t = 0.45152364098573")
     assert bounce.time_ns == 451_523_641
 
@@ -249,7 +266,15 @@ def pieces(steps, step):
     return np.column_stack([2.0 * np.sin(7.0 * t), np.floor(t / (3.5 * step)) % 3])
 
 
-CASES = {"BALL": 0.0, "FRICTION": 1.0, "SAW": 0.0137, "COUNTER": 0.0137, "TWO": 0.0, "MEMORY": 0.0, "SWITCH": 0.02}
+CASES = {
+    "BALL": 0.0,
+    "FRICTION": 1.0,
+    "SAW": 0.0137,
+    "COUNTER": 0.0137,
+    "TWO": 0.0,
+    "MEMORY": 0.0,
+    "SWITCH": 0.02,
+}
 
 
 @contextmanager
@@ -269,11 +294,16 @@ def making(model, solver, version=2):
 
 # every model with rk4, every solver with the most eventful one; the rest is a longer campaign
 PAIRS = [(model, solver) for model in CASES for solver in STEPPING]
-SHORT = [(model, solver) for model, solver in PAIRS if solver == "rk4" or (model == "FRICTION" and solver != "BDF")]
+SHORT = [
+    (model, solver)
+    for model, solver in PAIRS
+    if solver == "rk4" or (model == "FRICTION" and solver != "BDF")
+]
 
 
 @pytest.mark.parametrize(
-    ("model", "solver"), [pytest.param(*pair, marks=() if pair in SHORT else pytest.mark.campaign) for pair in PAIRS]
+    ("model", "solver"),
+    [pytest.param(*pair, marks=() if pair in SHORT else pytest.mark.campaign) for pair in PAIRS],
 )
 def test_units_with_events_keep_the_contract(model, solver):
     """Blocks of 1, 7 and all steps give the same bits, outputs changes nothing, restore(save()) is the identity: with memory too.
@@ -302,7 +332,12 @@ def test_outputs_with_other_inputs_leave_a_memory_alone():
         run(0.1, 0.1)
         for d, count in ((1.0, 1.0), (0.0, 0.0), (2.0, 1.0)):
             assert run.component.outputs(0.1, np.array([0.0, d]))[2] == count
-        assert run.component.advance(np.array([0.1, 0.2]), 0.1, np.array([[0.0, 2.0], [0.0, 2.0]]))[0, 2] == 1.0
+        assert (
+            run.component.advance(np.array([0.1, 0.2]), 0.1, np.array([[0.0, 2.0], [0.0, 2.0]]))[
+                0, 2
+            ]
+            == 1.0
+        )
 
 
 # --- solvers ---
@@ -326,7 +361,9 @@ def test_a_nominal_value_of_zero_is_refused():
 
 @pytest.mark.parametrize("rtol", [0.0, 1e-16, 1.0, math.nan])
 def test_a_tolerance_that_is_none_is_refused(rtol):
-    with pytest.raises(FmuError, match=rf"SWITCH: relative tolerance {rtol}; needed at least 1e-13 and less than 1"):
+    with pytest.raises(
+        FmuError, match=rf"SWITCH: relative tolerance {rtol}; needed at least 1e-13 and less than 1"
+    ):
         Run("SWITCH", "BDF", rtol=rtol)
 
 
@@ -346,7 +383,10 @@ def test_completed_integrator_step_is_called_after_every_step_of_the_solver():
         assert 1.0 < run.value("completed") < run.value("evaluations") / 12
 
 
-@pytest.mark.parametrize(("solver", "ratio"), [("RK45", 1.2), ("DOP853", 1.1), ("Radau", 1.1), ("BDF", 2.0), ("CVode", 2.0)])
+@pytest.mark.parametrize(
+    ("solver", "ratio"),
+    [("RK45", 1.2), ("DOP853", 1.1), ("Radau", 1.1), ("BDF", 2.0), ("CVode", 2.0)],
+)
 def test_solvers_run_on_over_communication_points(solver, ratio):
     """Evaluations over 0.2 s in steps of 1 ms, against those where the input jumps by 1e-12 at every point."""
 
@@ -368,14 +408,18 @@ def test_no_cvode_on_this_machine_is_an_error(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "fmpy.sundials", None)
     monkeypatch.delattr("fmpy.sundials", raising=False)
     with pytest.raises(
-        FmuError, match=r"solver 'CVode': fmpy has no SUNDIALS libraries for \w+-\w+ \(.*\); use 'BDF' or 'Radau'"
+        FmuError,
+        match=r"solver 'CVode': fmpy has no SUNDIALS libraries for \w+-\w+ \(.*\); use 'BDF' or 'Radau'",
     ):
         Run("SWITCH", "CVode", p=0.5)
 
 
 def test_cvode_says_why_it_fails(capfd):
     """A derivative that is not finite; nothing is printed."""
-    with Run("SWITCH", "CVode", p=0.5) as run, pytest.raises(Stopped, match=r"solver CVode: At t = 0 .*corrector convergence"):
+    with (
+        Run("SWITCH", "CVode", p=0.5) as run,
+        pytest.raises(Stopped, match=r"solver CVode: At t = 0 .*corrector convergence"),
+    ):
         run(1.0, 0.1, u=lambda t: math.nan)
     assert capfd.readouterr() == ("", "")
 

@@ -11,18 +11,23 @@ import numpy as np
 import pytest
 from fmpy.validation import validate_fmu
 
+from cosim.core.linear import LinearModel
 from cosim.core.signals import Interface, Signal
-from cosim.core.solver import LinearModel
 from cosim.errors import FmuError
 from cosim.fmi.component import ModelExchange, load
 from cosim.fmi.exporting import kernels
 from cosim.fmi.exporting.export import export
 from cosim.fmi.exporting.kernels import DiscreteModel
-from cosim.fmi.generated import GeneratedUnit
+from cosim.fmi.generated import GeneratedInstance
 from cosim.fmi.reading.model_description import read
 from cosim.native import build
 from cosim.native.expression import compile_expression
-from cosim.native.step import LeastSquaresConstants, RecoveryStep, RegressorConstants, first_order_hold
+from cosim.native.step import (
+    LeastSquaresConstants,
+    RecoveryStep,
+    RegressorConstants,
+    first_order_hold,
+)
 from tests.fmi.dae import descriptor
 from tests.fmi.plant import FACE, A, B, C, D, grid, inputs, model, run, solution
 
@@ -34,14 +39,23 @@ def test_exported_fmu_is_valid(exported):
     assert validate_fmu(str(exported)) == []
     with zipfile.ZipFile(exported) as archive:
         names = set(archive.namelist())
-    assert {"modelDescription.xml", "sources/fmi2.c", "sources/model.c", "sources/linear.c", "sources/cosim.h"} <= names
+    assert {
+        "modelDescription.xml",
+        "sources/fmi2.c",
+        "sources/model.c",
+        "sources/linear.c",
+        "sources/cosim.h",
+    } <= names
     assert "sources/fmi2Functions.h" in names
     assert any(name.startswith("binaries/") for name in names)
 
 
 def simulate(path, kind, *, step, slope):
     t = grid(step)
-    rows = np.array(list(zip(t, *inputs(t, slope).T, strict=True)), dtype=[("time", float), ("u", float), ("delta", float)])
+    rows = np.array(
+        list(zip(t, *inputs(t, slope).T, strict=True)),
+        dtype=[("time", float), ("u", float), ("delta", float)],
+    )
     found = fmpy.simulate_fmu(
         str(path), stop_time=2.0, step_size=1e-3, output_interval=step, fmi_type=kind, solver="CVode", relative_tolerance=1e-10,
         input=rows, output=NAMES,
@@ -72,39 +86,63 @@ def test_export_is_deterministic(exported, tmp_path):
         tmp_path / "other.fmu",
         name="academic",
     )
-    tokens = [fmpy.read_model_description(str(path)).guid for path in (again, tmp_path / "other.fmu")]
+    tokens = [
+        fmpy.read_model_description(str(path)).guid for path in (again, tmp_path / "other.fmu")
+    ]
     assert tokens[0] != tokens[1]
 
 
 def test_states_that_are_no_outputs_units_and_calculated_starts(tmp_path):
     """A model with a hidden state, units, and a start that follows the input: valid, and the same in both homes."""
     face = Interface(
-        (Signal("force", unit="N", role="input"),), (Signal("v", unit="m/s"), Signal("twice", unit="N.m")), {"v": (), "twice": ()}
+        (Signal("force", unit="N", role="input"),),
+        (Signal("v", unit="m/s"), Signal("twice", unit="N.m")),
+        {"v": (), "twice": ()},
     )
     A, B = np.array([[0.0, 1.0], [-4.0, -0.5]]), np.array([[0.0], [1.0]])
     C, D = np.array([[0.0, 1.0], [2.0, 0.0]]), np.zeros((2, 1))
-    hidden = LinearModel(face, ("position", "v"), A, B, C, D, np.array([0.5, 0.0]), np.array([[0.25], [0.0]]))
-    path = export(hidden, tmp_path / "mass.fmu", name="mass", description="a mass <on> a spring & damper").path
+    hidden = LinearModel(
+        face, ("position", "v"), A, B, C, D, np.array([0.5, 0.0]), np.array([[0.25], [0.0]])
+    )
+    path = export(
+        hidden, tmp_path / "mass.fmu", name="mass", description="a mass <on> a spring & damper"
+    ).path
     assert validate_fmu(str(path)) == []
 
     def force(t):
         return np.sin(t)[:, np.newaxis] + 1.0
 
-    expected = run(ModelExchange(GeneratedUnit.of(hidden), "rk4"), step=0.01, held=np.array([False]), u=force)
+    expected = run(
+        ModelExchange(GeneratedInstance.of(hidden), "rk4"),
+        step=0.01,
+        held=np.array([False]),
+        u=force,
+    )
     with load(path, solver="rk4") as fmu:
         assert fmu.description["position"].initial == "calculated"
         shown = [(s.name, s.unit, s.role) for s in fmu.component.interface.outputs]
-        assert shown == [("v", "m/s", "state"), ("twice", "N.m", "output"), ("position", None, "state")]
-        assert np.array_equal(run(fmu.component, step=0.01, held=np.array([False]), u=force)[:, :2], expected)
-    with load(path, mode="cs") as fmu:
-        assert run(fmu.component, step=0.01, held=np.array([False]), u=force)[:, :2] == pytest.approx(expected, abs=1e-8)
+        assert shown == [
+            ("v", "m/s", "state"),
+            ("twice", "N.m", "output"),
+            ("position", None, "state"),
+        ]
+        assert np.array_equal(
+            run(fmu.component, step=0.01, held=np.array([False]), u=force)[:, :2], expected
+        )
+    with load(path, interface_type="cs") as fmu:
+        assert run(fmu.component, step=0.01, held=np.array([False]), u=force)[
+            :, :2
+        ] == pytest.approx(expected, abs=1e-8)
     with pytest.raises(FmuError, match="'position' cannot be set at the start"):
         load(path, start={"position": 1.0})
 
 
 def test_any_number_of_instances_at_once(exported):
     """Instances share nothing that changes."""
-    with load(exported, mode="cs", instance_name="one") as one, load(exported, mode="cs", start={"x_a[1]": 0.0}) as two:
+    with (
+        load(exported, interface_type="cs", instance_name="one") as one,
+        load(exported, interface_type="cs", start={"x_a[1]": 0.0}) as two,
+    ):
         first = run(one.component, step=0.1)
         run(two.component, step=0.05)
         assert np.array_equal(first, run(one.component, step=0.1))
@@ -114,7 +152,9 @@ def test_what_cannot_be_exported_is_refused(tmp_path):
     """Numbers that are not finite, names that are no identifiers, missing folders."""
     with pytest.raises(FmuError, match="matrix A holds NaN or infinity"):
         export(
-            LinearModel(FACE, model().states, A * np.nan, B, C, D, np.zeros(2), np.zeros((2, 2))), tmp_path / "x.fmu", name="x"
+            LinearModel(FACE, model().states, A * np.nan, B, C, D, np.zeros(2), np.zeros((2, 2))),
+            tmp_path / "x.fmu",
+            name="x",
         )
     with pytest.raises(FmuError, match="name 'my plant': needed an identifier of C"):
         export(model(), tmp_path / "x.fmu", name="my plant")
@@ -133,33 +173,60 @@ def test_without_a_compiler_the_sources_are_written(fmi, tmp_path, monkeypatch):
     assert "no C compiler was found" in found.lines[1]
     assert f"fmi{fmi}.c unit.c continuous.c model.c linear.c -o" in found.lines[1]
     assert validate_fmu(str(found.path)) == []
-    with pytest.raises(FmuError, match="no binary for this platform; found binaries for: none; needed binaries/"):
+    with pytest.raises(
+        FmuError, match="no binary for this platform; found binaries for: none; needed binaries/"
+    ):
         load(found.path)
 
 
 def static(D):
     face = Interface((Signal("u", 2, role="input"),), (Signal("y", 2),), {"y": ("u",)})
-    return LinearModel(face, (), np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((2, 0)), D, np.zeros(0), np.zeros((0, 2)))
+    return LinearModel(
+        face,
+        (),
+        np.zeros((0, 0)),
+        np.zeros((0, 2)),
+        np.zeros((2, 0)),
+        D,
+        np.zeros(0),
+        np.zeros((0, 2)),
+    )
 
 
 def discrete(kernel, *, every=1, holds=False, optional=False, size=1, step_ns=1_000_000):
-    face = Interface((Signal("u", 1, role="input", optional=optional),), (Signal("y", size, optional=optional),), {})
+    face = Interface(
+        (Signal("u", 1, role="input", optional=optional),),
+        (Signal("y", size, optional=optional),),
+        {},
+    )
     return DiscreteModel(face, kernel, step_ns, "it is discrete", every=every, holds=holds)
 
 
 def regressor():
     programs = [compile_expression("1 + 0.5*sin(t)")]
-    constants = RegressorConstants(programs, (0, 2), (0.0, 0.002), np.array([0, 1]), np.array([[1], [0]]), np.array([1.0, -1.0]))
+    constants = RegressorConstants(
+        programs,
+        (0, 2),
+        (0.0, 0.002),
+        np.array([0, 1]),
+        np.array([[1], [0]]),
+        np.array([1.0, -1.0]),
+    )
     return discrete(kernels.regressor(constants), size=2, optional=True)
 
 
 def identifier():
     recovery = [RecoveryStep(1, (0, 1), (0,), (1.0, -1.0), 0.001)]
-    constants = LeastSquaresConstants(unknowns=1, start=0.002, information=1e-3, recovery=recovery, held=False)
-    face = Interface(
-        (Signal("mu", 2, role="input", optional=True),), (Signal("theta", optional=True), Signal("eta", optional=True))
+    constants = LeastSquaresConstants(
+        unknowns=1, start=0.002, information=1e-3, recovery=recovery, held=False
     )
-    return DiscreteModel(face, kernels.least_squares(constants), 1_000_000, "it is discrete", every=3)
+    face = Interface(
+        (Signal("mu", 2, role="input", optional=True),),
+        (Signal("theta", optional=True), Signal("eta", optional=True)),
+    )
+    return DiscreteModel(
+        face, kernels.least_squares(constants), 1_000_000, "it is discrete", every=3
+    )
 
 
 def sampled():
@@ -181,7 +248,17 @@ FORMS = {
 OF_VERSION = {"2": [form for form in FORMS if form != "descriptor"], "3": list(FORMS)}
 
 
-WARNINGS = ("-std=c11", "-g", "-O1", "-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Wconversion", "-Werror")
+WARNINGS = (
+    "-std=c11",
+    "-g",
+    "-O1",
+    "-Wall",
+    "-Wextra",
+    "-Wpedantic",
+    "-Wshadow",
+    "-Wconversion",
+    "-Werror",
+)
 SANITIZERS = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 
 
@@ -209,8 +286,12 @@ def sanitized(tmp_path_factory):
 
 
 @pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")
-@pytest.mark.parametrize(("form", "fmi"), [(form, fmi) for fmi, forms in OF_VERSION.items() for form in forms])
-def test_sources_are_clean_under_warnings_and_sanitizers(form, fmi, tmp_path, monkeypatch, sanitized):
+@pytest.mark.parametrize(
+    ("form", "fmi"), [(form, fmi) for fmi, forms in OF_VERSION.items() for form in forms]
+)
+def test_sources_are_clean_under_warnings_and_sanitizers(
+    form, fmi, tmp_path, monkeypatch, sanitized
+):
     """A C driver goes through every function, with wrong calls too; -Werror, address and undefined sanitizers."""
     monkeypatch.setattr(build, "compiler", list)  # sources are enough
     path = export(FORMS[form](), tmp_path / "x.fmu", name="x", fmi=fmi).path
@@ -220,12 +301,17 @@ def test_sources_are_clean_under_warnings_and_sanitizers(form, fmi, tmp_path, mo
     sources = tmp_path / "sources"
     driver = Path(__file__).with_name("c") / f"drive_fmi{fmi}.c"
     objects = sanitized([driver, *sources.glob("*.c")], sources)
-    for step in (["gcc", *SANITIZERS, *objects, "-o", tmp_path / "driver", "-lm"], [tmp_path / "driver"]):
+    for step in (
+        ["gcc", *SANITIZERS, *objects, "-o", tmp_path / "driver", "-lm"],
+        [tmp_path / "driver"],
+    ):
         result = subprocess.run(step, capture_output=True, text=True, check=False)
         assert result.returncode == 0, result.stdout + result.stderr
 
 
-@pytest.mark.skipif(shutil.which("gcc") is None or shutil.which("nm") is None, reason="needs gcc and nm")
+@pytest.mark.skipif(
+    shutil.which("gcc") is None or shutil.which("nm") is None, reason="needs gcc and nm"
+)
 @pytest.mark.parametrize("fmi", ["2", "3"])
 def test_nothing_is_shared_by_instances_that_changes(fmi, tmp_path, monkeypatch):
     """No file has a variable outside the instance: nm finds no writable data. Memory is taken by unit_new and by copies alone."""
@@ -234,17 +320,28 @@ def test_nothing_is_shared_by_instances_that_changes(fmi, tmp_path, monkeypatch)
     for form in OF_VERSION[fmi]:
         folder = tmp_path / form
         folder.mkdir()
-        with zipfile.ZipFile(export(FORMS[form](), folder / "x.fmu", name="x", fmi=fmi).path) as archive:
+        with zipfile.ZipFile(
+            export(FORMS[form](), folder / "x.fmu", name="x", fmi=fmi).path
+        ) as archive:
             archive.extractall(folder)
-        new = [source for source in (folder / "sources").glob("*.c") if source.read_bytes() not in seen]
+        new = [
+            source for source in (folder / "sources").glob("*.c") if source.read_bytes() not in seen
+        ]
         seen.update(source.read_bytes() for source in new)
         for source in new:
-            subprocess.run(["gcc", "-std=c11", "-O2", "-fno-pie", "-c", source, "-o", folder / "x.o"], check=True)
-            symbols = subprocess.run(["nm", folder / "x.o"], capture_output=True, text=True, check=True).stdout
+            subprocess.run(
+                ["gcc", "-std=c11", "-O2", "-fno-pie", "-c", source, "-o", folder / "x.o"],
+                check=True,
+            )
+            symbols = subprocess.run(
+                ["nm", folder / "x.o"], capture_output=True, text=True, check=True
+            ).stdout
             kinds = {line.split()[-2] for line in symbols.splitlines()}
             assert not kinds & set("BbDdCc"), f"{source.name}: {symbols}"
             assert source.name in ("unit.c", f"fmi{fmi}.c") or "alloc" not in symbols
-    assert {"unit.c", f"fmi{fmi}.c"} <= {source.name for source in (tmp_path / "plant" / "sources").iterdir()}
+    assert {"unit.c", f"fmi{fmi}.c"} <= {
+        source.name for source in (tmp_path / "plant" / "sources").iterdir()
+    }
 
 
 @pytest.mark.parametrize("fmi", ["2", "3"])
@@ -255,7 +352,9 @@ def test_the_archive_names_the_sources_that_are_there(fmi, tmp_path, monkeypatch
     (configuration,) = fmpy.read_model_description(str(path)).buildConfigurations
     named = {file for group in configuration.sourceFileSets for file in group.sourceFiles}
     with zipfile.ZipFile(path) as archive:
-        there = {name.removeprefix("sources/") for name in archive.namelist() if name.endswith(".c")}
+        there = {
+            name.removeprefix("sources/") for name in archive.namelist() if name.endswith(".c")
+        }
     assert named == there
 
 
@@ -282,9 +381,19 @@ def test_a_variable_called_time_is_refused_in_fmi_3(tmp_path):
     """FMI 3 has a variable of that name already."""
     face = Interface((Signal("u", role="input"),), (Signal("time"),), {"time": ("u",)})
     gain = LinearModel(
-        face, (), np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.ones((1, 1)), np.zeros(0), np.zeros((0, 1))
+        face,
+        (),
+        np.zeros((0, 0)),
+        np.zeros((0, 1)),
+        np.zeros((1, 0)),
+        np.ones((1, 1)),
+        np.zeros(0),
+        np.zeros((0, 1)),
     )
-    with pytest.raises(FmuError, match="a variable is called 'time', which in FMI 3 is the time; use FMI 2, or another name"):
+    with pytest.raises(
+        FmuError,
+        match="a variable is called 'time', which in FMI 3 is the time; use FMI 2, or another name",
+    ):
         export(gain, tmp_path / "x.fmu", name="x", fmi="3")
 
 
@@ -293,9 +402,18 @@ def test_an_instance_that_is_too_large_is_refused(tmp_path):
     many = 4000
     face = Interface((Signal("u", many, role="input"),), (Signal("y"),), {})
     wide = LinearModel(
-        face, (), np.zeros((0, 0)), np.zeros((0, many)), np.zeros((1, 0)), np.zeros((1, many)), np.zeros(0), np.zeros((0, many))
+        face,
+        (),
+        np.zeros((0, 0)),
+        np.zeros((0, many)),
+        np.zeros((1, 0)),
+        np.zeros((1, many)),
+        np.zeros(0),
+        np.zeros((0, many)),
     )
-    with pytest.raises(FmuError, match=r"x: an instance needs 256000001 numbers; needed at most 134217728"):
+    with pytest.raises(
+        FmuError, match=r"x: an instance needs 256000001 numbers; needed at most 134217728"
+    ):
         export(wide, tmp_path / "x.fmu", name="x")
 
 
@@ -314,6 +432,12 @@ def test_the_page_says_what_it_is(exported, tmp_path):
 
 def test_further_files_go_into_the_archive(tmp_path):
     """Such as the manifest of a layered standard."""
-    path = export(model(), tmp_path / "x.fmu", name="x", fmi="3", extra={"extra/org.example/manifest.xml": b"<a/>"}).path
+    path = export(
+        model(),
+        tmp_path / "x.fmu",
+        name="x",
+        fmi="3",
+        extra={"extra/org.example/manifest.xml": b"<a/>"},
+    ).path
     with zipfile.ZipFile(path) as archive:
         assert archive.read("extra/org.example/manifest.xml") == b"<a/>"

@@ -7,7 +7,7 @@ import pytest
 
 from cosim.errors import FmuError, RunError
 from cosim.fmi.component import load
-from cosim.fmi.unit import DiscreteStates, StepEnd
+from cosim.fmi.instance import DiscreteStates, StepEnd
 from tests.fmi.probes import got, opened, put
 
 
@@ -61,17 +61,27 @@ def test_model_exchange(model1):
     """The first event iteration is the initialization's; the modes call nothing."""
     with opened(model1) as (_, unit):
         unit.enter_initialization_mode(2.0)
-        put(unit, u=3.0, behaviour=2)
+        put(unit, u=3.0, behavior=2)
         unit.exit_initialization_mode()
-        assert unit.update_discrete_states() == DiscreteStates(False, False, 3.0, values_changed=False, nominals_changed=False)
+        assert unit.update_discrete_states() == DiscreteStates(
+            False, False, 3.0, values_changed=False, nominals_changed=False
+        )
         unit.enter_continuous_time_mode()
         unit.set_time(2.5)
         unit.set_continuous_states(np.array([4.0]))
-        assert (unit.get_derivatives().tolist(), unit.get_continuous_states().tolist()) == ([3.0], [4.0])
-        assert (unit.get_event_indicators().tolist(), unit.get_nominals().tolist()) == ([3.0], [7.0])
+        assert (unit.get_derivatives().tolist(), unit.get_continuous_states().tolist()) == (
+            [3.0],
+            [4.0],
+        )
+        assert (unit.get_event_indicators().tolist(), unit.get_nominals().tolist()) == (
+            [3.0],
+            [7.0],
+        )
         assert unit.completed_integrator_step() == (False, False)
         unit.enter_event_mode()
-        assert unit.update_discrete_states() == DiscreteStates(False, False, None, values_changed=True, nominals_changed=False)
+        assert unit.update_discrete_states() == DiscreteStates(
+            False, False, None, values_changed=True, nominals_changed=False
+        )
 
 
 def test_co_simulation(slave1):
@@ -83,14 +93,18 @@ def test_co_simulation(slave1):
         unit.set_input_derivatives(unit.description.reference(["u"]), np.array([8.0]))
         assert unit.do_step(1.0, 0.5) == StepEnd(completed=True, terminate=False, reached=1.5)
         assert got(unit, "x", "slope") == [3.5, 8.0]
-        put(unit, behaviour=1)
-        assert unit.do_step(1.5, 0.5) == StepEnd(False, terminate=False, discarded=True, reached=1.625)
+        put(unit, behavior=1)
+        assert unit.do_step(1.5, 0.5) == StepEnd(
+            False, terminate=False, discarded=True, reached=1.625
+        )
 
 
 def test_what_fmi_1_does_not_have(slave1):
     with opened(slave1) as (_, unit):
         y, u = unit.description.reference(["y"]), unit.description.reference(["u"])
-        with pytest.raises(RunError, match=r"slave1.fmu: FMI 1.0 has no FMU state, so there is no way back"):
+        with pytest.raises(
+            RunError, match=r"slave1.fmu: FMI 1.0 has no FMU state, so there is no way back"
+        ):
             unit.get_fmu_state()
         with pytest.raises(RunError, match=r"FMI 1.0 has no directional derivatives"):
             unit.get_directional_derivative(y, u, np.ones(1))
@@ -103,7 +117,10 @@ def test_what_fmi_1_does_not_have(slave1):
 def test_messages_know_their_instance_by_its_address(slave1):
     """The logger of FMI 1.0 is given no environment; before it is instantiated an FMU has no address either."""
     with opened(slave1) as (one, first), opened(slave1) as (two, _):
-        assert ([text for *_, text in one.drain()], [text for *_, text in two.drain()]) == (["hello world"], ["hello world"])
+        assert ([text for *_, text in one.drain()], [text for *_, text in two.drain()]) == (
+            ["hello world"],
+            ["hello world"],
+        )
         first.enter_initialization_mode(0.0)
         first.exit_initialization_mode()
         assert ([text for *_, text in one.drain()], two.drain()) == (["x = 0"], [])
@@ -124,7 +141,11 @@ def test_a_missing_function_of_fmi_1(tmp_path, slave1):
     renamed = slave1.with_suffix(".renamed.fmu")
     with zipfile.ZipFile(slave1) as source, zipfile.ZipFile(renamed, "w") as target:
         for name in source.namelist():
-            content = source.read(name).replace(b'modelIdentifier="model"', b'modelIdentifier="other"')
+            content = source.read(name).replace(
+                b'modelIdentifier="model"', b'modelIdentifier="other"'
+            )
             target.writestr(name.replace("model.", "other."), content)
-    with pytest.raises(FmuError, match=r"the binary other\S+ cannot be used: it has no function other_fmiGetReal"):
+    with pytest.raises(
+        FmuError, match=r"the binary other\S+ cannot be used: it has no function other_fmiGetReal"
+    ):
         load(renamed)

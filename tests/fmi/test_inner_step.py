@@ -11,7 +11,10 @@ from cosim.fmi.driving.inner_step import InnerStep
 def look(outputs, inputs, watch=None):
     """Give (number of the step, n) of what is found."""
     watch = watch or InnerStep(np.array([0]))
-    found = [(k, watch.see(np.array([y]), np.array([u]))) for k, (y, u) in enumerate(zip(outputs, inputs, strict=True))]
+    found = [
+        (k, watch.see(np.array([y]), np.array([u])))
+        for k, (y, u) in enumerate(zip(outputs, inputs, strict=True))
+    ]
     return [(k, n) for k, n in found if n]
 
 
@@ -38,7 +41,16 @@ def test_an_inner_step_is_found_once(n, moves, late):
         (1.0 + 2.0**-52 * (STEPS // 10), STILL),
         (np.random.default_rng(1).poisson(0.5, len(STEPS)).cumsum(), STILL),
     ],
-    ids=["rest, moved", "rest", "lively", "held input", "held input, late", "pulse", "creeping", "irregular"],
+    ids=[
+        "rest, moved",
+        "rest",
+        "lively",
+        "held input",
+        "held input, late",
+        "pulse",
+        "creeping",
+        "irregular",
+    ],
 )
 def test_nothing_else_is_taken_for_one(outputs, inputs):
     assert look(outputs.astype(float), inputs.astype(float)) == []

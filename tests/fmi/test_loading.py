@@ -22,7 +22,11 @@ from tests.fmi.probes import got, opened, put, xml1, xml2, xml3
 def mapped():
     """Give the libraries of FMUs that are in memory; those of pythonfmu stay there for good, as they pin themselves."""
     maps = Path("/proc/self/maps")
-    return {line.split()[5] for line in maps.read_text().splitlines() if "cosim-fmu-" in line} if maps.exists() else set()
+    return (
+        {line.split()[5] for line in maps.read_text().splitlines() if "cosim-fmu-" in line}
+        if maps.exists()
+        else set()
+    )
 
 
 @pytest.fixture(autouse=True)
@@ -59,19 +63,30 @@ def test_a_missing_dependency_is_named(tmp_path):
     (tmp_path / "more.c").write_text("int aid(void); int more(void) { return aid(); }")
     path = compile_fmu(tmp_path / "x.fmu", xml2(), "probe2.c", tmp_path / "more.c", aid)
     aid.unlink()
-    refused(path, rf"x.fmu: the binary model\S+ cannot be used: .*libaid\{SUFFIX}: cannot open shared object file: No such file")
+    refused(
+        path,
+        rf"x.fmu: the binary model\S+ cannot be used: .*libaid\{SUFFIX}: cannot open shared object file: No such file",
+    )
 
 
 def test_a_missing_symbol_is_named(tmp_path):
     """One that the binary itself needs, and one that the standard requires of it."""
     (tmp_path / "more.c").write_text("int nowhere(void); int more(void) { return nowhere(); }")
     refused(
-        compile_fmu(tmp_path / "x.fmu", xml2(), "probe2.c", tmp_path / "more.c"), "cannot be used: .*undefined symbol: nowhere"
+        compile_fmu(tmp_path / "x.fmu", xml2(), "probe2.c", tmp_path / "more.c"),
+        "cannot be used: .*undefined symbol: nowhere",
     )
     path = compile_fmu(tmp_path / "y.fmu", xml2(), "probe2.c", defines=("LACKS_RESET",))
-    refused(path, r"the binary model\S+ cannot be used: it has no function fmi2Reset, which the standard requires")
+    refused(
+        path,
+        r"the binary model\S+ cannot be used: it has no function fmi2Reset, which the standard requires",
+    )
     path = compile_fmu(tmp_path / "z.fmu", xml2(), "probe2.c", defines=("LACKS_STATES",))
-    refused(path, r"cannot be used: it has no function fmi2SetContinuousStates, which the standard requires", mode="me")
+    refused(
+        path,
+        r"cannot be used: it has no function fmi2SetContinuousStates, which the standard requires",
+        interface_type="me",
+    )
 
 
 def test_a_state_that_cannot_be_freed_leaves_nothing_behind(probe2, monkeypatch):
@@ -80,7 +95,7 @@ def test_a_state_that_cannot_be_freed_leaves_nothing_behind(probe2, monkeypatch)
     def refuse(_):
         raise RunError("fmi2FreeFMUstate returned 3 (error)")
 
-    with opened(probe2, mode="cs") as (_, unit):
+    with opened(probe2, interface_type="cs") as (_, unit):
         unit.get_fmu_state()
         monkeypatch.setattr(unit._calls, "free_state", refuse)
 
@@ -90,23 +105,31 @@ def test_a_binary_for_another_machine(probe2, tmp_path):
     number, other = next((number, name) for number, name in ELF.items() if name != ARCHITECTURE)
     path = with_binary(probe2, lambda content: content[:18] + bytes([number]) + content[19:])
     refused(
-        path, rf"the binary \S+/model\S+ is for {other}, found in the folder for {ARCHITECTURE}; needed one for {ARCHITECTURE}"
+        path,
+        rf"the binary \S+/model\S+ is for {other}, found in the folder for {ARCHITECTURE}; needed one for {ARCHITECTURE}",
     )
 
 
 def test_an_instance_that_is_refused(tmp_path):
     """A wrong GUID or token; what the FMU says about it is the reason."""
     for xml, source, text in [
-        (xml2().replace('guid="probe"', 'guid="other"'), "probe2.c", "it said: error: wrong guid other"),
+        (
+            xml2().replace('guid="probe"', 'guid="other"'),
+            "probe2.c",
+            "it said: error: wrong guid other",
+        ),
         (xml3(token="other"), "probe3.c", "it said: error: wrong token %s"),
         (xml1().replace('guid="probe"', 'guid="other"'), "probe1.c", "it said: info: hello world"),
     ]:
-        refused(compile_fmu(tmp_path / "x.fmu", xml, source), f"cannot be used: it refuses to instantiate; {text}")
+        refused(
+            compile_fmu(tmp_path / "x.fmu", xml, source),
+            f"cannot be used: it refuses to instantiate; {text}",
+        )
 
 
 def test_after_the_end_no_call_reaches_the_library(probe2):
     """A function whose address is held is gone with the library; freeing and ending twice does no harm."""
-    with opened(probe2, mode="me") as (fmu, unit):
+    with opened(probe2, interface_type="me") as (fmu, unit):
         state, held = unit.get_fmu_state(), unit.set_time
     with pytest.raises(RunError, match="fmi2SetTime cannot be called: the instance was freed"):
         held(1.0)
@@ -121,8 +144,8 @@ def test_after_the_end_no_call_reaches_the_library(probe2):
 def test_two_instances_of_one_fmu(request, slave1, number):
     """Each has its own memory, whatever the order of their ends."""
     path = slave1 if number == 1 else request.getfixturevalue(f"probe{number}")
-    one, two = load(path, mode="cs"), load(path, mode="cs")
-    units = [fmu.component._unit for fmu in (one, two)]
+    one, two = load(path, interface_type="cs"), load(path, interface_type="cs")
+    units = [fmu.component._instance for fmu in (one, two)]
     for value, unit in enumerate(units):
         unit.enter_initialization_mode(0.0)
         put(unit, u=float(value))
@@ -138,17 +161,26 @@ def test_two_instances_of_one_fmu(request, slave1, number):
     ("xml", "source"),
     [
         (xml1(once=True), "probe1.c"),
-        (xml2().replace("<CoSimulation ", '<CoSimulation canBeInstantiatedOnlyOncePerProcess="true" '), "probe2.c"),
+        (
+            xml2().replace(
+                "<CoSimulation ", '<CoSimulation canBeInstantiatedOnlyOncePerProcess="true" '
+            ),
+            "probe2.c",
+        ),
     ],
 )
 def test_an_fmu_that_can_be_here_only_once(tmp_path, xml, source):
     """A second instance is refused while the first is there; a failure does not count as one."""
     path = compile_fmu(tmp_path / "x.fmu", xml, source)
     broken = with_binary(path, lambda _: b"\x7fELF")
-    refused(broken, "cannot be used: .*file too short", mode="cs")
-    with load(path, mode="cs"):
-        refused(path, r"x.fmu: can be instantiated only once per process .*; close that one before", mode="cs")
-    load(path, mode="cs").close()
+    refused(broken, "cannot be used: .*file too short", interface_type="cs")
+    with load(path, interface_type="cs"):
+        refused(
+            path,
+            r"x.fmu: can be instantiated only once per process .*; close that one before",
+            interface_type="cs",
+        )
+    load(path, interface_type="cs").close()
 
 
 def clocked(causality, **options):
@@ -159,20 +191,29 @@ def clocked(causality, **options):
 def test_clocks_are_said_by_name(tmp_path):
     """A clock that is only shown needs nothing; one that must be ticked is an error in model exchange."""
     path = compile_fmu(tmp_path / "x.fmu", clocked("output"), "probe3.c")
-    with load(path, mode="me") as fmu:
+    with load(path, interface_type="me") as fmu:
         assert fmu.notes[0] == "probe: clocks are not supported: tick"
     path = compile_fmu(tmp_path / "y.fmu", clocked("input", event_mode=True), "probe3.c")
-    refused(path, 'clocks are not supported: tick; in model exchange tick would have to be ticked; use mode = "cs"', mode="me")
-    with opened(path, mode="cs") as (fmu, unit):
-        assert fmu.notes[0] == "probe: clocks are not supported: tick; the FMU drives them itself, without event mode"
+    refused(
+        path,
+        'clocks are not supported: tick; in model exchange tick would have to be ticked; use interface_type = "cs"',
+        interface_type="me",
+    )
+    with opened(path, interface_type="cs") as (fmu, unit):
+        assert (
+            fmu.notes[0]
+            == "probe: clocks are not supported: tick; the FMU drives them itself, without event mode"
+        )
         assert got(unit, "event_mode") == [0.0]
 
 
 def test_states_that_lie_are_not_saved(tmp_path):
     """A trial in another process finds out; the FMU runs without."""
     path = compile_fmu(tmp_path / "x.fmu", xml2(), "probe2.c", defines=("LIES",))
-    with load(path, mode="cs") as fmu:
-        assert fmu.notes[0].startswith("probe: its state is not saved, although it says that it can be: goes back wrongly")
+    with load(path, interface_type="cs") as fmu:
+        assert fmu.notes[0].startswith(
+            "probe: its state is not saved, although it says that it can be: goes back wrongly"
+        )
         assert not fmu.description.capabilities["cs"].saves_state
         with pytest.raises(FmuError, match="the unit cannot save its state"):
             fmu.component.save()
@@ -180,7 +221,7 @@ def test_states_that_lie_are_not_saved(tmp_path):
 
 def test_states_that_were_let_go_of_are_used_again(probe2):
     """The probe says when it allocates one."""
-    with load(probe2, mode="cs") as fmu:
+    with load(probe2, interface_type="cs") as fmu:
         fmu.component.initialize(0.0, np.zeros(1))
         for _ in range(5):
             saved = fmu.component.save()
@@ -191,9 +232,9 @@ def test_states_that_were_let_go_of_are_used_again(probe2):
         assert [text for *_, text in fmu.drain()] == ["allocated a state"] * 10
 
 
-def cycle(path, mode):
+def cycle(path, interface_type):
     """Load, run a step, free."""
-    with load(path, mode=mode) as fmu:
+    with load(path, interface_type=interface_type) as fmu:
         unit = fmu.component
         unit.prepare(0.1, np.zeros(1, np.bool_), {})
         unit.initialize(0.0, np.zeros(1))
@@ -204,15 +245,19 @@ def footprint():
     """Give open file descriptors, mappings, and resident memory [bytes] of this process."""
     gc.collect()
     resident = int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
-    return len(os.listdir("/proc/self/fd")), len(Path("/proc/self/maps").read_text().splitlines()), resident
+    return (
+        len(os.listdir("/proc/self/fd")),
+        len(Path("/proc/self/maps").read_text().splitlines()),
+        resident,
+    )
 
 
-def grown(path, mode, *, warm_up, cycles, measure):
+def grown(path, interface_type, *, warm_up, cycles, measure):
     for _ in range(warm_up):
-        cycle(path, mode)
+        cycle(path, interface_type)
     before = measure()
     for _ in range(cycles):
-        cycle(path, mode)
+        cycle(path, interface_type)
     return tuple(after - start for after, start in zip(measure(), before, strict=True))
 
 
@@ -223,13 +268,19 @@ def traced():
 
 
 @pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="counts what Linux tells")
-@pytest.mark.parametrize(("number", "mode"), [(1, "me"), (1, "cs"), (2, "me"), (2, "cs"), (3, "me"), (3, "cs")])
-def test_cycles_leave_nothing_behind(request, model1, slave1, number, mode):
+@pytest.mark.parametrize(
+    ("number", "interface_type"), [(1, "me"), (1, "cs"), (2, "me"), (2, "cs"), (3, "me"), (3, "cs")]
+)
+def test_cycles_leave_nothing_behind(request, model1, slave1, number, interface_type):
     """5 MB in 10 000 cycles are 500 bytes in each; CPython keeps up to about 50 kB of small objects for the next ones."""
-    path = {"me": model1, "cs": slave1}[mode] if number == 1 else request.getfixturevalue(f"probe{number}")
+    path = (
+        {"me": model1, "cs": slave1}[interface_type]
+        if number == 1
+        else request.getfixturevalue(f"probe{number}")
+    )
     tracemalloc.start()
     try:
-        files, maps, memory = grown(path, mode, warm_up=20, cycles=50, measure=traced)
+        files, maps, memory = grown(path, interface_type, warm_up=20, cycles=50, measure=traced)
     finally:
         tracemalloc.stop()
     assert (files, abs(maps) <= 2) == (0, True)
@@ -238,9 +289,9 @@ def test_cycles_leave_nothing_behind(request, model1, slave1, number, mode):
 
 @pytest.mark.campaign
 @pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="counts what Linux tells")
-@pytest.mark.parametrize(("number", "mode"), [(1, "me"), (2, "cs"), (3, "cs")])
-def test_ten_thousand_cycles(request, model1, number, mode):
+@pytest.mark.parametrize(("number", "interface_type"), [(1, "me"), (2, "cs"), (3, "cs")])
+def test_ten_thousand_cycles(request, model1, number, interface_type):
     path = model1 if number == 1 else request.getfixturevalue(f"probe{number}")
-    files, maps, memory = grown(path, mode, warm_up=100, cycles=10_000, measure=footprint)
+    files, maps, memory = grown(path, interface_type, warm_up=100, cycles=10_000, measure=footprint)
     assert (files, abs(maps) <= 2) == (0, True)
     assert memory < 5_000_000

@@ -27,7 +27,14 @@ def messages():
 
 def log(status, category, form, *arguments, key=KEY):
     """Call the logger as an FMU does: with variable arguments."""
-    library.cosim_log(c_void_p(key), c_char_p(b"one"), c_int(status), c_char_p(category), c_char_p(form), *arguments)
+    library.cosim_log(
+        c_void_p(key),
+        c_char_p(b"one"),
+        c_int(status),
+        c_char_p(category),
+        c_char_p(form),
+        *arguments,
+    )
 
 
 def test_a_message_is_formatted_with_its_arguments(messages):
@@ -82,7 +89,10 @@ def test_messages_reach_the_one_that_listens(messages):
     other.listen(KEY + 1)
     for key in (KEY, KEY + 1, KEY + 2):
         log(0, b"", b"%d", c_int(key), key=key)
-    assert ([m.text for m in messages.drain()], [m.text for m in other.drain()]) == (["4711"], ["4712"])
+    assert ([m.text for m in messages.drain()], [m.text for m in other.drain()]) == (
+        ["4711"],
+        ["4712"],
+    )
     del other
     log(0, b"", b"gone", key=KEY + 1)
 
@@ -94,17 +104,26 @@ def test_a_message_has_the_time_at_which_it_came(messages):
         messages.clock.value = 0.5 * k
         log(0, b"", b"%d", c_int(k))
         if k == 1:
-            assert [(m.time, m.text) for m in messages.drain()] == [(None, "early"), (0.0, "0"), (0.5, "1")]
+            assert [(m.time, m.text) for m in messages.drain()] == [
+                (None, "early"),
+                (0.0, "0"),
+                (0.5, "1"),
+            ]
     log(0, b"", b"again")
     found = messages.drain()
     assert found[0] == Message(1.5, "warning", "", "1 earlier messages of the FMU were dropped")
-    assert [(m.time, m.text) for m in found[1:-1]] == [(0.5 * k, str(k)) for k in range(3, MESSAGES + 2)]
+    assert [(m.time, m.text) for m in found[1:-1]] == [
+        (0.5 * k, str(k)) for k in range(3, MESSAGES + 2)
+    ]
     assert (found[-1].time, found[-1].text) == (messages.clock.value, "again")
 
 
 def test_messages_from_other_threads(messages):
     """ctypes lets go of Python's lock in the call: the threads do run at once, and every message is kept or counted."""
-    threads = [threading.Thread(target=lambda i=i: [log(0, b"", b"%d", c_int(i)) for _ in range(2000)]) for i in range(4)]
+    threads = [
+        threading.Thread(target=lambda i=i: [log(0, b"", b"%d", c_int(i)) for _ in range(2000)])
+        for i in range(4)
+    ]
     for thread in threads:
         thread.start()
     found = []
@@ -119,10 +138,10 @@ def test_messages_from_other_threads(messages):
 
 def test_an_fmu_hands_over_its_messages(exported, capfd):
     """A refused call is said by the FMU; the second time there is nothing new; nothing is printed."""
-    with load(exported, mode="cs") as fmu:
+    with load(exported, interface_type="cs") as fmu:
         assert fmu.drain() == []
         with pytest.raises(RunError, match="it said: error: call not allowed in this mode"):
-            fmu.component._unit.do_step(0.0, 0.1)
+            fmu.component._instance.do_step(0.0, 0.1)
         ((_, level, _, text),) = fmu.drain()
         assert (level, text) == ("error", "call not allowed in this mode")
         assert fmu.drain() == []
@@ -130,11 +149,17 @@ def test_an_fmu_hands_over_its_messages(exported, capfd):
 
 
 def test_two_units_keep_their_messages_apart(probe2, probe3):
-    with opened(probe2, mode="cs") as (one, first), opened(probe3, mode="cs") as (two, second):
+    with (
+        opened(probe2, interface_type="cs") as (one, first),
+        opened(probe3, interface_type="cs") as (two, second),
+    ):
         first.get_fmu_state()
         assert two.drain() == []
         second.get_fmu_state()
-    expected = [Message(None, "info", "probe", "allocated a state"), Message(None, "info", "probe", "freed")]
+    expected = [
+        Message(None, "info", "probe", "allocated a state"),
+        Message(None, "info", "probe", "freed"),
+    ]
     assert (one.drain(), two.drain()) == (expected, expected)
 
 
@@ -149,14 +174,14 @@ def test_the_time_is_that_of_the_simulation(probe, request):
         return message.time
 
     path = request.getfixturevalue(probe)
-    with opened(path, mode="me") as (fmu, unit):
+    with opened(path, interface_type="me") as (fmu, unit):
         assert said_at(fmu, unit) is None
         unit.enter_initialization_mode(2.0)
         assert said_at(fmu, unit) == 2.0
         unit.exit_initialization_mode()
         unit.set_time(2.5)
         assert said_at(fmu, unit) == 2.5
-    with opened(path, mode="cs") as (fmu, unit):
+    with opened(path, interface_type="cs") as (fmu, unit):
         unit.enter_initialization_mode(2.0)
         unit.exit_initialization_mode()
         unit.do_step(2.0, 0.5)
@@ -169,9 +194,12 @@ def test_the_time_is_that_of_the_simulation_in_fmi_1(slave1):
     with opened(slave1) as (fmu, unit):
         unit.enter_initialization_mode(2.0)
         unit.exit_initialization_mode()
-        assert [(message.time, message.text) for message in fmu.drain()] == [(None, "hello world"), (2.0, "x = 0")]
+        assert [(message.time, message.text) for message in fmu.drain()] == [
+            (None, "hello world"),
+            (2.0, "x = 0"),
+        ]
         unit.do_step(2.5, 0.5)
-        log(0, b"", b"in the step", key=fmu._unit.messages._kept.key)
+        log(0, b"", b"in the step", key=fmu._instance.messages._kept.key)
         assert [message.time for message in fmu.drain()] == [2.5]
 
 
@@ -180,9 +208,15 @@ def test_messages_stand_in_the_log_at_the_time_they_were_said(tmp_path, block):
     """However long the block, and in the order in which they came; the FMU says where each of its steps begins."""
     fmu = compile_fmu(tmp_path / "model.fmu", xml2(), "probe2.c", defines=("SAYS",))
     scenario = write(tmp_path, fmu, stop=0.9)
-    found = [m for m in cosim.run(scenario, out=tmp_path / "one.mcap", block=block).messages() if m.text.startswith("step: ")]
+    found = [
+        m
+        for m in cosim.run(scenario, out=tmp_path / "one.mcap", block=block).messages()
+        if m.text.startswith("step: ")
+    ]
     assert [message.time_ns for message in found] == [100_000_000 * k for k in range(9)]
-    assert [float(message.text.removeprefix("step: ")) for message in found] == [k / 10 for k in range(9)]
+    assert [float(message.text.removeprefix("step: ")) for message in found] == [
+        k / 10 for k in range(9)
+    ]
 
 
 def write(folder, fmu, *, stop=0.1):
@@ -195,7 +229,7 @@ stop = {stop}
 step = 0.1
 [components.plant]
 kind = "fmu"
-mode = "cs"
+interface_type = "cs"
 path = "{fmu}"
 [components.u]
 kind = "constant"
@@ -208,7 +242,9 @@ value = 3.0
 
 def test_messages_come_into_the_log_with_their_category(tmp_path, slave1):
     log = cosim.run(write(tmp_path, slave1), out=tmp_path / "one.mcap")
-    found = [(message.time_ns, message.level, message.name, message.text) for message in log.messages()]
+    found = [
+        (message.time_ns, message.level, message.name, message.text) for message in log.messages()
+    ]
     assert (0, "info", "plant", "probe: hello world") in found
     assert (0, "info", "plant", "probe: x = 3") in found
 
@@ -221,5 +257,7 @@ def test_nothing_is_printed_where_fmpy_has_no_logger():
         "from cosim.fmi.binary.library import declared",
         "declared('fmi2')",
     ]
-    done = subprocess.run([sys.executable, "-c", "\n".join(lines)], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", "\n".join(lines)], capture_output=True, text=True, check=True
+    )
     assert done.stdout == ""

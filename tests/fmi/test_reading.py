@@ -13,7 +13,11 @@ from cosim.fmi.reading.model_description import read
 from cosim.units import BaseUnit
 from tests.fmi.archives import write
 
-METRE, KELVIN, NEWTON = (0, 1, 0, 0, 0, 0, 0, 0), (0, 0, 0, 0, 1, 0, 0, 0), (1, 1, -2, 0, 0, 0, 0, 0)
+METRE, KELVIN, NEWTON = (
+    (0, 1, 0, 0, 0, 0, 0, 0),
+    (0, 0, 0, 0, 1, 0, 0, 0),
+    (1, 1, -2, 0, 0, 0, 0, 0),
+)
 
 FMI1 = """<?xml version="1.0"?>
 <fmiModelDescription fmiVersion="1.0" modelName="one" modelIdentifier="one" guid="{1}" generationTool="tool 1"
@@ -131,11 +135,22 @@ def one(implementation=""):
 def test_fmi_1(described):
     """Words of FMI 2 for what FMI 1 says in its own: states have a number and no names."""
     found = described(one())
-    assert (found.version, found.name, found.token, found.tool, found.default_tolerance) == ("1.0", "one", "{1}", "tool 1", 1e-5)
+    assert (found.version, found.name, found.token, found.tool, found.default_tolerance) == (
+        "1.0",
+        "one",
+        "{1}",
+        "tool 1",
+        1e-5,
+    )
     assert (found.states, found.n_states, found.event_indicators) == ((), 2, 3)
     assert found.capabilities == {"me": Capabilities("one")}
     assert found["u"].base == BaseUnit(NEWTON)
-    assert (found["u"].minimum, found["u"].maximum, found["u"].nominal, found["u"].doc) == (-1.0, 2.0, 10.0, "force")
+    assert (found["u"].minimum, found["u"].maximum, found["u"].nominal, found["u"].doc) == (
+        -1.0,
+        2.0,
+        10.0,
+        "force",
+    )
     roles = {v.name: (v.causality, v.variability, v.initial) for v in found.variables}
     assert roles == {
         "u": ("input", "continuous", "exact"), "y": ("output", "continuous", "calculated"),
@@ -163,8 +178,12 @@ def test_feedthrough_of_fmi_1(described):
 @pytest.mark.parametrize(("what", "tool"), [("StandAlone", False), ("Tool", True)])
 def test_co_simulation_of_fmi_1(described, what, tool):
     """An FMU of FMI 1 is for one kind."""
-    found = described(one(CO_SIMULATION.replace("{what}", what).replace("{model}", ""))).capabilities
-    able = Capabilities("one", interpolates_inputs=True, variable_step=True, once_per_process=True, needs_tool=tool)
+    found = described(
+        one(CO_SIMULATION.replace("{what}", what).replace("{model}", ""))
+    ).capabilities
+    able = Capabilities(
+        "one", interpolates_inputs=True, variable_step=True, once_per_process=True, needs_tool=tool
+    )
     assert found == {"cs": able}
 
 
@@ -173,16 +192,31 @@ def test_fmi_2(described):
     found = described(FMI2)
     assert found.capabilities == {
         "me": Capabilities("two", directional_derivatives=True, saves_state=True, needs_tool=True),
-        "cs": Capabilities("two_cs", interpolates_inputs=True, serializes_state=True, completed_step=False),
+        "cs": Capabilities(
+            "two_cs", interpolates_inputs=True, serializes_state=True, completed_step=False
+        ),
     }
     assert (found.states, found.n_states, found.read) == (("x", "hidden"), 2, ("hidden",))
     assert (found.event_indicators, found.default_step, found.default_tolerance) == (2, 0.01, 1e-6)
     assert found["u"].base == BaseUnit(KELVIN, 1.0, 273.15)
     assert found["rise"].base == BaseUnit(KELVIN)  # a difference has no offset
     assert found["hidden"].base == BaseUnit(NEWTON, 1000.0)
-    assert (found["rise"].unit, found["rise"].minimum, found["rise"].maximum, found["rise"].nominal) == ("degC", 0.0, 50.0, 5.0)
-    assert (found["mode"].items, found["mode"].start, found["path"].text) == ({"off": -3, "on": 7}, (7.0,), ("a b",))
-    assert (found["late"].variability, found["der(x)"].derivative_of, found["h"].derivative_of) == ("discrete", "x", "hidden")
+    assert (
+        found["rise"].unit,
+        found["rise"].minimum,
+        found["rise"].maximum,
+        found["rise"].nominal,
+    ) == ("degC", 0.0, 50.0, 5.0)
+    assert (found["mode"].items, found["mode"].start, found["path"].text) == (
+        {"off": -3, "on": 7},
+        (7.0,),
+        ("a b",),
+    )
+    assert (found["late"].variability, found["der(x)"].derivative_of, found["h"].derivative_of) == (
+        "discrete",
+        "x",
+        "hidden",
+    )
     assert (found["x"].initial, found["u"].initial, found["mode"].initial, found["late"].initial) == (
         "approx", "exact", "exact", "calculated",
     )  # fmt: skip
@@ -193,18 +227,30 @@ def test_the_interface_of_fmi_2(described):
     found = described(FMI2)
     face = found.interface
     inputs = {signal.name: signal for signal in face.inputs}
-    assert (inputs["u"].base, inputs["u"].start, inputs["i"].start) == (BaseUnit(KELVIN, 1.0, 273.15), (20.0,), (3.0, 4.0))
+    assert (inputs["u"].base, inputs["u"].start, inputs["i"].start) == (
+        BaseUnit(KELVIN, 1.0, 273.15),
+        (20.0,),
+        (3.0, 4.0),
+    )
     assert face.feedthrough == {"rise": ("u",), "x": (), "late": (), "hidden": ()}
     assert found.initial_dependencies == {"x": ("u",), "rise": None, "der(x)": ()}
     assert face.initial == {"x": ("u",), "rise": None}
-    assert (face.feeds_at_start("x"), face.feeds_at_start("rise"), face.feeds_at_start("late")) == (("u",), ("u", "i"), ())
+    assert (face.feeds_at_start("x"), face.feeds_at_start("rise"), face.feeds_at_start("late")) == (
+        ("u",),
+        ("u", "i"),
+        (),
+    )
 
 
 def test_fmi_3(described):
     """Arrays, all widths, texts, clocks, second names, capabilities that fmpy does not see."""
     found = described(FMI3)
     assert found.capabilities["me"] == Capabilities(
-        "three", directional_derivatives=True, adjoint_derivatives=True, saves_state=True, serializes_state=True
+        "three",
+        directional_derivatives=True,
+        adjoint_derivatives=True,
+        saves_state=True,
+        serializes_state=True,
     )
     assert found.capabilities["cs"] == Capabilities(
         "three", interpolates_inputs=True, variable_step=True, fixed_step=0.5, event_mode=True, early_return=True,
@@ -212,13 +258,33 @@ def test_fmi_3(described):
     )  # fmt: skip
     assert (found["u"].dimensions, found["u"].size, found["u"].start) == (("n", 2), 6, (0.5,) * 6)
     assert found["u"].base == BaseUnit(METRE, 0.001)
-    assert (found["second"].reference, found["second"].alias_of, found["second"].doc) == (2, "u", "the same")
-    assert (found["y"].type, found["y"].size, found["small"].maximum, found["small"].start) == ("Float32", 3, 9.0, (4.0,))
-    assert (found["words"].text, found["bytes"].text, found["on"].start) == (("a b", "c"), ("00ff",), (1.0, 0.0))
+    assert (found["second"].reference, found["second"].alias_of, found["second"].doc) == (
+        2,
+        "u",
+        "the same",
+    )
+    assert (found["y"].type, found["y"].size, found["small"].maximum, found["small"].start) == (
+        "Float32",
+        3,
+        9.0,
+        (4.0,),
+    )
+    assert (found["words"].text, found["bytes"].text, found["on"].start) == (
+        ("a b", "c"),
+        ("00ff",),
+        (1.0, 0.0),
+    )
     assert (found["mode"].type, found["mode"].items) == ("Int64", {"off": 0, "on": 2**53 + 1})
     assert found["large"].start is None  # no float64: the unit keeps its own
-    assert (found.states, found.n_states, found.event_indicators, found.clocks) == (("x",), 3, 3, ("tick",))
-    assert [signal.name for signal in found.interface.inputs] == ["u"]  # a second name is no second input
+    assert (found.states, found.n_states, found.event_indicators, found.clocks) == (
+        ("x",),
+        3,
+        3,
+        ("tick",),
+    )
+    assert [signal.name for signal in found.interface.inputs] == [
+        "u"
+    ]  # a second name is no second input
     assert found.interface.feedthrough == {"y": ("u",), "mode": (), "x": ()}
     assert found.interface.initial == {"y": ()}
 
@@ -226,8 +292,18 @@ def test_fmi_3(described):
 def test_other_sizes(described):
     """A structural parameter changes arrays, states and event indicators; start values of arrays are then the unit's."""
     found = described(FMI3).resized({"n": 5})
-    assert (found["u"].size, found["u"].start, found["x"].size, found["n"].start) == (10, None, 5, (5.0,))
-    assert (found.n_states, found.event_indicators, found.interface.n_u, found["second"].size) == (5, 5, 10, 10)
+    assert (found["u"].size, found["u"].start, found["x"].size, found["n"].start) == (
+        10,
+        None,
+        5,
+        (5.0,),
+    )
+    assert (found.n_states, found.event_indicators, found.interface.n_u, found["second"].size) == (
+        5,
+        5,
+        10,
+        10,
+    )
     assert found.resized({"n": 3}).n_states == 3
     assert described(FMI3).resized({"n": 3}) == described(FMI3)
     assert described(FMI2).resized({}) == described(FMI2)
@@ -289,7 +365,9 @@ BROKEN = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("xml", "before", "after", "text"), BROKEN, ids=[text[:50] for *_, text in BROKEN])
+@pytest.mark.parametrize(
+    ("xml", "before", "after", "text"), BROKEN, ids=[text[:50] for *_, text in BROKEN]
+)
 def test_what_contradicts_itself(described, xml, before, after, text):
     """One clear error each."""
     assert before in xml
@@ -299,8 +377,14 @@ def test_what_contradicts_itself(described, xml, before, after, text):
 
 
 def test_all_is_reported_at_once(described):
-    xml = FMI2.replace('guid="{2}"', "").replace('start="1.5"', 'start="x"').replace('name="late"', 'name="u"')
-    with pytest.raises(FmuError, match=r"(?s)variable 'x': start: found 'x'.*|two variables.*|guid is missing") as error:
+    xml = (
+        FMI2.replace('guid="{2}"', "")
+        .replace('start="1.5"', 'start="x"')
+        .replace('name="late"', 'name="u"')
+    )
+    with pytest.raises(
+        FmuError, match=r"(?s)variable 'x': start: found 'x'.*|two variables.*|guid is missing"
+    ) as error:
         described(xml)
     assert len(str(error.value).splitlines()) == 3
 
@@ -317,7 +401,23 @@ def test_foreign_units(foreign2, foreign3):
     assert three.interface.initial == {"y": None}
 
 
-VALUES = ("", "-1", "0", "1e999", "nan", "INF", "x", "1 2 3", "9" * 30, "4294967296", "true", "1_0", "²", " 5 ", "\n")
+VALUES = (
+    "",
+    "-1",
+    "0",
+    "1e999",
+    "nan",
+    "INF",
+    "x",
+    "1 2 3",
+    "9" * 30,
+    "4294967296",
+    "true",
+    "1_0",
+    "²",
+    " 5 ",
+    "\n",
+)
 
 
 def mutant(random: Random) -> str:

@@ -50,16 +50,25 @@ def test_no_zip(tmp_path):
 
 
 def test_no_description(tmp_path):
-    refused(archive(tmp_path / "x.fmu", {"readme.txt": ""}), "not an FMU, as the archive has no modelDescription.xml")
+    refused(
+        archive(tmp_path / "x.fmu", {"readme.txt": ""}),
+        "not an FMU, as the archive has no modelDescription.xml",
+    )
 
 
 def test_broken_xml(tmp_path):
-    refused(archive(tmp_path / "x.fmu", {"modelDescription.xml": "<fmi"}), "modelDescription.xml is not well-formed")
+    refused(
+        archive(tmp_path / "x.fmu", {"modelDescription.xml": "<fmi"}),
+        "modelDescription.xml is not well-formed",
+    )
 
 
 @pytest.mark.parametrize("encoding", ["klingon", "utf-7"])
 def test_xml_in_an_unknown_encoding(tmp_path, encoding):
-    path = archive(tmp_path / "x.fmu", {"modelDescription.xml": f'<?xml version="1.0" encoding="{encoding}"?><fmi/>'})
+    path = archive(
+        tmp_path / "x.fmu",
+        {"modelDescription.xml": f'<?xml version="1.0" encoding="{encoding}"?><fmi/>'},
+    )
     refused(path, "modelDescription.xml is not well-formed: ")
 
 
@@ -82,21 +91,30 @@ def test_encrypted_entry(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("method", "kind"), [(zipfile.ZIP_STORED, "BadZipFile: Bad CRC-32"), (zipfile.ZIP_DEFLATED, "error: Error -3")]
+    ("method", "kind"),
+    [(zipfile.ZIP_STORED, "BadZipFile: Bad CRC-32"), (zipfile.ZIP_DEFLATED, "error: Error -3")],
 )
 def test_damaged_description(tmp_path, method, kind):
     """A stored entry fails by its sum, a compressed one by its code."""
     with zipfile.ZipFile(path := tmp_path / "x.fmu", "w") as target:
         target.writestr("modelDescription.xml", "<fmi/>" * 100, method)
-    refused(overwritten(path, 30 + len("modelDescription.xml"), b"\xff" * 4), f"the archive cannot be unpacked: {kind}")
+    refused(
+        overwritten(path, 30 + len("modelDescription.xml"), b"\xff" * 4),
+        f"the archive cannot be unpacked: {kind}",
+    )
 
 
 def test_damaged_binary(edited, exported):
     """Found when it is unpacked; nothing is left behind."""
     path = edited()
     with zipfile.ZipFile(path) as source:
-        binary = next(entry for entry in source.infolist() if entry.filename.startswith("binaries/"))
-    refused(overwritten(path, binary.header_offset + 100, b"\xff" * 4), "the archive cannot be unpacked: BadZipFile: Bad CRC-32")
+        binary = next(
+            entry for entry in source.infolist() if entry.filename.startswith("binaries/")
+        )
+    refused(
+        overwritten(path, binary.header_offset + 100, b"\xff" * 4),
+        "the archive cannot be unpacked: BadZipFile: Bad CRC-32",
+    )
 
 
 @pytest.mark.parametrize(
@@ -119,12 +137,15 @@ def test_links(tmp_path, edited):
         link = zipfile.ZipInfo("resources/link")
         link.create_system, link.external_attr = 3, 0o120777 << 16
         target.writestr(link, "/etc/passwd")
-    refused(path, "the archive has a link, where it may have files and folders only: 'resources/link'")
+    refused(
+        path, "the archive has a link, where it may have files and folders only: 'resources/link'"
+    )
 
 
 def test_too_many_entries(edited):
     refused(
-        edited(extra={f"resources/{i}": b"" for i in range(10_000)}), r"the archive has 100\d\d entries; needed at most 10000"
+        edited(extra={f"resources/{i}": b"" for i in range(10_000)}),
+        r"the archive has 100\d\d entries; needed at most 10000",
     )
 
 
@@ -141,30 +162,44 @@ def test_too_large(edited):
 
 @pytest.mark.parametrize("version", ['fmiVersion="4.0"', ""])
 def test_unknown_version(tmp_path, version):
-    path = archive(tmp_path / "x.fmu", {"modelDescription.xml": f"<fmiModelDescription {version}/>"})
+    path = archive(
+        tmp_path / "x.fmu", {"modelDescription.xml": f"<fmiModelDescription {version}/>"}
+    )
     refused(path, "unknown FMI version ('4.0'|None); FMI 1.0, 2.0 and 3.0 are supported")
 
 
 def test_description_that_makes_no_sense(tmp_path):
-    path = archive(tmp_path / "x.fmu", {"modelDescription.xml": '<fmiModelDescription fmiVersion="2.0"/>'})
+    path = archive(
+        tmp_path / "x.fmu", {"modelDescription.xml": '<fmiModelDescription fmiVersion="2.0"/>'}
+    )
     refused(path, "modelDescription.xml: fmiModelDescription: the attribute guid is missing")
 
 
 def test_no_binary_for_this_platform(edited):
     path = edited(without="binaries/", extra={"binaries/riscv64-plan9/academic.so": b""})
-    refused(path, r"no binary for this platform; found binaries for: riscv64-plan9; needed binaries/\S+/academic\.")
+    refused(
+        path,
+        r"no binary for this platform; found binaries for: riscv64-plan9; needed binaries/\S+/academic\.",
+    )
 
 
 def test_a_kind_that_is_not_there(edited):
     path = edited(("<ModelExchange ", "<Unknown "), ("</ModelExchange>", "</Unknown>"))
-    refused(path, r'not for model exchange \(mode = "me"\); it is for co-simulation: mode = "cs"', mode="me")
-    refused(path, 'mode \'both\'; needed "me" or "cs"', mode="both")
+    refused(
+        path,
+        r'not for model exchange \(interface_type = "me"\); it is for co-simulation: interface_type = "cs"',
+        interface_type="me",
+    )
+    refused(path, 'mode \'both\'; needed "me" or "cs"', interface_type="both")
     with load(path) as fmu:
-        assert fmu.mode == "cs"
+        assert fmu.interface_type == "cs"
 
 
 def test_wrong_identifier(edited):
-    refused(edited(('modelIdentifier="academic"', 'modelIdentifier="../x"')), "modelIdentifier '../x' is no identifier of C")
+    refused(
+        edited(('modelIdentifier="academic"', 'modelIdentifier="../x"')),
+        "modelIdentifier '../x' is no identifier of C",
+    )
 
 
 def test_binary_that_is_none(edited, exported):
@@ -178,7 +213,8 @@ def test_binary_that_is_none(edited, exported):
 
 def test_binary_of_another_model(edited):
     refused(
-        edited(('guid="{', 'guid="{0')), "cannot be used: it refuses to instantiate; it said: error: fmi2Instantiate: the GUID"
+        edited(('guid="{', 'guid="{0')),
+        "cannot be used: it refuses to instantiate; it said: error: fmi2Instantiate: the GUID",
     )
 
 
@@ -186,7 +222,10 @@ def test_binary_of_another_model(edited):
     ("start", "text"),
     [
         ({"x_a[9]": 1.0}, r"no variable 'x_a\[9\]'; did you mean 'x_a\[\d\]'"),
-        ({"y": 1.0}, "'y' cannot be set at the start .causality output, variability continuous, initial calculated."),
+        (
+            {"y": 1.0},
+            "'y' cannot be set at the start .causality output, variability continuous, initial calculated.",
+        ),
         ({"x_a[0]": float("nan")}, r"start value of 'x_a\[0\]': found nan, needed a finite number"),
     ],
 )
@@ -216,16 +255,27 @@ def test_solvers(exported):
         f"solver 'exact' needs the matrices of a linear model, an FMU does not show them; use one of: {TAKEN}$",
         solver="exact",
     )
-    refused(exported, "a co-simulation FMU brings its own", solver="rk4", mode="cs")
-    refused(exported, "relative tolerance 1e-06: a co-simulation FMU brings its own solver", rtol=1e-6, mode="cs")
+    refused(exported, "a co-simulation FMU brings its own", solver="rk4", interface_type="cs")
+    refused(
+        exported,
+        "relative tolerance 1e-06: a co-simulation FMU brings its own solver",
+        rtol=1e-6,
+        interface_type="cs",
+    )
 
 
 @pytest.mark.parametrize(
     ("attribute", "needed"),
-    [('factor="0.0"', "finite number that is not 0"), ('factor="INF"', "finite number"), ('offset="NaN"', "finite")],
+    [
+        ('factor="0.0"', "finite number that is not 0"),
+        ('factor="INF"', "finite number"),
+        ('offset="NaN"', "finite"),
+    ],
 )
 def test_a_unit_that_cannot_be_converted(edited, attribute, needed):
     """A definition by a factor of 0, or by no number, says nothing."""
-    definition = f'<UnitDefinitions><Unit name="odd"><BaseUnit m="1" {attribute}/></Unit></UnitDefinitions>'
+    definition = (
+        f'<UnitDefinitions><Unit name="odd"><BaseUnit m="1" {attribute}/></Unit></UnitDefinitions>'
+    )
     path = edited(("</CoSimulation>", f"</CoSimulation>{definition}"))
     refused(path, rf"unit 'odd': {attribute.partition('=')[0]}: found .*, needed a {needed}")

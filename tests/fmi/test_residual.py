@@ -25,7 +25,9 @@ def still(t):
     return np.zeros_like(t)
 
 
-def run(h, stop=2.0, *, u=line, held=False, model="CUBIC", derivatives=True, dae="residual", start=None):
+def run(
+    h, stop=2.0, *, u=line, held=False, model="CUBIC", derivatives=True, dae="residual", start=None
+):
     """Give the outputs at every communication point: x (where there is one), z, q, y; and the events."""
     with load(build(model, derivatives=derivatives), dae=dae, start=start) as fmu:
         component, steps = fmu.component, round(stop / h)
@@ -47,7 +49,12 @@ def root(value):
 def reference():
     """Differentiated, the equation is an ordinary one: (3 z^2 + 1) z' = x' + u' = 1 - z. Its error is some 1e-14."""
     found = solve_ivp(
-        lambda t, z: (1.0 - z) / (3.0 * z * z + 1.0), (0.0, 2.0), [root(1.5)], method="DOP853", rtol=1e-13, atol=1e-15
+        lambda t, z: (1.0 - z) / (3.0 * z * z + 1.0),
+        (0.0, 2.0),
+        [root(1.5)],
+        method="DOP853",
+        rtol=1e-13,
+        atol=1e-15,
     )
     z = found.y[0, -1]
     return np.array([z**3 + z - 2.5, z])
@@ -65,7 +72,9 @@ def test_the_coefficients_are_those_of_collocation_of_order_five():
 @DERIVATIVES
 def test_halving_the_step_divides_the_error_by_thirty_two(derivatives):
     """Order 5 for x and z, with the FMU's derivatives and without."""
-    coarse, fine = (abs(run(h, derivatives=derivatives)[0][-1, :2] - reference()) for h in (0.4, 0.2))
+    coarse, fine = (
+        abs(run(h, derivatives=derivatives)[0][-1, :2] - reference()) for h in (0.4, 0.2)
+    )
     assert coarse / fine == pytest.approx([32.0, 32.0], abs=4.0)
 
 
@@ -90,7 +99,9 @@ def test_a_state_event_of_an_algebraic_variable_is_located(derivatives):
         return 1.5 * z * z + np.log(z)
 
     expected = passed(root(1.0)) - passed(0.5)
-    assert events == pytest.approx([expected], abs=1e-11)  # the method: some 1e-10 at 0.4 s, by 20^5
+    assert events == pytest.approx(
+        [expected], abs=1e-11
+    )  # the method: some 1e-10 at 0.4 s, by 20^5
     z = found[-1, 1]
     assert found[-1, 2] == 4.0
     # then nearly z' = -4 z: a step is wrong by (4 h)^6 / 7200 of z, 70 of them by 3e-9
@@ -139,16 +150,16 @@ def test_where_there_is_no_solution_the_run_stops():
     rows = stopped.value.outputs
     assert str(stopped.value).startswith("FOLD: no solution of the residual form at t = 1.0")
     assert "largest residual" in str(stopped.value)
-    assert "Newton's iteration: corrections do not vanish in 25 iterations, the last is" in str(stopped.value)
+    assert "Newton's iteration: corrections do not vanish in 25 iterations, the last is" in str(
+        stopped.value
+    )
     t = np.arange(1, 91) / 100.0
     assert rows[:90, 1] == pytest.approx(np.sqrt(1.0 - t), abs=1e-14)
 
 
 def test_a_start_at_which_z_is_not_determined_is_an_error():
     """At z = 0 a small z changes z^2 by nothing."""
-    message = (
-        "FOLD: no solution of the residual form at t = 0.0 s: largest residual 1; Newton's iteration: its matrix is singular"
-    )
+    message = "FOLD: no solution of the residual form at t = 0.0 s: largest residual 1; Newton's iteration: its matrix is singular"
     with load(build("FOLD"), dae="residual", start={"z": 0.0}) as fmu:
         fmu.component.prepare(0.1, np.array([False]), {})
         fmu.component.initialize(0.0, np.zeros(1))
@@ -163,13 +174,22 @@ IMPLICIT = '<Residual><Formulation valueReference="4" dependencies="2 3"/></Resi
 @pytest.mark.parametrize(
     ("extra", "message"),
     [
-        (None, r'needed the manifest extra/org.fmi-standard.fmi-ls-dae/fmi-ls-manifest.xml; use "ode"'),
-        (manifest("", "fmi-dae", f'{ABOUT} isDaeFmu="false"'), "the FMU says nothing of a residual form"),
+        (
+            None,
+            r'needed the manifest extra/org.fmi-standard.fmi-ls-dae/fmi-ls-manifest.xml; use "ode"',
+        ),
+        (
+            manifest("", "fmi-dae", f'{ABOUT} isDaeFmu="false"'),
+            "the FMU says nothing of a residual form",
+        ),
         (
             manifest("", "fmi-dae", f'{ABOUT} isDaeFmu="true"'),
             "lists no AlgebraicVariables and no Residual, so that the form is not",
         ),
-        (manifest(LISTS, "fmi-dae", f'{ABOUT} isDaeFmu="true"'), "found 0 residuals for 1 algebraic variables, needed as many"),
+        (
+            manifest(LISTS, "fmi-dae", f'{ABOUT} isDaeFmu="true"'),
+            "found 0 residuals for 1 algebraic variables, needed as many",
+        ),
         (
             manifest(LISTS + f"<ModelStructure>{RATE}{TWICE}</ModelStructure>"),
             "'r' is an equation of higher index; needed index 1",
@@ -190,7 +210,10 @@ def test_a_form_that_cannot_be_integrated_is_refused(extra, message):
 
 def test_only_model_exchange_of_fmi_3_without_another_solver_has_a_residual_form(request):
     """A solver of one's own would not be used; other choices do not exist."""
-    with pytest.raises(FmuError, match=r"solver 'rk4': the residual form has its own, Radau IIA; leave one of both out"):
+    with pytest.raises(
+        FmuError,
+        match=r"solver 'rk4': the residual form has its own, Radau IIA; leave one of both out",
+    ):
         load(build(), dae="residual", solver="rk4")
     with pytest.raises(FmuError, match="no solver 'Radau IIA'"):
         load(build(), solver="Radau IIA")
@@ -198,11 +221,15 @@ def test_only_model_exchange_of_fmi_3_without_another_solver_has_a_residual_form
         load(build(), dae="dae")
     exported = request.getfixturevalue("exported")
     with pytest.raises(
-        FmuError, match=r'dae = "residual": FMI 2.0 has no residual form, the layered standard is on top of FMI 3'
+        FmuError,
+        match=r'dae = "residual": FMI 2.0 has no residual form, the layered standard is on top of FMI 3',
     ):
-        load(exported, mode="me", dae="residual")
-    with pytest.raises(FmuError, match=r'dae = "residual": a co-simulation FMU solves for itself; use mode = "me"'):
-        load(exported, mode="cs", dae="residual")
+        load(exported, interface_type="me", dae="residual")
+    with pytest.raises(
+        FmuError,
+        match=r'dae = "residual": a co-simulation FMU solves for itself; use interface_type = "me"',
+    ):
+        load(exported, interface_type="cs", dae="residual")
 
 
 def test_what_is_integrated_stands_in_the_log():

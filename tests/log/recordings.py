@@ -15,11 +15,17 @@ def layout(*, period=5, wide=0):
     """Lay out a plant, a slower identifier with an optional signal, and if asked for a wide component."""
     plant = Interface(
         (Signal("u", unit="m/s", role="input"),),
-        (Signal("x_a", 2, role="state"), Signal("der(x)", unit="1"), Signal("n", kind="integer", variability="discrete")),
+        (
+            Signal("x_a", 2, role="state"),
+            Signal("der(x)", unit="1"),
+            Signal("n", kind="integer", variability="discrete"),
+        ),
         {"x_a": (), "der(x)": ("u",)},
     )
     identifier = Interface(
-        (Signal("y", 3, role="input"),), (Signal("theta", 2, optional=True, role="estimate"),), {"theta": None}
+        (Signal("y", 3, role="input"),),
+        (Signal("theta", 2, optional=True, role="estimate"),),
+        {"theta": None},
     )
     interfaces = [("plant", plant, 1), ("identifier", identifier, period)]
     if wide:
@@ -33,16 +39,29 @@ def layout(*, period=5, wide=0):
 
 def plan(lay=None):
     """Plan a run with a design of awkward numbers."""
-    design = {"M": np.array([[0.1, -0.0], [np.nan, 5e-324]]), "empty": np.zeros((0, 3)), "scalar": np.array(np.pi)}
+    design = {
+        "M": np.array([[0.1, -0.0], [np.nan, 5e-324]]),
+        "empty": np.zeros((0, 3)),
+        "scalar": np.array(np.pi),
+    }
     held = {"plant": np.array([True]), "identifier": np.array([False, True, False])}
-    return Plan(lay or layout(), STEP_NS, {"plant": design}, held, ("cascade plant", "cascade identifier"))
+    return Plan(
+        lay or layout(), STEP_NS, {"plant": design}, held, ("cascade plant", "cascade identifier")
+    )
 
 
 def table(lay, steps, seed=1):
     """Give the rows of a run, shape (steps + 1, width), with NaNs of unusual bits, infinities and both zeros among them."""
     rows = np.random.default_rng(seed).normal(size=(steps + 1, lay.width))
     odd = np.array(
-        [0x7FF8000000000000, 0xFFF8000000000123, 0x7FF0000000000001, 0x8000000000000000, 0x7FF0000000000000], dtype="u8"
+        [
+            0x7FF8000000000000,
+            0xFFF8000000000123,
+            0x7FF0000000000001,
+            0x8000000000000000,
+            0x7FF0000000000000,
+        ],
+        dtype="u8",
     )
     rows.reshape(-1)[3 : 3 + 7 * len(odd) : 7] = odd.view(np.float64)
     return rows

@@ -17,14 +17,17 @@ from .recordings import STEP_NS, layout, record
 class Run:
     """A recording made by hand."""
 
-    metadata: dict = {}  # noqa: RUF012
+    metadata: dict = {}
 
     def __init__(self, values, times=None):
         signals = {name: np.asarray(array, dtype=float) for name, array in values.items()}
         count = len(next(iter(signals.values())))
         self._times = np.arange(count) * STEP_NS if times is None else np.asarray(times) * STEP_NS
         self._signals = signals
-        declared = tuple(Signal(name, 1 if array.ndim == 1 else array.shape[1]) for name, array in signals.items())
+        declared = tuple(
+            Signal(name, 1 if array.ndim == 1 else array.shape[1])
+            for name, array in signals.items()
+        )
         self.channels = {"c": Channel("c", Interface((), declared), 0)}
 
     def __getitem__(self, name):
@@ -53,7 +56,9 @@ def test_a_log_equals_itself_and_the_first_difference_is_found(tmp_path):
         "plant.u": "outside",
         "identifier.y": "outside",
     }
-    assert [row.status for row in diff(a, b, rtol=1e-12).rows if row.signal == "identifier.y"] == ["within"]
+    assert [row.status for row in diff(a, b, rtol=1e-12).rows if row.signal == "identifier.y"] == [
+        "within"
+    ]
     assert json.loads(json.dumps(difference.to_dict()))["first"]["time_ns"] == 40 * STEP_NS
 
 
@@ -74,7 +79,9 @@ def test_a_log_equals_itself_and_the_first_difference_is_found(tmp_path):
         (1.0, 1.5, {"atol": 0.25, "rtol": 0.0625}, "within", 0.5),
     ],
 )
-def test_tolerances_are_absolute_plus_relative_to_the_signals_scale(a, b, tolerance, status, largest):
+def test_tolerances_are_absolute_plus_relative_to_the_signals_scale(
+    a, b, tolerance, status, largest
+):
     """|a - b| <= atol + rtol max|a|, here with max|a| = 4 from another row."""
     (row,) = diff(Run({"y": [4.0, a]}), Run({"y": [4.0, b]}), **tolerance).rows
     assert (row.status, row.largest, row.scale) == (status, largest, 4.0)

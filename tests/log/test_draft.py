@@ -30,7 +30,9 @@ def path(tmp_path, force):
 
 def untouched(path, force):
     """Say whether nothing is left but the old log, if there was one."""
-    return list(path.parent.iterdir()) == [path] * force and (not force or open_log(path).steps == 10)
+    return list(path.parent.iterdir()) == [path] * force and (
+        not force or open_log(path).steps == 10
+    )
 
 
 def attempt(path, force, *, error=None, rows=0):
@@ -43,7 +45,9 @@ def attempt(path, force, *, error=None, rows=0):
             raise error
 
 
-@pytest.mark.parametrize("error", [GraphError("no"), LogError("no"), ValueError("bug"), KeyboardInterrupt()])
+@pytest.mark.parametrize(
+    "error", [GraphError("no"), LogError("no"), ValueError("bug"), KeyboardInterrupt()]
+)
 def test_a_run_refused_before_its_first_row_leaves_no_trace(path, force, error):
     """Whatever stood there stays, and no other file."""
     with pytest.raises(type(error)):
@@ -51,7 +55,9 @@ def test_a_run_refused_before_its_first_row_leaves_no_trace(path, force, error):
     assert untouched(path, force)
 
 
-@pytest.mark.parametrize("error", [NonFiniteError("y became nan"), LogWriteError("negative"), Interrupted("Ctrl-C")])
+@pytest.mark.parametrize(
+    "error", [NonFiniteError("y became nan"), LogWriteError("negative"), Interrupted("Ctrl-C")]
+)
 def test_a_run_that_failed_at_its_start_leaves_a_log(path, force, error):
     """It has no rows, and says why."""
     with pytest.raises(type(error)):

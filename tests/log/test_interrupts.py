@@ -39,7 +39,9 @@ class Press:
 
     def __call__(self, frame, event, arg):
         code = frame.f_code
-        if code.co_filename not in SEEN or (self._functions and code.co_name not in self._functions):
+        if code.co_filename not in SEEN or (
+            self._functions and code.co_name not in self._functions
+        ):
             return None
         frame.f_trace_opcodes = code.co_filename in BY_BYTECODE
         self.left -= 1
@@ -78,7 +80,10 @@ def is_whole(path, rows):
     )
 
 
-@pytest.mark.parametrize(("functions", "stride"), [(SWITCH, 3), (None, 17), pytest.param(SWITCH, 1, marks=pytest.mark.campaign)])
+@pytest.mark.parametrize(
+    ("functions", "stride"),
+    [(SWITCH, 3), (None, 17), pytest.param(SWITCH, 1, marks=pytest.mark.campaign)],
+)
 def test_an_interrupt_at_any_instant_keeps_every_row_once(tmp_path, monkeypatch, functions, stride):
     """The file is whole or not there, and no other is left: at some instants around the writing of a chunk, and of all others."""
     monkeypatch.setattr(row_buffer, "CHUNK_BYTES", 700)

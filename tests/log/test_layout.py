@@ -13,7 +13,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cosim.core.signals import Channel, Interface, Signal
-from cosim.log.layout import blank_records, copy_values, group_columns, read_part, record_dtype, split
+from cosim.log.layout import (
+    blank_records,
+    copy_values,
+    group_columns,
+    read_part,
+    record_dtype,
+    split,
+)
 from cosim.log.metadata import decode_design, encode_design, seal, unseal
 from cosim.log.schema import component_schema, decode_log, encode_log, identifiers
 from cosim.units import BASE, BaseUnit
@@ -61,7 +68,13 @@ def test_identifiers_differ_even_without_underscores_and_case(found):
 
 def test_legal_names_are_kept_and_the_others_stay_readable():
     """What reads well keeps its name."""
-    assert identifiers(["x[0]", "x_a", "delta", "der(x)", "x_0"]) == ["x_0_2", "x_a", "delta", "der_x", "x_0"]
+    assert identifiers(["x[0]", "x_a", "delta", "der(x)", "x_0"]) == [
+        "x_0_2",
+        "x_a",
+        "delta",
+        "der_x",
+        "x_0",
+    ]
 
 
 @given(names)
@@ -72,7 +85,9 @@ def test_any_names_make_a_schema_that_protobuf_takes(found):
     for name, columns in group_columns(len(found)).items():
         records[name]["value"] = np.arange(1.0, len(found) + 1)[columns]
     message = kind.FromString(records.tobytes()[31:])
-    assert [getattr(message, field.name) for field in kind.DESCRIPTOR.fields] == list(range(1, len(found) + 1))
+    assert [getattr(message, field.name) for field in kind.DESCRIPTOR.fields] == list(
+        range(1, len(found) + 1)
+    )
     assert len(json_format.MessageToDict(message)) == len(found)
 
 
@@ -101,7 +116,12 @@ def test_records_with_other_fields_are_refused():
         copy_values(records, np.empty((2, 3)))
 
 
-bases = st.builds(BaseUnit, st.tuples(*[st.integers(-3, 3)] * len(BASE)), st.floats(1e-9, 1e9), st.floats(-1e3, 1e3))
+bases = st.builds(
+    BaseUnit,
+    st.tuples(*[st.integers(-3, 3)] * len(BASE)),
+    st.floats(1e-9, 1e9),
+    st.floats(-1e3, 1e3),
+)
 plain = st.builds(
     Signal,
     name=st.text(st.characters(exclude_categories=["Cs"]), max_size=8),
@@ -114,28 +134,41 @@ plain = st.builds(
     base=st.none() | bases,
 )
 numbers = st.floats(-1e9, 1e9)
-signals = plain | st.builds(lambda signal, x: replace(signal, start=(x,) * signal.size), plain, numbers)
+signals = plain | st.builds(
+    lambda signal, x: replace(signal, start=(x,) * signal.size), plain, numbers
+)
 
 
 @st.composite
 def channels(draw):
     """Make any component with at least one signal."""
-    found = tuple(draw(st.lists(signals, min_size=1, max_size=5, unique_by=lambda signal: signal.name)))
+    found = tuple(
+        draw(st.lists(signals, min_size=1, max_size=5, unique_by=lambda signal: signal.name))
+    )
     cut = draw(st.integers(0, len(found)))
     inputs, outputs = found[:cut], found[cut:]
     feeds = (
-        st.lists(st.sampled_from(inputs), unique=True).map(lambda some: tuple(s.name for s in some)) if inputs else st.just(())
+        st.lists(st.sampled_from(inputs), unique=True).map(lambda some: tuple(s.name for s in some))
+        if inputs
+        else st.just(())
     )
-    known = st.fixed_dictionaries({}, optional={signal.name: st.none() | feeds for signal in outputs})
+    known = st.fixed_dictionaries(
+        {}, optional={signal.name: st.none() | feeds for signal in outputs}
+    )
     interface = Interface(inputs, outputs, draw(known), draw(known))
-    return Channel(draw(st.text(max_size=5)), interface, draw(st.integers(0, 9)), draw(st.integers(1, 1000)))
+    return Channel(
+        draw(st.text(max_size=5)), interface, draw(st.integers(0, 9)), draw(st.integers(1, 1000))
+    )
 
 
 @given(channels(), st.integers(1, 10**12))
 def test_metadata_gives_the_component_back(channel, step_ns):
     """Every part of a component knows the whole component, and the parts tile its row."""
     parts = [read_part(part.metadata) for part in split(channel, kind="some", step_ns=step_ns)]
-    assert all(part.channel == channel and part.kind == "some" and part.step_ns == step_ns for part in parts)
+    assert all(
+        part.channel == channel and part.kind == "some" and part.step_ns == step_ns
+        for part in parts
+    )
     elements = [element for part in parts for element in part.elements]
     assert elements == [element for signal in channel.signals for element in signal.elements]
     assert all(record_dtype(part.size).itemsize <= 31 + 11 * 4096 for part in parts)
@@ -153,7 +186,12 @@ def test_seals_cover_name_keys_and_values_and_leave_others_alone():
     sealed = seal("cosim.run", {"a": "1"})
     assert unseal("cosim.run", sealed) == {"a": "1"}
     assert unseal("theirs", {"a": "1"}) == {"a": "1"}
-    wrong = {"cosim.rum": sealed, "theirs": sealed, "cosim.run": {**sealed, "a": "2"}, "cosim.env": {"a": "1"}}
+    wrong = {
+        "cosim.rum": sealed,
+        "theirs": sealed,
+        "cosim.run": {**sealed, "a": "2"},
+        "cosim.env": {"a": "1"},
+    }
     for name, items in wrong.items():
         with pytest.raises(ValueError, match=f"{name!r} is damaged"):
             unseal(name, items)
@@ -169,4 +207,8 @@ def test_designs_keep_every_bit():
 
 def test_log_messages_survive():
     """A foxglove.Log gives back what was said."""
-    assert decode_log(encode_log(1_500_000_000, "warning", "plant", "hei\nße")) == ("warning", "plant", "hei\nße")
+    assert decode_log(encode_log(1_500_000_000, "warning", "plant", "hei\nße")) == (
+        "warning",
+        "plant",
+        "hei\nße",
+    )

@@ -26,15 +26,22 @@ from .test_layout import message_class
 @pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
 def test_stock_readers_see_every_bit(tmp_path, compression):
     """Mcap's two readers, with CRCs checked, and protobuf decode every message as it was."""
-    rows = record(tmp_path / "a.mcap", steps=300, compression=compression, kinds={"plant": "descriptor"})
+    rows = record(
+        tmp_path / "a.mcap", steps=300, compression=compression, kinds={"plant": "descriptor"}
+    )
     data = (tmp_path / "a.mcap").read_bytes()
-    for reader in (make_reader(io.BytesIO(data), validate_crcs=True), NonSeekingReader(io.BytesIO(data), validate_crcs=True)):
+    for reader in (
+        make_reader(io.BytesIO(data), validate_crcs=True),
+        NonSeekingReader(io.BytesIO(data), validate_crcs=True),
+    ):
         found = {"/plant": [], "/identifier": []}
         for schema, channel, message in reader.iter_messages():
             assert message.log_time == message.publish_time == message.sequence * STEP_NS
             kind = message_class(schema.name, schema.data)
             decoded = kind.FromString(message.data)
-            found[channel.topic].append([getattr(decoded, field.name) for field in kind.DESCRIPTOR.fields])
+            found[channel.topic].append(
+                [getattr(decoded, field.name) for field in kind.DESCRIPTOR.fields]
+            )
         assert same_bits(np.array(found["/plant"]), rows[:, :5])
         assert same_bits(np.array(found["/identifier"]), rows[::5, 5:])
 
@@ -43,24 +50,54 @@ def test_stock_reader_sees_header_summary_metadata_and_attachments(tmp_path):
     """Everything is found through the summary."""
     scenario = Attachment("scenario.toml", "application/toml", b"[scenario]")
     given = {"cosim.connections": {"plant.u": "u.y"}, "cosim.component.plant": {"m": "1.5"}}
-    record(tmp_path / "a.mcap", attachments=[scenario], metadata=given, messages=[(0, "info", "plant", "ready")])
+    record(
+        tmp_path / "a.mcap",
+        attachments=[scenario],
+        metadata=given,
+        messages=[(0, "info", "plant", "ready")],
+    )
     with (tmp_path / "a.mcap").open("rb") as stream:
         reader = make_reader(stream, validate_crcs=True)
         assert reader.get_header().profile == ""
         assert reader.get_header().library.startswith(f"cosim/{cosim.__version__} mcap-python/")
-        assert {item.name: item.metadata for item in reader.iter_metadata()}["cosim.env"]["cosim"] == cosim.__version__
+        assert {item.name: item.metadata for item in reader.iter_metadata()}["cosim.env"][
+            "cosim"
+        ] == cosim.__version__
         summary = reader.get_summary()
-        assert {s.name for s in summary.schemas.values()} == {"cosim.plant", "cosim.identifier", "foxglove.Log"}
-        assert [c.topic for c in summary.channels.values()] == ["/plant", "/identifier", "/cosim/log"]
+        assert {s.name for s in summary.schemas.values()} == {
+            "cosim.plant",
+            "cosim.identifier",
+            "foxglove.Log",
+        }
+        assert [c.topic for c in summary.channels.values()] == [
+            "/plant",
+            "/identifier",
+            "/cosim/log",
+        ]
         assert summary.statistics.channel_message_counts == {1: 1001, 2: 201, 3: 1}
-        assert (summary.statistics.message_start_time, summary.statistics.message_end_time) == (0, 1000 * STEP_NS)
+        assert (summary.statistics.message_start_time, summary.statistics.message_end_time) == (
+            0,
+            1000 * STEP_NS,
+        )
         names = Counter(item.name for item in reader.iter_metadata())
         components = {"cosim.component.plant", "cosim.component.identifier"}
-        assert names == Counter({"cosim.run", "cosim.env", "cosim.schedule", "cosim.connections", "cosim.result"} | components)
-        assert {item.name: item.data for item in reader.iter_attachments()}["scenario.toml"] == b"[scenario]"
+        assert names == Counter(
+            {"cosim.run", "cosim.env", "cosim.schedule", "cosim.connections", "cosim.result"}
+            | components
+        )
+        assert {item.name: item.data for item in reader.iter_attachments()}[
+            "scenario.toml"
+        ] == b"[scenario]"
         (said,) = reader.iter_messages(topics="/cosim/log")
-        text = json_format.MessageToDict(message_class("foxglove.Log", said[0].data).FromString(said[2].data))
-        assert text == {"timestamp": "1970-01-01T00:00:00Z", "level": "INFO", "message": "ready", "name": "plant"}
+        text = json_format.MessageToDict(
+            message_class("foxglove.Log", said[0].data).FromString(said[2].data)
+        )
+        assert text == {
+            "timestamp": "1970-01-01T00:00:00Z",
+            "level": "INFO",
+            "message": "ready",
+            "name": "plant",
+        }
 
 
 def test_message_indexes_lead_to_their_messages(tmp_path, monkeypatch):
@@ -84,7 +121,13 @@ def test_content_does_not_depend_on_blocks_chunks_or_compression(tmp_path, monke
     """Equal runs give equal hashes and equal data."""
     lay, hashes = layout(period=period), set()
     for number, (size, compression, chunk) in enumerate(
-        [(1, "zstd", 2**20), (7, "zstd", 3000), (1000, "zstd", 2**20), (7, "lz4", 100), (1000, "none", 30_000)]
+        [
+            (1, "zstd", 2**20),
+            (7, "zstd", 3000),
+            (1000, "zstd", 2**20),
+            (7, "lz4", 100),
+            (1000, "none", 30_000),
+        ]
     ):
         monkeypatch.setattr(row_buffer, "CHUNK_BYTES", chunk)
         path = tmp_path / f"{number}.mcap"
@@ -93,7 +136,11 @@ def test_content_does_not_depend_on_blocks_chunks_or_compression(tmp_path, monke
         assert same_bits(log.rows("plant"), rows[:, :5])
         assert same_bits(log.rows("identifier"), rows[::period, 5:])
         assert np.array_equal(log.time_ns("identifier"), np.arange(0, 1001, period) * STEP_NS)
-        hashes |= {log.content_hash(), log.metadata["cosim.result"]["content_hash"], log.result["content_hash"]}
+        hashes |= {
+            log.content_hash(),
+            log.metadata["cosim.result"]["content_hash"],
+            log.result["content_hash"],
+        }
     assert len(hashes) == 1
 
 
@@ -164,7 +211,10 @@ def test_a_full_disk_leaves_a_whole_file(tmp_path, monkeypatch, room):
     """The error names file and reason; what fits is a valid file with a true hash."""
     monkeypatch.setattr(draft, "create", lambda path: FullDisk(path, room))
     monkeypatch.setattr(row_buffer, "CHUNK_BYTES", 5000)
-    with pytest.raises(LogWriteError, match=r"a\.mcap cannot be written further: No space left on device; up to t = [\d.]+ s"):
+    with pytest.raises(
+        LogWriteError,
+        match=r"a\.mcap cannot be written further: No space left on device; up to t = [\d.]+ s",
+    ):
         record(tmp_path / "a.mcap", compression="none")
     log = open_log(tmp_path / "a.mcap")
     count = len(log.rows("plant"))
@@ -173,7 +223,10 @@ def test_a_full_disk_leaves_a_whole_file(tmp_path, monkeypatch, room):
     assert (log.status, log.result["steps"]) == ("failed", count - 1)
     assert log.content_hash() == log.result["content_hash"]
     with (tmp_path / "a.mcap").open("rb") as stream:
-        assert sum(1 for _ in NonSeekingReader(stream, validate_crcs=True).iter_messages("/plant")) == count
+        assert (
+            sum(1 for _ in NonSeekingReader(stream, validate_crcs=True).iter_messages("/plant"))
+            == count
+        )
 
 
 class Interruptible(io.FileIO):
@@ -199,7 +252,11 @@ def test_an_interrupt_within_a_write_loses_nothing(tmp_path, monkeypatch):
     log = open_log(tmp_path / "a.mcap")
     count = len(log.rows("plant"))
     assert count > 100
-    assert (log.status, log.result["steps"], log.result["content_hash"]) == ("interrupted", count - 1, log.content_hash())
+    assert (log.status, log.result["steps"], log.result["content_hash"]) == (
+        "interrupted",
+        count - 1,
+        log.content_hash(),
+    )
 
 
 def test_a_disk_full_from_the_start_leaves_nothing(tmp_path, monkeypatch):
@@ -237,7 +294,7 @@ def test_a_run_that_never_begins_leaves_no_file(tmp_path):
         with McapRecorder(tmp_path / "a.mcap"):
             raise ValueError
 
-    with pytest.raises(ValueError):  # noqa: PT011
+    with pytest.raises(ValueError):
         fail()
     assert not (tmp_path / "a.mcap").exists()
 
@@ -256,9 +313,16 @@ def test_the_result_takes_numpy_values(tmp_path):
     """What the report computes goes to result.json as it is."""
     with McapRecorder(tmp_path / "a.mcap") as recorder:
         recorder.begin(plan())
-        recorder.result.update(theta=np.array([1.0, 2.0]), count=np.int64(3), ok=np.True_, path=tmp_path)
+        recorder.result.update(
+            theta=np.array([1.0, 2.0]), count=np.int64(3), ok=np.True_, path=tmp_path
+        )
     result = json.loads(open_log(tmp_path / "a.mcap").attachment("result.json"))
-    assert (result["theta"], result["count"], result["ok"], result["path"]) == ([1.0, 2.0], 3, True, str(tmp_path))
+    assert (result["theta"], result["count"], result["ok"], result["path"]) == (
+        [1.0, 2.0],
+        3,
+        True,
+        str(tmp_path),
+    )
 
 
 def test_the_recorder_is_a_recorder(tmp_path):

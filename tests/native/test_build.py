@@ -1,4 +1,4 @@
-"""The kernels compile without a warning, run without undefined behaviour, and say what is missing."""
+"""The kernels compile without a warning, run without undefined behavior, and say what is missing."""
 
 import importlib.util
 import shutil
@@ -17,8 +17,21 @@ needs_cc = pytest.mark.skipif(shutil.which("cc") is None, reason="no cc")
 def test_the_kernels_compile_without_a_warning(tmp_path):
     """All of -Wall -Wextra -Wconversion are errors here."""
     for source in SOURCES:
-        command = ["cc", "-std=c11", "-O2", "-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Werror", "-c", source]
-        result = subprocess.run([*command, "-o", tmp_path / "kernel.o"], capture_output=True, text=True, check=False)
+        command = [
+            "cc",
+            "-std=c11",
+            "-O2",
+            "-Wall",
+            "-Wextra",
+            "-Wconversion",
+            "-Wshadow",
+            "-Werror",
+            "-c",
+            source,
+        ]
+        result = subprocess.run(
+            [*command, "-o", tmp_path / "kernel.o"], capture_output=True, text=True, check=False
+        )
         assert result.returncode == 0, result.stderr
 
 
@@ -26,7 +39,9 @@ def test_the_operations_are_numbered_as_in_c():
     """Python and C agree on the order, by name."""
     text = (build.HERE / "expression.c").read_text(encoding="utf-8")
     names = text[text.index("enum {") + 6 : text.index("};")].replace("\n", " ").split(",")
-    in_c = [name.strip().lower().replace("minimum", "min").replace("maximum", "max") for name in names]
+    in_c = [
+        name.strip().lower().replace("minimum", "min").replace("maximum", "max") for name in names
+    ]
     assert in_c == [*OPERATIONS, "operations"]
     assert OPERATIONS[-len(FUNCTIONS) :] == FUNCTIONS
 
@@ -119,16 +134,33 @@ int main(void)
 
 @needs_cc
 def test_the_kernels_run_clean_under_the_sanitizers(tmp_path):
-    """No access outside the documented sizes, no leak into undefined behaviour, for every kernel and for empty systems."""
+    """No access outside the documented sizes, no leak into undefined behavior, for every kernel and for empty systems."""
     sanitizers = "-fsanitize=address,undefined"
     (tmp_path / "probe.c").write_text("int main(void) { return 0; }\n")
-    probe = subprocess.run(["cc", sanitizers, tmp_path / "probe.c", "-o", tmp_path / "probe"], capture_output=True, check=False)
-    if probe.returncode or subprocess.run([tmp_path / "probe"], capture_output=True, check=False).returncode:
+    probe = subprocess.run(
+        ["cc", sanitizers, tmp_path / "probe.c", "-o", tmp_path / "probe"],
+        capture_output=True,
+        check=False,
+    )
+    if (
+        probe.returncode
+        or subprocess.run([tmp_path / "probe"], capture_output=True, check=False).returncode
+    ):
         pytest.skip("the compiler lacks the sanitizers")
-    text = " + ".join(f"{name}(t)" for name in FUNCTIONS) + " - min(t, 2)*max(t, 3)/(-t)**2 + " + "t + (" * 50 + "t" + ")" * 50
+    text = (
+        " + ".join(f"{name}(t)" for name in FUNCTIONS)
+        + " - min(t, 2)*max(t, 3)/(-t)**2 + "
+        + "t + (" * 50
+        + "t"
+        + ")" * 50
+    )
     program = compile_expression(text)
-    code, constants = (", ".join(map(repr, array.tolist())) for array in (program.code, program.constants))
-    (tmp_path / "main.c").write_text(MAIN.replace("CODE", code, 1).replace("CONSTANTS", constants, 1), encoding="utf-8")
+    code, constants = (
+        ", ".join(map(repr, array.tolist())) for array in (program.code, program.constants)
+    )
+    (tmp_path / "main.c").write_text(
+        MAIN.replace("CODE", code, 1).replace("CONSTANTS", constants, 1), encoding="utf-8"
+    )
     options = ["-std=c11", "-g", "-O1", sanitizers, "-fno-sanitize-recover=all", f"-I{build.HERE}"]
     compiled = subprocess.run(
         ["cc", *options, tmp_path / "main.c", *SOURCES, "-o", tmp_path / "main", "-lm"],
@@ -139,7 +171,11 @@ def test_the_kernels_run_clean_under_the_sanitizers(tmp_path):
     assert compiled.returncode == 0, compiled.stderr
     # leaks need ptrace, which containers refuse; what is freed is not the kernels' business
     result = subprocess.run(
-        [tmp_path / "main"], capture_output=True, text=True, env={"ASAN_OPTIONS": "detect_leaks=0"}, check=False
+        [tmp_path / "main"],
+        capture_output=True,
+        text=True,
+        env={"ASAN_OPTIONS": "detect_leaks=0"},
+        check=False,
     )
     assert result.returncode == 0, result.stderr
 
@@ -176,7 +212,9 @@ def test_no_compiler_at_all_is_an_error_with_the_way_out(tmp_path, monkeypatch):
     """It names both ways to get one."""
     monkeypatch.setattr(shutil, "which", lambda name: None)
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(RuntimeError, match="no C compiler: install one as 'cc', or 'pip install ziglang'"):
+    with pytest.raises(
+        RuntimeError, match="no C compiler: install one as 'cc', or 'pip install ziglang'"
+    ):
         build.compile_library(SOURCES, tmp_path / "x.so")
 
 

@@ -27,10 +27,14 @@ leaves = st.one_of(numbers, st.sampled_from(["t", "pi", "e"]))
 
 def extend(inner):
     return st.one_of(
-        st.tuples(inner, st.sampled_from(["+", "-", "*", "/", "**"]), inner).map(lambda p: f"({p[0]} {p[1]} {p[2]})"),
+        st.tuples(inner, st.sampled_from(["+", "-", "*", "/", "**"]), inner).map(
+            lambda p: f"({p[0]} {p[1]} {p[2]})"
+        ),
         st.tuples(st.sampled_from(["+", "-"]), inner).map(lambda p: f"({p[0]}{p[1]})"),
         st.tuples(st.sampled_from(FUNCTIONS), inner).map(lambda p: f"{p[0]}({p[1]})"),
-        st.tuples(st.sampled_from(["min", "max"]), inner, inner).map(lambda p: f"{p[0]}({p[1]}, {p[2]})"),
+        st.tuples(st.sampled_from(["min", "max"]), inner, inner).map(
+            lambda p: f"{p[0]}({p[1]}, {p[2]})"
+        ),
     )
 
 
@@ -46,7 +50,10 @@ def test_every_expression_is_what_python_makes_of_it(text, t):
     except TypeError:  # a complex number inside
         return
     if all(map(math.isfinite, (expected, found))):
-        assert np.float64(found).view(np.uint64) == np.float64(expected).view(np.uint64) or found == expected
+        assert (
+            np.float64(found).view(np.uint64) == np.float64(expected).view(np.uint64)
+            or found == expected
+        )
     else:
         assert math.isnan(expected) == math.isnan(found) or "**" in text
 
@@ -60,7 +67,15 @@ def test_powers_bind_as_in_python():
 
 
 @pytest.mark.parametrize(
-    "text", ["min(sqrt(-1), 0)", "max(0, sqrt(-1))", "max(sqrt(-1), 0)", "step(sqrt(-1))", "sign(log(-1))", "abs(0/0)"]
+    "text",
+    [
+        "min(sqrt(-1), 0)",
+        "max(0, sqrt(-1))",
+        "max(sqrt(-1), 0)",
+        "step(sqrt(-1))",
+        "sign(log(-1))",
+        "abs(0/0)",
+    ],
 )
 def test_nan_is_not_swallowed(text):
     """What is no number stays none, so that the run stops there instead of going on with 0."""
@@ -133,7 +148,9 @@ def test_a_long_sum_needs_no_deep_stack():
 
 
 @pytest.mark.parametrize(
-    "text", ["-" * 3000 + "1", "+".join(["1"] * 20000), "(" * 1000 + "1" + ")" * 1000], ids=["signs", "sum", "parentheses"]
+    "text",
+    ["-" * 3000 + "1", "+".join(["1"] * 20000), "(" * 1000 + "1" + ")" * 1000],
+    ids=["signs", "sum", "parentheses"],
 )
 def test_what_is_too_deep_to_be_read_is_refused(text):
     """The parser's limits are not the user's traceback."""

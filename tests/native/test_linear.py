@@ -1,4 +1,4 @@
-"""Matrix exponential, discretisation, and sums in a fixed order."""
+"""Matrix exponential, discretization, and sums in a fixed order."""
 
 import math
 from fractions import Fraction
@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from cosim.blocks.plant import linear_model
+from cosim.core.linear import Linear
 from cosim.core.signals import Signal
-from cosim.core.solver import Linear
 from cosim.native.step import affine, exponential, first_order_hold
 from tests.blocks.stepping import drive
 
@@ -25,7 +25,9 @@ def exact_exponential(M):
     """Sum the series in integers of 400 bits: terms of at most 24^k / k!, so that 150 of them leave less than 1e-55."""
     one = 1 << 400
     P = np.array([[int(Fraction(float(x)) * one) for x in row] for row in M], dtype=object)
-    E = term = np.array([[one * (i == j) for j in range(len(M))] for i in range(len(M))], dtype=object)
+    E = term = np.array(
+        [[one * (i == j) for j in range(len(M))] for i in range(len(M))], dtype=object
+    )
     for k in range(1, 151):
         term = (term @ P) // (k * one)
         E = E + term
@@ -39,7 +41,9 @@ def test_exponential_agrees_with_exact_arithmetic(M):
     norm = np.linalg.norm(M, np.inf)
     scale = np.linalg.norm(exact_exponential(np.abs(M)), np.inf)  # bounds every partial sum
     # a product rounds n times; each squaring doubles the errors before it, which makes n norm of the first
-    np.testing.assert_allclose(exponential(M), exact_exponential(M), rtol=0, atol=4 * len(M) * max(norm, 1.0) * EPS * scale)
+    np.testing.assert_allclose(
+        exponential(M), exact_exponential(M), rtol=0, atol=4 * len(M) * max(norm, 1.0) * EPS * scale
+    )
 
 
 def test_exponential_agrees_with_scipy():
@@ -47,7 +51,9 @@ def test_exponential_agrees_with_scipy():
     found, e4 = exponential(np.full((2, 2), 2.0)), math.exp(4.0)
     expected = [[(e4 + 1) / 2, (e4 - 1) / 2], [(e4 - 1) / 2, (e4 + 1) / 2]]
     np.testing.assert_allclose(found, expected, rtol=32 * EPS)  # norm 4: three squarings
-    np.testing.assert_allclose(found, scipy.linalg.expm(np.full((2, 2), 2.0)), rtol=1e-12)  # scipy's own error here: 5e-13
+    np.testing.assert_allclose(
+        found, scipy.linalg.expm(np.full((2, 2), 2.0)), rtol=1e-12
+    )  # scipy's own error here: 5e-13
 
 
 @given(st.floats(-50.0, 50.0))
@@ -61,7 +67,9 @@ def test_exponential_of_a_rotation_is_a_rotation(angle):
 def test_exponential_of_a_nilpotent_matrix_is_its_series():
     """I + N + N^2/2 with N^3 = 0: small numbers, exact up to a last bit."""
     N = np.array([[0.0, 2.0, 5.0], [0.0, 0.0, 3.0], [0.0, 0.0, 0.0]])
-    np.testing.assert_allclose(exponential(N), [[1.0, 2.0, 8.0], [0.0, 1.0, 3.0], [0.0, 0.0, 1.0]], rtol=4 * EPS, atol=0)
+    np.testing.assert_allclose(
+        exponential(N), [[1.0, 2.0, 8.0], [0.0, 1.0, 3.0], [0.0, 0.0, 1.0]], rtol=4 * EPS, atol=0
+    )
 
 
 def test_exponential_of_zero_is_the_identity():
@@ -73,7 +81,9 @@ def test_exponential_of_zero_is_the_identity():
 def test_a_slow_mode_beside_a_fast_one_keeps_its_digits():
     """Twenty squarings for the fast mode cost the slow one a few last bits, not a million."""
     found = exponential(np.diag([-1e6, -1.0, -1e-6, 0.0]))
-    np.testing.assert_allclose(np.diag(found)[1:], np.exp([-1.0, -1e-6, 0.0]), rtol=24 * EPS)  # one rounding a squaring
+    np.testing.assert_allclose(
+        np.diag(found)[1:], np.exp([-1.0, -1e-6, 0.0]), rtol=24 * EPS
+    )  # one rounding a squaring
     assert abs(found[0, 0]) < 24 * EPS
     assert (found[~np.eye(4, dtype=bool)] == 0.0).all()
 
@@ -94,7 +104,11 @@ def test_first_order_hold_is_the_closed_form(rate):
     z = rate * h
     found = first_order_hold(np.array([[-rate]]), np.ones((1, n)), h, np.array([False, True]))
     whole = -math.expm1(-z) / rate
-    end = (0.5 * z - z**2 / 6 + z**3 / 24 - z**4 / 120) / rate if z < 1e-3 else (z + math.expm1(-z)) / (rate * z)
+    end = (
+        (0.5 * z - z**2 / 6 + z**3 / 24 - z**4 / 120) / rate
+        if z < 1e-3
+        else (z + math.expm1(-z)) / (rate * z)
+    )
     # one rounding of numbers of size h in each of a few squarings
     atol = 32 * EPS * h
     np.testing.assert_allclose(found.Ad, math.exp(-z), rtol=0, atol=32 * EPS)
@@ -106,7 +120,9 @@ def test_first_order_hold_is_the_closed_form(rate):
 def test_a_double_integrator_is_discretised_exactly():
     """x1' = x2, x2' = u on a line: h^2/3 u0 + h^2/6 u1 and h/2 (u0 + u1)."""
     h = 0.5
-    found = first_order_hold(np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]]), h, np.array([False]))
+    found = first_order_hold(
+        np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]]), h, np.array([False])
+    )
     np.testing.assert_allclose(found.Ad, [[1.0, h], [0.0, 1.0]], rtol=2 * EPS)
     np.testing.assert_allclose(found.B0, [[h**2 / 3], [h / 2]], rtol=4 * EPS)
     np.testing.assert_allclose(found.B1, [[h**2 / 6], [h / 2]], rtol=4 * EPS)
@@ -119,14 +135,25 @@ def test_first_order_hold_agrees_with_quadrature(A, data):
     n, h = len(A), 0.25
     B = data.draw(arrays(np.float64, (n, 2), elements=finite))
     found = first_order_hold(A, B, h, np.array([False, True]))
-    x, w = np.polynomial.legendre.leggauss(20)  # 20 points are exact to degree 39: (norm h)^40 / 40! < 1e-16
+    x, w = np.polynomial.legendre.leggauss(
+        20
+    )  # 20 points are exact to degree 39: (norm h)^40 / 40! < 1e-16
     nodes, weights = h * (x + 1) / 2, h * w / 2
     flows = np.array([exact_exponential(A * s) @ B for s in nodes])
     whole, end = np.tensordot(weights, flows, 1), np.tensordot(weights * (1 - nodes / h), flows, 1)
-    atol = 64 * EPS * np.linalg.norm(exact_exponential(np.abs(A) * h), np.inf) * (1 + h * np.abs(B).sum())
+    atol = (
+        64
+        * EPS
+        * np.linalg.norm(exact_exponential(np.abs(A) * h), np.inf)
+        * (1 + h * np.abs(B).sum())
+    )
     np.testing.assert_allclose(found.Ad, exact_exponential(A * h), rtol=0, atol=atol)
-    np.testing.assert_allclose(found.B0, np.column_stack([(whole - end)[:, 0], whole[:, 1]]), rtol=0, atol=atol)
-    np.testing.assert_allclose(found.B1, np.column_stack([end[:, 0], np.zeros(n)]), rtol=0, atol=atol)
+    np.testing.assert_allclose(
+        found.B0, np.column_stack([(whole - end)[:, 0], whole[:, 1]]), rtol=0, atol=atol
+    )
+    np.testing.assert_allclose(
+        found.B1, np.column_stack([end[:, 0], np.zeros(n)]), rtol=0, atol=atol
+    )
 
 
 def dirty_derivative(rate):
@@ -146,7 +173,13 @@ def dirty_derivative(rate):
 
 
 @pytest.mark.parametrize(
-    "key", ["lambda_f=1000,H=0.0001", "lambda_f=1000,H=0.001", "lambda_f=1000,H=0.01", "lambda_f=100,H=0.01"]
+    "key",
+    [
+        "lambda_f=1000,H=0.0001",
+        "lambda_f=1000,H=0.001",
+        "lambda_f=1000,H=0.01",
+        "lambda_f=100,H=0.01",
+    ],
 )
 def test_the_dirty_derivative_of_a_ramp_is_one_only_on_straight_lines(case, key):
     """C06: held inputs over-read a ramp by z/(1 - e^-z), or under-read it where the output is stale; lines give 1."""
@@ -155,7 +188,10 @@ def test_the_dirty_derivative_of_a_ramp_is_one_only_on_straight_lines(case, key)
     steps = max(40, math.ceil(40.0 / (rate * h)))  # e^-40 of the transient is left
     u = (np.arange(steps + 1) * h)[:, None]
     expected = reference["expected_gain"][key]
-    held, lines = (drive(dirty_derivative(rate), u, step_ns=round(h * 1e9), held=held) for held in (True, False))
+    held, lines = (
+        drive(dirty_derivative(rate), u, step_ns=round(h * 1e9), held=held)
+        for held in (True, False)
+    )
     stale = rate * (u[-2, 0] - held[-1, 1])
     assert abs(held[-1, 0] - expected["zoh_fresh_output"]) <= reference["tol"]
     assert abs(stale - expected["zoh_stale_output"]) <= reference["tol"]
@@ -167,7 +203,10 @@ def test_affine_gives_the_bits_of_a_plain_loop(rows, columns, more, data):
     """From left to right, one pair after the other, no fused operation, no blocks."""
     numbers = st.floats(-1e3, 1e3)
     shapes = [((rows, n), (n,)) for n in (columns, more)]
-    pairs = [tuple(data.draw(arrays(np.float64, shape, elements=numbers)) for shape in pair) for pair in shapes]
+    pairs = [
+        tuple(data.draw(arrays(np.float64, shape, elements=numbers)) for shape in pair)
+        for pair in shapes
+    ]
     expected = []
     for i in range(rows):
         total = 0.0

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import cosim
-from cosim.scenario.report import summarise
+from cosim.report.summary import summarize
 
 
 def error_of_delta(run) -> float:
@@ -28,14 +28,14 @@ def test_straight_lines_keep_the_disturbance_error_near_the_methods_own(academic
 
 def test_held_inputs_spoil_the_disturbance():
     """Held inputs make the dirty derivative read ramps 58 % too high: an error of 0.35."""
-    held = cosim.run("academic", set={"scenario.hold": "start"})
+    held = cosim.run("academic", set={"scenario.input_interpolation": "zero-order"})
     assert error_of_delta(held) == pytest.approx(0.353, abs=5e-3)
 
 
 @pytest.mark.parametrize(
     ("scenario", "changes", "which"),
     [
-        ("academic", {"scenario.hold": "start"}, "u and y held"),
+        ("academic", {"scenario.input_interpolation": "zero-order"}, "u and y held"),
         ("academic", {"components.u": {"kind": "step", "time": 8.0}}, "u held"),
         ("closed-loop", {"scenario.coupling": "jacobi"}, "u and y held"),
         ("closed-loop", {"controller.period": 0.01}, "u held"),
@@ -66,8 +66,10 @@ def test_what_a_sine_cannot_tell_apart_is_said():
         "scenario.stop": 10.0,
     }
     run = cosim.run("academic", set=changes)
-    (found,) = summarise(run).identifications
-    assert found.remarks == ("theta[0]: a rate above 6.283 rad/s is taken for a slower one (delays 0.5 s apart)",)
+    (found,) = summarize(run).identifications
+    assert found.remarks == (
+        "theta[0]: a rate above 6.283 rad/s is taken for a slower one (delays 0.5 s apart)",
+    )
     assert run["identifier.theta"][-1] == pytest.approx(2 * np.pi / 0.5 - 7.0, abs=1e-3)
 
 
@@ -76,11 +78,17 @@ def test_coupling_error_is_of_second_order():
 
     The reference is the same scenario at an eighth of the finer step: its own error is 1/64 of it, inside the margin.
     """
-    runs = {h: cosim.run("academic", set={"scenario.step": h, "scenario.stop": 10.0}) for h in (2e-3, 1e-3, 1.25e-4)}
+    runs = {
+        h: cosim.run("academic", set={"scenario.step": h, "scenario.stop": 10.0})
+        for h in (2e-3, 1e-3, 1.25e-4)
+    }
     fine = runs[1.25e-4]
     for signal in ("plant.x_a", "observer.delta"):
         coarse_error, fine_error = (
-            abs(runs[h][signal] - fine[signal][:: round(h / 1.25e-4)])[runs[h].time(signal) > 6.0].max() for h in (2e-3, 1e-3)
+            abs(runs[h][signal] - fine[signal][:: round(h / 1.25e-4)])[
+                runs[h].time(signal) > 6.0
+            ].max()
+            for h in (2e-3, 1e-3)
         )
         assert 3.5 < coarse_error / fine_error < 4.5, signal
 

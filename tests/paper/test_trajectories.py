@@ -47,7 +47,10 @@ def test_reconstructed_disturbance_follows_the_exact_filter(fine, case):
     """C02: delta_hat of the paper's filter, its own O(1/lambda_f) error included, to 1e-5."""
     found = case("C02")
     exact = np.array(found["expected"]["delta_hat"])
-    assert abs(at(fine, "observer.delta", np.array(found["t"]))[:, 0] - exact).max() <= found["tol"]["delta_hat"]
+    assert (
+        abs(at(fine, "observer.delta", np.array(found["t"]))[:, 0] - exact).max()
+        <= found["tol"]["delta_hat"]
+    )
 
 
 def test_rms_error_of_the_reconstruction_is_the_methods_own(fine, case):
@@ -60,7 +63,9 @@ def test_rms_error_of_the_reconstruction_is_the_methods_own(fine, case):
     for run in (coarse, fine):
         error = (run["observer.delta"] - run["delta.y"])[run.time("delta.y") >= 9.0]
         rms.append(np.sqrt(np.mean(error**2)))
-    assert (4.0 * rms[1] - rms[0]) / 3.0 == pytest.approx(case("C02")["expected_rms_delta_err_9_40"], abs=5e-7)
+    assert (4.0 * rms[1] - rms[0]) / 3.0 == pytest.approx(
+        case("C02")["expected_rms_delta_err_9_40"], abs=5e-7
+    )
 
 
 # The derivative filter reads a straight line for a curve, filter_rate h^2 / 12 y'' = 8e-7 y'' at 0.1 ms, and at t = 10 s theta2
@@ -80,7 +85,12 @@ def test_least_squares_as_printed_gives_the_exact_estimates(name, key, P0, step,
     expected = found["expected"]
     for part in key:
         expected = expected[part]
-    changes = {"observer.q0": [0.0], "scenario.step": step, "scenario.stop": max(times), "identifier.P0": P0}
+    changes = {
+        "observer.q0": [0.0],
+        "scenario.step": step,
+        "scenario.stop": max(times),
+        "identifier.P0": P0,
+    }
     run = cosim.run("academic", set=changes)
     rows = {row["t"]: row["theta"] for row in expected["delta_hat"]}
     for time in times:

@@ -11,8 +11,8 @@ import pytest
 
 import cosim
 from cosim.core.contracts import Component
-from cosim.core.solver import LinearModel
-from cosim.scenario.build import build, build_site
+from cosim.core.linear import LinearModel
+from cosim.scenario.build import build, build_context
 from cosim.scenario.execution import load
 from cosim.scenario.exporting import export_component
 
@@ -22,16 +22,32 @@ START = {"scenario.stop": STOP, "identifier.start": 3.5}  # theta is there at th
 SAMPLED = {"controller.period": 0.01}
 ACADEMIC = [("academic", name) for name in ("plant", "observer", "regressor", "identifier")]
 LOOP = [("closed-loop", name) for name in ("feedback", "error", "controller")]
-AGAIN = [("closed-loop", name) for name in ("plant", "observer", "regressor", "identifier")]  # the same kinds with other signals
-SAMPLED_UNITS = [("sampled", "controller"), ("step", "controller"), ("slow", "identifier"), ("held", "identifier")]
-UNITS = [*ACADEMIC, *LOOP, *SAMPLED_UNITS, *(pytest.param(*unit, marks=pytest.mark.campaign) for unit in AGAIN)]
-STATES = [("academic", "plant"), ("academic", "observer"), ("closed-loop", "controller")]  # linear models that have some
+AGAIN = [
+    ("closed-loop", name) for name in ("plant", "observer", "regressor", "identifier")
+]  # the same kinds with other signals
+SAMPLED_UNITS = [
+    ("sampled", "controller"),
+    ("step", "controller"),
+    ("slow", "identifier"),
+    ("held", "identifier"),
+]
+UNITS = [
+    *ACADEMIC,
+    *LOOP,
+    *SAMPLED_UNITS,
+    *(pytest.param(*unit, marks=pytest.mark.campaign) for unit in AGAIN),
+]
+STATES = [
+    ("academic", "plant"),
+    ("academic", "observer"),
+    ("closed-loop", "controller"),
+]  # linear models that have some
 DRIVERS = {"sampled": "error", "slow": "regressor"}
 CHANGES = {
     "sampled": SAMPLED,
     "step": {"controller.period": H},
     "slow": {"identifier.period": 0.1},
-    "held": {"scenario.hold": "start"},
+    "held": {"scenario.input_interpolation": "zero-order"},
 }
 
 
@@ -50,7 +66,10 @@ class Case:
 
 
 def scenario_of(key: str) -> tuple[str, dict[str, Any]]:
-    return ("academic" if key in ("academic", "slow", "held") else "closed-loop"), {**START, **CHANGES.get(key, {})}
+    return ("academic" if key in ("academic", "slow", "held") else "closed-loop"), {
+        **START,
+        **CHANGES.get(key, {}),
+    }
 
 
 @cache
@@ -66,22 +85,29 @@ def case(key: str, name: str) -> Case:
     loaded, run = load(scenario).set(changes), recorded(key)
     with ExitStack() as resources:
         graph = build(loaded.document, resources).graph
-        site = build_site(loaded, resources)
-        model = loaded.specs[name].linear_model(name, site) if (key, name) in STATES else None
+        context = build_context(loaded, resources)
+        model = loaded.specs[name].linear_model(name, context) if (key, name) in STATES else None
     component = graph.components[name]
     t = np.arange(round(STOP / H) + 1) * 1_000_000 / 1e9
-    if key in DRIVERS:  # the log keeps only the rows at its period, so it runs here on what drove it
+    if (
+        key in DRIVERS
+    ):  # the log keeps only the rows at its period, so it runs here on what drove it
         component.prepare(H, graph.held[name], {})
         u = columns(run, DRIVERS[key], graph.components[DRIVERS[key]].interface.outputs)
         y = np.vstack([component.initialize(0.0, u[0]), component.advance(t, H, u)])
     else:
-        u, y = (columns(run, name, signals) for signals in (component.interface.inputs, component.interface.outputs))
+        u, y = (
+            columns(run, name, signals)
+            for signals in (component.interface.inputs, component.interface.outputs)
+        )
     return Case(scenario, name, component, model, graph.held[name], t, u, y)
 
 
 def columns(run: Any, name: str, signals: Any) -> Any:
     """Give the signals of a component side by side, at every communication point."""
-    return np.ascontiguousarray(np.hstack([np.reshape(run[f"{name}.{s.name}"], (-1, s.size)) for s in signals]))
+    return np.ascontiguousarray(
+        np.hstack([np.reshape(run[f"{name}.{s.name}"], (-1, s.size)) for s in signals])
+    )
 
 
 def export(key: str, name: str, fmi: str, folder: Path) -> Path:

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
+from cosim.core.linear import LinearModel
 from cosim.core.signals import Interface, Signal
-from cosim.core.solver import LinearModel
 from cosim.fmi.exporting.export import export
 from tests.fmi.plant import START, A, B, C, D
 
@@ -26,7 +26,18 @@ def packed(path: Path) -> Path:
 
 
 def _export(path, outputs, feedthrough, rows):
-    face = Interface((Signal("push", role="input"), Signal("force", role="input")), outputs, feedthrough)
+    face = Interface(
+        (Signal("push", role="input"), Signal("force", role="input")), outputs, feedthrough
+    )
     columns = [1, 0]
-    model = LinearModel(face, ("s[0]", "s[1]"), A, B[:, columns], C[rows], D[rows][:, columns], START, np.zeros((2, 2)))
+    model = LinearModel(
+        face,
+        ("s[0]", "s[1]"),
+        A,
+        B[:, columns],
+        C[rows],
+        D[rows][:, columns],
+        START,
+        np.zeros((2, 2)),
+    )
     return export(model, path, name=path.stem).path

@@ -1,4 +1,4 @@
-# ruff: noqa: E501 - a table of messages reads best with one message a line
+
 """Every bad input gets one clear error before the first step: the place, what was found, what was needed, the nearest name."""
 
 import re
@@ -155,7 +155,10 @@ def test_a_start_value_is_refused_in_one_line(value, tmp_path):
     (path := tmp_path / "x.toml").write_text(START % value)
     with pytest.raises(ScenarioError) as caught:
         cosim.run(path)
-    assert str(caught.value).replace(str(tmp_path), "") == f"/x.toml:9: components.p.start.{STARTS[value]}"
+    assert (
+        str(caught.value).replace(str(tmp_path), "")
+        == f"/x.toml:9: components.p.start.{STARTS[value]}"
+    )
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -176,7 +179,13 @@ def test_all_errors_of_a_file_come_together(tmp_path):
         ('"regressor.delta" = "observer.delta"', '"regressor.delta" = "w.delta"'),
         ('"plant.delta" = "delta.y"\n', ""),
     )
-    for pattern in ("amplitude: found nan", "D_2 = D_3", "not Hurwitz", "no component 'w'", "'plant.delta' is not connected"):
+    for pattern in (
+        "amplitude: found nan",
+        "D_2 = D_3",
+        "not Hurwitz",
+        "no component 'w'",
+        "'plant.delta' is not connected",
+    ):
         assert message.count(pattern) == 1, message
 
 
@@ -202,7 +211,9 @@ def test_units_must_agree_or_be_converted(tmp_path):
     path.write_text(text.replace("{source}", '"u.y"'))
     assert cosim.run(path)["x.u"][-1] == 2.0 * 1e-3
     path.write_text(text.replace("{source}", '"u.y"').replace('unit = "m"', 'unit = "s"'))
-    with pytest.raises(ScenarioError, match=r"u\.y -> x\.u: unit 'mm' cannot drive unit 's'; convert with"):
+    with pytest.raises(
+        ScenarioError, match=r"u\.y -> x\.u: unit 'mm' cannot drive unit 's'; convert with"
+    ):
         cosim.run(path)
     path.write_text(text.replace("{source}", '{ from = "u.y", gain = 1e-3, unit = "m" }'))
     assert cosim.run(path)["x.u"][-1] == pytest.approx(2e-3, rel=1e-15)
@@ -211,14 +222,26 @@ def test_units_must_agree_or_be_converted(tmp_path):
 @pytest.mark.parametrize(
     ("changes", "pattern"),
     [
-        ({"obs.filter_rate": 1.0}, r"--set obs\.filter_rate: there is no component 'obs'; did you mean 'observer'\?"),
-        ({"observer.filter_rat": 1.0}, r"--set observer\.filter_rat: components\.observer\.filter_rat: unknown key"),
-        ({"filter_rate": 1.0}, r"--set filter_rate: found no dot, needed component\.parameter=value"),
+        (
+            {"obs.filter_rate": 1.0},
+            r"--set obs\.filter_rate: there is no component 'obs'; did you mean 'observer'\?",
+        ),
+        (
+            {"observer.filter_rat": 1.0},
+            r"--set observer\.filter_rat: components\.observer\.filter_rat: unknown key",
+        ),
+        (
+            {"filter_rate": 1.0},
+            r"--set filter_rate: found no dot, needed component\.parameter=value",
+        ),
         (
             {"plant.x_a0": [1.0]},
             r"academic:29 \(with --set plant\.x_a0\): components\.plant: x_a0 has shape \(1,\); needed \(2,\)",
         ),
-        ({"scenario.stop": -1.0}, r"--set scenario\.stop: scenario\.stop: stop: found -1\.0 s, needed a positive time"),
+        (
+            {"scenario.stop": -1.0},
+            r"--set scenario\.stop: scenario\.stop: stop: found -1\.0 s, needed a positive time",
+        ),
     ],
 )
 def test_a_bad_change_names_the_change(changes, pattern):
@@ -231,9 +254,18 @@ def test_a_bad_change_names_the_change(changes, pattern):
     ("swap", "pattern"),
     [
         ({"plnt": "x.fmu"}, r"--swap plnt: there is no component 'plnt'; did you mean 'plant'\?"),
-        ({"plant": "x.zip"}, r"--swap plant: found '.*x\.zip', needed a path that ends in \.fmu \(an FMU\) or \.mcap"),
-        ({"plant": "missing.fmu"}, r"--swap plant: components\.plant: .*missing\.fmu: there is no such file"),
-        ({"plant": "missing.mcap"}, r"--swap plant: components\.plant: .*missing\.mcap cannot be read: No such file"),
+        (
+            {"plant": "x.zip"},
+            r"--swap plant: found '.*x\.zip', needed a path that ends in \.fmu \(an FMU\) or \.mcap",
+        ),
+        (
+            {"plant": "missing.fmu"},
+            r"--swap plant: components\.plant: .*missing\.fmu: there is no such file",
+        ),
+        (
+            {"plant": "missing.mcap"},
+            r"--swap plant: components\.plant: .*missing\.mcap cannot be read: No such file",
+        ),
     ],
 )
 def test_a_bad_swap_names_the_swap(swap, pattern):
@@ -244,13 +276,17 @@ def test_a_bad_swap_names_the_swap(swap, pattern):
 
 def test_an_unknown_scenario_names_the_nearest():
     """A name that is no path and not shipped."""
-    with pytest.raises(ScenarioError, match=r"there is no scenario 'acedemic'; .* did you mean 'academic'\?"):
+    with pytest.raises(
+        ScenarioError, match=r"there is no scenario 'acedemic'; .* did you mean 'academic'\?"
+    ):
         cosim.load("acedemic")
 
 
 def test_a_missing_file_is_refused(tmp_path):
     """A path that leads nowhere."""
-    with pytest.raises(ScenarioError, match=r"none\.toml: cannot be read \(No such file or directory\)"):
+    with pytest.raises(
+        ScenarioError, match=r"none\.toml: cannot be read \(No such file or directory\)"
+    ):
         cosim.load(tmp_path / "none.toml")
 
 
@@ -258,8 +294,12 @@ def test_a_log_that_lacks_a_component_is_refused(tmp_path):
     """A recording can only stand for what it recorded."""
     path = tmp_path / "a.mcap"
     cosim.run("academic", out=path, set={"scenario.stop": 0.1})
-    with pytest.raises(ScenarioError, match=r"the log has no component 'plnat'; it has: u, delta, plant"):
-        cosim.run("academic", swap={"plant": path}, set={"scenario.stop": 0.1, "plant.component": "plnat"})
+    with pytest.raises(
+        ScenarioError, match=r"the log has no component 'plnat'; it has: u, delta, plant"
+    ):
+        cosim.run(
+            "academic", swap={"plant": path}, set={"scenario.stop": 0.1, "plant.component": "plnat"}
+        )
 
 
 @pytest.mark.parametrize(("start", "end"), [(0.5, 50.0), (0.0, 39.0)])
@@ -267,7 +307,8 @@ def test_a_table_must_cover_the_whole_run(start, end):
     """Beyond its ends a table has no value; that is known before the first step."""
     table = {"kind": "table", "t": [start, end], "y": [0.0, 1.0]}
     with pytest.raises(
-        ScenarioError, match=rf"components\.u: table: covers {start} s to {end} s; needed 0 s to 40\.0 s, the whole run"
+        ScenarioError,
+        match=rf"components\.u: table: covers {start} s to {end} s; needed 0 s to 40\.0 s, the whole run",
     ):
         cosim.run("academic", set={"components.u": table})
 
@@ -283,7 +324,10 @@ def test_a_table_must_cover_the_whole_run(start, end):
             {"components.d": {"kind": "delay", "delay": 1e9}},
             r"delay: \d+ communication steps of 1 values do not fit; at most \d+ values",
         ),
-        ({"scenario": {"stop": 2.0}}, r"--set scenario: found no dot, needed component\.parameter=value"),
+        (
+            {"scenario": {"stop": 2.0}},
+            r"--set scenario: found no dot, needed component\.parameter=value",
+        ),
         (
             {"connections.plant.u": {"from": "u.y", "gain": [[1.0, 2.0], [3.0]]}},
             r"connections\.plant\.u: 'u\.y': gain has rows of different",

@@ -82,10 +82,17 @@ def test_a_conversion_is_recorded_and_replayed_bit_for_bit(units, tmp_path):
     path = tmp_path / "units.mcap"
     log = cosim.run(units, out=path)
     recorded = json.loads(log.metadata["cosim.connections"]["sensor.u"])
-    assert recorded["conversion"] == {"factor1": 1.0, "offset1": 273.15, "offset2": 0.0, "factor2": 1.0}
+    assert recorded["conversion"] == {
+        "factor1": 1.0,
+        "offset1": 273.15,
+        "offset2": 0.0,
+        "factor2": 1.0,
+    }
     assert cosim.diff(log, cosim.replay(path)).equal
     units.write_text(UNITS.format(readout="K"))
-    plain = json.loads(cosim.run(units, out=tmp_path / "k.mcap").metadata["cosim.connections"]["readout.u"])
+    plain = json.loads(
+        cosim.run(units, out=tmp_path / "k.mcap").metadata["cosim.connections"]["readout.u"]
+    )
     assert plain == {"from": "sensor.y", "gain": 2.0, "offset": -3.0, "unit": None}
 
 
@@ -142,9 +149,9 @@ def test_units_of_an_fmu_are_what_it_defines(tmp_path):
             content = source.read(name)
             if name == "modelDescription.xml":
                 text = content.decode().replace("</CoSimulation>", definitions)
-                content = text.replace('<Real start="0.0" />', '<Real start="0.0" unit="F"/>', 1).replace(
-                    "<Real />", '<Real unit="long"/>', 1
-                )
+                content = text.replace(
+                    '<Real start="0.0" />', '<Real start="0.0" unit="F"/>', 1
+                ).replace("<Real />", '<Real unit="long"/>', 1)
             target.writestr(name, content)
     (tmp_path / "fmu.toml").write_text(FMU.format(path=path))
     run = cosim.run(tmp_path / "fmu.toml", out=log)
@@ -166,7 +173,10 @@ def test_an_exported_fmu_defines_its_units(units, tmp_path):
 def test_units_that_cannot_be_converted_are_refused(units):
     """With both of them and the way out."""
     units.write_text(UNITS.format(readout="Pa"))
-    with pytest.raises(ScenarioError, match=r"sensor\.y -> readout\.u: unit 'K' cannot drive unit 'Pa'; convert with"):
+    with pytest.raises(
+        ScenarioError,
+        match=r"sensor\.y -> readout\.u: unit 'K' cannot drive unit 'Pa'; convert with",
+    ):
         cosim.run(units)
 
 
@@ -183,7 +193,9 @@ def test_a_unit_that_is_not_known_is_called_so(units):
 
 
 @pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
-def test_a_loop_through_an_fmu_without_dependencies_runs_with_a_warning(coupling, foreign2, tmp_path, capsys):
+def test_a_loop_through_an_fmu_without_dependencies_runs_with_a_warning(
+    coupling, foreign2, tmp_path, capsys
+):
     """pythonfmu writes none. Its y = x1 - u does feed through: solved at the start, one step late afterwards, and said so.
 
     At the start u = y / 2 and y = 1 - u, so y = 2 / 3.
@@ -196,7 +208,10 @@ def test_a_loop_through_an_fmu_without_dependencies_runs_with_a_warning(coupling
     text = "plant.y may depend directly on plant.u (the FMU does not say): taken as not feeding through; if it does, the loop is "
     assert f"warning: plant: {text}" in capsys.readouterr().err
     log = cosim.open_log(path)
-    assert any(message.name == "plant" and message.level == "warning" and text in message.text for message in log.messages())
+    assert any(
+        message.name == "plant" and message.level == "warning" and text in message.text
+        for message in log.messages()
+    )
     assert abs(log["plant.y"][0] - 2.0 / 3.0) <= 1e-15
     assert (log["k.y"] == 0.5 * log["plant.y"]).all()
     assert (log["plant.u"] == log["k.y"]).all()
@@ -228,14 +243,14 @@ K = 3.3
 """
 
 
-@pytest.mark.parametrize("mode", ["me", "cs"])
-def test_a_circle_at_the_start_through_an_fmu_is_solved_and_replayed(mode, tmp_path):
+@pytest.mark.parametrize("interface_type", ["me", "cs"])
+def test_a_circle_at_the_start_through_an_fmu_is_solved_and_replayed(interface_type, tmp_path):
     """The lag starts at its input, y = 1.1 - 3.3 y = 1.1 / 4.3, as a component and as an FMU by its InitialUnknowns."""
     scenario, fmu, path = tmp_path / "circle.toml", tmp_path / "lag.fmu", tmp_path / "circle.mcap"
     scenario.write_text(CIRCLE)
     export_component(str(scenario), "lag", fmu)
     own = cosim.run(scenario)
-    run = cosim.run(scenario, out=path, swap={"lag": fmu}, set={"lag.mode": mode})
+    run = cosim.run(scenario, out=path, swap={"lag": fmu}, set={"lag.interface_type": interface_type})
     assert abs(own["lag.y"][0] - 1.1 / 4.3) <= 1e-15
     assert (run["lag.y"][0], run["k.y"][0]) == (own["lag.y"][0], own["k.y"][0])
     assert cosim.diff(run, cosim.replay(path)).equal
@@ -243,8 +258,14 @@ def test_a_circle_at_the_start_through_an_fmu_is_solved_and_replayed(mode, tmp_p
 
 def test_an_fmu_without_dependencies_in_a_cascade_needs_no_warning(foreign2, tmp_path):
     """What is unknown matters only in a circle."""
-    text = LOOP.format(coupling="jacobi", path=foreign2).replace('"k.u" = "plant.y"', '"k.u" = "one.y"')
+    text = LOOP.format(coupling="jacobi", path=foreign2).replace(
+        '"k.u" = "plant.y"', '"k.u" = "one.y"'
+    )
     (tmp_path / "cascade.toml").write_text(text)
-    found = json.loads(cosim.run(tmp_path / "cascade.toml", out=tmp_path / "c.mcap").metadata["cosim.run"]["warnings"])
+    found = json.loads(
+        cosim.run(tmp_path / "cascade.toml", out=tmp_path / "c.mcap").metadata["cosim.run"][
+            "warnings"
+        ]
+    )
     assert not [text for _, text in found if "may depend directly on plant.u" in text]
     assert np.isfinite(cosim.open_log(tmp_path / "c.mcap")["plant.y"]).all()

@@ -12,7 +12,19 @@ from cosim.errors import CosimError
 def plant(tmp_path_factory):
     path = tmp_path_factory.mktemp("dae") / "plant.fmu"
     with pytest.raises(SystemExit) as stopped:
-        main(["export", "academic", "--component", "plant", "--fmi", "3", "--dae", "--out", str(path)])
+        main(
+            [
+                "export",
+                "academic",
+                "--component",
+                "plant",
+                "--fmi",
+                "3",
+                "--dae",
+                "--out",
+                str(path),
+            ]
+        )
     assert not stopped.value.code
     return path
 
@@ -32,7 +44,9 @@ def test_both_forms_give_the_plant_and_its_parameters(plant):
         found = cosim.run("academic", swap={"plant": plant}, set={**changes, "plant.dae": dae})
         for signal in ("y", "x_a", "x_b"):
             assert np.abs(found[f"plant.{signal}"] - expected[f"plant.{signal}"]).max() < 1e-12
-        assert found["identifier.theta"][-1] == pytest.approx(expected["identifier.theta"][-1], abs=1e-8)
+        assert found["identifier.theta"][-1] == pytest.approx(
+            expected["identifier.theta"][-1], abs=1e-8
+        )
 
 
 def test_its_ordinary_form_is_the_ordinary_export(plant, tmp_path):
@@ -40,9 +54,13 @@ def test_its_ordinary_form_is_the_ordinary_export(plant, tmp_path):
     ordinary = tmp_path / "ordinary.fmu"
     with pytest.raises(SystemExit):
         main(["export", "academic", "--component", "plant", "--fmi", "3", "--out", str(ordinary)])
-    for mode in ("me", "cs"):
+    for interface_type in ("me", "cs"):
         one, other = (
-            cosim.run("academic", swap={"plant": path}, set={"scenario.stop": 1.0, "plant.mode": mode})
+            cosim.run(
+                "academic",
+                swap={"plant": path},
+                set={"scenario.stop": 1.0, "plant.interface_type": interface_type},
+            )
             for path in (plant, ordinary)
         )
         for signal in ("y", "x_a", "x_b"):
@@ -63,7 +81,19 @@ def test_its_ordinary_form_is_the_ordinary_export(plant, tmp_path):
 def test_dae_is_for_descriptor_plants_and_fmi_3(component, fmi, message, tmp_path, capsys):
     """One message, exit 2."""
     with pytest.raises(SystemExit) as stopped:
-        main(["export", "academic", "--component", component, "--fmi", fmi, "--dae", "--out", str(tmp_path / "x.fmu")])
+        main(
+            [
+                "export",
+                "academic",
+                "--component",
+                component,
+                "--fmi",
+                fmi,
+                "--dae",
+                "--out",
+                str(tmp_path / "x.fmu"),
+            ]
+        )
     assert stopped.value.code
     assert message in capsys.readouterr().err
 

@@ -9,10 +9,10 @@ from fmpy.validation import validate_fmu
 
 import cosim
 from cosim.cli import main
-from cosim.core.solver import Linear
+from cosim.core.linear import Linear
 from cosim.errors import CosimError
 from cosim.fmi.component import ModelExchange, load
-from cosim.fmi.generated import GeneratedUnit
+from cosim.fmi.generated import GeneratedInstance
 from cosim.fmi.reading.model_description import read
 from cosim.scenario.document import find
 from cosim.scenario.exporting import export_component
@@ -42,7 +42,9 @@ def test_fmpy_finds_nothing_wrong(key, name, fmi, folder):
     assert validate_fmu(str(path)) == []
     found = fmpy.read_model_description(str(path), validate=True)
     assert found.coSimulation is not None
-    assert (found.modelExchange is None) == (name in ("regressor", "identifier") or key in ("sampled", "step"))
+    assert (found.modelExchange is None) == (
+        name in ("regressor", "identifier") or key in ("sampled", "step")
+    )
 
 
 @FMI
@@ -59,10 +61,10 @@ def test_our_own_check_finds_nothing_wrong(name, fmi, folder):
 def test_co_simulation_by_us_gives_what_the_component_gave(key, name, fmi, folder):
     """Bit for bit where the inputs move: in steps this small u0 + h (u1 - u0)/h is u1 but near its zeros, and there it is 1e-16.
 
-    Inputs that hold cost rounding: their two columns of the discretisation are added at each step, not once.
+    Inputs that hold cost rounding: their two columns of the discretization are added at each step, not once.
     """
     found = case(key, name)
-    with load(export(key, name, fmi, folder), mode="cs") as fmu:
+    with load(export(key, name, fmi, folder), interface_type="cs") as fmu:
         y = drive(fmu.component, found)
     assert relative(y, found.y) <= 1e-12
     if not found.held.any():
@@ -71,11 +73,13 @@ def test_co_simulation_by_us_gives_what_the_component_gave(key, name, fmi, folde
 
 @FMI
 @pytest.mark.parametrize(("key", "name"), STATES)
-def test_model_exchange_by_us_has_the_bits_of_the_component_with_the_same_solver(key, name, fmi, folder):
+def test_model_exchange_by_us_has_the_bits_of_the_component_with_the_same_solver(
+    key, name, fmi, folder
+):
     """rk4 on the FMU and rk4 on the component call the same C."""
     found = case(key, name)
-    expected = drive(ModelExchange(GeneratedUnit.of(found.model), "rk4"), found)
-    with load(export(key, name, fmi, folder), mode="me", solver="rk4") as fmu:
+    expected = drive(ModelExchange(GeneratedInstance.of(found.model), "rk4"), found)
+    with load(export(key, name, fmi, folder), interface_type="me", solver="rk4") as fmu:
         assert np.array_equal(drive(fmu.component, found), expected)
 
 
@@ -102,7 +106,13 @@ def by_fmpy(path, kind, found, named, stop):
     for (field, *_), value in zip(fields, values, strict=True):
         table[field] = value
     result = fmpy.simulate_fmu(
-        str(path), stop_time=stop, output_interval=H, fmi_type=kind, solver="CVode", relative_tolerance=1e-10, input=table
+        str(path),
+        stop_time=stop,
+        output_interval=H,
+        fmi_type=kind,
+        solver="CVode",
+        relative_tolerance=1e-10,
+        input=table,
     )
     names = [s.name for s in found.component.interface.outputs] if arrays else None
     columns = [np.reshape(result[n], (len(result), -1)) for n in names or result.dtype.names[1:]]
@@ -120,13 +130,19 @@ def test_co_simulation_by_fmpy_alone_gives_what_the_component_gives(key, name, f
     _, named = rows(found)
     y = by_fmpy(export(key, name, fmi, folder), "CoSimulation", found, named, STOP)
     component = found.component
-    component.prepare(H, np.ones(found.u.shape[1], np.bool_) if name != "identifier" else found.held, {})
+    component.prepare(
+        H, np.ones(found.u.shape[1], np.bool_) if name != "identifier" else found.held, {}
+    )
     expected = [component.initialize(0.0, found.u[0])]
     for k in range(len(found.t) - 1):
-        expected.append(component.advance(found.t[k : k + 2], H, np.vstack([found.u[k], found.u[k]]))[0])
+        expected.append(
+            component.advance(found.t[k : k + 2], H, np.vstack([found.u[k], found.u[k]]))[0]
+        )
     steps = min(len(y), len(expected))
     assert steps >= len(expected) - 1
-    assert relative(y[:steps], np.array(expected)[:steps]) <= (1e-7 if name == "identifier" else 1e-12)
+    assert relative(y[:steps], np.array(expected)[:steps]) <= (
+        1e-7 if name == "identifier" else 1e-12
+    )
 
 
 @FMI
@@ -143,24 +159,28 @@ def test_model_exchange_by_fmpy_alone_gives_what_the_component_gives(key, name, 
 
 
 @FMI
-@pytest.mark.parametrize("mode", ["me", "cs"])
-def test_derivatives_are_the_matrices(mode, fmi, folder):
+@pytest.mark.parametrize("interface_type", ["me", "cs"])
+def test_derivatives_are_the_matrices(interface_type, fmi, folder):
     """Of the observer, whose C and D are full: directional ones by columns."""
     found = case("academic", "observer")
-    with load(export("academic", "observer", fmi, folder), mode=mode) as fmu:
-        component, unit = fmu.component, fmu.component._unit
+    with load(export("academic", "observer", fmi, folder), interface_type=interface_type) as fmu:
+        component, unit = fmu.component, fmu.component._instance
         component.prepare(H, found.held, {})
         component.initialize(0.0, found.u[0])
         at_start = jacobian(unit, "input")
         component.outputs(0.0, found.u[0])
         model = found.model
-        assert np.allclose(at_start, model.D + model.C @ model.Xu, rtol=1e-14, atol=1e-14 * abs(model.C).max())
+        assert np.allclose(
+            at_start, model.D + model.C @ model.Xu, rtol=1e-14, atol=1e-14 * abs(model.C).max()
+        )
         assert np.array_equal(jacobian(unit, "input"), model.D)
 
 
 def jacobian(unit, causality):
     knowns, unknowns = unit.description.references(causality), unit.description.references("output")
-    return np.column_stack([unit.get_directional_derivative(unknowns, knowns, seed) for seed in np.eye(knowns.size)])
+    return np.column_stack(
+        [unit.get_directional_derivative(unknowns, knowns, seed) for seed in np.eye(knowns.size)]
+    )
 
 
 def test_adjoint_derivatives_are_the_transposed_matrices(folder):
@@ -202,8 +222,11 @@ def test_every_fmu_takes_its_component_place(folder):
     """The whole method as FMUs, FMI 2 and 3 mixed: the bits of the run with the components, no value yet included."""
     changes = {"scenario.stop": STOP, "identifier.start": 3.5}
     expected = cosim.run("academic", set=changes)
-    swaps = {name: export("academic", name, fmi, folder) for (_, name), fmi in zip(ACADEMIC, "3232", strict=True)}
-    settings = {"scenario.stop": STOP, **{f"{name}.mode": "cs" for name in swaps}}
+    swaps = {
+        name: export("academic", name, fmi, folder)
+        for (_, name), fmi in zip(ACADEMIC, "3232", strict=True)
+    }
+    settings = {"scenario.stop": STOP, **{f"{name}.interface_type": "cs" for name in swaps}}
     run = cosim.run("academic", swap=swaps, set=settings)
     for signal in ("plant.y", "observer.delta", "regressor.mu", "identifier.theta"):
         assert np.array_equal(run[signal], expected[signal], equal_nan=True), signal
@@ -212,9 +235,12 @@ def test_every_fmu_takes_its_component_place(folder):
 def test_a_fixed_step_is_kept(folder):
     """Another communication step is refused before the run in FMI 3, which says it, and by the FMU in FMI 2."""
     found = case("academic", "regressor")
-    with load(export("academic", "regressor", "3", folder), mode="cs") as fmu, pytest.raises(CosimError, match=r"0\.001 s"):
+    with (
+        load(export("academic", "regressor", "3", folder), interface_type="cs") as fmu,
+        pytest.raises(CosimError, match=r"0\.001 s"),
+    ):
         fmu.component.prepare(0.0015, found.held, {})
-    with load(export("academic", "regressor", "2", folder), mode="cs") as fmu:
+    with load(export("academic", "regressor", "2", folder), interface_type="cs") as fmu:
         fmu.component.prepare(0.002, found.held, {})
         fmu.component.initialize(0.0, found.u[0])
         needed = r"a communication step of 0\.002\d* s was asked for; needed 0\.001 s, the step of this unit"
@@ -232,10 +258,15 @@ def test_what_cannot_be_exported_is_refused(tmp_path, monkeypatch, capsys):
         assert stopped.value.code == 2
         return capsys.readouterr().err
 
-    assert "'u' is of kind 'sine', which cannot be exported; what can be: descriptor" in refused("--component", "u")
+    assert "'u' is of kind 'sine', which cannot be exported; what can be: descriptor" in refused(
+        "--component", "u"
+    )
     assert "FMI version '1'" in refused("--component", "plant", "--fmi", "1")
     text = refused("--component", "plant", "--platform", "x86_64-lnux")
-    assert "platform 'x86_64-lnux': did you mean 'x86_64-linux'? There is: x86_64-linux, aarch64-linux" in text
+    assert (
+        "platform 'x86_64-lnux': did you mean 'x86_64-linux'? There is: x86_64-linux, aarch64-linux"
+        in text
+    )
     twice = refused("--component", "plant", "--platform", "x86_64-linux, x86_64-linux")
     assert "platform 'x86_64-linux' is there twice; needed once" in twice
     assert list(tmp_path.iterdir()) == []
@@ -297,12 +328,15 @@ def test_small_parts_are_the_same_as_fmus(fmi, tmp_path):
         export_component(str(scenario), name, path, fmi=fmi)
         assert validate_fmu(str(path)) == []
         assert read(path).description.name == f"small_parts_{name}"  # an identifier of C
-        run = cosim.run(scenario, swap={name: path}, set={f"{name}.mode": "cs"})
+        run = cosim.run(scenario, swap={name: path}, set={f"{name}.interface_type": "cs"})
         assert relative(run[f"{name}.y"], expected[f"{name}.y"]) <= 1e-14, name
 
 
-HELD = PARTS.replace('y = ["sin(7*t)", "cos(9*t) + 0.3"]', 'y = ["sin(7*t)", "cos(9*t) + 0.3"]\ndiscrete = true').replace(
-    "[connections]", '[components.after]\nkind = "lag"\ntime_constant = 0.05\nsize = 3\n[connections]\n"after.u" = "gain.y"'
+HELD = PARTS.replace(
+    'y = ["sin(7*t)", "cos(9*t) + 0.3"]', 'y = ["sin(7*t)", "cos(9*t) + 0.3"]\ndiscrete = true'
+).replace(
+    "[connections]",
+    '[components.after]\nkind = "lag"\ntime_constant = 0.05\nsize = 3\n[connections]\n"after.u" = "gain.y"',
 )
 
 
@@ -318,8 +352,13 @@ def test_parts_that_inherit_steps_are_discrete(tmp_path):
         export_component(str(scenario), name, tmp_path / f"{name}.fmu", fmi="3")
         about = read(tmp_path / f"{name}.fmu").description
         assert {about[port].variability for port in ("u", "y")} == {"discrete"}
-        settings = {f"{name}.mode": "cs"}
-        run = cosim.run(scenario, out=tmp_path / f"{name}.mcap", swap={name: tmp_path / f"{name}.fmu"}, set=settings)
+        settings = {f"{name}.interface_type": "cs"}
+        run = cosim.run(
+            scenario,
+            out=tmp_path / f"{name}.mcap",
+            swap={name: tmp_path / f"{name}.fmu"},
+            set=settings,
+        )
         assert np.array_equal(run[f"{name}.y"], expected[f"{name}.y"]), name
         assert np.array_equal(run["after.y"], expected["after.y"]), name
         assert not [m for m in run.messages() if "first order in the step" in m.text], name

@@ -22,16 +22,35 @@ def archive(path, content):
 def without_binaries(path):
     export_component("academic", "plant", path)
     with zipfile.ZipFile(path) as source:
-        kept = {name: source.read(name) for name in source.namelist() if not name.startswith("binaries/")}
+        kept = {
+            name: source.read(name)
+            for name in source.namelist()
+            if not name.startswith("binaries/")
+        }
     archive(path, kept)
 
 
 CASES = {
-    "not a zip": (lambda path: path.write_text("hello"), "not an FMU, as it is no zip archive (File is not a zip file)"),
-    "empty file": (lambda path: path.write_bytes(b""), "not an FMU, as it is no zip archive (File is not a zip file)"),
-    "no description": (lambda path: archive(path, {"readme.txt": ""}), f"not an FMU, as the archive has no {XML}"),
-    "broken XML": (lambda path: archive(path, {XML: "<fmi"}), f"{XML} is not well-formed: unclosed token: line 1, column 0"),
-    "no binary here": (without_binaries, "no binary for this platform; found binaries for: none; needed binaries/"),
+    "not a zip": (
+        lambda path: path.write_text("hello"),
+        "not an FMU, as it is no zip archive (File is not a zip file)",
+    ),
+    "empty file": (
+        lambda path: path.write_bytes(b""),
+        "not an FMU, as it is no zip archive (File is not a zip file)",
+    ),
+    "no description": (
+        lambda path: archive(path, {"readme.txt": ""}),
+        f"not an FMU, as the archive has no {XML}",
+    ),
+    "broken XML": (
+        lambda path: archive(path, {XML: "<fmi"}),
+        f"{XML} is not well-formed: unclosed token: line 1, column 0",
+    ),
+    "no binary here": (
+        without_binaries,
+        "no binary for this platform; found binaries for: none; needed binaries/",
+    ),
     "folder": (lambda path: path.mkdir(), "needed an .fmu file, found a folder"),
 }
 
@@ -47,7 +66,8 @@ def test_an_fmu_that_is_none_is_refused(name, tmp_path):
     assert caught.value.exit_code == 2
     said = str(caught.value)
     assert re.search(
-        rf"--swap plant: components\.plant: {re.escape(str(path))}: {re.escape(text)}", said.replace(f"{path} ", f"{path}: ")
+        rf"--swap plant: components\.plant: {re.escape(str(path))}: {re.escape(text)}",
+        said.replace(f"{path} ", f"{path}: "),
     ), said
     assert said.count("\n") == 0, "one error, one line"
     assert sorted(tmp_path.rglob("*")) == before, "nothing is written"

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from cosim.scenario.build import build_site
+from cosim.scenario.build import build_context
 from cosim.scenario.execution import load
 from cosim.scenario.exporting import export_component
 
@@ -27,8 +27,10 @@ PLANT, OBSERVER = range(4), range(2, 9)  # y, x_a, x_b from reference 2 on; x_a,
 def models():
     loaded = load("academic").set(CHANGES)
     with ExitStack() as resources:
-        site = build_site(loaded, resources)
-        return {name: loaded.specs[name].linear_model(name, site) for name in ("plant", "observer")}
+        context = build_context(loaded, resources)
+        return {
+            name: loaded.specs[name].linear_model(name, context) for name in ("plant", "observer")
+        }
 
 
 @pytest.fixture(scope="module")

@@ -12,10 +12,10 @@ import pytest
 import cosim
 from cosim.errors import LogError, NonFiniteError, RunError, UsageError
 from cosim.log import open_log
+from cosim.report.summary import summarize
 from cosim.scenario.document import shipped
 from cosim.scenario.execution import default_log
 from cosim.scenario.exporting import export_component
-from cosim.scenario.report import summarise
 from tests.fmi import lag
 
 SHORT = {"scenario.stop": 8.0}  # past the start of the identification at 6.461 s
@@ -28,11 +28,16 @@ def logged(request, tmp_path_factory):
     return request.param, path, cosim.run(request.param, out=path, set=SHORT)
 
 
-@pytest.mark.parametrize("changes", [SHORT, pytest.param({}, marks=pytest.mark.campaign)], ids=["short", "whole"])
+@pytest.mark.parametrize(
+    "changes", [SHORT, pytest.param({}, marks=pytest.mark.campaign)], ids=["short", "whole"]
+)
 @pytest.mark.parametrize("name", shipped())
 def test_blocks_do_not_change_a_bit(name, changes, tmp_path):
     """One call of 1000 steps, 1000 calls of one step, blocks of 7: equal bits in the log, identification included."""
-    logs = [cosim.run(name, out=tmp_path / f"{block}.mcap", block=block, set=changes) for block in (1000, 1, 7)]
+    logs = [
+        cosim.run(name, out=tmp_path / f"{block}.mcap", block=block, set=changes)
+        for block in (1000, 1, 7)
+    ]
     assert len({log.content_hash() for log in logs}) == 1
 
 
@@ -55,7 +60,7 @@ seed = 7
 [components.plant]
 kind = "fmu"
 path = "{plant}"
-mode = "{mode}"
+interface_type = "{interface_type}"
 
 [components.measured]
 kind = "sum"
@@ -89,14 +94,20 @@ upper = 0.4
 """
 
 
-@pytest.mark.parametrize("mode", ["me", "cs"])
+@pytest.mark.parametrize("interface_type", ["me", "cs"])
 @pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
-def test_a_loop_with_an_fmu_a_sampled_controller_and_noise_repeats_and_replays(mode, coupling, tmp_path):
+def test_a_loop_with_an_fmu_a_sampled_controller_and_noise_repeats_and_replays(
+    interface_type, coupling, tmp_path
+):
     """Blocks, replays and verification do not notice what is in the loop."""
     export_component("academic", "plant", tmp_path / "plant.fmu")
     scenario = tmp_path / "mixed.toml"
-    scenario.write_text(MIXED.format(plant=tmp_path / "plant.fmu", mode=mode, coupling=coupling))
-    logs = [cosim.run(scenario, out=tmp_path / f"{block}.mcap", block=block) for block in (1000, 1, 7)]
+    scenario.write_text(
+        MIXED.format(plant=tmp_path / "plant.fmu", interface_type=interface_type, coupling=coupling)
+    )
+    logs = [
+        cosim.run(scenario, out=tmp_path / f"{block}.mcap", block=block) for block in (1000, 1, 7)
+    ]
     assert len({log.content_hash() for log in logs}) == 1
     assert logs[0]["plant.y"].std() > 0.01
     assert cosim.diff(logs[0], cosim.replay(tmp_path / "1000.mcap")).equal
@@ -105,7 +116,10 @@ def test_a_loop_with_an_fmu_a_sampled_controller_and_noise_repeats_and_replays(m
 def test_two_runs_have_one_content_hash(logged, tmp_path):
     """The same scenario gives the same log content."""
     name, _, log = logged
-    assert cosim.run(name, out=tmp_path / "again.mcap", set=SHORT).result["content_hash"] == log.result["content_hash"]
+    assert (
+        cosim.run(name, out=tmp_path / "again.mcap", set=SHORT).result["content_hash"]
+        == log.result["content_hash"]
+    )
 
 
 def test_replay_is_bit_exact(logged):
@@ -125,8 +139,12 @@ def can_run(instructions):
 @pytest.mark.parametrize(
     "core",
     [
-        pytest.param("Haswell", marks=pytest.mark.skipif(not can_run("avx2"), reason="no AVX2 here")),
-        pytest.param("SkylakeX", marks=pytest.mark.skipif(not can_run("avx512f"), reason="no AVX-512 here")),
+        pytest.param(
+            "Haswell", marks=pytest.mark.skipif(not can_run("avx2"), reason="no AVX2 here")
+        ),
+        pytest.param(
+            "SkylakeX", marks=pytest.mark.skipif(not can_run("avx512f"), reason="no AVX-512 here")
+        ),
         "Nehalem",
     ],
 )
@@ -181,21 +199,28 @@ def test_replay_with_a_prior_equals_the_run_with_that_prior(tmp_path):
 def test_replay_refuses_another_step(logged):
     """Recorded rows exist at the recorded instants only."""
     _, path, _ = logged
-    with pytest.raises(UsageError, match=r"scenario\.step: found 0\.0005 s, a replay keeps the recorded 0\.001 s"):
+    with pytest.raises(
+        UsageError, match=r"scenario\.step: found 0\.0005 s, a replay keeps the recorded 0\.001 s"
+    ):
         cosim.replay(path, set={"scenario.step": 5e-4})
 
 
 def test_replay_refuses_to_change_what_is_recorded(logged):
     """A parameter of the plant cannot matter in a replay, so setting it is an error."""
     _, path, _ = logged
-    with pytest.raises(UsageError, match=r"'plant' is taken from the recording; run the scenario to change it"):
+    with pytest.raises(
+        UsageError, match=r"'plant' is taken from the recording; run the scenario to change it"
+    ):
         cosim.replay(path, set={"plant.x_a0": [0.0, 0.0]})
 
 
 def test_a_longer_replay_is_refused(logged):
     """There is nothing to replay beyond the end, and that is known before the first step."""
     _, path, _ = logged
-    with pytest.raises(UsageError, match=r"scenario\.stop: found 9\.0 s, the recording ends at 8\.0 s; needed no more than that"):
+    with pytest.raises(
+        UsageError,
+        match=r"scenario\.stop: found 9\.0 s, the recording ends at 8\.0 s; needed no more than that",
+    ):
         cosim.replay(path, set={"scenario.stop": 9.0})
 
 
@@ -219,14 +244,16 @@ def test_both_spellings_of_a_recorded_parameter_are_refused(logged, prefix):
 
 
 def test_a_design_is_not_reused_where_an_input_is_held_now(tmp_path):
-    """A recorded discretisation is for straight lines; what if u were discrete is computed anew, and equals a run."""
+    """A recorded discretization is for straight lines; what if u were discrete is computed anew, and equals a run."""
     smooth = {"components.u": {"kind": "expression", "y": "sin(t)"}, "scenario.stop": 8.0}
     cosim.run("academic", out=tmp_path / "a.mcap", set=smooth)
     by_replay = cosim.replay(tmp_path / "a.mcap", set={"u.discrete": True})
     by_run = cosim.run("academic", set={**smooth, "u.discrete": True, "plant.solver": "exact"})
     held_plant = np.array_equal(by_replay["plant.y"], by_run["plant.y"])
     assert not held_plant  # the plant is the recorded one
-    observer = cosim.run("academic", swap={"plant": tmp_path / "a.mcap"}, set={**smooth, "u.discrete": True})
+    observer = cosim.run(
+        "academic", swap={"plant": tmp_path / "a.mcap"}, set={**smooth, "u.discrete": True}
+    )
     assert np.array_equal(by_replay["observer.delta"], observer["observer.delta"])
 
 
@@ -238,7 +265,9 @@ def test_a_log_of_something_else_is_refused(tmp_path):
 
     path = tmp_path / "bare.mcap"
     run(Graph({"u": sine(rate=1.0)}, {}), Clock(1.0, 0.1), McapRecorder(path))
-    with pytest.raises(LogError, match=r"carries no scenario\.toml; needed a log that 'cosim run' wrote"):
+    with pytest.raises(
+        LogError, match=r"carries no scenario\.toml; needed a log that 'cosim run' wrote"
+    ):
         cosim.replay(path)
 
 
@@ -254,8 +283,12 @@ def test_a_recorded_plant_with_another_step_is_refused(tmp_path):
     """Recorded rows exist at the recorded instants only."""
     path = tmp_path / "a.mcap"
     cosim.run("academic", out=path, set={"scenario.stop": 0.1})
-    with pytest.raises(UsageError, match=r"has steps of 0\.001 s, the scenario of 0\.002 s; needed the same"):
-        cosim.run("academic", swap={"plant": path}, set={"scenario.stop": 0.1, "scenario.step": 2e-3})
+    with pytest.raises(
+        UsageError, match=r"has steps of 0\.001 s, the scenario of 0\.002 s; needed the same"
+    ):
+        cosim.run(
+            "academic", swap={"plant": path}, set={"scenario.stop": 0.1, "scenario.step": 2e-3}
+        )
 
 
 def test_a_memory_run_equals_a_logged_run(tmp_path):
@@ -270,7 +303,10 @@ def test_an_existing_log_needs_force(tmp_path):
     cosim.run("academic", out=path, set={"scenario.stop": 0.1})
     with pytest.raises(LogError, match="--force"):
         cosim.run("academic", out=path, set={"scenario.stop": 0.1})
-    assert cosim.run("academic", out=path, set={"scenario.stop": 0.2}, force=True).time("plant")[-1] == 0.2
+    assert (
+        cosim.run("academic", out=path, set={"scenario.stop": 0.2}, force=True).time("plant")[-1]
+        == 0.2
+    )
 
 
 def test_default_logs_count_up(tmp_path):
@@ -291,7 +327,13 @@ def test_a_log_carries_what_it_takes_to_check_it(logged):
     assert log.designs["observer"]["Ad"].shape == (3, 3)
     last = json.loads(log.attachment("result.json"))["last"]
     assert last["plant.x_a[1]"] == log["plant.x_a"][-1, 1]
-    assert set(log.metadata) >= {"cosim.run", "cosim.env", "cosim.schedule", "cosim.connections", "cosim.result"}
+    assert set(log.metadata) >= {
+        "cosim.run",
+        "cosim.env",
+        "cosim.schedule",
+        "cosim.connections",
+        "cosim.result",
+    }
 
 
 def test_a_non_finite_value_stops_the_run_and_keeps_what_was_before(tmp_path):
@@ -301,7 +343,9 @@ def test_a_non_finite_value_stops_the_run_and_keeps_what_was_before(tmp_path):
         '[scenario]\nname = "mine"\nstop = 1.0\nstep = 0.01\n[components.u]\nkind = "expression"\ny = "1/(t - 0.5)"\n'
         '[components.y]\nkind = "gain"\nK = 2.0\n[connections]\n"y.u" = "u.y"\n'
     )
-    with pytest.raises(NonFiniteError, match=r"'u\.y' became inf at t = 0\.5 s; the log keeps everything before"):
+    with pytest.raises(
+        NonFiniteError, match=r"'u\.y' became inf at t = 0\.5 s; the log keeps everything before"
+    ):
         cosim.run(scenario, out=tmp_path / "mine.mcap")
     log = open_log(tmp_path / "mine.mcap")
     assert log.status == "failed"
@@ -317,8 +361,12 @@ def test_a_replay_says_where_the_recording_cuts_a_loop(tmp_path):
         ({"observer.filter_rate": 500.0}, True),
         ({"identifier.P0": 1.0}, False),
     ):
-        warnings = dict(json.loads(cosim.replay(path, set=changes).metadata["cosim.run"]["warnings"]))
-        assert ("does not answer to what was changed" in warnings.get("plant", "")) is warned, changes
+        warnings = dict(
+            json.loads(cosim.replay(path, set=changes).metadata["cosim.run"]["warnings"])
+        )
+        assert ("does not answer to what was changed" in warnings.get("plant", "")) is warned, (
+            changes
+        )
 
 
 def test_a_log_is_never_written_over_what_is_no_log(tmp_path):
@@ -333,16 +381,24 @@ def test_a_log_is_never_written_over_what_is_no_log(tmp_path):
 def test_messages_of_the_run_are_in_the_log(tmp_path):
     """Warnings and the reason of the end stand on /cosim/log, with their time."""
     path = tmp_path / "a.mcap"
-    changes = {"components.bad": {"kind": "expression", "y": "1/(t - 0.05)"}, "scenario.hold": "start", "scenario.stop": 0.1}
+    changes = {
+        "components.bad": {"kind": "expression", "y": "1/(t - 0.05)"},
+        "scenario.input_interpolation": "zero-order",
+        "scenario.stop": 0.1,
+    }
     with pytest.raises(NonFiniteError):
         cosim.run("academic", out=path, set=changes)
-    found = [(message.time_ns, message.level, message.name) for message in open_log(path).messages()]
+    found = [
+        (message.time_ns, message.level, message.name) for message in open_log(path).messages()
+    ]
     assert found == [(0, "warning", "observer"), (49_000_000, "error", "run")]
 
 
 def test_values_from_numpy_can_be_set():
     """Arrays and numpy numbers mean what they hold."""
-    run = cosim.run("academic", set={"observer.L": np.array([8.0, 0.0]), "scenario.stop": np.float64(0.1)})
+    run = cosim.run(
+        "academic", set={"observer.L": np.array([8.0, 0.0]), "scenario.stop": np.float64(0.1)}
+    )
     assert np.array_equal(run.plan.designs["observer"]["A"][0, :1], [-8.0])
 
 
@@ -353,9 +409,15 @@ def test_a_recording_must_cover_the_run_and_is_not_written_over(tmp_path):
     with pytest.raises(UsageError, match=r"ends at 0\.1 s; needed 0\.2 s, the whole run"):
         cosim.run("academic", swap={"plant": path}, set={"scenario.stop": 0.2})
     with pytest.raises(UsageError, match="is read in this run; choose another path for the log"):
-        cosim.run("academic", swap={"plant": path}, set={"scenario.stop": 0.1}, out=path, force=True)
+        cosim.run(
+            "academic", swap={"plant": path}, set={"scenario.stop": 0.1}, out=path, force=True
+        )
     with pytest.raises(NonFiniteError):
-        cosim.run("academic", out=empty, set={"u.offset": 1e308, "u.phase": 1.6, "u.amplitude": 1e308, "scenario.stop": 0.1})
+        cosim.run(
+            "academic",
+            out=empty,
+            set={"u.offset": 1e308, "u.phase": 1.6, "u.amplitude": 1e308, "scenario.stop": 0.1},
+        )
     with pytest.raises(LogError, match="the log has no step to replay"):
         cosim.replay(empty)
 
@@ -364,14 +426,18 @@ def test_another_hold_or_coupling_is_a_change_before_every_recorded_component(tm
     """A replay with held inputs does not hold those of the recorded plant, and says so."""
     path = tmp_path / "a.mcap"
     cosim.run("academic", out=path, set={"scenario.stop": 0.1})
-    warnings = json.loads(cosim.replay(path, set={"scenario.hold": "start"}).metadata["cosim.run"]["warnings"])
+    warnings = json.loads(
+        cosim.replay(path, set={"scenario.input_interpolation": "zero-order"}).metadata[
+            "cosim.run"
+        ]["warnings"]
+    )
     assert any(name == "plant" and "does not answer" in text for name, text in warnings)
 
 
 def test_the_summary_counts_steps_not_rows():
     """Whatever period the first component has."""
     changes = {"identifier.period": 0.1, "scenario.stop": 1.0}
-    found = summarise(cosim.run("academic", set=changes))
+    found = summarize(cosim.run("academic", set=changes))
     assert (found.steps, found.end) == (1000, 1.0)
 
 
@@ -414,6 +480,12 @@ def test_what_a_run_shows_about_an_fmu_is_in_the_log(tmp_path):
 def test_what_an_fmu_says_of_its_failure_has_the_time_of_the_step_that_failed(tmp_path):
     """That is where the run ended, inside its block."""
     with pytest.raises(RunError, match="out of petrol"):
-        cosim.run(lagging(tmp_path, "{ fail = 0.155, status = 3.0 }"), out=(out := tmp_path / "a.mcap"), block=1000)
-    found = [(m.time_ns, m.level, m.name) for m in open_log(out).messages() if "out of petrol" in m.text]
+        cosim.run(
+            lagging(tmp_path, "{ fail = 0.155, status = 3.0 }"),
+            out=(out := tmp_path / "a.mcap"),
+            block=1000,
+        )
+    found = [
+        (m.time_ns, m.level, m.name) for m in open_log(out).messages() if "out of petrol" in m.text
+    ]
     assert found == [(155_000_000, "error", "lag"), (155_000_000, "error", "run")]

@@ -14,7 +14,6 @@ from tests.scenario.renamed import MAP, PACKED, packed, renamed
 RECORDED = Path(__file__).with_name("same_rows.json")
 RENAMED: dict[str, dict[str, str]] = {}  # run: name of a signal then -> its name now
 SHORT = {"scenario.stop": 9.0}
-INTERFACE_TYPE = "mode"
 
 
 def hashes(recording):
@@ -37,8 +36,14 @@ def runs(folder, foreign2, foreign3):
         export_component("academic", "plant", path, fmi=version)
         for kind in ("me", "cs"):
             swap = {"plant": f"{path}#{kind}"}
-            yield f"academic, FMI {version} {kind}", lambda swap=swap: cosim.run("academic", set=SHORT, swap=swap)
-            yield f"closed-loop, FMI {version} {kind}", lambda swap=swap: cosim.run("closed-loop", set=SHORT, swap=swap)
+            yield (
+                f"academic, FMI {version} {kind}",
+                lambda swap=swap: cosim.run("academic", set=SHORT, swap=swap),
+            )
+            yield (
+                f"closed-loop, FMI {version} {kind}",
+                lambda swap=swap: cosim.run("closed-loop", set=SHORT, swap=swap),
+            )
     other = renamed(folder / "x.fmu")
     yield "other names", lambda: cosim.run("academic", set=SHORT, swap={"plant": other}, map=MAP)
     vector = packed(folder / "y.fmu")

@@ -16,7 +16,11 @@ from cosim.scenario.document import find
 from cosim.scenario.exporting import export_component
 
 ONE = {"components.one": {"kind": "constant", "value": 1.0}}
-FOREIGN2 = {**ONE, "connections.plant.gain": "one.y", "connections.plant.sign": "one.y"}  # inputs that the scenario does not have
+FOREIGN2 = {
+    **ONE,
+    "connections.plant.gain": "one.y",
+    "connections.plant.sign": "one.y",
+}  # inputs that the scenario does not have
 
 
 @pytest.fixture(scope="module")
@@ -37,13 +41,17 @@ def relative(run, other, signal):
     return abs(run[signal] - other[signal]).max() / abs(run[signal]).max()
 
 
-@pytest.mark.parametrize("mode", ["me", "cs"])
-def test_an_exported_plant_takes_the_plants_place(plant, generated, mode):
+@pytest.mark.parametrize("interface_type", ["me", "cs"])
+def test_an_exported_plant_takes_the_plants_place(plant, generated, interface_type):
     """The plant's outputs within 1e-12 of each signal's largest value; delta_hat multiplies the last bit of y by 1000.
 
     Model exchange with the same solver, rk4; co-simulation solves exactly, which rk4 at 1 ms misses by (3 h)^4 / 120 = 7e-13 h.
     """
-    run = cosim.run("academic", swap={"plant": plant}, set={"plant.mode": mode, "scenario.stop": 10.0})
+    run = cosim.run(
+        "academic",
+        swap={"plant": plant},
+        set={"plant.interface_type": interface_type, "scenario.stop": 10.0},
+    )
     for signal in ("plant.y", "plant.x_a", "plant.x_b"):
         assert relative(generated, run, signal) <= 1e-12, signal
     assert relative(generated, run, "observer.delta") <= 1e-9
@@ -51,14 +59,18 @@ def test_an_exported_plant_takes_the_plants_place(plant, generated, mode):
 
 def test_model_exchange_with_the_same_solver_has_the_same_bits(plant, generated):
     """One arithmetic in two homes: the generated unit and the FMU call the same C."""
-    run = cosim.run("academic", swap={"plant": plant}, set={"plant.solver": "rk4", "scenario.stop": 10.0})
+    run = cosim.run(
+        "academic", swap={"plant": plant}, set={"plant.solver": "rk4", "scenario.stop": 10.0}
+    )
     assert cosim.diff(generated, run).equal
 
 
 def test_co_simulation_has_the_bits_of_the_exact_solver(plant):
-    """The FMU discretises with the same C as the generated plant."""
+    """The FMU discretizes with the same C as the generated plant."""
     exact = cosim.run("academic", set={"scenario.stop": 10.0})
-    run = cosim.run("academic", swap={"plant": plant}, set={"plant.mode": "cs", "scenario.stop": 10.0})
+    run = cosim.run(
+        "academic", swap={"plant": plant}, set={"plant.interface_type": "cs", "scenario.stop": 10.0}
+    )
     assert cosim.diff(exact, run).equal
 
 
@@ -67,14 +79,20 @@ def test_a_model_exchange_fmu_that_others_made_takes_the_plants_place(foreign3):
 
     Rounding in y, 1e-16, times filter_rate is 1e-13 in delta_hat, and theta2 answers to that with less than 1e2 times as much.
     """
-    run = cosim.run("academic", swap={"plant": foreign3}, set={"plant.mode": "me", "scenario.stop": 10.0})
+    run = cosim.run(
+        "academic",
+        swap={"plant": foreign3},
+        set={"plant.interface_type": "me", "scenario.stop": 10.0},
+    )
     reference = cosim.run("academic", set={"plant.solver": "rk4", "scenario.stop": 10.0})
     assert relative(reference, run, "plant.y") <= 1e-12
     assert abs(run["identifier.theta"][-1] - reference["identifier.theta"][-1]).max() <= 1e-9
 
 
 @pytest.mark.parametrize(
-    ("make", "changes"), [("foreign2", FOREIGN2), ("foreign3", {"plant.mode": "cs"})], ids=["pythonfmu CS 2", "pythonfmu3 CS 3"]
+    ("make", "changes"),
+    [("foreign2", FOREIGN2), ("foreign3", {"plant.interface_type": "cs"})],
+    ids=["pythonfmu CS 2", "pythonfmu3 CS 3"],
 )
 def test_a_co_simulation_fmu_that_others_made_takes_the_plants_place(make, changes, request):
     """Without input interpolation and dependencies, y = x1 - u belongs to the mean input: known, first order, and reported.
@@ -86,13 +104,18 @@ def test_a_co_simulation_fmu_that_others_made_takes_the_plants_place(make, chang
     """
     run = cosim.run("academic", swap={"plant": request.getfixturevalue(make)}, set=changes)
     late = {
-        "components.late": {"kind": "expression", "y": "0.5*(sin(t) - sin(t - 0.001))*step(t - 0.0005)"},
+        "components.late": {
+            "kind": "expression",
+            "y": "0.5*(sin(t) - sin(t - 0.001))*step(t - 0.0005)",
+        },
         "components.measured": {"kind": "sum", "signs": [1.0, 1.0]},
         "connections.measured.u1": "plant.y",
         "connections.measured.u2": "late.y",
     }
     text = find("academic")
-    document = replace(text, text=text.text.replace('"observer.y" = "plant.y"', '"observer.y" = "measured.y"'))
+    document = replace(
+        text, text=text.text.replace('"observer.y" = "plant.y"', '"observer.y" = "measured.y"')
+    )
     reference = cosim.run(parse(document.with_changes(late)))
     assert abs(run["plant.y"] - reference["measured.y"]).max() <= 1e-6
     assert abs(run["identifier.theta"][-1] - reference["identifier.theta"][-1]).max() <= 6e-6
@@ -102,14 +125,18 @@ def test_an_fmu_without_dependencies_is_warned_of(foreign2):
     """What is not known about feedthrough is said, not guessed."""
     run = cosim.run("academic", swap={"plant": foreign2}, set={**FOREIGN2, "scenario.stop": 0.01})
     warnings = json.loads(run.metadata["cosim.run"]["warnings"])
-    assert any(name == "plant" and "may depend directly on inputs" in text for name, text in warnings), warnings
+    assert any(
+        name == "plant" and "may depend directly on inputs" in text for name, text in warnings
+    ), warnings
 
 
 def test_a_log_of_an_fmu_replays_without_the_fmu(plant, tmp_path):
     """The FMU's signals come from the log."""
     copy = tmp_path / "copy.fmu"
     copy.write_bytes(plant.read_bytes())
-    log = cosim.run("academic", swap={"plant": copy}, set={"scenario.stop": 8.0}, out=tmp_path / "a.mcap")
+    log = cosim.run(
+        "academic", swap={"plant": copy}, set={"scenario.stop": 8.0}, out=tmp_path / "a.mcap"
+    )
     copy.unlink()
     assert cosim.diff(log, cosim.replay(tmp_path / "a.mcap")).equal
     assert "plant/modelDescription.xml" in log.attachments
@@ -121,7 +148,11 @@ def test_an_fmu_keeps_the_tolerance_of_its_table(plant):
     changes = {"scenario.step": 0.1, "scenario.stop": 4.0}
 
     def run(tolerance):
-        return cosim.run("academic", swap={"plant": plant}, set={**changes, "plant.solver": "RK45", "plant.tolerance": tolerance})
+        return cosim.run(
+            "academic",
+            swap={"plant": plant},
+            set={**changes, "plant.solver": "RK45", "plant.tolerance": tolerance},
+        )
 
     exact, loose, tight = cosim.run("academic", set=changes)["plant.y"], run(1e-3), run(1e-11)
     assert abs(tight["plant.y"] - exact).max() < 1e-9 < 1e-8 < abs(loose["plant.y"] - exact).max()
@@ -130,7 +161,7 @@ def test_an_fmu_keeps_the_tolerance_of_its_table(plant):
 
 def test_a_sampled_fmu_answers_at_its_own_step(plant, tmp_path):
     """With a period the FMU lives on that step; its outputs hold between, and its channel keeps the rows of that step."""
-    changes = {"plant.mode": "cs", "plant.period": 0.01, "scenario.stop": 1.0}
+    changes = {"plant.interface_type": "cs", "plant.period": 0.01, "scenario.stop": 1.0}
     log = cosim.run("academic", swap={"plant": plant}, set=changes, out=tmp_path / "a.mcap")
     assert np.array_equal(np.unique(np.diff(log.time_ns("plant"))), [10_000_000])
     assert cosim.diff(log, cosim.replay(tmp_path / "a.mcap")).equal
@@ -148,9 +179,16 @@ def test_a_dry_run_compares_port_by_port(plant, foreign2, tmp_path, monkeypatch,
     assert left.value.code == 2
     output = capsys.readouterr()
     found = json.loads(output.out)
-    verdicts = {(row["port"], row["aspect"]): row["verdict"] for row in found["swaps"]["plant"]["ports"]}
+    verdicts = {
+        (row["port"], row["aspect"]): row["verdict"] for row in found["swaps"]["plant"]["ports"]
+    }
     assert verdicts["plant.gain", "causality"] == "error"
-    assert verdicts["plant.y", "causality"] == verdicts["plant.y", "size"] == verdicts["plant.y", "initial output"] == "ok"
+    assert (
+        verdicts["plant.y", "causality"]
+        == verdicts["plant.y", "size"]
+        == verdicts["plant.y", "initial output"]
+        == "ok"
+    )
     assert verdicts["plant.y", "feedthrough"] == "differs"
     assert any("'plant.gain' is not connected" in line for line in found["problems"])
     assert "'plant.gain' is not connected" in output.err
@@ -161,14 +199,19 @@ def test_a_missing_output_is_refused_before_the_run(plant, tmp_path):
     """An FMU without the port that the scenario connects cannot stand there; the nearest is named."""
     path = rewritten(plant, tmp_path / "renamed.fmu", ('name="y"', 'name="y_m"'))
     with pytest.raises(
-        ScenarioError, match=r"'plant\.y': 'plant' has no output 'y'; (did you mean 'y_m'\? )?There is: y_m, x_a, x_b"
+        ScenarioError,
+        match=r"'plant\.y': 'plant' has no output 'y'; (did you mean 'y_m'\? )?There is: y_m, x_a, x_b",
     ):
         cosim.run("academic", swap={"plant": path})
 
 
 def test_a_start_value_of_the_fmu_can_be_set(plant):
     """Start values come from the FMU unless set."""
-    run = cosim.run("academic", swap={"plant": plant}, set={"plant.start": {"x_a[0]": 2.0}, "scenario.stop": 0.01})
+    run = cosim.run(
+        "academic",
+        swap={"plant": plant},
+        set={"plant.start": {"x_a[0]": 2.0}, "scenario.stop": 0.01},
+    )
     assert list(run["plant.x_a"][0]) == [2.0, -1.0]
 
 
@@ -192,12 +235,14 @@ def test_states_that_are_no_outputs_are_logged_too(tmp_path):
         for name in source.namelist():
             content = source.read(name)
             if name == "modelDescription.xml":
-                text, count = re.subn(r'(name="x"[^>]*)causality="output"', r'\1causality="local"', content.decode())
+                text, count = re.subn(
+                    r'(name="x"[^>]*)causality="output"', r'\1causality="local"', content.decode()
+                )
                 assert count == 1
                 content = re.sub(r'<Unknown index="3"[^>]*/>', "", text, count=1).encode()
             target.writestr(name, content)
-    for mode in ("me", "cs"):
-        run = cosim.run(scenario, swap={"c": hidden}, set={"c.mode": mode})
+    for interface_type in ("me", "cs"):
+        run = cosim.run(scenario, swap={"c": hidden}, set={"c.interface_type": interface_type})
         assert run["c.x"][-1] == pytest.approx(1.0 - np.exp(-0.1), rel=1e-9)
 
 
@@ -216,11 +261,14 @@ def rewritten(path, target, *edits, members=lambda name: True):
 
 def test_a_binary_for_another_platform_is_refused_before_the_run(plant, tmp_path):
     """The message names what is there and what would be needed."""
-    bare = rewritten(plant, tmp_path / "bare.fmu", members=lambda name: not name.startswith("binaries/"))
+    bare = rewritten(
+        plant, tmp_path / "bare.fmu", members=lambda name: not name.startswith("binaries/")
+    )
     with zipfile.ZipFile(bare, "a") as archive:
         archive.writestr("binaries/win64/academic_plant.dll", b"MZ")
     with pytest.raises(
-        ScenarioError, match=r"--swap plant: .*no binary for this platform; found binaries for: win64; needed binaries/"
+        ScenarioError,
+        match=r"--swap plant: .*no binary for this platform; found binaries for: win64; needed binaries/",
     ):
         cosim.run("academic", swap={"plant": bare})
 
@@ -231,11 +279,18 @@ def test_a_wrong_causality_is_refused_before_the_run(tmp_path):
     export_component("academic", "observer", path)
     with pytest.raises(ScenarioError) as caught:
         cosim.run("academic", swap={"plant": path})
-    assert "'plant.delta' is an output of 'plant'; needed an input. There is: u, y" in str(caught.value)
-    assert "'plant.y' is an input of 'plant'; needed an output. There is: x_a, delta" in str(caught.value)
+    assert "'plant.delta' is an output of 'plant'; needed an input. There is: u, y" in str(
+        caught.value
+    )
+    assert "'plant.y' is an input of 'plant'; needed an output. There is: x_a, delta" in str(
+        caught.value
+    )
 
 
 def test_an_output_driven_as_an_input_says_so():
     """The name is right, the causality is not."""
-    with pytest.raises(ScenarioError, match=r"'plant\.y' is an output of 'plant'; needed an input\. There is: u, delta"):
+    with pytest.raises(
+        ScenarioError,
+        match=r"'plant\.y' is an output of 'plant'; needed an input\. There is: u, delta",
+    ):
         cosim.run("academic", set={"connections.plant.y": "u.y"})

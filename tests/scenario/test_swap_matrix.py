@@ -11,7 +11,11 @@ from cosim.scenario.exporting import export_component
 from tests.scenario.renamed import MAP, renamed
 
 SHORT = {"scenario.stop": 9.0}  # theta is there from 6.5 s on
-RK4, ME, CS = {"plant.solver": "rk4"}, {"plant.mode": "me", "plant.solver": "rk4"}, {"plant.mode": "cs"}
+RK4, ME, CS = (
+    {"plant.solver": "rk4"},
+    {"plant.interface_type": "me", "plant.solver": "rk4"},
+    {"plant.interface_type": "cs"},
+)
 INPUTS = {
     "components.one": {"kind": "constant", "value": 1.0},
     "connections.plant.gain": "one.y",
@@ -19,7 +23,10 @@ INPUTS = {
 }
 # y = x1 - u of a unit that holds its inputs belongs to their mean: late by half a step
 LATE = {
-    "components.late": {"kind": "expression", "y": "0.5*(sin(t) - sin(t - 0.001))*step(t - 0.0005)"},
+    "components.late": {
+        "kind": "expression",
+        "y": "0.5*(sin(t) - sin(t - 0.001))*step(t - 0.0005)",
+    },
     "components.measured": {"kind": "sum", "signs": [1.0, 1.0]},
     "connections.measured.u1": "plant.y",
     "connections.measured.u2": "late.y",
@@ -49,14 +56,22 @@ def files(tmp_path_factory, foreign2, foreign3):
     for name, path in own.items():
         export_component("academic", "plant", path, fmi=name[-1])
     cosim.run("academic", set=SHORT, out=folder / "log.mcap")
-    return {**own, "log": folder / "log.mcap", "renamed": renamed(folder / "x.fmu"), "foreign2": foreign2, "foreign3": foreign3}
+    return {
+        **own,
+        "log": folder / "log.mcap",
+        "renamed": renamed(folder / "x.fmu"),
+        "foreign2": foreign2,
+        "foreign3": foreign3,
+    }
 
 
 @pytest.fixture(scope="module")
 def generated():
     """Give the runs of the generated plant: solved exactly, by rk4, and with y late by half a step."""
     text = find("academic")
-    measured = replace(text, text=text.text.replace('"observer.y" = "plant.y"', '"observer.y" = "measured.y"'))
+    measured = replace(
+        text, text=text.text.replace('"observer.y" = "plant.y"', '"observer.y" = "measured.y"')
+    )
     return {
         "exact": cosim.run("academic", set=SHORT),
         "rk4": cosim.run("academic", set=SHORT | RK4),
@@ -66,7 +81,7 @@ def generated():
 
 @pytest.mark.parametrize("plant", MATRIX)
 def test_a_plant_of_another_make_identifies_the_same(plant, files, generated):
-    """Equal bits where the arithmetic is the same: rk4 on our derivatives, the exact discretisation, what was recorded.
+    """Equal bits where the arithmetic is the same: rk4 on our derivatives, the exact discretization, what was recorded.
 
     With the inputs added in another order, and with pythonfmu3's derivatives, y differs by rounding: 2e-16, which the filter
     makes 1e3 times as much in delta_hat. In 2.5 s that is 3e-13, which the smallest eigenvalue of the information, 1.9e-5, makes
@@ -76,7 +91,9 @@ def test_a_plant_of_another_make_identifies_the_same(plant, files, generated):
     """
     file, changes, like, tolerance = MATRIX[plant]
     names = MAP if file == "renamed" else {}
-    found = theta(cosim.run("academic", swap={"plant": files[file]}, map=names, set=SHORT | changes))
+    found = theta(
+        cosim.run("academic", swap={"plant": files[file]}, map=names, set=SHORT | changes)
+    )
     if like == "late":
         tolerance *= abs(theta(generated["late"]) - theta(generated["exact"])).max() / 5e-4
     assert abs(found - theta(generated[like])).max() <= tolerance

@@ -9,14 +9,17 @@ import pytest
 import cosim
 from cosim.cli import main
 from cosim.errors import ScenarioError
+from cosim.report.summary import summarize
 from cosim.scenario.build import parse
 from cosim.scenario.document import find
-from cosim.scenario.report import summarise
 from tests.scenario.renamed import MAP, PACKED, packed, renamed
 
 SHORT = {"scenario.stop": 7.0}
 BY_HAND = (
-    (r'kind = "descriptor"\nmodel = "academic"\nx_a0 = \[1.0, -1.0\]\n', 'kind = "fmu"\npath = "PATH"\n'),
+    (
+        r'kind = "descriptor"\nmodel = "academic"\nx_a0 = \[1.0, -1.0\]\n',
+        'kind = "fmu"\npath = "PATH"\n',
+    ),
     (r'"plant.u" = ', '"plant.force" = '),
     (r'"plant.delta" = ', '"plant.push" = '),
     (r'"observer.y" = "plant.y"', '"observer.y" = "plant.out1"'),
@@ -48,11 +51,26 @@ def test_a_map_means_what_was_edited_by_hand(other, by_hand, tmp_path, monkeypat
     monkeypatch.chdir(tmp_path)
     options = [option for port, name in MAP.items() for option in ("--map", f"{port}={name}")]
     with pytest.raises(SystemExit) as left:
-        main(["run", "academic", "--swap", f"plant={other}", *options, "--stop", "7", "--out", "a.mcap", "--quiet"])
+        main(
+            [
+                "run",
+                "academic",
+                "--swap",
+                f"plant={other}",
+                *options,
+                "--stop",
+                "7",
+                "--out",
+                "a.mcap",
+                "--quiet",
+            ]
+        )
     assert not left.value.code
     entries = ", ".join(f'"{port}" = "{name}"' for port, name in MAP.items())
     table = f'plant = {{ path = "{other}", map = {{ {entries} }} }}'
-    nested = f'plant.path = "{other}"\n[swap.plant.map]\n' + "\n".join(f'{port} = "{name}"' for port, name in MAP.items())
+    nested = f'plant.path = "{other}"\n[swap.plant.map]\n' + "\n".join(
+        f'{port} = "{name}"' for port, name in MAP.items()
+    )
     runs = [
         cosim.run("academic", swap={"plant": other}, map=MAP, set=SHORT),
         cosim.run(cosim.load("academic").swap(plant=other, map=MAP).set(SHORT)),
@@ -69,13 +87,21 @@ def test_an_element_may_take_a_ports_place(by_hand, tmp_path):
     """out[2] is y, for the observer and in the truth; the arithmetic of its row is that of y."""
     path = packed(tmp_path / "packed.fmu")
     document = replace(
-        find("academic"), text=find("academic").text.replace('"observer.delta" = "delta.y"', '"observer.y" = "plant.y"')
+        find("academic"),
+        text=find("academic").text.replace(
+            '"observer.delta" = "delta.y"', '"observer.y" = "plant.y"'
+        ),
     )
-    run = cosim.run(parse(document.with_swaps({"plant": str(path)}, PACKED).with_changes(SHORT)), out=tmp_path / "a.mcap")
+    run = cosim.run(
+        parse(document.with_swaps({"plant": str(path)}, PACKED).with_changes(SHORT)),
+        out=tmp_path / "a.mcap",
+    )
     assert (run["observer.delta"] == by_hand["observer.delta"]).all()
     truth = json.loads(run.metadata["cosim.run"]["truth"])
     assert truth["observer.y"] == "plant.out[2]"
-    assert [signal.largest for signal in summarise(run).signals if signal.estimate == "observer.y"] == [0.0]
+    assert [
+        signal.largest for signal in summarize(run).signals if signal.estimate == "observer.y"
+    ] == [0.0]
 
 
 def test_a_mapped_run_replays_bit_for_bit(other, tmp_path):
@@ -90,7 +116,12 @@ def test_a_mapped_run_replays_bit_for_bit(other, tmp_path):
 
 def test_the_more_exact_entry_holds(other):
     """observer.y before plant.y."""
-    run = cosim.run("academic", swap={"plant": other}, map={**MAP, "plant.y": "aux"}, set={"scenario.stop": 0.01})
+    run = cosim.run(
+        "academic",
+        swap={"plant": other},
+        map={**MAP, "plant.y": "aux"},
+        set={"scenario.stop": 0.01},
+    )
     wires = {to: json.loads(wire)["from"] for to, wire in run.metadata["cosim.connections"].items()}
     assert wires["observer.y"] == "plant.out1"
 
@@ -99,7 +130,7 @@ def test_a_swap_of_the_file_may_choose_the_mode_and_give_way_to_an_option(other,
     """x.fmu#cs in the file; a path is taken from the file's folder; an option replaces the entry, its map too."""
     document = replace(text_with('plant = "other.fmu#cs"'), folder=other.parent).with_changes(SHORT)
     entry = replace(document, maps=MAP)
-    assert parse(entry).specs["plant"].mode == "cs"
+    assert parse(entry).specs["plant"].interface_type == "cs"
     with pytest.raises(ScenarioError, match="must_not_be"):
         cosim.run(parse(document.with_swaps({"plant": str(tmp_path / "must_not_be.fmu")})))
     assert not parse(replace(document, swapped=False)).file.swap
@@ -162,9 +193,16 @@ def test_all_that_is_wrong_is_told_at_once(other):
     """Swap, map, set and file in one report."""
     with pytest.raises(ScenarioError) as caught:
         cosim.load("academic").edit(
-            swap={"plant": other, "plnt": other}, map={"plant.uu": "x"}, set={"observer.filter_rat": 1.0, "obsrver.L": [1.0]}
+            swap={"plant": other, "plnt": other},
+            map={"plant.uu": "x"},
+            set={"observer.filter_rat": 1.0, "obsrver.L": [1.0]},
         )
-    for text in ("--swap plnt: there is no", "--map plant.uu: ", "--set observer.filter_rat: ", "--set obsrver.L: there is no"):
+    for text in (
+        "--swap plnt: there is no",
+        "--map plant.uu: ",
+        "--set observer.filter_rat: ",
+        "--set obsrver.L: there is no",
+    ):
         assert text in str(caught.value)
 
 
@@ -206,7 +244,14 @@ def test_a_name_is_given_once(options, text, capsys):
 
 def test_who_is_swapped_again_loses_its_own_map_only():
     swapped = find("academic").with_swaps(
-        {"plant": "a.fmu", "observer": "b.fmu"}, {"plant.y": "out1", "observer.delta": "d", "observer.y": "in1"}
+        {"plant": "a.fmu", "observer": "b.fmu"},
+        {"plant.y": "out1", "observer.delta": "d", "observer.y": "in1"},
     )
-    assert swapped.with_swaps({"plant": "c.fmu"}).maps == {"observer.delta": "d", "observer.y": "in1"}
-    assert swapped.with_swaps({"regressor": "c.fmu"}, {"regressor.mu": "m"}).maps == {**swapped.maps, "regressor.mu": "m"}
+    assert swapped.with_swaps({"plant": "c.fmu"}).maps == {
+        "observer.delta": "d",
+        "observer.y": "in1",
+    }
+    assert swapped.with_swaps({"regressor": "c.fmu"}, {"regressor.mu": "m"}).maps == {
+        **swapped.maps,
+        "regressor.mu": "m",
+    }

@@ -4,10 +4,10 @@ import pytest
 
 import cosim
 from cosim.errors import ScenarioError
+from cosim.report.plots import plot_run
+from cosim.report.summary import summarize
 from cosim.scenario.build import parse
 from cosim.scenario.document import Document
-from cosim.scenario.plot import plot_run
-from cosim.scenario.report import summarise
 
 ROOM = """
 [scenario]
@@ -38,7 +38,7 @@ def test_a_truth_is_compared_in_the_unit_of_the_estimate(tmp_path):
     """20 degC measured as 293.15 K is no error; the picture draws both in K."""
     run = cosim.run(room(tmp_path), out=tmp_path / "room.mcap")
     assert run["sensor.y"][-1] == 293.15
-    (signal,) = summarise(run).signals
+    (signal,) = summarize(run).signals
     assert (signal.largest, signal.rms, signal.last) == (0.0, 0.0, 0.0)
     plot_run(run, tmp_path / "room.png")
 

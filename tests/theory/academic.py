@@ -25,7 +25,9 @@ def academic() -> DescriptorSystem:
 def ordinary(A, B, C) -> DescriptorSystem:
     """Give a system without algebraic states and inputs: `x' = A x + B delta, y = C x`."""
     A = np.array(A)
-    return DescriptorSystem(A=A, Bu=np.zeros((len(A), 0)), Bd=np.array(B), C=np.array(C), n_a=len(A))
+    return DescriptorSystem(
+        A=A, Bu=np.zeros((len(A), 0)), Bd=np.array(B), C=np.array(C), n_a=len(A)
+    )
 
 
 def alpha(t: Vector) -> Matrix:

@@ -25,15 +25,21 @@ def test_the_reduction_is_the_papers(case):
     expected, reduced = case("C01")["expected"], reduce(academic())
     for name in ("A_a", "B_1a", "B_2a", "C3", "C4", "C5"):
         found = getattr(reduced, name)
-        np.testing.assert_allclose(found, np.reshape(expected[name], found.shape), rtol=0, atol=case("C01")["tol"])
+        np.testing.assert_allclose(
+            found, np.reshape(expected[name], found.shape), rtol=0, atol=case("C01")["tol"]
+        )
 
 
 def test_the_structure_is_the_papers(case):
     """Eigenvalues, invariant zero, index and transfer of the example."""
     expected, reduced, tol = case("C01")["expected"], reduce(academic()), case("C01")["tol"]
     eigenvalues = np.sort_complex(np.array([complex(*pair) for pair in expected["eig_A_a"]]))
-    np.testing.assert_allclose(np.sort_complex(np.linalg.eigvals(reduced.A_a)), eigenvalues, rtol=0, atol=tol)
-    np.testing.assert_allclose(invariant_zeros(reduced), expected["invariant_zeros"], rtol=0, atol=tol)
+    np.testing.assert_allclose(
+        np.sort_complex(np.linalg.eigvals(reduced.A_a)), eigenvalues, rtol=0, atol=tol
+    )
+    np.testing.assert_allclose(
+        invariant_zeros(reduced), expected["invariant_zeros"], rtol=0, atol=tol
+    )
     assert pencil_index(academic()) == expected["pencil_index"]
     assert abs(disturbance_transfer(reduced, 1j)[0, 0] - complex(*expected["G_d_at_1j"])) <= tol
 
@@ -41,7 +47,12 @@ def test_the_structure_is_the_papers(case):
 def test_the_start_is_consistent(case):
     """x_b(0) of (27) follows from x_a(0) and u(0) by (8)."""
     system = case("C01")["system"]
-    x_b = algebraic_state(reduce(academic()), np.array(system["x_a0"], dtype=float), u=np.zeros(1), delta=np.array([2.65]))
+    x_b = algebraic_state(
+        reduce(academic()),
+        np.array(system["x_a0"], dtype=float),
+        u=np.zeros(1),
+        delta=np.array([2.65]),
+    )
     np.testing.assert_allclose(x_b, [system["x_b0"]], rtol=0, atol=TOLERANCE)
 
 
@@ -63,18 +74,28 @@ def test_the_reduced_system_satisfies_the_descriptor_equations(A, B, C):
     full = system.A @ x + system.Bu @ u + system.Bd @ delta
     # sums of 8 products of at most 24 * 10
     np.testing.assert_allclose(full[3:], 0.0, atol=1e-11)
-    np.testing.assert_allclose(reduced.A_a @ x_a + reduced.B_1a @ u + reduced.B_2a @ delta, full[:3], rtol=0, atol=1e-11)
-    np.testing.assert_allclose(reduced.C3 @ x_a + reduced.C4 @ u + reduced.C5 @ delta, C @ x, rtol=0, atol=1e-11)
+    np.testing.assert_allclose(
+        reduced.A_a @ x_a + reduced.B_1a @ u + reduced.B_2a @ delta, full[:3], rtol=0, atol=1e-11
+    )
+    np.testing.assert_allclose(
+        reduced.C3 @ x_a + reduced.C4 @ u + reduced.C5 @ delta, C @ x, rtol=0, atol=1e-11
+    )
 
 
 def test_rounding_in_C5_is_zero_and_a_real_C5_is_kept():
     """C2 A22^-1 B22 = 0 in exact arithmetic gives C5 = 0; a small value that is not rounding stays."""
 
     def C5(b):
-        A = np.block([[-np.eye(1), np.zeros((1, 2))], [np.zeros((2, 1)), np.array([[0.3, 0.1], [0.7, 0.9]])]])
+        A = np.block(
+            [[-np.eye(1), np.zeros((1, 2))], [np.zeros((2, 1)), np.array([[0.3, 0.1], [0.7, 0.9]])]]
+        )
         x_b = np.array([0.1, 0.3])  # C2 x_b = 0.3 * 0.1 - 0.1 * 0.3, not exactly 0 after a solve
         Bd = np.concatenate([[1.0], A[1:, 1:] @ x_b])[:, None]
-        return reduce(DescriptorSystem(A=A, Bu=np.zeros((3, 0)), Bd=Bd, C=np.array([[1.0, 0.3 + b, -0.1]]), n_a=1)).C5
+        return reduce(
+            DescriptorSystem(
+                A=A, Bu=np.zeros((3, 0)), Bd=Bd, C=np.array([[1.0, 0.3 + b, -0.1]]), n_a=1
+            )
+        ).C5
 
     assert C5(0.0) == 0.0
     assert C5(1e-9) == pytest.approx(-1e-10, rel=1e-5)
@@ -82,7 +103,11 @@ def test_rounding_in_C5_is_zero_and_a_real_C5_is_kept():
 
 def test_zeros_of_tall_and_wide_systems():
     """A zero stays one when an output is added that sees the same; the transposed system has the same zeros."""
-    A, B, C = np.array([[0.0, 1, 0], [0, 0, 1], [-6, -11, -6]]), np.array([[0.0], [0], [1]]), np.array([[3.0, 1, 0]])
+    A, B, C = (
+        np.array([[0.0, 1, 0], [0, 0, 1], [-6, -11, -6]]),
+        np.array([[0.0], [0], [1]]),
+        np.array([[3.0, 1, 0]]),
+    )
     tall = reduce(ordinary(A, B, np.vstack([C, 2 * C])))
     wide = reduce(ordinary(A.T, np.vstack([C, 2 * C]).T, B.T))
     # (s + 3) / ((s + 1)(s + 2)(s + 3)); simple zero, condition of the basis below 1e2
@@ -93,7 +118,9 @@ def test_zeros_of_tall_and_wide_systems():
 def test_zeros_do_not_exist_without_full_rank():
     """Two disturbances through one column: every s is a zero."""
     reduced = reduce(ordinary([[-1.0, 0], [0, -2]], [[1, 2], [0, 0]], [[1, 0], [0, 1]]))
-    with pytest.raises(AssumptionError, match=r"does not have full rank, so every s is an invariant zero"):
+    with pytest.raises(
+        AssumptionError, match=r"does not have full rank, so every s is an invariant zero"
+    ):
         invariant_zeros(reduced)
 
 
@@ -103,13 +130,21 @@ def test_the_index_is_counted():
     assert pencil_index(academic()) == 1
     for index, A in ((2, [[0.0, 1], [1, 0]]), (3, [[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])):
         n = len(A)
-        system = DescriptorSystem(A=np.array(A), Bu=np.ones((n, 1)), Bd=np.ones((n, 1)), C=np.ones((1, n)), n_a=index - 1)
+        system = DescriptorSystem(
+            A=np.array(A), Bu=np.ones((n, 1)), Bd=np.ones((n, 1)), C=np.ones((1, n)), n_a=index - 1
+        )
         assert pencil_index(system) == index
 
 
 def test_a_singular_A22_is_refused_with_its_evidence():
     """Assumption 2: the message has rank, condition and index."""
-    system = DescriptorSystem(A=np.array([[0.0, 1], [1, 0]]), Bu=np.ones((2, 1)), Bd=np.ones((2, 1)), C=np.ones((1, 2)), n_a=1)
+    system = DescriptorSystem(
+        A=np.array([[0.0, 1], [1, 0]]),
+        Bu=np.ones((2, 1)),
+        Bd=np.ones((2, 1)),
+        C=np.ones((1, 2)),
+        n_a=1,
+    )
     with pytest.raises(
         AssumptionError,
         match=r"Assumption 2 \(3\): A22 is singular \(rank 0 of 1, condition inf\).*INDEX_2: .* index 2, needed 1",
@@ -119,8 +154,16 @@ def test_a_singular_A22_is_refused_with_its_evidence():
 
 def test_a_singular_pencil_is_refused():
     """det(s E - A) = 0 at every s: the verdict says so."""
-    system = DescriptorSystem(A=np.array([[1.0, 0], [0, 0]]), Bu=np.ones((2, 1)), Bd=np.ones((2, 1)), C=np.ones((1, 2)), n_a=1)
-    with pytest.raises(AssumptionError, match=r"A22 is singular .*PENCIL_SINGULAR: det\(s E - A\) = 0 at every s"):
+    system = DescriptorSystem(
+        A=np.array([[1.0, 0], [0, 0]]),
+        Bu=np.ones((2, 1)),
+        Bd=np.ones((2, 1)),
+        C=np.ones((1, 2)),
+        n_a=1,
+    )
+    with pytest.raises(
+        AssumptionError, match=r"A22 is singular .*PENCIL_SINGULAR: det\(s E - A\) = 0 at every s"
+    ):
         reduce(system)
 
 
@@ -141,7 +184,13 @@ def test_a_singular_pencil_is_refused():
 )
 def test_what_does_not_fit_is_refused(change, message):
     """The message names the matrix, the shape found and the shape needed."""
-    system = {"A": np.eye(3), "Bu": np.ones((3, 1)), "Bd": np.ones((3, 1)), "C": np.ones((1, 3)), "n_a": 2}
+    system = {
+        "A": np.eye(3),
+        "Bu": np.ones((3, 1)),
+        "Bd": np.ones((3, 1)),
+        "C": np.ones((1, 3)),
+        "n_a": 2,
+    }
     with pytest.raises(AssumptionError, match=message):
         DescriptorSystem(**(system | change))
 

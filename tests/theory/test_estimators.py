@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from cosim.errors import AssumptionError
 from cosim.theory.disturbance import Exponential, Sine, coefficients, group
-from cosim.theory.estimators import Kind, least_squares, plan, recover, trapezoid_weights
+from cosim.theory.estimators import RecoveryKind, least_squares, plan, recover, trapezoid_weights
 from cosim.theory.regression import eta, expand, mu
 from tests.theory.academic import DELAYS, THETA, delayed
 
@@ -27,7 +27,13 @@ def recovery(alphas, families, delays):
 
 
 def exact_eta(terms, blocks, thetas, delays):
-    return eta(terms, [coefficients(block.families, [thetas[i] for i in block.components], delays) for block in blocks])
+    return eta(
+        terms,
+        [
+            coefficients(block.families, [thetas[i] for i in block.components], delays)
+            for block in blocks
+        ],
+    )
 
 
 def test_the_papers_formula_is_reproduced_to_the_last_bit(case):
@@ -48,9 +54,14 @@ def test_a_sine_is_recovered_from_two_cosines(case):
     terms, blocks, the_plan = recovery(["a"], [Sine()], reference["D"])
     constants = exact_eta(terms, blocks, reference["theta"], reference["D"])
     expected = reference["expected"]
-    assert abs(constants[[term.row for term in terms[1:]].index(1)] - expected["value"]) <= reference["tol"]
-    np.testing.assert_allclose(recover(the_plan, constants), [expected["omega"]], rtol=0, atol=reference["tol"])
-    assert the_plan.blocks[0].kind is Kind.SINE
+    assert (
+        abs(constants[[term.row for term in terms[1:]].index(1)] - expected["value"])
+        <= reference["tol"]
+    )
+    np.testing.assert_allclose(
+        recover(the_plan, constants), [expected["omega"]], rtol=0, atol=reference["tol"]
+    )
+    assert the_plan.blocks[0].kind is RecoveryKind.SINE
     assert the_plan.blocks[0].limit == math.pi / 0.5
 
 
@@ -60,11 +71,16 @@ def test_two_exponentials_of_one_alpha_are_recovered_from_a_quadratic(case):
     terms, blocks, the_plan = recovery(["one", "one"], [Exponential()] * 2, reference["D"])
     constants = exact_eta(terms, blocks, reference["theta"], reference["D"])
     chosen = the_plan.blocks[0]
-    c = [sign * np.append(1.0, constants)[term] for term, sign in zip(chosen.terms, chosen.signs, strict=True)]
+    c = [
+        sign * np.append(1.0, constants)[term]
+        for term, sign in zip(chosen.terms, chosen.signs, strict=True)
+    ]
     assert abs(-c[1] / c[0] - reference["expected"]["s1"]) <= reference["tol"]
     assert abs(c[2] / c[0] - reference["expected"]["s2"]) <= reference["tol"]
     expected = reference["expected"]["recovered_theta_sorted"][::-1]
-    np.testing.assert_allclose(recover(the_plan, constants), expected, rtol=0, atol=reference["tol"])
+    np.testing.assert_allclose(
+        recover(the_plan, constants), expected, rtol=0, atol=reference["tol"]
+    )
 
 
 rates = st.floats(0.3, 2.5)  # sines below pi / spacing, away from its ends
@@ -86,11 +102,17 @@ def test_recovery_inverts_the_expansion(name, data):
     """From theta to chi to eta and back is the identity, also where the delays of the first term are not equally spaced."""
     alphas, kinds = COMPONENTS[name]
     thetas = [data.draw(rates if kind == "s" else decays) for kind in kinds]
-    paired = [theta for alpha, theta in zip(alphas, thetas, strict=True) if alphas.count(alpha) == 2]
+    paired = [
+        theta for alpha, theta in zip(alphas, thetas, strict=True) if alphas.count(alpha) == 2
+    ]
     assume(not paired or paired[0] - paired[1] > 0.1)
     delays = [1.0 + j for j in range(sum(1 + (kind == "s") for kind in kinds) + 1)]
-    terms, blocks, the_plan = recovery(alphas, [Sine() if kind == "s" else Exponential() for kind in kinds], delays)
-    chi_0_scale = [abs(math.sin(theta)) for theta, kind in zip(thetas, kinds, strict=True) if kind == "s"]
+    terms, blocks, the_plan = recovery(
+        alphas, [Sine() if kind == "s" else Exponential() for kind in kinds], delays
+    )
+    chi_0_scale = [
+        abs(math.sin(theta)) for theta, kind in zip(thetas, kinds, strict=True) if kind == "s"
+    ]
     assume(all(value > 0.1 for value in chi_0_scale))
     found = recover(the_plan, exact_eta(terms, blocks, thetas, delays))
     # minors of numbers up to e^5 divided by gaps of 0.1 in two places: 1e-16 * 150 / 0.1^2 * some
@@ -102,7 +124,12 @@ def test_delays_may_come_in_any_order():
     delays = [1.0, 2.0, 1.5, 3.0]
     terms, blocks, the_plan = recovery(["a", "b"], [Sine(), Exponential()], delays)
     assert the_plan.blocks[0].spacing == 1.0
-    np.testing.assert_allclose(recover(the_plan, exact_eta(terms, blocks, [1.3, -0.2], delays)), [1.3, -0.2], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(
+        recover(the_plan, exact_eta(terms, blocks, [1.3, -0.2], delays)),
+        [1.3, -0.2],
+        rtol=0,
+        atol=1e-12,
+    )
 
 
 def test_an_eta_that_belongs_to_no_theta_gives_nan():
@@ -116,7 +143,9 @@ def test_an_eta_that_belongs_to_no_theta_gives_nan():
     terms, _, pair = recovery(["a", "a"], [Exponential()] * 2, DELAYS)
     assert [term.row for term in terms] == [2, 0, 1]
     assert np.isnan(recover(pair, np.array([1.0, 1.0]))).all()  # z^2 - z + 1
-    assert np.isnan(recover(pair, np.array([-1.0, 0.0]))).all()  # z^2 - 1: only +1 is an exponential
+    assert np.isnan(
+        recover(pair, np.array([-1.0, 0.0]))
+    ).all()  # z^2 - 1: only +1 is an exponential
     assert np.isnan(recover(pair, np.array([0.0, 1.0]))).all()
     _, _, sine = recovery(["a"], [Sine()], DELAYS)
     assert np.isnan(recover(sine, np.array([1.0, 2.5]))).all()
@@ -138,7 +167,12 @@ def test_an_eta_that_belongs_to_no_theta_gives_nan():
             (1, 2, 3, 4),
             r"possible for one alpha: one exponential, two exponentials, or one sine",
         ),
-        (["a"], [Sine()], (1, 2, 4), r"components \[0\] that share alpha 'a' need 3 equally spaced delays; found 1, 2, 4 s"),
+        (
+            ["a"],
+            [Sine()],
+            (1, 2, 4),
+            r"components \[0\] that share alpha 'a' need 3 equally spaced delays; found 1, 2, 4 s",
+        ),
         (["a", "b"], [Exponential()] * 2, (1, 2, 2), r"D_2 = D_3 = 2 s; needed pairwise distinct"),
     ],
 )
@@ -155,7 +189,9 @@ def test_least_squares_is_the_solution_of_the_papers_equations(case, name, prior
     expected = reference["expected"] if name == "C04" else reference["expected"]["P0_1e9"]
     _, _, the_plan = recovery(["a", "b"], [Exponential()] * 2, DELAYS)
     for sample in expected["oracle_delta"]:
-        t, weights = gauss(reference["T_id"], sample["t"], 100)  # pieces below 0.4 s: the rule is exact to rounding
+        t, weights = gauss(
+            reference["T_id"], sample["t"], 100
+        )  # pieces below 0.4 s: the rule is exact to rounding
         found = least_squares(mu(expand((1, 1)), *delayed(t)), weights, prior)
         np.testing.assert_allclose(found, sample["eta"], rtol=0, atol=1e-9)
         np.testing.assert_allclose(recover(the_plan, found), sample["theta"], rtol=0, atol=1e-9)
@@ -180,4 +216,6 @@ def test_least_squares_says_when_there_is_no_answer():
 def test_trapezoid_weights_integrate_straight_lines():
     """The sum of weight times a straight line is its integral, on any grid."""
     t = np.array([0.0, 0.5, 2.0, 2.25])
-    np.testing.assert_allclose(trapezoid_weights(t) @ (3.0 * t + 1.0), 1.5 * 2.25**2 + 2.25, rtol=1e-15)
+    np.testing.assert_allclose(
+        trapezoid_weights(t) @ (3.0 * t + 1.0), 1.5 * 2.25**2 + 2.25, rtol=1e-15
+    )

@@ -5,8 +5,14 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from cosim.errors import AssumptionError
-from cosim.theory.descriptor import DescriptorSystem, ReducedSystem, algebraic_state, invariant_zeros, reduce
-from cosim.theory.observer import design, realise, start, start_time
+from cosim.theory.descriptor import (
+    DescriptorSystem,
+    ReducedSystem,
+    algebraic_state,
+    invariant_zeros,
+    reduce,
+)
+from cosim.theory.observer import design, realize, start, start_time
 from tests.theory.academic import academic, ordinary
 
 halves = st.integers(-8, 8).map(lambda k: k / 2)
@@ -23,23 +29,34 @@ def test_the_observer_is_the_papers(case):
     np.testing.assert_allclose(observer.F[:, 0], expected["F"], rtol=0, atol=tol)
     np.testing.assert_allclose(observer.M, expected["M_a"], rtol=0, atol=tol)
     np.testing.assert_allclose(observer.N[:, 0], expected["N"], rtol=0, atol=tol)
-    np.testing.assert_allclose(observer.fixed_modes, expected["fixed_observer_modes"], rtol=0, atol=tol)
+    np.testing.assert_allclose(
+        observer.fixed_modes, expected["fixed_observer_modes"], rtol=0, atol=tol
+    )
     np.testing.assert_allclose(observer.eigenvalues, expected["eig_Ma_minus_LC3"], rtol=0, atol=tol)
-    assert len(observer.eigenvalues) - len(observer.fixed_modes) == expected["observability_rank_Ma_C3"]
+    assert (
+        len(observer.eigenvalues) - len(observer.fixed_modes)
+        == expected["observability_rank_Ma_C3"]
+    )
     assert abs(observer.lambda_obs - expected["lambda_obs"]) <= tol
 
 
 def test_the_papers_gain_follows_from_its_pole():
     """L = (4, 0) is the one gain in the observable direction that gives -4."""
     observer = design(reduce(academic()), poles=[-4], filter_rate=1e3)
-    np.testing.assert_allclose(observer.L, [[4.0], [0.0]], rtol=0, atol=1e-12)  # one division; L0 orthogonal to the fixed mode
+    np.testing.assert_allclose(
+        observer.L, [[4.0], [0.0]], rtol=0, atol=1e-12
+    )  # one division; L0 orthogonal to the fixed mode
 
 
 @pytest.mark.parametrize("epsilon", ["0.1", "0.01", "0.001", "0.0001"])
 def test_the_start_time_is_the_papers(case, epsilon):
     """(36)-(38)."""
     when = start_time(
-        lambda_obs=2.0, filter_rate=1e3, delays=(1.0, 2.0, 3.0), epsilon_observer=float(epsilon), epsilon_filter=float(epsilon)
+        lambda_obs=2.0,
+        filter_rate=1e3,
+        delays=(1.0, 2.0, 3.0),
+        epsilon_observer=float(epsilon),
+        epsilon_filter=float(epsilon),
     )
     assert abs(when.T_id - case("C01")["expected"]["T_id"][epsilon]) <= case("C01")["tol"]
     assert when.T_id == when.T_obs + when.T_f + when.D_max
@@ -48,7 +65,7 @@ def test_the_start_time_is_the_papers(case, epsilon):
 def test_the_realisation_is_the_papers(case):
     """(29)-(30) written out by hand: z' , delta_hat and x_b_hat of the example."""
     reduced = reduce(academic())
-    system = realise(reduced, design(reduced, L=[4, 0], filter_rate=1e3))
+    system = realize(reduced, design(reduced, L=[4, 0], filter_rate=1e3))
     z1, z2, q, u, y = 0.3, -0.7, 0.2, 0.9, -1.1
     x1, x2, w = z1 + y + u, z2, y + u
     states, inputs = np.array([z1, z2, q]), np.array([u, y])
@@ -75,7 +92,7 @@ def test_a_start_left_out_is_consistent_with_the_output():
     X0, Xw = start(reduced, observer)
     u, y = 0.9, -1.1
     state = X0 + Xw @ [u, y]
-    system = realise(reduced, observer)
+    system = realize(reduced, observer)
     outputs = system.C @ state + system.D @ [u, y]
     np.testing.assert_allclose(reduced.C3 @ outputs[:2], y + u, rtol=0, atol=1e-15)
     np.testing.assert_allclose(state[2], y + u, rtol=0, atol=1e-15)
@@ -92,11 +109,13 @@ def test_the_observer_never_sees_the_disturbance(A, B, C):
     """(I - F C3) B_2a = 0: whatever delta does, the error obeys e' = (M - L C3) e."""
     values = np.linalg.svd(C @ B, compute_uv=False)
     assume(values[-1] > 1e-2 * max(values[0], 1.0))
-    shifted = A - 40.0 * np.eye(4)  # makes most of the zeros stable, so that L = 0 will do; the rest is refused
+    shifted = A - 40.0 * np.eye(
+        4
+    )  # makes most of the zeros stable, so that L = 0 will do; the rest is refused
     try:
         observer = design(reduced_system(shifted, B, C), L=np.zeros((4, 3)), filter_rate=1.0)
     except AssumptionError as error:
-        assert "not Hurwitz" in str(error)  # noqa: PT017
+        assert "not Hurwitz" in str(error)
         return
     reduced = reduced_system(shifted, B, C)
     # condition of C B below 1e2 by assumption, entries up to 50
@@ -108,38 +127,47 @@ def test_the_observer_never_sees_the_disturbance(A, B, C):
 
 @given(st.lists(halves, min_size=4, max_size=4), st.floats(-2, 2), st.floats(-2, 2))
 def test_the_steady_state_is_exact(x_a, u, delta):
-    """At rest, with true states and w' = 0, the outputs of the realisation are x_a, delta and x_b."""
+    """At rest, with true states and w' = 0, the outputs of the realization are x_a, delta and x_b."""
     reduced = reduce(academic())
-    system = realise(reduced, design(reduced, L=[4, 0], filter_rate=10.0))
+    system = realize(reduced, design(reduced, L=[4, 0], filter_rate=10.0))
     x = -np.linalg.solve(reduced.A_a, reduced.B_1a @ [u] + reduced.B_2a @ [delta])
     y = reduced.C3 @ x + reduced.C4 @ [u]
     inputs = np.array([u, y[0]])
     rest = -np.linalg.solve(system.A, system.B @ inputs)
-    expected = np.concatenate([x, [delta], algebraic_state(reduced, x, u=np.array([u]), delta=np.array([delta]))])
+    expected = np.concatenate(
+        [x, [delta], algebraic_state(reduced, x, u=np.array([u]), delta=np.array([delta]))]
+    )
     # filter_rate times rounding of values up to 4
-    np.testing.assert_allclose((system.C @ rest + system.D @ inputs)[:4], expected, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(
+        (system.C @ rest + system.D @ inputs)[:4], expected, rtol=0, atol=1e-12
+    )
 
 
 def several() -> DescriptorSystem:
     """Three outputs, one disturbance, two inputs, one algebraic state."""
-    A = np.array([[-1.0, 1, 0, 0, 1], [0, -2, 1, 0, 0], [0, 1, -3, 1, 0], [1, 0, 0, -1, 0], [1, 1, 0, 0, -2]])
+    A = np.array(
+        [[-1.0, 1, 0, 0, 1], [0, -2, 1, 0, 0], [0, 1, -3, 1, 0], [1, 0, 0, -1, 0], [1, 1, 0, 0, -2]]
+    )
     Bu = np.array([[1.0, 0], [0, 1], [0, 0], [1, 0], [0, 1]])
     C = np.array([[1.0, 0, 0, 0, 0], [0, 0, 1, 0, 0], [1, 0, 1, 0, 0]])
     return DescriptorSystem(A=A, Bu=Bu, Bd=np.array([[1.0], [0], [0], [0], [0]]), C=C, n_a=4)
 
 
 def test_several_inputs_and_outputs_converge_to_the_truth():
-    """Along an exact trajectory x(t) = X exp(s t) the realisation driven by (u, y) gives x_a, x_b and the filtered delta."""
+    """Along an exact trajectory x(t) = X exp(s t) the realization driven by (u, y) gives x_a, x_b and the filtered delta."""
     reduced = reduce(several())
     poles = [-1.0, -2.0, -3.0 + 1.0j, -3.0 - 1.0j]
     observer = design(reduced, poles=poles, filter_rate=50.0)
     # a simple placement of four poles: eigenvalues accurate to condition (about 1e3) times 1e-16
     np.testing.assert_allclose(observer.eigenvalues, np.sort_complex(poles), rtol=0, atol=1e-9)
     np.testing.assert_allclose(
-        np.sort_complex(np.linalg.eigvals(observer.M - observer.L @ reduced.C3)), np.sort_complex(poles), rtol=0, atol=1e-9
+        np.sort_complex(np.linalg.eigvals(observer.M - observer.L @ reduced.C3)),
+        np.sort_complex(poles),
+        rtol=0,
+        atol=1e-9,
     )
     assert observer.fixed_modes.size == 0
-    system, s = realise(reduced, observer), 0.4
+    system, s = realize(reduced, observer), 0.4
     u, delta = np.array([1.0, -0.5]), np.array([0.7])
     x = np.linalg.solve(s * np.eye(4) - reduced.A_a, reduced.B_1a @ u + reduced.B_2a @ delta)
     w = reduced.C3 @ x
@@ -149,14 +177,18 @@ def test_several_inputs_and_outputs_converge_to_the_truth():
     # the filter (19) turns s w into s w filter_rate / (s + filter_rate)
     delta_hat = delta - observer.G @ (s * w) * (1 - 50.0 / 50.4)
     x_b_hat = algebraic_state(reduced, x, u=u, delta=delta_hat)
-    np.testing.assert_allclose(outputs[:6], np.concatenate([x, delta_hat, x_b_hat]), rtol=0, atol=1e-11)
+    np.testing.assert_allclose(
+        outputs[:6], np.concatenate([x, delta_hat, x_b_hat]), rtol=0, atol=1e-11
+    )
 
 
 def test_poles_may_repeat_with_one_independent_output():
     """Ackermann's formula has no limit on multiplicity; a double pole is accurate to sqrt(rounding) only."""
     reduced = reduced_system([[0.0, 1], [-2, -3]], np.zeros((2, 0)), [[1.0, 0], [2, 0]])
     observer = design(reduced, poles=[-5, -5], filter_rate=1.0)
-    np.testing.assert_allclose(np.poly(observer.M - observer.L @ reduced.C3), [1, 10, 25], rtol=1e-12)
+    np.testing.assert_allclose(
+        np.poly(observer.M - observer.L @ reduced.C3), [1, 10, 25], rtol=1e-12
+    )
     pair = design(reduced, poles=[-1 + 2j, -1 - 2j], filter_rate=1.0)
     np.testing.assert_allclose(np.poly(pair.M - pair.L @ reduced.C3), [1, 2, 5], rtol=1e-12)
 
@@ -210,7 +242,11 @@ ZERO_AT_ONE = ([[0.0, 1], [-2, -3]], [[0.0], [1]], [[-1.0, 1]])
         (None, {"L": [4, 0], "poles": [-4]}, r"give either L or poles, not both"),
         (None, {"L": [4, 0, 0]}, r"L has shape \(3, 1\); needed \(2, 1\)"),
         (None, {"L": [4, np.nan]}, r"L = .*nan.*; needed finite numbers"),
-        (None, {"L": [4, 0], "filter_rate": 0.0}, r"filter_rate = 0; needed a positive finite rate"),
+        (
+            None,
+            {"L": [4, 0], "filter_rate": 0.0},
+            r"filter_rate = 0; needed a positive finite rate",
+        ),
         (
             ([[-1.0, 0, 0], [1, -2, 0], [0, 1, -3]], np.zeros((3, 0)), [[0.0, 0, 1], [1, 0, 0]]),
             {"poles": [-1, -1, -1]},
@@ -221,13 +257,20 @@ ZERO_AT_ONE = ([[0.0, 1], [-2, -3]], [[0.0], [1]], [[-1.0, 1]])
 def test_a_design_that_cannot_work_is_refused(reduced, options, message):
     """Each verdict has its evidence."""
     with pytest.raises(AssumptionError, match=message):
-        design(reduce(academic()) if reduced is None else reduced_system(*reduced), **({"filter_rate": 1e3} | options))
+        design(
+            reduce(academic()) if reduced is None else reduced_system(*reduced),
+            **({"filter_rate": 1e3} | options),
+        )
 
 
 def test_a_disturbance_that_reaches_the_output_is_refused_by_the_observer_only():
     """Assumption 4 is the observer's, not the plant's: reduce gives C5, design refuses it."""
     system = DescriptorSystem(
-        A=np.array([[-1.0, 1], [1, -1]]), Bu=np.zeros((2, 0)), Bd=np.array([[1.0], [0.5]]), C=np.array([[1.0, 1]]), n_a=1
+        A=np.array([[-1.0, 1], [1, -1]]),
+        Bu=np.zeros((2, 0)),
+        Bd=np.array([[1.0], [0.5]]),
+        C=np.array([[1.0, 1]]),
+        n_a=1,
     )
     reduced = reduce(system)
     assert reduced.C5 == 0.5
@@ -239,7 +282,10 @@ def test_an_inaccurate_placement_is_refused():
     """Thirty integrators in a chain, poles a thousand times faster: the message shows what was found."""
     n = 30
     reduced = reduced_system(np.diag(np.ones(n - 1), 1), np.zeros((n, 0)), np.eye(1, n) + 1e-3)
-    with pytest.raises(AssumptionError, match=r"cannot be placed accurately, found .*; choose poles further apart or closer to"):
+    with pytest.raises(
+        AssumptionError,
+        match=r"cannot be placed accurately, found .*; choose poles further apart or closer to",
+    ):
         design(reduced, poles=list(-1e3 - np.arange(n)), filter_rate=1.0)
 
 
@@ -270,6 +316,12 @@ def test_a_start_that_does_not_fit_is_refused(options, message):
 )
 def test_a_start_time_that_does_not_exist_is_refused(change, message):
     """(36)-(38) need positive rates, fractions and a delay."""
-    options = {"lambda_obs": 2.0, "filter_rate": 1e3, "delays": (1.0,), "epsilon_observer": 0.1, "epsilon_filter": 0.1}
+    options = {
+        "lambda_obs": 2.0,
+        "filter_rate": 1e3,
+        "delays": (1.0,),
+        "epsilon_observer": 0.1,
+        "epsilon_filter": 0.1,
+    }
     with pytest.raises(AssumptionError, match=message):
         start_time(**(options | change))

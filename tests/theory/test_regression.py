@@ -7,7 +7,18 @@ from hypothesis import strategies as st
 
 from cosim.errors import AssumptionError
 from cosim.theory.disturbance import FAMILIES, Exponential, Sine, coefficients
-from cosim.theory.regression import Term, alpha_products, check_delays, chi, collinear, count, eta, expand, linear_route, mu
+from cosim.theory.regression import (
+    Term,
+    alpha_products,
+    check_delays,
+    chi,
+    collinear,
+    count,
+    eta,
+    expand,
+    linear_route,
+    mu,
+)
 from tests.theory.academic import DELAYS, THETA, alpha, delayed
 
 SIZES = [[1], [2], [1, 1], [3], [2, 1], [1, 2], [1, 1, 1], [2, 2], [1, 1, 2]]
@@ -45,7 +56,9 @@ def test_the_papers_signals_and_constants_are_reproduced(case):
     assert abs(residual - expected["residual_at_t10"]) <= tol["residual"]
 
 
-@pytest.mark.parametrize(("name", "families", "factor"), [("C08", [Sine()], "a"), ("C09", [Exponential()] * 2, "one")])
+@pytest.mark.parametrize(
+    ("name", "families", "factor"), [("C08", [Sine()], "a"), ("C09", [Exponential()] * 2, "one")]
+)
 def test_one_block_of_two_gives_the_reference_terms(case, name, families, factor):
     """Rows, signs and chi as computed elsewhere, and the reference signal satisfies (25)."""
     reference = case(name)
@@ -62,7 +75,9 @@ def test_one_block_of_two_gives_the_reference_terms(case, name, families, factor
         assert abs(value - term["chi"]) <= reference["tol"]
     times = np.array(reference["delta_samples"]["t_minus_D"])
     alphas = {"a": 1.35 + 0.25 * np.sin(1.7 * times), "one": np.ones_like(times)}[factor]
-    products = mu(terms, np.array(reference["delta_samples"]["values"]), alphas[:, :, None]) * constants
+    products = (
+        mu(terms, np.array(reference["delta_samples"]["values"]), alphas[:, :, None]) * constants
+    )
     relative = np.abs(products.sum(axis=1)) / np.abs(products).sum(axis=1)
     np.testing.assert_allclose(relative, reference["residual_rel"], rtol=0, atol=reference["tol"])
 
@@ -71,14 +86,27 @@ def test_the_columns_of_two_exponentials_collapse_when_alpha_is_shared(case):
     """Six naive columns have nullity 4: three signals with one recurrence between them."""
     t = np.linspace(5.0, 20.0, 200)
     times = np.subtract.outer(t, DELAYS)
-    signals = mu(expand((1, 1)), np.exp(np.multiply.outer(times, THETA)).sum(axis=-1), np.ones((*times.shape, 2)))
-    assert 6 - np.linalg.matrix_rank(signals, tol=1e-10) == case("C09")["expected"]["naive_six_column_nullity"]
+    signals = mu(
+        expand((1, 1)),
+        np.exp(np.multiply.outer(times, THETA)).sum(axis=-1),
+        np.ones((*times.shape, 2)),
+    )
+    assert (
+        6 - np.linalg.matrix_rank(signals, tol=1e-10)
+        == case("C09")["expected"]["naive_six_column_nullity"]
+    )
 
 
 @st.composite
 def disturbances(draw):
     """Draw blocks of components with their alphas, parameters, delays and basis values at one instant."""
-    blocks = draw(st.lists(st.lists(st.sampled_from(sorted(FAMILIES)), min_size=1, max_size=2), min_size=1, max_size=2))
+    blocks = draw(
+        st.lists(
+            st.lists(st.sampled_from(sorted(FAMILIES)), min_size=1, max_size=2),
+            min_size=1,
+            max_size=2,
+        )
+    )
     families = [[FAMILIES[name] for name in block] for block in blocks]
     sizes = tuple(sum(family.v for family in block) for block in families)
     thetas = [[draw(st.floats(-1.0, 1.0)) for _ in block] for block in families]
@@ -100,11 +128,20 @@ def test_the_regression_holds_for_every_signal_of_the_class(disturbance):
     products = mu(terms, delta[None], alphas[None])[0] * chi(terms, K)
     # minors lose what cancels inside them: measure against the sums of absolute values, Hadamard's bound of the minors
     bound = [
-        math.prod(float(np.prod(np.linalg.norm(K[b][list(part)], axis=1))) for b, part in enumerate(term.parts)) for term in terms
+        math.prod(
+            float(np.prod(np.linalg.norm(K[b][list(part)], axis=1)))
+            for b, part in enumerate(term.parts)
+        )
+        for term in terms
     ]
     scale = np.abs(alpha_products(terms, alphas[None])[0]) * np.array(bound)
-    size = np.sum([np.abs(alphas[:, b]) * (np.abs(K[b]) @ np.abs(Q[b])) for b in range(len(sizes))], axis=0)
-    assert abs(products.sum()) <= 1e-13 * float(scale @ size[[term.row for term in terms]]) + np.finfo(np.float64).tiny
+    size = np.sum(
+        [np.abs(alphas[:, b]) * (np.abs(K[b]) @ np.abs(Q[b])) for b in range(len(sizes))], axis=0
+    )
+    assert (
+        abs(products.sum())
+        <= 1e-13 * float(scale @ size[[term.row for term in terms]]) + np.finfo(np.float64).tiny
+    )
 
 
 @given(st.sampled_from(SIZES), st.randoms(use_true_random=False))
@@ -115,7 +152,11 @@ def test_the_expansion_is_the_determinant(sizes, random):
     def normal(*shape):
         return np.array([random.uniform(-1, 1) for _ in range(math.prod(shape))]).reshape(shape)
 
-    delta, alphas, K = normal(rows), normal(rows, len(sizes)), [normal(rows, size) for size in sizes]
+    delta, alphas, K = (
+        normal(rows),
+        normal(rows, len(sizes)),
+        [normal(rows, size) for size in sizes],
+    )
     terms = expand(tuple(sizes))
     found = float(mu(terms, delta[None], alphas[None])[0] @ chi(terms, K))
     matrix = np.column_stack([delta, *(alphas[:, [b]] * K[b] for b in range(len(sizes)))])
@@ -158,7 +199,9 @@ def grid(*functions, delays=DELAYS):
 
 def test_the_papers_alphas_are_independent():
     """Its six columns can be told apart, without any data."""
-    collinear(expand((1, 1)), alpha(np.subtract.outer(np.linspace(5.0, 40.0, 400), DELAYS)), ["a", "b"])
+    collinear(
+        expand((1, 1)), alpha(np.subtract.outer(np.linspace(5.0, 40.0, 400), DELAYS)), ["a", "b"]
+    )
     check_delays(DELAYS, 3)
 
 
@@ -177,7 +220,10 @@ def test_the_papers_alphas_are_independent():
             grid(lambda t: 2 + np.sin(2 * np.pi * t), lambda t: 2 + np.cos(2 * np.pi * t)),
             r"have rank 1; choose delays that are no multiples",
         ),
-        (grid(np.cos, lambda t: 2 + np.sin(t))[:1], r"1 times; needed at least 2 to tell the alpha products apart"),
+        (
+            grid(np.cos, lambda t: 2 + np.sin(t))[:1],
+            r"1 times; needed at least 2 to tell the alpha products apart",
+        ),
     ],
 )
 def test_dependent_alpha_products_are_refused(alphas, message):
@@ -189,7 +235,9 @@ def test_dependent_alpha_products_are_refused(alphas, message):
 def test_the_limits_of_the_linear_route_are_said():
     """Nothing to say for l = 2 or one alpha; marginal at l = 3; unusable from l = 4."""
     assert linear_route((1, 1)) == linear_route((4,)) == ""
-    assert linear_route((2, 1)).startswith("the linear route is marginal: l = 3 with different alphas makes 11 unknowns")
+    assert linear_route((2, 1)).startswith(
+        "the linear route is marginal: l = 3 with different alphas makes 11 unknowns"
+    )
     assert linear_route((2, 2)).startswith(
         "the linear route is unusable: l = 4 with different alphas makes 29 unknowns, with a condition of 4e12"
     )

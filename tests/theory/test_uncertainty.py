@@ -46,7 +46,11 @@ def test_the_verdict_names_the_prior_that_decides(case):
             "the prior 1/P0 = 1e-09 is 1e-09 of the smallest information eigenvalue 1: the data decide all 2 "
             "directions, condition 4",
         ),
-        ([4.0, 1.0], None, "the data decide all 2 directions, smallest information eigenvalue 1, condition 4"),
+        (
+            [4.0, 1.0],
+            None,
+            "the data decide all 2 directions, smallest information eigenvalue 1, condition 4",
+        ),
         (
             [4.0, -1e-17],
             None,

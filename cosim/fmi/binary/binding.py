@@ -11,17 +11,19 @@ from numpy.typing import DTypeLike, NDArray
 from cosim.arrays import Vector
 from cosim.fmi.binary.library import Call, Library
 from cosim.fmi.binary.messages import Messages
-from cosim.fmi.description import Capabilities, Description, Mode, Variable
+from cosim.fmi.description import Capabilities, Description, InterfaceType, Variable
+from cosim.fmi.instance import DiscreteStates, StepEnd
 from cosim.fmi.references import Group
-from cosim.fmi.unit import DiscreteStates, StepEnd
 
 NO_STATE: Final = "the FMU cannot save its state (canGetAndSetFMUstate is false)"
 NO_SLOPES: Final = "the FMU does not interpolate inputs (canInterpolateInputs is false)"
-NO_DIRECTIONAL_DERIVATIVES: Final = "the FMU has no directional derivatives (providesDirectionalDerivatives is false)"
+NO_DIRECTIONAL_DERIVATIVES: Final = (
+    "the FMU has no directional derivatives (providesDirectionalDerivatives is false)"
+)
 
 
 @dataclass(frozen=True)
-class Instance:
+class InstanceSpecification:
     """What is instantiated.
 
     Parameters
@@ -37,7 +39,7 @@ class Instance:
     """
 
     description: Description
-    mode: Mode
+    interface_type: InterfaceType
     name: str
     folder: Path
     messages: Messages
@@ -55,7 +57,7 @@ class Instance:
     @property
     def capabilities(self) -> Capabilities:
         """What this kind of the FMU can do."""
-        return self.description.capabilities[self.mode]
+        return self.description.capabilities[self.interface_type]
 
 
 class Calls(Protocol):
@@ -110,7 +112,9 @@ class Calls(Protocol):
         """Get a String or a Binary."""
         ...
 
-    def directional_derivative(self, unknowns: Group, knowns: Group, seed: Vector, result: Vector) -> None:
+    def directional_derivative(
+        self, unknowns: Group, knowns: Group, seed: Vector, result: Vector
+    ) -> None:
         """Write d(unknowns)/d(knowns) . seed into ``result``."""
         ...
 

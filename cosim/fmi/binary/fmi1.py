@@ -21,11 +21,11 @@ from numpy.typing import DTypeLike, NDArray
 
 from cosim.arrays import Vector
 from cosim.errors import RunError
-from cosim.fmi.binary.binding import NO_SLOPES, Instance
+from cosim.fmi.binary.binding import NO_SLOPES, InstanceSpecification
 from cosim.fmi.binary.library import DISCARD, WARNING, Call, Library, declared, pointer
 from cosim.fmi.description import Variable
+from cosim.fmi.instance import DiscreteStates, StepEnd
 from cosim.fmi.references import Group, VariableType
-from cosim.fmi.unit import DiscreteStates, StepEnd
 from cosim.native.library import address
 
 LAST_SUCCESSFUL_TIME = 2  # of fmiStatusKind
@@ -38,14 +38,16 @@ class Fmi1:
     """FMI 1.0, one instance; see :class:`cosim.fmi.binary.binding.Calls`."""
 
     derivatives, nominals = "GetDerivatives", "GetNominalContinuousStates"
-    dtypes: dict[str, DTypeLike] = {"Float64": np.float64, "Int32": np.int32, "Boolean": np.int8}  # noqa: RUF012
+    dtypes: dict[str, DTypeLike] = {"Float64": np.float64, "Int32": np.int32, "Boolean": np.int8}
     names: Final = {"Float64": "Real", "Int32": "Integer", "Boolean": "Boolean"}
 
-    def __init__(self, library: Library, about: Instance) -> None:
+    def __init__(self, library: Library, about: InstanceSpecification) -> None:
         self.library, self._about, self._clock = library, about, about.messages.clock
         fmi1 = declared("fmi1")
         call, values = library.call, (c_void_p, c_size_t, c_void_p)
-        self._access = {(v, k): call(f"{v}{n}", *values) for v in ("Get", "Set") for k, n in self.names.items()}
+        self._access = {
+            (v, k): call(f"{v}{n}", *values) for v in ("Get", "Set") for k, n in self.names.items()
+        }
         self._set_string, self._get_string = call("SetString", *values), call("GetString", *values)
         self._functions: Any = fmi1.fmi1CallbackFunctions()  # handed over by value
         self._info: Any = fmi1.fmi1EventInfo()
@@ -53,17 +55,24 @@ class Fmi1:
         self._texts: dict[int, tuple[Variable, list[bytes]]] = {}
         self._t: float | None = None  # not None: in initialization mode, or after it
         self._told = False  # whether the answer of the initialization is still to be given
-        self._starting, self._initialized = True, False  # still before the end of initialization mode; was initialized
+        self._starting, self._initialized = (
+            True,
+            False,
+        )  # still before the end of initialization mode; was initialized
         self._say_what_is_missing()
-        if about.mode == "me":
+        if about.interface_type == "me":
             self._bind_model_exchange()
         else:
             self._bind_co_simulation()
 
     def _say_what_is_missing(self) -> None:
         absent = self.library.absent
-        self.enter_configuration_mode = self.exit_configuration_mode = absent("FMI 1.0 has no structural parameters")
-        self.get_state = self.set_state = self.free_state = absent("FMI 1.0 has no FMU state, so there is no way back")
+        self.enter_configuration_mode = self.exit_configuration_mode = absent(
+            "FMI 1.0 has no structural parameters"
+        )
+        self.get_state = self.set_state = self.free_state = absent(
+            "FMI 1.0 has no FMU state, so there is no way back"
+        )
         self._directional = absent("FMI 1.0 has no directional derivatives")
 
     def _bind_model_exchange(self) -> None:
@@ -81,7 +90,9 @@ class Fmi1:
     def _bind_co_simulation(self) -> None:
         call, function = self.library.call, self.library.function
         names, by_value = (c_char_p, c_char_p, c_char_p, c_char_p), type(self._functions)
-        self._create = function("InstantiateSlave", c_void_p, *names, c_double, c_int8, c_int8, by_value, c_int8)
+        self._create = function(
+            "InstantiateSlave", c_void_p, *names, c_double, c_int8, c_int8, by_value, c_int8
+        )
         self._free = function("FreeSlaveInstance", None, c_void_p)
         self._reset_slave, self.terminate = call("ResetSlave"), call("TerminateSlave")
         self._initialize_slave = call("InitializeSlave", c_double, c_int8, c_double)
@@ -99,14 +110,18 @@ class Fmi1:
         """Create the instance. It gives no environment to the logger: its messages are known by its own address."""
         about, functions, fmi1 = self._about, self._functions, declared("fmi1")
         functions.logger = cast(address("cosim_log"), fmi1.fmi1CallbackLoggerTYPE)
-        functions.allocateMemory = cast(address("cosim_allocate"), fmi1.fmi1CallbackAllocateMemoryTYPE)
+        functions.allocateMemory = cast(
+            address("cosim_allocate"), fmi1.fmi1CallbackAllocateMemoryTYPE
+        )
         functions.freeMemory = cast(address("cosim_free"), fmi1.fmi1CallbackFreeMemoryTYPE)
         names = (about.name.encode(), about.token.encode())
         about.messages.listen(None)
-        if about.mode == "me":
+        if about.interface_type == "me":
             created = self._create(*names, functions, 0)
         else:
-            created = self._create(*names, about.folder.as_uri().encode(), MIME, 0.0, 0, 0, functions, 0)
+            created = self._create(
+                *names, about.folder.as_uri().encode(), MIME, 0.0, 0, 0, functions, 0
+            )
         self.library.instance.value = created
         about.messages.listen(created or 0)
 
@@ -128,13 +143,15 @@ class Fmi1:
 
     def _begin_anew(self) -> None:
         self._initialized = False
-        if self._about.mode == "cs":
+        if self._about.interface_type == "cs":
             self._reset_slave()
             return
         self.free()
         self.instantiate()
         if not self.library.instance:
-            raise RunError(f"{self.library.name}: refuses to be instantiated a second time{self.library.messages.tail}")
+            raise RunError(
+                f"{self.library.name}: refuses to be instantiated a second time{self.library.messages.tail}"
+            )
 
     def enter_initialization_mode(self, t: float) -> None:
         """Start at ``t`` [s]."""
@@ -148,7 +165,7 @@ class Fmi1:
     def _initialize(self) -> None:
         if self._initialized or self._t is None:
             return
-        if self._about.mode == "me":
+        if self._about.interface_type == "me":
             self._set_time(self._t)
             self._initialize_model(0, 0.0, byref(self._info))
         else:
@@ -200,7 +217,9 @@ class Fmi1:
         self._get_string(byref(c_uint(variable.reference)), 1, found)
         return [found[0] or b""]
 
-    def directional_derivative(self, unknowns: Group, knowns: Group, seed: Vector, result: Vector) -> None:
+    def directional_derivative(
+        self, unknowns: Group, knowns: Group, seed: Vector, result: Vector
+    ) -> None:
         """Refuse."""
         self._directional()
 
@@ -241,7 +260,9 @@ class Fmi1:
             return StepEnd(completed=True, terminate=False, reached=t + h)
         reached = c_double()
         known = self._real_status(LAST_SUCCESSFUL_TIME, byref(reached)) < DISCARD
-        return StepEnd(completed=False, terminate=False, discarded=True, reached=reached.value if known else t)
+        return StepEnd(
+            completed=False, terminate=False, discarded=True, reached=reached.value if known else t
+        )
 
 
 def _nothing() -> None:

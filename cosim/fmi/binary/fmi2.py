@@ -9,11 +9,16 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from cosim.arrays import Vector
-from cosim.fmi.binary.binding import NO_DIRECTIONAL_DERIVATIVES, NO_SLOPES, NO_STATE, Instance
+from cosim.fmi.binary.binding import (
+    NO_DIRECTIONAL_DERIVATIVES,
+    NO_SLOPES,
+    NO_STATE,
+    InstanceSpecification,
+)
 from cosim.fmi.binary.library import DISCARD, WARNING, Library, declared, pointer
 from cosim.fmi.description import Variable
+from cosim.fmi.instance import DiscreteStates, StepEnd
 from cosim.fmi.references import Group
-from cosim.fmi.unit import DiscreteStates, StepEnd
 from cosim.native.library import address
 
 LAST_SUCCESSFUL_TIME, IS_TERMINATED = 2, 3  # of fmi2StatusKind
@@ -24,22 +29,31 @@ class Fmi2:
     """FMI 2.0.4, one instance; see :class:`cosim.fmi.binary.binding.Calls`."""
 
     derivatives, nominals = "GetDerivatives", "GetNominalsOfContinuousStates"
-    dtypes: dict[str, DTypeLike] = {"Float64": np.float64, "Int32": np.int32, "Boolean": np.int32}  # noqa: RUF012
+    dtypes: dict[str, DTypeLike] = {"Float64": np.float64, "Int32": np.int32, "Boolean": np.int32}
     names: Final = {"Float64": "Real", "Int32": "Integer", "Boolean": "Boolean"}
 
-    def __init__(self, library: Library, about: Instance) -> None:
+    def __init__(self, library: Library, about: InstanceSpecification) -> None:
         self.library, self._about, self._clock = library, about, about.messages.clock
         can = about.capabilities
         self._free = library.function("FreeInstance", None, c_void_p)
-        self._create = library.function("Instantiate", c_void_p, c_char_p, c_int, c_char_p, c_char_p, c_void_p, c_int, c_int)
+        self._create = library.function(
+            "Instantiate", c_void_p, c_char_p, c_int, c_char_p, c_char_p, c_void_p, c_int, c_int
+        )
         self._no_way_back = int(not can.saves_state)
         call, values = library.call, (c_void_p, c_size_t, c_void_p)
-        self._access = {(v, k): call(f"{v}{n}", *values) for v in ("Get", "Set") for k, n in self.names.items()}
+        self._access = {
+            (v, k): call(f"{v}{n}", *values) for v in ("Get", "Set") for k, n in self.names.items()
+        }
         self._set_string, self._get_string = call("SetString", *values), call("GetString", *values)
         self._setup = call("SetupExperiment", c_int, c_double, c_double, c_int, c_double)
-        self._enter, self.exit_initialization_mode = call("EnterInitializationMode"), call("ExitInitializationMode")
+        self._enter, self.exit_initialization_mode = (
+            call("EnterInitializationMode"),
+            call("ExitInitializationMode"),
+        )
         self.reset, self.terminate = call("Reset"), call("Terminate")
-        no_structure = library.absent("FMI 2.0 has no configuration mode and no structural parameters")
+        no_structure = library.absent(
+            "FMI 2.0 has no configuration mode and no structural parameters"
+        )
         self.enter_configuration_mode = self.exit_configuration_mode = no_structure
         if can.directional_derivatives:
             pair = (c_void_p, c_size_t)
@@ -47,18 +61,24 @@ class Fmi2:
         else:
             self._directional = library.absent(NO_DIRECTIONAL_DERIVATIVES)
         if can.saves_state:
-            self.get_state, self.set_state = call("GetFMUstate", c_void_p), call("SetFMUstate", c_void_p)
+            self.get_state, self.set_state = (
+                call("GetFMUstate", c_void_p),
+                call("SetFMUstate", c_void_p),
+            )
             self.free_state = call("FreeFMUstate", c_void_p)
         else:
             self.get_state = self.set_state = self.free_state = library.absent(NO_STATE)
-        if about.mode == "me":
+        if about.interface_type == "me":
             self._bind_model_exchange()
         else:
             self._bind_co_simulation(interpolates=can.interpolates_inputs)
 
     def _bind_model_exchange(self) -> None:
         call = self.library.call
-        self.enter_event_mode, self.enter_continuous_time_mode = call("EnterEventMode"), call("EnterContinuousTimeMode")
+        self.enter_event_mode, self.enter_continuous_time_mode = (
+            call("EnterEventMode"),
+            call("EnterContinuousTimeMode"),
+        )
         self._info: Any = declared("fmi2").fmi2EventInfo()
         self._update = call("NewDiscreteStates", c_void_p)
         self._completed = call("CompletedIntegratorStep", c_int, c_void_p, c_void_p)
@@ -84,12 +104,19 @@ class Fmi2:
         about, fmi2 = self._about, declared("fmi2")
         self._callbacks = fmi2.fmi2CallbackFunctions()  # the FMU keeps the address
         self._callbacks.logger = cast(address("cosim_log"), fmi2.fmi2CallbackLoggerTYPE)
-        self._callbacks.allocateMemory = cast(address("cosim_allocate"), fmi2.fmi2CallbackAllocateMemoryTYPE)
+        self._callbacks.allocateMemory = cast(
+            address("cosim_allocate"), fmi2.fmi2CallbackAllocateMemoryTYPE
+        )
         self._callbacks.freeMemory = cast(address("cosim_free"), fmi2.fmi2CallbackFreeMemoryTYPE)
         self._callbacks.componentEnvironment = key = addressof(self._callbacks)
         about.messages.listen(key)
         resources = (about.folder / "resources").as_uri().encode()
-        names = (about.name.encode(), int(about.mode == "cs"), about.token.encode(), resources)
+        names = (
+            about.name.encode(),
+            int(about.interface_type == "cs"),
+            about.token.encode(),
+            resources,
+        )
         self.library.instance.value = self._create(*names, key, 0, 0)
 
     def free(self) -> None:
@@ -117,9 +144,18 @@ class Fmi2:
         self._get_string(byref(c_uint(variable.reference)), 1, found)
         return [found[0] or b""]
 
-    def directional_derivative(self, unknowns: Group, knowns: Group, seed: Vector, result: Vector) -> None:
+    def directional_derivative(
+        self, unknowns: Group, knowns: Group, seed: Vector, result: Vector
+    ) -> None:
         """Write d(unknowns)/d(knowns) . seed into ``result``."""
-        self._directional(unknowns.address, unknowns.count, knowns.address, knowns.count, pointer(seed), pointer(result))
+        self._directional(
+            unknowns.address,
+            unknowns.count,
+            knowns.address,
+            knowns.count,
+            pointer(seed),
+            pointer(result),
+        )
 
     def update_discrete_states(self) -> DiscreteStates:
         """Do one event iteration."""
@@ -150,6 +186,10 @@ class Fmi2:
         if self._step(t, h, self._no_way_back) <= WARNING:
             return StepEnd(True, False, False, False, t + h)
         ended, reached = c_int(), c_double()
-        terminate = self._boolean_status(IS_TERMINATED, byref(ended)) < DISCARD and bool(ended.value)
+        terminate = self._boolean_status(IS_TERMINATED, byref(ended)) < DISCARD and bool(
+            ended.value
+        )
         known = self._real_status(LAST_SUCCESSFUL_TIME, byref(reached)) < DISCARD
-        return StepEnd(False, terminate, discarded=not terminate, reached=reached.value if known else t)
+        return StepEnd(
+            False, terminate, discarded=not terminate, reached=reached.value if known else t
+        )

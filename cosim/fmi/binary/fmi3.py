@@ -26,15 +26,32 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from cosim.arrays import Vector
-from cosim.fmi.binary.binding import NO_DIRECTIONAL_DERIVATIVES, NO_STATE, Instance
+from cosim.fmi.binary.binding import NO_DIRECTIONAL_DERIVATIVES, NO_STATE, InstanceSpecification
 from cosim.fmi.binary.library import DISCARD, WARNING, Library, pointer
 from cosim.fmi.description import Capabilities, Variable
+from cosim.fmi.instance import DiscreteStates, StepEnd
 from cosim.fmi.references import Group
-from cosim.fmi.unit import DiscreteStates, StepEnd
 from cosim.native.library import LinesStruct, address
 
-_NUMBERS = ("Float64", "Float32", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64")
-_NAMES = (c_char_p, c_char_p, c_char_p, c_bool, c_bool)  # of an instance: name, token, resources; visible, logging
+_NUMBERS = (
+    "Float64",
+    "Float32",
+    "Int8",
+    "UInt8",
+    "Int16",
+    "UInt16",
+    "Int32",
+    "UInt32",
+    "Int64",
+    "UInt64",
+)
+_NAMES = (
+    c_char_p,
+    c_char_p,
+    c_char_p,
+    c_bool,
+    c_bool,
+)  # of an instance: name, token, resources; visible, logging
 _VALUES = (c_void_p, c_void_p, c_size_t, c_void_p, c_size_t)  # of a function that gets or sets
 
 
@@ -43,9 +60,12 @@ class Fmi3:
     """FMI 3.0, one instance; see :class:`cosim.fmi.binary.binding.Calls`."""
 
     derivatives, nominals = "GetContinuousStateDerivatives", "GetNominalsOfContinuousStates"
-    dtypes: dict[str, DTypeLike] = {**{name: np.dtype(name.lower()) for name in _NUMBERS}, "Boolean": np.bool_}  # noqa: RUF012
+    dtypes: dict[str, DTypeLike] = {
+        **{name: np.dtype(name.lower()) for name in _NUMBERS},
+        "Boolean": np.bool_,
+    }
 
-    def __init__(self, library: Library, about: Instance) -> None:
+    def __init__(self, library: Library, about: InstanceSpecification) -> None:
         self.library, self._about, self._clock = library, about, about.messages.clock
         can = about.capabilities
         self._free = library.function("FreeInstance", None, c_void_p)
@@ -55,14 +75,18 @@ class Fmi3:
         self._answers = [byref(flag) for flag in self._flags]
         self._bind_values(can)
         self._bind_modes()
-        if about.mode == "me":
+        if about.interface_type == "me":
             self._bind_model_exchange(no_way_back=not can.saves_state)
         else:
             self._bind_co_simulation(no_way_back=not can.saves_state)
 
     def _bind_values(self, can: Capabilities) -> None:
         call, values = self.library.call, _VALUES[1:]
-        self._access = {(verb, kind): call(f"{verb}{kind}", *values) for verb in ("Get", "Set") for kind in self.dtypes}
+        self._access = {
+            (verb, kind): call(f"{verb}{kind}", *values)
+            for verb in ("Get", "Set")
+            for kind in self.dtypes
+        }
         self._text = {verb: call(f"{verb}String", *values) for verb in ("Get", "Set")}
         binary = (c_void_p, c_size_t, c_void_p, c_void_p, c_size_t)
         self._binary = {verb: call(f"{verb}Binary", *binary) for verb in ("Get", "Set")}
@@ -71,7 +95,10 @@ class Fmi3:
         else:
             self._directional = self.library.absent(NO_DIRECTIONAL_DERIVATIVES)
         if can.saves_state:
-            self.get_state, self.set_state = call("GetFMUState", c_void_p), call("SetFMUState", c_void_p)
+            self.get_state, self.set_state = (
+                call("GetFMUState", c_void_p),
+                call("SetFMUState", c_void_p),
+            )
             self.free_state = call("FreeFMUState", c_void_p)
         else:
             self.get_state = self.set_state = self.free_state = self.library.absent(NO_STATE)
@@ -82,11 +109,19 @@ class Fmi3:
         self.exit_initialization_mode = call("ExitInitializationMode")
         self.enter_configuration_mode = call("EnterConfigurationMode")
         self.exit_configuration_mode = call("ExitConfigurationMode")
-        self.reset, self.terminate, self.enter_event_mode = call("Reset"), call("Terminate"), call("EnterEventMode")
-        self._update = partial(call("UpdateDiscreteStates", *[c_void_p] * 6), *self._answers, byref(self._time))
+        self.reset, self.terminate, self.enter_event_mode = (
+            call("Reset"),
+            call("Terminate"),
+            call("EnterEventMode"),
+        )
+        self._update = partial(
+            call("UpdateDiscreteStates", *[c_void_p] * 6), *self._answers, byref(self._time)
+        )
 
     def _bind_model_exchange(self, *, no_way_back: bool) -> None:
-        self._create = self.library.function("InstantiateModelExchange", c_void_p, *_NAMES, c_void_p, c_void_p)
+        self._create = self.library.function(
+            "InstantiateModelExchange", c_void_p, *_NAMES, c_void_p, c_void_p
+        )
         self.enter_continuous_time_mode = self.library.call("EnterContinuousTimeMode")
         completed = self.library.call("CompletedIntegratorStep", c_bool, c_void_p, c_void_p)
         self._completed = partial(completed, no_way_back, *self._answers[:2])
@@ -102,19 +137,38 @@ class Fmi3:
         """Create the instance."""
         about, key, log = self._about, addressof(self._lines), address("cosim_log_text")
         about.messages.listen(key)
-        names = (about.name.encode(), about.token.encode(), f"{about.folder / 'resources'}{os.sep}".encode())
-        if about.mode == "me":
+        names = (
+            about.name.encode(),
+            about.token.encode(),
+            f"{about.folder / 'resources'}{os.sep}".encode(),
+        )
+        if about.interface_type == "me":
             self.library.instance.value = self._create(*names, False, False, key, log)
         else:
-            flags = (False, False, about.capabilities.event_mode, True)  # visible, logging, event mode used, early return allowed
+            flags = (
+                False,
+                False,
+                about.capabilities.event_mode,
+                True,
+            )  # visible, logging, event mode used, early return allowed
             required = self._interpolated(about)
-            update = (pointer(required), len(required), key, log, address("cosim_intermediate_update"))
+            update = (
+                pointer(required),
+                len(required),
+                key,
+                log,
+                address("cosim_intermediate_update"),
+            )
             self.library.instance.value = self._create(*names, *flags, *update)
 
     @staticmethod
-    def _interpolated(about: Instance) -> NDArray[np.uint32]:
+    def _interpolated(about: InstanceSpecification) -> NDArray[np.uint32]:
         """Give the references of the inputs that will be set in Intermediate Updates."""
-        moving = (v for v in about.description.variables if v.causality == "input" and v.variability == "continuous")
+        moving = (
+            v
+            for v in about.description.variables
+            if v.causality == "input" and v.variability == "continuous"
+        )
         able = about.capabilities.interpolates_inputs
         found = [v.reference for v in moving if able and v.type == "Float64" and v.inside_steps]
         return np.array(found, np.uint32)
@@ -151,9 +205,13 @@ class Fmi3:
             return [text or b"" for text in texts]
         sizes, data = (c_size_t * n)(), (POINTER(c_uint8) * n)()
         self._binary["Get"](reference, 1, sizes, data, n)
-        return [string_at(where, size) if size else b"" for where, size in zip(data, sizes, strict=True)]
+        return [
+            string_at(where, size) if size else b"" for where, size in zip(data, sizes, strict=True)
+        ]
 
-    def directional_derivative(self, unknowns: Group, knowns: Group, seed: Vector, result: Vector) -> None:
+    def directional_derivative(
+        self, unknowns: Group, knowns: Group, seed: Vector, result: Vector
+    ) -> None:
         """Write d(unknowns)/d(knowns) . seed into ``result``."""
         references = (unknowns.address, unknowns.count, knowns.address, knowns.count)
         self._directional(*references, pointer(seed), len(seed), pointer(result), len(result))
@@ -162,7 +220,9 @@ class Fmi3:
         """Do one event iteration."""
         self._update()
         need, terminate, nominals, values, has_time = (flag.value for flag in self._flags)
-        return DiscreteStates(need, terminate, self._time.value if has_time else None, values, nominals)
+        return DiscreteStates(
+            need, terminate, self._time.value if has_time else None, values, nominals
+        )
 
     def completed_integrator_step(self) -> tuple[bool, bool]:
         """Accept the step; answers (enter event mode, terminate)."""
@@ -182,7 +242,11 @@ class Fmi3:
         self._lined, (self._start, self._slope, self._scratch) = group, np.empty((3, size))
         lines, memory = self._lines, (self._start, self._slope, self._scratch)
         lines.start, lines.slope, lines.values = (array.ctypes.data for array in memory)
-        lines.references, lines.count, lines.instance = group.address, group.count, self.library.instance.value
+        lines.references, lines.count, lines.instance = (
+            group.address,
+            group.count,
+            self.library.instance.value,
+        )
         lines.set = cast(self.library.function("SetFloat64", c_int, *_VALUES), c_void_p).value
 
     def do_step(self, t: float, h: float) -> StepEnd:
@@ -196,6 +260,10 @@ class Fmi3:
             if lines.status > WARNING:
                 raise self.library.failure("SetFloat64", lines.status)
         if status == DISCARD:
-            return StepEnd(False, self._flags[1].value, discarded=not self._flags[1].value, reached=t)
+            return StepEnd(
+                False, self._flags[1].value, discarded=not self._flags[1].value, reached=t
+            )
         event, terminate, early = self._flags[0].value, self._flags[1].value, self._flags[2].value
-        return StepEnd(not early, terminate, False, event, self._time.value if early else t + h, followed)
+        return StepEnd(
+            not early, terminate, False, event, self._time.value if early else t + h, followed
+        )

@@ -71,7 +71,9 @@ class Library:
 
     def refusal(self, reason: str) -> FmuError:
         """Say why the binary is of no use."""
-        return FmuError(f"{self.name}: the binary {self._binary} cannot be used: {reason}{self.messages.tail}")
+        return FmuError(
+            f"{self.name}: the binary {self._binary} cannot be used: {reason}{self.messages.tail}"
+        )
 
     def function(self, name: str, result: Any, *types: Any) -> Any:
         """Give a function of the library.
@@ -85,7 +87,9 @@ class Library:
         try:
             found = self._dll[self.prefix + name]
         except AttributeError as error:
-            raise self.refusal(f"it has no function {self.prefix}{name}, which the standard requires") from error
+            raise self.refusal(
+                f"it has no function {self.prefix}{name}, which the standard requires"
+            ) from error
         found.argtypes, found.restype = types, result
         return found
 
@@ -124,7 +128,9 @@ class Library:
         if status == FATAL:
             self._over = f"{self.prefix}{name} returned 4 (fatal) before"
         label = STATUS[status] if 0 <= status < len(STATUS) else "no status of the standard"
-        return RunError(f"{self.name}: {self.prefix}{name} returned {status} ({label}){self.messages.tail}")
+        return RunError(
+            f"{self.name}: {self.prefix}{name} returned {status} ({label}){self.messages.tail}"
+        )
 
     @property
     def over(self) -> bool:

@@ -12,19 +12,19 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from cosim.arrays import Vector
+from cosim.core.linear import LinearModel
 from cosim.core.signals import Interface
-from cosim.core.solver import LinearModel
 from cosim.errors import FmuError, RunError
-from cosim.fmi.binary.binding import Calls, Instance
+from cosim.fmi.binary.binding import Calls, InstanceSpecification
 from cosim.fmi.binary.fmi1 import Fmi1
 from cosim.fmi.binary.fmi2 import Fmi2
 from cosim.fmi.binary.fmi3 import Fmi3
 from cosim.fmi.binary.library import Library, pointer
 from cosim.fmi.binary.messages import Messages
-from cosim.fmi.description import LARGEST_EXACT, Description, Mode, Variable
+from cosim.fmi.description import LARGEST_EXACT, Description, InterfaceType, Variable
 from cosim.fmi.references import References
 
-VERSIONS: Final[Mapping[str, tuple[str, Callable[[Library, Instance], Calls]]]] = {
+VERSIONS: Final[Mapping[str, tuple[str, Callable[[Library, InstanceSpecification], Calls]]]] = {
     "1": ("{identifier}_fmi", Fmi1),
     "2": ("fmi2", Fmi2),
     "3": ("fmi3", Fmi3),
@@ -38,7 +38,7 @@ SPARE: Final = 4  # how many states that were let go of are kept for the next co
 
 
 @final
-class LoadedUnit:
+class LoadedInstance:
     """One instance of an FMU: every unit call, of the kind it was instantiated for.
 
     Parameters
@@ -62,13 +62,24 @@ class LoadedUnit:
 
     linear: LinearModel | None = None
 
-    def __init__(self, folder: Path, library: Path, description: Description, *, mode: Mode, name: str, label: str) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        library: Path,
+        description: Description,
+        *,
+        interface_type: InterfaceType,
+        name: str,
+        label: str,
+    ) -> None:
         self.description = description
         self.messages = Messages()
-        about = Instance(description, mode, name, folder, self.messages)
+        about = InstanceSpecification(description, interface_type, name, folder, self.messages)
         with _alone(about, label), _loaded(library, about, label) as calls:
             self._library, self._about, self._calls = calls.library, about, calls
-            self._bind(calls, mode)  # before there is an instance: what is missing leaves none behind
+            self._bind(
+                calls, interface_type
+            )  # before there is an instance: what is missing leaves none behind
             calls.instantiate()
             if not calls.library.instance:
                 raise calls.library.refusal("it refuses to instantiate")
@@ -79,23 +90,35 @@ class LoadedUnit:
         self._x = np.empty(self._n)
         self._x_memory = pointer(self._x)
 
-    def _bind(self, calls: Calls, mode: Mode) -> None:
+    def _bind(self, calls: Calls, interface_type: InterfaceType) -> None:
         self.enter_configuration_mode, self.exit_configuration_mode = (
             calls.enter_configuration_mode,
             calls.exit_configuration_mode,
         )
-        self.enter_event_mode, self.update_discrete_states = calls.enter_event_mode, calls.update_discrete_states
-        if mode == "me":
+        self.enter_event_mode, self.update_discrete_states = (
+            calls.enter_event_mode,
+            calls.update_discrete_states,
+        )
+        if interface_type == "me":
             self._bind_model_exchange(calls)
         else:
             self.enter_step_mode, self.do_step = calls.enter_step_mode, calls.do_step
 
     def _bind_model_exchange(self, calls: Calls) -> None:
         call, vector = self._library.call, (c_void_p, c_size_t)
-        self.enter_continuous_time_mode, self._set_time = calls.enter_continuous_time_mode, call("SetTime", c_double)
+        self.enter_continuous_time_mode, self._set_time = (
+            calls.enter_continuous_time_mode,
+            call("SetTime", c_double),
+        )
         self.completed_integrator_step = calls.completed_integrator_step
-        self._set_states, self._get_states = call("SetContinuousStates", *vector), call("GetContinuousStates", *vector)
-        self._get_derivatives, self._get_nominals = call(calls.derivatives, *vector), call(calls.nominals, *vector)
+        self._set_states, self._get_states = (
+            call("SetContinuousStates", *vector),
+            call("GetContinuousStates", *vector),
+        )
+        self._get_derivatives, self._get_nominals = (
+            call(calls.derivatives, *vector),
+            call(calls.nominals, *vector),
+        )
         self._get_indicators = call("GetEventIndicators", *vector)
 
     @property
@@ -150,7 +173,12 @@ class LoadedUnit:
             self._calls.access("Set", references.groups[0], values)
             return
         for group in references.groups:
-            own = to_own(self._library.name, group.type, self._calls.dtypes[group.type], values[group.columns])
+            own = to_own(
+                self._library.name,
+                group.type,
+                self._calls.dtypes[group.type],
+                values[group.columns],
+            )
             self._calls.access("Set", group, own)
 
     def get_float64(self, references: References) -> Vector:
@@ -182,7 +210,9 @@ class LoadedUnit:
         self._get_derivatives(pointer(dx), self._n)
         return dx
 
-    def get_directional_derivative(self, unknowns: References, knowns: References, seed: Vector) -> Vector:
+    def get_directional_derivative(
+        self, unknowns: References, knowns: References, seed: Vector
+    ) -> Vector:
         """Give d(unknowns)/d(knowns) . seed, for Float64 variables."""
         result = np.empty(unknowns.size)
         self._calls.directional_derivative(unknowns.groups[0], knowns.groups[0], seed, result)
@@ -215,17 +245,27 @@ class LoadedUnit:
             If there are more or fewer than the variable has elements, or one cannot be handed over.
         """
         if len(values) != variable.size:
-            raise RunError(f"{self._library.name}: {variable.name}: found {len(values)} texts, needed {variable.size}")
+            raise RunError(
+                f"{self._library.name}: {variable.name}: found {len(values)} texts, needed {variable.size}"
+            )
         try:
-            raw = [bytes.fromhex(text) if variable.type == "Binary" else _string(text) for text in values]
+            raw = [
+                bytes.fromhex(text) if variable.type == "Binary" else _string(text)
+                for text in values
+            ]
         except ValueError as error:
-            raise RunError(f"{self._library.name}: {variable.name}: {values} cannot be set: {error}") from error
+            raise RunError(
+                f"{self._library.name}: {variable.name}: {values} cannot be set: {error}"
+            ) from error
         self._calls.set_text(variable, raw)
 
     def get_text(self, variable: Variable) -> tuple[str, ...]:
         """Get a String, or a Binary in hexadecimal."""
         raw = self._calls.get_text(variable)
-        return tuple(data.hex() if variable.type == "Binary" else data.decode("utf-8", "replace") for data in raw)
+        return tuple(
+            data.hex() if variable.type == "Binary" else data.decode("utf-8", "replace")
+            for data in raw
+        )
 
     # --- states ---
 
@@ -254,7 +294,7 @@ class LoadedUnit:
 
 
 @contextmanager
-def _alone(about: Instance, label: str) -> Iterator[None]:
+def _alone(about: InstanceSpecification, label: str) -> Iterator[None]:
     """Refuse a second instance of an FMU that can be instantiated only once per process."""
     if not about.capabilities.once_per_process:
         yield
@@ -273,10 +313,12 @@ def _alone(about: Instance, label: str) -> Iterator[None]:
 
 
 @contextmanager
-def _loaded(binary: Path, about: Instance, label: str) -> Iterator[Calls]:
+def _loaded(binary: Path, about: InstanceSpecification, label: str) -> Iterator[Calls]:
     """Load a binary and give its calls; after a failure it is unloaded."""
     prefix, version = VERSIONS[about.description.version[0]]
-    library = Library(binary, prefix.format(identifier=about.capabilities.identifier), label, about.messages)
+    library = Library(
+        binary, prefix.format(identifier=about.capabilities.identifier), label, about.messages
+    )
     try:
         yield version(library, about)
     except BaseException:

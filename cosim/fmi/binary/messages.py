@@ -7,10 +7,17 @@ import weakref
 from ctypes import addressof, byref, c_double
 from typing import Final, NamedTuple
 
-from cosim.core.contracts import Level
+from cosim.core.contracts import MessageLevel
 from cosim.native.library import MessagesStruct, MessageStruct, library
 
-LEVELS: Final[tuple[Level, ...]] = ("info", "warning", "warning", "error", "fatal", "info")  # by FMI status
+LEVELS: Final[tuple[MessageLevel, ...]] = (
+    "info",
+    "warning",
+    "warning",
+    "error",
+    "fatal",
+    "info",
+)  # by FMI status
 MESSAGES: Final = 100  # how many are kept until they are fetched
 
 
@@ -21,16 +28,21 @@ class Message(NamedTuple):
     """
 
     time: float | None
-    level: Level
+    level: MessageLevel
     category: str
     text: str
 
     @staticmethod
     def of(found: MessageStruct) -> Message:
         """Read what the callback took."""
-        level: Level = LEVELS[found.status] if 0 <= found.status < len(LEVELS) else "warning"
+        level: MessageLevel = LEVELS[found.status] if 0 <= found.status < len(LEVELS) else "warning"
         time = None if math.isnan(found.time) else found.time
-        return Message(time, level, found.category.decode("utf-8", "replace"), found.text.decode("utf-8", "replace"))
+        return Message(
+            time,
+            level,
+            found.category.decode("utf-8", "replace"),
+            found.text.decode("utf-8", "replace"),
+        )
 
 
 class Messages:
@@ -46,7 +58,9 @@ class Messages:
 
     def __init__(self) -> None:
         ring = (MessageStruct * MESSAGES)()
-        self._kept = MessagesStruct(ring=addressof(ring), size=MESSAGES)  # not cast: that makes a cycle of 100 kB
+        self._kept = MessagesStruct(
+            ring=addressof(ring), size=MESSAGES
+        )  # not cast: that makes a cycle of 100 kB
         self._out = MessageStruct()
         self.clock = c_double.from_buffer(self._kept, MessagesStruct.now.offset)
         self.clock.value = math.nan
@@ -75,7 +89,10 @@ class Messages:
             found.append(Message.of(self._out))
         if dropped:
             time = found[0].time if found else None
-            found.insert(0, Message(time, "warning", "", f"{dropped} earlier messages of the FMU were dropped"))
+            found.insert(
+                0,
+                Message(time, "warning", "", f"{dropped} earlier messages of the FMU were dropped"),
+            )
         return found
 
 

@@ -6,7 +6,7 @@ import struct
 from collections.abc import Mapping, Sequence
 from typing import Final
 
-from cosim.fmi.description import Description, Mode
+from cosim.fmi.description import Description, InterfaceType
 
 ELF: Final = {3: "x86", 62: "x86_64", 40: "aarch32", 183: "aarch64", 243: "riscv64"}
 PE: Final = {0x14C: "x86", 0x8664: "x86_64", 0xAA64: "aarch64"}
@@ -47,7 +47,9 @@ def built_for(head: bytes) -> tuple[str, str] | None:
     return ("any", "darwin") if head[:4] == b"\xca\xfe\xba\xbe" else None
 
 
-_VALUES_1 = [f"{verb}{kind}" for verb in ("Set", "Get") for kind in ("Real", "Integer", "Boolean", "String")]
+_VALUES_1 = [
+    f"{verb}{kind}" for verb in ("Set", "Get") for kind in ("Real", "Integer", "Boolean", "String")
+]
 _STATES_2 = ["GetFMUstate", "SetFMUstate", "FreeFMUstate"]
 _SERIAL_2 = ["SerializedFMUstateSize", "SerializeFMUstate", "DeSerializeFMUstate"]
 _WIDTHS = tuple(f"{sign}Int{width}" for width in (8, 16, 32, 64) for sign in ("", "U"))
@@ -55,7 +57,7 @@ _KINDS_3 = ("Float32", "Float64", *_WIDTHS, "Boolean", "String", "Binary", "Cloc
 _STATES_3 = ["GetFMUState", "SetFMUState", "FreeFMUState"]
 _SERIAL_3 = ["SerializedFMUStateSize", "SerializeFMUState", "DeserializeFMUState"]
 _STATUS = ["GetStatus", *(f"Get{kind}Status" for kind in ("Real", "Integer", "Boolean", "String"))]
-NEEDED: Final[Mapping[tuple[int, Mode], Sequence[str]]] = {
+NEEDED: Final[Mapping[tuple[int, InterfaceType], Sequence[str]]] = {
     (1, "me"): [
         *("GetModelTypesPlatform", "GetVersion", "InstantiateModel", "FreeModelInstance", "SetDebugLogging", "SetTime"),
         *("SetContinuousStates", "CompletedIntegratorStep", "Initialize", "GetDerivatives", "GetEventIndicators", "EventUpdate"),
@@ -90,10 +92,10 @@ COMMON: Final[Mapping[int, Sequence[str]]] = {
 }  # fmt: skip
 
 
-def functions(description: Description, mode: Mode) -> list[str]:
+def functions(description: Description, interface_type: InterfaceType) -> list[str]:
     """Give the names of the functions that a binary must have for one kind and for what it says it can."""
-    version, able = int(description.version[0]), description.capabilities[mode]
-    names = [*COMMON[version], *NEEDED[version, mode]]
+    version, able = int(description.version[0]), description.capabilities[interface_type]
+    names = [*COMMON[version], *NEEDED[version, interface_type]]
     if able.saves_state:
         names += _STATES_2 if version == 2 else _STATES_3
     if able.serializes_state:

@@ -11,18 +11,22 @@ from typing import Final
 from cosim.errors import FmuError
 from cosim.fmi.checking.binaries import built_for, functions, machine_of
 from cosim.fmi.checking.child import MISSING, TIMEOUT, attempt
-from cosim.fmi.checking.structure import Finding, Level, findings
-from cosim.fmi.description import MODE_NAMES, Description, Mode
+from cosim.fmi.checking.structure import Finding, Severity, findings
+from cosim.fmi.description import INTERFACE_TYPE_NAMES, Description, InterfaceType
 from cosim.fmi.platforms import ARCHITECTURE, SUFFIX, SYSTEM, folders
 from cosim.fmi.reading.markup import Attributes
 from cosim.fmi.reading.model_description import XML, describe_root, need_file, open_description
 from cosim.fmi.reading.variables import major, read_definitions
 
-__all__ = ["Finding", "Level", "check"]
+__all__ = ["Finding", "Severity", "check"]
 
 MOST: Final = 100  # findings of the schema
 HEAD: Final = 4096  # bytes of a binary that are looked at
-SCHEMAS: Final = {1: "fmi1/fmiModelDescription.xsd", 2: "fmi2/fmi2ModelDescription.xsd", 3: "fmi3/fmi3ModelDescription.xsd"}
+SCHEMAS: Final = {
+    1: "fmi1/fmiModelDescription.xsd",
+    2: "fmi2/fmi2ModelDescription.xsd",
+    3: "fmi3/fmi3ModelDescription.xsd",
+}
 
 
 def check(path: Path | str, *, timeout: float = TIMEOUT) -> tuple[Finding, ...]:
@@ -51,16 +55,22 @@ def check(path: Path | str, *, timeout: float = TIMEOUT) -> tuple[Finding, ...]:
         try:
             root, contents = open_description(path, folder)
         except FmuError as error:
-            return (Finding("error", "archive" if XML not in str(error) else "XML", _bare(path, error)),)
+            return (
+                Finding("error", "archive" if XML not in str(error) else "XML", _bare(path, error)),
+            )
         problems: list[str] = []
         description = describe_root(root, contents, path.stem, problems)
         raw = contents.wanted[XML]
-        found = [Finding("error", "XML", problem) for problem in problems] + _schema(raw, major(root))
+        found = [Finding("error", "XML", problem) for problem in problems] + _schema(
+            raw, major(root)
+        )
         found += findings(root, description, read_definitions(root, Attributes([])))
         if not any(finding.level in ("error", "warning") for finding in found):
             found += _second_opinion(raw)
         found += _binaries(folder, description)
-        if not any(finding.level == "error" and finding.where in ("XML", "binary") for finding in found):
+        if not any(
+            finding.level == "error" and finding.where in ("XML", "binary") for finding in found
+        ):
             found += _trials(path, folder, description, timeout)
     order = ("error", "warning", "note")
     return tuple(sorted(dict.fromkeys(found), key=lambda finding: order.index(finding.level)))
@@ -83,12 +93,19 @@ def _schema(raw: bytes, version: int) -> list[Finding]:
     assert package.origin is not None
     schema = etree.XMLSchema(file=str(Path(package.origin).parent / "schema" / SCHEMAS[version]))
     try:
-        document = etree.fromstring(raw, etree.XMLParser(resolve_entities=False, no_network=True, huge_tree=True))
+        document = etree.fromstring(
+            raw, etree.XMLParser(resolve_entities=False, no_network=True, huge_tree=True)
+        )
     except etree.XMLSyntaxError as error:  # stricter than the parser that it passed
         return [Finding("error", "XML", f"not well-formed: {error}")]
     schema.validate(document)
-    found = [Finding("error", "schema", f"line {entry.line}: {entry.message}") for entry in schema.error_log]
-    more = [Finding("error", "schema", f"and {len(found) - MOST} more")] if len(found) > MOST else []
+    found = [
+        Finding("error", "schema", f"line {entry.line}: {entry.message}")
+        for entry in schema.error_log
+    ]
+    more = (
+        [Finding("error", "schema", f"and {len(found) - MOST} more")] if len(found) > MOST else []
+    )
     return found[:MOST] + more
 
 
@@ -101,7 +118,9 @@ def _second_opinion(raw: bytes) -> list[Finding]:
         (file := Path(folder) / XML).write_bytes(raw)
         try:
             found = read_model_description(str(file), validate=False)
-            problems = validate_model_description(found, validate_variable_names=False, validate_model_structure=True)
+            problems = validate_model_description(
+                found, validate_variable_names=False, validate_model_structure=True
+            )
         except Exception as error:  # fmpy raises what its parsing happens to raise
             problems = [f"cannot read it: {type(error).__name__}: {error}"]
     return [Finding("warning", "fmpy", problem) for problem in problems]
@@ -117,13 +136,17 @@ def _binaries(folder: Path, description: Description) -> list[Finding]:
     for platform in description.platforms:
         machine = machine_of(platform)
         if machine is None:
-            found.append(Finding("warning", "binary", f"binaries/{platform} is no platform of the standard"))
+            found.append(
+                Finding("warning", "binary", f"binaries/{platform} is no platform of the standard")
+            )
             continue
         for identifier in sorted({able.identifier for able in description.capabilities.values()}):
             suffix = {"linux": ".so", "darwin": ".dylib", "windows": ".dll"}[machine[1]]
             file = folder / "binaries" / platform / f"{identifier}{suffix}"
-            level: Level = "error" if platform in mine else "warning"
-            found += [Finding(level, "binary", text) for text in _wrong_binary(file, platform, machine)]
+            level: Severity = "error" if platform in mine else "warning"
+            found += [
+                Finding(level, "binary", text) for text in _wrong_binary(file, platform, machine)
+            ]
     there = [name for name in mine if name in description.platforms]
     if not there:
         text = f"none for this machine ({ARCHITECTURE}-{SYSTEM}); there is: {', '.join(description.platforms) or 'none'}"
@@ -149,17 +172,31 @@ def _wrong_binary(file: Path, platform: str, machine: tuple[str, str]) -> Iterat
 
 def _trials(path: Path, folder: Path, description: Description, timeout: float) -> list[Finding]:
     found = []
-    for mode in description.capabilities:
-        problems = _try_symbols(folder, description, mode, timeout)
-        where = f"binary, {MODE_NAMES[mode]}"
+    for interface_type in description.capabilities:
+        problems = _try_symbols(folder, description, interface_type, timeout)
+        where = f"binary, {INTERFACE_TYPE_NAMES[interface_type]}"
         found += [Finding("error", where, problem) for problem in problems]
-        if any(not problem.startswith(MISSING) for problem in problems):  # a function that nobody calls may be missing
+        if any(
+            not problem.startswith(MISSING) for problem in problems
+        ):  # a function that nobody calls may be missing
             continue
-        run = attempt("run", str(path.resolve()), mode, timeout=timeout)
-        found += [Finding("error", f"trial run, {MODE_NAMES[mode]}", _of(path, problem)) for problem in run]
-        if not run and description.capabilities[mode].saves_state:
-            back = attempt("rollback", str(path.resolve()), mode, timeout=timeout)
-            found += [Finding("error", f"trial save and restore, {MODE_NAMES[mode]}", _of(path, problem)) for problem in back]
+        run = attempt("run", str(path.resolve()), interface_type, timeout=timeout)
+        found += [
+            Finding(
+                "error", f"trial run, {INTERFACE_TYPE_NAMES[interface_type]}", _of(path, problem)
+            )
+            for problem in run
+        ]
+        if not run and description.capabilities[interface_type].saves_state:
+            back = attempt("rollback", str(path.resolve()), interface_type, timeout=timeout)
+            found += [
+                Finding(
+                    "error",
+                    f"trial save and restore, {INTERFACE_TYPE_NAMES[interface_type]}",
+                    _of(path, problem),
+                )
+                for problem in back
+            ]
     return found
 
 
@@ -167,8 +204,14 @@ def _of(path: Path, problem: str) -> str:
     return problem.replace(f"{path.resolve()}: ", "")
 
 
-def _try_symbols(folder: Path, description: Description, mode: Mode, timeout: float) -> tuple[str, ...]:
-    library = f"{description.capabilities[mode].identifier}{SUFFIX}"
+def _try_symbols(
+    folder: Path, description: Description, interface_type: InterfaceType, timeout: float
+) -> tuple[str, ...]:
+    library = f"{description.capabilities[interface_type].identifier}{SUFFIX}"
     places = (folder / "binaries" / name / library for name in folders(description.version))
     file = next((place for place in places if place.is_file()), None)
-    return () if file is None else attempt("symbols", str(file), *functions(description, mode), timeout=timeout)
+    return (
+        ()
+        if file is None
+        else attempt("symbols", str(file), *functions(description, interface_type), timeout=timeout)
+    )

@@ -14,7 +14,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Final, Literal, TypeAlias
 
 if TYPE_CHECKING:
-    from cosim.fmi.description import Mode
+    from cosim.fmi.description import InterfaceType
     from cosim.fmi.reading.model_description import Archive
 
 Task: TypeAlias = Literal["symbols", "run", "rollback"]
@@ -25,7 +25,9 @@ MISSING: Final = "missing function"
 ROOT: Final = Path(__file__).parents[3]
 
 
-def can_roll_back(archive: Archive, mode: Mode, *, timeout: float = TIMEOUT) -> tuple[str, ...]:
+def can_roll_back(
+    archive: Archive, interface_type: InterfaceType, *, timeout: float = TIMEOUT
+) -> tuple[str, ...]:
     """Say why get and set FMU state of an FMU cannot be relied on; empty: they can.
 
     The answer is kept for the life of the process: the trial starts one, which takes about half a second.
@@ -38,12 +40,18 @@ def can_roll_back(archive: Archive, mode: Mode, *, timeout: float = TIMEOUT) -> 
     timeout : float
         Of the trial [s].
     """
-    return () if INSIDE in os.environ else _can_roll_back(archive.path.resolve(), archive.sha256, mode, timeout)
+    return (
+        ()
+        if INSIDE in os.environ
+        else _can_roll_back(archive.path.resolve(), archive.sha256, interface_type, timeout)
+    )
 
 
 @lru_cache(maxsize=256)
-def _can_roll_back(path: Path, sha256: str, mode: Mode, timeout: float) -> tuple[str, ...]:
-    return attempt("rollback", str(path), mode, timeout=timeout)
+def _can_roll_back(
+    path: Path, sha256: str, interface_type: InterfaceType, timeout: float
+) -> tuple[str, ...]:
+    return attempt("rollback", str(path), interface_type, timeout=timeout)
 
 
 def attempt(task: Task, *arguments: str, timeout: float = TIMEOUT) -> tuple[str, ...]:
@@ -52,7 +60,7 @@ def attempt(task: Task, *arguments: str, timeout: float = TIMEOUT) -> tuple[str,
     Parameters
     ----------
     task : Task
-        ``symbols LIBRARY NAME...``: load the library and look the functions up. ``run PATH MODE``: instantiate, initialise,
+        ``symbols LIBRARY NAME...``: load the library and look the functions up. ``run PATH MODE``: instantiate, initialize,
         read, step, terminate, free. ``rollback PATH MODE``: save and restore in the midst of a run.
     arguments : str
     timeout : float
@@ -103,7 +111,9 @@ def _verdict(story: str, ended: int | None, timeout: float) -> tuple[str, ...]:
         with suppress(ValueError):  # the last one may be cut
             lines.append(json.loads(line))
     problems = [line["problem"] for line in lines if "problem" in line]
-    where = next((line["at"] for line in reversed(lines) if "at" in line), "the start of the process")
+    where = next(
+        (line["at"] for line in reversed(lines) if "at" in line), "the start of the process"
+    )
     if ended is None:
         problems.append(f"hangs: did not end within {timeout:g} s, at: {where}")
     elif ended < 0:

@@ -19,7 +19,7 @@ from cosim.fmi.checking.child import MISSING
 if TYPE_CHECKING:
     from cosim.arrays import Matrix, Vector
     from cosim.fmi.component import Fmu
-    from cosim.fmi.description import Description, Mode
+    from cosim.fmi.description import Description, InterfaceType
 
 STEP: Final = 1e-3  # [s], where the FMU prefers none
 STEPS: Final = 3
@@ -29,7 +29,7 @@ class _Story:
     """Writes what happens, so that it is known after a crash."""
 
     def __init__(self, path: str) -> None:
-        self._file = open(path, "a", encoding="utf-8", buffering=1)  # noqa: SIM115 - for the life of the process
+        self._file = open(path, "a", encoding="utf-8", buffering=1)
 
     def tell(self, key: str, text: str) -> None:
         """Write a line."""
@@ -60,15 +60,19 @@ def symbols(story: _Story, library: str, *names: str) -> None:
             story.problem(f"{MISSING} {name}")
 
 
-def run(story: _Story, path: str, mode: Mode) -> None:
+def run(story: _Story, path: str, interface_type: InterfaceType) -> None:
     """Go through a short run."""
     import numpy as np
 
-    with _opened(story, path, mode) as fmu:
-        component, h = fmu.component, _step(fmu.description, mode)
-        outputs = [(element, signal.optional) for signal in component.interface.outputs for element in signal.elements]
+    with _opened(story, path, interface_type) as fmu:
+        component, h = fmu.component, _step(fmu.description, interface_type)
+        outputs = [
+            (element, signal.optional)
+            for signal in component.interface.outputs
+            for element in signal.elements
+        ]
         t, u = _times(h, STEPS), _inputs(fmu, STEPS)
-        story.at("initialisation")
+        story.at("initialization")
         y = component.initialize(0.0, u[0])
         _check_starts(story, fmu.description, y)
         story.at(f"steps of {h:g} s")
@@ -81,12 +85,12 @@ def run(story: _Story, path: str, mode: Mode) -> None:
     story.at("the end of the process")
 
 
-def rollback(story: _Story, path: str, mode: Mode) -> None:
+def rollback(story: _Story, path: str, interface_type: InterfaceType) -> None:
     """Save, step, restore and step again, also after other inputs: the same bits each time."""
-    with _opened(story, path, mode) as fmu:
-        component, h = fmu.component, _step(fmu.description, mode)
+    with _opened(story, path, interface_type) as fmu:
+        component, h = fmu.component, _step(fmu.description, interface_type)
         t, u = _times(h, 2 * STEPS), _inputs(fmu, 2 * STEPS)
-        story.at("initialisation")
+        story.at("initialization")
         component.initialize(0.0, u[0])
         story.at("steps before the state is saved")
         component.advance(t[: STEPS + 1], h, u[: STEPS + 1])
@@ -101,7 +105,11 @@ def rollback(story: _Story, path: str, mode: Mode) -> None:
             with suppress(CosimError):  # they may be more than it bears
                 component.advance(t[STEPS:], h, 2.0 * u[STEPS:] + 1.0)
 
-        detours = {"steps": lambda: None, "steps with other inputs": other_inputs, "saving anew": component.save}
+        detours = {
+            "steps": lambda: None,
+            "steps with other inputs": other_inputs,
+            "saving anew": component.save,
+        }
         for what, detour in detours.items():
             story.at(what)
             detour()
@@ -115,20 +123,24 @@ def rollback(story: _Story, path: str, mode: Mode) -> None:
 
 
 @contextmanager
-def _opened(story: _Story, path: str, mode: Mode) -> Iterator[Fmu]:
+def _opened(story: _Story, path: str, interface_type: InterfaceType) -> Iterator[Fmu]:
     import numpy as np
 
     from cosim.fmi.component import load
 
     story.at("loading and instantiating")
-    with load(path, mode=mode) as fmu:
+    with load(path, interface_type=interface_type) as fmu:
         story.at("preparing")
-        fmu.component.prepare(_step(fmu.description, mode), np.zeros(fmu.component.interface.n_u, np.bool_), {})
+        fmu.component.prepare(
+            _step(fmu.description, interface_type),
+            np.zeros(fmu.component.interface.n_u, np.bool_),
+            {},
+        )
         yield fmu
 
 
-def _step(description: Description, mode: Mode) -> float:
-    return description.capabilities[mode].fixed_step or description.default_step or STEP
+def _step(description: Description, interface_type: InterfaceType) -> float:
+    return description.capabilities[interface_type].fixed_step or description.default_step or STEP
 
 
 def _times(h: float, steps: int) -> Vector:
@@ -141,7 +153,11 @@ def _inputs(fmu: Fmu, steps: int) -> Matrix:
     """Hold every input at its start value."""
     import numpy as np
 
-    starts = [value for signal in fmu.component.interface.inputs for value in (signal.start or (0.0,) * signal.size)]
+    starts = [
+        value
+        for signal in fmu.component.interface.inputs
+        for value in (signal.start or (0.0,) * signal.size)
+    ]
     return np.tile(np.array(starts, np.float64), (steps + 1, 1))
 
 
@@ -153,11 +169,17 @@ def _check_starts(story: _Story, description: Description, y: Vector) -> None:
             values = tuple(y[column : column + variable.size].tolist())
             column += variable.size
             if variable.initial == "exact" and variable.start not in (None, values):
-                said, given = (", ".join(f"{v:g}" for v in row) for row in (variable.start or (), values))
+                said, given = (
+                    ", ".join(f"{v:g}" for v in row) for row in (variable.start or (), values)
+                )
                 story.problem(f"{variable.name!r} starts at {given}; the file says exactly {said}")
 
 
-TASKS: Final[dict[str, Callable[..., None]]] = {"symbols": symbols, "run": run, "rollback": rollback}
+TASKS: Final[dict[str, Callable[..., None]]] = {
+    "symbols": symbols,
+    "run": run,
+    "rollback": rollback,
+}
 
 
 def main(arguments: Sequence[str]) -> None:

@@ -1,1 +1,1 @@
-"""Units driven over communication steps: initialisation, model exchange with solvers and events, co-simulation."""
+"""Units driven over communication steps: initialization, model exchange with solvers and events, co-simulation."""

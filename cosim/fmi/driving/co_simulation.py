@@ -16,13 +16,13 @@ from cosim.core.contracts import Design, Stopped
 from cosim.errors import FmuError, RunError
 from cosim.fmi.binary.messages import Message
 from cosim.fmi.description import Description
+from cosim.fmi.driving.diagnostics import Diagnostics
 from cosim.fmi.driving.direct import Direct
+from cosim.fmi.driving.initialization import Initialization, Starts
 from cosim.fmi.driving.inner_step import InnerStep
-from cosim.fmi.driving.remarks import Remarks
 from cosim.fmi.driving.saved import SavedState, save
-from cosim.fmi.driving.start import Start, Starts
-from cosim.fmi.driving.stepping import Stepping
-from cosim.fmi.unit import TERMINATED, CoSimulationUnit
+from cosim.fmi.driving.stepping import Stepper
+from cosim.fmi.instance import TERMINATED, CoSimulationInstance
 
 
 @final
@@ -31,7 +31,7 @@ class CoSimulation:
 
     Parameters
     ----------
-    unit : CoSimulationUnit
+    unit : CoSimulationInstance
         Just instantiated.
     starts : mapping of variable name to StartValue
         Start values to set instead of the unit's own.
@@ -42,18 +42,26 @@ class CoSimulation:
         If a start value is wrong.
     """
 
-    def __init__(self, unit: CoSimulationUnit, *, starts: Starts | None = None) -> None:
-        description = unit.description
-        self._unit, self._name = unit, description.name
-        self.interface = unit.interface
-        self._start = Start(unit, starts or {})
+    def __init__(self, instance: CoSimulationInstance, *, starts: Starts | None = None) -> None:
+        description = instance.description
+        self._instance, self._name = instance, description.name
+        self.interface = instance.interface
+        self._start = Initialization(instance, starts or {})
         self._can = description.capabilities["cs"]
-        self._in_events = frozenset(s.name for s in self.interface.inputs if self._can.event_mode and s.variability == "discrete")
-        self._direct = Direct(unit, self._in_events) if self._can.directional_derivatives else None
-        self._copy: object | None = None  # of the unit's state before an event that is only shown; its memory is used again
+        self._in_events = frozenset(
+            s.name
+            for s in self.interface.inputs
+            if self._can.event_mode and s.variability == "discrete"
+        )
+        self._direct = (
+            Direct(instance, self._in_events) if self._can.directional_derivatives else None
+        )
+        self._copy: object | None = (
+            None  # of the unit's state before an event that is only shown; its memory is used again
+        )
         self._inner_step = InnerStep(_watched(description))
-        self._remarks = Remarks(self._name)
-        self._stepping = Stepping(unit, self._remarks)
+        self._remarks = Diagnostics(self._name)
+        self._stepping = Stepper(instance, self._remarks)
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Learn which inputs are held; nothing is designed.
@@ -77,16 +85,30 @@ class CoSimulation:
         """What is to be known about the results."""
         face = self.interface
         corrected = self._direct.corrected if self._direct else ()
-        fed = [o.name for o in face.outputs if o.name not in corrected and not self._in_events.issuperset(face.feeds(o.name))]
+        fed = [
+            o.name
+            for o in face.outputs
+            if o.name not in corrected and not self._in_events.issuperset(face.feeds(o.name))
+        ]
         if not fed:
             return ()
-        verb = "may depend" if not all(face.knows(name) for name in fed) else "depend" if len(fed) > 1 else "depends"
+        verb = (
+            "may depend"
+            if not all(face.knows(name) for name in fed)
+            else "depend"
+            if len(fed) > 1
+            else "depends"
+        )
         where = (
             "where inputs are held, what is read belongs to their value"
             if self._stepping.now.interpolates
             else "what is read belongs to the inputs"
         )
-        why = "directional derivatives are for real variables" if self._direct else "the unit has no directional derivatives"
+        why = (
+            "directional derivatives are for real variables"
+            if self._direct
+            else "the unit has no directional derivatives"
+        )
         return (
             f"{self._name}: {', '.join(fed)} {verb} directly on inputs; {where} inside the step, not at its end (first order in "
             f"the step), as {why}",
@@ -107,7 +129,12 @@ class CoSimulation:
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
         """Step K times; see :class:`cosim.core.contracts.Component`."""
-        rows, instants, stepping, k = list(np.array(u, np.float64, order="C")), t.tolist(), self._stepping, 0
+        rows, instants, stepping, k = (
+            list(np.array(u, np.float64, order="C")),
+            t.tolist(),
+            self._stepping,
+            0,
+        )
         y = np.empty((len(rows) - 1, self.interface.n_y))
         try:
             self._leave_initialization(instants[0])
@@ -136,18 +163,22 @@ class CoSimulation:
         if not (self._can.saves_state and stepping.jumps(u)):
             stepping.jump(t, u)
             return self._outputs_for(u)
-        self._copy, before = self._unit.get_fmu_state(self._copy), stepping.save()
+        self._copy, before = self._instance.get_fmu_state(self._copy), stepping.save()
         stepping.jump(t, u)
         y = self._outputs_for(u)
         if not stepping.now.ended:
-            self._unit.set_fmu_state(self._copy)
+            self._instance.set_fmu_state(self._copy)
             stepping.restore(before)
         return y
 
     def _outputs_for(self, u: Vector) -> Vector:
         """Give y + D (u - u_end)."""
         now = self._stepping.now
-        return now.read if self._direct is None or u is now.end else self._direct.add(now.read, u - now.end)
+        return (
+            now.read
+            if self._direct is None or u is now.end
+            else self._direct.add(now.read, u - now.end)
+        )
 
     # --- messages, states ---
 
@@ -173,11 +204,13 @@ class CoSimulation:
         FmuError
             If the unit cannot.
         """
-        return save(self._unit, self._can, (self._start.t, self._stepping.save(), self._inner_step.seen))
+        return save(
+            self._instance, self._can, (self._start.t, self._stepping.save(), self._inner_step.seen)
+        )
 
     def restore(self, state: SavedState) -> None:
         """Go back to a saved state."""
-        self._unit.set_fmu_state(state.unit)
+        self._instance.set_fmu_state(state.instance)
         self._start.t, stepping, self._inner_step.seen = state.own  # type: ignore[assignment]
         self._stepping.restore(stepping)  # type: ignore[arg-type]
 
@@ -185,10 +218,22 @@ class CoSimulation:
 def _watched(description: Description) -> NDArray[np.intp]:
     """Give the outputs that show whether time moves in the unit: real, continuous, if possible not fed directly by inputs."""
     face = description.interface
-    moving = [output for output in face.outputs if output.kind == "real" and output.variability == "continuous"]
+    moving = [
+        output
+        for output in face.outputs
+        if output.kind == "real" and output.variability == "continuous"
+    ]
     chosen = {o.name for o in moving if not face.feeds(o.name)} or {o.name for o in moving}
     columns = face.output_columns()
-    return np.array([i for name in columns if name in chosen for i in range(columns[name].start, columns[name].stop)], np.intp)
+    return np.array(
+        [
+            i
+            for name in columns
+            if name in chosen
+            for i in range(columns[name].start, columns[name].stop)
+        ],
+        np.intp,
+    )
 
 
 def _ordinal(n: int) -> str:

@@ -12,8 +12,8 @@ from typing import Any, Final, final
 import numpy as np
 
 from cosim.arrays import Vector
-from cosim.core.solver import Slope
 from cosim.errors import FmuError, RunError
+from cosim.fmi.driving.solvers import Slope
 
 ONE_STEP: Final = 2  # CV_ONE_STEP
 FAILED: Final = -1  # what a right-hand side answers that cannot go on
@@ -21,7 +21,7 @@ FAILED: Final = -1  # what a right-hand side answers that cannot go on
 
 @final
 class CVode:
-    """CVode behind :class:`cosim.core.solver.Solver`. Its state cannot be copied: ``save`` makes it start anew.
+    """CVode behind :class:`cosim.core.linear.Solver`. Its state cannot be copied: ``save`` makes it start anew.
 
     Parameters
     ----------
@@ -52,8 +52,15 @@ class CVode:
         self._check(lib.SUNContext_PushErrHandler(self._context, self._hear, None))
         self._data = core.N_VGetArrayPointer
         self._data.argtypes, self._data.restype = [c_void_p], c_void_p
-        self._stop, self._dense, self._warn = library.CVodeSetStopTime, library.CVodeGetDky, library.CVodeSetMaxHnilWarns
-        self._stop.argtypes, self._dense.argtypes = [c_void_p, c_double], [c_void_p, c_double, c_int, lib.N_Vector]
+        self._stop, self._dense, self._warn = (
+            library.CVodeSetStopTime,
+            library.CVodeGetDky,
+            library.CVodeSetMaxHnilWarns,
+        )
+        self._stop.argtypes, self._dense.argtypes = (
+            [c_void_p, c_double],
+            [c_void_p, c_double, c_int, lib.N_Vector],
+        )
         self._warn.argtypes = [c_void_p, c_int]
         self._x, self._atol, self._within = (lib.N_VNew_Serial(n, self._context) for _ in range(3))
         self._callback = CFUNCTYPE(c_int, c_double, c_void_p, c_void_p, c_void_p)(self._slope)
@@ -113,7 +120,9 @@ class CVode:
     def _slope(self, t: float, x: int, dx: int, _: object) -> int:
         try:
             self._at_address(dx)[:] = self._f(t, self._at_address(x))
-        except BaseException as error:  # none can pass through C, not even Ctrl-C: raised again behind it
+        except (
+            BaseException
+        ) as error:  # none can pass through C, not even Ctrl-C: raised again behind it
             self._raised = error
             return FAILED
         return 0

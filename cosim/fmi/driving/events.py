@@ -16,7 +16,7 @@ import numpy as np
 from cosim.arrays import Vector
 from cosim.errors import RunError
 from cosim.fmi.binary.messages import Message
-from cosim.fmi.unit import CoSimulationUnit, DiscreteStates, ModelExchangeUnit
+from cosim.fmi.instance import CoSimulationInstance, DiscreteStates, ModelExchangeInstance
 
 EventKind: TypeAlias = Literal["state event", "time event", "step event", "input event"]
 
@@ -35,7 +35,9 @@ def crosses(before: Vector, after: Vector) -> bool:
     return bool(((before > 0.0) != (after > 0.0)).any())
 
 
-def locate(indicators: Callable[[float], Vector], a: float, za: Vector, b: float, zb: Vector) -> float:
+def locate(
+    indicators: Callable[[float], Vector], a: float, za: Vector, b: float, zb: Vector
+) -> float:
     """Give the time in (a, b] at which the domains of ``za`` are left for the first time.
 
     The ITP method (Oliveira and Takahashi, ACM Trans. Math. Softw. 47(1), 2020): secants, in no more steps than bisection plus
@@ -57,7 +59,9 @@ def locate(indicators: Callable[[float], Vector], a: float, za: Vector, b: float
     while b - a > resolution:
         width, middle = b - a, 0.5 * (a + b)
         change = np.flatnonzero((za > 0.0) != (zb > 0.0))
-        secant = min((a + width * _root(float(za[j]), float(zb[j])) for j in change.tolist()), default=middle)
+        secant = min(
+            (a + width * _root(float(za[j]), float(zb[j])) for j in change.tolist()), default=middle
+        )
         truncation = max(scale * width * width, 0.5 * resolution)
         toward = math.copysign(1.0, middle - secant)
         t = secant + toward * truncation if truncation <= abs(middle - secant) else middle
@@ -78,7 +82,7 @@ def _root(za: float, zb: float) -> float:
     return min(max(za / (za - zb), 0.0), 1.0) if math.isfinite(za - zb) else 0.5
 
 
-def settle(unit: ModelExchangeUnit | CoSimulationUnit, t: float) -> DiscreteStates:
+def settle(instance: ModelExchangeInstance | CoSimulationInstance, t: float) -> DiscreteStates:
     """Iterate the discrete states (FMI 2.0.4 section 3.2.2, FMI 3.0 sections 3.2.1 and 4.2.2); give what came of it all together.
 
     Raises
@@ -88,11 +92,13 @@ def settle(unit: ModelExchangeUnit | CoSimulationUnit, t: float) -> DiscreteStat
     """
     values, nominals = False, False
     for _ in range(ITERATIONS):
-        found = unit.update_discrete_states()
+        found = instance.update_discrete_states()
         values, nominals = values or found.values_changed, nominals or found.nominals_changed
         if found.terminate or not found.need_update:
             return found._replace(values_changed=values, nominals_changed=nominals)
-    raise RunError(f"{unit.description.name}: discrete states do not settle at t = {t} s after {ITERATIONS} iterations")
+    raise RunError(
+        f"{instance.description.name}: discrete states do not settle at t = {t} s after {ITERATIONS} iterations"
+    )
 
 
 @final
@@ -112,7 +118,15 @@ class EventList:
         """Give the events since the last call."""
         found = [Message(t, "debug", "event", f"{kind} at t = {t!r} s") for kind, t in self._kept]
         if self._dropped:
-            found.insert(0, Message(found[0].time, "debug", "event", f"{self._dropped} earlier events are not listed"))
+            found.insert(
+                0,
+                Message(
+                    found[0].time,
+                    "debug",
+                    "event",
+                    f"{self._dropped} earlier events are not listed",
+                ),
+            )
         self._kept.clear()
         self._dropped = 0
         return found

@@ -10,7 +10,7 @@ told apart thus:
 * a switch between two values (a pulse): a change back to the value before the last one does not count.
 
 ``REPEATS`` spells in a row that equal the one before are needed, as chance gives a few; ``LIVELY`` changes in successive steps
-show that there is nothing to find. A quantised output that moves steadily looks the same: what is found is a suspicion.
+show that there is nothing to find. A quantized output that moves steadily looks the same: what is found is a suspicion.
 """
 
 from __future__ import annotations
@@ -55,7 +55,9 @@ class InnerStep:
 
     def reset(self) -> None:
         """Forget what was seen."""
-        self.seen: _Seen | None = _Seen() if len(self._columns) else None  # None: nothing to find, or found
+        self.seen: _Seen | None = (
+            _Seen() if len(self._columns) else None
+        )  # None: nothing to find, or found
 
     def see(self, outputs: Vector, inputs: Vector) -> int:
         """Look at a step: the outputs after it and the inputs it had. Gives n, once, where the outputs keep to every n-th step.
@@ -64,7 +66,10 @@ class InnerStep:
         """
         if self.seen is None:
             return 0
-        outputs, (last, before, older, steps, moves, period, repeats) = outputs[self._columns], self.seen
+        outputs, (last, before, older, steps, moves, period, repeats) = (
+            outputs[self._columns],
+            self.seen,
+        )
         if last is None or before is None:
             self.seen = _Seen(outputs, inputs)
             return 0
@@ -72,7 +77,11 @@ class InnerStep:
         if outputs.tobytes() == last.tobytes():
             self.seen = _Seen(outputs, inputs, older, steps, moves, period, repeats)
             return 0
-        repeats = repeats + 1 if steps == period and _counts(outputs, last, older) and moves in (0, steps) else 0
+        repeats = (
+            repeats + 1
+            if steps == period and _counts(outputs, last, older) and moves in (0, steps)
+            else 0
+        )
         self.seen = _Seen(outputs, inputs, last, period=steps, repeats=repeats)
         if repeats < (LIVELY if steps == 1 else REPEATS):
             return 0

@@ -13,14 +13,15 @@ import numpy as np
 
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.contracts import Design, Stopped
-from cosim.core.solver import SOLVERS, STEPPING, TOLERANT, Linear, LinearModel
+from cosim.core.linear import Linear, LinearModel
 from cosim.errors import FmuError, RunError, nearest
 from cosim.fmi.binary.messages import Message
-from cosim.fmi.driving.motion import Line, Motion, Reached
+from cosim.fmi.driving.initialization import Initialization, Starts
+from cosim.fmi.driving.integrator import Integrator, IntegratorState, Line
 from cosim.fmi.driving.residual import FORMS, RADAU, DaeForm
 from cosim.fmi.driving.saved import SavedState, save
-from cosim.fmi.driving.start import Start, Starts
-from cosim.fmi.unit import TERMINATED, ModelExchangeUnit
+from cosim.fmi.driving.solvers import SOLVERS, STEPPING, TOLERANT
+from cosim.fmi.instance import TERMINATED, ModelExchangeInstance
 
 RTOL: Final = 1e-9
 CLOSEST: Final = 1e-13  # what rounding leaves of a relative tolerance
@@ -32,10 +33,10 @@ class ModelExchange:
 
     Parameters
     ----------
-    unit : ModelExchangeUnit
+    unit : ModelExchangeInstance
         Just instantiated.
     solver : str or None
-        One of ``cosim.core.solver.SOLVERS``; None: ``exact`` where the unit's model is known to be linear, else ``RK45``.
+        One of ``cosim.fmi.driving.solvers.SOLVERS``; None: ``exact`` where the unit's model is known to be linear, else ``RK45``.
     starts : mapping of variable name to StartValue
         Start values to set instead of the unit's own.
     rtol : float or None
@@ -53,24 +54,30 @@ class ModelExchange:
 
     def __init__(
         self,
-        unit: ModelExchangeUnit,
+        instance: ModelExchangeInstance,
         solver: str | None = None,
         *,
         starts: Starts | None = None,
         rtol: float | None = None,
         dae: DaeForm = "ode",
     ) -> None:
-        self._unit, self._name = unit, unit.description.name
+        self._instance, self._name = instance, instance.description.name
         if dae not in FORMS:
             raise FmuError(f"{self._name}: dae = {dae!r}; {nearest(dae, FORMS)}")
         if dae == "residual" and solver is not None:
-            raise FmuError(f"{self._name}: solver {solver!r}: the residual form has its own, {RADAU}; leave one of both out")
-        self.solver = RADAU if dae == "residual" else solver or ("RK45" if unit.linear is None else "exact")
+            raise FmuError(
+                f"{self._name}: solver {solver!r}: the residual form has its own, {RADAU}; leave one of both out"
+            )
+        self.solver = (
+            RADAU
+            if dae == "residual"
+            else solver or ("RK45" if instance.linear is None else "exact")
+        )
         if self.solver not in (*SOLVERS, RADAU) or solver == RADAU:
             raise FmuError(
-                f"{self._name}: no solver {solver!r}; {nearest(self.solver, STEPPING if unit.linear is None else SOLVERS)}"
+                f"{self._name}: no solver {solver!r}; {nearest(self.solver, STEPPING if instance.linear is None else SOLVERS)}"
             )
-        if self.solver == "exact" and unit.linear is None:
+        if self.solver == "exact" and instance.linear is None:
             raise FmuError(
                 f"{self._name}: solver 'exact' needs the matrices of a linear model, an FMU does not show them; "
                 f"use one of: {', '.join(STEPPING)}"
@@ -82,24 +89,31 @@ class ModelExchange:
             )
         rtol = RTOL if rtol is None else rtol
         if not CLOSEST <= rtol < 1.0:
-            raise FmuError(f"{self._name}: relative tolerance {rtol}; needed at least {CLOSEST} and less than 1")
-        self.interface = unit.interface
+            raise FmuError(
+                f"{self._name}: relative tolerance {rtol}; needed at least {CLOSEST} and less than 1"
+            )
+        self.interface = instance.interface
         self.notes: tuple[str, ...] = ()
-        self._start = Start(unit, starts or {})
-        self._discrete, self._capabilities = unit.description.discrete_inputs, unit.description.capabilities["me"]
-        self._motion = Motion(unit, self.solver, rtol=rtol)
+        self._start = Initialization(instance, starts or {})
+        self._discrete, self._capabilities = (
+            instance.description.discrete_inputs,
+            instance.description.capabilities["me"],
+        )
+        self._motion = Integrator(instance, self.solver, rtol=rtol)
         self._exact: Linear | None = None
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
-        """Discretise for the exact solver; a known model's numbers are recorded, and taken from the record."""
+        """Discretize for the exact solver; a known model's numbers are recorded, and taken from the record."""
         held = held | self._discrete
-        jumping = self._discrete if self.solver == "exact" else held  # exact: a jump of a held input is in the matrices
+        jumping = (
+            self._discrete if self.solver == "exact" else held
+        )  # exact: a jump of a held input is in the matrices
         self._motion.jumping = np.flatnonzero(jumping)
-        model = self._unit.linear
+        model = self._instance.linear
         if model is None:
             return {}
         if recorded:
-            model = self._unit.linear = _with_numbers(model, recorded)
+            model = self._instance.linear = _with_numbers(model, recorded)
         if self.solver != "exact":
             return model.arrays
         self._exact = Linear(model)
@@ -107,7 +121,7 @@ class ModelExchange:
 
     def initialize(self, t: float, u: Vector) -> Vector:
         """Start at ``t``; stays in initialization mode until the first advance."""
-        self._motion.now = Reached(t, given=np.array(u, np.float64))
+        self._motion.now = IntegratorState(t, given=np.array(u, np.float64))
         return self._start.enter(t, u)
 
     def outputs(self, t: float, u: Vector) -> Vector:
@@ -141,11 +155,11 @@ class ModelExchange:
         FmuError
             If the unit cannot.
         """
-        return save(self._unit, self._capabilities, (self._start.t, self._motion.save()))
+        return save(self._instance, self._capabilities, (self._start.t, self._motion.save()))
 
     def restore(self, state: SavedState) -> None:
         """Go back to a saved state."""
-        self._unit.set_fmu_state(state.unit)
+        self._instance.set_fmu_state(state.instance)
         self._start.t, motion = state.own  # type: ignore[assignment]
         self._motion.restore(motion)
         if self._exact and self._start.t is None:
@@ -165,10 +179,10 @@ class ModelExchange:
         now, end = self._motion.now, u[-1].copy()
         now.t, now.x = float(t[-1]), exact.state.copy()
         end[self._motion.jumping] = now.given[self._motion.jumping]
-        self._unit.set_time(now.t)
-        self._unit.set_continuous_states(now.x)
+        self._instance.set_time(now.t)
+        self._instance.set_continuous_states(now.x)
         self._motion.set_continuous(end)
-        self._unit.completed_integrator_step()
+        self._instance.completed_integrator_step()
         now.given = end
         return y
 

@@ -30,9 +30,9 @@ import numpy as np
 from cosim.arrays import Matrix, Vector
 from cosim.errors import FmuError, RunError
 from cosim.fmi.description import Dae, Description
+from cosim.fmi.instance import ModelExchangeInstance
 from cosim.fmi.reading.dae import MANIFEST
 from cosim.fmi.references import References
-from cosim.fmi.unit import ModelExchangeUnit
 
 DaeForm: TypeAlias = Literal["ode", "residual"]
 FORMS: Final[tuple[DaeForm, ...]] = ("ode", "residual")
@@ -53,7 +53,9 @@ EXACT: Final = 1e-15  # correction, relative to the scale, that is rounding
 PLATEAU: Final = 1e-11  # largest correction that may be rounding, where corrections do not become smaller any more
 SLOW: Final = 0.05  # rate of convergence from which the matrix is computed anew
 SAME: Final = 1e-8  # relative difference of two steps that can have one matrix
-DIFFERENCE: Final = float(np.finfo(np.float64).eps) ** (1.0 / 3.0)  # of central differences: error about its square
+DIFFERENCE: Final = float(np.finfo(np.float64).eps) ** (
+    1.0 / 3.0
+)  # of central differences: error about its square
 
 Equations: TypeAlias = Callable[[float, Vector], Vector]  # (t, (x, z)) -> (x', g)
 Jacobian: TypeAlias = Callable[[float, Vector], Matrix]
@@ -74,12 +76,20 @@ def need_residual_form(description: Description) -> Dae:
             f'{about}: FMI {description.version} has no residual form, the layered standard is on top of FMI 3; use "ode"'
         )
     if dae is None:
-        raise FmuError(f'{about}: the FMU says nothing of a residual form, needed the manifest {MANIFEST}; use "ode"')
+        raise FmuError(
+            f'{about}: the FMU says nothing of a residual form, needed the manifest {MANIFEST}; use "ode"'
+        )
     if dae.problems:
         raise FmuError("\n".join(f"{about}: {MANIFEST}: {problem}" for problem in dae.problems))
-    missing = [name for name, found in (("AlgebraicVariables", dae.algebraic), ("Residual", dae.residuals)) if not found]
+    missing = [
+        name
+        for name, found in (("AlgebraicVariables", dae.algebraic), ("Residual", dae.residuals))
+        if not found
+    ]
     if missing:
-        raise FmuError(f'{about}: {MANIFEST} lists no {" and no ".join(missing)}, so that the form is not known; use "ode"')
+        raise FmuError(
+            f'{about}: {MANIFEST} lists no {" and no ".join(missing)}, so that the form is not known; use "ode"'
+        )
     derivatives = {v.name for v in description.variables if v.derivative_of is not None}
     for equation in dae.residuals:
         first = equation[0]
@@ -88,7 +98,9 @@ def need_residual_form(description: Description) -> Dae:
                 f"{about}: {first.name!r} is an equation of higher index; needed index 1, without derivatives beside it"
             )
         if derivatives.intersection(first.dependencies or ()):
-            raise FmuError(f"{about}: {first.name!r} depends on derivatives of states; needed them in explicit form")
+            raise FmuError(
+                f"{about}: {first.name!r} depends on derivatives of states; needed them in explicit form"
+            )
     return dae
 
 
@@ -98,7 +110,7 @@ class ResidualForm:
 
     Parameters
     ----------
-    unit : ModelExchangeUnit
+    unit : ModelExchangeInstance
 
     Raises
     ------
@@ -106,13 +118,21 @@ class ResidualForm:
         As ``need_residual_form``.
     """
 
-    def __init__(self, unit: ModelExchangeUnit) -> None:
-        description = unit.description
+    def __init__(self, instance: ModelExchangeInstance) -> None:
+        description = instance.description
         dae = need_residual_form(description)
-        derivative_of = {v.derivative_of: v.name for v in description.variables if v.derivative_of is not None}
-        derivatives, residuals = [derivative_of[name] for name in description.states], [one.name for (one,) in dae.residuals]
-        self._unit, self._name, self.n = unit, description.name, description.n_states
-        self._algebraic, self._residuals = description.reference(dae.algebraic), description.reference(residuals)
+        derivative_of = {
+            v.derivative_of: v.name for v in description.variables if v.derivative_of is not None
+        }
+        derivatives, residuals = (
+            [derivative_of[name] for name in description.states],
+            [one.name for (one,) in dae.residuals],
+        )
+        self._instance, self._name, self.n = instance, description.name, description.n_states
+        self._algebraic, self._residuals = (
+            description.reference(dae.algebraic),
+            description.reference(residuals),
+        )
         self._knowns = description.reference([*description.states, *dae.algebraic])
         self._unknowns = description.reference([*derivatives, *residuals])
         able = description.capabilities["me"].directional_derivatives
@@ -123,13 +143,13 @@ class ResidualForm:
     def put(self, w: Vector) -> None:
         """Set x and z."""
         if self.n:
-            self._unit.set_continuous_states(w[: self.n])
-        self._unit.set_float64(self._algebraic, w[self.n :])
+            self._instance.set_continuous_states(w[: self.n])
+        self._instance.set_float64(self._algebraic, w[self.n :])
 
     def values(self) -> Vector:
         """Give x' and g."""
-        g = self._unit.get_float64(self._residuals)
-        return np.concatenate([self._unit.get_derivatives(), g]) if self.n else g
+        g = self._instance.get_float64(self._residuals)
+        return np.concatenate([self._instance.get_derivatives(), g]) if self.n else g
 
     def jacobian(self, w: Vector, equations: Callable[[Vector], Vector], scale: Vector) -> Matrix:
         """Give the derivatives of x' and g by x and z at ``w``, which the unit has; from the unit, where it knows them."""
@@ -145,12 +165,12 @@ class ResidualForm:
         RunError
             If Newton's iteration finds none.
         """
-        x = self._unit.get_continuous_states() if self.n else np.empty(0)
-        z = w[self.n :] if w.size else self._unit.get_float64(self._algebraic)
+        x = self._instance.get_continuous_states() if self.n else np.empty(0)
+        z = w[self.n :] if w.size else self._instance.get_float64(self._algebraic)
 
         def equations(z: Vector) -> Vector:
-            self._unit.set_float64(self._algebraic, z)
-            return self._unit.get_float64(self._residuals)
+            self._instance.set_float64(self._algebraic, z)
+            return self._instance.get_float64(self._residuals)
 
         def correction(z: Vector) -> Vector:
             g = equations(z)
@@ -160,7 +180,7 @@ class ResidualForm:
         found = newton(correction, z, self.nominals, MANY)
         if found.wrong:
             raise failure(self._name, t, equations(found.v), found)
-        self._unit.set_float64(self._algebraic, found.v)
+        self._instance.set_float64(self._algebraic, found.v)
         return np.concatenate([x, found.v])
 
     def _by_z(self, z: Vector, equations: Callable[[Vector], Vector]) -> Matrix:
@@ -170,13 +190,17 @@ class ResidualForm:
 
     def _derivatives(self, unknowns: References, knowns: References) -> Matrix:
         seeds = np.eye(knowns.size)
-        return np.column_stack([self._unit.get_directional_derivative(unknowns, knowns, seed) for seed in seeds])
+        return np.column_stack(
+            [self._instance.get_directional_derivative(unknowns, knowns, seed) for seed in seeds]
+        )
 
 
 def differences(f: Callable[[Vector], Vector], v: Vector, scale: Vector) -> Matrix:
     """Give the derivatives of f at ``v`` by central differences; an iteration corrects their error."""
     steps = np.diag(DIFFERENCE * scale)
-    return np.column_stack([(f(v + step) - f(v - step)) / ((v + step) - (v - step)).sum() for step in steps])
+    return np.column_stack(
+        [(f(v + step) - f(v - step)) / ((v + step) - (v - step)).sum() for step in steps]
+    )
 
 
 class Solution(NamedTuple):
@@ -187,7 +211,9 @@ class Solution(NamedTuple):
     wrong: str = ""
 
 
-def newton(correction: Callable[[Vector], Vector], v: Vector, nominals: Vector, iterations: int) -> Solution:
+def newton(
+    correction: Callable[[Vector], Vector], v: Vector, nominals: Vector, iterations: int
+) -> Solution:
     """Correct ``v`` until what is left is rounding; a correction counts relative to v, or to its nominal value if that is larger.
 
     The next corrections sum up to ``rate / (1 - rate)`` times the last (Hairer and Wanner II, section IV.8).
@@ -209,7 +235,9 @@ def newton(correction: Callable[[Vector], Vector], v: Vector, nominals: Vector, 
         if ratio > 0.5 and size <= PLATEAU:
             return Solution(v, rate)
         rate = ratio if ratio > rate else rate
-    return Solution(v, wrong=f"corrections do not vanish in {iterations} iterations, the last is {size:.3g}")
+    return Solution(
+        v, wrong=f"corrections do not vanish in {iterations} iterations, the last is {size:.3g}"
+    )
 
 
 def failure(name: str, t: float, g: Vector, found: Solution) -> RunError:
@@ -236,7 +264,13 @@ class RadauIIA:
         Number of states x.
     """
 
-    def __init__(self, name: str, equations: Equations, jacobian: Callable[[float, Vector, Vector], Matrix], n: int) -> None:
+    def __init__(
+        self,
+        name: str,
+        equations: Equations,
+        jacobian: Callable[[float, Vector, Vector], Matrix],
+        n: int,
+    ) -> None:
         self._name, self._f, self._jacobian, self._n = name, equations, jacobian, n
         self._J: Matrix | None = None
         self._inverse: tuple[float, Matrix] | None = None  # of the matrix for a step of that length
@@ -294,16 +328,24 @@ class RadauIIA:
 
         def correction(v: Vector) -> Vector:
             stages = base + v.reshape(len(times), -1)
-            rest = np.array([self._f(time, stage) for time, stage in zip(times, stages, strict=True)])
+            rest = np.array(
+                [self._f(time, stage) for time, stage in zip(times, stages, strict=True)]
+            )
             rest[:, :n] = v.reshape(len(times), -1)[:, :n] - h * (WEIGHTS @ rest[:, :n])
             if iterations == FEW:
                 inverse = self._kept(h)
             else:
-                inverse = _inverse([self._jacobian(*stage, scale) for stage in zip(times, stages, strict=True)], n, h)
+                inverse = _inverse(
+                    [self._jacobian(*stage, scale) for stage in zip(times, stages, strict=True)],
+                    n,
+                    h,
+                )
             change: Vector = inverse @ -rest.ravel()
             return change
 
-        return newton(correction, np.tile(w - base, len(times)), np.tile(scale, len(times)), iterations)
+        return newton(
+            correction, np.tile(w - base, len(times)), np.tile(scale, len(times)), iterations
+        )
 
     def _kept(self, h: float) -> Matrix:
         """Give the inverse for a step of length ``h``, with derivatives from where a step began."""
@@ -323,6 +365,8 @@ def _inverse(J: Sequence[Matrix], n: int, h: float) -> Matrix:
     """Give the inverse of the matrix of Newton's iteration for the derivatives at each stage."""
     size, eye, by = len(J[0]), np.eye(len(J)), np.array(J)
     matrix = np.einsum("ij,jkl->ikjl", eye, by)
-    matrix[:, :n] = np.einsum("ij,kl->ikjl", eye, np.eye(n, size)) - h * np.einsum("ij,jkl->ikjl", WEIGHTS, by[:, :n])
+    matrix[:, :n] = np.einsum("ij,kl->ikjl", eye, np.eye(n, size)) - h * np.einsum(
+        "ij,jkl->ikjl", WEIGHTS, by[:, :n]
+    )
     inverse: Matrix = np.linalg.inv(matrix.reshape(len(J) * size, -1)).astype(np.float64)
     return inverse

@@ -7,18 +7,18 @@ from dataclasses import dataclass
 
 from cosim.errors import FmuError
 from cosim.fmi.description import Capabilities
-from cosim.fmi.unit import Unit
+from cosim.fmi.instance import Instance
 
 
 @dataclass(frozen=True, eq=False)
 class SavedState:
     """A unit's state and what its component keeps beside it; the unit's copy is freed with this object."""
 
-    unit: object
+    instance: object
     own: tuple[object, ...]
 
 
-def save(unit: Unit, capabilities: Capabilities, own: tuple[object, ...]) -> SavedState:
+def save(instance: Instance, capabilities: Capabilities, own: tuple[object, ...]) -> SavedState:
     """Copy a unit's state.
 
     Raises
@@ -27,7 +27,9 @@ def save(unit: Unit, capabilities: Capabilities, own: tuple[object, ...]) -> Sav
         If the unit cannot.
     """
     if not capabilities.saves_state:
-        raise FmuError(f"{unit.description.name}: the unit cannot save its state (canGetAndSetFMUstate is false)")
-    saved = SavedState(unit.get_fmu_state(), own)
-    weakref.finalize(saved, unit.free_fmu_state, saved.unit)
+        raise FmuError(
+            f"{instance.description.name}: the unit cannot save its state (canGetAndSetFMUstate is false)"
+        )
+    saved = SavedState(instance.get_fmu_state(), own)
+    weakref.finalize(saved, instance.free_fmu_state, saved.instance)
     return saved

@@ -34,9 +34,9 @@ import numpy as np
 from cosim.arrays import Mask, Vector
 from cosim.errors import RunError
 from cosim.fmi.description import Description
+from cosim.fmi.driving.diagnostics import Diagnostics
 from cosim.fmi.driving.events import settle
-from cosim.fmi.driving.remarks import Remarks
-from cosim.fmi.unit import CoSimulationUnit, StepEnd
+from cosim.fmi.instance import CoSimulationInstance, StepEnd
 
 PARTS: Final = 1000  # of one communication step, by early returns and time events
 HALVINGS: Final = 10  # of a step that is discarded
@@ -44,7 +44,7 @@ CLOSE: Final = 1e-9  # of a communication step: times that are the same
 
 
 @dataclass(slots=True)
-class Reached:
+class StepperState:
     """Where a unit is. Arrays are replaced, never written to, so that a shallow copy keeps the state."""
 
     read: Vector  # the outputs, as they were read last
@@ -80,13 +80,13 @@ class _Ramp:
 
 
 @final
-class Stepping:
+class Stepper:
     """Where a unit is, and what moves it on.
 
     Parameters
     ----------
-    unit : CoSimulationUnit
-    remarks : Remarks
+    unit : CoSimulationInstance
+    remarks : Diagnostics
         Takes what the run shows about the unit.
 
     Attributes
@@ -94,42 +94,54 @@ class Stepping:
     now : Reached
     """
 
-    def __init__(self, unit: CoSimulationUnit, remarks: Remarks) -> None:
-        description = unit.description
-        self._unit, self._name, self._remarks = unit, description.name, remarks
+    def __init__(self, instance: CoSimulationInstance, remarks: Diagnostics) -> None:
+        description = instance.description
+        self._instance, self._name, self._remarks = instance, description.name, remarks
         self._can = can = description.capabilities["cs"]
-        self._outputs, self._inputs = description.references("output"), description.references("input")
+        self._outputs, self._inputs = (
+            description.references("output"),
+            description.references("input"),
+        )
         discrete = description.discrete_inputs
-        self._stepped = _Inputs(description, ~discrete if can.event_mode else np.ones_like(discrete))
+        self._stepped = _Inputs(
+            description, ~discrete if can.event_mode else np.ones_like(discrete)
+        )
         self._jumping = _Inputs(description, discrete & can.event_mode)
         self._lined = description.interpolated_inputs
-        self._sloped, self._mixed = _Inputs(description, self._lined), bool((~discrete & ~self._lined).any())
-        self._goes_back = can.saves_state and can.variable_step and not description.undoes_discarded_steps
-        self._kept: object | None = None  # the unit's state before the last part; its memory is used again
+        self._sloped, self._mixed = (
+            _Inputs(description, self._lined),
+            bool((~discrete & ~self._lined).any()),
+        )
+        self._goes_back = (
+            can.saves_state and can.variable_step and not description.undoes_discarded_steps
+        )
+        self._kept: object | None = (
+            None  # the unit's state before the last part; its memory is used again
+        )
         self.hold(discrete)
         self.begin(np.zeros(len(discrete)), np.zeros(self._outputs.size))
 
     def hold(self, held: Mask) -> None:
         """Learn which inputs keep their value over a step; discrete ones do."""
-        self._held = held | self._unit.description.discrete_inputs
+        self._held = held | self._instance.description.discrete_inputs
         self._holds = bool(self._held.any())
 
     def begin(self, u: Vector, y: Vector) -> None:
         """Forget the past: the unit is in initialization mode, with these inputs and outputs."""
         able = self._can.interpolates_inputs and self._sloped.references.size > 0
-        self.now = Reached(read=y, end=u, given=self._jumping.of(u), interpolates=able)
+        self.now = StepperState(read=y, end=u, given=self._jumping.of(u), interpolates=able)
 
     def leave_initialization(self, t: float) -> None:
         """Settle what the initialization left, if the unit is in event mode now."""
         if self._can.event_mode:
             self._settle(t)
-            self.now.read = self._unit.get_float64(self._outputs)
+            self.now.read = self._instance.get_float64(self._outputs)
 
-    def save(self) -> Reached:
+    def save(self) -> StepperState:
         """Copy everything but the unit's own state."""
         return replace(self.now)
 
-    def restore(self, state: Reached) -> None:
+    def restore(self, state: StepperState) -> None:
         """Go back to a saved state, after the unit."""
         self.now = replace(state)
 
@@ -143,7 +155,7 @@ class Stepping:
         self.jump(t, u0)
         if self._cross(ramp, 0.0, 1.0, 0) < 1.0:
             return False
-        self.now.read = self._unit.get_float64(self._outputs)
+        self.now.read = self._instance.get_float64(self._outputs)
         return True
 
     def _cross(self, ramp: _Ramp, s0: float, s1: float, halvings: int) -> float:
@@ -152,7 +164,9 @@ class Stepping:
         for _ in range(PARTS):
             if now.ended:
                 return s0
-            if goal != (goal := s1 if now.next_event is None else self._goal(ramp, s0, s1, now.next_event)):
+            if goal != (
+                goal := s1 if now.next_event is None else self._goal(ramp, s0, s1, now.next_event)
+            ):
                 begin = s0
             end = self._part(ramp, s0, goal, 0.5 * (begin + goal))
             now.ended |= end.terminate
@@ -173,17 +187,19 @@ class Stepping:
 
     def _part(self, ramp: _Ramp, s0: float, s1: float, middle: float) -> StepEnd:
         """Set the inputs, on their lines from ``s0`` or as they are in the ``middle``, and call do_step once."""
-        unit, t, h = self._unit, ramp.time(s0), (s1 - s0) * ramp.h
+        instance, t, h = self._instance, ramp.time(s0), (s1 - s0) * ramp.h
         if self._goes_back:
-            self._kept = unit.get_fmu_state(self._kept)
+            self._kept = instance.get_fmu_state(self._kept)
         if not self.now.interpolates:
             self.now.end = ramp.at(middle)
-            unit.set_float64(self._stepped.references, self._stepped.of(self.now.end))
-            return unit.do_step(t, h)
-        unit.set_float64(self._stepped.references, self._stepped.of(self._on_lines(ramp, s0, middle)))
+            instance.set_float64(self._stepped.references, self._stepped.of(self.now.end))
+            return instance.do_step(t, h)
+        instance.set_float64(
+            self._stepped.references, self._stepped.of(self._on_lines(ramp, s0, middle))
+        )
         slopes = self._sloped.of(ramp.change) / ramp.h
-        unit.set_input_derivatives(self._sloped.references, slopes)
-        end = unit.do_step(t, h)
+        instance.set_input_derivatives(self._sloped.references, slopes)
+        end = instance.do_step(t, h)
         if end.followed == -math.inf and slopes.any():
             self._stops_interpolating(t)
         followed = s1 if end.followed == math.inf else min(max(s0, ramp.fraction(end.followed)), s1)
@@ -205,16 +221,18 @@ class Stepping:
 
     def _halve(self, ramp: _Ramp, s0: float, s1: float, halvings: int) -> float:
         """Go back before a step that was discarded, and from there in two halves."""
-        undone = self._unit.description.undoes_discarded_steps
+        undone = self._instance.description.undoes_discarded_steps
         if not self._can.variable_step:
-            reason = "it takes steps of one size only (canHandleVariableCommunicationStepSize is false)"
+            reason = (
+                "it takes steps of one size only (canHandleVariableCommunicationStepSize is false)"
+            )
         elif not (undone or self._can.saves_state):
             reason = "its state before the step cannot be restored (canGetAndSetFMUstate is false, or not true)"
         elif halvings == HALVINGS:
             reason = f"the communication step of {ramp.h} s was halved {HALVINGS} times"
         else:
             if not undone:
-                self._unit.set_fmu_state(self._kept)
+                self._instance.set_fmu_state(self._kept)
             middle = 0.5 * (s0 + s1)
             reached = self._cross(ramp, s0, middle, halvings + 1)
             return self._cross(ramp, middle, s1, halvings + 1) if reached >= middle else reached
@@ -256,27 +274,31 @@ class Stepping:
 
     def jumps(self, u: Vector) -> bool:
         """Whether a discrete input that is set in events is not as before."""
-        return self._can.event_mode and not self.now.ended and self._jumping.of(u).tobytes() != self.now.given.tobytes()
+        return (
+            self._can.event_mode
+            and not self.now.ended
+            and self._jumping.of(u).tobytes() != self.now.given.tobytes()
+        )
 
     def jump(self, t: float, u: Vector) -> None:
         """Set all inputs in an event, if a discrete one changes; the outputs then belong to them."""
         if self.jumps(u):
             self._event(t, u)
-            self.now.read = self._unit.get_float64(self._outputs)
+            self.now.read = self._instance.get_float64(self._outputs)
 
     def _event(self, t: float, u: Vector | None = None) -> None:
-        self._unit.enter_event_mode()
+        self._instance.enter_event_mode()
         if u is not None:
-            self._unit.set_float64(self._inputs, u)
+            self._instance.set_float64(self._inputs, u)
             self.now.given, self.now.end = self._jumping.of(u), u
         self._settle(t)
 
     def _settle(self, t: float) -> None:
         """Let the discrete states settle, and leave event mode."""
-        found = settle(self._unit, t)
+        found = settle(self._instance, t)
         self.now.next_event, self.now.ended = found.next_event_time, found.terminate
         if not found.terminate:
-            self._unit.enter_step_mode()
+            self._instance.enter_step_mode()
 
 
 @final
@@ -286,7 +308,9 @@ class _Inputs:
     def __init__(self, description: Description, chosen: Mask) -> None:
         variables = [v for _, group in description.ports("input") for v in group]
         firsts = np.cumsum([0, *(v.size for v in variables)])
-        self.references = description.reference(v.name for v, i in zip(variables, firsts, strict=False) if chosen[i])
+        self.references = description.reference(
+            v.name for v, i in zip(variables, firsts, strict=False) if chosen[i]
+        )
         self._columns = None if chosen.all() else np.flatnonzero(chosen)  # None: all
 
     def of(self, values: Vector) -> Vector:

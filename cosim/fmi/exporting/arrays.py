@@ -24,13 +24,19 @@ def with_arrays(description: Description) -> Description:
             variables.append(_together(groups[variable.name], array_of))
         if variable.derivative_of is None:
             continue
-        owner = next(group for group in groups.values() if variable.derivative_of in [v.name for v in group])
-        ders = [v for v in description.variables if v.derivative_of in [state.name for state in owner]]
+        owner = next(
+            group for group in groups.values() if variable.derivative_of in [v.name for v in group]
+        )
+        ders = [
+            v for v in description.variables if v.derivative_of in [state.name for state in owner]
+        ]
         base = f"der({_base(owner)})" if len(owner) > 1 else variable.name
         names[variable.name] = base
         if variable is ders[0]:
             variables.append(replace(_together(ders, array_of), name=base))
-    solved = {v.name for v in variables if v.initial == "calculated"}  # no start value can be given for one element alone
+    solved = {
+        v.name for v in variables if v.initial == "calculated"
+    }  # no start value can be given for one element alone
     initial = {
         name: None if needs is None else tuple(need for need in needs if need not in solved)
         for name, needs in _merge(description.initial_dependencies, names).items()
@@ -46,7 +52,10 @@ def with_arrays(description: Description) -> Description:
 
 
 def _gathered(dae: Dae, names: Mapping[str, str]) -> Dae:
-    needs = _merge({one.name: one.dependencies for formulations in dae.residuals for one in formulations}, names)
+    needs = _merge(
+        {one.name: one.dependencies for formulations in dae.residuals for one in formulations},
+        names,
+    )
     return replace(
         dae,
         algebraic=_merged(dae.algebraic, names),
@@ -61,7 +70,9 @@ def _base(group: Sequence[Variable]) -> str:
 
 def _order(description: Description) -> dict[str, int]:
     """Give the reference of each state's derivative."""
-    return {v.derivative_of: v.reference for v in description.variables if v.derivative_of is not None}
+    return {
+        v.derivative_of: v.reference for v in description.variables if v.derivative_of is not None
+    }
 
 
 def _runs(variables: Sequence[Variable], order: Mapping[str, int]) -> list[list[Variable]]:
@@ -86,7 +97,8 @@ def _alike(one: Variable, other: Variable, order: Mapping[str, int]) -> bool:
     """Whether they may stand in one array: all of it states, whose derivatives follow each other too, or none."""
     return (
         other.reference == one.reference + 1
-        and (one.causality, one.unit, one.variability) == (other.causality, other.unit, other.variability)
+        and (one.causality, one.unit, one.variability)
+        == (other.causality, other.unit, other.variability)
         and (one.name in order) == (other.name in order)
         and (one.name not in order or order[other.name] == order[one.name] + 1)
     )
@@ -100,22 +112,38 @@ def _together(group: Sequence[Variable], array_of: Mapping[str, str]) -> Variabl
     initial = first.initial if len({v.initial for v in group}) == 1 else "calculated"
     starts = [v.start for v in group if v.start is not None]
     start = (
-        tuple(value for values in starts for value in values) if len(starts) == len(group) and initial != "calculated" else None
+        tuple(value for values in starts for value in values)
+        if len(starts) == len(group) and initial != "calculated"
+        else None
     )
     size = len(group)
-    return replace(first, name=_base(group), size=size, dimensions=(size,), initial=initial, start=start, derivative_of=of)
+    return replace(
+        first,
+        name=_base(group),
+        size=size,
+        dimensions=(size,),
+        initial=initial,
+        start=start,
+        derivative_of=of,
+    )
 
 
 def _merged(found: Iterable[str], names: Mapping[str, str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(names[name] for name in found))
 
 
-def _merge(found: Mapping[str, tuple[str, ...] | None], names: Mapping[str, str]) -> dict[str, tuple[str, ...] | None]:
+def _merge(
+    found: Mapping[str, tuple[str, ...] | None], names: Mapping[str, str]
+) -> dict[str, tuple[str, ...] | None]:
     """Give what arrays depend on: what any of their elements does; None where one does not say."""
     merged: dict[str, tuple[str, ...] | None] = {}
     for name, needs in found.items():
         known = merged.get(names[name], ())
-        merged[names[name]] = None if needs is None or known is None else _merged((*known, *needs), {**names, **_itself(known)})
+        merged[names[name]] = (
+            None
+            if needs is None or known is None
+            else _merged((*known, *needs), {**names, **_itself(known)})
+        )
     return merged
 
 

@@ -83,7 +83,12 @@ def check_platforms(platforms: Sequence[str]) -> None:
 
 
 def compile_sources(
-    sources: Mapping[str, bytes], main: Sequence[str], *, name: str, version: str, platforms: Sequence[str]
+    sources: Mapping[str, bytes],
+    main: Sequence[str],
+    *,
+    name: str,
+    version: str,
+    platforms: Sequence[str],
 ) -> list[Binary]:
     """Compile a set of sources; without ``platforms`` for this machine, where there is a compiler.
 
@@ -111,7 +116,9 @@ def compile_sources(
         files = [Path(folder) / file for file in main]
         try:
             if platforms:
-                return [_cross(files, Path(folder), name, version, platform) for platform in platforms]
+                return [
+                    _cross(files, Path(folder), name, version, platform) for platform in platforms
+                ]
             return [_own(files, Path(folder), name, version)] if build.compiler() else []
         except RuntimeError as error:
             raise FmuError(f"the FMU {name!r} could not be compiled: {error}") from error
@@ -120,7 +127,12 @@ def compile_sources(
 def _own(files: Sequence[Path], folder: Path, name: str, version: str) -> Binary:
     library = folder / f"{name}{SUFFIX}"
     build.compile_library(files, library)
-    return Binary(folders(version)[0], library.name, library.read_bytes(), _note(version, f"{ARCHITECTURE}-{SYSTEM}"))
+    return Binary(
+        folders(version)[0],
+        library.name,
+        library.read_bytes(),
+        _note(version, f"{ARCHITECTURE}-{SYSTEM}"),
+    )
 
 
 def _cross(files: Sequence[Path], folder: Path, name: str, version: str, platform: str) -> Binary:
@@ -128,7 +140,10 @@ def _cross(files: Sequence[Path], folder: Path, name: str, version: str, platfor
     library = folder / f"{name}-{platform}" / f"{name}{found.suffix}"
     library.parent.mkdir()
     own_name = (f"-Wl,-install_name,@rpath/{library.name}",) if found.suffix == ".dylib" else ()
-    options = ("-s", *own_name)  # neither debug information nor the library itself names the temporary folder
+    options = (
+        "-s",
+        *own_name,
+    )  # neither debug information nor the library itself names the temporary folder
     build.compile_library(files, library, options, command=build.cross_compiler(found.target))
     short = found.short if version == "2.0" else None
     return Binary(short or platform, library.name, library.read_bytes(), _note(version, platform))
@@ -137,7 +152,9 @@ def _cross(files: Sequence[Path], folder: Path, name: str, version: str, platfor
 def _note(version: str, platform: str) -> str:
     known = PLATFORMS.get(platform)
     return (
-        f"FMI 2.0 has no name for {platform}; its folder is FMI 3.0's" if version == "2.0" and known and not known.short else ""
+        f"FMI 2.0 has no name for {platform}; its folder is FMI 3.0's"
+        if version == "2.0" and known and not known.short
+        else ""
     )
 
 

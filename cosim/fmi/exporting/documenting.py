@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from html import escape
 
-from cosim.fmi.description import MODE_NAMES, Description
+from cosim.fmi.description import INTERFACE_TYPE_NAMES, Description
 from cosim.native import build
 
 STYLE = "body{font-family:sans-serif;max-width:60em;margin:2em auto}td,th{text-align:left;padding:.1em 1em .1em 0}"
@@ -13,9 +13,19 @@ STYLE = "body{font-family:sans-serif;max-width:60em;margin:2em auto}td,th{text-a
 
 def document(unit: Description, equations: str, *, text: str, main: Sequence[str]) -> str:
     """Write the page: what it is, its variables, its equations (HTML), how it is compiled."""
-    kinds = " and ".join(MODE_NAMES[kind] for kind in unit.capabilities)
+    kinds = " and ".join(INTERFACE_TYPE_NAMES[kind] for kind in unit.capabilities)
     rows = "".join(
-        _row("td", [v.name, v.causality, str(v.size), v.unit or "", "" if v.start is None else str(list(v.start)), v.doc])
+        _row(
+            "td",
+            [
+                v.name,
+                v.causality,
+                str(v.size),
+                v.unit or "",
+                "" if v.start is None else str(list(v.start)),
+                v.doc,
+            ],
+        )
         for v in unit.variables
     )
     heading = _row("th", ["name", "causality", "elements", "unit", "start", ""])

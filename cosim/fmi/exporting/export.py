@@ -25,14 +25,14 @@ from uuid import UUID
 
 import numpy as np
 
-from cosim.core.solver import DescriptorModel, LinearModel
+from cosim.core.linear import DescriptorModel, LinearModel
 from cosim.errors import FmuError, nearest
-from cosim.fmi.description import MODE_NAMES, Description, Mode, Variable
+from cosim.fmi.description import INTERFACE_TYPE_NAMES, Description, InterfaceType, Variable
 from cosim.fmi.exporting.arrays import with_arrays
 from cosim.fmi.exporting.compiling import advice, check_platforms, compile_sources
 from cosim.fmi.exporting.documenting import document
-from cosim.fmi.exporting.forms import Form, form_of
 from cosim.fmi.exporting.kernels import DiscreteModel, integer, integers
+from cosim.fmi.exporting.specifications import ExportSpecification, form_of
 from cosim.fmi.exporting.writing_dae import write_dae
 from cosim.fmi.exporting.writing_fmi2 import write_fmi2
 from cosim.fmi.exporting.writing_fmi3 import write_build_description, write_fmi3
@@ -75,9 +75,13 @@ class Version:
 def _with_time(description: Description) -> Description:
     """Give arrays, and the independent variable that FMI 3 wants (FMI 3.0.2 section 2.4.7.4), behind the states."""
     if any(v.name == "time" for v in description.variables):
-        raise FmuError(f"{description.name}: a variable is called 'time', which in FMI 3 is the time; use FMI 2, or another name")
+        raise FmuError(
+            f"{description.name}: a variable is called 'time', which in FMI 3 is the time; use FMI 2, or another name"
+        )
     ports = sum(v.causality in ("input", "output") for v in description.variables)
-    time = Variable("time", ports + 2 * len(description.states), "independent", unit="s", doc="the time reached")
+    time = Variable(
+        "time", ports + 2 * len(description.states), "independent", unit="s", doc="the time reached"
+    )
     arrays = with_arrays(description)
     return replace(arrays, variables=(*arrays.variables, time))
 
@@ -96,10 +100,20 @@ def _build(name: str, sources: Sequence[str]) -> dict[str, str]:
 
 VERSIONS: Final[Mapping[str, Version]] = {
     "2": Version(
-        "2.0", "fmi2.c", ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"), write_fmi2, _as_it_is, _nothing
+        "2.0",
+        "fmi2.c",
+        ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"),
+        write_fmi2,
+        _as_it_is,
+        _nothing,
     ),
     "3": Version(
-        "3.0", "fmi3.c", ("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h"), write_fmi3, _with_time, _build
+        "3.0",
+        "fmi3.c",
+        ("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h"),
+        write_fmi3,
+        _with_time,
+        _build,
     ),
 }
 
@@ -123,14 +137,14 @@ class Exported:
 
     path: Path
     version: str
-    kinds: tuple[Mode, ...]
+    kinds: tuple[InterfaceType, ...]
     platforms: tuple[str, ...]
     notes: tuple[str, ...] = ()
 
     @property
     def lines(self) -> list[str]:
         """What was written, for people."""
-        kinds = " and ".join(MODE_NAMES[kind] for kind in self.kinds)
+        kinds = " and ".join(INTERFACE_TYPE_NAMES[kind] for kind in self.kinds)
         binary = "binary" if len(self.platforms) == 1 else "binaries"
         built = f"{binary} for {', '.join(self.platforms)}" if self.platforms else "sources only"
         return [f"{self.path}: FMI {self.version}, {kinds}, {built}", *self.notes]
@@ -185,48 +199,74 @@ def export(
     def xml() -> str:
         return version.write(unit, text=description, sources=main, constant=form.constant)
 
-    digest = hashlib.sha256(b"\0".join([_constants(form, unit, 0).encode(), xml().encode(), *sources.values()])).digest()
+    digest = hashlib.sha256(
+        b"\0".join([_constants(form, unit, 0).encode(), xml().encode(), *sources.values()])
+    ).digest()
     unit = replace(unit, token=f"{{{UUID(bytes=digest[:16], version=5)}}}")
     sources["model.c"] = _constants(form, unit, int.from_bytes(digest[:6])).encode()
-    binaries = compile_sources(sources, main, name=name, version=version.number, platforms=platforms)
+    binaries = compile_sources(
+        sources, main, name=name, version=version.number, platforms=platforms
+    )
     files = {
         "modelDescription.xml": xml().encode(),
-        "documentation/index.html": document(unit, form.equations, text=description, main=main).encode(),
+        "documentation/index.html": document(
+            unit, form.equations, text=description, main=main
+        ).encode(),
         **{f"sources/{file}": content for file, content in sources.items()},
-        **{f"sources/{file}": content.encode() for file, content in version.build(name, main).items()},
+        **{
+            f"sources/{file}": content.encode()
+            for file, content in version.build(name, main).items()
+        },
         **{f"binaries/{binary.folder}/{binary.name}": binary.content for binary in binaries},
         **({MANIFEST: write_dae(unit, constant=form.constant).encode()} if unit.dae else {}),
         **(extra or {}),
     }
     _write(path, files)
     notes = [f"co-simulation only: {form.reason}"] if form.reason else []
-    notes += [binary.note for binary in binaries if binary.note] if binaries else [advice(main, name, version.number)]
-    return Exported(path, version.number, tuple(unit.capabilities), tuple(binary.folder for binary in binaries), tuple(notes))
+    notes += (
+        [binary.note for binary in binaries if binary.note]
+        if binaries
+        else [advice(main, name, version.number)]
+    )
+    return Exported(
+        path,
+        version.number,
+        tuple(unit.capabilities),
+        tuple(binary.folder for binary in binaries),
+        tuple(notes),
+    )
 
 
 def _check_names(path: Path, name: str, fmi: str) -> None:
     if fmi not in VERSIONS:
         raise FmuError(f"FMI version {fmi!r}: {nearest(fmi, VERSIONS)}")
     if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name):
-        raise FmuError(f"name {name!r}: needed an identifier of C: letters, digits and _, no digit first")
+        raise FmuError(
+            f"name {name!r}: needed an identifier of C: letters, digits and _, no digit first"
+        )
     if not path.parent.is_dir():
         raise FmuError(f"{path}: there is no folder {path.parent}; make it first")
 
 
-def _check_numbers(form: Form) -> None:
+def _check_numbers(form: ExportSpecification) -> None:
     for letter, array in form.numbers.items():
         if not np.isfinite(array).all():
             raise FmuError(f"matrix {letter} holds NaN or infinity; an FMU needs finite numbers")
     if form.memory + form.work > LARGEST:
-        raise FmuError(f"{form.description.name}: an instance needs {form.memory + form.work} numbers; needed at most {LARGEST}")
+        raise FmuError(
+            f"{form.description.name}: an instance needs {form.memory + form.work} numbers; needed at most {LARGEST}"
+        )
 
 
 def _named(unit: Description, name: str, version: Version) -> Description:
-    kinds = {mode: replace(kind, identifier=name) for mode, kind in unit.capabilities.items()}
+    kinds = {
+        interface_type: replace(kind, identifier=name)
+        for interface_type, kind in unit.capabilities.items()
+    }
     return replace(unit, version=version.number, capabilities=kinds)
 
 
-def _sources(form: Form, version: Version) -> tuple[dict[str, bytes], list[str]]:
+def _sources(form: ExportSpecification, version: Version) -> tuple[dict[str, bytes], list[str]]:
     """Give the files that are the same for every model of this form, and the C files to compile."""
     import fmpy
 
@@ -236,10 +276,14 @@ def _sources(form: Form, version: Version) -> tuple[dict[str, bytes], list[str]]
         **{file: build.HERE / file for file in (*form.natives, "cosim.h")},
         **{file: Path(fmpy.__file__).parent / "c-code" / file for file in version.headers},
     }
-    return {file: place.read_bytes() for file, place in places.items()}, [*ours, "model.c", *form.natives]
+    return {file: place.read_bytes() for file, place in places.items()}, [
+        *ours,
+        "model.c",
+        *form.natives,
+    ]
 
 
-def _constants(form: Form, unit: Description, stamp: int) -> str:
+def _constants(form: ExportSpecification, unit: Description, stamp: int) -> str:
     """Write model.c: every number as a hexadecimal float, which is exact."""
     n, m, p = form.size
     sizes = {v.reference: v.size for v in unit.variables}
@@ -252,7 +296,10 @@ def _constants(form: Form, unit: Description, stamp: int) -> str:
         f"const int64_t model_step_ns = INT64_C({form.step_ns});",
         integer("model_has_derivatives", int("me" in unit.capabilities)),
         f"const int32_t model_memory = {form.memory}, model_work = {form.work};",
-        integers("model_size", [sizes.get(reference, 0) for reference in range(m + p + 2 * n + 1 + form.residuals)]),
+        integers(
+            "model_size",
+            [sizes.get(reference, 0) for reference in range(m + p + 2 * n + 1 + form.residuals)],
+        ),
     ]
     return "\n".join([*lines, *form.constants, ""])
 

@@ -15,7 +15,12 @@ import numpy as np
 from cosim.arrays import Matrix, Vector
 from cosim.core.signals import Interface
 from cosim.native.expression import Program
-from cosim.native.step import HeldDiscretisation, LeastSquaresConstants, RecoveryStep, RegressorConstants
+from cosim.native.step import (
+    HeldDiscretization,
+    LeastSquaresConstants,
+    RecoveryStep,
+    RegressorConstants,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,8 +101,15 @@ def integer(name: str, value: int) -> str:
 def regressor(constants: RegressorConstants) -> Kernel:
     """Write the regressor (21)-(25)."""
     terms, factors = np.shape(constants.factor)
-    lines = [line for b, program in enumerate(constants.alphas) for line in _program(f"alpha{b}", program)]
-    programs = ", ".join(f"{{{len(p.code)}, alpha{b}_code, alpha{b}_constants}}" for b, p in enumerate(constants.alphas))
+    lines = [
+        line
+        for b, program in enumerate(constants.alphas)
+        for line in _program(f"alpha{b}", program)
+    ]
+    programs = ", ".join(
+        f"{{{len(p.code)}, alpha{b}_code, alpha{b}_constants}}"
+        for b, p in enumerate(constants.alphas)
+    )
     lines += [
         f"static const cosim_program alphas[] = {{{programs}}};",
         "static " + integers("steps", constants.steps),
@@ -120,7 +132,9 @@ def regressor(constants: RegressorConstants) -> Kernel:
 
 
 def _program(name: str, program: Program) -> tuple[str, str]:
-    return "static " + integers(f"{name}_code", program.code), "static " + doubles(f"{name}_constants", program.constants)
+    return "static " + integers(f"{name}_code", program.code), "static " + doubles(
+        f"{name}_constants", program.constants
+    )
 
 
 def least_squares(constants: LeastSquaresConstants) -> Kernel:
@@ -143,7 +157,11 @@ def least_squares(constants: LeastSquaresConstants) -> Kernel:
 def _recovery(step: RecoveryStep) -> str:
     numbers = [
         "{" + ", ".join(texts) + "}"
-        for texts in (map(str, step.index), map(str, step.theta), (float(sign).hex() for sign in step.sign))
+        for texts in (
+            map(str, step.index),
+            map(str, step.theta),
+            (float(sign).hex() for sign in step.sign),
+        )
     ]
     return f"{{{int(step.kind)}, {', '.join(numbers)}, {float(step.spacing).hex()}}}"
 
@@ -164,8 +182,8 @@ def delay(steps: int, width: int, initial: float | None) -> Kernel:
     )
 
 
-def sampled(discrete: HeldDiscretisation, *, C: Matrix, D: Matrix, X0: Vector) -> Kernel:
-    """Write a linear model discretised for its own step, its inputs held over it."""
+def sampled(discrete: HeldDiscretization, *, C: Matrix, D: Matrix, X0: Vector) -> Kernel:
+    """Write a linear model discretized for its own step, its inputs held over it."""
     n, m, p = len(discrete.Ad), discrete.B0.shape[1], len(C)
     arrays = {"Ad": discrete.Ad, "B0": discrete.B0, "B1": discrete.B1, "C": C, "D": D}
     return Kernel(

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
-from cosim.fmi.description import Description, Mode, Variable
+from cosim.fmi.description import Description, InterfaceType, Variable
 from cosim.units import BASE, base_unit
 
-ELEMENTS: dict[Mode, str] = {"me": "ModelExchange", "cs": "CoSimulation"}
+ELEMENTS: dict[InterfaceType, str] = {"me": "ModelExchange", "cs": "CoSimulation"}
 
 
 def begin(description: Description, text: str, **attributes: str) -> Element:
@@ -27,7 +27,9 @@ def begin(description: Description, text: str, **attributes: str) -> Element:
 
 def add_units(root: Element, description: Description) -> None:
     """Define every unit that a variable has."""
-    units = sorted({variable.unit for variable in description.variables if variable.unit is not None})
+    units = sorted(
+        {variable.unit for variable in description.variables if variable.unit is not None}
+    )
     if not units:
         return
     definitions = SubElement(root, "UnitDefinitions")
@@ -36,7 +38,11 @@ def add_units(root: Element, description: Description) -> None:
         if base is not None:
             powers = {b: str(power) for b, power in zip(BASE, base.exponents, strict=True) if power}
             numbers = {"factor": (base.factor, 1.0), "offset": (base.offset, 0.0)}
-            SubElement(unit, "BaseUnit", powers | {name: repr(x) for name, (x, default) in numbers.items() if x != default})
+            SubElement(
+                unit,
+                "BaseUnit",
+                powers | {name: repr(x) for name, (x, default) in numbers.items() if x != default},
+            )
 
 
 def add_experiment(root: Element, description: Description) -> None:
@@ -70,7 +76,11 @@ def unknowns(description: Description) -> tuple[tuple[str, list[str]], ...]:
     """Give the sections of ModelStructure: FMI 2.0's names of them, with the names of the unknowns."""
     outputs = [v.name for v in description.variables if v.causality == "output"]
     derivatives = [v.name for v in description.variables if v.derivative_of is not None]
-    return ("Outputs", outputs), ("Derivatives", derivatives), ("InitialUnknowns", list(description.initial_dependencies))
+    return (
+        ("Outputs", outputs),
+        ("Derivatives", derivatives),
+        ("InitialUnknowns", list(description.initial_dependencies)),
+    )
 
 
 def needs_of(description: Description, section: str, name: str) -> tuple[str, ...] | None:

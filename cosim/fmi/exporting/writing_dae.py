@@ -27,14 +27,23 @@ def write_dae(description: Description, *, constant: bool) -> str:
     """Write the manifest; ``constant``: every unknown is a sum of constants times what it depends on."""
     dae = description.dae
     assert dae is not None
-    about = {"name": NAME, "version": VERSION, "description": "Layered standard for DAE support in FMI"}
-    root = Element(ROOT, {"xmlns:fmi-ls": NAMESPACE} | {f"fmi-ls:fmi-ls-{key}": text for key, text in about.items()})
+    about = {
+        "name": NAME,
+        "version": VERSION,
+        "description": "Layered standard for DAE support in FMI",
+    }
+    root = Element(
+        ROOT,
+        {"xmlns:fmi-ls": NAMESPACE} | {f"fmi-ls:fmi-ls-{key}": text for key, text in about.items()},
+    )
     root.append(Comment(NOTE))
     references = {variable.name: str(variable.reference) for variable in description.variables}
     listed = SubElement(root, "AlgebraicVariables")
     for name in dae.algebraic:
         SubElement(listed, "AlgebraicVariable", valueReference=references[name])
-    structure = add_structure(root, replace(description, dependencies=dae.dependencies), references, constant)
+    structure = add_structure(
+        root, replace(description, dependencies=dae.dependencies), references, constant
+    )
     for formulations in dae.residuals:
         residual = SubElement(structure, "Residual")
         for one in formulations:

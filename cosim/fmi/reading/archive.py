@@ -22,18 +22,22 @@ from cosim.errors import FmuError
 
 LARGEST: Final = 2**30  # bytes, unpacked
 MOST: Final = 10_000  # entries
-DIRECTORY: Final = 2**24  # bytes of the list of entries, which zipfile reads in one piece before it can be counted
+DIRECTORY: Final = (
+    2**24
+)  # bytes of the list of entries, which zipfile reads in one piece before it can be counted
 RATIO: Final = 200  # unpacked to packed, of one entry
 SMALL: Final = 2**20  # bytes: a small file may be emptier than that, such as a table of zeros
 DEEPEST: Final = 32  # folders in folders
 LONGEST: Final = 255  # bytes of one name
 XML_LARGEST: Final = 64 * 2**20  # bytes
 CHUNK: Final = 2**16
-WINDOWS: Final = re.compile(r"(?i)(con|prn|aux|nul|com[0-9¹²³]|lpt[0-9¹²³])(\..*)?|.*[. ]")  # no names of files there
+WINDOWS: Final = re.compile(
+    r"(?i)(con|prn|aux|nul|com[0-9¹²³]|lpt[0-9¹²³])(\..*)?|.*[. ]"
+)  # no names of files there
 
 
 @dataclass(frozen=True, slots=True)
-class Contents:
+class ArchiveContents:
     """What an archive was found to hold.
 
     Parameters
@@ -51,7 +55,7 @@ class Contents:
     wanted: Mapping[str, bytes]
 
 
-def look(path: Path, wanted: Sequence[str], into: Path | None = None) -> Contents:
+def look(path: Path, wanted: Sequence[str], into: Path | None = None) -> ArchiveContents:
     """Judge an archive and read some members of it; unpack all of it where a folder is given.
 
     Parameters
@@ -74,7 +78,11 @@ def look(path: Path, wanted: Sequence[str], into: Path | None = None) -> Content
             _copy(path, archive, files[member], content.write, XML_LARGEST)
         if into is not None:
             _unpack(path, archive, files, into)
-        return Contents(sha256, frozenset(files), {member: content.getvalue() for member, content in read.items()})
+        return ArchiveContents(
+            sha256,
+            frozenset(files),
+            {member: content.getvalue() for member, content in read.items()},
+        )
 
 
 class _Bounded(io.FileIO):
@@ -82,7 +90,9 @@ class _Bounded(io.FileIO):
 
     def read(self, size: int | None = -1, /) -> bytes:
         if size is not None and size > DIRECTORY:
-            raise FmuError(f"{self.name}: the archive's list of entries takes {size} bytes; needed at most {DIRECTORY}")
+            raise FmuError(
+                f"{self.name}: the archive's list of entries takes {size} bytes; needed at most {DIRECTORY}"
+            )
         found = super().read(size)
         assert found is not None
         return found
@@ -98,13 +108,19 @@ def _opened(path: Path) -> Iterator[tuple[zipfile.ZipFile, str]]:
                     yield archive, sha256
                 except FmuError:
                     raise
-                except Exception as error:  # damaged, a full disk: zipfile raises what its parts happen to raise
-                    raise FmuError(f"{path}: the archive cannot be unpacked: {type(error).__name__}: {error}") from error
+                except (
+                    Exception
+                ) as error:  # damaged, a full disk: zipfile raises what its parts happen to raise
+                    raise FmuError(
+                        f"{path}: the archive cannot be unpacked: {type(error).__name__}: {error}"
+                    ) from error
     except FmuError:
         raise
     except OSError as error:
         raise FmuError(f"{path} cannot be read: {error.strerror or error}") from error
-    except Exception as error:  # BadZipFile, NotImplementedError, UnicodeDecodeError, struct.error, ...
+    except (
+        Exception
+    ) as error:  # BadZipFile, NotImplementedError, UnicodeDecodeError, struct.error, ...
         raise FmuError(f"{path}: not an FMU, as it is no zip archive ({error})") from error
 
 
@@ -118,17 +134,23 @@ def _judged(path: Path, archive: zipfile.ZipFile) -> Mapping[str, zipfile.ZipInf
         raise FmuError(f"{path}: the archive has {len(entries)} entries; needed at most {MOST}")
     _check_size(path, sum(entry.file_size for entry in entries))
     for entry in entries:
-        problem = _name_problem(entry.orig_filename) or _kind_problem(entry)  # zipfile alters the other name
+        problem = _name_problem(entry.orig_filename) or _kind_problem(
+            entry
+        )  # zipfile alters the other name
         if problem:
             raise FmuError(f"{path}: the archive has {problem}: {entry.orig_filename!r}")
     _check_clashes(path, [entry.orig_filename for entry in entries])
     _check_overlap(path, archive, entries)
-    return {entry.orig_filename: entry for entry in entries if not entry.orig_filename.endswith("/")}
+    return {
+        entry.orig_filename: entry for entry in entries if not entry.orig_filename.endswith("/")
+    }
 
 
 def _check_size(path: Path, size: int) -> None:
     if size > LARGEST:
-        raise FmuError(f"{path}: unpacked, the archive would have {size} bytes; needed at most {LARGEST}")
+        raise FmuError(
+            f"{path}: unpacked, the archive would have {size} bytes; needed at most {LARGEST}"
+        )
 
 
 def _name_problem(name: str) -> str | None:
@@ -178,10 +200,14 @@ def _check_clashes(path: Path, names: list[str]) -> None:
         parts = name.removesuffix("/").split("/")
         for place in ("/".join(parts[:end]) for end in range(1, len(parts) + 1)):
             if place in files and place != name:
-                raise FmuError(f"{path}: the archive has {place!r} as a file, where {name!r} needs a folder")
+                raise FmuError(
+                    f"{path}: the archive has {place!r} as a file, where {name!r} needs a folder"
+                )
             other = spelled.setdefault(_key(place), place)
             if other != place:
-                raise FmuError(f"{path}: the archive has names that are one on some systems: {other!r} and {place!r}")
+                raise FmuError(
+                    f"{path}: the archive has names that are one on some systems: {other!r} and {place!r}"
+                )
 
 
 def _key(name: str) -> str:
@@ -194,17 +220,27 @@ def _check_overlap(path: Path, archive: zipfile.ZipFile, entries: list[zipfile.Z
     end = 0
     for entry in sorted(entries, key=lambda entry: entry.header_offset):
         if entry.header_offset < end:
-            raise FmuError(f"{path}: the archive has overlapping entries: {entry.orig_filename!r} begins inside another")
-        end = entry.header_offset + 30 + len(entry.orig_filename.encode("utf-8" if entry.flag_bits & 0x800 else "cp437"))
+            raise FmuError(
+                f"{path}: the archive has overlapping entries: {entry.orig_filename!r} begins inside another"
+            )
+        end = (
+            entry.header_offset
+            + 30
+            + len(entry.orig_filename.encode("utf-8" if entry.flag_bits & 0x800 else "cp437"))
+        )
         end += entry.compress_size
     if end > archive.start_dir:
-        raise FmuError(f"{path}: the archive has an entry that reaches beyond the others: the file is truncated or altered")
+        raise FmuError(
+            f"{path}: the archive has an entry that reaches beyond the others: the file is truncated or altered"
+        )
 
 
 # --- unpacking ---
 
 
-def _unpack(path: Path, archive: zipfile.ZipFile, files: Mapping[str, zipfile.ZipInfo], folder: Path) -> None:
+def _unpack(
+    path: Path, archive: zipfile.ZipFile, files: Mapping[str, zipfile.ZipInfo], folder: Path
+) -> None:
     size = 0
     for name, entry in files.items():
         target = folder / name
@@ -217,14 +253,22 @@ def _unpack(path: Path, archive: zipfile.ZipFile, files: Mapping[str, zipfile.Zi
             (folder / entry.orig_filename).mkdir(exist_ok=True)
 
 
-def _copy(path: Path, archive: zipfile.ZipFile, entry: zipfile.ZipInfo, write: Callable[[bytes], object], room: int) -> int:
+def _copy(
+    path: Path,
+    archive: zipfile.ZipFile,
+    entry: zipfile.ZipInfo,
+    write: Callable[[bytes], object],
+    room: int,
+) -> int:
     """Unpack one entry in pieces, into at most ``room`` bytes; give its size."""
     size = 0
     with archive.open(entry) as source:
         while chunk := source.read(CHUNK):
             size += len(chunk)
             if size > room:
-                raise FmuError(f"{path}: {entry.orig_filename!r} has more than {room} bytes unpacked, which is all it may have")
+                raise FmuError(
+                    f"{path}: {entry.orig_filename!r} has more than {room} bytes unpacked, which is all it may have"
+                )
             if size > max(SMALL, RATIO * entry.compress_size):
                 raise FmuError(
                     f"{path}: {entry.orig_filename!r} is packed more than {RATIO} times: {entry.compress_size} bytes unpack to "
@@ -232,5 +276,7 @@ def _copy(path: Path, archive: zipfile.ZipFile, entry: zipfile.ZipInfo, write: C
                 )
             write(chunk)
     if size != entry.file_size:
-        raise FmuError(f"{path}: {entry.orig_filename!r} has {size} bytes unpacked; the archive says {entry.file_size}")
+        raise FmuError(
+            f"{path}: {entry.orig_filename!r} has {size} bytes unpacked; the archive says {entry.file_size}"
+        )
     return size

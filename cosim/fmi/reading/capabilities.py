@@ -7,29 +7,31 @@ from collections.abc import Mapping
 from typing import Final
 from xml.etree.ElementTree import Element
 
-from cosim.fmi.description import Capabilities, Mode
+from cosim.fmi.description import Capabilities, InterfaceType
 from cosim.fmi.reading.markup import Attributes, flag
 from cosim.fmi.reading.variables import major
 
 IDENTIFIER: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
-ELEMENTS: Final[Mapping[Mode, str]] = {"me": "ModelExchange", "cs": "CoSimulation"}
+ELEMENTS: Final[Mapping[InterfaceType, str]] = {"me": "ModelExchange", "cs": "CoSimulation"}
 
 
-def read_capabilities(root: Element, attributes: Attributes) -> dict[Mode, Capabilities]:
+def read_capabilities(root: Element, attributes: Attributes) -> dict[InterfaceType, Capabilities]:
     """Give the kinds that are there, and what each can do."""
     version = major(root)
-    found: dict[Mode, Capabilities] = {}
+    found: dict[InterfaceType, Capabilities] = {}
     if version == 1:
         identifier = _identifier(root, attributes)
         implementation = root.find("Implementation")
         if implementation is None:
             return {"me": Capabilities(identifier)}
         return {"cs": _capabilities_1(implementation, identifier)}
-    for mode, tag in ELEMENTS.items():
+    for interface_type, tag in ELEMENTS.items():
         element = root.find(tag)
         if element is not None:
             able = _capabilities_2 if version == 2 else _capabilities_3
-            found[mode] = able(element, _identifier(element, attributes), mode, attributes)
+            found[interface_type] = able(
+                element, _identifier(element, attributes), interface_type, attributes
+            )
     return found
 
 
@@ -39,7 +41,9 @@ def _identifier(element: Element, attributes: Attributes) -> str:
     if found is None:
         attributes.problems.append(f"{element.tag}: the attribute modelIdentifier is missing")
     elif not IDENTIFIER.fullmatch(found) or not found.isascii():
-        attributes.problems.append(f"{element.tag}: modelIdentifier {found!r} is no identifier of C")
+        attributes.problems.append(
+            f"{element.tag}: modelIdentifier {found!r} is no identifier of C"
+        )
     return found or ""
 
 
@@ -55,7 +59,9 @@ def _capabilities_1(implementation: Element, identifier: str) -> Capabilities:
     )
 
 
-def _capabilities_2(element: Element, identifier: str, mode: Mode, attributes: Attributes) -> Capabilities:
+def _capabilities_2(
+    element: Element, identifier: str, interface_type: InterfaceType, attributes: Attributes
+) -> Capabilities:
     return Capabilities(
         identifier,
         directional_derivatives=flag(element, "providesDirectionalDerivative"),
@@ -63,16 +69,21 @@ def _capabilities_2(element: Element, identifier: str, mode: Mode, attributes: A
         serializes_state=flag(element, "canSerializeFMUstate"),
         interpolates_inputs=flag(element, "canInterpolateInputs"),
         variable_step=flag(element, "canHandleVariableCommunicationStepSize"),
-        completed_step=mode == "me" and not flag(element, "completedIntegratorStepNotNeeded"),
+        completed_step=interface_type == "me"
+        and not flag(element, "completedIntegratorStepNotNeeded"),
         once_per_process=flag(element, "canBeInstantiatedOnlyOncePerProcess"),
         needs_tool=flag(element, "needsExecutionTool"),
     )
 
 
-def _capabilities_3(element: Element, identifier: str, mode: Mode, attributes: Attributes) -> Capabilities:
+def _capabilities_3(
+    element: Element, identifier: str, interface_type: InterfaceType, attributes: Attributes
+) -> Capabilities:
     step = attributes.number(element, "fixedInternalStepSize", element.tag)
     if step is not None and not 0.0 < step < float("inf"):
-        attributes.problems.append(f"{element.tag}: fixedInternalStepSize: found {step}, needed a positive number")
+        attributes.problems.append(
+            f"{element.tag}: fixedInternalStepSize: found {step}, needed a positive number"
+        )
     return Capabilities(
         identifier,
         directional_derivatives=flag(element, "providesDirectionalDerivatives"),
@@ -84,7 +95,7 @@ def _capabilities_3(element: Element, identifier: str, mode: Mode, attributes: A
         fixed_step=step,
         event_mode=flag(element, "hasEventMode"),
         early_return=flag(element, "mightReturnEarlyFromDoStep"),
-        completed_step=mode == "me" and flag(element, "needsCompletedIntegratorStep"),
+        completed_step=interface_type == "me" and flag(element, "needsCompletedIntegratorStep"),
         once_per_process=flag(element, "canBeInstantiatedOnlyOncePerProcess"),
         needs_tool=flag(element, "needsExecutionTool"),
     )

@@ -33,7 +33,12 @@ def read_dae(raw: bytes, variables: Sequence[Variable]) -> Dae | None:
     version = _about(root, attributes)
     structure = next(_children(root, "ModelStructure"), Element("none"))
     lists = next(_children(root, "AlgebraicVariables"), Element("none"))
-    if _local(root) == "fmi-dae" and not flag(root, "isDaeFmu") and not len(structure) and not len(lists):
+    if (
+        _local(root) == "fmi-dae"
+        and not flag(root, "isDaeFmu")
+        and not len(structure)
+        and not len(lists)
+    ):
         return None
     reader = _Reader(variables, attributes)
     algebraic = [reader.variable(element) for element in _children(lists, "AlgebraicVariable")]
@@ -41,7 +46,9 @@ def read_dae(raw: bytes, variables: Sequence[Variable]) -> Dae | None:
         [reader.formulation(element) for element in _children(residual, "Formulation")]
         for residual in _children(structure, "Residual")
     ]
-    unknowns = [reader.formulation(element) for tag in UNKNOWNS for element in _children(structure, tag)]
+    unknowns = [
+        reader.formulation(element) for tag in UNKNOWNS for element in _children(structure, tag)
+    ]
     _check(algebraic, residuals, reader, attributes.problems)
     return Dae(
         version,
@@ -54,7 +61,10 @@ def read_dae(raw: bytes, variables: Sequence[Variable]) -> Dae | None:
 
 def _about(root: Element, attributes: Attributes) -> str:
     """Check whose manifest it is; give its version."""
-    name, version = (root.get(f"{{{NAMESPACE}}}fmi-ls-{key}", root.get(f"fmi-ls-{key}", "")) for key in ("name", "version"))
+    name, version = (
+        root.get(f"{{{NAMESPACE}}}fmi-ls-{key}", root.get(f"fmi-ls-{key}", ""))
+        for key in ("name", "version")
+    )
     for what, found, needed in (
         ("the root", _local(root), ROOTS),
         ("fmi-ls-name", name, (NAME,)),
@@ -87,7 +97,9 @@ class _Reader:
         where = _local(element)
         reference = self._attributes.integer(element, "valueReference", where)
         if reference is None or reference not in self._names:
-            self._attributes.problems.append(f"{where}: valueReference={element.get('valueReference')} is no variable")
+            self._attributes.problems.append(
+                f"{where}: valueReference={element.get('valueReference')} is no variable"
+            )
             return None
         return self._names[reference]
 
@@ -100,8 +112,14 @@ class _Reader:
         known = self._attributes.integers(element, "dependencies", where)
         missing = [str(other) for other in known or () if other not in self._names]
         if missing:
-            self._attributes.problems.append(f"{where}: dependencies name no variable: {', '.join(missing)}")
-        needs = None if known is None else tuple(self._names[other] for other in known if other in self._names)
+            self._attributes.problems.append(
+                f"{where}: dependencies name no variable: {', '.join(missing)}"
+            )
+        needs = (
+            None
+            if known is None
+            else tuple(self._names[other] for other in known if other in self._names)
+        )
         return Formulation(name, needs, self._attributes.integer(element, "index", where))
 
 
@@ -113,23 +131,40 @@ def _check(
 ) -> None:
     """Check that the variables are what they should be, and as many equations as unknowns."""
     formulations = [one.name for equation in residuals for one in equation if one]
-    for where, names in (("AlgebraicVariable", [name for name in algebraic if name]), ("Formulation", formulations)):
+    for where, names in (
+        ("AlgebraicVariable", [name for name in algebraic if name]),
+        ("Formulation", formulations),
+    ):
         for name in dict.fromkeys(names):
             if names.count(name) > 1:
-                problems.append(f"{where} {name!r} is listed {names.count(name)} times, needed once")
+                problems.append(
+                    f"{where} {name!r} is listed {names.count(name)} times, needed once"
+                )
             if reader.named[name].kind != "real" or reader.named[name].variability != "continuous":
-                problems.append(f"{where} {name!r}: found a variable that is not real and continuous, needed one that is")
+                problems.append(
+                    f"{where} {name!r}: found a variable that is not real and continuous, needed one that is"
+                )
     if any(not equation for equation in residuals):
         problems.append("Residual: found no Formulation, needed one at least")
-    problems += _count([name for name in algebraic if name], residuals, reader) if not problems else []
+    problems += (
+        _count([name for name in algebraic if name], residuals, reader) if not problems else []
+    )
 
 
-def _count(algebraic: Sequence[str], residuals: Sequence[Sequence[Formulation | None]], reader: _Reader) -> list[str]:
+def _count(
+    algebraic: Sequence[str], residuals: Sequence[Sequence[Formulation | None]], reader: _Reader
+) -> list[str]:
     """Compare the elements of algebraic variables and equations; a fully implicit form has equations for the states too."""
     implicit = set()
     derivatives = {v.name for v in reader.named.values() if v.derivative_of is not None}
     for equation in residuals:
-        implicit |= {name for one in equation if one for name in one.dependencies or () if name in derivatives}
+        implicit |= {
+            name
+            for one in equation
+            if one
+            for name in one.dependencies or ()
+            if name in derivatives
+        }
     unknowns = sum(reader.named[name].size for name in algebraic)
     equations = sum(reader.named[equation[0].name].size for equation in residuals if equation[0])
     if implicit or unknowns == equations:

@@ -80,7 +80,12 @@ class Attributes:
 
     def reference(self, element: Element, name: str, where: str) -> int:
         """Give a value reference, which must be there."""
-        found = self._converted(self.text(element, name, where) or None, whole, f"{where}: {name}", "an integer") or 0
+        found = (
+            self._converted(
+                self.text(element, name, where) or None, whole, f"{where}: {name}", "an integer"
+            )
+            or 0
+        )
         if not 0 <= found < 2**32:
             self.problems.append(f"{where}: {name}: found {found}, needed 0 to {2**32 - 1}")
             return 0
@@ -94,7 +99,9 @@ class Attributes:
         """Give a list of numbers or Booleans."""
         return self._converted(text, reals, where, "numbers")
 
-    def _converted(self, text: str | None, convert: Callable[[str], Value], where: str, needed: str) -> Value | None:
+    def _converted(
+        self, text: str | None, convert: Callable[[str], Value], where: str, needed: str
+    ) -> Value | None:
         if text is None:
             return None
         try:

@@ -15,7 +15,7 @@ from xml.etree.ElementTree import Element
 
 from cosim.errors import FmuError
 from cosim.fmi.description import Description
-from cosim.fmi.reading.archive import Contents, look
+from cosim.fmi.reading.archive import ArchiveContents, look
 from cosim.fmi.reading.capabilities import read_capabilities
 from cosim.fmi.reading.dae import MANIFEST, read_dae
 from cosim.fmi.reading.dependencies import name_states, read_structure
@@ -69,10 +69,16 @@ def read(path: Path | str, into: Path | None = None) -> Archive:
     description = describe_root(root, contents, path.stem, problems)
     if problems:
         raise FmuError("\n".join(f"{path}: {XML}: {problem}" for problem in problems))
-    return Archive(path, contents.sha256, contents.wanted[XML].decode("utf-8", "replace"), contents.members, description)
+    return Archive(
+        path,
+        contents.sha256,
+        contents.wanted[XML].decode("utf-8", "replace"),
+        contents.members,
+        description,
+    )
 
 
-def open_description(path: Path, into: Path | None = None) -> tuple[Element, Contents]:
+def open_description(path: Path, into: Path | None = None) -> tuple[Element, ArchiveContents]:
     """Give the root of the XML of a version that is known, and what the archive holds.
 
     Raises
@@ -90,7 +96,9 @@ def open_description(path: Path, into: Path | None = None) -> tuple[Element, Con
         raise FmuError(f"{path}: {XML} is not well-formed: {error}") from error
     version = root.get("fmiVersion")
     if version is None or not (version in ("1.0", "2.0") or version.startswith("3.")):
-        raise FmuError(f"{path}: unknown FMI version {version!r}; FMI 1.0, 2.0 and 3.0 are supported")
+        raise FmuError(
+            f"{path}: unknown FMI version {version!r}; FMI 1.0, 2.0 and 3.0 are supported"
+        )
     return root, contents
 
 
@@ -103,10 +111,16 @@ def need_file(path: Path) -> None:
         If there is nothing, or a folder.
     """
     if not path.is_file():
-        raise FmuError(f"{path}: there is no such file" if not path.exists() else f"{path}: needed an .fmu file, found a folder")
+        raise FmuError(
+            f"{path}: there is no such file"
+            if not path.exists()
+            else f"{path}: needed an .fmu file, found a folder"
+        )
 
 
-def describe_root(root: Element, contents: Contents, stem: str, problems: list[str]) -> Description:
+def describe_root(
+    root: Element, contents: ArchiveContents, stem: str, problems: list[str]
+) -> Description:
     """Read the XML; what is wrong goes to ``problems``, and the description is then not to be used.
 
     What is wrong with the manifest of a residual form is told with that: the FMU is what it is without it.
@@ -133,11 +147,19 @@ def describe_root(root: Element, contents: Contents, stem: str, problems: list[s
         indicators=structure.indicators,
         clocks=tuple(v.name for v in variables if v.type == "Clock"),
         platforms=tuple(
-            sorted({name.split("/")[1] for name in contents.members if name.startswith("binaries/") and name.count("/") > 1})
+            sorted(
+                {
+                    name.split("/")[1]
+                    for name in contents.members
+                    if name.startswith("binaries/") and name.count("/") > 1
+                }
+            )
         ),
         read=tuple(name for name in states if named[name].causality == "local"),
         default_step=attributes.number(experiment, "stepSize", "DefaultExperiment"),
         default_tolerance=attributes.number(experiment, "tolerance", "DefaultExperiment"),
         tool=root.get("generationTool", ""),
-        dae=read_dae(contents.wanted[MANIFEST], variables) if version == 3 and MANIFEST in contents.wanted else None,
+        dae=read_dae(contents.wanted[MANIFEST], variables)
+        if version == 3 and MANIFEST in contents.wanted
+        else None,
     )

@@ -4,34 +4,51 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from cosim.scenario.kinds.base import LINEAR, Exportable, Kind, Site
-from cosim.scenario.kinds.method import Identifier, RegressorKind, UnknownInputObserver
-from cosim.scenario.kinds.parts import Controller, Delay, Gain, Lag, Limit, Sum
-from cosim.scenario.kinds.plants import Descriptor, Fmu, Recording
-from cosim.scenario.kinds.sources import Chirp, Constant, Disturbance, Expression, Noise, Ramp, Sine, Step, TableSource
+from cosim.scenario.kinds.base import LINEAR, BuildContext, Exportable, Kind
+from cosim.scenario.kinds.method import IdentifierKind, RegressorKind, UnknownInputObserverKind
+from cosim.scenario.kinds.parts import (
+    ControllerKind,
+    DelayKind,
+    GainKind,
+    LagKind,
+    LimitKind,
+    SumKind,
+)
+from cosim.scenario.kinds.plants import DescriptorKind, FmuKind, RecordingKind
+from cosim.scenario.kinds.sources import (
+    ChirpKind,
+    ConstantKind,
+    DisturbanceKind,
+    ExpressionKind,
+    NoiseKind,
+    RampKind,
+    SineKind,
+    StepKind,
+    TableKind,
+)
 
 KINDS: Mapping[str, type[Kind]] = {
-    "constant": Constant,
-    "step": Step,
-    "ramp": Ramp,
-    "sine": Sine,
-    "chirp": Chirp,
-    "expression": Expression,
-    "table": TableSource,
-    "noise": Noise,
-    "disturbance": Disturbance,
-    "sum": Sum,
-    "gain": Gain,
-    "limit": Limit,
-    "lag": Lag,
-    "delay": Delay,
-    "controller": Controller,
-    "descriptor": Descriptor,
-    "fmu": Fmu,
-    "recording": Recording,
-    "unknown-input-observer": UnknownInputObserver,
+    "constant": ConstantKind,
+    "step": StepKind,
+    "ramp": RampKind,
+    "sine": SineKind,
+    "chirp": ChirpKind,
+    "expression": ExpressionKind,
+    "table": TableKind,
+    "noise": NoiseKind,
+    "disturbance": DisturbanceKind,
+    "sum": SumKind,
+    "gain": GainKind,
+    "limit": LimitKind,
+    "lag": LagKind,
+    "delay": DelayKind,
+    "controller": ControllerKind,
+    "descriptor": DescriptorKind,
+    "fmu": FmuKind,
+    "recording": RecordingKind,
+    "unknown-input-observer": UnknownInputObserverKind,
     "regressor": RegressorKind,
-    "identifier": Identifier,
+    "identifier": IdentifierKind,
 }
 
-__all__ = ["KINDS", "LINEAR", "Exportable", "Kind", "Site"]
+__all__ = ["KINDS", "LINEAR", "BuildContext", "Exportable", "Kind"]

@@ -9,24 +9,29 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias
 from cosim.arrays import Mask
 from cosim.blocks.sampled import Decimated
 from cosim.core.contracts import Component
-from cosim.core.solver import DescriptorModel, Linear, LinearModel
+from cosim.core.linear import DescriptorModel, Linear, LinearModel
 from cosim.errors import UsageError
 from cosim.fmi.exporting.kernels import DiscreteModel
-from cosim.scenario.schema import Table
+from cosim.scenario.schema import TomlTable
 from cosim.theory.descriptor import DescriptorSystem
 
 if TYPE_CHECKING:
-    from cosim.fmi.compare import NearStart
-    from cosim.fmi.description import Description, Mode
-    from cosim.fmi.linearising.linearisation import Linearisation
+    from cosim.fmi.description import Description, InterfaceType
+    from cosim.fmi.linearizing.linearization import Linearization
+    from cosim.scenario.port_comparison import NearStart
 
 Exportable: TypeAlias = LinearModel | DiscreteModel
 
-LINEAR = ("descriptor", "unknown-input-observer", "controller", "lag")  # the kinds that are linear models
+LINEAR = (
+    "descriptor",
+    "unknown-input-observer",
+    "controller",
+    "lag",
+)  # the kinds that are linear models
 EXPORTABLE = (*LINEAR, "regressor", "identifier", "delay", "gain", "sum", "limit")
 
 
-class Site(Protocol):
+class BuildContext(Protocol):
     """What a kind may know about the scenario it is built in."""
 
     step_ns: int
@@ -57,7 +62,7 @@ class Site(Protocol):
         name: str,
         path: str,
         *,
-        mode: Literal["me", "cs"] | None,
+        interface_type: Literal["me", "cs"] | None,
         solver: str | None,
         tolerance: float | None,
         dae: Literal["ode", "residual"],
@@ -66,7 +71,7 @@ class Site(Protocol):
         """Load an FMU; it is freed when the run is over."""
         ...
 
-    def linearisation(
+    def linearization(
         self,
         name: str,
         path: str,
@@ -75,8 +80,8 @@ class Site(Protocol):
         start: Mapping[str, Any],
         inputs: Sequence[str] | None,
         outputs: Sequence[str],
-    ) -> Linearisation:
-        """Linearise an FMU for a component, and record the result; a replay takes it from there."""
+    ) -> Linearization:
+        """Linearize an FMU for a component, and record the result; a replay takes it from there."""
         ...
 
     def note(self, name: str, **facts: Any) -> None:
@@ -88,7 +93,7 @@ class Site(Protocol):
         ...
 
 
-class Place(Protocol):
+class Wiring(Protocol):
     """Where a component stands among the others; worked out only where it is asked for."""
 
     @property
@@ -97,7 +102,7 @@ class Place(Protocol):
         ...
 
 
-class Kind(Table):
+class Kind(TomlTable):
     """A component's table."""
 
     kind: str
@@ -108,7 +113,7 @@ class Kind(Table):
         return True
 
     @property
-    def own_step(self) -> float | None:
+    def sample_period(self) -> float | None:
         """Its period [s], where it has one."""
         return None
 
@@ -116,35 +121,43 @@ class Kind(Table):
         """Warn of what will be right but costly or poor, given which inputs are held over a communication step of ``h`` [s]."""
         return []
 
-    def slowed(self, component: Component, n: int) -> Component:
+    def with_period(self, component: Component, n: int) -> Component:
         """Put the component on a period of ``n`` communication steps: it goes on at every step and answers at every n-th."""
         return component if n == 1 else Decimated(component, n)
 
-    def build(self, name: str, site: Site) -> Component:
+    def build(self, name: str, context: BuildContext) -> Component:
         """Build the component."""
-        return Linear(self.linear_model(name, site))
+        return Linear(self.linear_model(name, context))
 
-    def description(self, name: str, site: Site) -> tuple[Mode, Description] | None:
+    def description(
+        self, name: str, context: BuildContext
+    ) -> tuple[InterfaceType, Description] | None:
         """Give the mode and the description of the unit that it drives, where it drives one."""
         return None
 
-    def near_start(self, name: str, site: Site) -> NearStart:
-        """Give poles and static gain of the component, where it is linear or linearises."""
-        from cosim.fmi.compare import NearStart
+    def near_start(self, name: str, context: BuildContext) -> NearStart:
+        """Give poles and static gain of the component, where it is linear or linearizes."""
+        from cosim.scenario.port_comparison import NearStart
 
-        model = self.linear_model(name, site)
+        model = self.linear_model(name, context)
         return NearStart.of(model.A, model.B, model.C, model.D, error=0.0)
 
-    def linear_model(self, name: str, site: Site) -> LinearModel:
+    def linear_model(self, name: str, context: BuildContext) -> LinearModel:
         """Give the component as a linear model, where it is one: what an exact solver steps and an FMU can be made of."""
-        raise UsageError(f"{name!r} is of kind {self.kind!r}, which is no linear model; what is: {', '.join(LINEAR)}")
+        raise UsageError(
+            f"{name!r} is of kind {self.kind!r}, which is no linear model; what is: {', '.join(LINEAR)}"
+        )
 
-    def descriptor_form(self, name: str, site: Site) -> DescriptorModel:
+    def descriptor_form(self, name: str, context: BuildContext) -> DescriptorModel:
         """Give the component as a linear model with its algebraic equations, where it has some."""
-        raise UsageError(f"{name!r} is of kind {self.kind!r}, which has no algebraic equations; what has: descriptor")
+        raise UsageError(
+            f"{name!r} is of kind {self.kind!r}, which has no algebraic equations; what has: descriptor"
+        )
 
-    def exportable(self, name: str, site: Site, place: Place) -> Exportable:
+    def exportable(self, name: str, context: BuildContext, place: Wiring) -> Exportable:
         """Give what an FMU is made of."""
         if self.kind not in LINEAR:
-            raise UsageError(f"{name!r} is of kind {self.kind!r}, which cannot be exported; what can be: {', '.join(EXPORTABLE)}")
-        return self.linear_model(name, site)
+            raise UsageError(
+                f"{name!r} is of kind {self.kind!r}, which cannot be exported; what can be: {', '.join(EXPORTABLE)}"
+            )
+        return self.linear_model(name, context)

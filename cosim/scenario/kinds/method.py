@@ -14,32 +14,42 @@ from cosim.blocks.observer import observer_model
 from cosim.blocks.regressor import Regressor
 from cosim.blocks.sampled import Decimated
 from cosim.core.clock import whole_steps
-from cosim.core.solver import LinearModel
+from cosim.core.linear import LinearModel
 from cosim.errors import AssumptionError, UsageError
 from cosim.fmi.exporting import kernels
 from cosim.fmi.exporting.kernels import DiscreteModel
 from cosim.native.expression import Program, compile_expression
 from cosim.native.step import evaluate
-from cosim.scenario.kinds.base import Exportable, Kind, Place, Site
-from cosim.scenario.kinds.plants import Start
-from cosim.scenario.linearising import Belief, belief
-from cosim.scenario.schema import Number, Row, Rows, Table, matrix
+from cosim.scenario.kinds.base import BuildContext, Exportable, Kind, Wiring
+from cosim.scenario.kinds.plants import StartField
+from cosim.scenario.linearizing import DesignModel, belief
+from cosim.scenario.schema import Number, NumberRow, NumberRows, TomlTable, matrix
 from cosim.theory import estimators, observer, regression
 from cosim.theory.descriptor import reduce
-from cosim.theory.disturbance import Block, family_named, group
+from cosim.theory.disturbance import AlphaGroup, family_named, group
 
-HELD_LIMIT = 0.05  # filter_rate x step from which held inputs spoil the derivative by more than 2.5 %
+HELD_LIMIT = (
+    0.05  # filter_rate x step from which held inputs spoil the derivative by more than 2.5 %
+)
 
 
-class FmuModel(Table):
-    """What an observer believes, linearised out of an FMU."""
+class FmuModel(TomlTable):
+    """What an observer believes, linearized out of an FMU."""
 
     fmu: str = Field(description="path of an .fmu for model exchange")
-    disturbance: str | tuple[str, ...] = Field(description="name or names of the inputs that are unknown")
-    inputs: tuple[str, ...] | None = Field(None, description="names of the inputs that make up u; left out: all others")
+    disturbance: str | tuple[str, ...] = Field(
+        description="name or names of the inputs that are unknown"
+    )
+    inputs: tuple[str, ...] | None = Field(
+        None, description="names of the inputs that make up u; left out: all others"
+    )
     outputs: tuple[str, ...] = Field(("y",), description="names of the outputs that make up y")
-    at: Number = Field(0.0, description="linearised where the FMU arrives at this time with constant inputs [s]")
-    start: dict[str, Start] = Field({}, description="start values by variable, inputs included")
+    at: Number = Field(
+        0.0, description="linearized where the FMU arrives at this time with constant inputs [s]"
+    )
+    start: dict[str, StartField] = Field(
+        {}, description="start values by variable, inputs included"
+    )
 
     @property
     def disturbances(self) -> tuple[str, ...]:
@@ -50,32 +60,40 @@ class FmuModel(Table):
 class Designed(NamedTuple):
     """An observer, and what it believes."""
 
-    belief: Belief
+    belief: DesignModel
     observer: observer.ObserverDesign
 
 
-class UnknownInputObserver(Kind):
+class UnknownInputObserverKind(Kind):
     """Unknown-input observer with disturbance reconstruction (18)-(20)."""
 
     kind: Literal["unknown-input-observer"]
     model: str | FmuModel = Field(
         description='what the observer believes: name of a table in [models], or { fmu = "x.fmu", disturbance = "d" }'
     )
-    L: Row | Rows | None = Field(None, description="gain; or give poles")
-    poles: Row | None = Field(None, description="eigenvalues of M - L C3 that L can move [1/s]")
-    x_a0: Row | None = Field(None, description="first estimate; left out: consistent with y(0)")
+    L: NumberRow | NumberRows | None = Field(None, description="gain; or give poles")
+    poles: NumberRow | None = Field(
+        None, description="eigenvalues of M - L C3 that L can move [1/s]"
+    )
+    x_a0: NumberRow | None = Field(
+        None, description="first estimate; left out: consistent with y(0)"
+    )
     filter_rate: Number = Field(description="lambda_f of the derivative filter (19) [rad/s]")
-    q0: Row | None = Field(None, description="start of the filter; left out: at the signal")
+    q0: NumberRow | None = Field(None, description="start of the filter; left out: at the signal")
 
-    def linear_model(self, name: str, site: Site) -> LinearModel:
-        believed, design = self.design(name, site)
-        site.note(
+    def linear_model(self, name: str, context: BuildContext) -> LinearModel:
+        believed, design = self.design(name, context)
+        context.note(
             name,
             eigenvalues=[str(complex(v)) if v.imag else float(v.real) for v in design.eigenvalues],
             fixed_modes=[str(complex(v)) if v.imag else float(v.real) for v in design.fixed_modes],
             lambda_obs=design.lambda_obs,
         )
-        return believed.declare(observer_model(believed.reduced, design, x_a0=self.x_a0, q0=self.q0, constant=believed.constant))
+        return believed.declare(
+            observer_model(
+                believed.reduced, design, x_a0=self.x_a0, q0=self.q0, constant=believed.constant
+            )
+        )
 
     def advice(self, held: Mapping[str, bool], h: float) -> list[str]:
         product = self.filter_rate * h
@@ -88,23 +106,28 @@ class UnknownInputObserver(Kind):
             f"the derivative filter reads a ramp {gain:.0%} too high and a jump filter_rate times; do not trust delta"
         ]
 
-    def design(self, name: str, site: Site) -> Designed:
+    def design(self, name: str, context: BuildContext) -> Designed:
         """Design the observer (14)-(18)."""
-        believed = self._belief(name, site)
+        believed = self._belief(name, context)
         rows = [row if isinstance(row, tuple) else (row,) for row in self.L or ()]
         L = None if self.L is None else matrix(tuple(rows), "L")
-        return Designed(believed, observer.design(believed.reduced, L=L, poles=self.poles, filter_rate=self.filter_rate))
+        return Designed(
+            believed,
+            observer.design(believed.reduced, L=L, poles=self.poles, filter_rate=self.filter_rate),
+        )
 
-    def _belief(self, name: str, site: Site) -> Belief:
+    def _belief(self, name: str, context: BuildContext) -> DesignModel:
         if isinstance(self.model, str):
-            return Belief(reduce(site.model(self.model)))
+            return DesignModel(reduce(context.model(self.model)))
         model, inputs = self.model, self.model.inputs
         chosen = None if inputs is None else (*inputs, *model.disturbances)
-        found = site.linearisation(name, model.fmu, at=model.at, start=model.start, inputs=chosen, outputs=model.outputs)
+        found = context.linearization(
+            name, model.fmu, at=model.at, start=model.start, inputs=chosen, outputs=model.outputs
+        )
         return belief(found, model.disturbances)
 
 
-class RegressorTerm(Table):
+class RegressorTerm(TomlTable):
     """One component of the disturbance class (4), its parameter unknown."""
 
     alpha: str = Field("1", description="known function of t")
@@ -116,25 +139,32 @@ class RegressorKind(Kind):
 
     kind: Literal["regressor"]
     terms: tuple[RegressorTerm, ...] = Field(description="list of { alpha, family }")
-    delays: Row = Field(description="D_j [s], one more than basis functions, whole communication steps")
+    delays: NumberRow = Field(
+        description="D_j [s], one more than basis functions, whole communication steps"
+    )
 
-    def build(self, name: str, site: Site) -> Regressor:
+    def build(self, name: str, context: BuildContext) -> Regressor:
         blocks, terms = self.regression()
-        steps = [whole_steps(delay, site.step_ns, f"delays[{j}]") for j, delay in enumerate(self.delays)]
+        steps = [
+            whole_steps(delay, context.step_ns, f"delays[{j}]")
+            for j, delay in enumerate(self.delays)
+        ]
         programs = [compile_expression(block.alpha) for block in blocks]
         if len(blocks) > 1:
             regression.collinear(terms, self._alphas(programs), [block.alpha for block in blocks])
         warning = regression.linear_route([block.size for block in blocks])
         if warning:
-            site.warn(name, warning)
+            context.warn(name, warning)
         return Regressor(terms, alphas=programs, steps=steps, delays=self.delays)
 
-    def exportable(self, name: str, site: Site, place: Place) -> Exportable:
-        component = self.build(name, site)
+    def exportable(self, name: str, context: BuildContext, place: Wiring) -> Exportable:
+        component = self.build(name, context)
         reason = "the regressor multiplies samples of the past, so it lives at the communication points and has no derivatives"
-        return DiscreteModel(component.interface, kernels.regressor(component.constants), site.step_ns, reason)
+        return DiscreteModel(
+            component.interface, kernels.regressor(component.constants), context.step_ns, reason
+        )
 
-    def regression(self) -> tuple[tuple[Block, ...], tuple[regression.Term, ...]]:
+    def regression(self) -> tuple[tuple[AlphaGroup, ...], tuple[regression.Term, ...]]:
         """Expand the determinant for the terms given."""
         families = [family_named(term.family) for term in self.terms]
         blocks = group([term.alpha for term in self.terms], families)
@@ -145,62 +175,84 @@ class RegressorKind(Kind):
     def _alphas(self, programs: Sequence[Program]) -> Any:
         """Sample alpha_b(t - D_j) on a grid that no period of the alphas divides."""
         grid = np.arange(512) * math.sqrt(2.0) / 7.0
-        return np.array([[[evaluate(p, t - D) for p in programs] for D in self.delays] for t in grid])
+        return np.array(
+            [[[evaluate(p, t - D) for p in programs] for D in self.delays] for t in grid]
+        )
 
 
-class StartTable(Table):
+class StartTable(TomlTable):
     """Start of identification by (36)-(38)."""
 
-    epsilon_observer: Number = Field(description="fraction of the first observer error that may remain, in (0, 1)")
-    epsilon_filter: Number = Field(description="fraction of the first filter transient that may remain, in (0, 1)")
+    epsilon_observer: Number = Field(
+        description="fraction of the first observer error that may remain, in (0, 1)"
+    )
+    epsilon_filter: Number = Field(
+        description="fraction of the first filter transient that may remain, in (0, 1)"
+    )
 
 
-class Identifier(Kind):
+class IdentifierKind(Kind):
     """Identifier of theta by least squares (33)-(35)."""
 
     kind: Literal["identifier"]
     method: Literal["least-squares"] = Field(description='how theta is estimated: "least-squares"')
     P0: Number | None = Field(None, description="P(0) = P0 I (34); left out: no prior")
-    start: Number | StartTable = Field(description="T_id [s], or { epsilon_observer, epsilon_filter } for (36)-(38)")
-    period: Number | None = Field(None, description="seconds between two answers; left out: every communication step")
+    start: Number | StartTable = Field(
+        description="T_id [s], or { epsilon_observer, epsilon_filter } for (36)-(38)"
+    )
+    period: Number | None = Field(
+        None, description="seconds between two answers; left out: every communication step"
+    )
 
     @property
-    def own_step(self) -> float | None:
+    def sample_period(self) -> float | None:
         """Its period [s]."""
         return self.period
 
-    def build(self, name: str, site: Site) -> LeastSquaresIdentifier:
-        source_name = site.driver(f"{name}.regressor")
-        spec = site.spec(source_name) if source_name is not None else None
+    def build(self, name: str, context: BuildContext) -> LeastSquaresIdentifier:
+        source_name = context.driver(f"{name}.regressor")
+        spec = context.spec(source_name) if source_name is not None else None
         if not isinstance(spec, RegressorKind):
-            raise UsageError("'regressor' must be driven directly by a component of kind 'regressor', whose terms it identifies")
+            raise UsageError(
+                "'regressor' must be driven directly by a component of kind 'regressor', whose terms it identifies"
+            )
         assert source_name is not None
         blocks, terms = spec.regression()
         recovery = estimators.plan(terms, blocks, spec.delays)
-        start = self._start(name, source_name, spec, site)
-        site.note(name, P0=self.P0, unknowns=recovery.n_eta, remarks=_remarks(recovery))
+        start = self._start(name, source_name, spec, context)
+        context.note(name, P0=self.P0, unknowns=recovery.n_eta, remarks=_remarks(recovery))
         return LeastSquaresIdentifier(recovery, start=start, P0=self.P0)
 
-    def exportable(self, name: str, site: Site, place: Place) -> Exportable:
-        component = self.build(name, site)
-        every = 1 if self.period is None else whole_steps(self.period, site.step_ns, f"period of {name!r}")
+    def exportable(self, name: str, context: BuildContext, place: Wiring) -> Exportable:
+        component = self.build(name, context)
+        every = (
+            1
+            if self.period is None
+            else whole_steps(self.period, context.step_ns, f"period of {name!r}")
+        )
         return DiscreteModel(
             component.interface if every == 1 else Decimated(component, every).interface,
-            kernels.least_squares(component.constants(component.start, held=bool(place.held.any()))),
-            site.step_ns,
+            kernels.least_squares(
+                component.constants(component.start, held=bool(place.held.any()))
+            ),
+            context.step_ns,
             "the identifier takes one row at every communication point, so it has no derivatives",
             every=every,
         )
 
-    def _start(self, name: str, regressor: str, spec: RegressorKind, site: Site) -> float:
+    def _start(
+        self, name: str, regressor: str, spec: RegressorKind, context: BuildContext
+    ) -> float:
         """Give the first communication point not before T_id."""
         longest = max(spec.delays)
         if isinstance(self.start, StartTable):
-            observer_name = site.driver(f"{regressor}.delta")
-            found = site.spec(observer_name) if observer_name is not None else None
-            if observer_name is None or not isinstance(found, UnknownInputObserver):
-                raise UsageError("start: (36)-(38) need an observer that drives the regressor; give start as a time in s instead")
-            design = found.design(observer_name, site).observer
+            observer_name = context.driver(f"{regressor}.delta")
+            found = context.spec(observer_name) if observer_name is not None else None
+            if observer_name is None or not isinstance(found, UnknownInputObserverKind):
+                raise UsageError(
+                    "start: (36)-(38) need an observer that drives the regressor; give start as a time in s instead"
+                )
+            design = found.design(observer_name, context).observer
             times = observer.start_time(
                 lambda_obs=design.lambda_obs,
                 filter_rate=found.filter_rate,
@@ -208,7 +260,7 @@ class Identifier(Kind):
                 epsilon_observer=self.start.epsilon_observer,
                 epsilon_filter=self.start.epsilon_filter,
             )
-            site.note(name, T_obs=times.T_obs, T_f=times.T_f, D_max=times.D_max, T_id=times.T_id)
+            context.note(name, T_obs=times.T_obs, T_f=times.T_f, D_max=times.D_max, T_id=times.T_id)
             wanted = times.T_id
         else:
             wanted = float(self.start)
@@ -216,8 +268,8 @@ class Identifier(Kind):
             raise AssumptionError(
                 f"start: found {wanted} s, needed at least the longest delay, {longest} s: before it the regressor has no value"
             )
-        first = math.ceil(round(wanted * 1e9, 3) / site.step_ns) * site.step_ns / 1e9
-        site.note(name, start=first)
+        first = math.ceil(round(wanted * 1e9, 3) / context.step_ns) * context.step_ns / 1e9
+        context.note(name, start=first)
         return first
 
 
@@ -226,10 +278,10 @@ def _remarks(recovery: estimators.Recovery) -> list[str]:
     remarks = []
     for block in recovery.blocks:
         at = ", ".join(f"theta[{i}]" for i in block.theta)
-        if block.kind is estimators.Kind.SINE:
+        if block.kind is estimators.RecoveryKind.SINE:
             remarks.append(
                 f"{at}: a rate above {block.limit:.4g} rad/s is taken for a slower one (delays {block.spacing:g} s apart)"
             )
-        if block.kind is estimators.Kind.EXPONENTIALS:
+        if block.kind is estimators.RecoveryKind.EXPONENTIALS:
             remarks.append(f"{at}: two exponentials under one alpha come back the larger first")
     return remarks

@@ -16,8 +16,8 @@ from cosim.core.clock import whole_steps
 from cosim.core.contracts import Component
 from cosim.errors import UsageError, nearest
 from cosim.native.expression import compile_expression
-from cosim.scenario.kinds.base import Kind, Site
-from cosim.scenario.schema import Flag, Number, Row, Rows, Table, Whole, matrix
+from cosim.scenario.kinds.base import BuildContext, Kind
+from cosim.scenario.schema import Flag, Number, NumberRow, NumberRows, TomlTable, Whole, matrix
 from cosim.theory.disturbance import family_named
 
 
@@ -25,18 +25,22 @@ def _vector(value: float | Sequence[float]) -> list[float]:
     return [float(value)] if isinstance(value, (int, float)) else [float(v) for v in value]
 
 
-class Constant(Kind):
+class ConstantKind(Kind):
     """y = value."""
 
     kind: Literal["constant"]
-    value: Flag | Number | Row = Field(description="value, values, or true or false")
+    value: Flag | Number | NumberRow = Field(description="value, values, or true or false")
     unit: str | None = None
 
-    def build(self, name: str, site: Site) -> Component:
-        return source.constant(_vector(self.value), unit=self.unit, kind="boolean" if isinstance(self.value, bool) else "real")
+    def build(self, name: str, context: BuildContext) -> Component:
+        return source.constant(
+            _vector(self.value),
+            unit=self.unit,
+            kind="boolean" if isinstance(self.value, bool) else "real",
+        )
 
 
-class Step(Kind):
+class StepKind(Kind):
     """y jumps from before to after at time."""
 
     kind: Literal["step"]
@@ -45,12 +49,12 @@ class Step(Kind):
     after: Number = 1.0
     unit: str | None = None
 
-    def build(self, name: str, site: Site) -> Component:
-        whole_steps(self.time, site.step_ns, "time")
+    def build(self, name: str, context: BuildContext) -> Component:
+        whole_steps(self.time, context.step_ns, "time")
         return source.step(time=self.time, before=self.before, after=self.after, unit=self.unit)
 
 
-class Ramp(Kind):
+class RampKind(Kind):
     """y = offset + slope max(0, t - start)."""
 
     kind: Literal["ramp"]
@@ -59,11 +63,11 @@ class Ramp(Kind):
     offset: Number = 0.0
     unit: str | None = None
 
-    def build(self, name: str, site: Site) -> Component:
+    def build(self, name: str, context: BuildContext) -> Component:
         return source.ramp(slope=self.slope, start=self.start, offset=self.offset, unit=self.unit)
 
 
-class Sine(Kind):
+class SineKind(Kind):
     """y = offset + amplitude sin(rate t + phase)."""
 
     kind: Literal["sine"]
@@ -73,11 +77,17 @@ class Sine(Kind):
     offset: Number = 0.0
     unit: str | None = None
 
-    def build(self, name: str, site: Site) -> Component:
-        return source.sine(amplitude=self.amplitude, rate=self.rate, phase=self.phase, offset=self.offset, unit=self.unit)
+    def build(self, name: str, context: BuildContext) -> Component:
+        return source.sine(
+            amplitude=self.amplitude,
+            rate=self.rate,
+            phase=self.phase,
+            offset=self.offset,
+            unit=self.unit,
+        )
 
 
-class Chirp(Kind):
+class ChirpKind(Kind):
     """y = offset + amplitude sin(rate t + sweep t^2 / 2)."""
 
     kind: Literal["chirp"]
@@ -87,32 +97,46 @@ class Chirp(Kind):
     offset: Number = 0.0
     unit: str | None = None
 
-    def build(self, name: str, site: Site) -> Component:
-        return source.chirp(amplitude=self.amplitude, rate=self.rate, sweep=self.sweep, offset=self.offset, unit=self.unit)
+    def build(self, name: str, context: BuildContext) -> Component:
+        return source.chirp(
+            amplitude=self.amplitude,
+            rate=self.rate,
+            sweep=self.sweep,
+            offset=self.offset,
+            unit=self.unit,
+        )
 
 
-class Expression(Kind):
+class ExpressionKind(Kind):
     """y = expressions in t."""
 
     kind: Literal["expression"]
-    y: str | tuple[str, ...] = Field(description='an expression, like "1 + 0.5*sin(2*t)", or several')
+    y: str | tuple[str, ...] = Field(
+        description='an expression, like "1 + 0.5*sin(2*t)", or several'
+    )
     discrete: Flag = Field(False, description="holds its value over a step")
     unit: str | None = None
 
-    def build(self, name: str, site: Site) -> Component:
+    def build(self, name: str, context: BuildContext) -> Component:
         texts = [self.y] if isinstance(self.y, str) else list(self.y)
-        return source.Expression(texts, variability="discrete" if self.discrete else "continuous", unit=self.unit)
+        return source.Expression(
+            texts, variability="discrete" if self.discrete else "continuous", unit=self.unit
+        )
 
 
-class TableSource(Kind):
+class TableKind(Kind):
     """y on straight lines between given points: arrays, or a CSV file with a header line."""
 
     kind: Literal["table"]
-    t: Row | None = Field(None, description="instants [s]")
-    y: Row | Rows | None = Field(None, description="values, or rows of values, at those instants")
+    t: NumberRow | None = Field(None, description="instants [s]")
+    y: NumberRow | NumberRows | None = Field(
+        None, description="values, or rows of values, at those instants"
+    )
     file: str | None = Field(None, description="CSV file instead: first line names the columns")
     time: str = Field("t", description="column of the instants")
-    columns: tuple[str, ...] | None = Field(None, description="columns of the values; all others if left out")
+    columns: tuple[str, ...] | None = Field(
+        None, description="columns of the values; all others if left out"
+    )
     hold: Flag = Field(False, description="keep each value until the next instant")
     unit: str | None = None
 
@@ -121,12 +145,14 @@ class TableSource(Kind):
         """A file is not in the log."""
         return self.file is None
 
-    def build(self, name: str, site: Site) -> Component:
+    def build(self, name: str, context: BuildContext) -> Component:
         if (self.file is None) == (self.t is None or self.y is None):
             raise UsageError("table: needed either t and y, or file")
-        t, y = self._read(site.file(self.file)) if self.file is not None else self._given()
-        if len(t) and not t[0] <= 0.0 <= site.stop <= t[-1]:
-            raise UsageError(f"table: covers {t[0]} s to {t[-1]} s; needed 0 s to {site.stop} s, the whole run")
+        t, y = self._read(context.file(self.file)) if self.file is not None else self._given()
+        if len(t) and not t[0] <= 0.0 <= context.stop <= t[-1]:
+            raise UsageError(
+                f"table: covers {t[0]} s to {t[-1]} s; needed 0 s to {context.stop} s, the whole run"
+            )
         return source.Table(t, y, hold=self.hold, unit=self.unit)
 
     def _given(self) -> tuple[Vector, Any]:
@@ -140,25 +166,41 @@ class TableSource(Kind):
                 header = [cell.strip() for cell in next(csv.reader([stream.readline()]), [])]
                 lines = [line for line in stream if line.strip()]
             if not lines:
-                raise UsageError(f"file {str(path)!r} has no rows of numbers; needed a line of names and at least two rows")
+                raise UsageError(
+                    f"file {str(path)!r} has no rows of numbers; needed a line of names and at least two rows"
+                )
             values = np.loadtxt(lines, delimiter=",", ndmin=2)
         except OSError as error:
             raise UsageError(f"file {str(path)!r} cannot be read: {error.strerror}") from error
         except ValueError as error:
-            raise UsageError(f"file {str(path)!r} is no table of numbers separated by commas: {error}") from error
+            raise UsageError(
+                f"file {str(path)!r} is no table of numbers separated by commas: {error}"
+            ) from error
         twice = sorted({name for name in header if header.count(name) > 1})
         if twice:
-            raise UsageError(f"file {str(path)!r} has two columns {twice[0]!r}; needed a name of its own for each")
-        wanted = list(self.columns) if self.columns is not None else [column for column in header if column != self.time]
+            raise UsageError(
+                f"file {str(path)!r} has two columns {twice[0]!r}; needed a name of its own for each"
+            )
+        wanted = (
+            list(self.columns)
+            if self.columns is not None
+            else [column for column in header if column != self.time]
+        )
         for column in (self.time, *wanted):
             if column not in header:
-                raise UsageError(f"file {str(path)!r} has no column {column!r}; {nearest(column, header)}")
+                raise UsageError(
+                    f"file {str(path)!r} has no column {column!r}; {nearest(column, header)}"
+                )
         if values.shape[1] != len(header):
-            raise UsageError(f"file {str(path)!r} has {len(header)} names and {values.shape[1]} columns; needed as many of both")
-        return values[:, header.index(self.time)], values[:, [header.index(column) for column in wanted]]
+            raise UsageError(
+                f"file {str(path)!r} has {len(header)} names and {values.shape[1]} columns; needed as many of both"
+            )
+        return values[:, header.index(self.time)], values[
+            :, [header.index(column) for column in wanted]
+        ]
 
 
-class Noise(Kind):
+class NoiseKind(Kind):
     """y = Gaussian noise, a new value at every communication point."""
 
     kind: Literal["noise"]
@@ -167,11 +209,13 @@ class Noise(Kind):
     size: Whole = Field(1, ge=1, le=100_000, description="number of elements")
     unit: str | None = None
 
-    def build(self, name: str, site: Site) -> Component:
-        return source.Noise(deviation=self.deviation, seed=self.seed, size=self.size, unit=self.unit)
+    def build(self, name: str, context: BuildContext) -> Component:
+        return source.Noise(
+            deviation=self.deviation, seed=self.seed, size=self.size, unit=self.unit
+        )
 
 
-class DisturbanceTerm(Table):
+class DisturbanceTerm(TomlTable):
     """One component alpha(t) f(theta, t) of (4)."""
 
     alpha: str = Field("1", description="known function of t")
@@ -181,19 +225,23 @@ class DisturbanceTerm(Table):
     phase: Number = Field(0.0, description="of a sine [rad]")
 
 
-class Disturbance(Kind):
+class DisturbanceKind(Kind):
     """y = sum of alpha(t) f(theta, t), the disturbance class (4)."""
 
     kind: Literal["disturbance"]
     terms: tuple[DisturbanceTerm, ...] = Field(description="list of { alpha, family, theta }")
     unit: str | None = None
 
-    def build(self, name: str, site: Site) -> Component:
+    def build(self, name: str, context: BuildContext) -> Component:
         texts = []
         for term in self.terms:
             compile_expression(term.alpha)
             family_named(term.family)
-            shape = f"exp({term.theta!r}*t)" if term.family == "exponential" else f"sin({term.theta!r}*t + {term.phase!r})"
+            shape = (
+                f"exp({term.theta!r}*t)"
+                if term.family == "exponential"
+                else f"sin({term.theta!r}*t + {term.phase!r})"
+            )
             texts.append(f"({term.alpha})*{term.amplitude!r}*{shape}")
-        site.note(name, theta=[term.theta for term in self.terms])
+        context.note(name, theta=[term.theta for term in self.terms])
         return source.Expression([" + ".join(texts)], unit=self.unit)

@@ -1,6 +1,6 @@
 /* An FMU of FMI 1.0, both kinds: x' = u, y = 2 x + u, event indicator x - 1. At the initialization x = x0 + u.
  *
- * behaviour (Integer 10): 1 the step is discarded after a quarter, 2 a time event is announced at the start; count (Integer 11): the instances before this one. */
+ * behavior (Integer 10): 1 the step is discarded after a quarter, 2 a time event is announced at the start; count (Integer 11): the instances before this one. */
 #define FUNCTION(name) model_fmi##name
 #include <stddef.h>
 
@@ -13,7 +13,7 @@ enum { U, X0, X, DER_X, Y, SLOPE, REALS, BEHAVIOUR = 10, COUNT = 11, FLAG = 12, 
 typedef struct {
     fmi1CallbackFunctions functions;
     double real[REALS], t, reached;
-    int behaviour, count, initialized;
+    int behavior, count, initialized;
     char flag, text[100];
 } Unit;
 
@@ -64,14 +64,14 @@ fmi1Status FUNCTION(SetReal)(fmi1Component c, const fmi1ValueReference vr[], siz
 fmi1Status FUNCTION(GetInteger)(fmi1Component c, const fmi1ValueReference vr[], size_t n, fmi1Integer values[])
 {
     for (size_t i = 0; i < n; ++i)
-        values[i] = vr[i] == COUNT ? ((Unit *)c)->count : ((Unit *)c)->behaviour;
+        values[i] = vr[i] == COUNT ? ((Unit *)c)->count : ((Unit *)c)->behavior;
     return fmi1OK;
 }
 
 fmi1Status FUNCTION(SetInteger)(fmi1Component c, const fmi1ValueReference vr[], size_t n, const fmi1Integer values[])
 {
     (void)vr, (void)n;
-    ((Unit *)c)->behaviour = values[0];
+    ((Unit *)c)->behavior = values[0];
     return fmi1OK;
 }
 
@@ -133,7 +133,7 @@ fmi1Status FUNCTION(Initialize)(fmi1Component c, fmi1Boolean has_tolerance, fmi1
     (void)has_tolerance, (void)tolerance;
     memset(info, 0, sizeof *info);
     info->iterationConverged = fmi1True;
-    info->upcomingTimeEvent = unit->behaviour == 2;
+    info->upcomingTimeEvent = unit->behavior == 2;
     info->nextEventTime = unit->t + 1.0;
     return initialize(unit);
 }
@@ -185,11 +185,11 @@ fmi1Status FUNCTION(DoStep)(fmi1Component c, fmi1Real t, fmi1Real h, fmi1Boolean
     Unit *unit = c;
     if (!fresh)
         return fmi1Error;
-    if (unit->behaviour == 1)
+    if (unit->behavior == 1)
         h *= 0.25;
     unit->reached = t + h;
     unit->real[X] += h * (unit->real[U] + 0.5 * h * unit->real[SLOPE]);
-    return unit->behaviour == 1 ? fmi1Discard : fmi1OK;
+    return unit->behavior == 1 ? fmi1Discard : fmi1OK;
 }
 
 fmi1Status FUNCTION(GetRealStatus)(fmi1Component c, const fmi1StatusKind kind, fmi1Real *value)

@@ -1,7 +1,7 @@
 /* An FMU of FMI 3.0 that keeps what it is given: a scalar (reference 10 k) and an array of three (10 k + 1) of every type.
  *
  * x' = u by Simpson's rule over the u that Intermediate Updates leave at the start, the middle and the end of a step.
- * behaviour (UInt8 500): 1 the step is discarded, 2 it returns early in the middle for an event, 3 it asks for the end,
+ * behavior (UInt8 500): 1 the step is discarded, 2 it returns early in the middle for an event, 3 it asks for the end,
  * 4 fmi3SetFloat64 fails in an Intermediate Update, 5 a time event is announced. */
 #include "fmi3Functions.h"
 
@@ -203,13 +203,13 @@ fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 t, fmi3Float64 h, fmi3Boolean 
                       fmi3Boolean *early, fmi3Float64 *reached)
 {
     Unit *unit = c;
-    const int behaviour = unit->store[BEHAVIOUR].bytes[0];
+    const int behavior = unit->store[BEHAVIOUR].bytes[0];
     number(c, NO_WAY_BACK)[0] = no_way_back;
-    if (behaviour == 1)
+    if (behavior == 1)
         return fmi3Discard;
-    *event = *early = behaviour == 2;
-    *terminate = behaviour == 3;
-    if (behaviour == 2)
+    *event = *early = behavior == 2;
+    *terminate = behavior == 3;
+    if (behavior == 2)
         h *= 0.5;
     const double start = input(unit, t), middle = input(unit, t + 0.5 * h), end = input(unit, t + h);
     number(c, X)[0] += h / 6.0 * (start + 4.0 * middle + end);

@@ -1,5 +1,5 @@
 /* A linear model, x' = A x + B u, y = C x + D u, started at x = X0 + Xu u. A step is exact for inputs that move in straight lines;
- * its discretisation is computed again only where the communication step size changes. memory: x, then scratch. */
+ * its discretization is computed again only where the communication step size changes. memory: x, then scratch. */
 #include "continuous.h"
 
 void model_start(double *memory, const double *x0, double t, const double *u)
@@ -19,7 +19,7 @@ void model_outputs(double *memory, double t, const double *u, double *y, double 
     cosim_multiply_add(model_p, model_m, model_D, u, y);
 }
 
-/* work: h of the discretisation, Ad (n, n), B0 (n, m), B1 (n, m), scratch. */
+/* work: h of the discretization, Ad (n, n), B0 (n, m), B1 (n, m), scratch. */
 const char *model_advance(double *memory, double *work, double t0, double t1, double h, const double *u0, const double *u1, double *y)
 {
     double *Ad = work + 1, *B0 = Ad + model_n * model_n, *B1 = B0 + model_n * model_m, *scratch = B1 + model_n * model_m;

@@ -1,4 +1,4 @@
-/* A linear model discretised for its own step, with inputs that hold over it (cosim_linear). own: x, then scratch. */
+/* A linear model discretized for its own step, with inputs that hold over it (cosim_linear). own: x, then scratch. */
 #include "discrete.h"
 
 extern const cosim_linear kernel_constants;

@@ -1,1 +1,0 @@
-"""Units linearised at an operating point."""

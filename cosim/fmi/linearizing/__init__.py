@@ -1,0 +1,1 @@
+"""Units linearized at an operating point."""

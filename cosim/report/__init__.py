@@ -1,0 +1,1 @@
+"""Show scenarios, runs and comparisons: tables, summaries, inspection, pictures."""

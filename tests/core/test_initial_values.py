@@ -1,0 +1,280 @@
+"""The start: every input has what drives it, whatever the order of the components; circles are solved or named."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cosim.arrays import NAN
+from cosim.blocks.arithmetic import sum_of
+from cosim.blocks.dynamics import Delay, lag
+from cosim.blocks.source import constant
+from cosim.core.clock import Clock
+from cosim.core.connections import Connection
+from cosim.core.graph import Graph
+from cosim.core.linear import Linear
+from cosim.core.master import run
+from cosim.core.recorders import Memory
+from cosim.core.signals import Interface, Signal
+from cosim.errors import GraphError
+from cosim.units import BaseUnit
+from tests.core.parts import Starter, integrator, through, times
+
+
+def start(components, connections):
+    """Give the first row by signal."""
+    found = Graph(components, connections)
+    found.prepare(10**7)
+    row = np.full(found.layout.width, 7.0)
+    found.initialize(0.0, row)
+    return {
+        f"{c.name}.{s.name}": row[columns]
+        for c in found.layout.channels
+        for s, columns in c.signal_columns()
+    }
+
+
+def test_a_chain_starts_in_its_order():
+    """Everything once, with what drives it; an output that does not depend on an input is there before it."""
+    parts = {
+        "c": Starter(lambda u: 2.0 * u),
+        "b": Starter(lambda u: u + 1.0),
+        "a": constant([3.0]),
+        "free": integrator(start=0.5),
+    }
+    found = start(parts, {"b.u": "a.y", "c.u": "b.y", "free.u": "c.y"})
+    assert {name: value.item() for name, value in found.items()} == {
+        "a.y": 3.0, "b.u": 3.0, "b.y": 4.0, "c.u": 4.0, "c.y": 8.0, "free.u": 8.0, "free.y": 0.5,
+    }  # fmt: skip
+    assert parts["c"].calls == [[4.0]]
+    assert parts["b"].calls == [[3.0]]
+
+
+def test_an_input_that_nothing_drives_yet_has_its_start_value():
+    """v = 2 w is taken before u is known; then the component starts again with u, and v stays."""
+    face = Interface(
+        (Signal("u", start=(5.0,)), Signal("w")),
+        (Signal("v"), Signal("y")),
+        {"v": (), "y": ()},
+        {"v": ("w",), "y": ("u",)},
+    )
+    part = Starter(lambda u, w: np.concatenate([2.0 * w, u]), ("u", "w"))
+    part.interface = face
+    found = start(
+        {"part": part, "k": times(10.0), "one": constant([1.0])},
+        {"part.u": "k.y", "part.w": "one.y", "k.u": "part.v"},
+    )
+    assert part.calls == [[5.0, 1.0], [20.0, 1.0]]
+    assert (found["part.v"].item(), found["part.y"].item()) == (2.0, 20.0)
+
+
+def test_start_values_have_the_size_of_their_signal():
+    """One number an element."""
+    with pytest.raises(GraphError, match="signal 'u': 2 start values, needed 3 or none"):
+        Signal("u", 3, start=(1.0, 2.0))
+
+
+def network():
+    """Give a chain with branches and a circle of lags that start at their inputs: x = 1 - 3 z, z = 2 x."""
+    components = {
+        "one": constant([1.0]),
+        "s": sum_of([1.0, -1.0]),
+        "x": Linear(lag(time_constant=1.0)),
+        "z": Linear(lag(time_constant=2.0)),
+        "behind": sum_of([1.0, 1.0]),
+        "last": Delay(2),
+    }
+    connections = {
+        "s.u1": "one.y", "s.u2": Connection("z.y", 3.0), "x.u": "s.y", "z.u": Connection("x.y", 2.0), "behind.u1": "x.y",
+        "behind.u2": "z.y", "last.u": "behind.y",
+    }  # fmt: skip
+    return components, connections
+
+
+@given(st.permutations(["one", "s", "x", "z", "behind", "last"]))
+def test_the_order_of_the_components_does_not_matter(names):
+    """Equal bits, the circle included."""
+    components, connections = network()
+    expected = start(components, connections)
+    found = start({name: components[name] for name in names}, connections)
+    assert all(found[name].tobytes() == value.tobytes() for name, value in expected.items())
+
+
+def test_a_circle_has_its_closed_form():
+    """x = 1 - 3 (2 x) = 1/7, though sweeps would diverge; what stands behind follows it."""
+    found = start(*network())
+    for name, value in {
+        "x.y": 1 / 7,
+        "z.y": 2 / 7,
+        "s.u2": 6 / 7,
+        "behind.y": 3 / 7,
+        "last.y": 3 / 7,
+    }.items():
+        assert abs(found[name].item() - value) <= 1e-13, name
+
+
+@given(st.integers(1, 4), st.integers(0, 2**32 - 1))
+def test_linear_circles_of_vectors_have_their_closed_form(n, seed):
+    """x = A z + a, z = B x + b: x = (1 - A B)^-1 (A b + a) to 1e-13 of its condition."""
+    random = np.random.default_rng(seed)
+    A, B, a, b = (random.uniform(-2.0, 2.0, shape) for shape in ((n, n), (n, n), n, n))
+    if np.linalg.cond(np.eye(n) - A @ B) > 50.0:
+        return
+    parts = {"x": Starter(lambda u: A @ u + a, size=n), "z": Starter(lambda u: B @ u + b, size=n)}
+    found = start(parts, {"x.u": "z.y", "z.u": "x.y"})
+    exact = np.linalg.solve(np.eye(n) - A @ B, A @ b + a)
+    assert np.abs(found["x.y"] - exact).max() <= 1e-13 * max(1.0, np.abs(exact).max()) * 50.0
+    assert found["x.u"].tobytes() == found["z.y"].tobytes()
+    assert found["z.u"].tobytes() == found["x.y"].tobytes()
+    assert parts["x"].calls[-1] == found["x.u"].tolist()
+    assert parts["z"].calls[-1] == found["z.u"].tolist()
+
+
+def test_a_nonlinear_circle_starts_from_the_start_values():
+    """x = z^2, z = x / 4 + 1 / 2, so x^2 - 12 x + 4 = 0: of 6 + 4 sqrt(2) and 6 - 4 sqrt(2) the one where they lead."""
+    for value, root in ((10.0, 6.0 + 4.0 * np.sqrt(2.0)), (0.3, 6.0 - 4.0 * np.sqrt(2.0))):
+        parts = {
+            "x": Starter(lambda u: u * u, start=(value,)),
+            "z": Starter(lambda u: u / 4.0 + 0.5, start=(value,)),
+        }
+        found = start(parts, {"x.u": "z.y", "z.u": "x.y"})
+        assert abs(found["x.y"].item() - root) <= 1e-13 * root
+
+
+def test_two_circles_are_solved_one_after_the_other():
+    """x = -2 x + 3 gives 1; behind it y = x - 4 y gives 1/5. Nobody behind a circle starts with a trial value of it."""
+    seen = Starter(lambda u: u)
+    parts = {
+        "x": Starter(lambda u: -2.0 * u + 3.0),
+        "y": Starter(lambda a, u: a - 4.0 * u, ("a", "u")),
+        "seen": seen,
+    }
+    found = start(parts, {"x.u": "x.y", "y.a": "x.y", "y.u": "y.y", "seen.u": "x.y"})
+    assert abs(found["x.y"].item() - 1.0) <= 1e-15
+    assert abs(found["y.y"].item() - 0.2) <= 1e-15
+    assert seen.calls == [[found["x.y"].item()]]
+
+
+def test_dependencies_that_are_unknown_are_tried():
+    """A chain that looks like a circle has its exact bits; a circle in truth is solved: x = 1 - 3 x."""
+    one, chain = constant([1.0]), Starter(lambda a, b: 3.0 * a, ("a", "b"), declared=None)
+    found = start(
+        {"one": one, "p": chain, "k": times(0.1)}, {"p.a": "one.y", "p.b": "k.y", "k.u": "p.y"}
+    )
+    assert (found["p.y"].item(), found["k.y"].item()) == (3.0, 3.0 * 0.1)
+    closed = Starter(lambda a, b: a - 3.0 * b, ("a", "b"), declared=None)
+    found = start(
+        {"one": one, "p": closed, "k": times(1.0)}, {"p.a": "one.y", "p.b": "k.y", "k.u": "p.y"}
+    )
+    assert abs(found["p.y"].item() - 0.25) <= 1e-15
+
+
+def refused(components, connections, text):
+    with pytest.raises(GraphError) as error:
+        start(components, connections)
+    assert text in str(error.value)
+    way = "; give a component among them a start of its own, such as a lag with start or a delay with initial"
+    if "depend on each other" in text:
+        assert str(error.value).endswith(f"{way}, or other start values")
+
+
+def test_a_circle_without_a_solution_is_named():
+    """Every port of it, the residual and what is needed; also of more than one circle through a port."""
+    chase = {"lag": Linear(lag(time_constant=1.0))}
+    name = (
+        "no initial values for lag.u -> lag.y -> lag.u, which depend on each other at the start: "
+    )
+    refused(
+        chase,
+        {"lag.u": Connection("lag.y", 1.0, 1.0)},
+        name + "1 - w' is singular, with a residual of 1 at 'lag.u', needed at most 1",
+    )
+    refused(
+        chase,
+        {"lag.u": "lag.y"},
+        name + "1 - w' is singular, with a residual of 0 at 'lag.u', needed at most 0; give",
+    )
+    square = {"x": Starter(lambda u: u * u + 1.0, start=(0.2,))}
+    name = "no initial values for x.u -> x.y -> x.u, which depend on each other at the start: Newton's method ended with a residual"
+    refused(square, {"x.u": "x.y"}, name)
+    refused(square, {"x.u": "x.y"}, " at 'x.u', needed at most ")
+    both = {
+        "x": Starter(lambda a, b: np.exp(a) + np.exp(b) + 1.0, ("a", "b")),
+        "k": Starter(lambda u: u),
+    }
+    refused(
+        both,
+        {"x.a": "x.y", "x.b": "k.y", "k.u": "x.y"},
+        "no initial values for k.u, k.y, x.a, x.b, x.y, which depend on each other",
+    )
+
+
+def test_values_that_are_missing_settle_only_where_they_may_be_missing():
+    """NaN is no solution of an equation between numbers; "no value yet" is one of optional signals."""
+    face = Interface(
+        (Signal("u", optional=True),), (Signal("y", optional=True),), {"y": ()}, {"y": ("u",)}
+    )
+    part = Starter(lambda u: np.full(1, NAN))
+    part.interface = face
+    assert np.isnan(start({"p": part}, {"p.u": "p.y"})["p.u"])
+    root = {"x": Starter(lambda u: np.sqrt(u - 1.0) - 3.0)}
+    refused(root, {"x.u": Connection("x.y", 1.0, 0.5)}, "Newton's method ended with a residual of ")
+
+
+def test_discrete_signals_in_a_circle_settle_or_are_refused():
+    """n = n // 2 + 21 climbs to 41 in halves and stays; b = not b never does."""
+    whole = Starter(lambda u: u // 2.0 + 21.0, kind="integer")
+    found = start({"n": whole}, {"n.u": "n.y"})
+    assert (found["n.u"].item(), found["n.y"].item()) == (41.0, 41.0)
+    flip = Starter(lambda u: 1.0 - u, kind="boolean")
+    text = "b.u -> b.y -> b.u, which depend on each other at the start: with a discrete signal among them, and still changing "
+    refused({"b": flip}, {"b.u": "b.y"}, f"{text}after 102 sweeps")
+
+
+def test_a_dependency_that_is_not_declared_is_followed_or_refused():
+    """Beyond what is declared, rounds go on until nothing moves: a chain settles, a circle that grows does not."""
+    quiet = Starter(lambda u: 2.0 * u, declared=())
+    found = start(
+        {"p": quiet, "k": times(0.5), "one": constant([4.0])}, {"p.u": "one.y", "k.u": "p.y"}
+    )
+    assert (found["p.y"].item(), found["k.y"].item()) == (8.0, 4.0)
+    liar = Starter(lambda u: 2.0 * u + 1.0, declared=())
+    text = "initial values do not settle: p.u, p.y, k.u, k.y still change after 4 rounds; an output there depends at the start on "
+    refused({"p": liar, "k": times(1.0)}, {"p.u": "k.y", "k.u": "p.y"}, text)
+
+
+def test_every_input_is_what_its_connection_gives():
+    """With gain, offset, an element and units, also inside a circle: the recorded start keeps all equations."""
+    celsius, kelvin = (
+        BaseUnit((0, 0, 0, 0, 1, 0, 0, 0), 1.0, 273.15),
+        BaseUnit((0, 0, 0, 0, 1, 0, 0, 0)),
+    )
+    part = Starter(lambda u: 0.5 * u + np.array([1.0, 2.0]), size=2)
+    part.interface = Interface(
+        (Signal("u", 2, "K", base=kelvin),),
+        (Signal("y", 2, "theirs", base=celsius),),
+        {"y": ()},
+        {"y": ("u",)},
+    )
+    found = start({"p": part}, {"p.u": Connection("p.y", ((0.0, 1.0), (1.0, 0.0)), 3.0)})
+    assert np.array_equal(found["p.u"], ((found["p.y"][::-1] + 3.0) + 273.15) - 0.0)
+    # u1 = u2 / 2 + 2 + 3 + 273.15, u2 = u1 / 2 + 1 + 3 + 273.15
+    exact = np.linalg.solve([[1.0, -0.5], [-0.5, 1.0]], [278.15, 277.15])
+    assert np.abs(found["p.u"] - exact).max() <= 1e-13 * 600.0
+
+
+def test_a_run_goes_on_from_the_start_that_was_found():
+    """Lags that start at their inputs: without a transient as long as nothing changes."""
+    memory = Memory()
+    run(Graph(*network()), Clock(0.1, 0.01), memory)
+    for name in ("x.y", "z.y"):
+        assert np.abs(memory[name] - memory[name][0]).max() <= 1e-15
+
+
+def test_our_models_say_what_their_start_depends_on():
+    """A lag without a start follows its input; one with a start does not, nor what merely feeds through."""
+    assert lag(time_constant=1.0).interface.feeds_at_start("y") == ("u",)
+    assert lag(time_constant=1.0, start=0.0).interface.feeds_at_start("y") == ()
+    assert Delay(2).interface.feeds_at_start("y") == ("u",)
+    assert Delay(2, initial=0.0).interface.feeds_at_start("y") == ()
+    assert through(0.5).interface.initial == {}

@@ -1,0 +1,201 @@
+"""Start values of every type reach the FMU, and what is none is refused, all of it at once."""
+
+import numpy as np
+import pytest
+
+import cosim
+from cosim.errors import CosimError, FmuError
+from cosim.fmi.component import load
+from cosim.fmi.description import Description, Variable
+from cosim.fmi.driving.initialization import StartValues, check_start, resized
+from tests.fmi.compiled import compile_fmu
+from tests.fmi.probes import got, xml3
+
+PARAMETER = {"causality": "parameter", "variability": "fixed", "initial": "exact"}
+VARIABLES = (
+    Variable("gain", 0, minimum=0.0, maximum=10.0, **PARAMETER),
+    Variable("amplification", 0, alias_of="gain", **PARAMETER),
+    Variable("count", 1, type="UInt8", **PARAMETER),
+    Variable("far", 2, type="Int64", **PARAMETER),
+    Variable("on", 3, type="Boolean", **PARAMETER),
+    Variable("mode", 4, type="Int32", items={"idle": 1, "running": 3}, **PARAMETER),
+    Variable("file", 5, type="String", **PARAMETER),
+    Variable("key", 6, type="Binary", **PARAMETER),
+    Variable("tick", 7, type="Clock", causality="input", variability="discrete"),
+    Variable("table", 8, size=6, dimensions=(2, "n"), **PARAMETER),
+    Variable(
+        "n", 9, type="UInt64", start=(3.0,), **(PARAMETER | {"causality": "structuralParameter"})
+    ),
+    Variable("y", 10, causality="output", initial="calculated"),
+    Variable("g", 11, causality="local", variability="constant", initial="exact"),
+)
+UNIT = Description("unit", "", "3.0", VARIABLES)
+
+
+def test_values_of_every_type():
+    found = check_start(
+        UNIT,
+        {
+            "gain": 2, "count": 255.0, "far": -(2**53), "on": True, "mode": "running", "file": "a b", "key": "00fF",
+            "table": [[1, 2, 3], [4, 5, 6]], "n": 3,
+        },
+    )  # fmt: skip
+    numbers = {
+        "gain": (2.0,),
+        "count": (255.0,),
+        "far": (-(2.0**53),),
+        "on": (1.0,),
+        "mode": (3.0,),
+    }
+    table = {"table": (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)}
+    assert found == StartValues(
+        {"n": (3.0,)}, numbers | table, {"file": ("a b",), "key": ("00fF",)}
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "number"),
+    [("mode", 3, 3.0), ("on", 1.0, 1.0), ("on", 0, 0.0), ("on", False, 0.0)],
+)
+def test_numbers_stand_for_booleans_and_items(name, value, number):
+    assert check_start(UNIT, {name: value}).numbers == {name: (number,)}
+
+
+def test_arrays_may_be_flat():
+    assert check_start(UNIT, {"table": range(6)}).numbers == {
+        "table": (0.0, 1.0, 2.0, 3.0, 4.0, 5.0)
+    }
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "text"),
+    [
+        ("gian", 1.0, r"unit: no variable 'gian'; did you mean 'gain'"),
+        ("gain", float("nan"), r"start value of 'gain': found nan, needed a finite number"),
+        ("gain", float("-inf"), "found -inf, needed a finite number"),
+        ("gain", 10.5, r"found 10.5, needed 0.0 to 10.0"),
+        ("gain", True, "found true, needed a number"),
+        ("gain", "2", "found '2', needed a number"),
+        ("gain", [1.0], "found a list, needed one value of type Float64"),
+        ("count", 1.5, r"found 1.5, needed a whole number"),
+        ("count", 256, r"found 256, needed 0 to 255 \(UInt8, carried exactly\)"),
+        ("far", 2**53 + 1, r"found 9007199254740993, needed -9007199254740992 to 9007199254740992"),
+        ("on", 2, "found 2, needed true or false"),
+        ("on", "yes", "found 'yes', needed true or false"),
+        ("mode", "runing", "no item 'runing'; did you mean 'running'"),
+        ("mode", 2, r"found 2, needed one of: 1 \(idle\), 3 \(running\)"),
+        ("file", 1.0, r"found 1.0, needed a text"),
+        ("file", "a\0b", "needed a text without the character 0"),
+        ("key", 12, "found 12, needed a text of hexadecimal digits"),
+        ("key", "123", "found '123', needed hexadecimal digits, two for every byte"),
+        ("tick", True, r"'tick' cannot be set at the start \(causality input"),
+        (
+            "y",
+            1.0,
+            r"'y' cannot be set at the start \(causality output, variability continuous, initial calculated\)",
+        ),
+        ("g", 1.0, r"'g' cannot be set at the start \(causality local, variability constant"),
+        ("table", 1.0, "found one value, needed a list of 6 values"),
+        ("table", [1.0] * 5, "found 5 values, needed a list of 6 values"),
+        (
+            "table",
+            [[1.0, 2.0], [3.0, 4.0]],
+            "found lists of shape 2 x 2, needed a list of 6 values",
+        ),
+        ("table", [[[1.0] * 6]], "found lists of shape 1 x 1 x 6, needed a list of 6 values"),
+        ("table", [[1.0] * 3, [2.0] * 2], "found lists of different lengths"),
+        ("table", [1.0, float("nan"), 1.0, 1.0, 1.0, 1.0], "found nan, needed a finite number"),
+    ],
+)
+def test_what_is_no_start_value(name, value, text):
+    with pytest.raises(FmuError, match=text):
+        check_start(UNIT, {name: value})
+
+
+def test_two_names_of_one_variable():
+    with pytest.raises(
+        FmuError, match="'amplification': it is another name of 'gain', which is given too"
+    ):
+        check_start(UNIT, {"gain": 1.0, "amplification": 1.0})
+
+
+def test_all_problems_are_one_error():
+    with pytest.raises(FmuError) as error:
+        check_start(UNIT, {"gian": 1.0, "y": 1.0, "on": 2, "gain": 1.0})
+    assert len(str(error.value).splitlines()) == 3
+
+
+def test_structural_parameters_resize_what_depends_on_them():
+    larger = resized(UNIT, {"n": 4, "gain": 1.0, "nothing": 2})
+    assert (larger["table"].size, larger["n"].start) == (8, (4.0,))
+    assert resized(UNIT, {"gain": 1.0}) is UNIT
+    with pytest.raises(FmuError, match=r"'n': found 2.5, needed a whole number"):
+        resized(UNIT, {"n": 2.5})
+
+
+def test_start_values_reach_the_fmu(tmp_path):
+    """Of every type, before the initialization; the structural parameter in configuration mode."""
+    n = '<UInt64 name="n" valueReference="540" causality="structuralParameter" variability="fixed" start="2"/>'
+    xml = xml3().replace("<ModelVariables>", f"<ModelVariables>{n}")
+    xml = xml.replace(
+        'start="0 0 0"><Dimension start="3"/></Float64>',
+        'start="0"><Dimension valueReference="540"/></Float64>',
+    )
+    path = compile_fmu(tmp_path / "x.fmu", xml, "probe3.c")
+    start = {
+        "n": 3, "Float64s": [1.5, 2.5, 3.5], "UInt8": 200, "Booleans": [True, False, True], "Int64s": [-1, 0, 2**53],
+        "texts": ["a", "b"], "binaries": ["", "ff00"], "x": 0.5,
+    }  # fmt: skip
+    with load(path, interface_type="cs", start=start) as fmu:
+        assert (
+            fmu.description["Float64s"].size,
+            fmu.component.initialize(0.0, np.zeros(1)).tolist(),
+        ) == (3, [0.5])
+        unit = fmu.component._instance
+        assert got(unit, "n", "configured", "Float64s") == [3.0, 2.0, 1.5, 2.5, 3.5]
+        assert got(unit, "UInt8", "Booleans", "Int64s") == [
+            200.0,
+            1.0,
+            0.0,
+            1.0,
+            -1.0,
+            0.0,
+            2.0**53,
+        ]
+        assert unit.get_text(fmu.description["texts"]) == ("a", "b")
+        assert unit.get_text(fmu.description["binaries"]) == ("", "ff00")
+
+
+def test_values_of_a_scenario(tmp_path, probe3):
+    """TOML's numbers, Booleans, strings and arrays."""
+    scenario = tmp_path / "one.toml"
+    scenario.write_text(f"""
+[scenario]
+name = "one"
+stop = 0.1
+step = 0.1
+[components.plant]
+kind = "fmu"
+path = "{probe3}"
+interface_type = "cs"
+[components.plant.start]
+x = 2
+Boolean = true
+texts = ["a", "b"]
+Int8s = [1, 2, 3]
+[components.u]
+kind = "constant"
+value = 3.0
+[connections]
+"plant.u" = "u.y"
+""")
+    log = cosim.run(scenario, out=tmp_path / "one.mcap")
+    np.testing.assert_allclose(log["plant.x"], [2.0, 2.3], rtol=1e-15)
+    broken = tmp_path / "broken.toml"
+    broken.write_text(
+        scenario.read_text().replace("x = 2", "x = [2]").replace("Boolean = true", "Boolean = 2")
+    )
+    with pytest.raises(
+        CosimError, match=r"(?s)'x': found a list.*'Boolean': found 2, needed true or false"
+    ):
+        cosim.run(broken, out=tmp_path / "broken.mcap")

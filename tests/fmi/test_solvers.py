@@ -1,0 +1,159 @@
+"""Solvers over one communication step, against closed forms."""
+
+import math
+
+import numpy as np
+import pytest
+
+from cosim.core.linear import LinearModel, feedthrough_of
+from cosim.core.signals import Interface, Signal
+from cosim.errors import GraphError, RunError
+from cosim.fmi.driving.solvers import ADAPTIVE, Adaptive, RungeKutta, rk4
+
+
+def relax(t, x):
+    """Give x' = -2 x + 0.3 + 2 t."""
+    return -2.0 * x + 0.3 + 2.0 * t
+
+
+def exact(t, x0, u0, slope):
+    """Solve x' = -2 x + u0 + slope t."""
+    steady = u0 / 2.0 - slope / 4.0
+    return (x0 - steady) * math.exp(-2.0 * t) + steady + slope * t / 2.0
+
+
+def run(solver, ends):
+    """Go from 0 through these times, with each of them as the bound of the steps until there."""
+    t = 0.0
+    for end in ends:
+        while t < end:
+            t = solver.step(end)
+    return solver.at(t)
+
+
+def test_rk4_is_of_fourth_order():
+    """Halving the step divides the error of one second by 16; the inputs move on straight lines."""
+
+    def error(steps):
+        solver = RungeKutta(relax)
+        solver.start(0.0, np.array([1.5]), np.ones(1))
+        x = run(solver, [k / steps for k in range(1, steps + 1)])
+        return abs(x[0] - exact(1.0, 1.5, 0.3, 2.0))
+
+    assert 14.0 < error(20) / error(40) < 18.0
+
+
+def test_rk4_within_a_step_is_a_shorter_step():
+    """Bit for bit, so that locating an event adds no error."""
+    solver, x = RungeKutta(relax), np.array([1.5])
+    solver.start(0.0, x, np.ones(1))
+    solver.step(0.1)
+    assert np.array_equal(solver.at(0.04), rk4(relax, 0.0, 0.04, x))
+
+
+@pytest.mark.parametrize("method", ADAPTIVE)
+def test_adaptive_solvers_keep_their_tolerance(method):
+    """Over half a second, in one stretch and in ten, and between their steps."""
+    for stretches in (1, 10):
+        solver = Adaptive(method, relax, rtol=1e-9)
+        solver.start(0.0, np.array([1.5]), np.ones(1))
+        x = run(solver, [0.05 * k * 10 / stretches for k in range(1, stretches + 1)])
+        # the tolerance 1e-9 holds for each of some dozens of inner steps, whose errors add up
+        assert abs(x[0] - exact(0.5, 1.5, 0.3, 2.0)) < 1e-7
+        begin, end = 0.5, solver.step(0.6)
+        middle = 0.5 * (begin + end)
+        assert abs(solver.at(middle)[0] - exact(middle, 1.5, 0.3, 2.0)) < 1e-7
+
+
+@pytest.mark.parametrize("method", ADAPTIVE)
+def test_adaptive_solvers_ask_for_nothing_beyond_a_step(method):
+    """What the inputs do there is not known yet."""
+    asked = []
+    solver = Adaptive(method, lambda t, x: [asked.append(t), relax(t, x)][1], rtol=1e-6)
+    solver.start(0.0, np.array([1.5]), np.ones(1))
+    for end in (1e-3, 0.1, 0.25):
+        run(solver, [end])
+        assert max(asked) <= end
+        solver.start(end, solver.at(end), np.ones(1)) if end == 0.1 else None
+
+
+@pytest.mark.parametrize("method", ADAPTIVE)
+def test_adaptive_solvers_go_back(method):
+    """What comes after ``save`` comes after ``restore`` again, bit for bit, as often as asked."""
+    solver = Adaptive(method, relax, rtol=1e-9)
+    solver.start(0.0, np.array([1.5]), np.ones(1))
+    run(solver, [0.1, 0.2])
+    saved = solver.save()
+    first = run(solver, [0.3, 0.4])
+    for _ in range(2):
+        solver.restore(saved)
+        assert np.array_equal(run(solver, [0.3, 0.4]), first)
+
+
+@pytest.mark.parametrize("method", ADAPTIVE)
+def test_states_within_a_step_are_the_same_after_going_back(method):
+    """The stages of DOP853, from which it interpolates, have two names in scipy's object: they must stay one array."""
+
+    def within():
+        reached = solver.step(2.0)
+        return reached, [solver.at(0.2 + s * (reached - 0.2)).tolist() for s in (0.3, 0.7)]
+
+    solver = Adaptive(method, relax, rtol=1e-9)
+    solver.start(0.0, np.array([1.5]), np.ones(1))
+    run(solver, [0.1, 0.2])
+    saved = solver.save()
+    first = within()
+    for _ in range(2):
+        solver.restore(saved)
+        assert within() == first
+
+
+@pytest.mark.parametrize(
+    ("method", "ratio"), [("RK45", 1.3), ("DOP853", 1.15), ("Radau", 1.2), ("BDF", 3.0)]
+)
+def test_running_on_needs_fewer_evaluations_than_starting_anew(method, ratio):
+    """100 stretches of 1 ms, counted.
+
+    A start costs RK45 and DOP853 two evaluations beside the 6 and 12 of a step, Radau a Jacobian matrix too, BDF all the steps
+    that it takes from order 1 on. LSODA is not among them: it starts anew.
+    """
+
+    def count(anew):
+        calls = []
+        solver = Adaptive(method, lambda t, x: [calls.append(t), relax(t, x)][1], rtol=1e-9)
+        solver.start(0.0, np.array([1.5]), np.ones(1))
+        for k in range(1, 101):
+            t = 1e-3 * k
+            x = run(solver, [t])
+            if anew:
+                solver.start(t, x, np.ones(1))
+        return len(calls)
+
+    assert count(anew=True) > ratio * count(anew=False)
+
+
+def test_a_solver_that_fails_says_so_in_its_own_words():
+    """x' = x^2 from 1 has no value at t = 1; the linear algebra of the implicit ones refuses what is no number."""
+    for method, slope, words in (
+        ("RK45", lambda t, x: x * x, "Required step size is less than spacing between numbers"),
+        ("BDF", lambda t, x: x * np.nan, "array must not contain infs or NaNs"),
+    ):
+        solver = Adaptive(method, slope, rtol=1e-9)
+        solver.start(0.0, np.ones(1), np.ones(1))
+        with pytest.raises(RunError, match=f"solver {method}: {words}"):
+            run(solver, [2.0])
+
+
+def test_feedthrough_is_read_off_the_blocks_of_d():
+    """Any nonzero number in the block of an output and an input."""
+    interface = Interface((Signal("a", 2), Signal("b")), (Signal("y"), Signal("z", 2)))
+    D = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 2.0]])
+    assert feedthrough_of(interface, D) == {"y": ("a",), "z": ("b",)}
+
+
+def test_a_matrix_of_the_wrong_shape_is_refused():
+    """By name, with both shapes."""
+    interface = Interface((Signal("u"),), (Signal("y"),))
+    eye, zero = np.eye(1), np.zeros((1, 1))
+    with pytest.raises(GraphError, match=r"matrix C: found shape \(1, 2\), needed \(1, 1\)"):
+        LinearModel(interface, ("x",), eye, eye, np.ones((1, 2)), zero, np.zeros(1), zero)

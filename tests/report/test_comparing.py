@@ -1,0 +1,143 @@
+"""One scenario on several plants: what each estimates, how far they are apart, and one that fails."""
+
+import json
+
+import pytest
+
+import cosim
+from cosim.cli import main
+from cosim.errors import ScenarioError, UsageError
+from cosim.report.comparing import compare
+from cosim.scenario.exporting import export_component
+from tests.scenario.renamed import MAP, renamed
+
+SHORT = {"scenario.stop": 7.0}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("plants")
+    export_component("academic", "plant", folder / "plant.fmu")
+    renamed(folder / "other.fmu")
+    cosim.run("academic", set=SHORT, out=folder / "log.mcap")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def four(folder):
+    """Run it generated, as FMI 2 model exchange and co-simulation, recorded."""
+    return compare(
+        "academic",
+        swap={"plant": [folder / "plant.fmu", f"{folder / 'plant.fmu'}#cs", folder / "log.mcap"]},
+        set=SHORT,
+    )
+
+
+def test_four_plants_are_one_scenario(four):
+    """The co-simulation FMU and the log have the bits of the generated plant; model exchange differs by rk4's error.
+
+    That is (3 h)^4 / 120 = 7e-13 h a step, relative; over 7 s less than 1e-11 in x_a, and delta_hat takes y times 1000.
+    """
+    assert [one.label for one in four.outcomes] == ["descriptor", "plant", "plant#cs", "log"]
+    assert four.estimates == {
+        "observer.x_a": "plant.x_a",
+        "observer.delta": "delta.y",
+        "identifier.theta": [-0.1, -0.3],
+    }
+    apart = {(one.estimate, one.label): max(one.largest) for one in four.differences}
+    assert set(apart) == {
+        (estimate, label) for estimate in four.estimates for label in ("plant", "plant#cs", "log")
+    }
+    for estimate in four.estimates:
+        assert apart[estimate, "plant#cs"] == apart[estimate, "log"] == 0.0
+    assert 0.0 < apart["observer.x_a", "plant"] <= 1e-11
+    assert 0.0 < apart["observer.delta", "plant"] <= 1e-8
+
+
+def test_a_failed_plant_does_not_lose_the_others(folder, tmp_path, capsys):
+    """It stands in the table with its reason; exit 1; the logs of the others are there."""
+    swaps = [
+        option
+        for name in ("plant.fmu#cs", "other.fmu", "nix.fmu")
+        for option in ("--swap", f"plant={folder / name}")
+    ]
+    with pytest.raises(SystemExit) as left:
+        main(
+            [
+                "compare",
+                "academic",
+                *swaps,
+                "--set",
+                "scenario.stop=7.0",
+                "--out",
+                str(tmp_path / "logs"),
+                "--json",
+            ]
+        )
+    assert left.value.code == 1
+    found = json.loads(capsys.readouterr().out)
+    plants = {one["plant"]: one for one in found["plants"]}
+    assert list(plants) == ["descriptor", "plant#cs", "other", "nix"]
+    assert "--map plant.y=out1" in plants["other"]["error"]
+    assert "there is no such file" in plants["nix"]["error"]
+    assert sorted(path.name for path in (tmp_path / "logs").iterdir()) == [
+        "descriptor.mcap",
+        "plant-cs.mcap",
+    ]
+    assert plants["plant#cs"]["summary"]["values"][0]["estimate"] == "identifier.theta[0]"
+    assert {one["label"] for one in found["differences"]} == {"plant#cs"}
+    with pytest.raises(SystemExit) as left:
+        main(["compare", "academic", *swaps, "--set", "scenario.stop=7.0"])
+    assert left.value.code == 1
+    shown = capsys.readouterr()
+    assert "from descriptor" in shown.out
+    assert "failed" in shown.out
+    assert "nix: failed: --swap plant: components.plant: " in shown.err
+
+
+def test_a_map_is_for_those_that_have_its_names(folder):
+    """The renamed FMU needs it, the exported one keeps the scenario's names."""
+    found = compare(
+        "academic",
+        swap={"plant": [folder / "plant.fmu", folder / "other.fmu"]},
+        map=MAP,
+        set={"scenario.stop": 0.1},
+        base=False,
+    )
+    assert [one.error for one in found.outcomes] == ["", ""]
+    assert found.estimates["observer.x_a"] == "plant.x_a"
+    with pytest.raises(
+        UsageError,
+        match=r"--map plant\.u: no alternative has a port 'forse'; did you mean 'force'\?",
+    ):
+        compare(
+            "academic",
+            swap={"plant": [folder / "plant.fmu", folder / "other.fmu"]},
+            map={"plant.u": "forse"},
+        )
+
+
+def test_a_picture_shows_all_of_them(four, tmp_path):
+    """Estimates with truth on the left, differences on the right."""
+    pytest.importorskip("matplotlib")
+    from cosim.report.plots import plot_comparison
+
+    plot_comparison(four, tmp_path / "c.png")
+    assert (tmp_path / "c.png").stat().st_size > 20_000
+
+
+def test_what_is_wrong_for_all_is_told_once(folder):
+    """Before anything runs."""
+    plant = folder / "plant.fmu"
+    with pytest.raises(ScenarioError, match=r"--set observer\.filter_rat: "):
+        compare("academic", swap={"plant": [plant]}, set={"observer.filter_rat": 1.0})
+    with pytest.raises(
+        UsageError, match="found alternatives of plant, observer; needed those of one component"
+    ):
+        compare("academic", swap={"plant": [plant], "observer": [plant]})
+    with pytest.raises(
+        UsageError, match="--swap plnt: there is no component 'plnt'; did you mean 'plant'"
+    ):
+        compare("academic", swap={"plnt": [plant]})
+    with pytest.raises(UsageError, match="--swap plant: found one plant, needed two to compare"):
+        compare("academic", swap={"plant": [plant]}, base=False)

@@ -1,0 +1,127 @@
+"""Two components side by side: each aspect with its verdict, and what may be the renamed port."""
+
+import numpy as np
+import pytest
+
+from cosim.core.signals import Interface, Signal
+from cosim.scenario.port_comparison import (
+    Ability,
+    NearStart,
+    Side,
+    compare_sides,
+    pairs_of,
+    propose,
+)
+
+ABLE = Ability("model exchange", True, True, True, True)
+BEFORE = Interface(
+    (Signal("u", unit="N"), Signal("delta")),
+    (
+        Signal("y", unit="Hz"),
+        Signal("x_a", 2),
+        Signal("x_b"),
+        Signal("s", unit="m"),
+        Signal("n", kind="integer"),
+    ),
+    {"y": ("u",)},
+)
+AFTER = Interface(
+    (Signal("u", unit="kg.m/s2", variability="discrete"), Signal("x_b"), Signal("k")),
+    (Signal("y", unit="1/s"), Signal("x_a", 3), Signal("s", unit="mm"), Signal("n", unit="V")),
+    {"y": None},
+)
+
+
+def verdicts(before, after, **options):
+    """Compare by name; give the verdicts by (port, aspect)."""
+    rows = compare_sides(before, after, pairs_of(before, after, []), **options)
+    return {(row.port, row.aspect): row.verdict for row in rows}
+
+
+def test_every_aspect_has_a_verdict():
+    """An error only where a connection is refused; units that convert differ, units of one meaning do not."""
+    before = Side(BEFORE, ABLE, start={"u": np.array([1.0])}, initial={"s": np.array([2.0])})
+    after = Side(
+        AFTER,
+        Ability("co-simulation", False, None, True, True),
+        start={"u": np.array([2.0])},
+        initial={"s": np.array([2e3])},
+    )
+    found = verdicts(before, after, refused={"delta", "x_a"})
+    assert {key: verdict for key, verdict in found.items() if verdict != "ok"} == {
+        ("u", "variability"): "differs", ("u", "start value"): "differs", ("delta", "causality"): "error",
+        ("y", "feedthrough"): "differs", ("x_a", "size"): "error",
+        ("x_b", "causality"): "differs", ("s", "unit"): "differs", ("n", "type"): "differs", ("n", "unit"): "unknown",
+        ("k", "causality"): "differs", ("", "kind"): "differs", ("", "rollback"): "differs", ("", "variable step"): "unknown",
+    }  # fmt: skip
+    assert set(verdicts(before, before).values()) <= {"ok"}
+
+
+def test_values_are_compared_in_one_unit():
+    """2 m are 2000 mm; 2 mm are not 2 m."""
+    before = Side(BEFORE, ABLE, initial={"s": np.array([2.0])})
+    for millimetres, verdict in ((2e3, "ok"), (2.0, "differs")):
+        after = Side(AFTER, ABLE, initial={"s": np.array([millimetres])})
+        assert verdicts(before, after)["s", "initial output"] == verdict
+
+
+def test_gain_and_poles_are_compared_within_their_error():
+    """x' = -2 x + u, y = 4 x: gain 2, pole -2. A difference of 1e-7 is seen unless the numbers are wrong by that."""
+    face = Interface((Signal("u"),), (Signal("y"),))
+    exact, close = (
+        NearStart.of(np.array([[a]]), np.eye(1), 4.0 * np.eye(1), np.zeros((1, 1)), error=0.0)
+        for a in (-2.0, -2.0 - 1e-7)
+    )
+    assert (exact.gain, exact.poles) == (
+        pytest.approx(2.0, abs=1e-15),
+        pytest.approx(-2.0, abs=1e-15),
+    )
+    for error, verdict in ((0.0, "differs"), (1e-7, "ok")):
+        other = Side(face, ABLE, near_start=NearStart(close.poles, close.gain, error))
+        found = verdicts(Side(face, ABLE, near_start=exact), other)
+        assert found["y", "static gain"] == found["", "poles"] == verdict
+    assert (
+        NearStart.of(np.zeros((1, 1)), np.eye(1), np.eye(1), np.zeros((1, 1)), error=0.0).gain
+        is None
+    )
+
+
+def test_ports_are_paired_by_the_map_then_by_name():
+    """A mapped port is not looked for by its name, elements stand for themselves."""
+    before, after = Side(BEFORE, ABLE), Side(AFTER, ABLE)
+    pairs = pairs_of(before, after, [("u", "k"), ("x_a[1]", "x_a[2]")])
+    assert pairs == [("u", "k"), ("delta", None), ("y", "y"), ("x_a[1]", "x_a[2]"), ("x_a", "x_a"), ("x_b", "x_b"), ("s", "s"),
+                     ("n", "n"), (None, "u")]  # fmt: skip
+
+
+def test_what_fits_best_is_proposed_with_its_reasons():
+    """Unit and size decide what fits, first value and dependencies which is likelier; equals are all told, elements too."""
+    before = Side(
+        Interface((Signal("u"),), (Signal("y", unit="V"), Signal("z")), {"y": ("u",)}), ABLE,
+        initial={"y": np.array([1.0]), "z": np.array([5.0])},
+    )  # fmt: skip
+    outputs = (
+        Signal("a", unit="V"),
+        Signal("b", unit="V"),
+        Signal("c", unit="A"),
+        Signal("d", 2, unit="V"),
+        Signal("i", kind="integer"),
+    )
+    values = {"a": [1.0], "b": [2.0], "c": [1.0], "d": [1.0, 3.0], "i": [5.0]}
+    after = Side(
+        Interface((Signal("f"), Signal("g")), outputs, {"a": ("f",), "d": ("f",)}), ABLE,
+        initial={name: np.array(value) for name, value in values.items()},
+    )  # fmt: skip
+    found = propose(before, after, pairs_of(before, after, []), ["y", "u"])
+    assert [(one.port, one.name) for one in found] == [
+        ("y", "a"),
+        ("y", "d[0]"),
+        ("u", "f"),
+        ("u", "g"),
+    ]
+    assert found[0].reasons == (
+        "output of size 1, real",
+        "unit 'V'",
+        "feeds through from f",
+        "initial output 1",
+    )
