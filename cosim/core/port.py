@@ -1,0 +1,117 @@
+"""Ports: the written names of signals, parsed once at the border.
+
+::
+
+    plant.x_a         a signal of a component; the first dot ends the component's name
+    plant.x_a[1]      one element of it, numbered from 0
+    plant.x_a[0:2]    some of its elements, the end not included, as in Python
+
+A signal may have a name of its own that looks like that of an element, such as the FMI variable ``x[1]``: where a component has
+it, it comes first.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import TypeAlias
+
+from cosim.core.signals import Signal
+from cosim.errors import GraphError
+
+Element: TypeAlias = int | range | None
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Port:
+    """A signal of a component, or some of its elements.
+
+    Parameters
+    ----------
+    component : str
+    signal : str
+    element : int, range or None
+        None: the whole signal.
+    """
+
+    component: str
+    signal: str
+    element: Element = None
+
+    @classmethod
+    def parse(cls, text: str) -> Port:
+        """Return the port that ``component.signal``, ``component.signal[1]`` or ``component.signal[0:2]`` names.
+
+        Raises
+        ------
+        GraphError
+            If there is no dot, nothing before or behind it, or no element in a slice.
+        """
+        component, dot, name = text.partition(".")
+        if not (component and dot and name):
+            raise GraphError(f"{text!r} is no port; needed COMPONENT.SIGNAL, such as plant.y")
+        signal, element = split_element(name)
+        if isinstance(element, range) and not element:
+            raise GraphError(f"{text!r} has no elements; needed a slice such as [0:2]")
+        return cls(component, signal, element)
+
+    @property
+    def name(self) -> str:
+        """The name without that of the component: ``x_a[1]``."""
+        match self.element:
+            case None:
+                return self.signal
+            case int():
+                return f"{self.signal}[{self.element}]"
+            case range():
+                return f"{self.signal}[{self.element.start}:{self.element.stop}]"
+
+    def __str__(self) -> str:
+        return f"{self.component}.{self.name}"
+
+    @property
+    def whole(self) -> Port:
+        """The port of the whole signal."""
+        return Port(self.component, self.signal)
+
+    def find(self, signals: Iterable[Signal]) -> tuple[Signal, slice] | None:
+        """Return the signal that is meant, and which of its elements; None: it is none of ``signals``.
+
+        Raises
+        ------
+        GraphError
+            If the signal has no such element.
+        """
+        by_name = {signal.name: signal for signal in signals}
+        if self.name in by_name:
+            signal = by_name[self.name]
+            return signal, slice(0, signal.size)
+        if self.signal not in by_name:
+            return None
+        signal = by_name[self.signal]
+        return signal, self._elements_of(signal)
+
+    def _elements_of(self, signal: Signal) -> slice:
+        match self.element:
+            case None:
+                return slice(0, signal.size)
+            case int():
+                elements = slice(self.element, self.element + 1)
+            case range():
+                elements = slice(self.element.start, self.element.stop)
+        if elements.stop > signal.size:
+            count = "1 element" if signal.size == 1 else f"{signal.size} elements"
+            raise GraphError(f"{str(self)!r}: '{self.whole}' has {count}, numbered from 0")
+        return elements
+
+
+def split_element(name: str) -> tuple[str, Element]:
+    """Split ``x[1]`` into ``x`` and 1, ``x[0:2]`` into ``x`` and range(0, 2); without brackets the element is None."""
+    match = re.fullmatch(r"(.+)\[(\d+)(?::(\d+))?\]", name)
+    if match is None:
+        return name, None
+    first = int(match[2])
+    if match[3] is None:
+        return match[1], first
+    return match[1], range(first, int(match[3]))
