@@ -4,4 +4,4 @@ from cosim.log.preamble import Attachment
 from cosim.log.reader import Log, LogMessage, open_log
 from cosim.log.writer import McapRecorder
 
-__all__ = ["Attachment", "Log", "McapRecorder", "LogMessage", "open_log"]
+__all__ = ["Attachment", "Log", "LogMessage", "McapRecorder", "open_log"]

@@ -21,7 +21,7 @@ from cosim.errors import LogError, LogWriteError, RunError
 from cosim.log.buffer import RowBuffer, message_run
 from cosim.log.compression import Compression
 from cosim.log.content import combine
-from cosim.log.draft import UnfinishedLog
+from cosim.log.unfinished import UnfinishedLog
 from cosim.log.environment import library
 from cosim.log.interrupts import uninterrupted
 from cosim.log.layout import signals_json, split
@@ -63,11 +63,6 @@ class McapRecorder:
     metadata : mapping of record name to its items
         Metadata records, such as ``cosim.run``, ``cosim.connections``, ``cosim.component.<name>`` (parameters).
     attachments : sequence of Attachment
-
-    Attributes
-    ----------
-    result : dict
-        Goes to ``result.json`` at the end; JSON values.
     """
 
     def __init__(
@@ -81,10 +76,10 @@ class McapRecorder:
         attachments: Sequence[Attachment] = (),
     ) -> None:
         self.path = Path(path)
-        self.result: dict[str, Any] = {}
+        self._result: dict[str, Any] = {}
         self._force, self._compression = force, compression
         self._kinds, self._metadata, self._attachments = kinds or {}, metadata or {}, attachments
-        self._draft = UnfinishedLog(self.path, force=force)
+        self._unfinished = UnfinishedLog(self.path, force=force)
         self._sink: Sink | None = None
         self._saved: deque[_Saved] = deque(maxlen=_MARKS)
         self._messages: list[tuple[int, bytes]] = []
@@ -123,12 +118,12 @@ class McapRecorder:
         """
         with uninterrupted():
             try:
-                wanted = self._draft.published or error is None or isinstance(error, RunError)
+                wanted = self._unfinished.published or error is None or isinstance(error, RunError)
                 if self._sink is not None and wanted:
-                    self._draft.publish()
+                    self._unfinished.publish()
                     self._complete(self._sink, end_of_run(error))
             finally:
-                self._draft.discard()
+                self._unfinished.discard()
                 self._sink = None
 
     def begin(self, plan: Plan) -> None:
@@ -140,7 +135,7 @@ class McapRecorder:
             If the file cannot be created.
         """
         with uninterrupted():
-            self._begin(plan, self._draft.create())
+            self._begin(plan, self._unfinished.create())
 
     def _begin(self, plan: Plan, stream: RawIOBase) -> None:
         channels = plan.layout.channels
@@ -180,19 +175,32 @@ class McapRecorder:
             raise LogWriteError(
                 f"{self.path}: time {block.time_ns[0]} ns; the times of a log begin at 0"
             )
-        first = not self._draft.published
+        first = not self._unfinished.published
         if first:
             with uninterrupted():
-                self._draft.publish()
+                self._unfinished.publish()
         row = 0 if first and block.index == 0 else 1
         while row <= block.steps:
             row = self._buffer.take(block, signals, row)
             if self._buffer.full or time.monotonic() - self._flushed >= _FLUSH_AFTER:
                 self._write_chunk()
 
-    def message(self, time_ns: int, level: MessageLevel, name: str, text: str) -> None:
-        """Record a message of the run or of a component at a simulation time [ns] on ``/cosim/log``."""
-        self._messages.append((time_ns, encode_log(time_ns, level, name, text)))
+    def message(self, time_ns: int, level: MessageLevel, source: str, text: str) -> None:
+        """Record a message of the run or of a component at a simulation time [ns].
+
+        It goes to ``/cosim/log`` with the next chunk.
+        """
+        self._messages.append((time_ns, encode_log(time_ns, level, source, text)))
+
+    def result(self, values: Mapping[str, Any]) -> None:
+        """Add values to ``result.json``, which is written at the end.
+
+        Parameters
+        ----------
+        values : mapping of str to JSON values, numpy arrays and numbers, or paths
+            A key given before is replaced.
+        """
+        self._result.update(values)
 
     def _write_chunk(self) -> None:
         with (
@@ -234,7 +242,7 @@ class McapRecorder:
         sink, self._sink = self._sink, None
         assert sink is not None
         reason = error.strerror or str(error)
-        self.result.pop("last", None)  # rows may have to be given up
+        self._result.pop("last", None)  # rows may have to be given up
         while self._saved:
             saved = self._saved.pop()
             with suppress(OSError):
@@ -266,7 +274,7 @@ class McapRecorder:
             (name, signals_json(self._interfaces[name]), digest.hexdigest())
             for name, digest in saved.hashes.items()
         ]
-        write_result(sink, end, saved.reached, content_hash=combine(digests), more=self.result)
+        write_result(sink, end, saved.reached, content_hash=combine(digests), more=self._result)
         sink.close()
 
 

@@ -48,16 +48,16 @@ def log(path: str) -> Section:
         {"t": m.time_ns / 1e9, "level": m.level, "from": m.name, "text": m.text}
         for m in found.messages()
     ]
-    facts = {
-        name: json.loads(found.metadata[f"cosim.component.{name}"].get("facts", "{}"))
+    metadata = {
+        name: json.loads(found.metadata[f"cosim.component.{name}"].get("metadata", "{}"))
         for name in found.channels
     }
     swapped = {
         f"{name}: unlike what it replaced": _unlike(found.pop("contract", {}))
-        for name, found in facts.items()
+        for name, found in metadata.items()
     }
     return (
-        {"run": about, "signals": rows, "facts": {k: v for k, v in facts.items() if v}}
+        {"run": about, "signals": rows, "metadata": {k: v for k, v in metadata.items() if v}}
         | swapped
         | ({"messages": messages} if messages else {})
     )
@@ -85,7 +85,7 @@ def scenario(name: str) -> Section:
             "scenario": about,
             "signals": rows,
             "connections": wires,
-            "facts": dict(experiment.facts),
+            "metadata": dict(experiment.metadata),
         }
 
 

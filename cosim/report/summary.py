@@ -132,8 +132,8 @@ def summarize(recording: Recording) -> Summary:
     """Summarize a run; the truth and the start times come from the recording's metadata."""
     run = recording.metadata.get("cosim.run", {})
     truth = truth_of(recording)
-    facts = {name: _facts(recording, name) for name in recording.channels}
-    starts = [found["start"] for found in facts.values() if "start" in found]
+    metadata = {name: _component_metadata(recording, name) for name in recording.channels}
+    starts = [found["start"] for found in metadata.values() if "start" in found]
     since = max(starts, default=0.0)
     loops = tuple(
         stage for stage in json.loads(run.get("schedule", "[]")) if not stage.startswith("cascade ")
@@ -157,7 +157,7 @@ def summarize(recording: Recording) -> Summary:
         last={} if truth else _last(recording),
         identifications=tuple(
             _identification(recording, name, found)
-            for name, found in facts.items()
+            for name, found in metadata.items()
             if "unknowns" in found
         ),
         loops=loops,
@@ -173,9 +173,9 @@ def _last(recording: Recording) -> dict[str, float | list[float]]:
     return {name: rows[-1].tolist() for name in names if len(rows := recording[name])}
 
 
-def _facts(recording: Recording, component: str) -> dict[str, Any]:
+def _component_metadata(recording: Recording, component: str) -> dict[str, Any]:
     found: dict[str, Any] = json.loads(
-        recording.metadata.get(f"cosim.component.{component}", {}).get("facts", "{}")
+        recording.metadata.get(f"cosim.component.{component}", {}).get("metadata", "{}")
     )
     return found
 
@@ -214,18 +214,18 @@ def _value_errors(recording: Recording, estimate: str, true: Vector) -> list[Val
 
 
 def _identification(
-    recording: Recording, component: str, facts: Mapping[str, Any]
+    recording: Recording, component: str, metadata: Mapping[str, Any]
 ) -> Identification:
     """Judge the information in the rows that an identifier was given."""
     rows = as_columns(recording[f"{component}.regressor"])
     time = recording.time_ns(component) / 1e9
-    used = rows[time >= facts["start"]]
-    times = {key: facts[key] for key in ("T_obs", "T_f", "D_max", "T_id") if key in facts}
-    remarks = tuple(facts.get("remarks", ()))
+    used = rows[time >= metadata["start"]]
+    times = {key: metadata[key] for key in ("T_obs", "T_f", "D_max", "T_id") if key in metadata}
+    remarks = tuple(metadata.get("remarks", ()))
     if len(used) < 2:
         return Identification(
             component,
-            facts["start"],
+            metadata["start"],
             times,
             (),
             "the run ended before the identification began",
@@ -234,10 +234,10 @@ def _identification(
     eigenvalues: Vector = np.linalg.eigvalsh(
         information(used[:, 1:], float(time[1] - time[0]))
     ).astype(np.float64)
-    prior = None if facts["P0"] is None else 1.0 / facts["P0"]
+    prior = None if metadata["P0"] is None else 1.0 / metadata["P0"]
     return Identification(
         component,
-        facts["start"],
+        metadata["start"],
         times,
         tuple(map(float, eigenvalues)),
         verdict(eigenvalues, prior),

@@ -57,7 +57,7 @@ class Experiment:
     graph: Graph
     clock: Clock
     truth: Mapping[str, Any]  # what the report compares
-    facts: Mapping[str, Mapping[str, Any]]
+    metadata: Mapping[str, Mapping[str, Any]]
     warnings: tuple[tuple[str, str], ...]
     reads: Mapping[
         str, frozenset[str]
@@ -185,7 +185,7 @@ def finish(made: Draft) -> Experiment:
         graph,
         clock,
         truth=made.truth,
-        facts=context.facts,
+        metadata=context.metadata,
         warnings=tuple(context.warnings),
         reads=context.reads,
         attachments=context.attachments,

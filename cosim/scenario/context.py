@@ -44,7 +44,7 @@ class ScenarioBuildContext:
         self._scenario, self._resources, self._recording = scenario, resources, recording
         self._current = ""
         self.stop = scenario.file.scenario.stop
-        self.facts: dict[str, dict[str, Any]] = {}
+        self.metadata: dict[str, dict[str, Any]] = {}
         self.warnings: list[tuple[str, str]] = []
         self.reads: dict[str, frozenset[str]] = {"": frozenset()}
         self.attachments: dict[str, str] = {}
@@ -158,9 +158,9 @@ class ScenarioBuildContext:
             instance_name=name,
         )
         loaded = self._resources.enter_context(opened)
-        facts = loaded.metadata
-        self.attachments[f"{name}/modelDescription.xml"] = facts.pop("model_description")
-        self.note(name, **facts)
+        metadata = loaded.metadata
+        self.attachments[f"{name}/modelDescription.xml"] = metadata.pop("model_description")
+        self.note(name, **metadata)
         for text in loaded.notes:
             self.warn(name, text)
         self.fmus[name] = loaded
@@ -180,7 +180,7 @@ class ScenarioBuildContext:
         if name not in self._linearized:
             chosen = {"inputs": None if inputs is None else list(inputs), "outputs": list(outputs)}
             asked = {"fmu": path, "at": at, "start": dict(start), **chosen}
-            recorded = self._recorded_facts(name).get("linearization", {})
+            recorded = self._recorded_metadata(name).get("linearization", {})
             if recorded.get("asked") != asked:
                 recorded = {
                     "asked": asked,
@@ -204,17 +204,17 @@ class ScenarioBuildContext:
         for text in found.notes:
             self.warn(name, text)
 
-    def _recorded_facts(self, name: str) -> dict[str, Any]:
+    def _recorded_metadata(self, name: str) -> dict[str, Any]:
         if self._recording is None:
             return {}
         found: dict[str, Any] = json.loads(
-            self._recording.metadata.get(f"cosim.component.{name}", {}).get("facts", "{}")
+            self._recording.metadata.get(f"cosim.component.{name}", {}).get("metadata", "{}")
         )
         return found
 
-    def note(self, name: str, **facts: Any) -> None:
-        """Record facts about a component."""
-        self.facts.setdefault(name, {}).update(facts)
+    def note(self, name: str, **metadata: Any) -> None:
+        """Record metadata of a component."""
+        self.metadata.setdefault(name, {}).update(metadata)
 
     def warn(self, name: str, text: str) -> None:
         """Record a warning about a component."""

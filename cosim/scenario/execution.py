@@ -219,10 +219,12 @@ def _execute(
 
 def _with_contract(experiment: Experiment, contract: Contract) -> Experiment:
     """Keep in the log how swapped components compare with those they replace."""
-    facts = dict(experiment.facts)
+    metadata = dict(experiment.metadata)
     for name, report in contract.reports.items():
-        facts[name] = {**facts.get(name, {}), "contract": report.to_dict()}
-    return replace(experiment, facts=facts, warnings=(*experiment.warnings, *contract.warnings))
+        metadata[name] = {**metadata.get(name, {}), "contract": report.to_dict()}
+    return replace(
+        experiment, metadata=metadata, warnings=(*experiment.warnings, *contract.warnings)
+    )
 
 
 def _timed(graph: Graph, profile: dict[str, float]) -> Graph:

@@ -50,9 +50,8 @@ class MessageRecorder:
             )
         if self._last is not None:
             values = zip(self._experiment.graph.labels(), self._last.tolist(), strict=True)
-            self._recorder.result["last"] = {
-                label: value if math.isfinite(value) else None for label, value in values
-            }
+            last = {label: value if math.isfinite(value) else None for label, value in values}
+            self._recorder.result({"last": last})
 
     def begin(self, plan: Plan) -> None:
         """Hand on, then tell what is to be known before the first step."""
@@ -88,7 +87,7 @@ def _level(error: BaseException) -> MessageLevel:
 
 
 def metadata_of(experiment: Experiment) -> dict[str, dict[str, str]]:
-    """Give the metadata records of a run: scenario, edits, connections, and each component's table, facts and fingerprint."""
+    """Give the metadata records of a run: scenario, edits, connections, and each component's table, metadata and fingerprint."""
     scenario = experiment.scenario
     settings = scenario.file.scenario
     records = {
@@ -109,7 +108,7 @@ def metadata_of(experiment: Experiment) -> dict[str, dict[str, str]]:
     for name in scenario.specs:
         records[f"cosim.component.{name}"] = {
             "table": json.dumps(scenario.tree["components"][name]),
-            "facts": json.dumps(experiment.facts.get(name, {})),
+            "metadata": json.dumps(experiment.metadata.get(name, {})),
             "fingerprint": fingerprint(scenario, name, experiment.reads[name]),
         }
     return records

@@ -85,7 +85,7 @@ def record(path, *, steps=1000, size=100, lay=None, rows=None, messages=(), **op
             recorder.message(*message)
         for block, signals in blocks(rows, size):
             recorder.write(block, signals)
-        recorder.result["rms"] = np.float64(0.25)
+        recorder.result({"rms": np.float64(0.25)})
     return rows
 
 

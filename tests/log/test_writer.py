@@ -16,7 +16,7 @@ from mcap.reader import NonSeekingReader, make_reader
 import cosim
 from cosim.core.contracts import Recorder, Stopped
 from cosim.errors import Interrupted, LogError, LogWriteError
-from cosim.log import Attachment, McapRecorder, draft, open_log, writer
+from cosim.log import Attachment, McapRecorder, open_log, unfinished, writer
 from cosim.log import buffer as row_buffer
 
 from .recordings import STEP_NS, blocks, layout, plan, record, same_bits, table
@@ -209,7 +209,7 @@ class FullDisk(io.FileIO):
 @pytest.mark.parametrize("room", range(24_000, 60_000, 4_111))
 def test_a_full_disk_leaves_a_whole_file(tmp_path, monkeypatch, room):
     """The error names file and reason; what fits is a valid file with a true hash."""
-    monkeypatch.setattr(draft, "create", lambda path: FullDisk(path, room))
+    monkeypatch.setattr(unfinished, "create", lambda path: FullDisk(path, room))
     monkeypatch.setattr(row_buffer, "CHUNK_BYTES", 5000)
     with pytest.raises(
         LogWriteError,
@@ -245,7 +245,7 @@ class Interruptible(io.FileIO):
 
 def test_an_interrupt_within_a_write_loses_nothing(tmp_path, monkeypatch):
     """The chunk that was torn is written again."""
-    monkeypatch.setattr(draft, "create", lambda path: Interruptible(path, "x+"))
+    monkeypatch.setattr(unfinished, "create", lambda path: Interruptible(path, "x+"))
     monkeypatch.setattr(row_buffer, "CHUNK_BYTES", 5000)
     with pytest.raises(KeyboardInterrupt):
         record(tmp_path / "a.mcap", compression="none", size=10)
@@ -261,7 +261,7 @@ def test_an_interrupt_within_a_write_loses_nothing(tmp_path, monkeypatch):
 
 def test_a_disk_full_from_the_start_leaves_nothing(tmp_path, monkeypatch):
     """A log that cannot even begin is an error before the run."""
-    monkeypatch.setattr(draft, "create", lambda path: FullDisk(path, 1000))
+    monkeypatch.setattr(unfinished, "create", lambda path: FullDisk(path, 1000))
     with pytest.raises(LogError, match=r"a\.mcap cannot be written: No space left"):
         record(tmp_path / "a.mcap")
     assert not list(tmp_path.iterdir())
@@ -313,9 +313,8 @@ def test_the_result_takes_numpy_values(tmp_path):
     """What the report computes goes to result.json as it is."""
     with McapRecorder(tmp_path / "a.mcap") as recorder:
         recorder.begin(plan())
-        recorder.result.update(
-            theta=np.array([1.0, 2.0]), count=np.int64(3), ok=np.True_, path=tmp_path
-        )
+        recorder.result({"theta": np.array([1.0, 2.0]), "count": np.int64(3)})
+        recorder.result({"ok": np.True_, "path": tmp_path})
     result = json.loads(open_log(tmp_path / "a.mcap").attachment("result.json"))
     assert (result["theta"], result["count"], result["ok"], result["path"]) == (
         [1.0, 2.0],

@@ -1,4 +1,3 @@
-
 """An observer that is designed on an FMU: the same as on the matrices, replayed from the log alone."""
 
 import json
@@ -46,7 +45,9 @@ def test_an_observer_designed_by_differences_identifies_the_same(folder, foreign
     matrices, fmu = (
         cosim.run("academic", set=changes) for changes in ({}, {"observer.model": model})
     )
-    found = json.loads(fmu.metadata["cosim.component.observer"]["facts"])["linearization"]["result"]
+    found = json.loads(fmu.metadata["cosim.component.observer"]["metadata"])["linearization"][
+        "result"
+    ]
     assert max(found["errors"].values()) <= 1e-12
     assert abs(fmu["identifier.theta"][-1] - matrices["identifier.theta"][-1]).max() <= 1e-10
 
@@ -66,8 +67,8 @@ def test_a_replay_needs_the_log_alone(folder, tmp_path):
     assert cosim.diff(again, cosim.replay(again)).equal
     faster = cosim.replay(log, set={"observer.L": [6.0, 0.0]})
     assert not np.array_equal(faster["observer.x_a"], log["observer.x_a"])
-    facts = json.loads(log.metadata["cosim.component.observer"]["facts"])
-    assert len(facts["linearization"]["sha256"]) == 64
+    metadata = json.loads(log.metadata["cosim.component.observer"]["metadata"])
+    assert len(metadata["linearization"]["sha256"]) == 64
     with pytest.raises(
         ScenarioError, match=r"components\.observer: .*plant\.fmu: there is no such file"
     ):

@@ -140,7 +140,7 @@ def test_a_log_of_an_fmu_replays_without_the_fmu(plant, tmp_path):
     copy.unlink()
     assert cosim.diff(log, cosim.replay(tmp_path / "a.mcap")).equal
     assert "plant/modelDescription.xml" in log.attachments
-    assert json.loads(log.metadata["cosim.component.plant"]["facts"])["sha256"]
+    assert json.loads(log.metadata["cosim.component.plant"]["metadata"])["sha256"]
 
 
 def test_an_fmu_keeps_the_tolerance_of_its_table(plant):
@@ -156,7 +156,7 @@ def test_an_fmu_keeps_the_tolerance_of_its_table(plant):
 
     exact, loose, tight = cosim.run("academic", set=changes)["plant.y"], run(1e-3), run(1e-11)
     assert abs(tight["plant.y"] - exact).max() < 1e-9 < 1e-8 < abs(loose["plant.y"] - exact).max()
-    assert json.loads(tight.metadata["cosim.component.plant"]["facts"])["tolerance"] == 1e-11
+    assert json.loads(tight.metadata["cosim.component.plant"]["metadata"])["tolerance"] == 1e-11
 
 
 def test_a_sampled_fmu_answers_at_its_own_step(plant, tmp_path):

@@ -79,7 +79,7 @@ def test_another_mode_and_start_are_listed_and_warned_of_in_one_line(folder, tmp
         out=tmp_path / "a.mcap",
     )
     assert ["plant", text] in json.loads(log.metadata["cosim.run"]["warnings"])
-    kept = json.loads(log.metadata["cosim.component.plant"]["facts"])["contract"]
+    kept = json.loads(log.metadata["cosim.component.plant"]["metadata"])["contract"]
     assert kept == json.loads(json.dumps(found.reports["plant"].to_dict()))
 
 

@@ -84,8 +84,8 @@ class BuildContext(Protocol):
         """Linearize an FMU for a component, and record the result; a replay takes it from there."""
         ...
 
-    def note(self, name: str, **facts: Any) -> None:
-        """Record a fact about a component for reports and the log."""
+    def note(self, name: str, **metadata: Any) -> None:
+        """Record metadata of a component for reports and the log."""
         ...
 
     def warn(self, name: str, text: str) -> None:

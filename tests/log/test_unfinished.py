@@ -8,7 +8,7 @@ import os
 import pytest
 
 from cosim.errors import GraphError, Interrupted, LogError, LogWriteError, NonFiniteError
-from cosim.log import McapRecorder, draft, open_log, writer
+from cosim.log import McapRecorder, open_log, unfinished, writer
 
 from .recordings import blocks, layout, plan, record, table
 from .test_writer import FullDisk
@@ -96,7 +96,7 @@ def test_a_file_that_came_meanwhile_is_not_replaced(tmp_path, monkeypatch, rows,
     """With and without hard links, at the first row and at the end of a run without any."""
     path = tmp_path / "a.mcap"
     if not linked:
-        monkeypatch.setattr(draft.os, "link", no_links)
+        monkeypatch.setattr(unfinished.os, "link", no_links)
 
     def fail():
         with McapRecorder(path) as recorder:
@@ -118,7 +118,7 @@ def no_links(source, target):
 
 def test_a_file_system_without_hard_links_will_do(tmp_path, monkeypatch):
     """The name is reserved and then replaced."""
-    monkeypatch.setattr(draft.os, "link", no_links)
+    monkeypatch.setattr(unfinished.os, "link", no_links)
     record(tmp_path / "a.mcap", steps=20)
     assert open_log(tmp_path / "a.mcap").steps == 20
     assert list(tmp_path.iterdir()) == [tmp_path / "a.mcap"]
@@ -156,7 +156,7 @@ def test_an_interrupt_in_begin_leaves_no_trace(path, force, monkeypatch, place, 
 
 def test_a_disk_full_from_the_start_leaves_the_old_log(path, force, monkeypatch):
     """What cannot even begin replaces nothing."""
-    monkeypatch.setattr(draft, "create", lambda path: FullDisk(path, 1000))
+    monkeypatch.setattr(unfinished, "create", lambda path: FullDisk(path, 1000))
     with pytest.raises(LogError, match=r"a\.mcap cannot be written: No space left"):
         attempt(path, force)
     assert untouched(path, force)
