@@ -9,7 +9,7 @@ from cosim.core.contracts import Design
 from cosim.core.linear import LinearModel
 from cosim.core.signals import Interface, Signal
 from cosim.errors import UsageError
-from cosim.native.step import delay
+from cosim.native.step import delay_step
 
 
 def lag(
@@ -66,7 +66,7 @@ class Delay:
             (Signal("u", size, unit),), (Signal("y", size, unit, "inherited"),), initial=follows
         )
         self._size = size
-        self._step = delay(steps, size)
+        self._step = delay_step(steps, size)
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Nothing rests on linear algebra."""

@@ -8,7 +8,7 @@ from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.contracts import Design, Stopped
 from cosim.core.signals import Interface, Signal
 from cosim.errors import UsageError
-from cosim.native.step import NO_VALUE, LeastSquares, LeastSquaresConstants, RecoveryStep
+from cosim.native.step import NO_VALUE, LeastSquares, LeastSquaresConstants, RecoveryConstants
 from cosim.theory.estimators import Recovery
 
 
@@ -46,8 +46,10 @@ class LeastSquaresIdentifier:
             start=start,
             information=0.0 if self.P0 is None else 1.0 / self.P0,
             recovery=[
-                RecoveryStep(int(block.kind), block.terms, block.theta, block.signs, block.spacing)
-                for block in self.recovery.blocks
+                RecoveryConstants(
+                    int(block.kind), block.terms, block.theta, block.signs, block.spacing
+                )
+                for block in self.recovery.groups
             ],
             held=held,
         )

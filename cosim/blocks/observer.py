@@ -11,7 +11,7 @@ from cosim.blocks.plant import linear_model
 from cosim.core.linear import LinearModel
 from cosim.core.signals import Signal
 from cosim.theory.descriptor import ReducedSystem
-from cosim.theory.observer import ObserverDesign, realize, start
+from cosim.theory.observer import ObserverDesign, initial_state_map, realize
 
 
 def observer_model(
@@ -39,7 +39,7 @@ def observer_model(
         The last input of ``reduced`` is the constant 1: no input of the model, but a state ``one`` that stays at 1.
     """
     system = realize(reduced, design)
-    X0, Xu = start(reduced, design, x_a0=x_a0, q0=q0)
+    X0, Xu = initial_state_map(reduced, design, x_a0=x_a0, q0=q0)
     n, n_y, n_d, n_b = len(reduced.A_a), len(reduced.C3), reduced.B_2a.shape[1], len(reduced.Kx)
     outputs = [Signal("x_a", n, role="estimate"), Signal("delta", n_d, role="estimate")]
     if n_b:

@@ -11,7 +11,7 @@ from cosim.core.contracts import Design, Stopped
 from cosim.core.signals import Interface, Signal, SignalType, Variability
 from cosim.errors import UsageError
 from cosim.native.expression import compile_expression
-from cosim.native.step import evaluate, expression
+from cosim.native.step import evaluate, expression_step
 
 
 class Expression:
@@ -37,7 +37,7 @@ class Expression:
     ) -> None:
         self.programs = tuple(compile_expression(text) for text in texts)
         self.interface = Interface(outputs=(Signal("y", len(texts), unit, variability, kind=kind),))
-        self._step = expression(self.programs)
+        self._step = expression_step(self.programs)
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Nothing rests on linear algebra."""

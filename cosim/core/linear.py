@@ -8,12 +8,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.contracts import Design
 from cosim.core.signals import Interface
 from cosim.errors import GraphError
-from cosim.native.step import HeldDiscretization, NativeStep, affine, first_order_hold, linear
+from cosim.native.step import DiscretizedDynamics, NativeStep, affine, first_order_hold, linear_step
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,8 +125,8 @@ class Linear:
             discrete = first_order_hold(self.model.A, self.model.B, h, held)
             arrays = {**self.model.arrays, "Ad": discrete.Ad, "B0": discrete.B0, "B1": discrete.B1}
         self._arrays = arrays
-        self._step: NativeStep = linear(
-            HeldDiscretization(arrays["Ad"], arrays["B0"], arrays["B1"]), arrays["C"], arrays["D"]
+        self._step: NativeStep = linear_step(
+            DiscretizedDynamics(arrays["Ad"], arrays["B0"], arrays["B1"]), arrays["C"], arrays["D"]
         )
         return arrays
 

@@ -31,8 +31,8 @@ void cosim_multiply_add(int32_t rows, int32_t columns, const double *M, const do
 /* E = exp(M) for M of shape (n, n), by scaling, a Taylor series and squaring; `work` has 2 n n doubles. */
 void cosim_exponential(int32_t n, const double *M, double *E, double *work);
 
-/* Exact discretization of x' = A x + B u for inputs that move in straight lines: x(t+h) = Ad x + B0 u(t) + B1 u(t+h).
- * held[j] != 0: input j keeps u(t) over the step. `work` has 4 N N doubles, N = n + 2 m. */
+/* Exact discretization of x' = A x + B u for inputs that are interpolated linearly over the step (the triangle, or first-order,
+ * hold): x(t+h) = Ad x + B0 u(t) + B1 u(t+h). held[j] != 0: zero-order hold of input j at u(t). `work` has 4 N N doubles, N = n + 2 m. */
 void cosim_first_order_hold(int32_t n, int32_t m, const double *A, const double *B, double h, const uint8_t *held, double *Ad,
                             double *B0, double *B1, double *work);
 
@@ -71,19 +71,19 @@ int32_t cosim_expression_step(void *self, double t0, double t1, double h, const 
 
 /* The products mu of (21)-(25): mu_c = sign_c delta(t - D_row) prod alpha_b(t - D_i). */
 typedef struct {
-    int32_t rows, blocks, terms, factors; /* delays, distinct alphas, q + 1, alpha factors of one term */
+    int32_t rows, groups, terms, factors; /* delays, distinct alphas, q + 1, alpha factors of one term */
     const int32_t *steps;                 /* (rows) delays in communication steps */
     const double *delays;                 /* (rows) [s] */
-    const cosim_program *alphas;          /* (blocks) */
+    const cosim_program *alphas;          /* (groups) */
     const int32_t *row;                   /* (terms) row of delta */
-    const int32_t *factor;                /* (terms, factors) block * rows + row */
+    const int32_t *factor;                /* (terms, factors) group * rows + row */
     const double *sign;                   /* (terms) */
-    double *memory;                       /* number of samples before now, ring of the longest delay, (blocks, rows) of scratch */
+    double *memory;                       /* number of samples before now, ring of the longest delay, (groups, rows) of scratch */
 } cosim_regressor;
 int32_t cosim_regressor_step(void *self, double t0, double t1, double h, const double *u0, const double *u1, double *y);
 void cosim_regressor_outputs(const cosim_regressor *self, double t, double delta, double *y);
 
-/* How theta follows from the estimates for one block: the recurrence sum_k c_k f(t - D - k spacing) = 0. */
+/* How theta of one group follows from the estimates: the recurrence sum_k c_k f(t - D - k spacing) = 0. */
 #define COSIM_EXPONENTIAL 1  /* V = 1: one exponential */
 #define COSIM_EXPONENTIALS 2 /* V = 2: two exponentials, the larger parameter first */
 #define COSIM_SINE 3         /* V = 2: one sine */
@@ -97,7 +97,7 @@ typedef struct {
 
 /* Least squares (33)-(34) in information form: R'R = prior + integral of m m' dt, accumulated by Givens rotations. */
 typedef struct {
-    int32_t unknowns, blocks, parameters, held;
+    int32_t unknowns, groups, parameters, held;
     double start; /* [s] */
     double prior; /* square root of 1 / P0; 0: none */
     const cosim_recovery *recovery;

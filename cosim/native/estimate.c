@@ -36,7 +36,7 @@ void cosim_regressor_outputs(const cosim_regressor *s, double t, double delta, d
             y[c] = no_value();
         return;
     }
-    for (int32_t b = 0; b < s->blocks; ++b)
+    for (int32_t b = 0; b < s->groups; ++b)
         for (int32_t j = 0; j < s->rows; ++j)
             alpha[b * s->rows + j] = cosim_evaluate(&s->alphas[b], t - s->delays[j]);
     for (int32_t c = 0; c < s->terms; ++c) {
@@ -48,7 +48,7 @@ void cosim_regressor_outputs(const cosim_regressor *s, double t, double delta, d
     }
 }
 
-/* Only samples before t1 enter the ring, so that an input that is known late does no harm. */
+/* Only samples before t1 enter the ring, so that an input that is extrapolated first and corrected later does no harm. */
 int32_t cosim_regressor_step(void *self, double t0, double t1, double h, const double *u0, const double *u1, double *y)
 {
     (void)t0, (void)h;
@@ -150,7 +150,7 @@ static void estimate(const cosim_least_squares *s, double *y)
             y[i] = no_value();
         return;
     }
-    for (int32_t b = 0; b < s->blocks; ++b)
+    for (int32_t b = 0; b < s->groups; ++b)
         recover(&s->recovery[b], eta, theta);
 }
 

@@ -41,14 +41,14 @@ void cosim_messages_close(cosim_messages *self)
 
 static cosim_messages *find(const void *key)
 {
-    cosim_messages *expecting = NULL;
-    for (cosim_messages *one = list; one; one = one->next) {
-        if (key && one->key == key)
-            return one;
-        if (one->expects && !expecting)
-            expecting = one;
+    cosim_messages *fallback = NULL;
+    for (cosim_messages *messages = list; messages; messages = messages->next) {
+        if (key && messages->key == key)
+            return messages;
+        if (messages->accepts_unknown && !fallback)
+            fallback = messages;
     }
-    return expecting;
+    return fallback;
 }
 
 static void copy(char *target, size_t size, const char *source)
@@ -128,7 +128,7 @@ void cosim_intermediate_update(void *environment, double t, bool set_requested, 
                                bool can_return_early, bool *early_return_requested, double *early_return_time)
 {
     (void)get_allowed, (void)step_finished, (void)can_return_early;
-    cosim_lines *self = environment;
+    cosim_interpolation *self = environment;
     if (early_return_requested)
         *early_return_requested = false;
     if (early_return_time)
@@ -136,7 +136,7 @@ void cosim_intermediate_update(void *environment, double t, bool set_requested, 
     if (!self || !set_requested || self->size == 0)
         return;
     const double elapsed = t == self->t0 + self->h ? self->h : t - self->t0; /* at the end without the rounding of t */
-    self->asked = t;
+    self->last_request = t;
     for (size_t i = 0; i < self->size; ++i)
         self->values[i] = self->start[i] + self->slope[i] * elapsed;
     const int status = self->set(self->instance, self->references, self->count, self->values, self->size);

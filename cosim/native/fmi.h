@@ -1,4 +1,4 @@
-/* What a loaded FMU calls back: no Python runs in it, and nothing is printed.
+/* What a loaded FMU calls back: none of it runs Python or prints.
  *
  * An FMU may log from any thread, and FMI 1.0 names only its own component: every ring of messages is in one list, found by a key
  * under one lock, so that an FMU that names something else reaches none of them. The memory belongs to the caller. */
@@ -24,7 +24,7 @@ typedef struct cosim_messages {
     const void *key;             /* the environment given to the FMU; its component in FMI 1.0 */
     cosim_message *ring;
     int32_t size, first, count;
-    int32_t expects; /* also takes what has a key that nobody knows: while an FMU of FMI 1.0 is instantiated */
+    int32_t accepts_unknown; /* also takes the messages of an unknown key: while an FMU of FMI 1.0 is instantiated */
     int64_t dropped;
     double now; /* time of the simulation [s], written between the calls of the FMU; NaN: it did not begin */
 } cosim_messages;
@@ -41,20 +41,20 @@ int64_t cosim_messages_dropped(cosim_messages *self); /* how many were dropped s
 void cosim_log(void *key, const char *instance, int status, const char *category, const char *format, ...);
 void cosim_log_text(void *key, int status, const char *category, const char *text);
 
-/* Inputs on straight lines inside a step of FMI 3.0: u(t) = start + slope (t - t0), set by fmi3SetFloat64. */
+/* Linear interpolation of the inputs inside a step of FMI 3.0: u(t) = start + slope (t - t0), set by fmi3SetFloat64. */
 typedef struct {
     int (*set)(void *instance, const uint32_t *references, size_t n, const double *values, size_t n_values);
     void *instance;
     const uint32_t *references;
-    size_t count, size; /* of references, of values; size 0: no lines */
+    size_t count, size; /* of references, of values; size 0: no interpolation */
     const double *start, *slope;
-    double *values; /* scratch */
-    double t0, h;   /* start of the step, and its size */
-    double asked;   /* the time of the last update that asked for inputs; put -infinity here before the step */
-    int32_t status; /* the worst that `set` answered */
-} cosim_lines;
+    double *values;      /* scratch */
+    double t0, h;        /* start of the step, and its size */
+    double last_request; /* time of the last update that requested inputs; -infinity before the step */
+    int32_t status;      /* the worst status that `set` returned */
+} cosim_interpolation;
 
-/* fmi3IntermediateUpdateCallback, the environment being a cosim_lines; never asks for an early return. */
+/* fmi3IntermediateUpdateCallback, the environment being a cosim_interpolation; never asks for an early return. */
 void cosim_intermediate_update(void *environment, double t, bool set_requested, bool get_allowed, bool step_finished,
                                bool can_return_early, bool *early_return_requested, double *early_return_time);
 

@@ -44,7 +44,7 @@ class RegressorStruct(ctypes.Structure):
     """cosim_regressor."""
 
     _fields_ = (
-        *((name, c_int32) for name in ("rows", "blocks", "terms", "factors")),
+        *((name, c_int32) for name in ("rows", "groups", "terms", "factors")),
         *(
             (name, c_void_p)
             for name in ("steps", "delays", "alphas", "row", "factor", "sign", "memory")
@@ -68,7 +68,7 @@ class LeastSquaresStruct(ctypes.Structure):
     """cosim_least_squares."""
 
     _fields_ = (
-        *((name, c_int32) for name in ("unknowns", "blocks", "parameters", "held")),
+        *((name, c_int32) for name in ("unknowns", "groups", "parameters", "held")),
         ("start", c_double),
         ("prior", c_double),
         ("recovery", c_void_p),
@@ -92,14 +92,14 @@ class MessagesStruct(ctypes.Structure):
 
     _fields_ = (
         *((name, c_void_p) for name in ("next", "key", "ring")),
-        *((name, c_int32) for name in ("size", "first", "count", "expects")),
+        *((name, c_int32) for name in ("size", "first", "count", "accepts_unknown")),
         ("dropped", c_int64),
         ("now", c_double),
     )
 
 
-class LinesStruct(ctypes.Structure):
-    """cosim_lines."""
+class InterpolationStruct(ctypes.Structure):
+    """cosim_interpolation."""
 
     _fields_ = (
         *((name, c_void_p) for name in ("set", "instance", "references")),
@@ -108,7 +108,7 @@ class LinesStruct(ctypes.Structure):
         *((name, c_void_p) for name in ("start", "slope", "values")),
         ("t0", c_double),
         ("h", c_double),
-        ("asked", c_double),
+        ("last_request", c_double),
         ("status", c_int32),
     )
 

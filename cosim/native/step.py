@@ -96,7 +96,7 @@ class NativeStep:
 
 
 @dataclass(frozen=True, slots=True)
-class HeldDiscretization:
+class DiscretizedDynamics:
     """x(t+h) = Ad x(t) + B0 u(t) + B1 u(t+h), exact for straight-line (or held) inputs."""
 
     Ad: Matrix
@@ -104,7 +104,7 @@ class HeldDiscretization:
     B1: Matrix
 
 
-def first_order_hold(A: Matrix, B: Matrix, h: float, held: Mask) -> HeldDiscretization:
+def first_order_hold(A: Matrix, B: Matrix, h: float, held: Mask) -> DiscretizedDynamics:
     """Discretize x' = A x + B u exactly over a step of ``h`` seconds.
 
     Parameters
@@ -124,10 +124,10 @@ def first_order_hold(A: Matrix, B: Matrix, h: float, held: Mask) -> HeldDiscreti
     library.cosim_first_order_hold(
         n, m, pointer(A), pointer(B), h, mask, pointer(Ad), pointer(B0), pointer(B1), pointer(work)
     )
-    return HeldDiscretization(Ad, B0, B1)
+    return DiscretizedDynamics(Ad, B0, B1)
 
 
-def exponential(M: Matrix) -> Matrix:
+def matrix_exponential(M: Matrix) -> Matrix:
     """Matrix exponential in fixed order: the same bits on every processor."""
     M = np.ascontiguousarray(M, np.float64)
     E, work = np.empty_like(M), np.empty(2 * M.size)
@@ -144,7 +144,7 @@ def affine(pairs: Sequence[tuple[Matrix, Vector]]) -> Vector:
     return y
 
 
-def linear(discrete: HeldDiscretization, C: Matrix, D: Matrix) -> NativeStep:
+def linear_step(discrete: DiscretizedDynamics, C: Matrix, D: Matrix) -> NativeStep:
     """Step a discretized linear system; memory: x (n), scratch (n)."""
     arrays = [
         np.ascontiguousarray(M, np.float64) for M in (discrete.Ad, discrete.B0, discrete.B1, C, D)
@@ -155,7 +155,7 @@ def linear(discrete: HeldDiscretization, C: Matrix, D: Matrix) -> NativeStep:
     return NativeStep(address("cosim_linear_step"), state, n_y=p, memory=memory, keep=arrays)
 
 
-def delay(steps: int, width: int) -> NativeStep:
+def delay_step(steps: int, width: int) -> NativeStep:
     """Give the input ``steps`` communication steps later; memory: the row due now, ring of ``steps`` rows."""
     memory = np.zeros(1 + steps * width)
     return NativeStep(
@@ -180,7 +180,7 @@ def _programs(programs: Sequence[Program]) -> ctypes.Array[ProgramStruct]:
     return (ProgramStruct * max(len(programs), 1))(*map(_program, programs))
 
 
-def expression(programs: Sequence[Program]) -> NativeStep:
+def expression_step(programs: Sequence[Program]) -> NativeStep:
     """Give the values of expressions in t; no memory."""
     array = _programs(programs)
     state = ExpressionStruct(len(programs), ctypes.addressof(array))
@@ -268,7 +268,7 @@ class RegressorStep:
 
 
 @dataclass(frozen=True, slots=True)
-class RecoveryStep:
+class RecoveryConstants:
     """How theta of one block follows from the estimates: sum_k sign_k chi[index_k] f(t - D - k spacing) = 0.
 
     ``kind``: 1 one exponential, 2 two exponentials, 3 one sine. ``theta``: where the results belong.
@@ -293,7 +293,7 @@ class LeastSquaresConstants:
         First instant that counts [s].
     information : float
         1/P0, before the data; 0: none.
-    recovery : sequence of RecoveryStep
+    recovery : sequence of RecoveryConstants
     held : bool
         Rows hold over a step (rectangle) instead of moving in straight lines (trapezoid).
     """
@@ -301,7 +301,7 @@ class LeastSquaresConstants:
     unknowns: int
     start: float
     information: float
-    recovery: Sequence[RecoveryStep]
+    recovery: Sequence[RecoveryConstants]
     held: bool
 
     @property

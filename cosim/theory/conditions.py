@@ -15,7 +15,7 @@ from cosim.theory.geometry import rank
 from cosim.theory.placement import modes
 
 
-def decoupling(reduced: ReducedSystem) -> Matrix:
+def decoupling_matrix(reduced: ReducedSystem) -> Matrix:
     """Give `G = (C3 B_2a)^+`, the factor of (15), after checking (11) and (14).
 
     Raises
@@ -49,7 +49,7 @@ def decoupling(reduced: ReducedSystem) -> Matrix:
     return np.asarray(np.linalg.pinv(C3 @ B_2a), dtype=np.float64)
 
 
-def need_detectable(fixed_modes: ComplexVector, M: Matrix) -> None:
+def check_detectable(fixed_modes: ComplexVector, M: Matrix) -> None:
     """Refuse a fixed mode [1/s] of (M, C3) that is not stable.
 
     Raises
@@ -65,7 +65,7 @@ def need_detectable(fixed_modes: ComplexVector, M: Matrix) -> None:
             )
 
 
-def need_hurwitz(movable: ComplexVector, closed: Matrix, fixed_modes: ComplexVector) -> None:
+def check_hurwitz(movable: ComplexVector, closed: Matrix, fixed_modes: ComplexVector) -> None:
     """Refuse a gain that leaves a movable eigenvalue [1/s] of ``closed = M - L C3`` not stable.
 
     Raises

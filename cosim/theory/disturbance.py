@@ -177,7 +177,7 @@ def coefficients(
     )
 
 
-def group(alphas: Sequence[str], families: Sequence[Family]) -> tuple[AlphaGroup, ...]:
+def group_by_alpha(alphas: Sequence[str], families: Sequence[Family]) -> tuple[AlphaGroup, ...]:
     """Group the components of (4) by alpha, blocks in the order of their first component.
 
     Parameters

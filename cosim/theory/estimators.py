@@ -44,7 +44,7 @@ class RecoveryKind(IntEnum):
 
 
 @dataclass(frozen=True)
-class BlockRecovery:
+class GroupRecovery:
     """How theta of one block follows from chi; integers and floats only.
 
     Attributes
@@ -75,7 +75,7 @@ class BlockRecovery:
 class Recovery:
     """The recovery of theta, shape ``(n_theta,)``, from eta, shape ``(n_eta,)``."""
 
-    blocks: tuple[BlockRecovery, ...]
+    groups: tuple[GroupRecovery, ...]
     n_eta: int
     n_theta: int
 
@@ -108,7 +108,7 @@ def plan(terms: Sequence[Term], blocks: Sequence[AlphaGroup], delays: Sequence[f
         ]
         spacing = float(delays[rows[1]] - delays[rows[0]])
         recoveries.append(
-            BlockRecovery(
+            GroupRecovery(
                 kind=kind,
                 terms=tuple(chosen),
                 signs=tuple(terms[c].sign for c in chosen),
@@ -127,7 +127,7 @@ def plan(terms: Sequence[Term], blocks: Sequence[AlphaGroup], delays: Sequence[f
 def recover(plan: Recovery, eta: Vector) -> Vector:
     """Recover theta from eta (35), shape ``(n_theta,)``; NaN for a block where eta belongs to no theta."""
     theta = np.full(plan.n_theta, NAN)
-    for block in plan.blocks:
+    for block in plan.groups:
         c = [
             sign * (float(eta[term - 1]) if term else 1.0)
             for term, sign in zip(block.terms, block.signs, strict=True)

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 
 from cosim.arrays import Matrix, Vector, frozen
 from cosim.errors import AssumptionError
-from cosim.theory.conditions import decoupling, need_detectable, need_hurwitz
+from cosim.theory.conditions import check_detectable, check_hurwitz, decoupling_matrix
 from cosim.theory.descriptor import ComplexVector, ReducedSystem
 from cosim.theory.geometry import orthogonal_complement, output_nulling, without_rounding
 from cosim.theory.placement import place
@@ -59,7 +59,7 @@ class StateSpace:
 
 
 @dataclass(frozen=True)
-class StartTime:
+class IdentificationStartTime:
     """When identification may start (36)-(38), all [s]."""
 
     T_obs: float
@@ -104,7 +104,7 @@ def design(
             if poles is not None
             else "(17): neither L nor poles given; needed one of them"
         )
-    G = decoupling(reduced)
+    G = decoupling_matrix(reduced)
     F = reduced.B_2a @ G
     M, N = (
         reduced.A_a - F @ (reduced.C3 @ reduced.A_a),
@@ -113,7 +113,7 @@ def design(
     V = output_nulling(M, np.zeros((len(M), 0)), reduced.C3, np.zeros((len(reduced.C3), 0)))
     W = orthogonal_complement(V)
     fixed_modes = _sorted_eigenvalues(V.T @ M @ V)
-    need_detectable(fixed_modes, M)
+    check_detectable(fixed_modes, M)
     observable, seen = W.T @ M @ W, reduced.C3 @ W
     gain = (
         _gain(L, reduced.C3.T.shape)
@@ -121,7 +121,7 @@ def design(
         else W @ place(observable, seen, poles, fixed_modes)
     )
     movable = _sorted_eigenvalues(observable - W.T @ gain @ seen)
-    need_hurwitz(movable, M - gain @ reduced.C3, fixed_modes)
+    check_hurwitz(movable, M - gain @ reduced.C3, fixed_modes)
     eigenvalues = np.sort_complex(np.concatenate([movable, fixed_modes]))
     return ObserverDesign(
         F=frozen(F, 2),
@@ -173,7 +173,7 @@ def realize(reduced: ReducedSystem, observer: ObserverDesign) -> StateSpace:
     )
 
 
-def start(
+def initial_state_map(
     reduced: ReducedSystem,
     observer: ObserverDesign,
     *,
@@ -211,14 +211,14 @@ def start(
     return frozen(X0, 1), frozen(Xw, 2)
 
 
-def start_time(
+def identification_start_time(
     *,
     lambda_obs: float,
     filter_rate: float,
     delays: Sequence[float],
     epsilon_observer: float,
     epsilon_filter: float,
-) -> StartTime:
+) -> IdentificationStartTime:
     """Give the time after which the transients have left the regression, `T_id = T_obs + T_f + D_max` (36)-(38).
 
     Parameters
@@ -251,7 +251,7 @@ def start_time(
         math.log(1.0 / epsilon_filter) / filter_rate,
         max(delays),
     )
-    return StartTime(T_obs=T_obs, T_f=T_f, D_max=D_max, T_id=T_obs + T_f + D_max)
+    return IdentificationStartTime(T_obs=T_obs, T_f=T_f, D_max=D_max, T_id=T_obs + T_f + D_max)
 
 
 def _gain(L: ArrayLike | None, shape: tuple[int, ...]) -> Matrix:

@@ -41,7 +41,7 @@ class Term:
     sign: int
 
 
-def count(sizes: Sequence[int]) -> int:
+def count_terms(sizes: Sequence[int]) -> int:
     """Count the terms of (25), `(l + 1)! / prod V_b!`, without making them."""
     return math.factorial(sum(sizes) + 1) // math.prod(math.factorial(size) for size in sizes)
 
@@ -169,7 +169,7 @@ def check_delays(delays: Sequence[float], needed: int) -> None:
             )
 
 
-def collinear(terms: Sequence[Term], alpha: Matrix, names: Sequence[str]) -> None:
+def check_alpha_products(terms: Sequence[Term], alpha: Matrix, names: Sequence[str]) -> None:
     """Refuse alphas whose products are dependent, so that (26) has many solutions whatever the data.
 
     Terms with the same row of delta multiply the same `delta(t - D_j)`; their alpha products alone must be independent in time.
@@ -211,13 +211,13 @@ def collinear(terms: Sequence[Term], alpha: Matrix, names: Sequence[str]) -> Non
             )
 
 
-def linear_route(sizes: Sequence[int]) -> str:
+def linear_route_warning(sizes: Sequence[int]) -> str:
     """Say whether estimating eta linearly (26) can work for blocks of these sizes; empty where there is nothing to say.
 
     With exact data the condition of the information matrix is 3e4 for the paper's l = 2, and 4e12 or worse for l = 4.
     """
     length = sum(sizes)
-    unknowns = f"l = {length} with different alphas makes {count(sizes) - 1} unknowns"
+    unknowns = f"l = {length} with different alphas makes {count_terms(sizes) - 1} unknowns"
     if len(sizes) == 1 or length < 3:
         return ""
     if length == 3:

@@ -25,7 +25,7 @@ from cosim.core.signals import Interface, Signal
 from cosim.native.expression import compile_expression
 from cosim.testing import check_component, check_rollback
 from cosim.theory.descriptor import reduce
-from cosim.theory.disturbance import Exponential, group
+from cosim.theory.disturbance import Exponential, group_by_alpha
 from cosim.theory.estimators import plan
 from cosim.theory.observer import design
 from cosim.theory.regression import expand
@@ -58,7 +58,7 @@ def regressor(steps=(2, 4, 6)):
 
 
 def identifier(**options):
-    blocks = group(["a", "b"], [Exponential()] * 2)
+    blocks = group_by_alpha(["a", "b"], [Exponential()] * 2)
     return LeastSquaresIdentifier(
         plan(expand((1, 1)), blocks, [1.0, 2.0, 3.0]), start=3 * H, **options
     )

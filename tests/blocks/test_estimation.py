@@ -11,7 +11,7 @@ from cosim.core.contracts import Stopped
 from cosim.errors import UsageError
 from cosim.native.expression import compile_expression
 from cosim.testing import check_component
-from cosim.theory.disturbance import Exponential, Sine, coefficients, group
+from cosim.theory.disturbance import Exponential, Sine, coefficients, group_by_alpha
 from cosim.theory.estimators import least_squares, plan, recover, trapezoid_weights
 from cosim.theory.regression import eta, expand, mu
 from tests.blocks.stepping import drive, times
@@ -36,7 +36,7 @@ class Example:
 
     def __init__(self, alphas, families, thetas, delays, stop):
         self.delays, self.thetas = delays, thetas
-        self.blocks = group(alphas, families)
+        self.blocks = group_by_alpha(alphas, families)
         self.terms = expand(tuple(block.size for block in self.blocks))
         self.recovery = plan(self.terms, self.blocks, delays)
         self.t = times(round(stop / H), STEP_NS)

@@ -24,7 +24,7 @@ from cosim.native import build
 from cosim.native.expression import compile_expression
 from cosim.native.step import (
     LeastSquaresConstants,
-    RecoveryStep,
+    RecoveryConstants,
     RegressorConstants,
     first_order_hold,
 )
@@ -216,7 +216,7 @@ def regressor():
 
 
 def identifier():
-    recovery = [RecoveryStep(1, (0, 1), (0,), (1.0, -1.0), 0.001)]
+    recovery = [RecoveryConstants(1, (0, 1), (0,), (1.0, -1.0), 0.001)]
     constants = LeastSquaresConstants(
         unknowns=1, start=0.002, information=1e-3, recovery=recovery, held=False
     )

@@ -13,7 +13,7 @@ from hypothesis.extra.numpy import arrays
 from cosim.blocks.plant import linear_model
 from cosim.core.linear import Linear
 from cosim.core.signals import Signal
-from cosim.native.step import affine, exponential, first_order_hold
+from cosim.native.step import affine, first_order_hold, matrix_exponential
 from tests.blocks.stepping import drive
 
 EPS = np.finfo(np.float64).eps
@@ -42,13 +42,16 @@ def test_exponential_agrees_with_exact_arithmetic(M):
     scale = np.linalg.norm(exact_exponential(np.abs(M)), np.inf)  # bounds every partial sum
     # a product rounds n times; each squaring doubles the errors before it, which makes n norm of the first
     np.testing.assert_allclose(
-        exponential(M), exact_exponential(M), rtol=0, atol=4 * len(M) * max(norm, 1.0) * EPS * scale
+        matrix_exponential(M),
+        exact_exponential(M),
+        rtol=0,
+        atol=4 * len(M) * max(norm, 1.0) * EPS * scale,
     )
 
 
 def test_exponential_agrees_with_scipy():
     """A symmetric matrix with the eigenvalues 0 and 4: also the closed form, (e^4 + 1)/2 and (e^4 - 1)/2."""
-    found, e4 = exponential(np.full((2, 2), 2.0)), math.exp(4.0)
+    found, e4 = matrix_exponential(np.full((2, 2), 2.0)), math.exp(4.0)
     expected = [[(e4 + 1) / 2, (e4 - 1) / 2], [(e4 - 1) / 2, (e4 + 1) / 2]]
     np.testing.assert_allclose(found, expected, rtol=32 * EPS)  # norm 4: three squarings
     np.testing.assert_allclose(
@@ -59,7 +62,7 @@ def test_exponential_agrees_with_scipy():
 @given(st.floats(-50.0, 50.0))
 def test_exponential_of_a_rotation_is_a_rotation(angle):
     """Cosine and sine; the angle's own last bit, and one rounding in each squaring, which doubles the errors before."""
-    found = exponential(np.array([[0.0, -angle], [angle, 0.0]]))
+    found = matrix_exponential(np.array([[0.0, -angle], [angle, 0.0]]))
     expected = [[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]]
     np.testing.assert_allclose(found, expected, rtol=0, atol=8 * EPS * max(abs(angle), 1.0))
 
@@ -68,19 +71,22 @@ def test_exponential_of_a_nilpotent_matrix_is_its_series():
     """I + N + N^2/2 with N^3 = 0: small numbers, exact up to a last bit."""
     N = np.array([[0.0, 2.0, 5.0], [0.0, 0.0, 3.0], [0.0, 0.0, 0.0]])
     np.testing.assert_allclose(
-        exponential(N), [[1.0, 2.0, 8.0], [0.0, 1.0, 3.0], [0.0, 0.0, 1.0]], rtol=4 * EPS, atol=0
+        matrix_exponential(N),
+        [[1.0, 2.0, 8.0], [0.0, 1.0, 3.0], [0.0, 0.0, 1.0]],
+        rtol=4 * EPS,
+        atol=0,
     )
 
 
 def test_exponential_of_zero_is_the_identity():
     """Exactly, also of nothing."""
-    assert (exponential(np.zeros((4, 4))) == np.eye(4)).all()
-    assert exponential(np.zeros((0, 0))).shape == (0, 0)
+    assert (matrix_exponential(np.zeros((4, 4))) == np.eye(4)).all()
+    assert matrix_exponential(np.zeros((0, 0))).shape == (0, 0)
 
 
 def test_a_slow_mode_beside_a_fast_one_keeps_its_digits():
     """Twenty squarings for the fast mode cost the slow one a few last bits, not a million."""
-    found = exponential(np.diag([-1e6, -1.0, -1e-6, 0.0]))
+    found = matrix_exponential(np.diag([-1e6, -1.0, -1e-6, 0.0]))
     np.testing.assert_allclose(
         np.diag(found)[1:], np.exp([-1.0, -1e-6, 0.0]), rtol=24 * EPS
     )  # one rounding a squaring
@@ -90,11 +96,13 @@ def test_a_slow_mode_beside_a_fast_one_keeps_its_digits():
 
 def test_matrices_of_integers_are_taken_as_numbers():
     """They are converted, not read as if they were doubles."""
-    assert (exponential(np.array([[0, 1], [0, 0]])) == np.array([[1.0, 1.0], [0.0, 1.0]])).all()
+    assert (
+        matrix_exponential(np.array([[0, 1], [0, 0]])) == np.array([[1.0, 1.0], [0.0, 1.0]])
+    ).all()
     discrete = first_order_hold(np.array([[0]]), np.array([[2]]), 0.5, np.array([True]))
     assert (discrete.Ad, discrete.B0, discrete.B1) == ([[1.0]], [[1.0]], [[0.0]])
     transposed = np.array([[0.0, 0.0], [1.0, 0.0]]).T
-    assert (exponential(transposed) == [[1.0, 1.0], [0.0, 1.0]]).all()
+    assert (matrix_exponential(transposed) == [[1.0, 1.0], [0.0, 1.0]]).all()
 
 
 @pytest.mark.parametrize("rate", [1e-3, 1.0, 50.0, 1000.0])

@@ -14,7 +14,7 @@ from cosim.theory.disturbance import (
     Sine,
     coefficients,
     family_named,
-    group,
+    group_by_alpha,
 )
 
 
@@ -92,7 +92,7 @@ def test_a_theta_of_the_wrong_size_is_refused():
 def test_components_are_grouped_by_alpha():
     """Equal alpha, one block; blocks in the order of their first component, sizes by basis functions."""
     families: list[Family] = [Exponential(), Sine(), Exponential()]
-    first, second = group(["a", "b", "a"], families)
+    first, second = group_by_alpha(["a", "b", "a"], families)
     assert (first.alpha, first.components, first.families, first.size) == (
         "a",
         (0, 2),

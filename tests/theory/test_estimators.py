@@ -6,7 +6,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from cosim.errors import AssumptionError
-from cosim.theory.disturbance import Exponential, Sine, coefficients, group
+from cosim.theory.disturbance import Exponential, Sine, coefficients, group_by_alpha
 from cosim.theory.estimators import RecoveryKind, least_squares, plan, recover, trapezoid_weights
 from cosim.theory.regression import eta, expand, mu
 from tests.theory.academic import DELAYS, THETA, delayed
@@ -21,7 +21,7 @@ def gauss(a, b, pieces):
 
 
 def recovery(alphas, families, delays):
-    blocks = group(alphas, families)
+    blocks = group_by_alpha(alphas, families)
     terms = expand(tuple(block.size for block in blocks))
     return terms, blocks, plan(terms, blocks, delays)
 
@@ -39,8 +39,8 @@ def exact_eta(terms, blocks, thetas, delays):
 def test_the_papers_formula_is_reproduced_to_the_last_bit(case):
     """(35): theta_1 = ln(eta_3) / (D_1 - D_3), theta_2 = ln(eta_6) / (D_2 - D_3)."""
     _, _, the_plan = recovery(["a", "b"], [Exponential()] * 2, DELAYS)
-    assert [block.terms for block in the_plan.blocks] == [(2, 0), (5, 0)]
-    assert [block.signs for block in the_plan.blocks] == [(-1, 1), (-1, 1)]
+    assert [block.terms for block in the_plan.groups] == [(2, 0), (5, 0)]
+    assert [block.signs for block in the_plan.groups] == [(-1, 1), (-1, 1)]
     eta_2_to_6 = np.array(case("C03")["expected"]["eta_2_to_6"])
     found = recover(the_plan, eta_2_to_6)
     assert found[0] == math.log(eta_2_to_6[1]) / (1.0 - 3.0)
@@ -61,8 +61,8 @@ def test_a_sine_is_recovered_from_two_cosines(case):
     np.testing.assert_allclose(
         recover(the_plan, constants), [expected["omega"]], rtol=0, atol=reference["tol"]
     )
-    assert the_plan.blocks[0].kind is RecoveryKind.SINE
-    assert the_plan.blocks[0].limit == math.pi / 0.5
+    assert the_plan.groups[0].kind is RecoveryKind.SINE
+    assert the_plan.groups[0].limit == math.pi / 0.5
 
 
 def test_two_exponentials_of_one_alpha_are_recovered_from_a_quadratic(case):
@@ -70,7 +70,7 @@ def test_two_exponentials_of_one_alpha_are_recovered_from_a_quadratic(case):
     reference = case("C09")
     terms, blocks, the_plan = recovery(["one", "one"], [Exponential()] * 2, reference["D"])
     constants = exact_eta(terms, blocks, reference["theta"], reference["D"])
-    chosen = the_plan.blocks[0]
+    chosen = the_plan.groups[0]
     c = [
         sign * np.append(1.0, constants)[term]
         for term, sign in zip(chosen.terms, chosen.signs, strict=True)
@@ -123,7 +123,7 @@ def test_delays_may_come_in_any_order():
     """Only their values count: a sine and an exponential with D = (1, 2, 1.5, 3)."""
     delays = [1.0, 2.0, 1.5, 3.0]
     terms, blocks, the_plan = recovery(["a", "b"], [Sine(), Exponential()], delays)
-    assert the_plan.blocks[0].spacing == 1.0
+    assert the_plan.groups[0].spacing == 1.0
     np.testing.assert_allclose(
         recover(the_plan, exact_eta(terms, blocks, [1.3, -0.2], delays)),
         [1.3, -0.2],

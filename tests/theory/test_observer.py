@@ -12,7 +12,7 @@ from cosim.theory.descriptor import (
     invariant_zeros,
     reduce,
 )
-from cosim.theory.observer import design, realize, start, start_time
+from cosim.theory.observer import design, identification_start_time, initial_state_map, realize
 from tests.theory.academic import academic, ordinary
 
 halves = st.integers(-8, 8).map(lambda k: k / 2)
@@ -51,7 +51,7 @@ def test_the_papers_gain_follows_from_its_pole():
 @pytest.mark.parametrize("epsilon", ["0.1", "0.01", "0.001", "0.0001"])
 def test_the_start_time_is_the_papers(case, epsilon):
     """(36)-(38)."""
-    when = start_time(
+    when = identification_start_time(
         lambda_obs=2.0,
         filter_rate=1e3,
         delays=(1.0, 2.0, 3.0),
@@ -81,7 +81,7 @@ def test_the_start_is_the_papers(case):
     """x_hat_a(0) = 0 gives z(0) = (-1, 0), and q(0) = 0 stays."""
     given_start, reduced = case("C01")["system"], reduce(academic())
     observer = design(reduced, L=[4, 0], filter_rate=1e3)
-    X0, Xw = start(reduced, observer, x_a0=given_start["xhat_a0"], q0=[0.0])
+    X0, Xw = initial_state_map(reduced, observer, x_a0=given_start["xhat_a0"], q0=[0.0])
     np.testing.assert_array_equal(X0 + Xw @ [0.0, 1.0], [*given_start["z0"], 0.0])
 
 
@@ -89,7 +89,7 @@ def test_a_start_left_out_is_consistent_with_the_output():
     """C3 x_hat_a(0) = y(0) - C4 u(0) = q(0), so delta_hat has no filter transient: w' is taken as 0."""
     reduced = reduce(academic())
     observer = design(reduced, L=[4, 0], filter_rate=1e3)
-    X0, Xw = start(reduced, observer)
+    X0, Xw = initial_state_map(reduced, observer)
     u, y = 0.9, -1.1
     state = X0 + Xw @ [u, y]
     system = realize(reduced, observer)
@@ -301,7 +301,7 @@ def test_a_start_that_does_not_fit_is_refused(options, message):
     """Sizes and finiteness of given starts."""
     reduced = reduce(academic())
     with pytest.raises(AssumptionError, match=message):
-        start(reduced, design(reduced, L=[4, 0], filter_rate=1.0), **options)
+        initial_state_map(reduced, design(reduced, L=[4, 0], filter_rate=1.0), **options)
 
 
 @pytest.mark.parametrize(
@@ -324,4 +324,4 @@ def test_a_start_time_that_does_not_exist_is_refused(change, message):
         "epsilon_filter": 0.1,
     }
     with pytest.raises(AssumptionError, match=message):
-        start_time(**(options | change))
+        identification_start_time(**(options | change))

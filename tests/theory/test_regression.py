@@ -10,13 +10,13 @@ from cosim.theory.disturbance import FAMILIES, Exponential, Sine, coefficients
 from cosim.theory.regression import (
     Term,
     alpha_products,
+    check_alpha_products,
     check_delays,
     chi,
-    collinear,
-    count,
+    count_terms,
     eta,
     expand,
-    linear_route,
+    linear_route_warning,
     mu,
 )
 from tests.theory.academic import DELAYS, THETA, alpha, delayed
@@ -29,7 +29,7 @@ def test_the_number_of_terms_is_known(case):
     for text, expected in case("C07")["expected"].items():
         sizes = tuple(int(size) for size in text.strip("[]").split(","))
         terms = expand(sizes)
-        assert len(terms) == len(set(terms)) == count(sizes) == expected
+        assert len(terms) == len(set(terms)) == count_terms(sizes) == expected
 
 
 def test_two_exponentials_give_the_papers_six_terms():
@@ -199,7 +199,7 @@ def grid(*functions, delays=DELAYS):
 
 def test_the_papers_alphas_are_independent():
     """Its six columns can be told apart, without any data."""
-    collinear(
+    check_alpha_products(
         expand((1, 1)), alpha(np.subtract.outer(np.linspace(5.0, 40.0, 400), DELAYS)), ["a", "b"]
     )
     check_delays(DELAYS, 3)
@@ -229,15 +229,15 @@ def test_the_papers_alphas_are_independent():
 def test_dependent_alpha_products_are_refused(alphas, message):
     """Proportional alphas name the blocks to merge; alphas that a delay scales or repeats are found too."""
     with pytest.raises(AssumptionError, match=message):
-        collinear(expand((1, 1)), alphas, ["a", "b"])
+        check_alpha_products(expand((1, 1)), alphas, ["a", "b"])
 
 
 def test_the_limits_of_the_linear_route_are_said():
     """Nothing to say for l = 2 or one alpha; marginal at l = 3; unusable from l = 4."""
-    assert linear_route((1, 1)) == linear_route((4,)) == ""
-    assert linear_route((2, 1)).startswith(
+    assert linear_route_warning((1, 1)) == linear_route_warning((4,)) == ""
+    assert linear_route_warning((2, 1)).startswith(
         "the linear route is marginal: l = 3 with different alphas makes 11 unknowns"
     )
-    assert linear_route((2, 2)).startswith(
+    assert linear_route_warning((2, 2)).startswith(
         "the linear route is unusable: l = 4 with different alphas makes 29 unknowns, with a condition of 4e12"
     )

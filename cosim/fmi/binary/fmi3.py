@@ -31,7 +31,7 @@ from cosim.fmi.binary.library import DISCARD, WARNING, Library, pointer
 from cosim.fmi.description import Capabilities, Variable
 from cosim.fmi.instance import DiscreteStates, StepEnd
 from cosim.fmi.references import Group
-from cosim.native.library import LinesStruct, address
+from cosim.native.library import InterpolationStruct, address
 
 _NUMBERS = (
     "Float64",
@@ -69,7 +69,7 @@ class Fmi3:
         self.library, self._about, self._clock = library, about, about.messages.clock
         can = about.capabilities
         self._free = library.function("FreeInstance", None, c_void_p)
-        self._lines = LinesStruct()
+        self._lines = InterpolationStruct()
         self._lined: Group | None = None  # the inputs of the lines
         self._flags, self._time = [c_bool() for _ in range(5)], c_double()
         self._answers = [byref(flag) for flag in self._flags]
@@ -253,10 +253,10 @@ class Fmi3:
         """Advance from ``t`` by ``h`` seconds; a discarded step left the FMU as it was (section 4.2.1.2)."""
         self._clock.value = t
         lines, followed = self._lines, math.inf
-        lines.t0, lines.h, lines.asked = t, h, -math.inf
+        lines.t0, lines.h, lines.last_request = t, h, -math.inf
         status = self._step(t, h, *self._rest)
         if lines.size:
-            lines.size, followed = 0, lines.asked
+            lines.size, followed = 0, lines.last_request
             if lines.status > WARNING:
                 raise self.library.failure("SetFloat64", lines.status)
         if status == DISCARD:

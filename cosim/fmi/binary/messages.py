@@ -69,7 +69,7 @@ class Messages:
 
     def listen(self, key: int | None) -> None:
         """Take what comes with this key; None: with a key that nobody listens to."""
-        self._kept.key, self._kept.expects = key, int(key is None)
+        self._kept.key, self._kept.accepts_unknown = key, int(key is None)
 
     @property
     def tail(self) -> str:

@@ -16,9 +16,9 @@ from cosim.arrays import Matrix, Vector
 from cosim.core.signals import Interface
 from cosim.native.expression import Program
 from cosim.native.step import (
-    HeldDiscretization,
+    DiscretizedDynamics,
     LeastSquaresConstants,
-    RecoveryStep,
+    RecoveryConstants,
     RegressorConstants,
 )
 
@@ -154,7 +154,7 @@ def least_squares(constants: LeastSquaresConstants) -> Kernel:
     )
 
 
-def _recovery(step: RecoveryStep) -> str:
+def _recovery(step: RecoveryConstants) -> str:
     numbers = [
         "{" + ", ".join(texts) + "}"
         for texts in (
@@ -182,7 +182,7 @@ def delay(steps: int, width: int, initial: float | None) -> Kernel:
     )
 
 
-def sampled(discrete: HeldDiscretization, *, C: Matrix, D: Matrix, X0: Vector) -> Kernel:
+def sampled(discrete: DiscretizedDynamics, *, C: Matrix, D: Matrix, X0: Vector) -> Kernel:
     """Write a linear model discretized for its own step, its inputs held over it."""
     n, m, p = len(discrete.Ad), discrete.B0.shape[1], len(C)
     arrays = {"Ad": discrete.Ad, "B0": discrete.B0, "B1": discrete.B1, "C": C, "D": D}

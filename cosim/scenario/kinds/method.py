@@ -26,7 +26,7 @@ from cosim.scenario.linearizing import DesignModel, belief
 from cosim.scenario.schema import Number, NumberRow, NumberRows, TomlTable, matrix
 from cosim.theory import estimators, observer, regression
 from cosim.theory.descriptor import reduce
-from cosim.theory.disturbance import AlphaGroup, family_named, group
+from cosim.theory.disturbance import AlphaGroup, family_named, group_by_alpha
 
 HELD_LIMIT = (
     0.05  # filter_rate x step from which held inputs spoil the derivative by more than 2.5 %
@@ -151,8 +151,8 @@ class RegressorKind(Kind):
         ]
         programs = [compile_expression(block.alpha) for block in blocks]
         if len(blocks) > 1:
-            regression.collinear(terms, self._alphas(programs), [block.alpha for block in blocks])
-        warning = regression.linear_route([block.size for block in blocks])
+            regression.check_alpha_products(terms, self._alphas(programs), [block.alpha for block in blocks])
+        warning = regression.linear_route_warning([block.size for block in blocks])
         if warning:
             context.warn(name, warning)
         return Regressor(terms, alphas=programs, steps=steps, delays=self.delays)
@@ -167,7 +167,7 @@ class RegressorKind(Kind):
     def regression(self) -> tuple[tuple[AlphaGroup, ...], tuple[regression.Term, ...]]:
         """Expand the determinant for the terms given."""
         families = [family_named(term.family) for term in self.terms]
-        blocks = group([term.alpha for term in self.terms], families)
+        blocks = group_by_alpha([term.alpha for term in self.terms], families)
         sizes = tuple(block.size for block in blocks)
         regression.check_delays(self.delays, sum(sizes) + 1)
         return blocks, regression.expand(sizes)
@@ -253,7 +253,7 @@ class IdentifierKind(Kind):
                     "start: (36)-(38) need an observer that drives the regressor; give start as a time in s instead"
                 )
             design = found.design(observer_name, context).observer
-            times = observer.start_time(
+            times = observer.identification_start_time(
                 lambda_obs=design.lambda_obs,
                 filter_rate=found.filter_rate,
                 delays=spec.delays,
@@ -276,7 +276,7 @@ class IdentifierKind(Kind):
 def _remarks(recovery: estimators.Recovery) -> list[str]:
     """Say what the recovery of theta cannot tell apart."""
     remarks = []
-    for block in recovery.blocks:
+    for block in recovery.groups:
         at = ", ".join(f"theta[{i}]" for i in block.theta)
         if block.kind is estimators.RecoveryKind.SINE:
             remarks.append(
