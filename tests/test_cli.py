@@ -440,7 +440,7 @@ def test_a_run_that_an_fmu_ends_says_why(call, tmp_path):
     components = f'[components.plant]\nkind = "fmu"\npath = "{build("ENDS")}"\nstart = {{ p = 0.325 }}\n[components.zero]\n'
     wires = 'kind = "constant"\nvalue = 0.0\n[connections]\n"plant.u" = "zero.y"\n"plant.d" = "zero.y"\n'
     (tmp_path / "x.toml").write_text(HEAD.replace("0.2", "1.0") + components + wires)
-    reason = "'plant' stopped at t = 0.3 s: the unit asks for the end of the run"
+    reason = "'plant' stopped at t = 0.3 s: the FMU requests the end of the run"
     code, out, err = call("run", "x.toml", "--out", "x.mcap")
     assert (code, err.count("\n")) == (0, 1)  # its warning
     words = " ".join(out.split())

@@ -15,10 +15,10 @@ from types import TracebackType
 from typing import Any, Final, Self, TypeAlias, final
 
 from cosim.errors import FmuError, RunError
+from cosim.fmi.binary.headers import built_for
 from cosim.fmi.binary.loaded import LoadedInstance
 from cosim.fmi.binary.messages import Message
-from cosim.fmi.checking.binaries import built_for
-from cosim.fmi.checking.child import can_roll_back
+from cosim.fmi.child_process import find_rollback_problems
 from cosim.fmi.description import INTERFACE_TYPE_NAMES, INTERFACE_TYPES, Description, InterfaceType
 from cosim.fmi.driving.co_simulation import CoSimulation
 from cosim.fmi.driving.initialization import Starts, check_start, resized
@@ -250,7 +250,7 @@ def _limited(
             f"{description.name}: {named}{'; the FMU drives them itself, without event mode' * (interface_type == 'cs')}"
         )
     problems = (
-        can_roll_back(archive, interface_type)
+        find_rollback_problems(archive, interface_type)
         if can.saves_state and description.tool != OUR_TOOL
         else ()
     )

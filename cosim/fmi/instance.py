@@ -15,7 +15,7 @@ from cosim.core.signals import Interface
 from cosim.fmi.description import Description, Variable
 from cosim.fmi.references import References
 
-TERMINATED: Final = "the unit asks for the end of the run"
+TERMINATED: Final = "the FMU requests the end of the run"
 
 
 class DiscreteStates(NamedTuple):

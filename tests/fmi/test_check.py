@@ -10,10 +10,11 @@ import fmpy
 import pytest
 
 from cosim.errors import FmuError
-from cosim.fmi.checking import child
-from cosim.fmi.checking.binaries import built_for, functions, machine_of
+from cosim.fmi import child_process
+from cosim.fmi.binary.headers import built_for
+from cosim.fmi.checking.binaries import functions, machine_of
 from cosim.fmi.checking.check import check
-from cosim.fmi.checking.child import attempt, can_roll_back
+from cosim.fmi.child_process import attempt, find_rollback_problems
 from cosim.fmi.platforms import SUFFIX, folders
 from cosim.fmi.reading.model_description import read
 from cosim.native import build
@@ -152,15 +153,15 @@ def test_what_hangs(rogue):
 def test_whether_a_unit_can_go_back(rogue, exported, monkeypatch):
     """Asked once for each file; inside a trial the answer is yes, or it would never end."""
     good, bad = read(exported), read(rogue("LIES"))
-    assert can_roll_back(good, "me") == can_roll_back(good, "cs") == ()
-    assert can_roll_back(bad, "cs") == (
+    assert find_rollback_problems(good, "me") == find_rollback_problems(good, "cs") == ()
+    assert find_rollback_problems(bad, "cs") == (
         "goes back wrongly: after steps the same steps give other outputs",
     )
-    monkeypatch.setattr(child, "attempt", lambda *_, **__: pytest.fail("asked again"))
-    assert can_roll_back(good, "cs") == ()
-    assert can_roll_back(bad, "cs")
-    monkeypatch.setenv(child.INSIDE, "1")
-    assert can_roll_back(bad, "cs") == ()
+    monkeypatch.setattr(child_process, "attempt", lambda *_, **__: pytest.fail("asked again"))
+    assert find_rollback_problems(good, "cs") == ()
+    assert find_rollback_problems(bad, "cs")
+    monkeypatch.setenv(child_process.CHILD_VARIABLE, "1")
+    assert find_rollback_problems(bad, "cs") == ()
 
 
 # --- binaries ---

@@ -284,7 +284,7 @@ def test_a_discarded_step_stops_the_run_where_nothing_can_be_done(opened, versio
 
 @pytest.mark.parametrize("version", ["2", "3"])
 def test_the_wish_to_end_ends_the_run_with_the_rows_completed(opened, version):
-    with pytest.raises(Stopped, match="the unit asks for the end of the run") as stop:
+    with pytest.raises(Stopped, match="the FMU requests the end of the run") as stop:
         run(opened(version, end=0.35))
     assert (stop.value.steps, stop.value.failed) == (3, False)
 
@@ -295,10 +295,10 @@ def test_the_wish_to_end_ends_the_run_with_the_rows_completed(opened, version):
 def test_the_wish_to_end_may_come_with_a_completed_step(opened, start):
     """In an event at 0.3 s, or with the step to it: its row counts, and the next step is not begun."""
     fmu = opened("3", "events", "any step", end=0.3, **start)
-    with pytest.raises(Stopped, match="the unit asks for the end of the run") as stop:
+    with pytest.raises(Stopped, match="the FMU requests the end of the run") as stop:
         run(fmu)
     assert (stop.value.steps, stop.value.failed) == (3, False)
-    with pytest.raises(Stopped, match="the unit asks for the end of the run") as stop:
+    with pytest.raises(Stopped, match="the FMU requests the end of the run") as stop:
         fmu.component.advance(times()[3:], 0.1, line(times()[3:]))
     assert (stop.value.steps, stop.value.failed) == (0, False)
 

@@ -301,7 +301,7 @@ def test_a_step_that_does_not_end_keeps_what_was_before(foreign2, limit, capfd):
     assert stop.value.steps == round(limit / 0.01)
     assert stop.value.failed == (limit == 0.15)
     asked, failed = (
-        "the unit asks for the end of the run",
+        "the FMU requests the end of the run",
         r"Foreign2\.fmu: fmi2DoStep returned \d \((error|fatal)\)",
     )
     assert re.search(failed if stop.value.failed else asked, str(stop.value))

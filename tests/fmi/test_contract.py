@@ -227,14 +227,14 @@ def test_the_wish_to_end_is_heard_in_every_event(solver):
         component.initialize(0.0, u[0])
         if call == "outputs":
             component.outputs(0.0, u[0])
-        with pytest.raises(Stopped, match="the unit asks for the end of the run") as stop:
+        with pytest.raises(Stopped, match="the FMU requests the end of the run") as stop:
             component.advance(t, 0.01, u)
         assert (stop.value.failed, stop.value.outputs.shape) == (False, (0, 2))
     component = ModelExchange(Watched("discrete", end_at=2), solver)
     component.prepare(0.01, np.ones(1, np.bool_), {})
     component.initialize(0.0, u[0])
     component.advance(t[:2], 0.01, u[:2])
-    with pytest.raises(Stopped, match="the unit asks for the end of the run") as stop:
+    with pytest.raises(Stopped, match="the FMU requests the end of the run") as stop:
         component.advance(t[1:], 0.01, u[1:] + 1.0)
     assert (stop.value.failed, stop.value.steps) == (False, 0)
     component.initialize(0.0, u[0])

@@ -225,7 +225,7 @@ def test_a_relay_that_chatters_is_an_error(solver):
 def test_the_end_of_the_run_is_asked_for_in_an_event(version):
     """Time does not move after it: this unit would refuse."""
     with Run("ENDS", p=0.325, version=version) as run:
-        with pytest.raises(Stopped, match="the unit asks for the end of the run") as stop:
+        with pytest.raises(Stopped, match="the FMU requests the end of the run") as stop:
             run(1.0, 0.1)
         assert (stop.value.failed, stop.value.steps) == (False, 3)
         assert run(0.3, 0.1)[-1, 0] == pytest.approx(0.3), "a new run has no end yet"

@@ -184,6 +184,6 @@ def test_events_that_units_ask_for():
         Stopped, match=r"discrete states do not settle at t = 0.0 s after 100 iterations"
     ):
         run(ModelExchange(Eventful({"need_update": True}), "rk4"), step=0.1)
-    with pytest.raises(Stopped, match="the unit asks for the end of the run") as stop:
+    with pytest.raises(Stopped, match="the FMU requests the end of the run") as stop:
         run(ModelExchange(Eventful({}, step=(False, True)), "rk4"), step=0.1)
     assert (stop.value.failed, stop.value.steps) == (False, 1)

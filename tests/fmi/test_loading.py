@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from cosim.errors import FmuError, RunError
-from cosim.fmi.checking.binaries import ELF
+from cosim.fmi.binary.headers import ELF
 from cosim.fmi.component import load
 from cosim.fmi.platforms import ARCHITECTURE, SUFFIX
 from cosim.native import build

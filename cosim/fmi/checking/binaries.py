@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Mapping, Sequence
 from typing import Final
 
 from cosim.fmi.description import Description, InterfaceType
 
-ELF: Final = {3: "x86", 62: "x86_64", 40: "aarch32", 183: "aarch64", 243: "riscv64"}
-PE: Final = {0x14C: "x86", 0x8664: "x86_64", 0xAA64: "aarch64"}
-MACH: Final = {7: "x86", 0x1000007: "x86_64", 0x100000C: "aarch64"}
 SHORT: Final[Mapping[str, tuple[str, str]]] = {
     "linux32": ("x86", "linux"), "linux64": ("x86_64", "linux"), "win32": ("x86", "windows"), "win64": ("x86_64", "windows"),
     "darwin32": ("x86", "darwin"), "darwin64": ("x86_64", "darwin"),
@@ -27,24 +23,6 @@ def machine_of(folder: str) -> tuple[str, str] | None:
         if system.startswith(("linux", "windows", "darwin"))
         else None
     )
-
-
-def built_for(head: bytes) -> tuple[str, str] | None:
-    """Give (architecture, system) of a shared library from its first kilobyte; ``any`` where it holds several; None: none."""
-    if head[:4] == b"\x7fELF" and len(head) >= 20:
-        order = "<" if head[5] == 1 else ">"
-        kind, machine = struct.unpack_from(f"{order}HH", head, 16)
-        return (ELF.get(machine, f"machine {machine}"), "linux") if kind == 3 else None
-    if head[:2] == b"MZ" and len(head) >= 64:
-        (start,) = struct.unpack_from("<I", head, 60)
-        if head[start : start + 4] != b"PE\0\0" or len(head) < start + 6:
-            return None
-        (machine,) = struct.unpack_from("<H", head, start + 4)
-        return PE.get(machine, f"machine {machine}"), "windows"
-    if head[:4] in (b"\xcf\xfa\xed\xfe", b"\xce\xfa\xed\xfe") and len(head) >= 8:
-        (machine,) = struct.unpack_from("<I", head, 4)
-        return MACH.get(machine, f"machine {machine}"), "darwin"
-    return ("any", "darwin") if head[:4] == b"\xca\xfe\xba\xbe" else None
 
 
 _VALUES_1 = [

@@ -9,9 +9,10 @@ from tempfile import TemporaryDirectory
 from typing import Final
 
 from cosim.errors import FmuError
-from cosim.fmi.checking.binaries import built_for, functions, machine_of
-from cosim.fmi.checking.child import MISSING, TIMEOUT, attempt
+from cosim.fmi.binary.headers import built_for
+from cosim.fmi.checking.binaries import functions, machine_of
 from cosim.fmi.checking.structure import Finding, Severity, findings
+from cosim.fmi.child_process import MISSING_FUNCTION, TIMEOUT, attempt
 from cosim.fmi.description import INTERFACE_TYPE_NAMES, Description, InterfaceType
 from cosim.fmi.platforms import ARCHITECTURE, SUFFIX, SYSTEM, folders
 from cosim.fmi.reading.markup import Attributes
@@ -177,7 +178,7 @@ def _trials(path: Path, folder: Path, description: Description, timeout: float) 
         where = f"binary, {INTERFACE_TYPE_NAMES[interface_type]}"
         found += [Finding("error", where, problem) for problem in problems]
         if any(
-            not problem.startswith(MISSING) for problem in problems
+            not problem.startswith(MISSING_FUNCTION) for problem in problems
         ):  # a function that nobody calls may be missing
             continue
         run = attempt("run", str(path.resolve()), interface_type, timeout=timeout)

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from cosim.errors import CosimError
-from cosim.fmi.checking.child import MISSING
+from cosim.fmi.child_process import MISSING_FUNCTION
 
 if TYPE_CHECKING:
     from cosim.arrays import Matrix, Vector
@@ -38,7 +38,7 @@ class _Story:
 
     def at(self, text: str) -> None:
         """Say what comes now."""
-        self.tell("at", text)
+        self.tell("stage", text)
 
     def problem(self, text: str) -> None:
         """Say what is wrong."""
@@ -57,7 +57,7 @@ def symbols(story: _Story, library: str, *names: str) -> None:
         return
     for name in names:
         if not hasattr(found, name):
-            story.problem(f"{MISSING} {name}")
+            story.problem(f"{MISSING_FUNCTION} {name}")
 
 
 def run(story: _Story, path: str, interface_type: InterfaceType) -> None:

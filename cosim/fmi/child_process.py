@@ -1,0 +1,130 @@
+"""Run foreign binaries in a child process, so that a crash or a hang there leaves this one alive.
+
+The child runs the module ``TRIAL``, which is named here and not imported: it opens FMUs, and so
+stands above this module.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from contextlib import suppress
+from functools import lru_cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Final, Literal, TypeAlias
+
+if TYPE_CHECKING:
+    from cosim.fmi.description import InterfaceType
+    from cosim.fmi.reading.model_description import Archive
+
+TrialTask: TypeAlias = Literal["symbols", "run", "rollback"]
+
+TRIAL: Final = "cosim.fmi.checking.trial"
+TIMEOUT: Final = 20.0  # [s] of wall time
+CHILD_VARIABLE: Final = "COSIM_TRIAL"  # of the environment; set in a child, which starts no other
+MISSING_FUNCTION: Final = "missing function"
+ROOT: Final = Path(__file__).parents[2]
+
+
+def find_rollback_problems(
+    archive: Archive, interface_type: InterfaceType, *, timeout: float = TIMEOUT
+) -> tuple[str, ...]:
+    """Return why get and set FMU state of an FMU cannot be relied on; empty where they can.
+
+    The problems are kept for the life of the process: the trial starts a child, which takes about
+    half a second. Inside a child there are none, as a trial would start the next one without end.
+
+    Parameters
+    ----------
+    archive : Archive
+    interface_type : {"me", "cs"}
+        One whose capabilities say that it can (``saves_state``).
+    timeout : float
+        Of the trial [s].
+    """
+    if CHILD_VARIABLE in os.environ:
+        return ()
+    return _try_rollback(archive.path.resolve(), archive.sha256, interface_type, timeout)
+
+
+@lru_cache(maxsize=256)
+def _try_rollback(
+    path: Path, sha256: str, interface_type: InterfaceType, timeout: float
+) -> tuple[str, ...]:
+    """Try it once for each content of the file: ``sha256`` is part of the cache's key."""
+    return attempt("rollback", str(path), interface_type, timeout=timeout)
+
+
+def attempt(task: TrialTask, *arguments: str, timeout: float = TIMEOUT) -> tuple[str, ...]:
+    """Do a task in a child process and return the problems; empty where there are none.
+
+    Parameters
+    ----------
+    task : TrialTask
+        ``symbols LIBRARY NAME...``: load the library and look the functions up. ``run PATH
+        INTERFACE_TYPE``: instantiate, initialize, read, step, terminate, free. ``rollback PATH
+        INTERFACE_TYPE``: save and restore in the midst of a run.
+    arguments : str
+    timeout : float
+        After it the child and what it started are killed [s].
+    """
+    with TemporaryDirectory(prefix="cosim-trial-", ignore_cleanup_errors=True) as folder:
+        log = Path(folder) / "result"
+        log.touch()
+        child = subprocess.Popen(
+            [sys.executable, "-m", TRIAL, task, str(log), *arguments],
+            cwd=folder,
+            env=_environment(folder),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+        exit_code: int | None = None
+        try:
+            exit_code = child.wait(timeout)
+        except subprocess.TimeoutExpired:
+            pass  # it hangs: no exit code
+        finally:
+            _kill(child)
+        return _problems(log.read_text(encoding="utf-8", errors="replace"), exit_code, timeout)
+
+
+def _environment(folder: str) -> dict[str, str]:
+    """Let the child find this package, and keep its temporary files where they are removed."""
+    inherited = os.environ.get("PYTHONPATH", "").split(os.pathsep)
+    import_paths = [str(ROOT), *filter(None, inherited)]
+    added = {"PYTHONPATH": os.pathsep.join(import_paths), CHILD_VARIABLE: "1"}
+    return os.environ | added | dict.fromkeys(("TMPDIR", "TEMP", "TMP"), folder)
+
+
+def _kill(child: subprocess.Popen[bytes]) -> None:
+    """End the child and what it started."""
+    with suppress(ProcessLookupError, PermissionError):
+        if sys.platform == "win32":
+            child.kill()
+        else:
+            os.killpg(child.pid, signal.SIGKILL)
+    child.wait()
+
+
+def _problems(log: str, exit_code: int | None, timeout: float) -> tuple[str, ...]:
+    """Return the problems that the child logged, and how it ended if not at the end."""
+    records: list[dict[str, str]] = []
+    for line in log.splitlines():
+        with suppress(ValueError):  # the last one may be cut
+            records.append(json.loads(line))
+    problems = [record["problem"] for record in records if "problem" in record]
+    stages = [record["stage"] for record in records if "stage" in record]
+    last_stage = stages[-1] if stages else "the start of the process"
+    if exit_code is None:
+        problems.append(f"hangs: did not end within {timeout:g} s, at: {last_stage}")
+    elif exit_code < 0:
+        problems.append(f"crashes: {signal.Signals(-exit_code).name} at: {last_stage}")
+    elif not any("done" in record for record in records):
+        problems.append(f"ends the process with exit code {exit_code} at: {last_stage}")
+    return tuple(problems)
