@@ -1,6 +1,7 @@
-"""Units as components: the way in.
+"""FMUs as components: the way in.
 
-``ModelExchange`` and ``CoSimulation`` drive a unit of their kind, generated or loaded; ``load`` opens an .fmu.
+``ModelExchange`` and ``CoSimulation`` drive an instance, generated or loaded; ``load`` opens an
+.fmu.
 """
 
 from __future__ import annotations
@@ -21,17 +22,16 @@ from cosim.fmi.binary.messages import Message
 from cosim.fmi.child_process import find_rollback_problems
 from cosim.fmi.description import INTERFACE_TYPE_NAMES, INTERFACE_TYPES, Description, InterfaceType
 from cosim.fmi.driving.co_simulation import CoSimulation
-from cosim.fmi.driving.initialization import Starts, check_start, resized
-from cosim.fmi.driving.model_exchange import RTOL, ModelExchange
-from cosim.fmi.driving.residual import DaeForm
-from cosim.fmi.driving.solvers import TOLERANT
+from cosim.fmi.driving.initialization import check_start, resized
+from cosim.fmi.driving.model_exchange import ModelExchange
 from cosim.fmi.instance import ModelExchangeInstance
+from cosim.fmi.options import DEFAULT_OPTIONS, FmuOptions
 from cosim.fmi.platforms import ARCHITECTURE, SUFFIX, folders
 from cosim.fmi.reading.model_description import Archive, read
 
 __all__ = ["CoSimulation", "Fmu", "ModelExchange", "load"]
 
-OUR_TOOL: Final = "cosim"  # whose FMUs the tests hold to their word
+OUR_TOOL: Final = "cosim"  # the tests prove that its FMUs do what their descriptions say
 FmuComponent: TypeAlias = ModelExchange | CoSimulation
 
 
@@ -42,8 +42,8 @@ class Fmu:
     Parameters
     ----------
     archive : Archive
-    mode : Mode
-    unit : LoadedInstance
+    interface_type : {"me", "cs"}
+    instance : LoadedInstance
     component : FmuComponent
     folder : Path
         Where it was unpacked.
@@ -64,13 +64,13 @@ class Fmu:
         solving: Mapping[str, str | float],
         notes: tuple[str, ...] = (),
     ) -> None:
-        self.component, self.interface_type, self._solving, self._notes = (
-            component,
-            interface_type,
-            solving,
-            notes,
-        )
-        self._archive, self._instance, self._folder = archive, instance, folder
+        self.component = component
+        self.interface_type = interface_type
+        self._archive = archive
+        self._instance = instance
+        self._folder = folder
+        self._solving = solving
+        self._notes = notes
 
     @property
     def description(self) -> Description:
@@ -88,21 +88,26 @@ class Fmu:
         """
         if self.interface_type != "me":
             raise FmuError(
-                f'{self._archive.path}: opened for co-simulation; its instance is there with interface_type = "me"'
+                f"{self._archive.path}: opened for co-simulation; its instance is there with "
+                'interface_type = "me"'
             )
         return self._instance
 
     @property
     def metadata(self) -> dict[str, Any]:
-        """What a log keeps: path, sha256 and modelDescription.xml of the file, FMI version, mode, solver and tolerance."""
-        found = self._archive
+        """What a log keeps of the file and of how it was opened.
+
+        Path, sha256 and modelDescription.xml of the file, FMI version, interface type, solver and
+        tolerance.
+        """
+        archive = self._archive
         return {
-            "path": str(found.path),
-            "sha256": found.sha256,
-            "fmi_version": found.description.version,
+            "path": str(archive.path),
+            "sha256": archive.sha256,
+            "fmi_version": archive.description.version,
             "interface_type": self.interface_type,
             **self._solving,
-            "model_description": found.xml,
+            "model_description": archive.xml,
         }
 
     @property
@@ -111,9 +116,10 @@ class Fmu:
         return self._notes + self.component.notes
 
     def drain(self) -> list[Message]:
-        """Give what the FMU logged since the last call, how many messages were dropped, and what the run showed about it.
+        """Return the messages since the last call: the FMU's own, then those of its component.
 
-        The level is "info", "warning", "error" or "fatal", from the FMI status, and "debug" of an event.
+        The level is "info", "warning", "error" or "fatal", from the FMI status, and "debug" of an
+        event. Where messages were dropped, one says how many.
         """
         return self._instance.messages.drain() + self.component.drain()
 
@@ -131,7 +137,7 @@ class Fmu:
     def close(self) -> None:
         """End the run, free the instance, remove the temporary folder. Twice does no harm."""
         try:
-            with suppress(RunError):  # an instance that cannot end is let go of all the same
+            with suppress(RunError):  # an instance that cannot terminate is freed all the same
                 self._instance.terminate()
             self._instance.free_instance()
         finally:
@@ -140,12 +146,8 @@ class Fmu:
 
 def load(
     path: Path | str,
+    options: FmuOptions = DEFAULT_OPTIONS,
     *,
-    interface_type: InterfaceType | None = None,
-    solver: str | None = None,
-    rtol: float | None = None,
-    dae: DaeForm = "ode",
-    start: Starts | None = None,
     instance_name: str | None = None,
 ) -> Fmu:
     """Open an FMU.
@@ -153,70 +155,43 @@ def load(
     Parameters
     ----------
     path : Path or str
-    mode : {"me", "cs"} or None
-        Model exchange or co-simulation; None: the one that is there, model exchange where both are.
-    solver : str or None
-        Of a model exchange FMU; see :class:`ModelExchange`.
-    rtol : float or None
-        Relative tolerance of the states of a model exchange FMU, for the solvers that keep one; None: 1e-9.
-    dae : {"ode", "residual"}
-        Of a model exchange FMU with a residual form (FMI-LS-DAE): which of its forms is integrated.
-    start : mapping of variable name to StartValue
-        Start values to set instead of the FMU's own: numbers, Booleans, items of enumerations, texts, lists; see ``start.py``.
+    options : FmuOptions
     instance_name : str or None
         None: the name of the model.
 
     Raises
     ------
     FmuError
-        If it is no FMU, cannot run here or in this mode, or a start value is wrong. Nothing is left behind.
+        If it is no FMU, cannot run here or with these options, or a start value is wrong. Nothing
+        is left behind.
     """
     folder = Path(tempfile.mkdtemp(prefix="cosim-fmu-"))
     instance: LoadedInstance | None = None
     try:
         archive = read(path, into=folder)
-        interface_type, starts = _mode(archive, interface_type), dict(start or {})
-        if interface_type == "cs" and solver is not None:
-            raise FmuError(
-                f'{path}: solver {solver!r}: a co-simulation FMU brings its own; leave it out or use interface_type = "me"'
-            )
-        if interface_type == "cs" and rtol is not None:
-            raise FmuError(
-                f'{path}: relative tolerance {rtol}: a co-simulation FMU brings its own solver; leave it out or use interface_type = "me"'
-            )
-        if interface_type == "cs" and dae == "residual":
-            raise FmuError(
-                f'{path}: dae = "residual": a co-simulation FMU solves for itself; use interface_type = "me", or dae = "ode"'
-            )
+        interface_type = _choose_interface_type(archive, options.interface_type)
+        if interface_type == "cs":
+            _check_options_for_co_simulation(archive, options)
         library = folder / _library(archive, interface_type)
         _check_architecture(archive, library)
-        description = resized(archive.description, starts)
-        check_start(description, starts)
-        description, notes = _limited(archive, description, interface_type)
-        name = instance_name or description.name
+        # Structural parameters first: they decide how many elements other start values have.
+        description = resized(archive.description, options.start)
+        check_start(description, options.start)
+        description, notes = _reliable(archive, description, interface_type)
         instance = LoadedInstance(
             folder,
             library,
             description,
             interface_type=interface_type,
-            name=name,
+            name=instance_name or description.name,
             label=str(archive.path),
         )
-        component: FmuComponent
-        if interface_type == "me":
-            component = ModelExchange(instance, solver, starts=starts, rtol=rtol, dae=dae)
-            solver = component.solver
-        else:
-            component = CoSimulation(instance, starts=starts)
-        rtol = RTOL if rtol is None and solver in TOLERANT else rtol
+        component, solving = _component(instance, interface_type, options)
     except BaseException:
         if instance is not None:
             instance.free_instance()
         shutil.rmtree(folder, ignore_errors=True)
         raise
-    solving = {
-        key: value for key, value in (("solver", solver), ("tolerance", rtol)) if value is not None
-    }
     return Fmu(
         archive,
         interface_type,
@@ -228,88 +203,135 @@ def load(
     )
 
 
-def _limited(
-    archive: Archive, description: Description, interface_type: InterfaceType
-) -> tuple[Description, tuple[str, ...]]:
-    """Take from a description what is not supported or cannot be relied on; give what is to be known about that.
-
-    A clock that an FMU only shows needs nothing from us. One that it must be given would never tick in model exchange; in
-    co-simulation the FMU drives it itself, once it was told that event mode is not used.
-    """
-    can, notes = description.capabilities[interface_type], []
-    if description.clocks:
-        can = replace(can, event_mode=False)
-        named = f"clocks are not supported: {', '.join(description.clocks)}"
-        given = [name for name in description.clocks if description[name].causality == "input"]
-        if interface_type == "me" and given:
-            other = '; use interface_type = "cs"' if "cs" in description.capabilities else ""
-            raise FmuError(
-                f"{archive.path}: {named}; in model exchange {', '.join(given)} would have to be ticked{other}"
-            )
-        notes.append(
-            f"{description.name}: {named}{'; the FMU drives them itself, without event mode' * (interface_type == 'cs')}"
-        )
-    problems = (
-        find_rollback_problems(archive, interface_type)
-        if can.saves_state and description.tool != OUR_TOOL
-        else ()
-    )
-    if problems:
-        can = replace(can, saves_state=False)
-        notes.append(
-            f"{description.name}: its state is not saved, although it says that it can be: {'; '.join(problems)}"
-        )
-    return replace(
-        description, capabilities={**description.capabilities, interface_type: can}
-    ), tuple(notes)
-
-
-def _mode(archive: Archive, wanted: InterfaceType | None) -> InterfaceType:
-    there = [
-        interface_type
-        for interface_type in INTERFACE_TYPES
-        if interface_type in archive.description.capabilities
+def _choose_interface_type(archive: Archive, wanted: InterfaceType | None) -> InterfaceType:
+    """Return the wanted interface type, or the first one that the FMU has."""
+    capabilities = archive.description.capabilities
+    available = [
+        interface_type for interface_type in INTERFACE_TYPES if interface_type in capabilities
     ]
-    if not there:
+    if not available:
         raise FmuError(
             f"{archive.path}: neither model exchange nor co-simulation; needed one of them"
         )
     if wanted is None:
-        return there[0]
+        return available[0]
     if wanted not in INTERFACE_TYPES:
-        raise FmuError(f'{archive.path}: mode {wanted!r}; needed "me" or "cs"')
-    if wanted not in there:
+        raise FmuError(f'{archive.path}: interface_type {wanted!r}; needed "me" or "cs"')
+    if wanted not in available:
+        wanted_name = INTERFACE_TYPE_NAMES[wanted]
+        available_name = INTERFACE_TYPE_NAMES[available[0]]
         raise FmuError(
-            f'{archive.path}: not for {INTERFACE_TYPE_NAMES[wanted]} (interface_type = "{wanted}"); it is for {INTERFACE_TYPE_NAMES[there[0]]}: '
-            f'interface_type = "{there[0]}"'
+            f'{archive.path}: not for {wanted_name} (interface_type = "{wanted}"); '
+            f'it is for {available_name}: interface_type = "{available[0]}"'
         )
     return wanted
 
 
-def _library(archive: Archive, interface_type: InterfaceType) -> str:
-    """Give the member of the archive that is the binary for this machine."""
-    description, identifier = (
-        archive.description,
-        archive.description.capabilities[interface_type].identifier,
+def _check_options_for_co_simulation(archive: Archive, options: FmuOptions) -> None:
+    """Refuse options that only a solver of ours could follow."""
+    if options.solver is not None:
+        raise FmuError(
+            f"{archive.path}: solver {options.solver!r}: a co-simulation FMU brings its own; "
+            'leave it out or use interface_type = "me"'
+        )
+    if options.tolerance is not None:
+        raise FmuError(
+            f"{archive.path}: relative tolerance {options.tolerance}: a co-simulation FMU brings "
+            'its own solver; leave it out or use interface_type = "me"'
+        )
+    if options.dae == "residual":
+        raise FmuError(
+            f'{archive.path}: dae = "residual": a co-simulation FMU solves for itself; '
+            'use interface_type = "me", or dae = "ode"'
+        )
+
+
+def _component(
+    instance: LoadedInstance, interface_type: InterfaceType, options: FmuOptions
+) -> tuple[FmuComponent, dict[str, str | float]]:
+    """Return the component that drives an instance, and what it is solved with."""
+    if interface_type == "cs":
+        return CoSimulation(instance, starts=options.start), {}
+    component = ModelExchange(
+        instance,
+        options.solver,
+        starts=options.start,
+        rtol=options.tolerance,
+        dae=options.dae,
     )
-    wanted = folders(description.version)
-    for folder in wanted:
+    solving: dict[str, str | float] = {"solver": component.solver}
+    if component.rtol is not None:
+        solving["tolerance"] = component.rtol
+    return component, solving
+
+
+def _reliable(
+    archive: Archive, description: Description, interface_type: InterfaceType
+) -> tuple[Description, tuple[str, ...]]:
+    """Return a description without what is not supported or fails, and notes about what was taken.
+
+    A clock that an FMU only shows needs nothing from us. One that it must be given would never tick
+    in model exchange; in co-simulation the FMU drives it itself, once it was told that event mode
+    is not used.
+    """
+    capabilities = description.capabilities[interface_type]
+    notes = []
+    if description.clocks:
+        capabilities = replace(capabilities, event_mode=False)
+        notes.append(_note_on_clocks(archive, description, interface_type))
+    if capabilities.saves_state and description.tool != OUR_TOOL:
+        problems = find_rollback_problems(archive, interface_type)
+        if problems:
+            capabilities = replace(capabilities, saves_state=False)
+            notes.append(
+                f"{description.name}: its state is not saved, although it says that it can be: "
+                f"{'; '.join(problems)}"
+            )
+    all_capabilities = {**description.capabilities, interface_type: capabilities}
+    return replace(description, capabilities=all_capabilities), tuple(notes)
+
+
+def _note_on_clocks(
+    archive: Archive, description: Description, interface_type: InterfaceType
+) -> str:
+    """Return what is to be known about an FMU's clocks; refuse those that nothing would tick."""
+    unsupported = f"clocks are not supported: {', '.join(description.clocks)}"
+    if interface_type == "cs":
+        remedy = "; the FMU drives them itself, without event mode"
+        return f"{description.name}: {unsupported}{remedy}"
+    inputs = [name for name in description.clocks if description[name].causality == "input"]
+    if inputs:
+        way_out = '; use interface_type = "cs"' if "cs" in description.capabilities else ""
+        raise FmuError(
+            f"{archive.path}: {unsupported}; in model exchange {', '.join(inputs)} would have to "
+            f"be ticked{way_out}"
+        )
+    return f"{description.name}: {unsupported}"
+
+
+def _library(archive: Archive, interface_type: InterfaceType) -> str:
+    """Return the name of the member of the archive that is the binary for this machine."""
+    description = archive.description
+    identifier = description.capabilities[interface_type].identifier
+    platform_folders = folders(description.version)
+    for folder in platform_folders:
         member = f"binaries/{folder}/{identifier}{SUFFIX}"
         if member in archive.members:
             return member
-    there = ", ".join(description.platforms) or "none"
+    available = ", ".join(description.platforms) or "none"
     raise FmuError(
-        f"{archive.path}: no binary for this platform; found binaries for: {there}; needed "
-        f"binaries/{wanted[0]}/{identifier}{SUFFIX}"
+        f"{archive.path}: no binary for this platform; found binaries for: {available}; needed "
+        f"binaries/{platform_folders[0]}/{identifier}{SUFFIX}"
     )
 
 
 def _check_architecture(archive: Archive, library: Path) -> None:
     """Name what the loader calls a missing file: a binary of another machine."""
     with library.open("rb") as file:
-        found = built_for(file.read(1024))
-    if found and found[0] not in ("any", ARCHITECTURE):
+        header = file.read(1024)
+    built = built_for(header)
+    if built and built[0] not in ("any", ARCHITECTURE):
         raise FmuError(
-            f"{archive.path}: the binary {library.parent.name}/{library.name} is for {found[0]}, found in the folder for "
-            f"{ARCHITECTURE}; needed one for {ARCHITECTURE}"
+            f"{archive.path}: the binary {library.parent.name}/{library.name} is for {built[0]}, "
+            f"found in the folder for {ARCHITECTURE}; needed one for {ARCHITECTURE}"
         )

@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from cosim.blocks.replay import Replay
 from cosim.core.clock import whole_steps
@@ -20,6 +20,7 @@ from cosim.theory.descriptor import DescriptorSystem
 
 if TYPE_CHECKING:
     from cosim.fmi.linearizing.linearization import Linearization
+    from cosim.fmi.options import FmuOptions
 
 
 class MessageSource(Protocol):
@@ -138,23 +139,14 @@ class ScenarioBuildContext:
         self,
         name: str,
         path: str,
-        *,
-        interface_type: Literal["me", "cs"] | None,
-        solver: str | None,
-        tolerance: float | None,
-        dae: Literal["ode", "residual"],
-        start: Mapping[str, Any],
+        options: FmuOptions,
     ) -> Component:
         """Load an FMU; it is freed when the run is over."""
         from cosim.fmi.component import load
 
         opened = load(
             self.file(path),
-            interface_type=interface_type,
-            solver=solver,
-            rtol=tolerance,
-            dae=dae,
-            start=start,
+            options,
             instance_name=name,
         )
         loaded = self._resources.enter_context(opened)

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from cosim.fmi.component import load
+from cosim.fmi.options import FmuOptions
 from tests.fmi.compiled import compile_fmu, kept_folder
 
 VARIABLES = ("u", "d", "x", "v", "der(x)", "der(v)", "q", "count", "p", "evaluations", "completed")
@@ -103,7 +104,10 @@ class Run:
         nominal: float = 1.0,
         rtol: float | None = None,
     ):
-        self.fmu = load(build(model, version, nominal), solver=solver, rtol=rtol, start={"p": p})
+        self.fmu = load(
+            build(model, version, nominal),
+            FmuOptions(solver=solver, tolerance=rtol, start={"p": p}),
+        )
         self.component = self.fmu.component
 
     def __enter__(self):

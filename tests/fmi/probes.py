@@ -5,6 +5,7 @@ from contextlib import contextmanager
 import numpy as np
 
 from cosim.fmi.component import load
+from cosim.fmi.options import FmuOptions
 
 VARIABLES2 = """
 <ModelVariables>
@@ -123,7 +124,7 @@ def xml1(*, interface_type: str = "cs", once: bool = False) -> str:
 @contextmanager
 def opened(path, **options):
     """Give the opened FMU and its unit."""
-    with load(path, **options) as fmu:
+    with load(path, FmuOptions(**options)) as fmu:
         yield fmu, fmu.component._instance
 
 

@@ -8,6 +8,7 @@ import pytest
 from cosim.core.contracts import Stopped
 from cosim.errors import FmuError
 from cosim.fmi.component import load
+from cosim.fmi.options import FmuOptions
 from cosim.testing import check_component, check_rollback
 from tests.fmi import lag
 from tests.fmi.lag import on_a_line, on_a_sine
@@ -43,7 +44,7 @@ def opened(path):
     fmus = []
 
     def opened(version, *can, **start):
-        fmus.append(load(path(version, *can), start=start))
+        fmus.append(load(path(version, *can), FmuOptions(start=start)))
         return fmus[-1]
 
     yield opened

@@ -12,6 +12,7 @@ from cosim.errors import FmuError
 from cosim.fmi.component import load
 from cosim.fmi.exporting.compiling import PLATFORMS
 from cosim.fmi.exporting.export import export
+from cosim.fmi.options import FmuOptions
 from cosim.fmi.platforms import ARCHITECTURE, SYSTEM
 from cosim.native import build
 from tests.fmi.plant import model, run
@@ -94,7 +95,7 @@ def test_zig_and_cc_give_the_same_bits(tmp_path):
     ]
     runs = []
     for path in paths:
-        with load(path, interface_type="cs") as fmu:
+        with load(path, FmuOptions(interface_type="cs")) as fmu:
             runs.append(run(fmu.component, step=0.01))
     assert np.array_equal(*runs)
 

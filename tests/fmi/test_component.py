@@ -13,6 +13,7 @@ from cosim.core.signals import Interface, Signal
 from cosim.errors import FmuError, RunError
 from cosim.fmi.component import CoSimulation, ModelExchange, load
 from cosim.fmi.generated import GeneratedInstance
+from cosim.fmi.options import FmuOptions
 from tests.fmi.plant import FACE, SLOPE, A, B, C, D, grid, inputs, model, run, solution
 
 # At 1 ms and 2 s: 2000 steps, each rounding a few numbers of size 1: well below 2000 * 8 * 2^-53 = 1.8e-12.
@@ -64,7 +65,7 @@ def test_adaptive_solvers_drive_a_loaded_unit(solver, exported):
         rows.setflags(write=False)
         return rows
 
-    with load(exported, solver=solver) as fmu:
+    with load(exported, FmuOptions(solver=solver)) as fmu:
         assert np.array_equal(
             run(fmu.component, step=0.1, u=fixed), run(generated(solver), step=0.1)
         )
@@ -90,14 +91,14 @@ def test_any_model_can_be_a_unit():
 
 def test_loaded_model_exchange_equals_the_generated_unit_bit_for_bit(exported):
     """Same solver, same kernel in the same order: there is nothing that could differ."""
-    with load(exported, solver="rk4") as fmu:
+    with load(exported, FmuOptions(solver="rk4")) as fmu:
         assert fmu.interface_type == "me"
         assert np.array_equal(run(fmu.component, step=1e-3), run(generated("rk4"), step=1e-3))
 
 
 def test_co_simulation_with_input_derivatives_equals_the_exact_solver(exported):
     """The FMU does the same first-order hold; u0 + h slope differs from u1 by rounding."""
-    with load(exported, interface_type="cs") as fmu:
+    with load(exported, FmuOptions(interface_type="cs")) as fmu:
         assert abs(run(fmu.component, step=1e-3) - run(generated(), step=1e-3)).max() < ROUNDING
         assert fmu.component.notes == ()
 
@@ -107,7 +108,7 @@ DERIVATIVES = (' providesDirectionalDerivative="true"', "")
 
 
 def errors(path, step):
-    with load(path, interface_type="cs") as fmu:
+    with load(path, FmuOptions(interface_type="cs")) as fmu:
         return abs(run(fmu.component, step=step) - solution(grid(step))).max(
             axis=0
         ), fmu.component.notes
@@ -137,7 +138,7 @@ def test_co_simulation_with_mean_inputs_and_unknown_D_is_first_order_where_it_fe
 
 def test_an_interpolating_unit_without_D_warns_of_held_inputs_whenever_it_is_asked(edited):
     """Which inputs are held is known after prepare only; the warning names the condition, so it is right before it too."""
-    with load(edited(DERIVATIVES), interface_type="cs") as fmu:
+    with load(edited(DERIVATIVES), FmuOptions(interface_type="cs")) as fmu:
         before = fmu.component.notes
         fmu.component.prepare(1e-3, np.array([True, False]), {})
         assert fmu.component.notes == before
@@ -155,7 +156,7 @@ def test_held_inputs_keep_their_value_and_reach_the_outputs_at_the_end(
     """Held inputs in an FMU act as in the exact discretization; rk4 at 1 ms is exact to rounding."""
     held = np.array(mask)
     expected = run(generated(), step=1e-3, held=held)
-    with load(exported, interface_type=interface_type) as fmu:
+    with load(exported, FmuOptions(interface_type=interface_type)) as fmu:
         assert abs(run(fmu.component, step=1e-3, held=held) - expected).max() < ROUNDING
 
 
@@ -176,7 +177,7 @@ def test_results_do_not_depend_on_blocks(kind, exported):
 
     def once(blocks):
         if kind in ("me", "cs"):
-            with load(exported, interface_type=kind) as fmu:
+            with load(exported, FmuOptions(interface_type=kind)) as fmu:
                 return run(fmu.component, step=1e-2, blocks=blocks)
         return run(generated(kind), step=1e-2, blocks=blocks)
 
@@ -188,7 +189,7 @@ def test_results_do_not_depend_on_blocks(kind, exported):
 @pytest.mark.parametrize("kind", ["exact", "rk4", "me", "cs"])
 def test_save_and_restore_is_the_identity(kind, exported):
     """Going back and on again gives the same bits; the FMU's copies are freed with the saved objects."""
-    fmu = load(exported, interface_type=kind) if kind in ("me", "cs") else None
+    fmu = load(exported, FmuOptions(interface_type=kind)) if kind in ("me", "cs") else None
     component = fmu.component if fmu else generated(kind)
     try:
         run(component, step=0.01, stop=0.5)
@@ -208,7 +209,7 @@ def test_save_and_restore_is_the_identity(kind, exported):
 @pytest.mark.parametrize("kind", ["exact", "rk4", "me", "cs"])
 def test_initialize_may_be_repeated_and_forgets_the_past(kind, exported):
     """Other inputs before the first advance, and a second run after it, leave no trace; outputs changes nothing."""
-    fmu = load(exported, interface_type=kind) if kind in ("me", "cs") else None
+    fmu = load(exported, FmuOptions(interface_type=kind)) if kind in ("me", "cs") else None
     component = fmu.component if fmu else generated(kind)
     first = run(component, step=0.01, stop=0.2)
     component.initialize(0.0, np.array([9.0, 9.0]))
@@ -282,7 +283,7 @@ def test_pythonfmu3_unit_is_run_in_both_kinds(foreign3, capfd):
         assert abs(rows[:, [2, 0, 1]] - solution(grid(1e-2))[:, :3]).max() < 1e-9
     coarse, fine = ([], [])
     for step, errors_ in ((0.02, coarse), (0.01, fine)):
-        with load(foreign3, interface_type="cs") as fmu:
+        with load(foreign3, FmuOptions(interface_type="cs")) as fmu:
             errors_.extend(
                 abs(run(fmu.component, step=step)[:, :2] - solution(grid(step))[:, state]).max(
                     axis=0
@@ -295,7 +296,7 @@ def test_pythonfmu3_unit_is_run_in_both_kinds(foreign3, capfd):
 @pytest.mark.parametrize("limit", [0.05, 0.15])
 def test_a_step_that_does_not_end_keeps_what_was_before(foreign2, limit, capfd):
     """The block stops with the completed rows: at the FMU's own wish, or naming the FMU, the call and its status."""
-    with load(foreign2, start={"limit": limit}) as fmu, pytest.raises(Stopped) as stop:
+    with load(foreign2, FmuOptions(start={"limit": limit})) as fmu, pytest.raises(Stopped) as stop:
         run(fmu.component, step=0.01, held=HELD, u=foreign_inputs)
     assert isinstance(stop.value, RunError)
     assert stop.value.steps == round(limit / 0.01)
@@ -327,7 +328,9 @@ def test_integers_and_booleans_are_never_rounded(foreign2):
 def test_start_values_are_set_and_survive_a_second_run(exported):
     """x_a[0] = 3: y = x1 - u follows, after a reset too."""
     for interface_type in ("me", "cs"):
-        with load(exported, interface_type=interface_type, start={"x_a[0]": 3.0}) as fmu:
+        with load(
+            exported, FmuOptions(interface_type=interface_type, start={"x_a[0]": 3.0})
+        ) as fmu:
             first = run(fmu.component, step=0.1)
             assert first[0] == pytest.approx([2.5, 3.0, -1.0, -3.5])
             assert np.array_equal(first, run(fmu.component, step=0.1))
@@ -340,6 +343,6 @@ def test_components_keep_the_contract_of_the_interface(exported):
     with load(exported) as fmu:
         assert fmu.component.interface == replace(FACE, initial={"y": ("u",), "x_b": ("u",)})
         assert isinstance(fmu.component, ModelExchange)
-    with load(exported, interface_type="cs") as fmu:
+    with load(exported, FmuOptions(interface_type="cs")) as fmu:
         assert isinstance(fmu.component, CoSimulation)
     assert A.shape == B.shape

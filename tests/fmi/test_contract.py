@@ -10,6 +10,7 @@ from cosim.fmi.component import ModelExchange, load
 from cosim.fmi.exporting.export import export
 from cosim.fmi.generated import GeneratedInstance
 from cosim.fmi.instance import DiscreteStates
+from cosim.fmi.options import FmuOptions
 from cosim.testing import check_component, check_rollback
 
 A, X0 = np.array([[-1.0, 1.0], [-1.0, -2.0]]), np.array([1.0, -1.0])
@@ -56,7 +57,7 @@ def test_loaded_units_keep_the_contract(path, interface_type):
     loaded = []
 
     def make():
-        loaded.append(load(path, interface_type=interface_type))
+        loaded.append(load(path, FmuOptions(interface_type=interface_type)))
         return loaded[-1].component
 
     check_component(make)
@@ -78,7 +79,7 @@ def test_co_simulation_units_without_D_keep_the_contract(edited, able):
     file, loaded = edited(*lost), []
 
     def make():
-        loaded.append(load(file, interface_type="cs"))
+        loaded.append(load(file, FmuOptions(interface_type="cs")))
         return loaded[-1].component
 
     check_component(make)
@@ -105,7 +106,7 @@ def test_an_fmi_3_unit_of_others_keeps_the_contract(foreign3, interface_type):
     loaded = []
 
     def make():
-        loaded.append(load(foreign3, interface_type=interface_type))
+        loaded.append(load(foreign3, FmuOptions(interface_type=interface_type)))
         return loaded[-1].component
 
     check_component(make, steps=10)
@@ -167,7 +168,7 @@ def test_discrete_inputs_are_held_whoever_drives_them(path, inputs):
             < 1e-8
         )
     for interface_type in ("me", "cs"):
-        with load(path, interface_type=interface_type) as fmu:
+        with load(path, FmuOptions(interface_type=interface_type)) as fmu:
             assert abs(run(fmu.component, free) - expected).max() < 1e-8
 
 

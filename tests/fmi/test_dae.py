@@ -16,6 +16,7 @@ from cosim.fmi.checking.check import check
 from cosim.fmi.component import load
 from cosim.fmi.description import Dae, Formulation
 from cosim.fmi.exporting.export import export
+from cosim.fmi.options import FmuOptions
 from cosim.fmi.reading.dae import MANIFEST
 from cosim.fmi.reading.model_description import read
 from cosim.theory.descriptor import DescriptorSystem
@@ -88,7 +89,10 @@ class Driven:
         """Give a block of the Jacobian."""
         one, other = self._description.reference([unknown]), self._description.reference([known])
         return np.column_stack(
-            [self.instance.get_directional_derivative(one, other, seed) for seed in np.eye(other.size)]
+            [
+                self.instance.get_directional_derivative(one, other, seed)
+                for seed in np.eye(other.size)
+            ]
         )
 
 
@@ -145,12 +149,12 @@ def test_both_forms_agree_for_several_algebraic_variables(plant):
     rows = np.column_stack([0.5 + t, 1.0 - 0.5 * t])
     found = {}
     for dae in ("ode", "residual"):
-        with load(plant, dae=dae) as fmu:
+        with load(plant, FmuOptions(dae=dae)) as fmu:
             fmu.component.prepare(0.002, np.zeros(2, np.bool_), {})
             found[dae] = np.vstack(
                 [fmu.component.initialize(0.0, rows[0]), fmu.component.advance(t, 0.002, rows)]
             )
-    with load(plant, interface_type="cs") as fmu:  # its own steps are exact
+    with load(plant, FmuOptions(interface_type="cs")) as fmu:  # its own steps are exact
         fmu.component.prepare(0.002, np.zeros(2, np.bool_), {})
         exact = np.vstack(
             [fmu.component.initialize(0.0, rows[0]), fmu.component.advance(t, 0.002, rows)]
@@ -262,7 +266,7 @@ def test_a_broken_manifest_is_told_and_no_obstacle(what, tmp_path):
     with pytest.raises(
         FmuError, match=rf'CUBIC: dae = "residual": {MANIFEST}: .*{re.escape(message)}'
     ):
-        load(path, dae="residual")
+        load(path, FmuOptions(dae="residual"))
     load(path).close()
 
 

@@ -19,6 +19,7 @@ from cosim.fmi.exporting import kernels
 from cosim.fmi.exporting.export import export
 from cosim.fmi.exporting.kernels import DiscreteModel
 from cosim.fmi.generated import GeneratedInstance
+from cosim.fmi.options import FmuOptions
 from cosim.fmi.reading.model_description import read
 from cosim.native import build
 from cosim.native.expression import compile_expression
@@ -118,7 +119,7 @@ def test_states_that_are_no_outputs_units_and_calculated_starts(tmp_path):
         held=np.array([False]),
         u=force,
     )
-    with load(path, solver="rk4") as fmu:
+    with load(path, FmuOptions(solver="rk4")) as fmu:
         assert fmu.description["position"].initial == "calculated"
         shown = [(s.name, s.unit, s.role) for s in fmu.component.interface.outputs]
         assert shown == [
@@ -129,19 +130,19 @@ def test_states_that_are_no_outputs_units_and_calculated_starts(tmp_path):
         assert np.array_equal(
             run(fmu.component, step=0.01, held=np.array([False]), u=force)[:, :2], expected
         )
-    with load(path, interface_type="cs") as fmu:
+    with load(path, FmuOptions(interface_type="cs")) as fmu:
         assert run(fmu.component, step=0.01, held=np.array([False]), u=force)[
             :, :2
         ] == pytest.approx(expected, abs=1e-8)
     with pytest.raises(FmuError, match="'position' cannot be set at the start"):
-        load(path, start={"position": 1.0})
+        load(path, FmuOptions(start={"position": 1.0}))
 
 
 def test_any_number_of_instances_at_once(exported):
     """Instances share nothing that changes."""
     with (
-        load(exported, interface_type="cs", instance_name="one") as one,
-        load(exported, interface_type="cs", start={"x_a[1]": 0.0}) as two,
+        load(exported, FmuOptions(interface_type="cs"), instance_name="one") as one,
+        load(exported, FmuOptions(interface_type="cs", start={"x_a[1]": 0.0})) as two,
     ):
         first = run(one.component, step=0.1)
         run(two.component, step=0.05)

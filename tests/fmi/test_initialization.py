@@ -8,6 +8,7 @@ from cosim.errors import CosimError, FmuError
 from cosim.fmi.component import load
 from cosim.fmi.description import Description, Variable
 from cosim.fmi.driving.initialization import StartValues, check_start, resized
+from cosim.fmi.options import FmuOptions
 from tests.fmi.compiled import compile_fmu
 from tests.fmi.probes import got, xml3
 
@@ -146,7 +147,7 @@ def test_start_values_reach_the_fmu(tmp_path):
         "n": 3, "Float64s": [1.5, 2.5, 3.5], "UInt8": 200, "Booleans": [True, False, True], "Int64s": [-1, 0, 2**53],
         "texts": ["a", "b"], "binaries": ["", "ff00"], "x": 0.5,
     }  # fmt: skip
-    with load(path, interface_type="cs", start=start) as fmu:
+    with load(path, FmuOptions(interface_type="cs", start=start)) as fmu:
         assert (
             fmu.description["Float64s"].size,
             fmu.component.initialize(0.0, np.zeros(1)).tolist(),

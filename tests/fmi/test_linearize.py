@@ -16,6 +16,7 @@ from cosim.fmi.generated import GeneratedInstance
 from cosim.fmi.linearizing.differences import differentiate
 from cosim.fmi.linearizing.linearization import Linearization
 from cosim.fmi.linearizing.linearize import linearize
+from cosim.fmi.options import FmuOptions
 from tests.fmi import plant
 from tests.fmi.compiled import compile_fmu
 from tests.fmi.pendulum import FRICTION, OUTPUTS, G, jacobian, pendulum
@@ -149,7 +150,7 @@ def test_a_unit_is_linearized_like_its_fmu_and_left_as_it_was(exported):
     reference = cosim.linearize(exported)
     unit = GeneratedInstance.of(plant.model())
     assert distance(linearize(unit), (plant.A, plant.B, plant.C, plant.D)) == 0.0
-    with load(exported, interface_type="me") as fmu:
+    with load(exported, FmuOptions(interface_type="me")) as fmu:
         before = plant.run(fmu.component, step=0.1)
         assert (
             distance(
@@ -157,7 +158,7 @@ def test_a_unit_is_linearized_like_its_fmu_and_left_as_it_was(exported):
             )
             == 0.0
         )
-    with load(exported, interface_type="me") as fmu:
+    with load(exported, FmuOptions(interface_type="me")) as fmu:
         linearize(fmu.instance)
         assert np.array_equal(plant.run(fmu.component, step=0.1), before)
 
@@ -267,7 +268,6 @@ def test_the_step_is_chosen_by_the_error(f, slope, z, scale):
     assert abs(found[0] - slope) <= error[0] <= 1e-5 * max(1.0, abs(slope))
 
 
-
 REFUSED = {
     "no such input": ({"inputs": ["torqe"]}, r"pendulum: no input 'torqe'; did you mean 'torque'\?"),
     "no such output": ({"outputs": ["torque"]}, r"pendulum: no output 'torque'; There is: y, reach"),
@@ -301,9 +301,10 @@ def test_co_simulation_alone_is_refused(foreign2, exported):
     ):
         cosim.linearize(foreign2)
     with (
-        load(exported, interface_type="cs") as fmu,
+        load(exported, FmuOptions(interface_type="cs")) as fmu,
         pytest.raises(
-            FmuError, match='opened for co-simulation; its instance is there with interface_type = "me"'
+            FmuError,
+            match='opened for co-simulation; its instance is there with interface_type = "me"',
         ),
     ):
         linearize(fmu.instance)
@@ -346,7 +347,7 @@ def test_a_derivative_that_the_unit_refuses_is_told_with_the_way_out(tmp_path):
 def test_a_state_without_its_derivative_needs_differences(tmp_path):
     """ModelStructure names the derivatives; one that is no derivative of a state cannot be asked for."""
     path = pendulum(tmp_path / "p.fmu", derivatives=True)
-    with load(path, interface_type="me") as fmu:
+    with load(path, FmuOptions(interface_type="me")) as fmu:
         variables = fmu.description.variables
         assert [v.derivative_of for v in variables if v.derivative_of] == ["theta", "omega"]
         object.__setattr__(

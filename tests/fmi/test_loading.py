@@ -13,6 +13,7 @@ import pytest
 from cosim.errors import FmuError, RunError
 from cosim.fmi.binary.headers import ELF
 from cosim.fmi.component import load
+from cosim.fmi.options import FmuOptions
 from cosim.fmi.platforms import ARCHITECTURE, SUFFIX
 from cosim.native import build
 from tests.fmi.compiled import compile_fmu
@@ -42,7 +43,7 @@ def nothing_left(temporary, capfd):
 
 def refused(path, text, **options):
     with pytest.raises(FmuError, match=text):
-        load(path, **options).close()
+        load(path, FmuOptions(**options)).close()
 
 
 def with_binary(path, change):
@@ -144,7 +145,10 @@ def test_after_the_end_no_call_reaches_the_library(probe2):
 def test_two_instances_of_one_fmu(request, slave1, number):
     """Each has its own memory, whatever the order of their ends."""
     path = slave1 if number == 1 else request.getfixturevalue(f"probe{number}")
-    one, two = load(path, interface_type="cs"), load(path, interface_type="cs")
+    one, two = (
+        load(path, FmuOptions(interface_type="cs")),
+        load(path, FmuOptions(interface_type="cs")),
+    )
     units = [fmu.component._instance for fmu in (one, two)]
     for value, unit in enumerate(units):
         unit.enter_initialization_mode(0.0)
@@ -174,13 +178,13 @@ def test_an_fmu_that_can_be_here_only_once(tmp_path, xml, source):
     path = compile_fmu(tmp_path / "x.fmu", xml, source)
     broken = with_binary(path, lambda _: b"\x7fELF")
     refused(broken, "cannot be used: .*file too short", interface_type="cs")
-    with load(path, interface_type="cs"):
+    with load(path, FmuOptions(interface_type="cs")):
         refused(
             path,
             r"x.fmu: can be instantiated only once per process .*; close that one before",
             interface_type="cs",
         )
-    load(path, interface_type="cs").close()
+    load(path, FmuOptions(interface_type="cs")).close()
 
 
 def clocked(causality, **options):
@@ -191,7 +195,7 @@ def clocked(causality, **options):
 def test_clocks_are_said_by_name(tmp_path):
     """A clock that is only shown needs nothing; one that must be ticked is an error in model exchange."""
     path = compile_fmu(tmp_path / "x.fmu", clocked("output"), "probe3.c")
-    with load(path, interface_type="me") as fmu:
+    with load(path, FmuOptions(interface_type="me")) as fmu:
         assert fmu.notes[0] == "probe: clocks are not supported: tick"
     path = compile_fmu(tmp_path / "y.fmu", clocked("input", event_mode=True), "probe3.c")
     refused(
@@ -210,7 +214,7 @@ def test_clocks_are_said_by_name(tmp_path):
 def test_states_that_lie_are_not_saved(tmp_path):
     """A trial in another process finds out; the FMU runs without."""
     path = compile_fmu(tmp_path / "x.fmu", xml2(), "probe2.c", defines=("LIES",))
-    with load(path, interface_type="cs") as fmu:
+    with load(path, FmuOptions(interface_type="cs")) as fmu:
         assert fmu.notes[0].startswith(
             "probe: its state is not saved, although it says that it can be: goes back wrongly"
         )
@@ -221,7 +225,7 @@ def test_states_that_lie_are_not_saved(tmp_path):
 
 def test_states_that_were_let_go_of_are_used_again(probe2):
     """The probe says when it allocates one."""
-    with load(probe2, interface_type="cs") as fmu:
+    with load(probe2, FmuOptions(interface_type="cs")) as fmu:
         fmu.component.initialize(0.0, np.zeros(1))
         for _ in range(5):
             saved = fmu.component.save()
@@ -234,7 +238,7 @@ def test_states_that_were_let_go_of_are_used_again(probe2):
 
 def cycle(path, interface_type):
     """Load, run a step, free."""
-    with load(path, interface_type=interface_type) as fmu:
+    with load(path, FmuOptions(interface_type=interface_type)) as fmu:
         unit = fmu.component
         unit.prepare(0.1, np.zeros(1, np.bool_), {})
         unit.initialize(0.0, np.zeros(1))

@@ -11,6 +11,7 @@ import cosim
 from cosim.errors import RunError
 from cosim.fmi.binary.messages import MESSAGES, Message, Messages
 from cosim.fmi.component import load
+from cosim.fmi.options import FmuOptions
 from cosim.native.library import library
 from tests.fmi.compiled import compile_fmu
 from tests.fmi.probes import opened, xml2
@@ -138,7 +139,7 @@ def test_messages_from_other_threads(messages):
 
 def test_an_fmu_hands_over_its_messages(exported, capfd):
     """A refused call is said by the FMU; the second time there is nothing new; nothing is printed."""
-    with load(exported, interface_type="cs") as fmu:
+    with load(exported, FmuOptions(interface_type="cs")) as fmu:
         assert fmu.drain() == []
         with pytest.raises(RunError, match="it said: error: call not allowed in this mode"):
             fmu.component._instance.do_step(0.0, 0.1)

@@ -7,13 +7,14 @@ import pytest
 
 from cosim.errors import FmuError
 from cosim.fmi.component import load
+from cosim.fmi.options import FmuOptions
 
 CS = "CoSimulation"
 
 
 def refused(path, text, **options):
     with pytest.raises(FmuError, match=text) as error:
-        load(path, **options)
+        load(path, FmuOptions(**options))
     assert error.value.exit_code == 2
     assert str(path) in str(error.value) or "academic" in str(error.value)
 
@@ -190,7 +191,7 @@ def test_a_kind_that_is_not_there(edited):
         r'not for model exchange \(interface_type = "me"\); it is for co-simulation: interface_type = "cs"',
         interface_type="me",
     )
-    refused(path, 'mode \'both\'; needed "me" or "cs"', interface_type="both")
+    refused(path, 'interface_type \'both\'; needed "me" or "cs"', interface_type="both")
     with load(path) as fmu:
         assert fmu.interface_type == "cs"
 
@@ -236,12 +237,12 @@ def test_start_values(exported, start, text):
 def test_start_value_outside_its_range(edited):
     path = edited(('<Real start="1.0" />', '<Real start="1.0" min="0" max="2.5" />'))
     refused(path, r"start value of 'x_a\[0\]': found 3.0, needed 0.0 to 2.5", start={"x_a[0]": 3.0})
-    load(path, start={"x_a[0]": 2.0}).close()
+    load(path, FmuOptions(start={"x_a[0]": 2.0})).close()
 
 
 def test_all_wrong_start_values_are_reported_together(exported):
     with pytest.raises(FmuError, match=r"(?s)'nothing'.*'y' cannot be set"):
-        load(exported, start={"nothing": 1.0, "y": 1.0})
+        load(exported, FmuOptions(start={"nothing": 1.0, "y": 1.0}))
 
 
 TAKEN = "rk4, RK45, DOP853, Radau, BDF, LSODA, CVode"  # by an FMU
@@ -259,7 +260,7 @@ def test_solvers(exported):
     refused(
         exported,
         "relative tolerance 1e-06: a co-simulation FMU brings its own solver",
-        rtol=1e-6,
+        tolerance=1e-6,
         interface_type="cs",
     )
 

@@ -10,6 +10,7 @@ from cosim.core.contracts import Stopped
 from cosim.errors import FmuError, RunError
 from cosim.fmi.component import load
 from cosim.fmi.driving.residual import NODES, WEIGHTS
+from cosim.fmi.options import FmuOptions
 from cosim.testing import check_component, check_rollback
 from tests.fmi.dae import ABOUT, LISTS, RATE, build, manifest
 
@@ -29,7 +30,7 @@ def run(
     h, stop=2.0, *, u=line, held=False, model="CUBIC", derivatives=True, dae="residual", start=None
 ):
     """Give the outputs at every communication point: x (where there is one), z, q, y; and the events."""
-    with load(build(model, derivatives=derivatives), dae=dae, start=start) as fmu:
+    with load(build(model, derivatives=derivatives), FmuOptions(dae=dae, start=start or {})) as fmu:
         component, steps = fmu.component, round(stop / h)
         t = np.arange(steps + 1) * round(h * 1e9) / 1e9
         rows = u(t)[:, np.newaxis]
@@ -115,7 +116,7 @@ def steps(t):
 @pytest.mark.parametrize("held", [True, False])
 def test_z_solves_the_equation_with_the_inputs_of_its_time(held):
     """Held inputs jump at communication points: there z jumps with them, and y shows it; x does not."""
-    with load(build(), dae="residual") as fmu:
+    with load(build(), FmuOptions(dae="residual")) as fmu:
         component, t = fmu.component, np.arange(21) / 10.0
         rows = steps(t)[:, np.newaxis]
         component.prepare(0.1, np.array([held]), {})
@@ -137,9 +138,9 @@ def test_a_form_without_states_is_its_equation():
 @DERIVATIVES
 def test_the_contract_of_components_holds(derivatives):
     """One call of K steps is K calls of one, bit for bit; outputs change nothing; what was saved comes back."""
-    with load(build(derivatives=derivatives), dae="residual", start={"p": 0.5}) as fmu:
+    with load(build(derivatives=derivatives), FmuOptions(dae="residual", start={"p": 0.5})) as fmu:
         check_component(lambda: fmu.component, steps=10, h=0.1)
-    with load(build(derivatives=derivatives), dae="residual", start={"p": 0.5}) as fmu:
+    with load(build(derivatives=derivatives), FmuOptions(dae="residual", start={"p": 0.5})) as fmu:
         check_rollback(lambda: fmu.component, steps=10, h=0.1)
 
 
@@ -160,7 +161,7 @@ def test_where_there_is_no_solution_the_run_stops():
 def test_a_start_at_which_z_is_not_determined_is_an_error():
     """At z = 0 a small z changes z^2 by nothing."""
     message = "FOLD: no solution of the residual form at t = 0.0 s: largest residual 1; Newton's iteration: its matrix is singular"
-    with load(build("FOLD"), dae="residual", start={"z": 0.0}) as fmu:
+    with load(build("FOLD"), FmuOptions(dae="residual", start={"z": 0.0})) as fmu:
         fmu.component.prepare(0.1, np.array([False]), {})
         fmu.component.initialize(0.0, np.zeros(1))
         with pytest.raises(RunError, match=message):
@@ -204,7 +205,7 @@ def test_a_form_that_cannot_be_integrated_is_refused(extra, message):
     """The message says what is missing; as an ordinary FMU it runs all the same."""
     path = build(extra=extra)
     with pytest.raises(FmuError, match=f'CUBIC: dae = "residual": .*{message}'):
-        load(path, dae="residual")
+        load(path, FmuOptions(dae="residual"))
     load(path).close()
 
 
@@ -214,25 +215,25 @@ def test_only_model_exchange_of_fmi_3_without_another_solver_has_a_residual_form
         FmuError,
         match=r"solver 'rk4': the residual form has its own, Radau IIA; leave one of both out",
     ):
-        load(build(), dae="residual", solver="rk4")
+        load(build(), FmuOptions(dae="residual", solver="rk4"))
     with pytest.raises(FmuError, match="no solver 'Radau IIA'"):
-        load(build(), solver="Radau IIA")
+        load(build(), FmuOptions(solver="Radau IIA"))
     with pytest.raises(FmuError, match=r"dae = 'dae'; "):
-        load(build(), dae="dae")
+        load(build(), FmuOptions(dae="dae"))
     exported = request.getfixturevalue("exported")
     with pytest.raises(
         FmuError,
         match=r'dae = "residual": FMI 2.0 has no residual form, the layered standard is on top of FMI 3',
     ):
-        load(exported, interface_type="me", dae="residual")
+        load(exported, FmuOptions(interface_type="me", dae="residual"))
     with pytest.raises(
         FmuError,
         match=r'dae = "residual": a co-simulation FMU solves for itself; use interface_type = "me"',
     ):
-        load(exported, interface_type="cs", dae="residual")
+        load(exported, FmuOptions(interface_type="cs", dae="residual"))
 
 
 def test_what_is_integrated_stands_in_the_log():
     """The solver's name says it."""
-    with load(build(), dae="residual") as fmu:
+    with load(build(), FmuOptions(dae="residual")) as fmu:
         assert fmu.metadata["solver"] == "Radau IIA"

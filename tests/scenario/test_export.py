@@ -13,6 +13,7 @@ from cosim.core.linear import Linear
 from cosim.errors import CosimError
 from cosim.fmi.component import ModelExchange, load
 from cosim.fmi.generated import GeneratedInstance
+from cosim.fmi.options import FmuOptions
 from cosim.fmi.reading.model_description import read
 from cosim.scenario.document import find
 from cosim.scenario.exporting import export_component
@@ -64,7 +65,7 @@ def test_co_simulation_by_us_gives_what_the_component_gave(key, name, fmi, folde
     Inputs that hold cost rounding: their two columns of the discretization are added at each step, not once.
     """
     found = case(key, name)
-    with load(export(key, name, fmi, folder), interface_type="cs") as fmu:
+    with load(export(key, name, fmi, folder), FmuOptions(interface_type="cs")) as fmu:
         y = drive(fmu.component, found)
     assert relative(y, found.y) <= 1e-12
     if not found.held.any():
@@ -79,7 +80,7 @@ def test_model_exchange_by_us_has_the_bits_of_the_component_with_the_same_solver
     """rk4 on the FMU and rk4 on the component call the same C."""
     found = case(key, name)
     expected = drive(ModelExchange(GeneratedInstance.of(found.model), "rk4"), found)
-    with load(export(key, name, fmi, folder), interface_type="me", solver="rk4") as fmu:
+    with load(export(key, name, fmi, folder), FmuOptions(interface_type="me", solver="rk4")) as fmu:
         assert np.array_equal(drive(fmu.component, found), expected)
 
 
@@ -163,7 +164,9 @@ def test_model_exchange_by_fmpy_alone_gives_what_the_component_gives(key, name, 
 def test_derivatives_are_the_matrices(interface_type, fmi, folder):
     """Of the observer, whose C and D are full: directional ones by columns."""
     found = case("academic", "observer")
-    with load(export("academic", "observer", fmi, folder), interface_type=interface_type) as fmu:
+    with load(
+        export("academic", "observer", fmi, folder), FmuOptions(interface_type=interface_type)
+    ) as fmu:
         component, unit = fmu.component, fmu.component._instance
         component.prepare(H, found.held, {})
         component.initialize(0.0, found.u[0])
@@ -236,11 +239,11 @@ def test_a_fixed_step_is_kept(folder):
     """Another communication step is refused before the run in FMI 3, which says it, and by the FMU in FMI 2."""
     found = case("academic", "regressor")
     with (
-        load(export("academic", "regressor", "3", folder), interface_type="cs") as fmu,
+        load(export("academic", "regressor", "3", folder), FmuOptions(interface_type="cs")) as fmu,
         pytest.raises(CosimError, match=r"0\.001 s"),
     ):
         fmu.component.prepare(0.0015, found.held, {})
-    with load(export("academic", "regressor", "2", folder), interface_type="cs") as fmu:
+    with load(export("academic", "regressor", "2", folder), FmuOptions(interface_type="cs")) as fmu:
         fmu.component.prepare(0.002, found.held, {})
         fmu.component.initialize(0.0, found.u[0])
         needed = r"a communication step of 0\.002\d* s was asked for; needed 0\.001 s, the step of this unit"

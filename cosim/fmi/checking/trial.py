@@ -127,9 +127,10 @@ def _opened(story: _Story, path: str, interface_type: InterfaceType) -> Iterator
     import numpy as np
 
     from cosim.fmi.component import load
+    from cosim.fmi.options import FmuOptions
 
     story.at("loading and instantiating")
-    with load(path, interface_type=interface_type) as fmu:
+    with load(path, FmuOptions(interface_type=interface_type)) as fmu:
         story.at("preparing")
         fmu.component.prepare(
             _step(fmu.description, interface_type),

@@ -92,6 +92,7 @@ class ModelExchange:
             raise FmuError(
                 f"{self._name}: relative tolerance {rtol}; needed at least {CLOSEST} and less than 1"
             )
+        self.rtol = rtol if self.solver in TOLERANT else None
         self.interface = instance.interface
         self.notes: tuple[str, ...] = ()
         self._start = Initialization(instance, starts or {})

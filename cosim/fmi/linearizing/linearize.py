@@ -29,6 +29,7 @@ from cosim.fmi.instance import ModelExchangeInstance
 from cosim.fmi.linearizing.elements import Chosen
 from cosim.fmi.linearizing.linearization import METHODS, Linearization, Method
 from cosim.fmi.linearizing.operating_point import OperatingPoint
+from cosim.fmi.options import FmuOptions
 from cosim.fmi.reading.model_description import read
 
 GOOD: Final = 1e-7  # relative error from which central differences are told to be poor
@@ -80,7 +81,7 @@ def linearize(
         if n in description and description[n].causality == "structuralParameter"
     }
     with load(
-        unit, interface_type="me", start=structural
+        unit, FmuOptions(interface_type="me", start=structural)
     ) as fmu:  # they decide the sizes of arrays
         return linearize_instance(fmu.instance, **wanted)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 from cosim.arrays import Mask
 from cosim.blocks.sampled import Decimated
@@ -18,6 +18,7 @@ from cosim.theory.descriptor import DescriptorSystem
 if TYPE_CHECKING:
     from cosim.fmi.description import Description, InterfaceType
     from cosim.fmi.linearizing.linearization import Linearization
+    from cosim.fmi.options import FmuOptions
     from cosim.scenario.port_comparison import NearStart
 
 Exportable: TypeAlias = LinearModel | DiscreteModel
@@ -61,12 +62,7 @@ class BuildContext(Protocol):
         self,
         name: str,
         path: str,
-        *,
-        interface_type: Literal["me", "cs"] | None,
-        solver: str | None,
-        tolerance: float | None,
-        dae: Literal["ode", "residual"],
-        start: Mapping[str, Any],
+        options: FmuOptions,
     ) -> Component:
         """Load an FMU; it is freed when the run is over."""
         ...

@@ -101,15 +101,16 @@ class FmuKind(PlantKind):
         return component if n == 1 else Sampled(component, n)
 
     def build(self, name: str, context: BuildContext) -> Component:
-        return context.fmu(
-            name,
-            self.path,
+        from cosim.fmi.options import FmuOptions
+
+        options = FmuOptions(
             interface_type=self.interface_type,
             solver=self.solver,
             tolerance=self.tolerance,
             dae=self.dae,
             start=self.start,
         )
+        return context.fmu(name, self.path, options)
 
     def description(
         self, name: str, context: BuildContext

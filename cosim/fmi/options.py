@@ -1,0 +1,40 @@
+"""The options that an FMU is opened with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Final
+
+from cosim.fmi.description import InterfaceType
+from cosim.fmi.driving.initialization import Starts
+from cosim.fmi.driving.residual import DaeForm
+
+
+@dataclass(frozen=True, slots=True)
+class FmuOptions:
+    """How an FMU is opened. All but ``interface_type`` and ``start`` are for model exchange.
+
+    Parameters
+    ----------
+    interface_type : {"me", "cs"} or None
+        Model exchange or co-simulation; None: the one that the FMU has, model exchange where it
+        has both.
+    solver : str or None
+        One of ``cosim.fmi.driving.solvers.STEPPING``; None: ``RK45``.
+    tolerance : float or None
+        Relative tolerance of the states, for the solvers that keep one; None: 1e-9.
+    dae : {"ode", "residual"}
+        Of an FMU with a residual form (FMI-LS-DAE): which of its forms is integrated.
+    start : mapping of variable name to StartValue
+        Values for the variables' ``start``, instead of the FMU's own: numbers, Booleans, items of
+        enumerations, texts, lists; see ``cosim.fmi.driving.initialization``.
+    """
+
+    interface_type: InterfaceType | None = None
+    solver: str | None = None
+    tolerance: float | None = None
+    dae: DaeForm = "ode"
+    start: Starts = field(default_factory=dict)
+
+
+DEFAULT_OPTIONS: Final = FmuOptions()
