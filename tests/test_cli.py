@@ -17,7 +17,7 @@ import pytest
 
 import cosim
 from cosim.cli import main
-from cosim.fmi.description import Variable
+from cosim.fmi.variable import Variable
 from tests.fmi.archives import write
 from tests.fmi.compiled import compile_fmu
 from tests.fmi.eventful import build

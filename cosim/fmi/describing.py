@@ -10,7 +10,8 @@ import numpy as np
 from cosim.core.linear import LinearModel
 from cosim.core.signals import Interface, Signal
 from cosim.errors import FmuError
-from cosim.fmi.description import NO_VALUE, Description, Initial, Variable
+from cosim.fmi.description import NO_VALUE, Description
+from cosim.fmi.variable import Initial, Variable
 
 
 class Shape(Protocol):

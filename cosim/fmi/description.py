@@ -11,99 +11,16 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal, TypeAlias
 
-import numpy as np
-
 from cosim.arrays import Mask
-from cosim.core.signals import Interface, Signal, SignalType
+from cosim.core.signals import Interface, Signal
 from cosim.errors import FmuError, nearest
-from cosim.fmi.references import References, VariableType
-from cosim.units import BaseUnit
+from cosim.fmi.references import ReferenceMap
+from cosim.fmi.variable import Variable
 
 InterfaceType: TypeAlias = Literal["me", "cs"]  # model exchange, co-simulation
-Initial: TypeAlias = Literal["exact", "approx", "calculated"]
 INTERFACE_TYPES: tuple[InterfaceType, ...] = ("me", "cs")
 INTERFACE_TYPE_NAMES: Mapping[InterfaceType, str] = {"me": "model exchange", "cs": "co-simulation"}
 NO_VALUE = "NaN: no value yet"  # begins the description of a variable that may have none; FMI has no other word for it
-LARGEST_EXACT = 2**53  # integers beyond it are not all float64
-
-
-@dataclass(frozen=True, slots=True)
-class Variable:
-    """A variable of a unit (FMI 2.0.4 section 2.2.7, FMI 3.0 section 2.4.7).
-
-    Parameters
-    ----------
-    name : str
-    reference : int
-        Value reference.
-    causality : str
-        ``input``, ``output``, ``parameter``, ``local``, ... as in the standard.
-    type : VariableType
-    variability, initial : str, str or None
-    size : int
-        Number of elements; 1 except for the arrays of FMI 3.
-    unit : str or None
-    base : BaseUnit or None
-        What the unit is in SI, by its definition (offset 0 for a relative quantity).
-    start : tuple of float or None
-        Of numbers and Booleans.
-    text : tuple of str or None
-        Start of a String; of a Binary in hexadecimal.
-    minimum, maximum : float
-    nominal : float or None
-    derivative_of : str or None
-        The state of which it is the derivative.
-    dimensions : tuple of int or str
-        Of an array (FMI 3): numbers, or names of structural parameters; ``size`` is their product at the start.
-    items : mapping of str to int
-        Names and values of an enumeration.
-    inside_steps : bool
-        Whether an input may be set inside a step (FMI 3: intermediateUpdate; FMI 1 and 2: by its derivative).
-    alias_of : str or None
-        The variable whose other name it is (FMI 3); it is no signal of its own.
-    doc : str
-        What it is, for people.
-    """
-
-    name: str
-    reference: int
-    causality: str
-    type: VariableType = "Float64"
-    variability: str = "continuous"
-    initial: Initial | None = None
-    size: int = 1
-    unit: str | None = None
-    base: BaseUnit | None = None
-    start: tuple[float, ...] | None = None
-    text: tuple[str, ...] | None = None
-    minimum: float = -math.inf
-    maximum: float = math.inf
-    nominal: float | None = None
-    derivative_of: str | None = None
-    dimensions: tuple[int | str, ...] = ()
-    items: Mapping[str, int] = field(default_factory=dict)
-    inside_steps: bool = True
-    alias_of: str | None = None
-    doc: str = ""
-
-    @property
-    def settable(self) -> bool:
-        """Whether a start value may be given (FMI 2.0.4 section 2.2.7: initial exact or approx, or an input)."""
-        return self.variability != "constant" and (
-            self.causality == "input" or self.initial in ("exact", "approx")
-        )
-
-    @property
-    def is_signal(self) -> bool:
-        """Whether its values are numbers."""
-        return self.type not in ("String", "Binary", "Clock")
-
-    @property
-    def kind(self) -> SignalType:
-        """What its signal carries."""
-        if self.type in ("Float32", "Float64"):
-            return "real"
-        return "boolean" if self.type == "Boolean" else "integer"
 
 
 @dataclass(frozen=True, slots=True)
@@ -263,28 +180,21 @@ class Description:
         ] + beside
         return tuple((self._signal(name, group), group) for name, group in _vectors(carried))
 
-    def references(self, causality: str) -> References:
-        """Give the references of all inputs or outputs, in the order of the interface."""
-        return References.of(
-            [(v.type, v.reference, v.size) for _, group in self.ports(causality) for v in group]
-        )
+    def references(self, causality: str) -> ReferenceMap:
+        """Return all inputs or outputs with their value references, in the order of the interface."""
+        variables: list[Variable] = []
+        for _, group in self.ports(causality):
+            variables += group
+        return ReferenceMap.of(variables)
 
-    def reference(self, names: Iterable[str]) -> References:
-        """Give the references of variables by name."""
-        return References.of([(v.type, v.reference, v.size) for v in map(self.__getitem__, names)])
+    def references_of(self, names: Iterable[str]) -> ReferenceMap:
+        """Return variables with their value references, by name."""
+        return ReferenceMap.of(self[name] for name in names)
 
     @property
     def discrete_inputs(self) -> Mask:
         """Which elements of the input vector hold their value between events, shape (n_u,)."""
-        return np.array(
-            [
-                v.variability != "continuous"
-                for _, group in self.ports("input")
-                for v in group
-                for _ in range(v.size)
-            ],
-            np.bool_,
-        )
+        return self.references("input").where(lambda v: v.variability != "continuous")
 
     @property
     def undoes_discarded_steps(self) -> bool:
@@ -294,13 +204,8 @@ class Description:
     @property
     def interpolated_inputs(self) -> Mask:
         """Which elements of the input vector can follow a straight line inside a step, if the unit interpolates, shape (n_u,)."""
-        variables = [v for _, group in self.ports("input") for v in group for _ in range(v.size)]
-        return np.array(
-            [
-                v.variability == "continuous" and v.type == "Float64" and v.inside_steps
-                for v in variables
-            ],
-            np.bool_,
+        return self.references("input").where(
+            lambda v: v.variability == "continuous" and v.type == "Float64" and v.inside_steps
         )
 
     @property

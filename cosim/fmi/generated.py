@@ -24,9 +24,10 @@ from cosim.core.linear import LinearModel
 from cosim.core.signals import Interface
 from cosim.errors import FmuError
 from cosim.fmi.describing import describe, states_of_outputs
-from cosim.fmi.description import Capabilities, Description, Variable
+from cosim.fmi.description import Capabilities, Description
 from cosim.fmi.instance import DiscreteStates
-from cosim.fmi.references import References
+from cosim.fmi.references import ReferenceMap
+from cosim.fmi.variable import Variable
 from cosim.native.step import affine
 
 Phase: TypeAlias = Literal[
@@ -198,7 +199,7 @@ class GeneratedInstance:
         self._update_states()
         return self._model.derivatives(self._t, self._x, self._u)
 
-    def set_float64(self, references: References, values: Vector) -> None:
+    def set_float64(self, references: ReferenceMap, values: Vector) -> None:
         """Set inputs; before the run also start values of states that do not depend on inputs."""
         self._require("set_float64")
         for group in references.groups:
@@ -221,7 +222,7 @@ class GeneratedInstance:
         index = reference - self._m
         return self._state_of[index] if index < self._p else index - self._p - self._n
 
-    def get_float64(self, references: References) -> Vector:
+    def get_float64(self, references: ReferenceMap) -> Vector:
         """Get variables as a new vector."""
         self._require("get_float64")
         self._update()
@@ -277,7 +278,7 @@ class GeneratedInstance:
     # --- directional derivatives and states ---
 
     def get_directional_derivative(
-        self, unknowns: References, knowns: References, seed: Vector
+        self, unknowns: ReferenceMap, knowns: ReferenceMap, seed: Vector
     ) -> Vector:
         """Give d(unknowns)/d(knowns) . seed from the matrices (FMI 2.0.4 section 2.1.9).
 
@@ -290,8 +291,8 @@ class GeneratedInstance:
         if self._linear is None:
             raise FmuError(f"{self._name}: no directional derivatives; the model is not linear")
         jacobian = self._jacobian(self._linear)
-        columns = [self._known(reference) for reference in _plain(knowns)]
-        rows = [reference - self._m for reference in _plain(unknowns)]
+        columns = [self._known(reference) for reference in knowns.ungrouped.references.tolist()]
+        rows = [reference - self._m for reference in unknowns.ungrouped.references.tolist()]
         if min(rows, default=0) < 0:
             raise FmuError(
                 f"{self._name}: the unknowns of a directional derivative are outputs, derivatives and states, not inputs"
@@ -333,7 +334,3 @@ class GeneratedInstance:
 
     def free_fmu_state(self, state: object) -> None:
         """Nothing to let go of."""
-
-
-def _plain(references: References) -> list[int]:
-    return [] if not references.groups else references.groups[0].references.tolist()

@@ -12,8 +12,9 @@ from typing import Final, NamedTuple, Protocol
 from cosim.arrays import Vector
 from cosim.core.linear import LinearModel
 from cosim.core.signals import Interface
-from cosim.fmi.description import Description, Variable
-from cosim.fmi.references import References
+from cosim.fmi.description import Description
+from cosim.fmi.references import ReferenceMap
+from cosim.fmi.variable import Variable
 
 TERMINATED: Final = "the FMU requests the end of the run"
 
@@ -86,16 +87,16 @@ class Instance(Protocol):
         """Get a String, or a Binary in hexadecimal."""
         ...
 
-    def set_float64(self, references: References, values: Vector) -> None:
+    def set_float64(self, references: ReferenceMap, values: Vector) -> None:
         """Set variables; integers and Booleans are carried as float64 and converted here."""
         ...
 
-    def get_float64(self, references: References) -> Vector:
+    def get_float64(self, references: ReferenceMap) -> Vector:
         """Get variables as a new vector."""
         ...
 
     def get_directional_derivative(
-        self, unknowns: References, knowns: References, seed: Vector
+        self, unknowns: ReferenceMap, knowns: ReferenceMap, seed: Vector
     ) -> Vector:
         """Give d(unknowns)/d(knowns) . seed; only where the capability says so."""
         ...
@@ -171,7 +172,7 @@ class ModelExchangeInstance(Instance, Protocol):
 class CoSimulationInstance(Instance, Protocol):
     """A unit with a solver of its own."""
 
-    def set_input_derivatives(self, references: References, slopes: Vector) -> None:
+    def set_input_derivatives(self, references: ReferenceMap, slopes: Vector) -> None:
         """Set du/dt for the next step, beginning at the values set last; only where the unit interpolates inputs.
 
         FMI 3 has no input derivatives: the binding answers the unit's Intermediate Updates with the values on these lines.

@@ -1,18 +1,23 @@
-"""Value references of variables, grouped by type as the FMI calls take them."""
+"""Variables as the elements of one float64 vector, and their value references as the FMI calls take them."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-VariableType: TypeAlias = Literal[
-    "Float64", "Float32", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64", "Boolean",
-    "String", "Binary", "Clock",
-]  # fmt: skip
+from cosim.arrays import Mask, Vector
+from cosim.fmi.variable import Variable, VariableType
+
+
+@dataclass(frozen=True, slots=True)
+class VectorElement:
+    """One element of a vector: an element of a variable, numbered in row-major order."""
+
+    variable: Variable
+    index: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,32 +30,106 @@ class Group:
     address: int  # of the references, for C
     count: int  # of the references
 
+    @staticmethod
+    def of(
+        variable_type: VariableType, references: Sequence[int], columns: NDArray[np.intp]
+    ) -> Group:
+        """Build a group from its value references."""
+        array = np.array(references, np.uint32)
+        return Group(variable_type, array, columns, array.ctypes.data, len(array))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
-class References:
-    """Variables that are set or got together, in the order of the elements of one float64 vector.
+class ReferenceMap:
+    """Variables that are set or read together, as the elements of one float64 vector.
 
-    ``plain``: all are Float64, so that the vector is handed over as it is.
+    This class alone knows their order: the variables stand one behind the other, the elements of an array in row-major order.
+
+    Parameters
+    ----------
+    variables : tuple of Variable
+    size : int
+        Number of elements.
+    groups : tuple of Group
+        The variables by type, for the calls that set and read values.
+    ungrouped : Group
+        All variables in their order, for the calls with derivatives: those are Float64 whatever the variables are.
+    all_float64 : bool
+        Whether every variable is Float64 (and there is one), so that the vector is handed over as it is.
+    columns : array of int, shape (size,)
+        Of a selection: where its elements stand in the vector that it was selected from; else 0, 1, ...
+    is_part : bool
+        Whether it is a selection that leaves out some of that vector.
     """
 
-    groups: tuple[Group, ...]
+    variables: tuple[Variable, ...]
     size: int
-    plain: bool
+    groups: tuple[Group, ...]
+    ungrouped: Group
+    all_float64: bool
+    columns: NDArray[np.intp]
+    is_part: bool = False
 
     @staticmethod
-    def of(variables: Sequence[tuple[VariableType, int, int]]) -> References:
-        """Put (type, value reference, size) together by type."""
-        starts = np.concatenate([[0], np.cumsum([size for _, _, size in variables])]).astype(
-            np.intp
-        )
+    def of(variables: Iterable[Variable]) -> ReferenceMap:
+        """Build the map of variables, in their order."""
+        variables = tuple(variables)
+        sizes = [variable.size for variable in variables]
+        columns = np.arange(sum(sizes), dtype=np.intp)
         groups = []
-        for kind in dict.fromkeys(kind for kind, _, _ in variables):
-            mine = [i for i, variable in enumerate(variables) if variable[0] == kind]
-            columns = np.concatenate(
-                [np.arange(starts[i], starts[i + 1], dtype=np.intp) for i in mine]
-            )
-            references = np.array([variables[i][1] for i in mine], np.uint32)
-            groups.append(Group(kind, references, columns, references.ctypes.data, len(mine)))
-        return References(
-            tuple(groups), int(starts[-1]), len(groups) == 1 and groups[0].type == "Float64"
+        for variable_type in dict.fromkeys(variable.type for variable in variables):
+            same_type = [variable.type == variable_type for variable in variables]
+            references = [v.reference for v in variables if v.type == variable_type]
+            groups.append(Group.of(variable_type, references, columns[np.repeat(same_type, sizes)]))
+        return ReferenceMap(
+            variables=variables,
+            size=len(columns),
+            groups=tuple(groups),
+            ungrouped=Group.of("Float64", [v.reference for v in variables], columns),
+            all_float64=len(groups) == 1 and groups[0].type == "Float64",
+            columns=columns,
         )
+
+    @staticmethod
+    def of_distinct(variables: Iterable[Variable]) -> ReferenceMap:
+        """Build the map of variables without aliases: each value reference once (FMI 2.0.4 section 2.2.7)."""
+        distinct = {(variable.type, variable.reference): variable for variable in variables}
+        return ReferenceMap.of(distinct.values())
+
+    @property
+    def elements(self) -> tuple[VectorElement, ...]:
+        """What stands at each place of the vector."""
+        return tuple(
+            VectorElement(variable, index)
+            for variable in self.variables
+            for index in range(variable.size)
+        )
+
+    def where(self, condition: Callable[[Variable], bool]) -> Mask:
+        """Return which elements belong to variables that meet a condition, shape (size,)."""
+        meets = np.array([condition(variable) for variable in self.variables], np.bool_)
+        sizes = np.array([variable.size for variable in self.variables], np.intp)
+        return np.repeat(meets, sizes)
+
+    def select(self, mask: Mask) -> ReferenceMap:
+        """Return the map of the variables whose elements a mask of shape (size,) chooses: all elements of each, or none."""
+        first_columns = np.cumsum([0, *(variable.size for variable in self.variables)])
+        chosen = [v for v, first in zip(self.variables, first_columns, strict=False) if mask[first]]
+        selection = ReferenceMap.of(chosen)
+        columns = np.flatnonzero(mask)
+        assert len(columns) == selection.size
+        return replace(selection, columns=columns, is_part=not mask.all())
+
+    def take(self, values: Vector) -> Vector:
+        """Return a selection's elements of the vector that it was selected from; that vector itself where they are all."""
+        return values[self.columns] if self.is_part else values
+
+    def columns_of(self, elements: Iterable[VectorElement]) -> NDArray[np.intp]:
+        """Return where elements stand in the vector; an alias stands where its variable does."""
+        firsts: dict[tuple[VariableType, int], int] = {}
+        first = 0
+        for variable in self.variables:
+            firsts[variable.type, variable.reference] = first
+            first += variable.size
+        columns = [firsts[e.variable.type, e.variable.reference] + e.index for e in elements]
+        return np.array(columns, np.intp)

@@ -19,7 +19,7 @@ from cosim.scenario.execution import load
 from cosim.units import BASE
 
 if TYPE_CHECKING:
-    from cosim.fmi.description import Variable
+    from cosim.fmi.variable import Variable
 
 Section = dict[str, Any]
 

@@ -133,7 +133,7 @@ class Run:
     def value(self, name: str) -> float:
         """Give a variable, as it is."""
         unit = self.component._instance
-        return float(unit.get_float64(unit.description.reference([name]))[0])
+        return float(unit.get_float64(unit.description.references_of([name]))[0])
 
     def events(self, kind: str) -> list[float]:
         """Give the times of the events of one kind since the last call."""

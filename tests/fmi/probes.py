@@ -130,9 +130,9 @@ def opened(path, **options):
 
 def put(unit, **values):
     unit.set_float64(
-        unit.description.reference(values), np.array(list(values.values()), np.float64)
+        unit.description.references_of(values), np.array(list(values.values()), np.float64)
     )
 
 
 def got(unit, *names):
-    return unit.get_float64(unit.description.reference(names)).tolist()
+    return unit.get_float64(unit.description.references_of(names)).tolist()

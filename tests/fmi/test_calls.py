@@ -38,7 +38,7 @@ def test_co_simulation_calls_of_fmi_2(probe2):
         unit.enter_initialization_mode(0.0)
         unit.exit_initialization_mode()
         put(unit, u=2.0)
-        unit.set_input_derivatives(unit.description.reference(["u"]), np.array([6.0]))
+        unit.set_input_derivatives(unit.description.references_of(["u"]), np.array([6.0]))
         assert unit.do_step(1.0, 0.5) == StepEnd(completed=True, terminate=False, reached=1.5)
         assert got(unit, "slope", "no_way_back", "y") == [6.0, 0.0, 1.0]
         with pytest.raises(
@@ -86,7 +86,7 @@ def test_without_a_state_there_is_no_way_back(tmp_path):
             RunError, match=r"the FMU cannot save its state \(canGetAndSetFMUstate is false\)"
         ):
             unit.get_fmu_state()
-        u, y = unit.description.reference(["u"]), unit.description.reference(["y"])
+        u, y = unit.description.references_of(["u"]), unit.description.references_of(["y"])
         with pytest.raises(RunError, match="the FMU has no directional derivatives"):
             unit.get_directional_derivative(y, u, np.ones(1))
         with pytest.raises(RunError, match=r"FMI 2.0 has no configuration mode"):
@@ -174,7 +174,7 @@ def test_intermediate_updates_put_the_inputs_on_their_lines(tmp_path):
     with opened(interpolating(tmp_path), interface_type="cs") as (fmu, unit):
         unit.enter_initialization_mode(0.0)
         unit.exit_initialization_mode()
-        u = unit.description.reference(["u"])
+        u = unit.description.references_of(["u"])
         put(unit, u=2.0)
         unit.set_input_derivatives(u, np.array([6.0]))
         unit.do_step(1.0, 0.5)
@@ -187,7 +187,7 @@ def test_intermediate_updates_put_the_inputs_on_their_lines(tmp_path):
 def test_a_failing_intermediate_update_fails_the_step(tmp_path):
     with opened(interpolating(tmp_path), interface_type="cs") as (_, unit):
         put(unit, behavior=4)
-        unit.set_input_derivatives(unit.description.reference(["u"]), np.array([6.0]))
+        unit.set_input_derivatives(unit.description.references_of(["u"]), np.array([6.0]))
         with pytest.raises(RunError, match=r"x.fmu: fmi3SetFloat64 returned 3 \(error\)"):
             unit.do_step(1.0, 0.5)
 
@@ -202,7 +202,7 @@ def test_every_type_and_width_of_fmi_3(probe3, kind):
     with opened(probe3, interface_type="cs") as (_, unit):
         names = ["u" if kind == "Float64" else kind, f"{kind}s"]
         values = np.array([high, low, 1.0, high])
-        unit.set_float64(unit.description.reference(names), values)
+        unit.set_float64(unit.description.references_of(names), values)
         assert got(unit, *names) == values.tolist()
 
 

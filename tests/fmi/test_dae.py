@@ -80,14 +80,17 @@ class Driven:
         fmu.component.outputs(0.0, u)
 
     def __getitem__(self, name):
-        return self.instance.get_float64(self._description.reference([name]))
+        return self.instance.get_float64(self._description.references_of([name]))
 
     def give(self, name, values):
-        self.instance.set_float64(self._description.reference([name]), values)
+        self.instance.set_float64(self._description.references_of([name]), values)
 
     def by(self, unknown, known):
         """Give a block of the Jacobian."""
-        one, other = self._description.reference([unknown]), self._description.reference([known])
+        one, other = (
+            self._description.references_of([unknown]),
+            self._description.references_of([known]),
+        )
         return np.column_stack(
             [
                 self.instance.get_directional_derivative(one, other, seed)

@@ -6,8 +6,9 @@ from dataclasses import replace
 import pytest
 
 from cosim.errors import FmuError
-from cosim.fmi.description import Description, Variable
+from cosim.fmi.description import Description
 from cosim.fmi.reading.model_description import read
+from cosim.fmi.variable import Variable
 from tests.fmi.plant import FACE
 
 

@@ -4,8 +4,9 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from cosim.fmi.description import Description, Variable
+from cosim.fmi.description import Description
 from cosim.fmi.driving.direct import Direct
+from cosim.fmi.variable import Variable
 
 
 def test_only_double_precision_is_corrected():

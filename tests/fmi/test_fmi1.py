@@ -90,7 +90,7 @@ def test_co_simulation(slave1):
         unit.enter_initialization_mode(0.0)
         put(unit, x0=-2.0, u=3.0)
         unit.exit_initialization_mode()
-        unit.set_input_derivatives(unit.description.reference(["u"]), np.array([8.0]))
+        unit.set_input_derivatives(unit.description.references_of(["u"]), np.array([8.0]))
         assert unit.do_step(1.0, 0.5) == StepEnd(completed=True, terminate=False, reached=1.5)
         assert got(unit, "x", "slope") == [3.5, 8.0]
         put(unit, behavior=1)
@@ -101,7 +101,7 @@ def test_co_simulation(slave1):
 
 def test_what_fmi_1_does_not_have(slave1):
     with opened(slave1) as (_, unit):
-        y, u = unit.description.reference(["y"]), unit.description.reference(["u"])
+        y, u = unit.description.references_of(["y"]), unit.description.references_of(["u"])
         with pytest.raises(
             RunError, match=r"slave1.fmu: FMI 1.0 has no FMU state, so there is no way back"
         ):

@@ -71,18 +71,22 @@ def test_directional_derivatives_are_the_matrices():
     """d(y, x')/d(u, x) is (D, C; B, A), exactly, also through an output that is a state."""
     unit = unit_in("continuous")
     names = unit.description
-    unknowns = names.reference(["y", "x_a[0]", "x_a[1]", "x_b", "der(x_a[0])", "der(x_a[1])"])
+    unknowns = names.references_of(["y", "x_a[0]", "x_a[1]", "x_b", "der(x_a[0])", "der(x_a[1])"])
     for knowns, expected in (
         (("u", "delta"), np.vstack([D, B])),
         (("x_a[0]", "x_a[1]"), np.vstack([C, A])),
     ):
         for column, name in enumerate(knowns):
-            found = unit.get_directional_derivative(unknowns, names.reference([name]), np.ones(1))
+            found = unit.get_directional_derivative(
+                unknowns, names.references_of([name]), np.ones(1)
+            )
             assert np.array_equal(found, expected[:, column])
     with pytest.raises(FmuError, match="knowns of a directional derivative are inputs and states"):
-        unit.get_directional_derivative(unknowns, names.reference(["y"]), np.ones(1))
+        unit.get_directional_derivative(unknowns, names.references_of(["y"]), np.ones(1))
     with pytest.raises(FmuError, match="are outputs, derivatives and states, not inputs"):
-        unit.get_directional_derivative(names.reference(["u"]), names.reference(["u"]), np.ones(1))
+        unit.get_directional_derivative(
+            names.references_of(["u"]), names.references_of(["u"]), np.ones(1)
+        )
 
 
 def test_a_start_that_depends_on_inputs_follows_them_until_the_start():
@@ -104,7 +108,7 @@ def test_a_start_that_depends_on_inputs_follows_them_until_the_start():
         C @ Xu[:, 0] + D[:, 0],
     )
     with pytest.raises(FmuError, match=r"'x_a\[0\]' cannot be set in mode 'initialization'"):
-        unit.set_float64(unit.description.reference(["x_a[0]"]), np.ones(1))
+        unit.set_float64(unit.description.references_of(["x_a[0]"]), np.ones(1))
     unit.exit_initialization_mode()
     unit.enter_continuous_time_mode()
     unit.set_float64(inputs, np.zeros(2))

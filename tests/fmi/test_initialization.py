@@ -6,9 +6,10 @@ import pytest
 import cosim
 from cosim.errors import CosimError, FmuError
 from cosim.fmi.component import load
-from cosim.fmi.description import Description, Variable
+from cosim.fmi.description import Description
 from cosim.fmi.driving.initialization import StartValues, check_start, resized
 from cosim.fmi.options import FmuOptions
+from cosim.fmi.variable import Variable
 from tests.fmi.compiled import compile_fmu
 from tests.fmi.probes import got, xml3
 

@@ -44,7 +44,7 @@ def test_numbers_outside_a_type_are_refused(kind, value):
 def test_only_a_fatal_status_forbids_freeing(probe2, status, label, freed):
     """FMI 2.0.4 section 2.1.3: after fmi2Fatal no call is allowed; after any other the instance can be freed."""
     with opened(probe2, interface_type="cs") as (fmu, unit):
-        unit.set_float64(unit.description.reference(["answer"]), np.array([float(status)]))
+        unit.set_float64(unit.description.references_of(["answer"]), np.array([float(status)]))
         with pytest.raises(RunError, match=rf"probe2.fmu: fmi2Reset returned {status} \({label}\)"):
             unit.reset()
         if status == 4:

@@ -11,9 +11,10 @@ from numpy.typing import DTypeLike, NDArray
 from cosim.arrays import Vector
 from cosim.fmi.binary.library import Call, Library
 from cosim.fmi.binary.messages import Messages
-from cosim.fmi.description import Capabilities, Description, InterfaceType, Variable
+from cosim.fmi.description import Capabilities, Description, InterfaceType
 from cosim.fmi.instance import DiscreteStates, StepEnd
 from cosim.fmi.references import Group
+from cosim.fmi.variable import Variable
 
 NO_STATE: Final = "the FMU cannot save its state (canGetAndSetFMUstate is false)"
 NO_SLOPES: Final = "the FMU does not interpolate inputs (canInterpolateInputs is false)"

@@ -23,9 +23,9 @@ from cosim.arrays import Vector
 from cosim.errors import RunError
 from cosim.fmi.binary.binding import NO_SLOPES, InstanceSpecification
 from cosim.fmi.binary.library import DISCARD, WARNING, Call, Library, declared, pointer
-from cosim.fmi.description import Variable
 from cosim.fmi.instance import DiscreteStates, StepEnd
-from cosim.fmi.references import Group, VariableType
+from cosim.fmi.references import Group
+from cosim.fmi.variable import Variable, VariableType
 from cosim.native.library import address
 
 LAST_SUCCESSFUL_TIME = 2  # of fmiStatusKind

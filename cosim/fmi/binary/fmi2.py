@@ -16,9 +16,9 @@ from cosim.fmi.binary.binding import (
     InstanceSpecification,
 )
 from cosim.fmi.binary.library import DISCARD, WARNING, Library, declared, pointer
-from cosim.fmi.description import Variable
 from cosim.fmi.instance import DiscreteStates, StepEnd
 from cosim.fmi.references import Group
+from cosim.fmi.variable import Variable
 from cosim.native.library import address
 
 LAST_SUCCESSFUL_TIME, IS_TERMINATED = 2, 3  # of fmi2StatusKind

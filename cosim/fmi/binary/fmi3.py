@@ -28,9 +28,10 @@ from numpy.typing import DTypeLike, NDArray
 from cosim.arrays import Vector
 from cosim.fmi.binary.binding import NO_DIRECTIONAL_DERIVATIVES, NO_STATE, InstanceSpecification
 from cosim.fmi.binary.library import DISCARD, WARNING, Library, pointer
-from cosim.fmi.description import Capabilities, Variable
+from cosim.fmi.description import Capabilities
 from cosim.fmi.instance import DiscreteStates, StepEnd
 from cosim.fmi.references import Group
+from cosim.fmi.variable import Variable
 from cosim.native.library import InterpolationStruct, address
 
 _NUMBERS = (

@@ -21,8 +21,9 @@ from cosim.fmi.binary.fmi2 import Fmi2
 from cosim.fmi.binary.fmi3 import Fmi3
 from cosim.fmi.binary.library import Library, pointer
 from cosim.fmi.binary.messages import Messages
-from cosim.fmi.description import LARGEST_EXACT, Description, InterfaceType, Variable
-from cosim.fmi.references import References
+from cosim.fmi.description import Description, InterfaceType
+from cosim.fmi.references import ReferenceMap
+from cosim.fmi.variable import LARGEST_EXACT, Variable
 
 VERSIONS: Final[Mapping[str, tuple[str, Callable[[Library, InstanceSpecification], Calls]]]] = {
     "1": ("{identifier}_fmi", Fmi1),
@@ -167,9 +168,9 @@ class LoadedInstance:
 
     # --- values ---
 
-    def set_float64(self, references: References, values: Vector) -> None:
+    def set_float64(self, references: ReferenceMap, values: Vector) -> None:
         """Set variables; the values of integers and Booleans must be such."""
-        if references.plain:
+        if references.all_float64:
             self._calls.access("Set", references.groups[0], values)
             return
         for group in references.groups:
@@ -181,10 +182,10 @@ class LoadedInstance:
             )
             self._calls.access("Set", group, own)
 
-    def get_float64(self, references: References) -> Vector:
+    def get_float64(self, references: ReferenceMap) -> Vector:
         """Get variables as a new vector."""
         values = np.empty(references.size)
-        if references.plain:
+        if references.all_float64:
             self._calls.access("Get", references.groups[0], values)
             return values
         for group in references.groups:
@@ -211,11 +212,11 @@ class LoadedInstance:
         return dx
 
     def get_directional_derivative(
-        self, unknowns: References, knowns: References, seed: Vector
+        self, unknowns: ReferenceMap, knowns: ReferenceMap, seed: Vector
     ) -> Vector:
         """Give d(unknowns)/d(knowns) . seed, for Float64 variables."""
         result = np.empty(unknowns.size)
-        self._calls.directional_derivative(unknowns.groups[0], knowns.groups[0], seed, result)
+        self._calls.directional_derivative(unknowns.ungrouped, knowns.ungrouped, seed, result)
         return result
 
     def get_event_indicators(self) -> Vector:
@@ -230,9 +231,9 @@ class LoadedInstance:
         self._get_nominals(pointer(nominals), self._n)
         return nominals
 
-    def set_input_derivatives(self, references: References, slopes: Vector) -> None:
+    def set_input_derivatives(self, references: ReferenceMap, slopes: Vector) -> None:
         """Set du/dt for the next step, of Float64 variables."""
-        self._calls.set_input_derivatives(references.groups[0], slopes)
+        self._calls.set_input_derivatives(references.ungrouped, slopes)
 
     # --- texts ---
 

@@ -12,9 +12,10 @@ from collections.abc import Iterator, Mapping
 from typing import Final, Literal, NamedTuple, TypeAlias
 from xml.etree.ElementTree import Element
 
-from cosim.fmi.description import INTERFACE_TYPE_NAMES, Description, Variable
+from cosim.fmi.description import INTERFACE_TYPE_NAMES, Description
 from cosim.fmi.reading.dae import MANIFEST
 from cosim.fmi.reading.variables import FLOATS, Definitions, major
+from cosim.fmi.variable import Variable
 
 Severity: TypeAlias = Literal["error", "warning", "note"]
 

@@ -6,12 +6,11 @@ from collections.abc import Iterable, Mapping
 from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.arrays import Vector
 from cosim.fmi.description import Description
 from cosim.fmi.instance import CoSimulationInstance
-from cosim.fmi.references import References
+from cosim.fmi.references import ReferenceMap
 
 
 @final
@@ -49,16 +48,16 @@ class Direct:
             name for name, names in fed.items() if (real | in_events).issuperset(names)
         )
         self._instance = instance
-        self._rows = _elements(face.output_columns(), fed)
-        self._columns = _elements(face.input_columns(), [name for name in feeding if name in real])
-        self._unknowns = _select(instance.description, "output", self._rows)
-        self._knowns = _select(instance.description, "input", self._columns)
+        self._unknowns = _select(instance.description, "output", face.output_columns(), fed)
+        self._knowns = _select(
+            instance.description, "input", face.input_columns(), real.intersection(feeding)
+        )
 
     def add(self, y: Vector, du: Vector) -> Vector:
         """Give y + D du, shape (n_y,)."""
-        seed, y = du[self._columns], y.copy()
-        if len(self._rows) and any(seed.tolist()):  # quicker than seed.any() for a few
-            y[self._rows] += self._instance.get_directional_derivative(
+        seed, y = self._knowns.take(du), y.copy()
+        if self._unknowns.size and any(seed.tolist()):  # quicker than seed.any() for a few
+            y[self._unknowns.columns] += self._instance.get_directional_derivative(
                 self._unknowns, self._knowns, seed
             )
         return y
@@ -73,14 +72,12 @@ def _doubles(description: Description, causality: str) -> list[str]:
     ]
 
 
-def _elements(columns: Mapping[str, slice], names: Iterable[str]) -> NDArray[np.intp]:
-    return np.array(
-        [i for name in names for i in range(columns[name].start, columns[name].stop)], np.intp
-    )
-
-
-def _select(description: Description, causality: str, elements: NDArray[np.intp]) -> References:
-    """Give the references of the variables that hold some elements of the input or output vector."""
-    variables = [v for _, group in description.ports(causality) for v in group]
-    owner = np.repeat(np.arange(len(variables)), [v.size for v in variables])
-    return description.reference(variables[i].name for i in dict.fromkeys(owner[elements].tolist()))
+def _select(
+    description: Description, causality: str, columns: Mapping[str, slice], names: Iterable[str]
+) -> ReferenceMap:
+    """Return the variables behind some inputs or outputs."""
+    references = description.references(causality)
+    mask = np.zeros(references.size, np.bool_)
+    for name in names:
+        mask[columns[name]] = True
+    return references.select(mask)

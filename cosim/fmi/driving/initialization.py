@@ -15,8 +15,9 @@ import numpy as np
 
 from cosim.arrays import Vector
 from cosim.errors import FmuError, nearest
-from cosim.fmi.description import LARGEST_EXACT, Description, Variable
+from cosim.fmi.description import Description
 from cosim.fmi.instance import Instance
+from cosim.fmi.variable import LARGEST_EXACT, Variable
 
 StartScalar: TypeAlias = bool | int | float | str
 StartValue: TypeAlias = "StartScalar | Sequence[StartValue]"
@@ -71,7 +72,7 @@ class Initialization:
     def _set_numbers(self, numbers: Mapping[str, tuple[float, ...]]) -> None:
         if numbers:
             values = np.array([value for found in numbers.values() for value in found], np.float64)
-            self._instance.set_float64(self._instance.description.reference(numbers), values)
+            self._instance.set_float64(self._instance.description.references_of(numbers), values)
 
     def leave(self) -> bool:
         """Exit initialization mode; False: it had been left before."""

@@ -100,16 +100,7 @@ class Integrator:
             description.references("input"),
         )
         self._capabilities = description.capabilities["me"]
-        moving = (
-            v
-            for _, group in description.ports("input")
-            for v in group
-            if v.variability == "continuous"
-        )
-        self._moving, self._columns = (
-            description.reference(v.name for v in moving),
-            np.flatnonzero(~description.discrete_inputs),
-        )
+        self._moving = self._inputs.select(~description.discrete_inputs)
         self._n, self._n_z = description.n_states, description.event_indicators
         self._form = ResidualForm(instance) if solver == RADAU else None
         self._solver = (
@@ -241,10 +232,8 @@ class Integrator:
 
     def set_continuous(self, u: Vector) -> None:
         """Set what may change while time moves."""
-        if self._columns.size == u.size:
-            self._instance.set_float64(self._moving, u)
-        elif self._columns.size:
-            self._instance.set_float64(self._moving, u[self._columns])
+        if self._moving.size or not self._moving.is_part:
+            self._instance.set_float64(self._moving, self._moving.take(u))
 
     def _jumps(self, u: Vector) -> bool:
         """Whether a held or discrete input is not what the unit was given last."""

@@ -32,7 +32,7 @@ from cosim.errors import FmuError, RunError
 from cosim.fmi.description import Dae, Description
 from cosim.fmi.instance import ModelExchangeInstance
 from cosim.fmi.reading.dae import MANIFEST
-from cosim.fmi.references import References
+from cosim.fmi.references import ReferenceMap
 
 DaeForm: TypeAlias = Literal["ode", "residual"]
 FORMS: Final[tuple[DaeForm, ...]] = ("ode", "residual")
@@ -130,15 +130,15 @@ class ResidualForm:
         )
         self._instance, self._name, self.n = instance, description.name, description.n_states
         self._algebraic, self._residuals = (
-            description.reference(dae.algebraic),
-            description.reference(residuals),
+            description.references_of(dae.algebraic),
+            description.references_of(residuals),
         )
-        self._knowns = description.reference([*description.states, *dae.algebraic])
-        self._unknowns = description.reference([*derivatives, *residuals])
+        self._knowns = description.references_of([*description.states, *dae.algebraic])
+        self._unknowns = description.references_of([*derivatives, *residuals])
         able = description.capabilities["me"].directional_derivatives
-        self._tells = able and self._knowns.plain and self._unknowns.plain
-        variables = [description[name] for name in dae.algebraic]
-        self.nominals = np.array([abs(v.nominal or 1.0) for v in variables for _ in range(v.size)])
+        self._tells = able and self._knowns.all_float64 and self._unknowns.all_float64
+        elements = self._algebraic.elements
+        self.nominals = np.array([abs(e.variable.nominal or 1.0) for e in elements])
 
     def put(self, w: Vector) -> None:
         """Set x and z."""
@@ -188,7 +188,7 @@ class ResidualForm:
             return self._derivatives(self._residuals, self._algebraic)
         return differences(equations, z, np.maximum(np.abs(z), self.nominals))
 
-    def _derivatives(self, unknowns: References, knowns: References) -> Matrix:
+    def _derivatives(self, unknowns: ReferenceMap, knowns: ReferenceMap) -> Matrix:
         seeds = np.eye(knowns.size)
         return np.column_stack(
             [self._instance.get_directional_derivative(unknowns, knowns, seed) for seed in seeds]

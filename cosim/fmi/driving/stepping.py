@@ -33,7 +33,6 @@ import numpy as np
 
 from cosim.arrays import Mask, Vector
 from cosim.errors import RunError
-from cosim.fmi.description import Description
 from cosim.fmi.driving.diagnostics import Diagnostics
 from cosim.fmi.driving.events import settle
 from cosim.fmi.instance import CoSimulationInstance, StepEnd
@@ -103,13 +102,11 @@ class Stepper:
             description.references("input"),
         )
         discrete = description.discrete_inputs
-        self._stepped = _Inputs(
-            description, ~discrete if can.event_mode else np.ones_like(discrete)
-        )
-        self._jumping = _Inputs(description, discrete & can.event_mode)
+        self._stepped = self._inputs.select(~discrete if can.event_mode else np.ones_like(discrete))
+        self._jumping = self._inputs.select(discrete & can.event_mode)
         self._lined = description.interpolated_inputs
         self._sloped, self._mixed = (
-            _Inputs(description, self._lined),
+            self._inputs.select(self._lined),
             bool((~discrete & ~self._lined).any()),
         )
         self._goes_back = (
@@ -128,8 +125,8 @@ class Stepper:
 
     def begin(self, u: Vector, y: Vector) -> None:
         """Forget the past: the unit is in initialization mode, with these inputs and outputs."""
-        able = self._can.interpolates_inputs and self._sloped.references.size > 0
-        self.now = StepperState(read=y, end=u, given=self._jumping.of(u), interpolates=able)
+        able = self._can.interpolates_inputs and self._sloped.size > 0
+        self.now = StepperState(read=y, end=u, given=self._jumping.take(u), interpolates=able)
 
     def leave_initialization(self, t: float) -> None:
         """Settle what the initialization left, if the unit is in event mode now."""
@@ -192,13 +189,11 @@ class Stepper:
             self._kept = instance.get_fmu_state(self._kept)
         if not self.now.interpolates:
             self.now.end = ramp.at(middle)
-            instance.set_float64(self._stepped.references, self._stepped.of(self.now.end))
+            instance.set_float64(self._stepped, self._stepped.take(self.now.end))
             return instance.do_step(t, h)
-        instance.set_float64(
-            self._stepped.references, self._stepped.of(self._on_lines(ramp, s0, middle))
-        )
-        slopes = self._sloped.of(ramp.change) / ramp.h
-        instance.set_input_derivatives(self._sloped.references, slopes)
+        instance.set_float64(self._stepped, self._stepped.take(self._on_lines(ramp, s0, middle)))
+        slopes = self._sloped.take(ramp.change) / ramp.h
+        instance.set_input_derivatives(self._sloped, slopes)
         end = instance.do_step(t, h)
         if end.followed == -math.inf and slopes.any():
             self._stops_interpolating(t)
@@ -277,7 +272,7 @@ class Stepper:
         return (
             self._can.event_mode
             and not self.now.ended
-            and self._jumping.of(u).tobytes() != self.now.given.tobytes()
+            and self._jumping.take(u).tobytes() != self.now.given.tobytes()
         )
 
     def jump(self, t: float, u: Vector) -> None:
@@ -290,7 +285,7 @@ class Stepper:
         self._instance.enter_event_mode()
         if u is not None:
             self._instance.set_float64(self._inputs, u)
-            self.now.given, self.now.end = self._jumping.of(u), u
+            self.now.given, self.now.end = self._jumping.take(u), u
         self._settle(t)
 
     def _settle(self, t: float) -> None:
@@ -299,20 +294,3 @@ class Stepper:
         self.now.next_event, self.now.ended = found.next_event_time, found.terminate
         if not found.terminate:
             self._instance.enter_step_mode()
-
-
-@final
-class _Inputs:
-    """Some of the inputs: those that are set together."""
-
-    def __init__(self, description: Description, chosen: Mask) -> None:
-        variables = [v for _, group in description.ports("input") for v in group]
-        firsts = np.cumsum([0, *(v.size for v in variables)])
-        self.references = description.reference(
-            v.name for v, i in zip(variables, firsts, strict=False) if chosen[i]
-        )
-        self._columns = None if chosen.all() else np.flatnonzero(chosen)  # None: all
-
-    def of(self, values: Vector) -> Vector:
-        """Give their values."""
-        return values if self._columns is None else values[self._columns]

@@ -6,7 +6,8 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
-from cosim.fmi.description import Dae, Description, Formulation, Variable
+from cosim.fmi.description import Dae, Description, Formulation
+from cosim.fmi.variable import Variable
 
 
 def with_arrays(description: Description) -> Description:

@@ -27,7 +27,7 @@ import numpy as np
 
 from cosim.core.linear import DescriptorModel, LinearModel
 from cosim.errors import FmuError, nearest
-from cosim.fmi.description import INTERFACE_TYPE_NAMES, Description, InterfaceType, Variable
+from cosim.fmi.description import INTERFACE_TYPE_NAMES, Description, InterfaceType
 from cosim.fmi.exporting.arrays import with_arrays
 from cosim.fmi.exporting.compiling import advice, check_platforms, compile_sources
 from cosim.fmi.exporting.documenting import document
@@ -37,6 +37,7 @@ from cosim.fmi.exporting.writing_dae import write_dae
 from cosim.fmi.exporting.writing_fmi2 import write_fmi2
 from cosim.fmi.exporting.writing_fmi3 import write_build_description, write_fmi3
 from cosim.fmi.reading.dae import MANIFEST
+from cosim.fmi.variable import Variable
 from cosim.native import build
 
 HERE = Path(__file__).resolve().parent / "c"

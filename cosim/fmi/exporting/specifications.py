@@ -21,9 +21,9 @@ from cosim.fmi.description import (
     Description,
     Formulation,
     InterfaceType,
-    Variable,
 )
 from cosim.fmi.exporting.kernels import DiscreteModel, doubles, integer, integers
+from cosim.fmi.variable import Variable
 
 RESIDUAL = (
     "residual"  # the variable that is zero where the algebraic variables solve their equations

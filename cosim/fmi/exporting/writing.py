@@ -7,7 +7,8 @@ from __future__ import annotations
 
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
-from cosim.fmi.description import Description, InterfaceType, Variable
+from cosim.fmi.description import Description, InterfaceType
+from cosim.fmi.variable import Variable
 from cosim.units import BASE, base_unit
 
 ELEMENTS: dict[InterfaceType, str] = {"me": "ModelExchange", "cs": "CoSimulation"}

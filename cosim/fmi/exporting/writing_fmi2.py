@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from xml.etree.ElementTree import Element, SubElement
 
-from cosim.fmi.description import Description, InterfaceType, Variable
+from cosim.fmi.description import Description, InterfaceType
 from cosim.fmi.exporting.writing import (
     ELEMENTS,
     add_experiment,
@@ -18,6 +18,7 @@ from cosim.fmi.exporting.writing import (
     start_of,
     unknowns,
 )
+from cosim.fmi.variable import Variable
 
 
 def write_fmi2(

@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.errors import FmuError, nearest
-from cosim.fmi.description import Description, Variable
+from cosim.fmi.description import Description
 from cosim.fmi.driving.initialization import StartValue
-from cosim.fmi.references import References
+from cosim.fmi.references import ReferenceMap, VectorElement
+from cosim.fmi.variable import Variable
 
 NOWHERE: Final = -1  # the value reference of what has none: the states of FMI 1
 
@@ -164,26 +165,7 @@ def derivative_of(description: Description, state: Element) -> Element:
     return Element(f"der({state.name})", "", mine[0], state.index)
 
 
-def references_of(elements: Sequence[Element]) -> References:
-    """Give the references of the variables of some elements, each once."""
-    return References.of([(v.type, v.reference, v.size) for v in _once(elements)])
-
-
-def float64_references(elements: Sequence[Element]) -> References:
-    """Give the same for directional derivatives, whose numbers are Float64 whatever the variables are."""
-    return References.of([("Float64", v.reference, v.size) for v in _once(elements)])
-
-
-def places_of(elements: Sequence[Element]) -> NDArray[np.intp]:
-    """Give where elements stand in the values of their variables, each variable once."""
-    starts, size = {}, 0
-    for variable in _once(elements):
-        starts[variable.type, variable.reference] = size
-        size += variable.size
-    return np.array(
-        [starts[e.variable.type, e.variable.reference] + e.index for e in elements], np.intp
-    )
-
-
-def _once(elements: Sequence[Element]) -> list[Variable]:
-    return list({(e.variable.type, e.variable.reference): e.variable for e in elements}.values())
+def references_of(elements: Sequence[Element]) -> tuple[ReferenceMap, NDArray[np.intp]]:
+    """Return the variables of some elements, each once, and where the elements stand in their values."""
+    references = ReferenceMap.of_distinct(e.variable for e in elements)
+    return references, references.columns_of(VectorElement(e.variable, e.index) for e in elements)

@@ -13,14 +13,8 @@ from cosim.fmi.driving.initialization import Starts, StartValue, check_start
 from cosim.fmi.driving.model_exchange import ModelExchange
 from cosim.fmi.instance import ModelExchangeInstance
 from cosim.fmi.linearizing.differences import differentiate
-from cosim.fmi.linearizing.elements import (
-    Chosen,
-    Element,
-    derivative_of,
-    float64_references,
-    places_of,
-    references_of,
-)
+from cosim.fmi.linearizing.elements import Chosen, Element, derivative_of, references_of
+from cosim.fmi.references import ReferenceMap
 
 SOLVER: Final = "LSODA"  # to the operating point: stiff or not
 
@@ -34,9 +28,9 @@ class OperatingPoint:
     ) -> None:
         self.unit, self.chosen, self.t = unit, chosen, at
         description = unit.description
-        self._moving = references_of([e for e in chosen.all_inputs if e.moves])
-        self._moves = np.array([e.moves for e in chosen.all_inputs], np.bool_)
-        self._outputs, self._rows = references_of(chosen.outputs), places_of(chosen.outputs)
+        moves = np.array([e.moves for e in chosen.all_inputs], np.bool_)
+        self._moving = description.references("input").select(moves)
+        self._outputs, self._rows = references_of(chosen.outputs)
         self._x_at, self._u_at = (
             np.array([there.index(e) for e in some], np.intp)
             for there, some in (
@@ -110,7 +104,7 @@ class OperatingPoint:
         unit.set_time(self.t)
         unit.set_continuous_states(x)
         if self._moving.size:
-            unit.set_float64(self._moving, u[self._moves])
+            unit.set_float64(self._moving, self._moving.take(u))
         dx = unit.get_derivatives()[self._x_at]
         return dx, unit.get_float64(self._outputs)[self._rows] if self._outputs.size else np.empty(
             0
@@ -128,13 +122,13 @@ class OperatingPoint:
         known_rows = self._complete(jacobian, elements)
         rows = [i for i in range(len(elements)) if i not in known_rows]
         unknowns = [elements[i] for i in rows]
-        at, references = places_of(unknowns), float64_references(unknowns)
+        references, at = references_of(unknowns)
         for column, known in enumerate(self.chosen.columns if rows else ()):
             seed = np.zeros(known.variable.size)
             seed[known.index] = 1.0
             try:
                 found = self.unit.get_directional_derivative(
-                    references, float64_references([known]), seed
+                    references, ReferenceMap.of([known.variable]), seed
                 )
             except RunError as error:
                 raise RunError(f"{error}; central differences do without it") from error

@@ -11,8 +11,9 @@ from collections.abc import Iterator, Sequence
 from typing import Final
 from xml.etree.ElementTree import Element
 
-from cosim.fmi.description import Dae, Formulation, Variable
+from cosim.fmi.description import Dae, Formulation
 from cosim.fmi.reading.markup import Attributes, flag, parse
+from cosim.fmi.variable import Variable
 
 NAME: Final = "org.fmi-standard.fmi-ls-dae"
 MANIFEST: Final = f"extra/{NAME}/fmi-ls-manifest.xml"

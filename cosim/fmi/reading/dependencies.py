@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import TypeAlias
 from xml.etree.ElementTree import Element
 
-from cosim.fmi.description import Variable
 from cosim.fmi.reading.markup import Attributes
 from cosim.fmi.reading.variables import major
+from cosim.fmi.variable import Variable
 
 Dependencies: TypeAlias = dict[str, tuple[str, ...] | None]
 

@@ -14,9 +14,8 @@ from dataclasses import dataclass, field, replace
 from typing import Final, cast
 from xml.etree.ElementTree import Element
 
-from cosim.fmi.description import LARGEST_EXACT, Initial, Variable
 from cosim.fmi.reading.markup import Attributes, Value, flag
-from cosim.fmi.references import VariableType
+from cosim.fmi.variable import LARGEST_EXACT, Initial, Variable, VariableType
 from cosim.units import BASE, BaseUnit, base_unit
 
 LARGEST_ARRAY: Final = 2**24  # elements

@@ -1,0 +1,97 @@
+"""A variable of a model description, independent of the FMI version."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Final, Literal, TypeAlias
+
+from cosim.core.signals import SignalType
+from cosim.units import BaseUnit
+
+Initial: TypeAlias = Literal["exact", "approx", "calculated"]
+VariableType: TypeAlias = Literal[
+    "Float64", "Float32", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64", "Boolean",
+    "String", "Binary", "Clock",
+]  # fmt: skip
+LARGEST_EXACT: Final = 2**53  # integers beyond it are not all float64
+
+
+@dataclass(frozen=True, slots=True)
+class Variable:
+    """A variable of a unit (FMI 2.0.4 section 2.2.7, FMI 3.0 section 2.4.7).
+
+    Parameters
+    ----------
+    name : str
+    reference : int
+        Value reference.
+    causality : str
+        ``input``, ``output``, ``parameter``, ``local``, ... as in the standard.
+    type : VariableType
+    variability, initial : str, str or None
+    size : int
+        Number of elements; 1 except for the arrays of FMI 3.
+    unit : str or None
+    base : BaseUnit or None
+        What the unit is in SI, by its definition (offset 0 for a relative quantity).
+    start : tuple of float or None
+        Of numbers and Booleans.
+    text : tuple of str or None
+        Start of a String; of a Binary in hexadecimal.
+    minimum, maximum : float
+    nominal : float or None
+    derivative_of : str or None
+        The state of which it is the derivative.
+    dimensions : tuple of int or str
+        Of an array (FMI 3): numbers, or names of structural parameters; ``size`` is their product at the start.
+    items : mapping of str to int
+        Names and values of an enumeration.
+    inside_steps : bool
+        Whether an input may be set inside a step (FMI 3: intermediateUpdate; FMI 1 and 2: by its derivative).
+    alias_of : str or None
+        The variable whose other name it is (FMI 3); it is no signal of its own.
+    doc : str
+        What it is, for people.
+    """
+
+    name: str
+    reference: int
+    causality: str
+    type: VariableType = "Float64"
+    variability: str = "continuous"
+    initial: Initial | None = None
+    size: int = 1
+    unit: str | None = None
+    base: BaseUnit | None = None
+    start: tuple[float, ...] | None = None
+    text: tuple[str, ...] | None = None
+    minimum: float = -math.inf
+    maximum: float = math.inf
+    nominal: float | None = None
+    derivative_of: str | None = None
+    dimensions: tuple[int | str, ...] = ()
+    items: Mapping[str, int] = field(default_factory=dict)
+    inside_steps: bool = True
+    alias_of: str | None = None
+    doc: str = ""
+
+    @property
+    def settable(self) -> bool:
+        """Whether a start value may be given (FMI 2.0.4 section 2.2.7: initial exact or approx, or an input)."""
+        return self.variability != "constant" and (
+            self.causality == "input" or self.initial in ("exact", "approx")
+        )
+
+    @property
+    def is_signal(self) -> bool:
+        """Whether its values are numbers."""
+        return self.type not in ("String", "Binary", "Clock")
+
+    @property
+    def kind(self) -> SignalType:
+        """What its signal carries."""
+        if self.type in ("Float32", "Float64"):
+            return "real"
+        return "boolean" if self.type == "Boolean" else "integer"
