@@ -84,11 +84,10 @@ def attempt(task: TrialTask, *arguments: str, timeout: float = TIMEOUT) -> tuple
             stderr=subprocess.DEVNULL,
             start_new_session=True,
         )
-        exit_code: int | None = None
+        exit_code: int | None = None  # stays None where it hangs
         try:
-            exit_code = child.wait(timeout)
-        except subprocess.TimeoutExpired:
-            pass  # it hangs: no exit code
+            with suppress(subprocess.TimeoutExpired):
+                exit_code = child.wait(timeout)
         finally:
             _kill(child)
         return _problems(log.read_text(encoding="utf-8", errors="replace"), exit_code, timeout)

@@ -1,7 +1,9 @@
-"""The FMI calls as a protocol: the standard's names in snake_case, the same for every version and for generated units.
+"""The FMI calls as a protocol, with the standard's names in snake_case.
 
-FMI 2.0.4 sections 2.1, 3.2 and 4.2; FMI 3.0 sections 2.2, 3.2 and 4.2. Where the versions differ, the names are those of FMI 3:
-``update_discrete_states`` is fmi2NewDiscreteStates, ``set_float64`` fmi2SetReal. A failed call raises ``RunError``.
+It is the same for every version and for generated models. FMI 2.0.4 sections 2.1, 3.2 and 4.2;
+FMI 3.0 sections 2.2, 3.2 and 4.2. Where the versions differ, the names are those of FMI 3:
+``update_discrete_states`` is fmi2NewDiscreteStates, ``set_float64`` fmi2SetReal. A failed call
+raises ``RunError``.
 """
 
 from __future__ import annotations
@@ -20,7 +22,7 @@ TERMINATED: Final = "the FMU requests the end of the run"
 
 
 class DiscreteStates(NamedTuple):
-    """What fmi3UpdateDiscreteStates (fmi2NewDiscreteStates, fmiEventUpdate) answers."""
+    """Results of fmi3UpdateDiscreteStates (fmi2NewDiscreteStates, fmiEventUpdate)."""
 
     need_update: bool
     terminate: bool
@@ -32,18 +34,30 @@ class DiscreteStates(NamedTuple):
 class StepEnd(NamedTuple):
     """How do_step ended.
 
-    completed: it reached the end of the step. discarded: it refused the step; FMI 3 leaves the unit as it was, FMI 2 needs a
-    saved state to go back to. Neither: it returned early, at ``reached``. event: it wants event mode there (FMI 3).
-    followed: until when the inputs followed their lines, where there are some (FMI 3: the last Intermediate Update that asked for
-    them, -inf where none did).
+    Attributes
+    ----------
+    completed : bool
+        It reached the end of the step.
+    terminate : bool
+        The FMU requests the end of the run.
+    discarded : bool
+        It refused the step: FMI 3 leaves the instance as it was, FMI 2 needs a saved state to go
+        back to. Neither completed nor discarded: it returned early, at ``last_successful_time``.
+    event_needed : bool
+        It requests event mode at ``last_successful_time`` (FMI 3).
+    last_successful_time : float
+        [s]
+    interpolated_until : float
+        Until when the inputs followed their slopes, where some have one [s]: of FMI 3 the time of
+        the last Intermediate Update that requested inputs, -inf where none did.
     """
 
     completed: bool
     terminate: bool
     discarded: bool = False
-    event: bool = False
-    reached: float = math.nan  # [s]
-    followed: float = math.inf  # [s]
+    event_needed: bool = False
+    last_successful_time: float = math.nan
+    interpolated_until: float = math.inf
 
 
 class Instance(Protocol):
@@ -64,7 +78,7 @@ class Instance(Protocol):
         ...
 
     def enter_initialization_mode(self, t: float) -> None:
-        """Start at ``t`` [s] (FMI 2: setup_experiment before it)."""
+        """Enter it with the start time ``t`` [s] (FMI 2: setup_experiment before it)."""
         ...
 
     def exit_initialization_mode(self) -> None:
@@ -72,11 +86,11 @@ class Instance(Protocol):
         ...
 
     def enter_configuration_mode(self) -> None:
-        """Let structural parameters be set (FMI 3), before the initialization."""
+        """Enter the mode in which structural parameters can be set (FMI 3)."""
         ...
 
     def exit_configuration_mode(self) -> None:
-        """Keep the structural parameters as they are."""
+        """Fix the structural parameters."""
         ...
 
     def set_text(self, variable: Variable, values: tuple[str, ...]) -> None:
@@ -98,11 +112,14 @@ class Instance(Protocol):
     def get_directional_derivative(
         self, unknowns: ReferenceMap, knowns: ReferenceMap, seed: Vector
     ) -> Vector:
-        """Give d(unknowns)/d(knowns) . seed; only where the capability says so."""
+        """Return d(unknowns)/d(knowns) . seed; only with the capability for it."""
         ...
 
     def get_fmu_state(self, into: object | None = None) -> object:
-        """Copy the whole state, into the memory of an earlier copy if one is given; only where the capability says so."""
+        """Copy the FMU state, into the memory of an earlier copy if one is given.
+
+        Only with the capability for it.
+        """
         ...
 
     def set_fmu_state(self, state: object) -> None:
@@ -110,7 +127,7 @@ class Instance(Protocol):
         ...
 
     def free_fmu_state(self, state: object) -> None:
-        """Let go of a copied state."""
+        """Release a copied state."""
         ...
 
     def terminate(self) -> None:
@@ -118,7 +135,7 @@ class Instance(Protocol):
         ...
 
     def free_instance(self) -> None:
-        """Let go of everything."""
+        """Release the instance and all its memory."""
         ...
 
 
@@ -126,7 +143,8 @@ class ModelExchangeInstance(Instance, Protocol):
     """``x' = f(t, x, u)``, ``y = g(t, x, u)`` behind the model exchange calls."""
 
     linear: LinearModel | None
-    """The model, where its numbers are known: it can then be discretized, and its numbers exchanged for recorded ones."""
+    """The model, where its matrices are known: it can then be discretized, and they can be
+    replaced by recorded ones."""
 
     def enter_event_mode(self) -> None:
         """Stop time, for discrete changes."""
@@ -137,7 +155,7 @@ class ModelExchangeInstance(Instance, Protocol):
         ...
 
     def enter_continuous_time_mode(self) -> None:
-        """Let time move."""
+        """Leave event mode, so that time can advance."""
         ...
 
     def set_time(self, t: float) -> None:
@@ -149,33 +167,34 @@ class ModelExchangeInstance(Instance, Protocol):
         ...
 
     def get_continuous_states(self) -> Vector:
-        """Give the states, shape (n_x,)."""
+        """Return the states, shape (n_x,)."""
         ...
 
     def get_derivatives(self) -> Vector:
-        """Give x', shape (n_x,), as a new vector."""
+        """Return x', shape (n_x,), as a new vector."""
         ...
 
     def get_event_indicators(self) -> Vector:
-        """Give the event indicators as a new vector."""
+        """Return the event indicators as a new vector."""
         ...
 
     def get_nominals(self) -> Vector:
-        """Give the nominal values of the states, shape (n_x,)."""
+        """Return the nominal values of the states, shape (n_x,)."""
         ...
 
     def completed_integrator_step(self) -> tuple[bool, bool]:
-        """Accept the step; answers (enter event mode, terminate)."""
+        """Accept the step; return (enter event mode, terminate)."""
         ...
 
 
 class CoSimulationInstance(Instance, Protocol):
-    """A unit with a solver of its own."""
+    """An FMU or a generated model with a solver of its own."""
 
     def set_input_derivatives(self, references: ReferenceMap, slopes: Vector) -> None:
-        """Set du/dt for the next step, beginning at the values set last; only where the unit interpolates inputs.
+        """Set du/dt for the next step, which begins at the values set last.
 
-        FMI 3 has no input derivatives: the binding answers the unit's Intermediate Updates with the values on these lines.
+        Only with the capability to interpolate inputs. FMI 3 has no input derivatives: there the
+        FMU's Intermediate Updates are answered with the linear interpolation of the inputs.
         """
         ...
 
@@ -184,7 +203,7 @@ class CoSimulationInstance(Instance, Protocol):
         ...
 
     def enter_event_mode(self) -> None:
-        """Stop time, for discrete changes; only where the unit has event mode (FMI 3)."""
+        """Stop time, for discrete changes; only with the capability for event mode (FMI 3)."""
         ...
 
     def update_discrete_states(self) -> DiscreteStates:

@@ -39,7 +39,9 @@ def test_co_simulation_calls_of_fmi_2(probe2):
         unit.exit_initialization_mode()
         put(unit, u=2.0)
         unit.set_input_derivatives(unit.description.references_of(["u"]), np.array([6.0]))
-        assert unit.do_step(1.0, 0.5) == StepEnd(completed=True, terminate=False, reached=1.5)
+        assert unit.do_step(1.0, 0.5) == StepEnd(
+            completed=True, terminate=False, last_successful_time=1.5
+        )
         assert got(unit, "slope", "no_way_back", "y") == [6.0, 0.0, 1.0]
         with pytest.raises(
             RunError, match=r"probe2.fmu: FMI 2.0 has no event mode in co-simulation"
@@ -55,7 +57,7 @@ def test_discard_of_fmi_2_says_how_far_it_came_and_whether_it_ended(probe2, flag
         unit.exit_initialization_mode()
         put(unit, answer=2.0, flag=flag)
         assert unit.do_step(1.0, 0.5) == StepEnd(
-            False, terminate=flag == 1.0, discarded=flag == 0.0, reached=1.125
+            False, terminate=flag == 1.0, discarded=flag == 0.0, last_successful_time=1.125
         )
 
 
@@ -132,10 +134,10 @@ def test_model_exchange_calls_of_fmi_3(probe3):
 @pytest.mark.parametrize(
     ("behavior", "end"),
     [
-        (0, StepEnd(True, terminate=False, reached=1.5)),
-        (1, StepEnd(False, terminate=False, discarded=True, reached=1.0)),
-        (2, StepEnd(False, terminate=False, event=True, reached=1.25)),
-        (3, StepEnd(True, terminate=True, reached=1.5)),
+        (0, StepEnd(True, terminate=False, last_successful_time=1.5)),
+        (1, StepEnd(False, terminate=False, discarded=True, last_successful_time=1.0)),
+        (2, StepEnd(False, terminate=False, event_needed=True, last_successful_time=1.25)),
+        (3, StepEnd(True, terminate=True, last_successful_time=1.5)),
     ],
 )
 def test_how_a_step_of_fmi_3_ends(probe3, behavior, end):

@@ -91,11 +91,13 @@ def test_co_simulation(slave1):
         put(unit, x0=-2.0, u=3.0)
         unit.exit_initialization_mode()
         unit.set_input_derivatives(unit.description.references_of(["u"]), np.array([8.0]))
-        assert unit.do_step(1.0, 0.5) == StepEnd(completed=True, terminate=False, reached=1.5)
+        assert unit.do_step(1.0, 0.5) == StepEnd(
+            completed=True, terminate=False, last_successful_time=1.5
+        )
         assert got(unit, "x", "slope") == [3.5, 8.0]
         put(unit, behavior=1)
         assert unit.do_step(1.5, 0.5) == StepEnd(
-            False, terminate=False, discarded=True, reached=1.625
+            False, terminate=False, discarded=True, last_successful_time=1.625
         )
 
 

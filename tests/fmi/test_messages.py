@@ -22,7 +22,7 @@ KEY = 4711
 @pytest.fixture
 def messages():
     found = Messages()
-    found.listen(KEY)
+    found.accept(KEY)
     return found
 
 
@@ -47,9 +47,9 @@ def test_levels_are_those_of_a_log(messages):
     for status in (*range(7), -1):
         log(status, None, b"text %d", c_int(status))
     levels = ["info", "warning", "warning", "error", "fatal", "info", "warning", "warning"]
-    assert messages.tail == "; it said: warning: text -1"
+    assert messages.last_as_suffix == "; it said: warning: text -1"
     assert [message.level for message in messages.drain()] == levels
-    assert (messages.drain(), messages.tail) == ([], "")
+    assert (messages.drain(), messages.last_as_suffix) == ([], "")
 
 
 @pytest.mark.parametrize("form", [b"%s", b"%s %s %s %s %s %s %s %s %s %s"])
@@ -84,10 +84,10 @@ def test_the_last_ones_are_kept_and_the_others_counted(messages):
 def test_messages_reach_the_one_that_listens(messages):
     """A key that nobody knows belongs to an FMU of FMI 1.0 that is being instantiated, or to nobody."""
     other = Messages()
-    other.listen(None)
+    other.accept(None)
     log(0, b"", b"unknown", key=KEY + 1)
     assert [message.text for message in other.drain()] == ["unknown"]
-    other.listen(KEY + 1)
+    other.accept(KEY + 1)
     for key in (KEY, KEY + 1, KEY + 2):
         log(0, b"", b"%d", c_int(key), key=key)
     assert ([m.text for m in messages.drain()], [m.text for m in other.drain()]) == (
@@ -200,7 +200,7 @@ def test_the_time_is_that_of_the_simulation_in_fmi_1(slave1):
             (2.0, "x = 0"),
         ]
         unit.do_step(2.5, 0.5)
-        log(0, b"", b"in the step", key=fmu._instance.messages._kept.key)
+        log(0, b"", b"in the step", key=fmu._instance.messages._struct.key)
         assert [message.time for message in fmu.drain()] == [2.5]
 
 
@@ -255,8 +255,8 @@ def test_nothing_is_printed_where_fmpy_has_no_logger():
     lines = [
         "import sys",
         "sys.modules['fmpy.logging'] = None",
-        "from cosim.fmi.binary.library import declared",
-        "declared('fmi2')",
+        "from cosim.fmi.binary.library import import_declarations",
+        "import_declarations('fmi2')",
     ]
     done = subprocess.run(
         [sys.executable, "-c", "\n".join(lines)], capture_output=True, text=True, check=True

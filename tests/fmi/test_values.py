@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from cosim.errors import RunError
-from cosim.fmi.binary.loaded import from_own, to_own
+from cosim.fmi.binary.loaded import from_fmu_type, to_fmu_type
 from tests.fmi.probes import opened
 
 
 @pytest.mark.parametrize("value", [2**53, -(2**53), 0])
 def test_integers_up_to_2_53_are_carried_exactly(value):
     """float64 holds every one of them."""
-    assert from_own("m", np.array([value], np.int64)).tolist() == [float(value)]
+    assert from_fmu_type("m", np.array([value], np.int64)).tolist() == [float(value)]
 
 
 @pytest.mark.parametrize(
@@ -23,7 +23,7 @@ def test_integers_beyond_2_53_are_refused(value, kind):
     with pytest.raises(
         RunError, match=rf"m: an integer beyond 2\*\*53 cannot be carried exactly: \[{value}\]"
     ):
-        from_own("m", np.array([value], kind))
+        from_fmu_type("m", np.array([value], kind))
 
 
 @pytest.mark.parametrize(
@@ -34,7 +34,7 @@ def test_numbers_outside_a_type_are_refused(kind, value):
     """Without a warning of numpy."""
     own = np.bool_ if kind == "Boolean" else np.dtype(kind.lower())
     with pytest.raises(RunError, match=f"cannot be set: needed numbers of type {kind}"):
-        to_own("m", kind, own, np.array([value]))
+        to_fmu_type("m", kind, own, np.array([value]))
 
 
 @pytest.mark.parametrize(

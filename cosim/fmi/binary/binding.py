@@ -1,10 +1,11 @@
-"""An instance of a loaded FMU, whatever its version: what ``fmi1.py``, ``fmi2.py`` and ``fmi3.py`` have in common."""
+"""What the calls of ``fmi1.py``, ``fmi2.py`` and ``fmi3.py`` have in common, as a protocol."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, ClassVar, Final, Protocol
 
 from numpy.typing import DTypeLike, NDArray
 
@@ -17,7 +18,7 @@ from cosim.fmi.references import Group
 from cosim.fmi.variable import Variable
 
 NO_STATE: Final = "the FMU cannot save its state (canGetAndSetFMUstate is false)"
-NO_SLOPES: Final = "the FMU does not interpolate inputs (canInterpolateInputs is false)"
+NO_INPUT_DERIVATIVES: Final = "the FMU does not interpolate inputs (canInterpolateInputs is false)"
 NO_DIRECTIONAL_DERIVATIVES: Final = (
     "the FMU has no directional derivatives (providesDirectionalDerivatives is false)"
 )
@@ -30,7 +31,7 @@ class InstanceSpecification:
     Parameters
     ----------
     description : Description
-    mode : Mode
+    interface_type : {"me", "cs"}
     name : str
         Of the instance.
     folder : Path
@@ -47,7 +48,7 @@ class InstanceSpecification:
 
     @property
     def key(self) -> tuple[str, str]:
-        """What it is an instance of."""
+        """What it is an instance of: name and token of the model."""
         return self.description.name, self.description.token
 
     @property
@@ -57,18 +58,19 @@ class InstanceSpecification:
 
     @property
     def capabilities(self) -> Capabilities:
-        """What this kind of the FMU can do."""
+        """What the FMU can do behind this interface type."""
         return self.description.capabilities[self.interface_type]
 
 
 class Calls(Protocol):
-    """Where the versions differ. Each ``Call`` raises RunError unless the FMU answers ok or warning."""
+    """Where the versions differ. A ``Call`` raises RunError for a status above warning."""
 
     library: Library
-    derivatives: str
-    """Names of functions that differ in nothing else."""
-    nominals: str
-    dtypes: dict[str, DTypeLike]
+    derivatives_function: ClassVar[str]
+    """Name of a function that differs in nothing else."""
+    nominals_function: ClassVar[str]
+    """Name of a function that differs in nothing else."""
+    dtypes: ClassVar[Mapping[str, DTypeLike]]
     """How the FMU carries each type."""
 
     terminate: Call
@@ -90,7 +92,7 @@ class Calls(Protocol):
         ...
 
     def enter_initialization_mode(self, t: float) -> None:
-        """Start at ``t`` [s]."""
+        """Enter it with the start time ``t`` [s]."""
         ...
 
     def exit_initialization_mode(self) -> None:
@@ -124,7 +126,7 @@ class Calls(Protocol):
         ...
 
     def completed_integrator_step(self) -> tuple[bool, bool]:
-        """Accept the step; answers (enter event mode, terminate)."""
+        """Accept the step; return (enter event mode, terminate)."""
         ...
 
     def set_input_derivatives(self, group: Group, slopes: Vector) -> None:

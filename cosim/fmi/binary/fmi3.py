@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Mapping
 from ctypes import (
     POINTER,
     addressof,
@@ -20,89 +21,83 @@ from ctypes import (
     string_at,
 )
 from functools import partial
-from typing import Any, final
+from typing import Any, ClassVar, final
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from cosim.arrays import Vector
 from cosim.fmi.binary.binding import NO_DIRECTIONAL_DERIVATIVES, NO_STATE, InstanceSpecification
-from cosim.fmi.binary.library import DISCARD, WARNING, Library, pointer
+from cosim.fmi.binary.library import DISCARD, WARNING, Call, Library, pointer
 from cosim.fmi.description import Capabilities
 from cosim.fmi.instance import DiscreteStates, StepEnd
 from cosim.fmi.references import Group
 from cosim.fmi.variable import Variable
 from cosim.native.library import InterpolationStruct, address
 
-_NUMBERS = (
-    "Float64",
-    "Float32",
-    "Int8",
-    "UInt8",
-    "Int16",
-    "UInt16",
-    "Int32",
-    "UInt32",
-    "Int64",
-    "UInt64",
-)
-_NAMES = (
-    c_char_p,
-    c_char_p,
-    c_char_p,
-    c_bool,
-    c_bool,
-)  # of an instance: name, token, resources; visible, logging
-_VALUES = (c_void_p, c_void_p, c_size_t, c_void_p, c_size_t)  # of a function that gets or sets
+_FLOATS = ("Float64", "Float32")
+_INTEGERS = ("Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64")
+_NAMES = (c_char_p, c_char_p, c_char_p)  # of an instance: name, token, resources
+_VALUES = (c_void_p, c_size_t, c_void_p, c_size_t)  # of a function that gets or sets
+_BINARIES = (c_void_p, c_size_t, c_void_p, c_void_p, c_size_t)
+_REFERENCES = (c_void_p, c_size_t)
+_VECTOR = (c_void_p, c_size_t)
 
 
 @final
 class Fmi3:
     """FMI 3.0, one instance; see :class:`cosim.fmi.binary.binding.Calls`."""
 
-    derivatives, nominals = "GetContinuousStateDerivatives", "GetNominalsOfContinuousStates"
-    dtypes: dict[str, DTypeLike] = {
-        **{name: np.dtype(name.lower()) for name in _NUMBERS},
+    derivatives_function: ClassVar[str] = "GetContinuousStateDerivatives"
+    nominals_function: ClassVar[str] = "GetNominalsOfContinuousStates"
+    dtypes: ClassVar[Mapping[str, DTypeLike]] = {
+        **{name: np.dtype(name.lower()) for name in (*_FLOATS, *_INTEGERS)},
         "Boolean": np.bool_,
     }
 
-    def __init__(self, library: Library, about: InstanceSpecification) -> None:
-        self.library, self._about, self._clock = library, about, about.messages.clock
-        can = about.capabilities
+    def __init__(self, library: Library, specification: InstanceSpecification) -> None:
+        self.library = library
+        self._specification = specification
+        self._clock = specification.messages.clock
+        capabilities = specification.capabilities
         self._free = library.function("FreeInstance", None, c_void_p)
-        self._lines = InterpolationStruct()
-        self._lined: Group | None = None  # the inputs of the lines
-        self._flags, self._time = [c_bool() for _ in range(5)], c_double()
-        self._answers = [byref(flag) for flag in self._flags]
-        self._bind_values(can)
+        self._no_way_back = not capabilities.saves_state  # noSetFMUStatePriorToCurrentPoint
+        self._interpolation = InterpolationStruct()
+        self._interpolated: Group | None = None  # the inputs that it sets
+        self._flags = [c_bool() for _ in range(5)]  # results of the calls below
+        self._flag_pointers = [byref(flag) for flag in self._flags]
+        self._time = c_double()
+        self._bind_values(capabilities)
         self._bind_modes()
-        if about.interface_type == "me":
-            self._bind_model_exchange(no_way_back=not can.saves_state)
+        if specification.interface_type == "me":
+            self._bind_model_exchange()
         else:
-            self._bind_co_simulation(no_way_back=not can.saves_state)
+            self._bind_co_simulation()
 
-    def _bind_values(self, can: Capabilities) -> None:
-        call, values = self.library.call, _VALUES[1:]
-        self._access = {
-            (verb, kind): call(f"{verb}{kind}", *values)
-            for verb in ("Get", "Set")
-            for kind in self.dtypes
-        }
-        self._text = {verb: call(f"{verb}String", *values) for verb in ("Get", "Set")}
-        binary = (c_void_p, c_size_t, c_void_p, c_void_p, c_size_t)
-        self._binary = {verb: call(f"{verb}Binary", *binary) for verb in ("Get", "Set")}
-        if can.directional_derivatives:
-            self._directional = call("GetDirectionalDerivative", *(c_void_p, c_size_t) * 4)
+    def _bind_values(self, capabilities: Capabilities) -> None:
+        call = self.library.call
+        self._access: dict[tuple[str, str], Call] = {}
+        for variable_type in self.dtypes:
+            self._access["Get", variable_type] = call(f"Get{variable_type}", *_VALUES)
+            self._access["Set", variable_type] = call(f"Set{variable_type}", *_VALUES)
+        self._set_string = call("SetString", *_VALUES)
+        self._get_string = call("GetString", *_VALUES)
+        self._set_binary = call("SetBinary", *_BINARIES)
+        self._get_binary = call("GetBinary", *_BINARIES)
+        if capabilities.directional_derivatives:
+            types = (*_REFERENCES, *_REFERENCES, *_VECTOR, *_VECTOR)
+            self._directional = call("GetDirectionalDerivative", *types)
         else:
-            self._directional = self.library.absent(NO_DIRECTIONAL_DERIVATIVES)
-        if can.saves_state:
-            self.get_state, self.set_state = (
-                call("GetFMUState", c_void_p),
-                call("SetFMUState", c_void_p),
-            )
+            self._directional = self.library.unavailable(NO_DIRECTIONAL_DERIVATIVES)
+        if capabilities.saves_state:
+            self.get_state = call("GetFMUState", c_void_p)
+            self.set_state = call("SetFMUState", c_void_p)
             self.free_state = call("FreeFMUState", c_void_p)
         else:
-            self.get_state = self.set_state = self.free_state = self.library.absent(NO_STATE)
+            no_state = self.library.unavailable(NO_STATE)
+            self.get_state = no_state
+            self.set_state = no_state
+            self.free_state = no_state
 
     def _bind_modes(self) -> None:
         call = self.library.call
@@ -110,79 +105,69 @@ class Fmi3:
         self.exit_initialization_mode = call("ExitInitializationMode")
         self.enter_configuration_mode = call("EnterConfigurationMode")
         self.exit_configuration_mode = call("ExitConfigurationMode")
-        self.reset, self.terminate, self.enter_event_mode = (
-            call("Reset"),
-            call("Terminate"),
-            call("EnterEventMode"),
-        )
-        self._update = partial(
-            call("UpdateDiscreteStates", *[c_void_p] * 6), *self._answers, byref(self._time)
-        )
+        self.reset = call("Reset")
+        self.terminate = call("Terminate")
+        self.enter_event_mode = call("EnterEventMode")
+        update = call("UpdateDiscreteStates", *[c_void_p] * 6)
+        self._update = partial(update, *self._flag_pointers, byref(self._time))
 
-    def _bind_model_exchange(self, *, no_way_back: bool) -> None:
-        self._create = self.library.function(
-            "InstantiateModelExchange", c_void_p, *_NAMES, c_void_p, c_void_p
-        )
-        self.enter_continuous_time_mode = self.library.call("EnterContinuousTimeMode")
-        completed = self.library.call("CompletedIntegratorStep", c_bool, c_void_p, c_void_p)
-        self._completed = partial(completed, no_way_back, *self._answers[:2])
+    def _bind_model_exchange(self) -> None:
+        call = self.library.call
+        function = self.library.function
+        flags = (c_bool, c_bool)  # visible, logging
+        logger = (c_void_p, c_void_p)
+        types = (*_NAMES, *flags, *logger)
+        self._create = function("InstantiateModelExchange", c_void_p, *types)
+        self.enter_continuous_time_mode = call("EnterContinuousTimeMode")
+        completed = call("CompletedIntegratorStep", c_bool, c_void_p, c_void_p)
+        self._completed = partial(completed, self._no_way_back, *self._flag_pointers[:2])
 
-    def _bind_co_simulation(self, *, no_way_back: bool) -> None:
-        rest = (c_bool, c_bool, c_void_p, c_size_t, c_void_p, c_void_p, c_void_p)
-        self._create = self.library.function("InstantiateCoSimulation", c_void_p, *_NAMES, *rest)
-        self.enter_step_mode = self.library.call("EnterStepMode")
-        self._step = self.library.status("DoStep", c_double, c_double, c_bool, *[c_void_p] * 4)
-        self._rest = (no_way_back, *self._answers[:3], byref(self._time))
+    def _bind_co_simulation(self) -> None:
+        call = self.library.call
+        function = self.library.function
+        flags = (c_bool, c_bool, c_bool, c_bool)  # visible, logging, event mode, early return
+        callbacks = (c_void_p, c_void_p, c_void_p)  # environment, logger, Intermediate Update
+        types = (*_NAMES, *flags, *_REFERENCES, *callbacks)
+        self._create = function("InstantiateCoSimulation", c_void_p, *types)
+        self.enter_step_mode = call("EnterStepMode")
+        results = [c_void_p] * 4
+        self._step = self.library.status_call("DoStep", c_double, c_double, c_bool, *results)
+        result_pointers = (*self._flag_pointers[:3], byref(self._time))
+        self._step_arguments = (self._no_way_back, *result_pointers)
 
     def instantiate(self) -> None:
         """Create the instance."""
-        about, key, log = self._about, addressof(self._lines), address("cosim_log_text")
-        about.messages.listen(key)
-        names = (
-            about.name.encode(),
-            about.token.encode(),
-            f"{about.folder / 'resources'}{os.sep}".encode(),
-        )
-        if about.interface_type == "me":
-            self.library.instance.value = self._create(*names, False, False, key, log)
+        specification = self._specification
+        key = addressof(self._interpolation)
+        logger = address("cosim_log_text")
+        specification.messages.accept(key)
+        name = specification.name.encode()
+        token = specification.token.encode()
+        resources = f"{specification.folder / 'resources'}{os.sep}".encode()
+        names = (name, token, resources)
+        if specification.interface_type == "me":
+            created = self._create(*names, False, False, key, logger)
         else:
-            flags = (
-                False,
-                False,
-                about.capabilities.event_mode,
-                True,
-            )  # visible, logging, event mode used, early return allowed
-            required = self._interpolated(about)
-            update = (
-                pointer(required),
-                len(required),
-                key,
-                log,
-                address("cosim_intermediate_update"),
+            event_mode = specification.capabilities.event_mode
+            flags = (False, False, event_mode, True)  # visible, logging, event mode, early return
+            inputs = _interpolated_inputs(specification)
+            update = address("cosim_intermediate_update")
+            created = self._create(
+                *names, *flags, pointer(inputs), len(inputs), key, logger, update
             )
-            self.library.instance.value = self._create(*names, *flags, *update)
-
-    @staticmethod
-    def _interpolated(about: InstanceSpecification) -> NDArray[np.uint32]:
-        """Give the references of the inputs that will be set in Intermediate Updates."""
-        moving = (
-            v
-            for v in about.description.variables
-            if v.causality == "input" and v.variability == "continuous"
-        )
-        able = about.capabilities.interpolates_inputs
-        found = [v.reference for v in moving if able and v.type == "Float64" and v.inside_steps]
-        return np.array(found, np.uint32)
+        self.library.instance.value = created
 
     def free(self) -> None:
         """Free the instance, unless a fatal status forbids it."""
-        if self.library.instance and not self.library.over:
+        if self.library.instance and not self.library.forbids_calls:
             self._free(self.library.instance)
         self.library.instance.value = None
 
     def enter_initialization_mode(self, t: float) -> None:
-        """Start at ``t`` [s]."""
+        """Enter it with the start time ``t`` [s]."""
         self._enter(False, 0.0, t, False, 0.0)
+
+    # --- values ---
 
     def access(self, verb: str, group: Group, values: NDArray[Any]) -> None:
         """Get or set variables of one type: ``verb`` is "Get" or "Set"."""
@@ -190,25 +175,28 @@ class Fmi3:
 
     def set_text(self, variable: Variable, values: list[bytes]) -> None:
         """Set a String or a Binary, an array too."""
-        n, reference = len(values), byref(c_uint(variable.reference))
+        n = len(values)
+        reference = byref(c_uint(variable.reference))
         texts = (c_char_p * n)(*values)
         if variable.type == "String":
-            self._text["Set"](reference, 1, texts, n)
+            self._set_string(reference, 1, texts, n)
         else:
-            self._binary["Set"](reference, 1, (c_size_t * n)(*map(len, values)), texts, n)
+            sizes = (c_size_t * n)(*map(len, values))
+            self._set_binary(reference, 1, sizes, texts, n)
 
     def get_text(self, variable: Variable) -> list[bytes]:
         """Get a String or a Binary, an array too."""
-        n, reference = variable.size, byref(c_uint(variable.reference))
+        n = variable.size
+        reference = byref(c_uint(variable.reference))
         if variable.type == "String":
             texts = (c_char_p * n)()
-            self._text["Get"](reference, 1, texts, n)
+            self._get_string(reference, 1, texts, n)
             return [text or b"" for text in texts]
-        sizes, data = (c_size_t * n)(), (POINTER(c_uint8) * n)()
-        self._binary["Get"](reference, 1, sizes, data, n)
-        return [
-            string_at(where, size) if size else b"" for where, size in zip(data, sizes, strict=True)
-        ]
+        sizes = (c_size_t * n)()
+        data = (POINTER(c_uint8) * n)()
+        self._get_binary(reference, 1, sizes, data, n)
+        binaries = zip(data, sizes, strict=True)
+        return [string_at(start, size) if size else b"" for start, size in binaries]
 
     def directional_derivative(
         self, unknowns: Group, knowns: Group, seed: Vector, result: Vector
@@ -217,54 +205,94 @@ class Fmi3:
         references = (unknowns.address, unknowns.count, knowns.address, knowns.count)
         self._directional(*references, pointer(seed), len(seed), pointer(result), len(result))
 
+    # --- event mode and model exchange ---
+
     def update_discrete_states(self) -> DiscreteStates:
         """Do one event iteration."""
         self._update()
-        need, terminate, nominals, values, has_time = (flag.value for flag in self._flags)
+        need_update, terminate, nominals, values, has_time = (flag.value for flag in self._flags)
         return DiscreteStates(
-            need, terminate, self._time.value if has_time else None, values, nominals
+            need_update=need_update,
+            terminate=terminate,
+            next_event_time=self._time.value if has_time else None,
+            values_changed=values,
+            nominals_changed=nominals,
         )
 
     def completed_integrator_step(self) -> tuple[bool, bool]:
-        """Accept the step; answers (enter event mode, terminate)."""
+        """Accept the step; return (enter event mode, terminate)."""
         self._completed()
         return self._flags[0].value, self._flags[1].value
 
+    # --- co-simulation ---
+
     def set_input_derivatives(self, group: Group, slopes: Vector) -> None:
-        """Set du/dt for the next step: the FMU's Intermediate Updates are answered with the inputs on these lines."""
-        if group is not self._lined:
-            self._draw(group, len(slopes))
+        """Set du/dt for the next step: Intermediate Updates get the inputs interpolated linearly.
+
+        The interpolation begins at the values that the inputs have now.
+        """
+        if group is not self._interpolated:
+            self._prepare_interpolation(group, len(slopes))
         self.access("Get", group, self._start)
         self._slope[:] = slopes
-        self._lines.size = len(slopes)
+        self._interpolation.size = len(slopes)  # not 0: switched on for one step
 
-    def _draw(self, group: Group, size: int) -> None:
-        """Let C know the memory of the lines, and what they are of."""
-        self._lined, (self._start, self._slope, self._scratch) = group, np.empty((3, size))
-        lines, memory = self._lines, (self._start, self._slope, self._scratch)
-        lines.start, lines.slope, lines.values = (array.ctypes.data for array in memory)
-        lines.references, lines.count, lines.instance = (
-            group.address,
-            group.count,
-            self.library.instance.value,
-        )
-        lines.set = cast(self.library.function("SetFloat64", c_int, *_VALUES), c_void_p).value
+    def _prepare_interpolation(self, group: Group, size: int) -> None:
+        """Give C the memory to interpolate in, and which inputs to set."""
+        interpolation = self._interpolation
+        self._interpolated = group
+        self._start = np.empty(size)
+        self._slope = np.empty(size)
+        self._values = np.empty(size)
+        interpolation.start = self._start.ctypes.data
+        interpolation.slope = self._slope.ctypes.data
+        interpolation.values = self._values.ctypes.data
+        interpolation.references = group.address
+        interpolation.count = group.count
+        interpolation.instance = self.library.instance.value
+        set_function = self.library.function("SetFloat64", c_int, c_void_p, *_VALUES)
+        interpolation.set = cast(set_function, c_void_p).value
 
     def do_step(self, t: float, h: float) -> StepEnd:
-        """Advance from ``t`` by ``h`` seconds; a discarded step left the FMU as it was (section 4.2.1.2)."""
+        """Advance from ``t`` by ``h`` seconds.
+
+        A discarded step left the FMU as it was (section 4.2.1.2).
+        """
         self._clock.value = t
-        lines, followed = self._lines, math.inf
-        lines.t0, lines.h, lines.last_request = t, h, -math.inf
-        status = self._step(t, h, *self._rest)
-        if lines.size:
-            lines.size, followed = 0, lines.last_request
-            if lines.status > WARNING:
-                raise self.library.failure("SetFloat64", lines.status)
+        interpolation = self._interpolation
+        interpolation.t0 = t
+        interpolation.h = h
+        interpolation.last_request = -math.inf
+        status = self._step(t, h, *self._step_arguments)
+        interpolated_until = math.inf
+        if interpolation.size:
+            interpolated_until = interpolation.last_request
+            interpolation.size = 0
+            if interpolation.status > WARNING:
+                raise self.library.record_failure("SetFloat64", interpolation.status)
+        event_needed, terminate, early = (flag.value for flag in self._flags[:3])
         if status == DISCARD:
             return StepEnd(
-                False, self._flags[1].value, discarded=not self._flags[1].value, reached=t
+                completed=False,
+                terminate=terminate,
+                discarded=not terminate,
+                last_successful_time=t,
             )
-        event, terminate, early = self._flags[0].value, self._flags[1].value, self._flags[2].value
         return StepEnd(
-            not early, terminate, False, event, self._time.value if early else t + h, followed
+            completed=not early,
+            terminate=terminate,
+            event_needed=event_needed,
+            last_successful_time=self._time.value if early else t + h,
+            interpolated_until=interpolated_until,
         )
+
+
+def _interpolated_inputs(specification: InstanceSpecification) -> NDArray[np.uint32]:
+    """Return the references of the inputs that will be set in Intermediate Updates."""
+    references = []
+    if specification.capabilities.interpolates_inputs:
+        for variable in specification.description.variables:
+            is_input = variable.causality == "input" and variable.variability == "continuous"
+            if is_input and variable.type == "Float64" and variable.inside_steps:
+                references.append(variable.reference)
+    return np.array(references, np.uint32)

@@ -1,8 +1,9 @@
 """The binary of an FMU: loaded, its functions bound to one instance, unloaded.
 
-Only declarations are taken from fmpy, not its loading: that leaves the working directory changed and the library in memory where
-it fails, and looks for functions which no run needs. The calls of a run go to the library's functions directly, on the memory of
-numpy arrays: fmpy's own wrappers build their ctypes arrays anew from lists at every call.
+Only declarations are taken from fmpy, not its loading: that leaves the working directory changed
+and the library in memory where it fails, and looks for functions which no run needs. The calls of
+a run go to the library's functions directly, on the memory of numpy arrays: fmpy's own wrappers
+build their ctypes arrays anew from lists at every call.
 """
 
 from __future__ import annotations
@@ -22,8 +23,11 @@ from cosim.fmi.binary.messages import Messages
 
 Call: TypeAlias = Callable[..., None]
 
-STATUS: Final = ("ok", "warning", "discard", "error", "fatal", "pending")
-WARNING, DISCARD, ERROR, FATAL = 1, 2, 3, 4
+STATUS_NAMES: Final = ("ok", "warning", "discard", "error", "fatal", "pending")
+WARNING: Final = 1
+DISCARD: Final = 2
+ERROR: Final = 3
+FATAL: Final = 4
 _Memory = c_uint8 * 1
 
 
@@ -33,8 +37,11 @@ def pointer(array: NDArray[Any]) -> Any:
     return _Memory.from_buffer(memory) if array.size else None
 
 
-def declared(version: str) -> Any:
-    """Import fmpy's declarations, of ``fmi1`` or ``fmi2``; where it has no logger for the machine, its import would print."""
+def import_declarations(version: str) -> Any:
+    """Import fmpy's declarations, of ``fmi1`` or ``fmi2``, without what it prints.
+
+    It prints where it has no logger for the machine.
+    """
     with redirect_stdout(StringIO()):
         return import_module(f"fmpy.{version}")
 
@@ -49,7 +56,7 @@ class Library:
     prefix : str
         Of its functions.
     name : str
-        Stands in messages.
+        Names the FMU in messages.
     messages : Messages
         What the FMU logs.
 
@@ -60,23 +67,27 @@ class Library:
     """
 
     def __init__(self, path: Path, prefix: str, name: str, messages: Messages) -> None:
-        self.prefix, self.name, self.messages, self._binary = prefix, name, messages, path.name
-        self.instance = c_void_p()  # one object for good, as every call holds it
+        self.prefix = prefix
+        self.name = name
+        self.messages = messages
+        self.instance = c_void_p()  # always this object, as every bound function refers to it
         self.failed = False  # an error or worse: terminate is no longer allowed
-        self._over = ""  # why no call is allowed any more
+        self._file_name = path.name
+        self._forbidden = ""  # why no call is allowed any more
         try:
             self._dll: CDLL | None = CDLL(str(path))
         except OSError as error:
-            raise self.refusal(str(error)) from error
+            raise self.load_error(str(error)) from error
 
-    def refusal(self, reason: str) -> FmuError:
-        """Say why the binary is of no use."""
+    def load_error(self, reason: str) -> FmuError:
+        """Return an error with the reason why the binary cannot be used."""
         return FmuError(
-            f"{self.name}: the binary {self._binary} cannot be used: {reason}{self.messages.tail}"
+            f"{self.name}: the binary {self._file_name} cannot be used: {reason}"
+            f"{self.messages.last_as_suffix}"
         )
 
     def function(self, name: str, result: Any, *types: Any) -> Any:
-        """Give a function of the library.
+        """Return a function of the library.
 
         Raises
         ------
@@ -84,64 +95,76 @@ class Library:
             If there is none of that name.
         """
         assert self._dll is not None  # nothing is bound after the end
+        full_name = self.prefix + name
         try:
-            found = self._dll[self.prefix + name]
+            function = self._dll[full_name]
         except AttributeError as error:
-            raise self.refusal(
-                f"it has no function {self.prefix}{name}, which the standard requires"
-            ) from error
-        found.argtypes, found.restype = types, result
-        return found
+            reason = f"it has no function {full_name}, which the standard requires"
+            raise self.load_error(reason) from error
+        function.argtypes = types
+        function.restype = result
+        return function
 
-    def status(self, name: str, *types: Any) -> Callable[..., int]:
-        """Give a function of the instance that returns a status up to discard, and raises RunError for any other."""
+    def status_call(self, name: str, *types: Any) -> Callable[..., int]:
+        """Return a function of the instance that returns its status.
+
+        It raises RunError for a status above discard.
+        """
         return self._checked(name, DISCARD, types)
 
     def call(self, name: str, *types: Any) -> Call:
-        """Give a function of the instance that raises RunError unless its status is ok or warning."""
+        """Return a function of the instance that raises RunError for a status above warning."""
         return self._checked(name, WARNING, types)
 
     def _checked(self, name: str, worst: int, types: tuple[Any, ...]) -> Callable[..., Any]:
-        found, instance = self.function(name, c_int, c_void_p, *types), self.instance
+        function = self.function(name, c_int, c_void_p, *types)
+        instance = self.instance
 
         def checked(*arguments: Any) -> int:
-            if self._over:
-                raise RunError(f"{self.name}: {self.prefix}{name} cannot be called: {self._over}")
-            status: int = found(instance, *arguments)
+            if self._forbidden:
+                full_name = self.prefix + name
+                raise RunError(f"{self.name}: {full_name} cannot be called: {self._forbidden}")
+            status: int = function(instance, *arguments)
             if status > worst:
-                raise self.failure(name, status)
+                raise self.record_failure(name, status)
             return status
 
         return checked
 
-    def absent(self, what: str) -> Call:
-        """Give a call that says what the FMU or its version does not have."""
+    def unavailable(self, reason: str) -> Call:
+        """Return a function that raises RunError: the FMU or its version does not have it."""
 
         def refused(*_: Any) -> None:
-            raise RunError(f"{self.name}: {what}")
+            raise RunError(f"{self.name}: {reason}")
 
         return refused
 
-    def failure(self, name: str, status: int) -> RunError:
-        """Name the FMU, the call, the status and the FMU's last words; remember what forbids later calls."""
+    def record_failure(self, name: str, status: int) -> RunError:
+        """Return an error with the call, its status and the FMU's last message.
+
+        Which later calls the status forbids is remembered.
+        """
+        full_name = self.prefix + name
         self.failed |= status >= ERROR
         if status == FATAL:
-            self._over = f"{self.prefix}{name} returned 4 (fatal) before"
-        label = STATUS[status] if 0 <= status < len(STATUS) else "no status of the standard"
+            self._forbidden = f"{full_name} returned 4 (fatal) before"
+        known = 0 <= status < len(STATUS_NAMES)
+        status_name = STATUS_NAMES[status] if known else "no status of the standard"
         return RunError(
-            f"{self.name}: {self.prefix}{name} returned {status} ({label}){self.messages.tail}"
+            f"{self.name}: {full_name} returned {status} ({status_name})"
+            f"{self.messages.last_as_suffix}"
         )
 
     @property
-    def over(self) -> bool:
+    def forbids_calls(self) -> bool:
         """Whether no call is allowed any more."""
-        return bool(self._over)
+        return bool(self._forbidden)
 
     def unload(self) -> None:
-        """Let the binary go; no call reaches it any more."""
+        """Unload the binary; no call reaches it any more."""
         from fmpy import freeLibrary
 
         if self._dll is not None:
-            self._over = self._over or "the instance was freed"
+            self._forbidden = self._forbidden or "the instance was freed"
             freeLibrary(self._dll._handle)
             self._dll = None

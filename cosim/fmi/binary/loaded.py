@@ -1,4 +1,4 @@
-"""An .fmu behind the unit calls, whatever its version and kind."""
+"""A loaded FMU behind the calls of the protocol, whatever its version and interface type."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ VERSIONS: Final[Mapping[str, tuple[str, Callable[[Library, InstanceSpecification
 }
 """By the first digit of the FMI version: the prefix of its functions, and what binds them."""
 
-ALONE: Final[set[tuple[str, str]]] = set()
-"""Name and token of the FMUs that are here and can be instantiated only once per process."""
+SINGLE_INSTANCES: Final[set[tuple[str, str]]] = set()
+"""Keys of the FMUs that are instantiated here and can be only once per process."""
 
-SPARE: Final = 4  # how many states that were let go of are kept for the next copies
+SPARE_STATES: Final = 4  # how many released FMU states are kept for the next copies
 
 
 @final
 class LoadedInstance:
-    """One instance of an FMU: every unit call, of the kind it was instantiated for.
+    """One instance of an FMU: every call of the interface type that it was instantiated for.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ class LoadedInstance:
     library : Path
         The binary for this machine.
     description : Description
-    mode : Mode
+    interface_type : {"me", "cs"}
     name : str
         Name of the instance.
     label : str
@@ -58,7 +58,8 @@ class LoadedInstance:
     Raises
     ------
     FmuError
-        If the library cannot be loaded or refuses to instantiate, or is here already and can be only once.
+        If the library cannot be loaded or refuses to instantiate, or if there is an instance
+        already and there can be only one.
     """
 
     linear: LinearModel | None = None
@@ -75,56 +76,54 @@ class LoadedInstance:
     ) -> None:
         self.description = description
         self.messages = Messages()
-        about = InstanceSpecification(description, interface_type, name, folder, self.messages)
-        with _alone(about, label), _loaded(library, about, label) as calls:
-            self._library, self._about, self._calls = calls.library, about, calls
-            self._bind(
-                calls, interface_type
-            )  # before there is an instance: what is missing leaves none behind
+        specification = InstanceSpecification(
+            description, interface_type, name, folder, self.messages
+        )
+        single = _reserve_single_instance(specification, label)
+        with single, _opened_library(library, specification, label) as calls:
+            self._library = calls.library
+            self._specification = specification
+            self._calls = calls
+            # Before there is an instance: a function that is missing leaves none behind.
+            self._bind(calls, interface_type)
             calls.instantiate()
             if not calls.library.instance:
-                raise calls.library.refusal("it refuses to instantiate")
-        self._freed = self._running = False
+                raise calls.library.load_error("it refuses to instantiate")
+        self._freed = False
+        self._running = False
         self._states: list[c_void_p] = []  # all that the FMU allocated
-        self._spare: list[c_void_p] = []  # those of them that nobody needs
-        self._n, self._n_z = description.n_states, description.event_indicators
-        self._x = np.empty(self._n)
-        self._x_memory = pointer(self._x)
+        self._spare_states: list[c_void_p] = []  # the released ones of them
+        self._n_states = description.n_states
+        self._n_indicators = description.event_indicators
+        self._x = np.empty(self._n_states)
+        self._x_pointer = pointer(self._x)
 
     def _bind(self, calls: Calls, interface_type: InterfaceType) -> None:
-        self.enter_configuration_mode, self.exit_configuration_mode = (
-            calls.enter_configuration_mode,
-            calls.exit_configuration_mode,
-        )
-        self.enter_event_mode, self.update_discrete_states = (
-            calls.enter_event_mode,
-            calls.update_discrete_states,
-        )
+        self.enter_configuration_mode = calls.enter_configuration_mode
+        self.exit_configuration_mode = calls.exit_configuration_mode
+        self.enter_event_mode = calls.enter_event_mode
+        self.update_discrete_states = calls.update_discrete_states
         if interface_type == "me":
             self._bind_model_exchange(calls)
         else:
-            self.enter_step_mode, self.do_step = calls.enter_step_mode, calls.do_step
+            self.enter_step_mode = calls.enter_step_mode
+            self.do_step = calls.do_step
 
     def _bind_model_exchange(self, calls: Calls) -> None:
-        call, vector = self._library.call, (c_void_p, c_size_t)
-        self.enter_continuous_time_mode, self._set_time = (
-            calls.enter_continuous_time_mode,
-            call("SetTime", c_double),
-        )
+        call = self._library.call
+        vector = (c_void_p, c_size_t)
+        self.enter_continuous_time_mode = calls.enter_continuous_time_mode
         self.completed_integrator_step = calls.completed_integrator_step
-        self._set_states, self._get_states = (
-            call("SetContinuousStates", *vector),
-            call("GetContinuousStates", *vector),
-        )
-        self._get_derivatives, self._get_nominals = (
-            call(calls.derivatives, *vector),
-            call(calls.nominals, *vector),
-        )
+        self._set_time = call("SetTime", c_double)
+        self._set_states = call("SetContinuousStates", *vector)
+        self._get_states = call("GetContinuousStates", *vector)
+        self._get_derivatives = call(calls.derivatives_function, *vector)
+        self._get_nominals = call(calls.nominals_function, *vector)
         self._get_indicators = call("GetEventIndicators", *vector)
 
     @property
     def interface(self) -> Interface:
-        """Inputs, outputs and feedthrough, as the file says."""
+        """Inputs, outputs and feedthrough, from the description."""
         return self.description.interface
 
     # --- modes ---
@@ -135,7 +134,7 @@ class LoadedInstance:
         self._calls.reset()
 
     def enter_initialization_mode(self, t: float) -> None:
-        """Start at ``t`` [s]."""
+        """Enter it with the start time ``t`` [s]."""
         self.messages.clock.value = t
         self._calls.enter_initialization_mode(t)
 
@@ -155,32 +154,29 @@ class LoadedInstance:
         if not self._freed:
             self._freed = True
             for state in self._states:
-                with suppress(RunError):  # what cannot be freed does not keep the rest
+                with suppress(RunError):  # one that cannot be freed does not keep the rest
                     self._calls.free_state(byref(state))
             self._calls.free()
             self._library.unload()
-            ALONE.discard(self._about.key)
+            SINGLE_INSTANCES.discard(self._specification.key)
 
     def set_time(self, t: float) -> None:
-        """Move to ``t`` [s], in model exchange."""
+        """Set the time [s], in model exchange."""
         self.messages.clock.value = t
         self._set_time(t)
 
     # --- values ---
 
     def set_float64(self, references: ReferenceMap, values: Vector) -> None:
-        """Set variables; the values of integers and Booleans must be such."""
+        """Set variables; integers and Booleans need values that are exactly such."""
         if references.all_float64:
             self._calls.access("Set", references.groups[0], values)
             return
         for group in references.groups:
-            own = to_own(
-                self._library.name,
-                group.type,
-                self._calls.dtypes[group.type],
-                values[group.columns],
-            )
-            self._calls.access("Set", group, own)
+            dtype = self._calls.dtypes[group.type]
+            columns = values[group.columns]
+            converted = to_fmu_type(self._library.name, group.type, dtype, columns)
+            self._calls.access("Set", group, converted)
 
     def get_float64(self, references: ReferenceMap) -> Vector:
         """Get variables as a new vector."""
@@ -189,46 +185,46 @@ class LoadedInstance:
             self._calls.access("Get", references.groups[0], values)
             return values
         for group in references.groups:
-            own = np.empty(len(group.columns), self._calls.dtypes[group.type])
-            self._calls.access("Get", group, own)
-            values[group.columns] = from_own(self._library.name, own)
+            received = np.empty(len(group.columns), self._calls.dtypes[group.type])
+            self._calls.access("Get", group, received)
+            values[group.columns] = from_fmu_type(self._library.name, received)
         return values
 
     def set_continuous_states(self, x: Vector) -> None:
         """Set the states, shape (n_x,)."""
         self._x[:] = x  # solvers hand over strided views
-        self._set_states(self._x_memory, self._n)
+        self._set_states(self._x_pointer, self._n_states)
 
     def get_continuous_states(self) -> Vector:
-        """Give the states, shape (n_x,)."""
-        x = np.empty(self._n)
-        self._get_states(pointer(x), self._n)
+        """Return the states, shape (n_x,)."""
+        x = np.empty(self._n_states)
+        self._get_states(pointer(x), self._n_states)
         return x
 
     def get_derivatives(self) -> Vector:
-        """Give x', shape (n_x,)."""
-        dx = np.empty(self._n)
-        self._get_derivatives(pointer(dx), self._n)
-        return dx
+        """Return x', shape (n_x,)."""
+        derivatives = np.empty(self._n_states)
+        self._get_derivatives(pointer(derivatives), self._n_states)
+        return derivatives
 
     def get_directional_derivative(
         self, unknowns: ReferenceMap, knowns: ReferenceMap, seed: Vector
     ) -> Vector:
-        """Give d(unknowns)/d(knowns) . seed, for Float64 variables."""
+        """Return d(unknowns)/d(knowns) . seed, for Float64 variables."""
         result = np.empty(unknowns.size)
         self._calls.directional_derivative(unknowns.ungrouped, knowns.ungrouped, seed, result)
         return result
 
     def get_event_indicators(self) -> Vector:
-        """Give the event indicators as a new vector."""
-        z = np.empty(self._n_z)
-        self._get_indicators(pointer(z), self._n_z)
-        return z
+        """Return the event indicators as a new vector."""
+        indicators = np.empty(self._n_indicators)
+        self._get_indicators(pointer(indicators), self._n_indicators)
+        return indicators
 
     def get_nominals(self) -> Vector:
-        """Give the nominal values of the states, shape (n_x,)."""
-        nominals = np.empty(self._n)
-        self._get_nominals(pointer(nominals), self._n)
+        """Return the nominal values of the states, shape (n_x,)."""
+        nominals = np.empty(self._n_states)
+        self._get_nominals(pointer(nominals), self._n_states)
         return nominals
 
     def set_input_derivatives(self, references: ReferenceMap, slopes: Vector) -> None:
@@ -243,38 +239,34 @@ class LoadedInstance:
         Raises
         ------
         RunError
-            If there are more or fewer than the variable has elements, or one cannot be handed over.
+            If there are more or fewer than the variable has elements, or one cannot be passed on.
         """
+        label = f"{self._library.name}: {variable.name}"
         if len(values) != variable.size:
-            raise RunError(
-                f"{self._library.name}: {variable.name}: found {len(values)} texts, needed {variable.size}"
-            )
+            raise RunError(f"{label}: found {len(values)} texts, needed {variable.size}")
+        encode = bytes.fromhex if variable.type == "Binary" else _encode_string
         try:
-            raw = [
-                bytes.fromhex(text) if variable.type == "Binary" else _string(text)
-                for text in values
-            ]
+            encoded = [encode(text) for text in values]
         except ValueError as error:
-            raise RunError(
-                f"{self._library.name}: {variable.name}: {values} cannot be set: {error}"
-            ) from error
-        self._calls.set_text(variable, raw)
+            raise RunError(f"{label}: {values} cannot be set: {error}") from error
+        self._calls.set_text(variable, encoded)
 
     def get_text(self, variable: Variable) -> tuple[str, ...]:
         """Get a String, or a Binary in hexadecimal."""
-        raw = self._calls.get_text(variable)
-        return tuple(
-            data.hex() if variable.type == "Binary" else data.decode("utf-8", "replace")
-            for data in raw
-        )
+        received = self._calls.get_text(variable)
+        if variable.type == "Binary":
+            return tuple(data.hex() for data in received)
+        return tuple(data.decode("utf-8", "replace") for data in received)
 
     # --- states ---
 
     def get_fmu_state(self, into: object | None = None) -> object:
-        """Copy the whole state, into the memory of an earlier copy if one is given, or was let go of."""
-        state: Any = into if into is not None else self._spare.pop() if self._spare else c_void_p()
+        """Copy the FMU state, into the memory of an earlier copy if one is given or released."""
+        state: Any = into
+        if state is None:
+            state = self._spare_states.pop() if self._spare_states else c_void_p()
         self._calls.get_state(byref(state))
-        if state not in self._states:  # pointers are equal to themselves alone
+        if state not in self._states:  # a c_void_p is equal to itself only
             self._states.append(state)
         return state
 
@@ -283,57 +275,61 @@ class LoadedInstance:
         self._calls.set_state(state)
 
     def free_fmu_state(self, state: object) -> None:
-        """Let go of a copied state: its memory is kept for the next copy, within a limit."""
-        mine = next((known for known in self._states if known is state), None)
-        if mine is None or self._freed or any(known is state for known in self._spare):
+        """Release a copied state: its memory is kept for the next copy, within a limit."""
+        own_state = next((known for known in self._states if known is state), None)
+        if own_state is None or self._freed:
             return
-        if len(self._spare) < SPARE:
-            self._spare.append(mine)
-        elif not self._library.over:
-            self._states = [known for known in self._states if known is not mine]
-            self._calls.free_state(byref(mine))
+        if any(spare is state for spare in self._spare_states):
+            return
+        if len(self._spare_states) < SPARE_STATES:
+            self._spare_states.append(own_state)
+        elif not self._library.forbids_calls:
+            self._states = [known for known in self._states if known is not own_state]
+            self._calls.free_state(byref(own_state))
 
 
 @contextmanager
-def _alone(about: InstanceSpecification, label: str) -> Iterator[None]:
+def _reserve_single_instance(specification: InstanceSpecification, label: str) -> Iterator[None]:
     """Refuse a second instance of an FMU that can be instantiated only once per process."""
-    if not about.capabilities.once_per_process:
+    if not specification.capabilities.once_per_process:
         yield
         return
-    if about.key in ALONE:
+    if specification.key in SINGLE_INSTANCES:
         raise FmuError(
-            f"{label}: can be instantiated only once per process (canBeInstantiatedOnlyOncePerProcess), and there is an instance "
-            "already; close that one before"
+            f"{label}: can be instantiated only once per process "
+            "(canBeInstantiatedOnlyOncePerProcess), and there is an instance already; "
+            "close that one before"
         )
-    ALONE.add(about.key)
+    SINGLE_INSTANCES.add(specification.key)
     try:
         yield
     except BaseException:
-        ALONE.discard(about.key)
+        SINGLE_INSTANCES.discard(specification.key)
         raise
 
 
 @contextmanager
-def _loaded(binary: Path, about: InstanceSpecification, label: str) -> Iterator[Calls]:
-    """Load a binary and give its calls; after a failure it is unloaded."""
-    prefix, version = VERSIONS[about.description.version[0]]
-    library = Library(
-        binary, prefix.format(identifier=about.capabilities.identifier), label, about.messages
-    )
+def _opened_library(
+    binary: Path, specification: InstanceSpecification, label: str
+) -> Iterator[Calls]:
+    """Load a binary and yield its calls; after a failure it is unloaded."""
+    prefix_pattern, bind = VERSIONS[specification.description.version[0]]
+    prefix = prefix_pattern.format(identifier=specification.capabilities.identifier)
+    library = Library(binary, prefix, label, specification.messages)
     try:
-        yield version(library, about)
+        yield bind(library, specification)
     except BaseException:
         library.unload()
         raise
 
 
-def _string(text: str) -> bytes:
+def _encode_string(text: str) -> bytes:
     if "\0" in text:
         raise ValueError("a String ends at its first character 0")
     return text.encode()
 
 
-def to_own(name: str, kind: str, dtype: DTypeLike, values: Vector) -> NDArray[Any]:
+def to_fmu_type(name: str, variable_type: str, dtype: DTypeLike, values: Vector) -> NDArray[Any]:
     """Convert to a type of the FMU; to integers and Booleans exactly or not at all.
 
     Raises
@@ -342,16 +338,21 @@ def to_own(name: str, kind: str, dtype: DTypeLike, values: Vector) -> NDArray[An
         If a value is no number of that type, or an integer beyond 2**53.
     """
     with np.errstate(invalid="ignore", over="ignore"):  # what does not fit is found below
-        own = values.astype(dtype)
-    if kind in ("Float32", "Float64"):
-        return own
-    exact = (own == values) & (np.abs(values) <= LARGEST_EXACT)
-    if not exact.all() or (kind == "Boolean" and not np.isin(values, (0.0, 1.0)).all()):
-        raise RunError(f"{name}: {values.tolist()} cannot be set: needed numbers of type {kind}")
-    return own
+        converted = values.astype(dtype)
+    if variable_type in ("Float32", "Float64"):
+        return converted
+    exact = (converted == values) & (np.abs(values) <= LARGEST_EXACT)
+    fits = bool(exact.all())
+    if variable_type == "Boolean":
+        fits = fits and bool(np.isin(values, (0.0, 1.0)).all())
+    if not fits:
+        raise RunError(
+            f"{name}: {values.tolist()} cannot be set: needed numbers of type {variable_type}"
+        )
+    return converted
 
 
-def from_own(name: str, own: NDArray[Any]) -> Vector:
+def from_fmu_type(name: str, received: NDArray[Any]) -> Vector:
     """Convert from a type of the FMU, exactly.
 
     Raises
@@ -359,6 +360,11 @@ def from_own(name: str, own: NDArray[Any]) -> Vector:
     RunError
         If an integer is too large for that.
     """
-    if own.dtype.kind in "iu" and ((own > LARGEST_EXACT) | (own < -LARGEST_EXACT)).any():
-        raise RunError(f"{name}: an integer beyond 2**53 cannot be carried exactly: {own.tolist()}")
-    return own.astype(np.float64)
+    if received.dtype.kind in "iu":
+        # Not by the absolute value: the smallest int64 has none.
+        too_large = (received > LARGEST_EXACT) | (received < -LARGEST_EXACT)
+        if too_large.any():
+            raise RunError(
+                f"{name}: an integer beyond 2**53 cannot be carried exactly: {received.tolist()}"
+            )
+    return received.astype(np.float64)

@@ -172,8 +172,8 @@ class Stepper:
             elif end.discarded:
                 s0 = self._halve(ramp, s0, goal, halvings)
             elif not end.terminate:
-                s0 = self._returned(ramp, s0, goal, end.reached)
-            if self._can.event_mode and not now.ended and (end.event or self._due(ramp, s0)):
+                s0 = self._returned(ramp, s0, goal, end.last_successful_time)
+            if self._can.event_mode and not now.ended and (end.event_needed or self._due(ramp, s0)):
                 self._event(ramp.time(s0))
             if s0 >= s1:
                 return s0
@@ -195,9 +195,9 @@ class Stepper:
         slopes = self._sloped.take(ramp.change) / ramp.h
         instance.set_input_derivatives(self._sloped, slopes)
         end = instance.do_step(t, h)
-        if end.followed == -math.inf and slopes.any():
+        if end.interpolated_until == -math.inf and slopes.any():
             self._stops_interpolating(t)
-        followed = s1 if end.followed == math.inf else min(max(s0, ramp.fraction(end.followed)), s1)
+        followed = s1 if end.interpolated_until == math.inf else min(max(s0, ramp.fraction(end.interpolated_until)), s1)
         self.now.end = self._on_lines(ramp, followed, middle)
         return end
 
