@@ -44,11 +44,11 @@ class Identification:
     """What the data of an identifier carry."""
 
     component: str
-    start: float  # s, the communication point it starts at
+    start_time: float  # s, the communication point it starts at
     times: Mapping[str, float]  # T_obs, T_f, D_max, T_id where it was computed
     eigenvalues: tuple[float, ...]  # of the information matrix of delta as it was reconstructed
     verdict: str
-    remarks: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,7 @@ def summarize(recording: Recording) -> Summary:
     run = recording.metadata.get("cosim.run", {})
     truth = truth_of(recording)
     metadata = {name: _component_metadata(recording, name) for name in recording.channels}
-    starts = [found["start"] for found in metadata.values() if "start" in found]
+    starts = [found["start_time"] for found in metadata.values() if "start_time" in found]
     since = max(starts, default=0.0)
     loops = tuple(
         stage for stage in json.loads(run.get("schedule", "[]")) if not stage.startswith("cascade ")
@@ -219,17 +219,17 @@ def _identification(
     """Judge the information in the rows that an identifier was given."""
     rows = as_columns(recording[f"{component}.regressor"])
     time = recording.time_ns(component) / 1e9
-    used = rows[time >= metadata["start"]]
+    used = rows[time >= metadata["start_time"]]
     times = {key: metadata[key] for key in ("T_obs", "T_f", "D_max", "T_id") if key in metadata}
-    remarks = tuple(metadata.get("remarks", ()))
+    notes = tuple(metadata.get("notes", ()))
     if len(used) < 2:
         return Identification(
             component,
-            metadata["start"],
+            metadata["start_time"],
             times,
             (),
             "the run ended before the identification began",
-            remarks,
+            notes,
         )
     eigenvalues: Vector = np.linalg.eigvalsh(
         information(used[:, 1:], float(time[1] - time[0]))
@@ -237,9 +237,9 @@ def _identification(
     prior = None if metadata["P0"] is None else 1.0 / metadata["P0"]
     return Identification(
         component,
-        metadata["start"],
+        metadata["start_time"],
         times,
         tuple(map(float, eigenvalues)),
         verdict(eigenvalues, prior),
-        remarks,
+        notes,
     )

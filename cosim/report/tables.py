@@ -116,7 +116,7 @@ def _identification(table: Table, found: Identification) -> None:
     made = "given"
     if "T_id" in times:
         made = f"T_obs {times['T_obs']:.4f} + T_f {times['T_f']:.4f} + D_max {times['D_max']:g} = {times['T_id']:.4f} s (36)"
-    table.add_row(f"{found.component} starts", f"{found.start:g} s", "", made)
+    table.add_row(f"{found.component} starts", f"{found.start_time:g} s", "", made)
     if found.eigenvalues:
         table.add_row(
             "information in delta",
@@ -124,7 +124,7 @@ def _identification(table: Table, found: Identification) -> None:
             "",
             "eigenvalues " + ", ".join(f"{value:.3g}" for value in found.eigenvalues),
         )
-    for text in (found.verdict, *found.remarks):
+    for text in (found.verdict, *found.notes):
         table.add_row("", "", "", text)
 
 

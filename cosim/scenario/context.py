@@ -1,4 +1,4 @@
-"""What the kinds of components may know of the scenario while they are built, and what is noted of each one."""
+"""What kinds may ask of the scenario while their components are built, and what each records."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from cosim.blocks.replay import Replay
-from cosim.core.clock import whole_steps
 from cosim.core.contracts import Component, MessageLevel, Recording
 from cosim.errors import CosimError, UsageError, nearest
 from cosim.scenario.document import Problem
@@ -24,25 +23,30 @@ if TYPE_CHECKING:
 
 
 class MessageSource(Protocol):
-    """An opened FMU, as far as its messages go."""
+    """The messages of an opened FMU."""
 
     def drain(self) -> Sequence[tuple[float | None, MessageLevel, str, str]]:
-        """Give what it said since the last call, as (time [s] or None, level, category, text)."""
+        """Return the messages since the last call, as (time [s] or None, level, category, text)."""
         ...
 
 
-class _RestsOnAnother(UsageError):
-    """A component cannot be judged because one that it reads is wrong; that one is told."""
+class _DependsOnInvalidComponent(UsageError):
+    """A component cannot be checked because one that it reads is wrong, which is reported."""
 
 
 class ScenarioBuildContext:
-    """See :class:`cosim.scenario.kinds.Site`; builds every component, and keeps note of what each one read."""
+    """Builds every component and records which tables each one reads.
+
+    See :class:`cosim.scenario.kinds.BuildContext`.
+    """
 
     step_ns: int
     stop: float
 
     def __init__(self, scenario: Parsed, resources: ExitStack, recording: Recording | None) -> None:
-        self._scenario, self._resources, self._recording = scenario, resources, recording
+        self._scenario = scenario
+        self._resources = resources
+        self._recording = recording
         self._current = ""
         self.stop = scenario.file.scenario.stop
         self.metadata: dict[str, dict[str, Any]] = {}
@@ -56,7 +60,14 @@ class ScenarioBuildContext:
     def build_all(
         self, problems: list[Problem]
     ) -> tuple[dict[str, Component], dict[str, int], set[str]]:
-        """Build every component that can be built; add what is wrong with the others to ``problems``."""
+        """Build every component that can be built; add the problems of the others to ``problems``.
+
+        Returns
+        -------
+        tuple
+            Components by name, their sample periods in communication steps, and the names of the
+            components that could not be built.
+        """
         components: dict[str, Component] = {}
         periods: dict[str, int] = {}
         for name in self._scenario.file.models:
@@ -65,64 +76,55 @@ class ScenarioBuildContext:
             except (CosimError, ValueError) as error:
                 problems.append((("models", name), str(error)))
         for name, spec in self._scenario.specs.items():
-            self._current, self.reads[name] = name, frozenset()
+            self._current = name
+            self.reads[name] = frozenset()
             try:
                 component = self._build(name, spec)
-                periods[name] = self._period(name, spec)
-                components[name] = (
-                    component
-                    if spec.sample_period is None
-                    else spec.with_period(component, periods[name])
-                )
-            except _RestsOnAnother:
+                periods[name] = spec.period_steps(name, self.step_ns)
+                components[name] = spec.with_period(component, periods[name])
+            except _DependsOnInvalidComponent:
                 pass
             except (CosimError, ValueError) as error:
                 problems.append((("components", name), str(error)))
-        return components, periods, set(self._scenario.file.components) - set(components)
+        missing = set(self._scenario.file.components) - set(components)
+        return components, periods, missing
 
     def _build(self, name: str, spec: Kind) -> Component:
         if self._recording is not None and not spec.computable:
             return Replay(self._recording, name)
         return spec.build(name, self)
 
-    def _period(self, name: str, spec: Kind) -> int:
-        return (
-            1
-            if spec.sample_period is None
-            else whole_steps(spec.sample_period, self.step_ns, f"period of {name!r}")
-        )
-
     # --- what a kind may ask for ---
 
     def model(self, name: str) -> DescriptorSystem:
-        """Give a model of [models], and note that it was read."""
+        """Return a model of [models], and record that it was read."""
         models = self._scenario.file.models
         if name not in models:
             raise UsageError(f"there is no model {name!r} in [models]; {nearest(name, models)}")
         self._read(f"models.{name}")
         table = models[name]
-        arrays = {
-            letter: matrix(getattr(table, letter), f"models.{name}.{letter}")
-            for letter in ("A", "Bu", "Bd", "C")
-        }
-        return DescriptorSystem(n_a=table.n_a, **arrays)
+        matrices = {}
+        for letter in ("A", "Bu", "Bd", "C"):
+            rows = getattr(table, letter)
+            matrices[letter] = matrix(rows, f"models.{name}.{letter}")
+        return DescriptorSystem(n_a=table.n_a, **matrices)
 
     def spec(self, name: str) -> Kind:
-        """Give the table of another component, and note that it was read."""
+        """Return the table of another component, and record that it was read."""
         self._read(f"components.{name}")
         if name not in self._scenario.specs:
-            raise _RestsOnAnother
+            raise _DependsOnInvalidComponent
         return self._scenario.specs[name]
 
     def driver(self, to: str) -> str | None:
-        """Give the component that drives an input, ``component.input``."""
+        """Return the component that drives an input, ``component.input``."""
         return self._scenario.driver(to)
 
     def file(self, path: str) -> Path:
-        """Find a file named in the scenario, and note that it is read."""
-        found = self._scenario.document.folder / path
-        self.files.add(found.resolve())
-        return found
+        """Return the path of a file named in the scenario, and record that it is read."""
+        file = self._scenario.document.folder / path
+        self.files.add(file.resolve())
+        return file
 
     def recording(self, path: str) -> Recording:
         """Open a log with the scenario's communication step."""
@@ -130,8 +132,10 @@ class ScenarioBuildContext:
 
         log = open_log(self.file(path))
         if log.step_ns != self.step_ns:
+            log_step = log.step_ns / 1e9
+            step = self.step_ns / 1e9
             raise UsageError(
-                f"log {path!r} has steps of {log.step_ns / 1e9} s, the scenario of {self.step_ns / 1e9} s; needed the same"
+                f"log {path!r} has steps of {log_step} s, the scenario of {step} s; needed the same"
             )
         return log
 
@@ -141,7 +145,7 @@ class ScenarioBuildContext:
         path: str,
         options: FmuOptions,
     ) -> Component:
-        """Load an FMU; it is freed when the run is over."""
+        """Load an FMU; it is freed at the end of the run."""
         from cosim.fmi.component import load
 
         opened = load(
@@ -152,9 +156,9 @@ class ScenarioBuildContext:
         loaded = self._resources.enter_context(opened)
         metadata = loaded.metadata
         self.attachments[f"{name}/modelDescription.xml"] = metadata.pop("model_description")
-        self.note(name, **metadata)
-        for text in loaded.notes:
-            self.warn(name, text)
+        self.add_metadata(name, metadata)
+        for note in loaded.notes:
+            self.warn(name, note)
         self.fmus[name] = loaded
         return loaded.component
 
@@ -168,43 +172,45 @@ class ScenarioBuildContext:
         inputs: Sequence[str] | None,
         outputs: Sequence[str],
     ) -> Linearization:
-        """Linearize an FMU for a component, or take the recorded result where the same was asked."""
+        """Linearize an FMU for a component, or take the recorded result of the same request."""
+        from cosim.fmi.linearizing.linearization import Linearization
+
         if name not in self._linearized:
-            chosen = {"inputs": None if inputs is None else list(inputs), "outputs": list(outputs)}
-            asked = {"fmu": path, "at": at, "start": dict(start), **chosen}
-            recorded = self._recorded_metadata(name).get("linearization", {})
-            if recorded.get("asked") != asked:
-                recorded = {
-                    "asked": asked,
-                    **self._linearize(path, at=at, start=start, inputs=inputs, outputs=outputs),
-                }
-            self._take(name, recorded)
+            request = {
+                "fmu": path,
+                "at": at,
+                "start": dict(start),
+                "inputs": None if inputs is None else list(inputs),
+                "outputs": list(outputs),
+            }
+            record = self._recorded_metadata(name).get("linearization", {})
+            if record.get("request") != request:
+                record = self._linearize(path, request)
+            linearization = Linearization.of(record["result"])
+            self._linearized[name] = linearization
+            self.add_metadata(name, {"linearization": record})
+            for note in linearization.notes:
+                self.warn(name, note)
         return self._linearized[name]
 
-    def _linearize(self, path: str, **wanted: Any) -> dict[str, Any]:
+    def _linearize(self, path: str, request: Mapping[str, Any]) -> dict[str, Any]:
         from cosim.fmi.linearizing.linearize import linearize
         from cosim.fmi.reading.model_description import read
 
         file = self.file(path)
-        return {"sha256": read(file).sha256, "result": linearize(file, **wanted).to_dict()}
-
-    def _take(self, name: str, linearization: dict[str, Any]) -> None:
-        from cosim.fmi.linearizing.linearization import Linearization
-
-        found = self._linearized[name] = Linearization.of(linearization["result"])
-        self.note(name, linearization=linearization)
-        for text in found.notes:
-            self.warn(name, text)
+        sha256 = read(file).sha256
+        arguments = {key: value for key, value in request.items() if key != "fmu"}
+        result = linearize(file, **arguments)
+        return {"request": request, "sha256": sha256, "result": result.to_dict()}
 
     def _recorded_metadata(self, name: str) -> dict[str, Any]:
         if self._recording is None:
             return {}
-        found: dict[str, Any] = json.loads(
-            self._recording.metadata.get(f"cosim.component.{name}", {}).get("metadata", "{}")
-        )
-        return found
+        record = self._recording.metadata.get(f"cosim.component.{name}", {})
+        metadata: dict[str, Any] = json.loads(record.get("metadata", "{}"))
+        return metadata
 
-    def note(self, name: str, **metadata: Any) -> None:
+    def add_metadata(self, name: str, metadata: Mapping[str, Any]) -> None:
         """Record metadata of a component."""
         self.metadata.setdefault(name, {}).update(metadata)
 

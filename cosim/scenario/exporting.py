@@ -18,6 +18,7 @@ from cosim.errors import UsageError, nearest
 from cosim.fmi.exporting.export import export
 from cosim.scenario.build import Scenario, build_context, draft, upstream
 from cosim.scenario.execution import load
+from cosim.scenario.kinds import EXPORTABLE, DescriptorKind, ExportableKind
 from cosim.scenario.kinds.base import Exportable
 
 HOLDS = (
@@ -66,8 +67,18 @@ def export_component(
         )
         model: DescriptorModel | Exportable
         if dae:
-            model, holds = spec.descriptor_form(component, context), False
+            if not isinstance(spec, DescriptorKind):
+                raise UsageError(
+                    f"{component!r} is of kind {spec.kind!r}, which has no algebraic equations; "
+                    f"what has: descriptor"
+                )
+            model, holds = spec.descriptor_form(context), False
         else:
+            if not isinstance(spec, ExportableKind):
+                raise UsageError(
+                    f"{component!r} is of kind {spec.kind!r}, which cannot be exported; "
+                    f"what can be: {', '.join(EXPORTABLE)}"
+                )
             ours = spec.exportable(component, context, place)
             holds = _inherits(ours.interface) and place.is_discrete
             model = (

@@ -65,7 +65,7 @@ class DesignModel(NamedTuple):
         return replace(model, interface=replace(face, inputs=inputs, outputs=outputs))
 
 
-def belief(found: Linearization, disturbances: Sequence[str]) -> DesignModel:
+def design_model(found: Linearization, disturbances: Sequence[str]) -> DesignModel:
     """Write a linearization as ``x' = A x + B_1 u + B_2 delta + c``, ``y = C x + C_4 u + C_5 delta + d``: (9)-(10) without x_b.
 
     c and d are what an operating point away from an equilibrium at zero leaves: they act through one more input, the constant 1.

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from cosim.arrays import Matrix, Vector
 from cosim.core.signals import Interface, Signal
 from cosim.fmi.linearizing.linearization import poles, static_gain
+from cosim.scenario.kinds.base import LinearSystem
 from cosim.units import Conversion, conversion
 
 Verdict: TypeAlias = Literal["ok", "unknown", "differs", "error"]
@@ -69,9 +70,10 @@ class NearStart:
     error: float
 
     @staticmethod
-    def of(A: Matrix, B: Matrix, C: Matrix, D: Matrix, *, error: float) -> NearStart:
-        """Give poles and static gain D - C A^-1 B."""
-        return NearStart(poles(A), static_gain(A, B, C, D, error=error), error)
+    def of(system: LinearSystem) -> NearStart:
+        """Return poles and static gain D - C A^-1 B."""
+        A, B, C, D = system.A, system.B, system.C, system.D
+        return NearStart(poles(A), static_gain(A, B, C, D, error=system.error), system.error)
 
 
 @dataclass(frozen=True, slots=True)

@@ -327,9 +327,12 @@ def _starts(described: tuple[InterfaceType, Description] | None) -> dict[str, Ve
 def _near_start(spec: Kind, name: str, context: BuildContext, face: Interface) -> NearStart | None:
     """Give poles and static gain of a component; None: it is not linear, and does not linearize."""
     try:
-        found = spec.near_start(name, context)
+        system = spec.linear_system(name, context)
     except (CosimError, ValueError):
         return None
+    if system is None:
+        return None
+    found = NearStart.of(system)
     whole = found.gain is not None and found.gain.shape == (
         face.n_y,
         face.n_u,

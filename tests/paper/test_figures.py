@@ -35,10 +35,14 @@ def test_held_inputs_spoil_the_disturbance():
 @pytest.mark.parametrize(
     ("scenario", "changes", "which"),
     [
-        ("academic", {"scenario.input_interpolation": "zero-order"}, "u and y held"),
-        ("academic", {"components.u": {"kind": "step", "time": 8.0}}, "u held"),
-        ("closed-loop", {"scenario.coupling": "jacobi"}, "u and y held"),
-        ("closed-loop", {"controller.period": 0.01}, "u held"),
+        (
+            "academic",
+            {"scenario.input_interpolation": "zero-order"},
+            "zero-order hold of u and y over",
+        ),
+        ("academic", {"components.u": {"kind": "step", "time": 8.0}}, "zero-order hold of u over"),
+        ("closed-loop", {"scenario.coupling": "jacobi"}, "zero-order hold of u and y over"),
+        ("closed-loop", {"controller.period": 0.01}, "zero-order hold of u over"),
     ],
 )
 def test_held_inputs_are_warned_of(scenario, changes, which):
@@ -67,7 +71,7 @@ def test_what_a_sine_cannot_tell_apart_is_said():
     }
     run = cosim.run("academic", set=changes)
     (found,) = summarize(run).identifications
-    assert found.remarks == (
+    assert found.notes == (
         "theta[0]: a rate above 6.283 rad/s is taken for a slower one (delays 0.5 s apart)",
     )
     assert run["identifier.theta"][-1] == pytest.approx(2 * np.pi / 0.5 - 7.0, abs=1e-3)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from cosim.core.signals import Interface, Signal
+from cosim.scenario.kinds.base import LinearSystem
 from cosim.scenario.port_comparison import (
     Ability,
     NearStart,
@@ -65,13 +66,15 @@ def test_values_are_compared_in_one_unit():
         assert verdicts(before, after)["s", "initial output"] == verdict
 
 
+def first_order(a, *, gain):
+    """x' = a x + u, y = gain x."""
+    return LinearSystem(np.array([[a]]), np.eye(1), gain * np.eye(1), np.zeros((1, 1)), error=0.0)
+
+
 def test_gain_and_poles_are_compared_within_their_error():
     """x' = -2 x + u, y = 4 x: gain 2, pole -2. A difference of 1e-7 is seen unless the numbers are wrong by that."""
     face = Interface((Signal("u"),), (Signal("y"),))
-    exact, close = (
-        NearStart.of(np.array([[a]]), np.eye(1), 4.0 * np.eye(1), np.zeros((1, 1)), error=0.0)
-        for a in (-2.0, -2.0 - 1e-7)
-    )
+    exact, close = (NearStart.of(first_order(a, gain=4.0)) for a in (-2.0, -2.0 - 1e-7))
     assert (exact.gain, exact.poles) == (
         pytest.approx(2.0, abs=1e-15),
         pytest.approx(-2.0, abs=1e-15),
@@ -80,10 +83,7 @@ def test_gain_and_poles_are_compared_within_their_error():
         other = Side(face, ABLE, near_start=NearStart(close.poles, close.gain, error))
         found = verdicts(Side(face, ABLE, near_start=exact), other)
         assert found["y", "static gain"] == found["", "poles"] == verdict
-    assert (
-        NearStart.of(np.zeros((1, 1)), np.eye(1), np.eye(1), np.zeros((1, 1)), error=0.0).gain
-        is None
-    )
+    assert NearStart.of(first_order(0.0, gain=1.0)).gain is None
 
 
 def test_ports_are_paired_by_the_map_then_by_name():

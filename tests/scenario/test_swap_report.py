@@ -222,4 +222,4 @@ def test_what_cannot_be_linearized_is_unknown(folder, tmp_path):
         ):
             path = (tmp_path if name == "once" else folder) / f"{name}.fmu"
             with pytest.raises(UsageError, match=text):
-                FmuKind(kind="fmu", path=str(path), start=start).near_start("plant", context)
+                FmuKind(kind="fmu", path=str(path), start=start).linear_system("plant", context)

@@ -1,10 +1,10 @@
-"""The component kinds of a scenario: one table class each, with what it takes to build the component."""
+"""The component kinds of a scenario: one table class each, which builds its component."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
-from cosim.scenario.kinds.base import LINEAR, BuildContext, Exportable, Kind
+from cosim.scenario.kinds.base import BuildContext, ExportableKind, Kind, LinearKind
 from cosim.scenario.kinds.method import IdentifierKind, RegressorKind, UnknownInputObserverKind
 from cosim.scenario.kinds.parts import (
     ControllerKind,
@@ -51,4 +51,14 @@ KINDS: Mapping[str, type[Kind]] = {
     "identifier": IdentifierKind,
 }
 
-__all__ = ["KINDS", "LINEAR", "BuildContext", "Exportable", "Kind"]
+EXPORTABLE = tuple(name for name, kind in KINDS.items() if issubclass(kind, ExportableKind))
+
+__all__ = [
+    "EXPORTABLE",
+    "KINDS",
+    "BuildContext",
+    "DescriptorKind",
+    "ExportableKind",
+    "Kind",
+    "LinearKind",
+]

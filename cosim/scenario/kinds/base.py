@@ -1,60 +1,72 @@
-"""What every component kind has: its table, and what it takes to build the component."""
+"""The bases of the component kinds, and what a kind needs to build its component."""
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
-from cosim.arrays import Mask
-from cosim.blocks.sampled import Decimated
-from cosim.core.contracts import Component
-from cosim.core.linear import DescriptorModel, Linear, LinearModel
-from cosim.errors import UsageError
+from pydantic import Field
+
+from cosim.arrays import Mask, Matrix
+from cosim.core.clock import whole_steps
+from cosim.core.contracts import Component, Recording
+from cosim.core.linear import Linear, LinearModel
 from cosim.fmi.exporting.kernels import DiscreteModel
-from cosim.scenario.schema import TomlTable
+from cosim.scenario.schema import Number, TomlTable
 from cosim.theory.descriptor import DescriptorSystem
 
 if TYPE_CHECKING:
     from cosim.fmi.description import Description, InterfaceType
     from cosim.fmi.linearizing.linearization import Linearization
     from cosim.fmi.options import FmuOptions
-    from cosim.scenario.port_comparison import NearStart
 
 Exportable: TypeAlias = LinearModel | DiscreteModel
 
-LINEAR = (
-    "descriptor",
-    "unknown-input-observer",
-    "controller",
-    "lag",
-)  # the kinds that are linear models
-EXPORTABLE = (*LINEAR, "regressor", "identifier", "delay", "gain", "sum", "limit")
+
+@dataclass(frozen=True, slots=True)
+class LinearSystem:
+    """``x' = A x + B u``, ``y = C x + D u``: a component near its initial state.
+
+    Parameters
+    ----------
+    A, B, C, D : Matrix, shapes (n_x, n_x), (n_x, n_u), (n_y, n_x), (n_y, n_u)
+    error : float
+        Estimate of the largest error of an entry; 0: rounding.
+    """
+
+    A: Matrix
+    B: Matrix
+    C: Matrix
+    D: Matrix
+    error: float
 
 
 class BuildContext(Protocol):
-    """What a kind may know about the scenario it is built in."""
+    """What a kind may ask of the scenario that it is built in."""
 
     step_ns: int
     stop: float
 
     def model(self, name: str) -> DescriptorSystem:
-        """Give a model of [models]."""
+        """Return a model of [models]."""
         ...
 
     def spec(self, name: str) -> Kind:
-        """Give the table of another component."""
+        """Return the table of another component."""
         ...
 
     def driver(self, to: str) -> str | None:
-        """Give the component that drives an input, ``component.input``."""
+        """Return the component that drives an input, ``component.input``."""
         ...
 
     def file(self, path: str) -> Path:
-        """Find a file named in the scenario."""
+        """Return the path of a file named in the scenario."""
         ...
 
-    def recording(self, path: str) -> Any:
+    def recording(self, path: str) -> Recording:
         """Open a log."""
         ...
 
@@ -64,7 +76,7 @@ class BuildContext(Protocol):
         path: str,
         options: FmuOptions,
     ) -> Component:
-        """Load an FMU; it is freed when the run is over."""
+        """Load an FMU; it is freed at the end of the run."""
         ...
 
     def linearization(
@@ -77,20 +89,20 @@ class BuildContext(Protocol):
         inputs: Sequence[str] | None,
         outputs: Sequence[str],
     ) -> Linearization:
-        """Linearize an FMU for a component, and record the result; a replay takes it from there."""
+        """Linearize an FMU for a component and record the result; a replay takes it from there."""
         ...
 
-    def note(self, name: str, **metadata: Any) -> None:
+    def add_metadata(self, name: str, metadata: Mapping[str, Any]) -> None:
         """Record metadata of a component for reports and the log."""
         ...
 
     def warn(self, name: str, text: str) -> None:
-        """Say that a result will be right but poorly conditioned or costly."""
+        """Record a warning: a component's result is right, but poorly conditioned or costly."""
         ...
 
 
 class Wiring(Protocol):
-    """Where a component stands among the others; worked out only where it is asked for."""
+    """What drives a component; computed only where it is asked for."""
 
     @property
     def held(self) -> Mask:
@@ -105,55 +117,82 @@ class Kind(TomlTable):
 
     @property
     def computable(self) -> bool:
-        """Whether a log alone is enough to compute it again; if not, a replay takes it from the recording."""
+        """Whether a log alone is enough to compute the component again.
+
+        If not, a replay takes it from the recording.
+        """
         return True
 
-    @property
-    def sample_period(self) -> float | None:
-        """Its period [s], where it has one."""
-        return None
-
     def advice(self, held: Mapping[str, bool], h: float) -> list[str]:
-        """Warn of what will be right but costly or poor, given which inputs are held over a communication step of ``h`` [s]."""
+        """Return warnings about what will be right but costly or poor.
+
+        Parameters
+        ----------
+        held : mapping of input name to bool
+            Whether the input keeps its value over a communication step.
+        h : float
+            Communication step [s].
+        """
         return []
 
-    def with_period(self, component: Component, n: int) -> Component:
-        """Put the component on a period of ``n`` communication steps: it goes on at every step and answers at every n-th."""
-        return component if n == 1 else Decimated(component, n)
+    def period_steps(self, name: str, step_ns: int) -> int:
+        """Return the sample period in communication steps of ``step_ns``; 1 where there is none."""
+        return 1
 
+    def with_period(self, component: Component, n: int) -> Component:
+        """Give the component a sample period of ``n`` communication steps, where it has one."""
+        return component
+
+    @abstractmethod
     def build(self, name: str, context: BuildContext) -> Component:
         """Build the component."""
-        return Linear(self.linear_model(name, context))
 
     def description(
         self, name: str, context: BuildContext
     ) -> tuple[InterfaceType, Description] | None:
-        """Give the mode and the description of the unit that it drives, where it drives one."""
+        """Return interface type and description of the FMI instance that it drives, if any."""
         return None
 
-    def near_start(self, name: str, context: BuildContext) -> NearStart:
-        """Give poles and static gain of the component, where it is linear or linearizes."""
-        from cosim.scenario.port_comparison import NearStart
+    def linear_system(self, name: str, context: BuildContext) -> LinearSystem | None:
+        """Return the component near its initial state; None: it is not linear."""
+        return None
 
-        model = self.linear_model(name, context)
-        return NearStart.of(model.A, model.B, model.C, model.D, error=0.0)
 
+class PeriodicKind(Kind):
+    """A component that may have a sample period of its own."""
+
+    period: Number | None = Field(
+        None,
+        description="sample period [s], whole communication steps; default: one communication step",
+    )
+
+    def period_steps(self, name: str, step_ns: int) -> int:
+        if self.period is None:
+            return 1
+        return whole_steps(self.period, step_ns, f"period of {name!r}")
+
+
+class ExportableKind(Kind):
+    """A component that can be exported as an FMU."""
+
+    @abstractmethod
+    def exportable(self, name: str, context: BuildContext, wiring: Wiring) -> Exportable:
+        """Return the model that an FMU is made of."""
+
+
+class LinearKind(ExportableKind):
+    """A component that is a linear model, which an exact solver steps."""
+
+    @abstractmethod
     def linear_model(self, name: str, context: BuildContext) -> LinearModel:
-        """Give the component as a linear model, where it is one: what an exact solver steps and an FMU can be made of."""
-        raise UsageError(
-            f"{name!r} is of kind {self.kind!r}, which is no linear model; what is: {', '.join(LINEAR)}"
-        )
+        """Return the component as a linear model."""
 
-    def descriptor_form(self, name: str, context: BuildContext) -> DescriptorModel:
-        """Give the component as a linear model with its algebraic equations, where it has some."""
-        raise UsageError(
-            f"{name!r} is of kind {self.kind!r}, which has no algebraic equations; what has: descriptor"
-        )
+    def build(self, name: str, context: BuildContext) -> Component:
+        return Linear(self.linear_model(name, context))
 
-    def exportable(self, name: str, context: BuildContext, place: Wiring) -> Exportable:
-        """Give what an FMU is made of."""
-        if self.kind not in LINEAR:
-            raise UsageError(
-                f"{name!r} is of kind {self.kind!r}, which cannot be exported; what can be: {', '.join(EXPORTABLE)}"
-            )
+    def linear_system(self, name: str, context: BuildContext) -> LinearSystem:
+        model = self.linear_model(name, context)
+        return LinearSystem(model.A, model.B, model.C, model.D, error=0.0)
+
+    def exportable(self, name: str, context: BuildContext, wiring: Wiring) -> Exportable:
         return self.linear_model(name, context)

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from cosim.blocks.identifier import LeastSquaresIdentifier
@@ -14,38 +15,46 @@ from cosim.blocks.observer import observer_model
 from cosim.blocks.regressor import Regressor
 from cosim.blocks.sampled import Decimated
 from cosim.core.clock import whole_steps
+from cosim.core.contracts import Component
 from cosim.core.linear import LinearModel
 from cosim.errors import AssumptionError, UsageError
 from cosim.fmi.exporting import kernels
 from cosim.fmi.exporting.kernels import DiscreteModel
 from cosim.native.expression import Program, compile_expression
 from cosim.native.step import evaluate
-from cosim.scenario.kinds.base import BuildContext, Exportable, Kind, Wiring
+from cosim.scenario.kinds.base import (
+    BuildContext,
+    Exportable,
+    ExportableKind,
+    LinearKind,
+    PeriodicKind,
+    Wiring,
+)
 from cosim.scenario.kinds.plants import StartField
-from cosim.scenario.linearizing import DesignModel, belief
+from cosim.scenario.linearizing import DesignModel, design_model
 from cosim.scenario.schema import Number, NumberRow, NumberRows, TomlTable, matrix
 from cosim.theory import estimators, observer, regression
 from cosim.theory.descriptor import reduce
 from cosim.theory.disturbance import AlphaGroup, family_named, group_by_alpha
 
-HELD_LIMIT = (
-    0.05  # filter_rate x step from which held inputs spoil the derivative by more than 2.5 %
-)
+# filter_rate x step above which a zero-order hold distorts the derivative by more than 2.5 %
+HOLD_LIMIT = 0.05
 
 
 class FmuModel(TomlTable):
-    """What an observer believes, linearized out of an FMU."""
+    """Design model of an observer, linearized from an FMU."""
 
     fmu: str = Field(description="path of an .fmu for model exchange")
     disturbance: str | tuple[str, ...] = Field(
         description="name or names of the inputs that are unknown"
     )
     inputs: tuple[str, ...] | None = Field(
-        None, description="names of the inputs that make up u; left out: all others"
+        None, description="names of the inputs that make up u; default: all others"
     )
     outputs: tuple[str, ...] = Field(("y",), description="names of the outputs that make up y")
     at: Number = Field(
-        0.0, description="linearized where the FMU arrives at this time with constant inputs [s]"
+        0.0,
+        description="time of the operating point, reached with constant inputs [s]",
     )
     start: dict[str, StartField] = Field(
         {}, description="start values by variable, inputs included"
@@ -57,84 +66,90 @@ class FmuModel(TomlTable):
         return (self.disturbance,) if isinstance(self.disturbance, str) else self.disturbance
 
 
-class Designed(NamedTuple):
-    """An observer, and what it believes."""
+class DesignedObserver(NamedTuple):
+    """An observer, and the model that it is designed on."""
 
-    belief: DesignModel
-    observer: observer.ObserverDesign
+    model: DesignModel
+    design: observer.ObserverDesign
 
 
-class UnknownInputObserverKind(Kind):
+class UnknownInputObserverKind(LinearKind):
     """Unknown-input observer with disturbance reconstruction (18)-(20)."""
 
     kind: Literal["unknown-input-observer"]
     model: str | FmuModel = Field(
-        description='what the observer believes: name of a table in [models], or { fmu = "x.fmu", disturbance = "d" }'
+        description="design model: name of a table in [models], "
+        'or { fmu = "x.fmu", disturbance = "d" }'
     )
     L: NumberRow | NumberRows | None = Field(None, description="gain; or give poles")
     poles: NumberRow | None = Field(
         None, description="eigenvalues of M - L C3 that L can move [1/s]"
     )
     x_a0: NumberRow | None = Field(
-        None, description="first estimate; left out: consistent with y(0)"
+        None, description="initial estimate; default: consistent with y(0)"
     )
     filter_rate: Number = Field(description="lambda_f of the derivative filter (19) [rad/s]")
-    q0: NumberRow | None = Field(None, description="start of the filter; left out: at the signal")
+    q0: NumberRow | None = Field(
+        None, description="initial state of the filter; default: no transient"
+    )
 
     def linear_model(self, name: str, context: BuildContext) -> LinearModel:
-        believed, design = self.design(name, context)
-        context.note(
-            name,
-            eigenvalues=[str(complex(v)) if v.imag else float(v.real) for v in design.eigenvalues],
-            fixed_modes=[str(complex(v)) if v.imag else float(v.real) for v in design.fixed_modes],
-            lambda_obs=design.lambda_obs,
+        model, design = self.design(name, context)
+        metadata = {
+            "eigenvalues": _plain_eigenvalues(design.eigenvalues),
+            "fixed_modes": _plain_eigenvalues(design.fixed_modes),
+            "lambda_obs": design.lambda_obs,
+        }
+        context.add_metadata(name, metadata)
+        linear = observer_model(
+            model.reduced, design, x_a0=self.x_a0, q0=self.q0, constant=model.constant
         )
-        return believed.declare(
-            observer_model(
-                believed.reduced, design, x_a0=self.x_a0, q0=self.q0, constant=believed.constant
-            )
-        )
+        return model.declare(linear)
 
     def advice(self, held: Mapping[str, bool], h: float) -> list[str]:
         product = self.filter_rate * h
         names = [name for name, is_held in held.items() if is_held]
-        if not names or product <= HELD_LIMIT:
+        if not names or product <= HOLD_LIMIT:
             return []
         gain = product / -math.expm1(-product) - 1.0
         return [
-            f"{' and '.join(names)} held over the step (discrete, late in a loop, or by hold), filter_rate x step = {product:g}: "
-            f"the derivative filter reads a ramp {gain:.0%} too high and a jump filter_rate times; do not trust delta"
+            f"zero-order hold of {' and '.join(names)} over the step (discrete, extrapolated in a "
+            f"loop, or by input_interpolation), filter_rate x step = {product:g}: the derivative "
+            f"filter reads a ramp {gain:.0%} too high and a jump filter_rate times; "
+            "do not trust delta"
         ]
 
-    def design(self, name: str, context: BuildContext) -> Designed:
+    def design(self, name: str, context: BuildContext) -> DesignedObserver:
         """Design the observer (14)-(18)."""
-        believed = self._belief(name, context)
-        rows = [row if isinstance(row, tuple) else (row,) for row in self.L or ()]
-        L = None if self.L is None else matrix(tuple(rows), "L")
-        return Designed(
-            believed,
-            observer.design(believed.reduced, L=L, poles=self.poles, filter_rate=self.filter_rate),
-        )
+        model = self._design_model(name, context)
+        L = None
+        if self.L is not None:
+            rows = tuple(row if isinstance(row, tuple) else (row,) for row in self.L)
+            L = matrix(rows, "L")
+        design = observer.design(model.reduced, L=L, poles=self.poles, filter_rate=self.filter_rate)
+        return DesignedObserver(model, design)
 
-    def _belief(self, name: str, context: BuildContext) -> DesignModel:
-        if isinstance(self.model, str):
-            return DesignModel(reduce(context.model(self.model)))
-        model, inputs = self.model, self.model.inputs
-        chosen = None if inputs is None else (*inputs, *model.disturbances)
-        found = context.linearization(
-            name, model.fmu, at=model.at, start=model.start, inputs=chosen, outputs=model.outputs
+    def _design_model(self, name: str, context: BuildContext) -> DesignModel:
+        model = self.model
+        if isinstance(model, str):
+            return DesignModel(reduce(context.model(model)))
+        inputs = None
+        if model.inputs is not None:
+            inputs = (*model.inputs, *model.disturbances)
+        linearization = context.linearization(
+            name, model.fmu, at=model.at, start=model.start, inputs=inputs, outputs=model.outputs
         )
-        return belief(found, model.disturbances)
+        return design_model(linearization, model.disturbances)
 
 
 class RegressorTerm(TomlTable):
-    """One component of the disturbance class (4), its parameter unknown."""
+    """One term of the disturbance class (4), its parameter unknown."""
 
     alpha: str = Field("1", description="known function of t")
     family: str = Field(description="exponential or sine")
 
 
-class RegressorKind(Kind):
+class RegressorKind(ExportableKind):
     """From delta to the known signals mu of the regression (21)-(25)."""
 
     kind: Literal["regressor"]
@@ -144,144 +159,174 @@ class RegressorKind(Kind):
     )
 
     def build(self, name: str, context: BuildContext) -> Regressor:
-        blocks, terms = self.regression()
-        steps = [
-            whole_steps(delay, context.step_ns, f"delays[{j}]")
-            for j, delay in enumerate(self.delays)
-        ]
-        programs = [compile_expression(block.alpha) for block in blocks]
-        if len(blocks) > 1:
-            regression.check_alpha_products(terms, self._alphas(programs), [block.alpha for block in blocks])
-        warning = regression.linear_route_warning([block.size for block in blocks])
+        groups, terms = self.regression()
+        steps = []
+        for j, delay in enumerate(self.delays):
+            steps.append(whole_steps(delay, context.step_ns, f"delays[{j}]"))
+        alphas = [group.alpha for group in groups]
+        programs = [compile_expression(alpha) for alpha in alphas]
+        if len(groups) > 1:
+            regression.check_alpha_products(terms, self._alphas(programs), alphas)
+        warning = regression.linear_route_warning([group.size for group in groups])
         if warning:
             context.warn(name, warning)
         return Regressor(terms, alphas=programs, steps=steps, delays=self.delays)
 
-    def exportable(self, name: str, context: BuildContext, place: Wiring) -> Exportable:
+    def exportable(self, name: str, context: BuildContext, wiring: Wiring) -> Exportable:
         component = self.build(name, context)
-        reason = "the regressor multiplies samples of the past, so it lives at the communication points and has no derivatives"
-        return DiscreteModel(
-            component.interface, kernels.regressor(component.constants), context.step_ns, reason
+        kernel = kernels.regressor(component.constants)
+        reason = (
+            "the regressor multiplies samples of the past, so it lives at the communication points "
+            "and has no derivatives"
         )
+        return DiscreteModel(component.interface, kernel, context.step_ns, reason)
 
     def regression(self) -> tuple[tuple[AlphaGroup, ...], tuple[regression.Term, ...]]:
-        """Expand the determinant for the terms given."""
+        """Expand the determinant (22) for the given terms."""
         families = [family_named(term.family) for term in self.terms]
-        blocks = group_by_alpha([term.alpha for term in self.terms], families)
-        sizes = tuple(block.size for block in blocks)
+        groups = group_by_alpha([term.alpha for term in self.terms], families)
+        sizes = tuple(group.size for group in groups)
         regression.check_delays(self.delays, sum(sizes) + 1)
-        return blocks, regression.expand(sizes)
+        return groups, regression.expand(sizes)
 
     def _alphas(self, programs: Sequence[Program]) -> Any:
         """Sample alpha_b(t - D_j) on a grid that no period of the alphas divides."""
         grid = np.arange(512) * math.sqrt(2.0) / 7.0
-        return np.array(
-            [[[evaluate(p, t - D) for p in programs] for D in self.delays] for t in grid]
-        )
+        values = np.empty((len(grid), len(self.delays), len(programs)))
+        for i, t in enumerate(grid):
+            for j, D in enumerate(self.delays):
+                values[i, j] = [evaluate(program, t - D) for program in programs]
+        return values
 
 
 class StartTable(TomlTable):
-    """Start of identification by (36)-(38)."""
+    """Identification start time T_id by (36)-(38)."""
 
     epsilon_observer: Number = Field(
-        description="fraction of the first observer error that may remain, in (0, 1)"
+        description="fraction of the initial observer error that may remain, in (0, 1)"
     )
     epsilon_filter: Number = Field(
-        description="fraction of the first filter transient that may remain, in (0, 1)"
+        description="fraction of the initial filter transient that may remain, in (0, 1)"
     )
 
 
-class IdentifierKind(Kind):
+class IdentifierKind(PeriodicKind, ExportableKind):
     """Identifier of theta by least squares (33)-(35)."""
 
     kind: Literal["identifier"]
     method: Literal["least-squares"] = Field(description='how theta is estimated: "least-squares"')
-    P0: Number | None = Field(None, description="P(0) = P0 I (34); left out: no prior")
+    P0: Number | None = Field(None, description="P(0) = P0 I (34); default: no prior")
     start: Number | StartTable = Field(
         description="T_id [s], or { epsilon_observer, epsilon_filter } for (36)-(38)"
     )
-    period: Number | None = Field(
-        None, description="seconds between two answers; left out: every communication step"
-    )
 
-    @property
-    def sample_period(self) -> float | None:
-        """Its period [s]."""
-        return self.period
+    def with_period(self, component: Component, n: int) -> Component:
+        return component if n == 1 else Decimated(component, n)
 
     def build(self, name: str, context: BuildContext) -> LeastSquaresIdentifier:
         source_name = context.driver(f"{name}.regressor")
-        spec = context.spec(source_name) if source_name is not None else None
-        if not isinstance(spec, RegressorKind):
+        spec = None if source_name is None else context.spec(source_name)
+        if source_name is None or not isinstance(spec, RegressorKind):
             raise UsageError(
-                "'regressor' must be driven directly by a component of kind 'regressor', whose terms it identifies"
+                "'regressor' must be driven directly by a component of kind 'regressor', "
+                "whose terms it identifies"
             )
-        assert source_name is not None
-        blocks, terms = spec.regression()
-        recovery = estimators.plan(terms, blocks, spec.delays)
-        start = self._start(name, source_name, spec, context)
-        context.note(name, P0=self.P0, unknowns=recovery.n_eta, remarks=_remarks(recovery))
-        return LeastSquaresIdentifier(recovery, start=start, P0=self.P0)
+        groups, terms = spec.regression()
+        recovery = estimators.plan(terms, groups, spec.delays)
+        start_time = self._start_time(name, source_name, spec, context)
+        metadata = {
+            "P0": self.P0,
+            "unknowns": recovery.n_eta,
+            "notes": _recovery_notes(recovery),
+        }
+        context.add_metadata(name, metadata)
+        return LeastSquaresIdentifier(recovery, start=start_time, P0=self.P0)
 
-    def exportable(self, name: str, context: BuildContext, place: Wiring) -> Exportable:
+    def exportable(self, name: str, context: BuildContext, wiring: Wiring) -> Exportable:
         component = self.build(name, context)
-        every = (
-            1
-            if self.period is None
-            else whole_steps(self.period, context.step_ns, f"period of {name!r}")
+        every = self.period_steps(name, context.step_ns)
+        held = bool(wiring.held.any())
+        kernel = kernels.least_squares(component.constants(component.start, held=held))
+        reason = (
+            "the identifier takes one row at every communication point, so it has no derivatives"
         )
         return DiscreteModel(
-            component.interface if every == 1 else Decimated(component, every).interface,
-            kernels.least_squares(
-                component.constants(component.start, held=bool(place.held.any()))
-            ),
+            self.with_period(component, every).interface,
+            kernel,
             context.step_ns,
-            "the identifier takes one row at every communication point, so it has no derivatives",
+            reason,
             every=every,
         )
 
-    def _start(
-        self, name: str, regressor: str, spec: RegressorKind, context: BuildContext
+    def _start_time(
+        self, name: str, regressor_name: str, regressor: RegressorKind, context: BuildContext
     ) -> float:
-        """Give the first communication point not before T_id."""
-        longest = max(spec.delays)
+        """Return the first communication point not before T_id."""
         if isinstance(self.start, StartTable):
-            observer_name = context.driver(f"{regressor}.delta")
-            found = context.spec(observer_name) if observer_name is not None else None
-            if observer_name is None or not isinstance(found, UnknownInputObserverKind):
-                raise UsageError(
-                    "start: (36)-(38) need an observer that drives the regressor; give start as a time in s instead"
-                )
-            design = found.design(observer_name, context).observer
-            times = observer.identification_start_time(
-                lambda_obs=design.lambda_obs,
-                filter_rate=found.filter_rate,
-                delays=spec.delays,
-                epsilon_observer=self.start.epsilon_observer,
-                epsilon_filter=self.start.epsilon_filter,
-            )
-            context.note(name, T_obs=times.T_obs, T_f=times.T_f, D_max=times.D_max, T_id=times.T_id)
-            wanted = times.T_id
+            T_id = self._computed_start_time(self.start, name, regressor_name, regressor, context)
         else:
-            wanted = float(self.start)
-        if wanted < longest:
+            T_id = float(self.start)
+        longest = max(regressor.delays)
+        if T_id < longest:
             raise AssumptionError(
-                f"start: found {wanted} s, needed at least the longest delay, {longest} s: before it the regressor has no value"
+                f"start: found {T_id} s, needed at least the longest delay, {longest} s: "
+                "before it the regressor has no value"
             )
-        first = math.ceil(round(wanted * 1e9, 3) / context.step_ns) * context.step_ns / 1e9
-        context.note(name, start=first)
-        return first
+        # Rounded to 1e-3 ns: a T_id on a communication point must not become the next one.
+        T_id_ns = round(T_id * 1e9, 3)
+        steps = math.ceil(T_id_ns / context.step_ns)
+        start_time = steps * context.step_ns / 1e9
+        context.add_metadata(name, {"start_time": start_time})
+        return start_time
+
+    def _computed_start_time(
+        self,
+        start: StartTable,
+        name: str,
+        regressor_name: str,
+        regressor: RegressorKind,
+        context: BuildContext,
+    ) -> float:
+        """Compute T_id (36)-(38) from the observer that drives the regressor."""
+        observer_name = context.driver(f"{regressor_name}.delta")
+        spec = None if observer_name is None else context.spec(observer_name)
+        if observer_name is None or not isinstance(spec, UnknownInputObserverKind):
+            raise UsageError(
+                "start: (36)-(38) need an observer that drives the regressor; "
+                "give start as a time in s instead"
+            )
+        times = observer.identification_start_time(
+            lambda_obs=spec.design(observer_name, context).design.lambda_obs,
+            filter_rate=spec.filter_rate,
+            delays=regressor.delays,
+            epsilon_observer=start.epsilon_observer,
+            epsilon_filter=start.epsilon_filter,
+        )
+        metadata = {
+            "T_obs": times.T_obs,
+            "T_f": times.T_f,
+            "D_max": times.D_max,
+            "T_id": times.T_id,
+        }
+        context.add_metadata(name, metadata)
+        return times.T_id
 
 
-def _remarks(recovery: estimators.Recovery) -> list[str]:
-    """Say what the recovery of theta cannot tell apart."""
-    remarks = []
-    for block in recovery.groups:
-        at = ", ".join(f"theta[{i}]" for i in block.theta)
-        if block.kind is estimators.RecoveryKind.SINE:
-            remarks.append(
-                f"{at}: a rate above {block.limit:.4g} rad/s is taken for a slower one (delays {block.spacing:g} s apart)"
+def _plain_eigenvalues(eigenvalues: NDArray[Any]) -> list[float | str]:
+    """Return eigenvalues as JSON can write them: complex ones as text."""
+    return [str(complex(v)) if v.imag else float(v.real) for v in eigenvalues]
+
+
+def _recovery_notes(recovery: estimators.Recovery) -> list[str]:
+    """Return what the recovery of theta cannot distinguish."""
+    notes = []
+    for group in recovery.groups:
+        names = ", ".join(f"theta[{i}]" for i in group.theta)
+        if group.kind is estimators.RecoveryKind.SINE:
+            notes.append(
+                f"{names}: a rate above {group.limit:.4g} rad/s is taken for a slower one "
+                f"(delays {group.spacing:g} s apart)"
             )
-        if block.kind is estimators.RecoveryKind.EXPONENTIALS:
-            remarks.append(f"{at}: two exponentials under one alpha come back the larger first")
-    return remarks
+        if group.kind is estimators.RecoveryKind.EXPONENTIALS:
+            notes.append(f"{names}: two exponentials under one alpha come back the larger first")
+    return notes

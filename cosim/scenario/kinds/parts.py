@@ -18,11 +18,18 @@ from cosim.core.signals import Interface
 from cosim.fmi.exporting import kernels
 from cosim.fmi.exporting.kernels import DiscreteModel
 from cosim.native.step import first_order_hold
-from cosim.scenario.kinds.base import BuildContext, Exportable, Kind, Wiring
+from cosim.scenario.kinds.base import (
+    BuildContext,
+    Exportable,
+    ExportableKind,
+    LinearKind,
+    PeriodicKind,
+    Wiring,
+)
 from cosim.scenario.schema import Number, NumberRow, NumberRows, Whole, matrix
 
 
-class SumKind(Kind):
+class SumKind(ExportableKind):
     """y = signs[0] u1 + signs[1] u2 + ..."""
 
     kind: Literal["sum"]
@@ -33,13 +40,12 @@ class SumKind(Kind):
     def build(self, name: str, context: BuildContext) -> Component:
         return arithmetic.sum_of(self.signs, size=self.size, unit=self.unit)
 
-    def exportable(self, name: str, context: BuildContext, place: Wiring) -> Exportable:
-        return _without_state(
-            self.build(name, context).interface, np.kron(np.array([self.signs]), np.eye(self.size))
-        )
+    def exportable(self, name: str, context: BuildContext, wiring: Wiring) -> Exportable:
+        D = np.kron(np.array([self.signs]), np.eye(self.size))
+        return _static_model(self.build(name, context).interface, D)
 
 
-class GainKind(Kind):
+class GainKind(ExportableKind):
     """y = K u."""
 
     kind: Literal["gain"]
@@ -49,15 +55,17 @@ class GainKind(Kind):
     def build(self, name: str, context: BuildContext) -> Component:
         return arithmetic.gain(self._matrix, unit=self.unit)
 
-    def exportable(self, name: str, context: BuildContext, place: Wiring) -> Exportable:
-        return _without_state(self.build(name, context).interface, self._matrix)
+    def exportable(self, name: str, context: BuildContext, wiring: Wiring) -> Exportable:
+        return _static_model(self.build(name, context).interface, self._matrix)
 
     @property
     def _matrix(self) -> Matrix:
-        return np.array([[self.K]]) if isinstance(self.K, (int, float)) else matrix(self.K, "K")
+        if isinstance(self.K, (int, float)):
+            return np.array([[self.K]])
+        return matrix(self.K, "K")
 
 
-class LimitKind(Kind):
+class LimitKind(ExportableKind):
     """y = u within lower and upper."""
 
     kind: Literal["limit"]
@@ -69,18 +77,19 @@ class LimitKind(Kind):
     def build(self, name: str, context: BuildContext) -> Component:
         return arithmetic.limit(lower=self.lower, upper=self.upper, size=self.size, unit=self.unit)
 
-    def exportable(self, name: str, context: BuildContext, place: Wiring) -> Exportable:
-        face = self.build(name, context).interface
+    def exportable(self, name: str, context: BuildContext, wiring: Wiring) -> Exportable:
+        interface = self.build(name, context).interface
+        kernel = kernels.limit(float(self.lower), float(self.upper))
         reason = "a limit is not smooth, so it has no derivatives everywhere"
-        return DiscreteModel(face, kernels.limit(float(self.lower), float(self.upper)), 0, reason)
+        return DiscreteModel(interface, kernel, 0, reason)
 
 
-class LagKind(Kind):
+class LagKind(LinearKind):
     """First-order lag: time_constant y' = u - y."""
 
     kind: Literal["lag"]
     time_constant: Number = Field(description="time constant [s]")
-    start: Number | None = Field(None, description="y(0); left out: u(0)")
+    start: Number | None = Field(None, description="y(0); default: u(0)")
     size: Whole = Field(1, ge=1, le=100_000, description="number of elements")
     unit: str | None = None
 
@@ -90,12 +99,12 @@ class LagKind(Kind):
         )
 
 
-class DelayKind(Kind):
+class DelayKind(ExportableKind):
     """y(t) = u(t - delay)."""
 
     kind: Literal["delay"]
     delay: Number = Field(description="a whole number of communication steps [s]")
-    initial: Number | None = Field(None, description="y until then; left out: u(0)")
+    initial: Number | None = Field(None, description="y until then; default: u(0)")
     size: Whole = Field(1, ge=1, le=100_000, description="number of elements")
     unit: str | None = None
 
@@ -104,7 +113,7 @@ class DelayKind(Kind):
             self._steps(context), initial=self.initial, size=self.size, unit=self.unit
         )
 
-    def exportable(self, name: str, context: BuildContext, place: Wiring) -> Exportable:
+    def exportable(self, name: str, context: BuildContext, wiring: Wiring) -> Exportable:
         kernel = kernels.delay(self._steps(context), self.size, self.initial)
         reason = "a delay line keeps samples of the communication points, so it has no derivatives"
         return DiscreteModel(self.build(name, context).interface, kernel, context.step_ns, reason)
@@ -113,27 +122,20 @@ class DelayKind(Kind):
         return whole_steps(self.delay, context.step_ns, "delay")
 
 
-class ControllerKind(Kind):
-    """Linear controller x' = A x + B u, y = C x + D u; with a period it samples u and holds it (zero-order hold)."""
+class ControllerKind(PeriodicKind, LinearKind):
+    """Linear controller x' = A x + B u, y = C x + D u; with a period: zero-order hold of u."""
 
     kind: Literal["controller"]
     A: NumberRows = Field(description="matrix (n, n)")
     B: NumberRows = Field(description="matrix (n, inputs)")
     C: NumberRows = Field(description="matrix (outputs, n)")
-    D: NumberRows | None = Field(None, description="matrix (outputs, inputs); left out: zero")
-    x0: NumberRow | None = Field(None, description="x(0); left out: zero")
-    period: Number | None = Field(
-        None, description="its own step [s], u sampled and held; left out: the communication step"
-    )
+    D: NumberRows | None = Field(None, description="matrix (outputs, inputs); default: zero")
+    x0: NumberRow | None = Field(None, description="x(0); default: zero")
     unit: str | None = None
 
-    @property
-    def sample_period(self) -> float | None:
-        """Its period [s]."""
-        return self.period
-
     def with_period(self, component: Component, n: int) -> Component:
-        return Sampled(component, n, hold=True)
+        # A period of one communication step still holds u over it.
+        return component if self.period is None else Sampled(component, n, hold=True)
 
     def linear_model(self, name: str, context: BuildContext) -> LinearModel:
         D = None if self.D is None else matrix(self.D, "D")
@@ -147,37 +149,38 @@ class ControllerKind(Kind):
             unit=self.unit,
         )
 
-    def exportable(self, name: str, context: BuildContext, place: Wiring) -> Exportable:
+    def exportable(self, name: str, context: BuildContext, wiring: Wiring) -> Exportable:
         model = self.linear_model(name, context)
         if self.period is None:
             return model
-        every = whole_steps(self.period, context.step_ns, f"period of {name!r}")
-        discrete = first_order_hold(
-            model.A,
-            model.B,
-            context.step_ns * every / NANOSECONDS,
-            np.ones(model.interface.n_u, np.bool_),
+        every = self.period_steps(name, context.step_ns)
+        period = context.step_ns * every / NANOSECONDS
+        all_held = np.ones(model.interface.n_u, np.bool_)
+        discretization = first_order_hold(model.A, model.B, period, all_held)
+        reason = (
+            "with a period the controller samples and holds, so it lives at the communication "
+            "points and has no derivatives"
         )
         return DiscreteModel(
             self.with_period(Linear(model), every).interface,
-            kernels.sampled(discrete, C=model.C, D=model.D, X0=model.X0),
+            kernels.sampled(discretization, C=model.C, D=model.D, X0=model.X0),
             context.step_ns,
-            "with a period the controller samples and holds, so it lives at the communication points and has no derivatives",
+            reason,
             every=every,
             holds=True,
         )
 
 
-def _without_state(interface: Interface, D: Matrix) -> LinearModel:
-    """Give y = D u as a linear model without states."""
-    p, m = D.shape
+def _static_model(interface: Interface, D: Matrix) -> LinearModel:
+    """Return y = D u as a linear model without states."""
+    n_y, n_u = D.shape
     return LinearModel(
         interface,
-        (),
-        np.zeros((0, 0)),
-        np.zeros((0, m)),
-        np.zeros((p, 0)),
-        D,
-        np.zeros(0),
-        np.zeros((0, m)),
+        states=(),
+        A=np.zeros((0, 0)),
+        B=np.zeros((0, n_u)),
+        C=np.zeros((n_y, 0)),
+        D=D,
+        X0=np.zeros(0),
+        Xu=np.zeros((0, n_u)),
     )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field, StrictBool, StrictInt, StrictStr
@@ -13,19 +15,24 @@ from cosim.core.contracts import Component
 from cosim.core.linear import DescriptorModel, LinearModel
 from cosim.errors import UsageError, nearest
 from cosim.fmi.driving.solvers import SOLVERS, STEPPING
-from cosim.scenario.kinds.base import BuildContext, Kind
+from cosim.scenario.kinds.base import (
+    BuildContext,
+    Kind,
+    LinearKind,
+    LinearSystem,
+    PeriodicKind,
+)
 from cosim.scenario.schema import Number, NumberRow
 
 if TYPE_CHECKING:
     from cosim.fmi.description import Description, InterfaceType
-    from cosim.scenario.port_comparison import NearStart
 
 Scalar = StrictBool | StrictInt | Number | StrictStr
 StartField = Scalar | list[Scalar] | list[list[Scalar]] | list[list[list[Scalar]]]
 
 
 class PlantKind(Kind):
-    """What a replay takes from the recording."""
+    """A component that a replay takes from the recording."""
 
     @property
     def computable(self) -> bool:
@@ -33,12 +40,12 @@ class PlantKind(Kind):
         return False
 
 
-class DescriptorKind(PlantKind):
+class DescriptorKind(PlantKind, LinearKind):
     """Plant generated from a descriptor model: E x' = A x + Bu u + Bd delta, y = C x."""
 
     kind: Literal["descriptor"]
     model: str = Field(description="name of a table in [models]")
-    x_a0: NumberRow = Field(description="dynamic states at the start")
+    x_a0: NumberRow = Field(description="initial dynamic states")
     solver: str = Field("exact", description=f"one of: {', '.join(SOLVERS)}")
 
     def build(self, name: str, context: BuildContext) -> Component:
@@ -47,55 +54,50 @@ class DescriptorKind(PlantKind):
 
         if self.solver not in SOLVERS:
             raise UsageError(f"solver: found {self.solver!r}; {nearest(self.solver, SOLVERS)}")
-        return ModelExchange(
-            GeneratedInstance.of(self.linear_model(name, context), name), solver=self.solver
-        )
+        instance = GeneratedInstance.of(self.linear_model(name, context), name)
+        return ModelExchange(instance, solver=self.solver)
 
     def description(
         self, name: str, context: BuildContext
     ) -> tuple[InterfaceType, Description] | None:
         from cosim.fmi.generated import GeneratedInstance
 
-        return "me", GeneratedInstance.of(self.linear_model(name, context), name).description
+        instance = GeneratedInstance.of(self.linear_model(name, context), name)
+        return "me", instance.description
 
     def linear_model(self, name: str, context: BuildContext) -> LinearModel:
         return descriptor_model(context.model(self.model), self.x_a0)
 
-    def descriptor_form(self, name: str, context: BuildContext) -> DescriptorModel:
+    def descriptor_form(self, context: BuildContext) -> DescriptorModel:
+        """Return the component as a linear model with its algebraic equations."""
         return descriptor_form(context.model(self.model), self.x_a0)
 
 
-class FmuKind(PlantKind):
+class FmuKind(PlantKind, PeriodicKind):
     """A real FMU, FMI 1.0, 2.0 or 3.0."""
 
     kind: Literal["fmu"]
     path: str = Field(description="path of the .fmu")
     interface_type: Literal["me", "cs"] | None = Field(
-        None, description="model exchange or co-simulation; left out: me where it is offered"
+        None, description="model exchange or co-simulation; default: me where the FMU offers it"
     )
     solver: str | None = Field(
         None, description=f"for model exchange, one of: {', '.join(STEPPING)}"
     )
     tolerance: Number | None = Field(
         None,
-        description="relative tolerance of the states, for solvers that keep one; left out: 1e-9",
+        description="relative tolerance of the states, for solvers that have one; default: 1e-9",
     )
     dae: Literal["ode", "residual"] = Field(
         "ode",
-        description="with a residual form (FMI-LS-DAE), for model exchange: whether the FMU or this solver solves for it",
+        description="with a residual form (FMI-LS-DAE), for model exchange: "
+        "whether the FMU or this solver solves for it",
     )
     start: dict[str, StartField] = Field(
         {},
-        description="start values by variable: number, Boolean, item of an enumeration, text (a Binary in hexadecimal), list",
+        description="start values by variable: number, Boolean, item of an enumeration, "
+        "text (a Binary in hexadecimal), list",
     )
-    period: Number | None = Field(
-        None, description="its own step [s]; left out: the communication step"
-    )
-
-    @property
-    def sample_period(self) -> float | None:
-        """Its period [s]."""
-        return self.period
 
     def with_period(self, component: Component, n: int) -> Component:
         return component if n == 1 else Sampled(component, n)
@@ -118,32 +120,46 @@ class FmuKind(PlantKind):
         from cosim.fmi.description import INTERFACE_TYPES
         from cosim.fmi.reading.model_description import read
 
-        found = read(context.file(self.path)).description
-        there: InterfaceType = next(
-            interface_type
-            for interface_type in INTERFACE_TYPES
-            if interface_type in found.capabilities
-        )
-        return self.interface_type or there, found
+        description = read(context.file(self.path)).description
+        if self.interface_type is not None:
+            return self.interface_type, description
+        offered = [name for name in INTERFACE_TYPES if name in description.capabilities]
+        return offered[0], description
 
-    def near_start(self, name: str, context: BuildContext) -> NearStart:
+    def linear_system(self, name: str, context: BuildContext) -> LinearSystem:
+        """Linearize the FMU at its initial state.
+
+        Raises
+        ------
+        UsageError
+            If there can be one instance only, or a start value is no number.
+        FmuError
+            If it cannot be linearized.
+        """
         from cosim.fmi.linearizing.linearize import linearize
         from cosim.fmi.reading.model_description import read
-        from cosim.scenario.port_comparison import NearStart
 
         path = context.file(self.path)
-        if any(able.once_per_process for able in read(path).description.capabilities.values()):
+        capabilities = read(path).description.capabilities
+        if any(capability.once_per_process for capability in capabilities.values()):
             raise UsageError(f"{path}: there can be one instance only, which is in use")
-        start = {
-            variable: float(value)
-            for variable, value in self.start.items()
-            if isinstance(value, (int, float))
-        }
-        if len(start) < len(self.start):
-            raise UsageError(f"{path}: can be linearized with numbers as start values only")
-        found = linearize(path, start=start)
-        error = max((one or 0.0 for one in found.errors.values()), default=0.0)
-        return NearStart.of(found.A, found.B, found.C, found.D, error=error)
+        linearization = linearize(path, start=self._numeric_start(path))
+        errors = [error or 0.0 for error in linearization.errors.values()]
+        return LinearSystem(
+            linearization.A,
+            linearization.B,
+            linearization.C,
+            linearization.D,
+            error=max(errors, default=0.0),
+        )
+
+    def _numeric_start(self, path: Path) -> Mapping[str, float]:
+        numbers: dict[str, float] = {}
+        for variable, value in self.start.items():
+            if not isinstance(value, (int, float)):
+                raise UsageError(f"{path}: can be linearized with numbers as start values only")
+            numbers[variable] = float(value)
+        return numbers
 
 
 class RecordingKind(PlantKind):
@@ -155,8 +171,9 @@ class RecordingKind(PlantKind):
 
     def build(self, name: str, context: BuildContext) -> Component:
         recording = context.recording(self.log)
-        if recording.end_ns / 1e9 < context.stop:
+        end = recording.end_ns / 1e9
+        if end < context.stop:
             raise UsageError(
-                f"log {self.log!r} ends at {recording.end_ns / 1e9} s; needed {context.stop} s, the whole run"
+                f"log {self.log!r} ends at {end} s; needed {context.stop} s, the whole run"
             )
         return Replay(recording, self.component)

@@ -5,15 +5,16 @@ from __future__ import annotations
 import csv
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from pydantic import Field
 
-from cosim.arrays import Vector
+from cosim.arrays import Matrix, Vector
 from cosim.blocks import source
 from cosim.core.clock import whole_steps
 from cosim.core.contracts import Component
+from cosim.core.signals import SignalType, Variability
 from cosim.errors import UsageError, nearest
 from cosim.native.expression import compile_expression
 from cosim.scenario.kinds.base import BuildContext, Kind
@@ -22,7 +23,9 @@ from cosim.theory.disturbance import family_named
 
 
 def _vector(value: float | Sequence[float]) -> list[float]:
-    return [float(value)] if isinstance(value, (int, float)) else [float(v) for v in value]
+    if isinstance(value, (int, float)):
+        return [float(value)]
+    return [float(element) for element in value]
 
 
 class ConstantKind(Kind):
@@ -33,11 +36,8 @@ class ConstantKind(Kind):
     unit: str | None = None
 
     def build(self, name: str, context: BuildContext) -> Component:
-        return source.constant(
-            _vector(self.value),
-            unit=self.unit,
-            kind="boolean" if isinstance(self.value, bool) else "real",
-        )
+        kind: SignalType = "boolean" if isinstance(self.value, bool) else "real"
+        return source.constant(_vector(self.value), unit=self.unit, kind=kind)
 
 
 class StepKind(Kind):
@@ -114,30 +114,29 @@ class ExpressionKind(Kind):
     y: str | tuple[str, ...] = Field(
         description='an expression, like "1 + 0.5*sin(2*t)", or several'
     )
-    discrete: Flag = Field(False, description="holds its value over a step")
+    discrete: Flag = Field(False, description="zero-order hold over a step")
     unit: str | None = None
 
     def build(self, name: str, context: BuildContext) -> Component:
         texts = [self.y] if isinstance(self.y, str) else list(self.y)
-        return source.Expression(
-            texts, variability="discrete" if self.discrete else "continuous", unit=self.unit
-        )
+        variability: Variability = "discrete" if self.discrete else "continuous"
+        return source.Expression(texts, variability=variability, unit=self.unit)
 
 
 class TableKind(Kind):
-    """y on straight lines between given points: arrays, or a CSV file with a header line."""
+    """y = linear interpolation of given points: arrays, or a CSV file with a header line."""
 
     kind: Literal["table"]
     t: NumberRow | None = Field(None, description="instants [s]")
     y: NumberRow | NumberRows | None = Field(
         None, description="values, or rows of values, at those instants"
     )
-    file: str | None = Field(None, description="CSV file instead: first line names the columns")
+    file: str | None = Field(None, description="CSV file instead; its first line names the columns")
     time: str = Field("t", description="column of the instants")
     columns: tuple[str, ...] | None = Field(
-        None, description="columns of the values; all others if left out"
+        None, description="columns of the values; default: all others"
     )
-    hold: Flag = Field(False, description="keep each value until the next instant")
+    hold: Flag = Field(False, description="zero-order hold of each value until the next instant")
     unit: str | None = None
 
     @property
@@ -148,56 +147,68 @@ class TableKind(Kind):
     def build(self, name: str, context: BuildContext) -> Component:
         if (self.file is None) == (self.t is None or self.y is None):
             raise UsageError("table: needed either t and y, or file")
-        t, y = self._read(context.file(self.file)) if self.file is not None else self._given()
+        if self.file is not None:
+            t, y = self._read(context.file(self.file))
+        else:
+            t, y = self._arrays()
         if len(t) and not t[0] <= 0.0 <= context.stop <= t[-1]:
             raise UsageError(
-                f"table: covers {t[0]} s to {t[-1]} s; needed 0 s to {context.stop} s, the whole run"
+                f"table: covers {t[0]} s to {t[-1]} s; "
+                f"needed 0 s to {context.stop} s, the whole run"
             )
         return source.Table(t, y, hold=self.hold, unit=self.unit)
 
-    def _given(self) -> tuple[Vector, Any]:
-        y = self.y or ()
-        rows = [row if isinstance(row, tuple) else (row,) for row in y]
-        return np.array(self.t), matrix(tuple(rows), "y")
+    def _arrays(self) -> tuple[Vector, Matrix]:
+        rows = tuple(row if isinstance(row, tuple) else (row,) for row in self.y or ())
+        return np.array(self.t), matrix(rows, "y")
 
-    def _read(self, path: Path) -> tuple[Vector, Any]:
-        try:
-            with path.open(encoding="utf-8-sig") as stream:  # Excel writes a byte order mark
-                header = [cell.strip() for cell in next(csv.reader([stream.readline()]), [])]
-                lines = [line for line in stream if line.strip()]
-            if not lines:
-                raise UsageError(
-                    f"file {str(path)!r} has no rows of numbers; needed a line of names and at least two rows"
-                )
-            values = np.loadtxt(lines, delimiter=",", ndmin=2)
-        except OSError as error:
-            raise UsageError(f"file {str(path)!r} cannot be read: {error.strerror}") from error
-        except ValueError as error:
-            raise UsageError(
-                f"file {str(path)!r} is no table of numbers separated by commas: {error}"
-            ) from error
-        twice = sorted({name for name in header if header.count(name) > 1})
-        if twice:
-            raise UsageError(
-                f"file {str(path)!r} has two columns {twice[0]!r}; needed a name of its own for each"
-            )
-        wanted = (
-            list(self.columns)
-            if self.columns is not None
-            else [column for column in header if column != self.time]
-        )
-        for column in (self.time, *wanted):
+    def _read(self, path: Path) -> tuple[Vector, Matrix]:
+        header, values = _read_csv(path)
+        if self.columns is not None:
+            value_columns = list(self.columns)
+        else:
+            value_columns = [column for column in header if column != self.time]
+        for column in (self.time, *value_columns):
             if column not in header:
                 raise UsageError(
                     f"file {str(path)!r} has no column {column!r}; {nearest(column, header)}"
                 )
         if values.shape[1] != len(header):
             raise UsageError(
-                f"file {str(path)!r} has {len(header)} names and {values.shape[1]} columns; needed as many of both"
+                f"file {str(path)!r} has {len(header)} names and {values.shape[1]} columns; "
+                "needed as many of both"
             )
-        return values[:, header.index(self.time)], values[
-            :, [header.index(column) for column in wanted]
-        ]
+        t = values[:, header.index(self.time)]
+        y = values[:, [header.index(column) for column in value_columns]]
+        return t, y
+
+
+def _read_csv(path: Path) -> tuple[list[str], Matrix]:
+    """Read the names of the columns and the rows of numbers of a CSV file."""
+    try:
+        with path.open(encoding="utf-8-sig") as stream:  # Excel writes a byte order mark
+            first_row = next(csv.reader([stream.readline()]), [])
+            lines = [line for line in stream if line.strip()]
+        if not lines:
+            raise UsageError(
+                f"file {str(path)!r} has no rows of numbers; "
+                "needed a line of names and at least two rows"
+            )
+        values: Matrix = np.loadtxt(lines, delimiter=",", ndmin=2)
+    except OSError as error:
+        raise UsageError(f"file {str(path)!r} cannot be read: {error.strerror}") from error
+    except ValueError as error:
+        raise UsageError(
+            f"file {str(path)!r} is no table of numbers separated by commas: {error}"
+        ) from error
+    header = [cell.strip() for cell in first_row]
+    duplicates = sorted({name for name in header if header.count(name) > 1})
+    if duplicates:
+        raise UsageError(
+            f"file {str(path)!r} has two columns {duplicates[0]!r}; "
+            "needed a name of its own for each"
+        )
+    return header, values
 
 
 class NoiseKind(Kind):
@@ -216,7 +227,7 @@ class NoiseKind(Kind):
 
 
 class DisturbanceTerm(TomlTable):
-    """One component alpha(t) f(theta, t) of (4)."""
+    """One term alpha(t) f(theta, t) of (4)."""
 
     alpha: str = Field("1", description="known function of t")
     family: str = Field(description="exponential or sine")
@@ -233,15 +244,17 @@ class DisturbanceKind(Kind):
     unit: str | None = None
 
     def build(self, name: str, context: BuildContext) -> Component:
-        texts = []
-        for term in self.terms:
-            compile_expression(term.alpha)
-            family_named(term.family)
-            shape = (
-                f"exp({term.theta!r}*t)"
-                if term.family == "exponential"
-                else f"sin({term.theta!r}*t + {term.phase!r})"
-            )
-            texts.append(f"({term.alpha})*{term.amplitude!r}*{shape}")
-        context.note(name, theta=[term.theta for term in self.terms])
+        texts = [_term_expression(term) for term in self.terms]
+        context.add_metadata(name, {"theta": [term.theta for term in self.terms]})
         return source.Expression([" + ".join(texts)], unit=self.unit)
+
+
+def _term_expression(term: DisturbanceTerm) -> str:
+    """Write alpha(t) f(theta, t) as an expression, after a check of its alpha and family."""
+    compile_expression(term.alpha)
+    family_named(term.family)
+    if term.family == "exponential":
+        function = f"exp({term.theta!r}*t)"
+    else:
+        function = f"sin({term.theta!r}*t + {term.phase!r})"
+    return f"({term.alpha})*{term.amplitude!r}*{function}"
