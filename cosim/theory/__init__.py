@@ -1,1 +1,4 @@
-"""The method: reduction, observer, disturbance class, regression and estimators as pure functions on frozen data."""
+"""The method as pure functions on frozen data.
+
+Reduction, observer, disturbance class, regression, estimators.
+"""

@@ -1,7 +1,7 @@
 """Conditions under which the observer exists, each refused with a named verdict and its evidence.
 
-FEWER_OUTPUTS_THAN_DISTURBANCES, DEPENDENT_DISTURBANCES, RELATIVE_DEGREE: (14) fails, the disturbance is not decoupled.
-NOT_DETECTABLE: an invariant zero is not stable, and no gain moves it.
+FEWER_OUTPUTS_THAN_DISTURBANCES, DEPENDENT_DISTURBANCES, RELATIVE_DEGREE: (14) fails, the
+disturbance is not decoupled. NOT_DETECTABLE: an invariant zero is not stable, and no gain moves it.
 """
 
 from __future__ import annotations
@@ -16,89 +16,108 @@ from cosim.theory.placement import modes
 
 
 def decoupling_matrix(reduced: ReducedSystem) -> Matrix:
-    """Give `G = (C3 B_2a)^+`, the factor of (15), after checking (11) and (14).
+    """Compute `G = (C3 B_2a)^+`, the factor of (15), after checking (11) and (14).
+
+    Its shape is ``(n_d, n_y)``.
 
     Raises
     ------
     AssumptionError
-        If the disturbance reaches y directly (Assumption 4), or is not decoupled by one derivative of y (Assumption 5).
+        If the disturbance reaches y directly (Assumption 4), or is not decoupled by one derivative
+        of y (Assumption 5).
     """
-    C3, B_2a = reduced.C3, reduced.B_2a
-    n_y, n_d = reduced.C5.shape
-    if reduced.C5.any():
+    C3 = reduced.C3
+    C5 = reduced.C5
+    B_2a = reduced.B_2a
+    n_y, n_d = C5.shape
+    if C5.any():
         raise AssumptionError(
-            f"Assumption 4 (11): C5 = {reduced.C5.tolist()}, needed 0: the disturbance reaches y directly, so it follows from y "
-            "without a derivative; this observer cannot be used"
+            f"Assumption 4 (11): C5 = {C5.tolist()}, needed 0: the disturbance reaches y directly, "
+            "so it follows from y without a derivative; this observer cannot be used"
         )
     if n_d > n_y:
         raise AssumptionError(
-            f"Assumption 5 (14): {n_y} output(s) for {n_d} disturbances, needed at least {n_d} outputs: the disturbance is "
-            "not decoupled (FEWER_OUTPUTS_THAN_DISTURBANCES)"
+            f"Assumption 5 (14): {n_y} output(s) for {n_d} disturbances, needed at least {n_d} "
+            "outputs: the disturbance is not decoupled (FEWER_OUTPUTS_THAN_DISTURBANCES)"
         )
-    if rank(B_2a) < n_d:
+    directions = rank(B_2a)
+    if directions < n_d:
         raise AssumptionError(
-            f"Assumption 5 (14): rank B_2a = {rank(B_2a)} for {n_d} disturbances: some of them act in the same direction and "
-            "cannot be told apart; merge them into one (DEPENDENT_DISTURBANCES)"
+            f"Assumption 5 (14): rank B_2a = {directions} for {n_d} disturbances: some of them act "
+            "in the same direction and cannot be told apart; merge them into one "
+            "(DEPENDENT_DISTURBANCES)"
         )
     reached = _rank_of_product(C3, B_2a)
     if reached < n_d:
         raise AssumptionError(
-            f"Assumption 5 (14): rank C3 B_2a = {reached}, needed rank B_2a = {n_d}: the disturbance is not decoupled; it "
-            f"reaches y only through more integrators (RELATIVE_DEGREE): {_markov_parameters(reduced)}"
+            f"Assumption 5 (14): rank C3 B_2a = {reached}, needed rank B_2a = {n_d}: the "
+            "disturbance is not decoupled; it reaches y only through more integrators "
+            f"(RELATIVE_DEGREE): {_markov_parameters(reduced)}"
         )
     return np.asarray(np.linalg.pinv(C3 @ B_2a), dtype=np.float64)
 
 
 def check_detectable(fixed_modes: ComplexVector, M: Matrix) -> None:
-    """Refuse a fixed mode [1/s] of (M, C3) that is not stable.
+    """Check that every fixed mode [1/s] of (M, C3) is stable.
 
     Raises
     ------
     AssumptionError
-        If there is one.
+        If one is not.
     """
     for mode in fixed_modes:
         if mode.real > -_rounding(M):
+            eigenvalue = modes([mode])
             raise AssumptionError(
-                f"M - L C is not Hurwitz: eigenvalue {modes([mode])}; the invariant zero at {modes([mode])} cannot be moved by L "
-                "(NOT_DETECTABLE); another output is needed"
+                f"M - L C is not Hurwitz: eigenvalue {eigenvalue}; the invariant zero at "
+                f"{eigenvalue} cannot be moved by L (NOT_DETECTABLE); another output is needed"
             )
 
 
 def check_hurwitz(movable: ComplexVector, closed: Matrix, fixed_modes: ComplexVector) -> None:
-    """Refuse a gain that leaves a movable eigenvalue [1/s] of ``closed = M - L C3`` not stable.
+    """Check that every movable eigenvalue [1/s] of ``closed = M - L C3`` is stable.
 
     Raises
     ------
     AssumptionError
-        If it does.
+        If one is not.
     """
-    unstable = [mode for mode in movable if mode.real > -_rounding(closed)]
+    tolerance = _rounding(closed)
+    unstable = [mode for mode in movable if mode.real > -tolerance]
     if unstable:
         raise AssumptionError(
-            f"M - L C is not Hurwitz: eigenvalue {modes(unstable)}; another L moves it: {len(movable)} eigenvalue(s) can be "
-            f"placed, fixed: {modes(fixed_modes)}"
+            f"M - L C is not Hurwitz: eigenvalue {modes(unstable)}; another L moves it: "
+            f"{len(movable)} eigenvalue(s) can be placed, fixed: {modes(fixed_modes)}"
         )
 
 
 def _rank_of_product(C: Matrix, B: Matrix) -> int:
-    """Count the independent columns of C B, seen against the sizes of C and B, not against C B, which may be all rounding."""
+    """Compute the rank of C B relative to the sizes of C and B.
+
+    Relative to C B itself, which may be all rounding, the rank would be meaningless.
+    """
     values = np.linalg.svd(C @ B, compute_uv=False)
-    return int((values > 1e-12 * float(np.linalg.norm(C)) * float(np.linalg.norm(B))).sum())
+    size_of_C = float(np.linalg.norm(C))
+    size_of_B = float(np.linalg.norm(B))
+    return int((values > 1e-12 * size_of_C * size_of_B).sum())
 
 
 def _markov_parameters(reduced: ReducedSystem) -> str:
     """List C A^k B up to the first power at which they have full rank together, or n_a - 1."""
-    seen, text, power = np.zeros((0, reduced.B_2a.shape[1])), [], reduced.B_2a
+    listed = []
+    power = reduced.B_2a  # A^k B
+    stacked = np.zeros((0, power.shape[1]))
     for k in range(len(reduced.A_a)):
         markov = reduced.C3 @ power
-        text.append(f"C A^{k} B = {markov.tolist()}")
-        seen, power = np.vstack([seen, markov]), reduced.A_a @ power
-        if rank(seen) == seen.shape[1]:
+        listed.append(f"C A^{k} B = {markov.tolist()}")
+        stacked = np.vstack([stacked, markov])
+        if rank(stacked) == stacked.shape[1]:
             break
-    return ", ".join(text)
+        power = reduced.A_a @ power
+    return ", ".join(listed)
 
 
 def _rounding(matrix: Matrix) -> float:
-    """Give what rounding may add to an eigenvalue at zero."""
-    return 100.0 * float(np.finfo(np.float64).eps) * float(np.linalg.norm(matrix))
+    """Return how far rounding may move an eigenvalue at zero."""
+    epsilon = float(np.finfo(np.float64).eps)
+    return 100.0 * epsilon * float(np.linalg.norm(matrix))

@@ -1,4 +1,4 @@
-"""Descriptor systems (1)-(2), their assumptions, and the reduction to an ordinary differential equation (8)-(12).
+"""Descriptor systems (1)-(2), their assumptions, and the reduction (8)-(12) to an ordinary system.
 
 Any number of inputs, disturbances and outputs::
 
@@ -6,7 +6,8 @@ Any number of inputs, disturbances and outputs::
        0 = A21 x_a + A22 x_b + B21 u + B22 delta
        y = C1  x_a + C2  x_b
 
-E is `diag(I, 0)` (Assumption 1); a general E would be brought to this form by a function of its own, before `reduce`.
+E is `diag(I, 0)` (Assumption 1); a general E would be brought to this form by a function of its
+own, before `reduce`.
 """
 
 from __future__ import annotations
@@ -45,7 +46,8 @@ class DescriptorSystem:
     Raises
     ------
     AssumptionError
-        If a matrix is not two-dimensional, does not fit the others or is not finite, or if ``n_a`` is not in 1..n.
+        If a matrix is not two-dimensional, does not fit the others or is not finite, or if
+        ``n_a`` is not in 1..n.
     """
 
     A: Matrix
@@ -57,41 +59,28 @@ class DescriptorSystem:
     def __post_init__(self) -> None:
         """Freeze and check the matrices."""
         for name in ("A", "Bu", "Bd", "C"):
-            object.__setattr__(self, name, _matrix(name, getattr(self, name)))
-        n = self.A.shape[1]
-        _need(
-            self.A.shape == (n, n) and n > 0,
-            "A",
-            self.A,
-            "(n, n): one row and one column per state",
-        )
-        _need(
-            self.Bu.shape[0] == n,
-            "Bu",
-            self.Bu,
-            f"({n}, n_u): one row per state, one column per input",
-        )
-        _need(
-            self.Bd.shape[0] == n,
-            "Bd",
-            self.Bd,
-            f"({n}, n_d): one row per state, one column per disturbance",
-        )
-        _need(
-            self.C.shape[1] == n and self.C.shape[0] > 0,
-            "C",
-            self.C,
-            f"(n_y, {n}): one row per output, one column per state",
-        )
+            matrix = _finite_matrix(name, getattr(self, name))
+            object.__setattr__(self, name, matrix)
+        rows, n = self.A.shape
+        n_y = self.C.shape[0]
+        _check_shape("A", self.A, rows == n > 0, "(n, n): one row and one column per state")
+        per_input = f"({n}, n_u): one row per state, one column per input"
+        _check_shape("Bu", self.Bu, len(self.Bu) == n, per_input)
+        per_disturbance = f"({n}, n_d): one row per state, one column per disturbance"
+        _check_shape("Bd", self.Bd, len(self.Bd) == n, per_disturbance)
+        per_output = f"(n_y, {n}): one row per output, one column per state"
+        _check_shape("C", self.C, self.C.shape[1] == n and n_y > 0, per_output)
         if not 1 <= self.n_a <= n:
             raise AssumptionError(
-                f"Assumption 1 (1): n_a = {self.n_a}; needed 1..{n}, the number of dynamic states among the {n} rows of A"
+                f"Assumption 1 (1): n_a = {self.n_a}; needed 1..{n}, the number of dynamic states "
+                f"among the {n} rows of A"
             )
 
     @property
     def E(self) -> Matrix:
         """The matrix of Assumption 1, shape ``(n, n)``."""
-        return np.diag([1.0] * self.n_a + [0.0] * (self.A.shape[0] - self.n_a))
+        n_b = self.A.shape[0] - self.n_a
+        return np.diag([1.0] * self.n_a + [0.0] * n_b)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -104,7 +93,8 @@ class ReducedSystem:
         y    = C3  x_a + C4   u + C5   delta
         x_b  = Kx  x_a + Ku   u + Kd   delta
 
-    Shapes: ``A_a (n_a, n_a)``, ``B_1a (n_a, n_u)``, ``B_2a (n_a, n_d)``; ``n_y`` rows in C3, C4, C5, ``n_b`` rows in Kx, Ku, Kd.
+    Shapes: ``A_a (n_a, n_a)``, ``B_1a (n_a, n_u)``, ``B_2a (n_a, n_d)``; ``C3 (n_y, n_a)``,
+    ``C4 (n_y, n_u)``, ``C5 (n_y, n_d)``; ``Kx (n_b, n_a)``, ``Ku (n_b, n_u)``, ``Kd (n_b, n_d)``.
     """
 
     A_a: Matrix
@@ -120,134 +110,169 @@ class ReducedSystem:
     def __post_init__(self) -> None:
         """Freeze the matrices."""
         for field in fields(self):
-            object.__setattr__(self, field.name, _matrix(field.name, getattr(self, field.name)))
+            matrix = _finite_matrix(field.name, getattr(self, field.name))
+            object.__setattr__(self, field.name, matrix)
 
 
 def reduce(system: DescriptorSystem) -> ReducedSystem:
     """Eliminate the algebraic states (8)-(10).
 
-    An entry that is smaller than the rounding error of computing it is stored as zero, so that (11) can be decided exactly and
-    feedthrough is structure, not rounding.
+    An entry that is smaller than the rounding error of computing it is stored as zero, so that (11)
+    can be decided exactly and feedthrough is structure, not rounding.
 
     Raises
     ------
     AssumptionError
         If ``A22`` is singular (Assumption 2).
     """
-    a, b = slice(None, system.n_a), slice(system.n_a, None)
-    A, Bu, Bd, C = system.A, system.Bu, system.Bd, system.C
-    condition = _condition(A[b, b])
+    dynamic = slice(None, system.n_a)
+    algebraic = slice(system.n_a, None)
+    A = system.A
+    Bu = system.Bu
+    Bd = system.Bd
+    C = system.C
+    A11 = A[dynamic, dynamic]
+    A12 = A[dynamic, algebraic]
+    A21 = A[algebraic, dynamic]
+    A22 = A[algebraic, algebraic]
+    C1 = C[:, dynamic]
+    C2 = C[:, algebraic]
+    n_y = len(C)
+    n_u = Bu.shape[1]
+    n_d = Bd.shape[1]
+    condition = _condition(A22)
     if not condition < 1.0 / SINGULAR:
+        found = f"rank {rank(A22)} of {len(A22)}, condition {condition:.3g}"
         raise AssumptionError(
-            f"Assumption 2 (3): A22 is singular (rank {rank(A[b, b])} of {len(A[b, b])}, condition {condition:.3g}), so x_b is "
-            f"not determined by the algebraic equation; {_pencil_verdict(system)}"
+            f"Assumption 2 (3): A22 is singular ({found}), so x_b is not determined by the "
+            f"algebraic equation; {_pencil_verdict(system)}"
         )
-    K: Matrix = (0.0 - np.linalg.solve(A[b, b], np.hstack([A[b, a], Bu[b], Bd[b]]))).astype(
-        np.float64
-    )
-    inverse: Matrix = np.abs(np.linalg.inv(A[b, b])).astype(np.float64)
-    sums = inverse @ np.abs(np.hstack([A[b, a], Bu[b], Bd[b]]))
-    K = without_rounding(K, sums, condition)
-    Kx, Ku, Kd = np.split(K, [system.n_a, system.n_a + Bu.shape[1]], axis=1)
+    B21 = Bu[algebraic]
+    B22 = Bd[algebraic]
+    right = np.hstack([A21, B21, B22])
+    solution = np.linalg.solve(A22, right)
+    K: Matrix = (0.0 - solution).astype(np.float64)  # not -solution: no negative zeros
+    inverse: Matrix = np.linalg.inv(A22).astype(np.float64)
+    magnitudes = np.abs(inverse) @ np.abs(right)
+    K = without_rounding(K, magnitudes, condition)
+    Kx, Ku, Kd = np.split(K, [system.n_a, system.n_a + n_u], axis=1)
 
-    def through(direct: Matrix, left: Matrix, right: Matrix) -> Matrix:
-        return without_rounding(
-            direct + left @ right, np.abs(direct) + np.abs(left) @ np.abs(right), condition
-        )
+    def substituted(direct: Matrix, left: Matrix, right: Matrix) -> Matrix:
+        """Return ``direct + left right``, a coefficient after x_b was replaced by (8)."""
+        total = direct + left @ right
+        magnitudes = np.abs(direct) + np.abs(left) @ np.abs(right)
+        return without_rounding(total, magnitudes, condition)
 
-    no_u, no_d = np.zeros((len(C), Bu.shape[1])), np.zeros((len(C), Bd.shape[1]))
-    return ReducedSystem(
-        A_a=through(A[a, a], A[a, b], Kx),
-        B_1a=through(Bu[a], A[a, b], Ku),
-        B_2a=through(Bd[a], A[a, b], Kd),
-        C3=through(C[:, a], C[:, b], Kx),
-        C4=through(no_u, C[:, b], Ku),
-        C5=through(no_d, C[:, b], Kd),
-        Kx=Kx,
-        Ku=Ku,
-        Kd=Kd,
-    )
+    A_a = substituted(A11, A12, Kx)
+    B_1a = substituted(Bu[dynamic], A12, Ku)
+    B_2a = substituted(Bd[dynamic], A12, Kd)
+    C3 = substituted(C1, C2, Kx)
+    C4 = substituted(np.zeros((n_y, n_u)), C2, Ku)
+    C5 = substituted(np.zeros((n_y, n_d)), C2, Kd)
+    return ReducedSystem(A_a=A_a, B_1a=B_1a, B_2a=B_2a, C3=C3, C4=C4, C5=C5, Kx=Kx, Ku=Ku, Kd=Kd)
 
 
 def algebraic_state(reduced: ReducedSystem, x_a: Vector, *, u: Vector, delta: Vector) -> Vector:
-    """Give `x_b` (8), shape ``(n_b,)``; with the values at the start it is the consistent start."""
+    """Compute the algebraic states `x_b` (8), shape ``(n_b,)``.
+
+    With the initial values of x_a, u and delta this is the consistent initial value of x_b.
+    """
     x_b: Vector = reduced.Kx @ x_a + reduced.Ku @ u + reduced.Kd @ delta
     return x_b
 
 
 def pencil_index(system: DescriptorSystem) -> int:
-    """Give the index of the pencil `s E - A`: 0 without algebraic states, 1 where ``A22`` is regular.
+    """Compute the index of the pencil `s E - A`.
 
-    With `H = (s E - A)^-1 E` at a point s that is no eigenvalue, the index is how often the range of H, H^2, ... shrinks.
+    It is 0 without algebraic states and 1 where ``A22`` is regular. With `H = (s E - A)^-1 E` at a
+    point s that is no eigenvalue, the index is how often the range of H, H^2, ... shrinks.
 
     Raises
     ------
     AssumptionError
         If the pencil is singular: `det(s E - A) = 0` at every s.
     """
-    E, A = system.E, system.A
+    E = system.E
+    A = system.A
     size = np.linalg.norm(A) or 1.0
-    s = min(size * np.array([0.37, 0.83, 1.71, 2.93]), key=lambda point: _condition(point * E - A))
-    if not _condition(s * E - A) < 1.0 / SINGULAR:
+    points = size * np.array([0.37, 0.83, 1.71, 2.93])
+    s = min(points, key=lambda point: _condition(point * E - A))
+    pencil = s * E - A
+    if not _condition(pencil) < 1.0 / SINGULAR:
         raise AssumptionError(
-            "PENCIL_SINGULAR: det(s E - A) = 0 at every s; the equations do not determine the states"
+            "PENCIL_SINGULAR: det(s E - A) = 0 at every s; the equations do not determine the "
+            "states"
         )
-    H = np.linalg.solve(s * E - A, E * s)
+    H = np.linalg.solve(pencil, E * s)
     index = 0
     while H.size:
         basis, values = np.linalg.svd(H)[:2]
-        kept = basis[:, : int((values > 1e-10).sum())]
-        if kept.shape[1] == len(H):
+        range_size = int((values > 1e-10).sum())
+        if range_size == len(H):
             break
-        H = kept.T @ H @ kept
+        range_basis = basis[:, :range_size]
+        H = range_basis.T @ H @ range_basis
         index += 1
     return index
 
 
 def invariant_zeros(reduced: ReducedSystem) -> ComplexVector:
-    """Give the invariant zeros of (A_a, B_2a, C3, C5), from the disturbance to the output, sorted by real part.
+    """Compute the invariant zeros of (A_a, B_2a, C3, C5), from delta to y, shape ``(k,)`` [1/s].
+
+    They are sorted by their real parts.
 
     Raises
     ------
     AssumptionError
-        If there are more disturbances (outputs) than the outputs (disturbances) tell apart, so that every s is a zero.
+        If the transfer from delta to y does not have full rank, so that every s is a zero.
     """
-    A, B, C, D = reduced.A_a, reduced.B_2a, reduced.C3, reduced.C5
-    if B.shape[1] > C.shape[0]:
-        A, B, C, D = A.T, C.T, B.T, D.T  # the transposed system has the same zeros
+    A = reduced.A_a
+    B = reduced.B_2a
+    C = reduced.C3
+    D = reduced.C5
+    n_y, n_d = D.shape
+    if n_d > n_y:  # the transposed system has the same zeros
+        A, B, C, D = A.T, C.T, B.T, D.T
     V = output_nulling(A, B, C, D)
     k = V.shape[1]
-    basis = np.hstack([np.vstack([V, np.zeros((len(C), k))]), np.vstack([B, D])])
+    states = np.vstack([V, np.zeros((len(C), k))])
+    inputs = np.vstack([B, D])
+    basis = np.hstack([states, inputs])
     if rank(basis) < basis.shape[1]:
         raise AssumptionError(
             "the transfer from delta to y does not have full rank, so every s is an invariant zero"
         )
-    X = np.linalg.lstsq(basis, np.vstack([A, C]) @ V, rcond=None)[0][:k]
-    return np.sort_complex(np.linalg.eigvals(X).astype(np.complex128))
+    rates = np.vstack([A, C]) @ V
+    coordinates = np.linalg.lstsq(basis, rates, rcond=None)[0]
+    X = coordinates[:k]
+    zeros = np.linalg.eigvals(X).astype(np.complex128)
+    return np.sort_complex(zeros)
 
 
 def disturbance_transfer(reduced: ReducedSystem, s: complex) -> ComplexMatrix:
-    """Give the transfer matrix from delta to y at ``s`` [1/s], `C3 (s I - A_a)^-1 B_2a + C5`, shape ``(n_y, n_d)``."""
-    resolvent = s * np.eye(len(reduced.A_a)) - reduced.A_a
-    return np.asarray(
-        reduced.C3 @ np.linalg.solve(resolvent, reduced.B_2a) + reduced.C5, dtype=np.complex128
-    )
+    """Compute the transfer matrix from delta to y at ``s`` [1/s].
+
+    It is `C3 (s I - A_a)^-1 B_2a + C5`, shape ``(n_y, n_d)``.
+    """
+    inverse_resolvent = s * np.eye(len(reduced.A_a)) - reduced.A_a
+    states = np.linalg.solve(inverse_resolvent, reduced.B_2a)
+    return np.asarray(reduced.C3 @ states + reduced.C5, dtype=np.complex128)
 
 
-def _matrix(name: str, values: Matrix) -> Matrix:
+def _finite_matrix(name: str, values: Matrix) -> Matrix:
     try:
         matrix = frozen(values, 2)
     except ValueError as error:
         raise AssumptionError(f"{name} is not a matrix: {error}") from error
-    if not np.isfinite(matrix).all():
-        row, column = np.argwhere(~np.isfinite(matrix))[0]
-        raise AssumptionError(
-            f"{name}[{row}, {column}] is {matrix[row, column]}; needed a finite number"
-        )
+    not_finite = np.argwhere(~np.isfinite(matrix))
+    if len(not_finite):
+        row, column = not_finite[0]
+        value = matrix[row, column]
+        raise AssumptionError(f"{name}[{row}, {column}] is {value}; needed a finite number")
     return matrix
 
 
-def _need(fits: bool, name: str, matrix: Matrix, needed: str) -> None:
+def _check_shape(name: str, matrix: Matrix, fits: bool, needed: str) -> None:
     if not fits:
         raise AssumptionError(f"{name} has shape {matrix.shape}; needed {needed}")
 
@@ -261,4 +286,7 @@ def _pencil_verdict(system: DescriptorSystem) -> str:
         index = pencil_index(system)
     except AssumptionError as error:
         return str(error)
-    return f"INDEX_{index}: the pencil s E - A has index {index}, needed 1; differentiate the algebraic equation first"
+    return (
+        f"INDEX_{index}: the pencil s E - A has index {index}, needed 1; differentiate the "
+        "algebraic equation first"
+    )

@@ -1,10 +1,12 @@
 """Families of disturbance components (4)-(5) as autonomous linear systems.
 
-A component is the output of a linear system without input, `beta' = G(theta) beta, f = c' beta`. Then
-`f(t - D) = c' expm(-G D) beta(t)`, which is (5) with the row `K(theta, D)' = c' expm(-G D)` and the basis `beta(t)`. Amplitudes
-and phases live in `beta(0)` and never enter K. With equally spaced delays a component obeys a linear recurrence whose
-characteristic roots are `z = exp(lambda spacing)`, lambda the eigenvalues of G: `theta_from_roots` is the inverse asked for by
-Assumption 3.
+A component is the output of a linear system without input, `beta' = G(theta) beta, f = c' beta`.
+Then `f(t - D) = c' expm(-G D) beta(t)`, which is (5) with the row `K(theta, D)' = c' expm(-G D)`
+and the basis `beta(t)`. Amplitudes and phases live in `beta(0)` and never enter K.
+
+With equally spaced delays a component obeys a linear recurrence whose characteristic roots are
+`z = exp(lambda spacing)`, lambda the eigenvalues of G: `theta_from_roots` is the inverse asked for
+by Assumption 3.
 """
 
 from __future__ import annotations
@@ -36,17 +38,20 @@ class Family(Protocol):
 
     @property
     def v(self) -> int:
-        """Number of basis functions (5)."""
+        """The number of basis functions (5)."""
 
     @property
     def c(self) -> Vector:
         """Output row, shape ``(v,)``."""
 
     def G(self, theta: Vector) -> Matrix:
-        """System matrix [1/s], shape ``(v, v)``."""
+        """Compute the system matrix [1/s], shape ``(v, v)``."""
 
     def theta_from_roots(self, z: Sequence[complex], spacing: float) -> Vector:
-        """Theta from the ``v`` roots of the recurrence with delays ``spacing`` [s] apart; NaN where there is none."""
+        """Compute theta from the ``v`` roots of the recurrence with delays ``spacing`` [s] apart.
+
+        The shape is ``(len(parameters),)``; NaN where the roots belong to no theta.
+        """
 
 
 @final
@@ -64,13 +69,14 @@ class Exponential:
         return np.ones(1)
 
     def G(self, theta: Vector) -> Matrix:
-        """System matrix [1/s], shape ``(1, 1)``."""
+        """Compute the system matrix [1/s], shape ``(1, 1)``."""
         return np.array([[theta[0]]])
 
     def theta_from_roots(self, z: Sequence[complex], spacing: float) -> Vector:
-        """Theta from `z = exp(theta spacing)`, shape ``(1,)``; NaN where z is not real and positive."""
+        """Compute theta from `z = exp(theta spacing)`; NaN where z is not real and positive."""
         root = complex(z[0])
-        if root.imag != 0.0 or not 0.0 < root.real < math.inf:
+        positive = 0.0 < root.real < math.inf
+        if root.imag != 0.0 or not positive:
             return np.array([NAN])
         return np.array([math.log(root.real) / spacing])
 
@@ -90,21 +96,26 @@ class Sine:
         return np.array([1.0, 0.0])
 
     def G(self, theta: Vector) -> Matrix:
-        """System matrix [1/s], shape ``(2, 2)``."""
+        """Compute the system matrix [1/s], shape ``(2, 2)``."""
         return np.array([[0.0, theta[0]], [-theta[0], 0.0]])
 
     def theta_from_roots(self, z: Sequence[complex], spacing: float) -> Vector:
-        """Theta from `z_1 + z_2 = 2 cos(w spacing)`, shape ``(1,)``; NaN where that is not in -2..2.
+        """Compute theta from `z_1 + z_2 = 2 cos(w spacing)`; NaN where that is not in [-2, 2].
 
-        Only w < pi / spacing can be told apart: a faster sine gives the same roots as a slower one.
+        Only w < pi / spacing is unique: a faster sine has the same roots as a slower one.
         """
         cosine = complex(z[0] + z[1]).real / 2.0
-        return np.array([math.acos(cosine) / spacing if abs(cosine) <= 1.0 else NAN])
+        if not abs(cosine) <= 1.0:
+            return np.array([NAN])
+        return np.array([math.acos(cosine) / spacing])
 
 
 @dataclass(frozen=True)
 class AlphaGroup:
-    """Components that share one alpha: their positions in the disturbance (4) and their families."""
+    """The group b of the components of (4) that share one alpha.
+
+    ``components`` are their positions in (4), ``families`` their families.
+    """
 
     alpha: str
     components: tuple[int, ...]
@@ -112,7 +123,7 @@ class AlphaGroup:
 
     @property
     def size(self) -> int:
-        """Number of basis functions `V_b`."""
+        """The number of basis functions `V_b`."""
         return sum(family.v for family in self.families)
 
 
@@ -122,7 +133,7 @@ FAMILIES: Mapping[str, Family] = MappingProxyType(
 
 
 def family_named(name: str) -> Family:
-    """Look a family up by its name.
+    """Return the family of this name.
 
     Raises
     ------
@@ -130,19 +141,18 @@ def family_named(name: str) -> Family:
         If there is no such family.
     """
     if name not in FAMILIES:
-        raise AssumptionError(
-            f"Assumption 3 (5): no disturbance family {name!r}; {nearest(name, FAMILIES)}"
-        )
+        nearest_name = nearest(name, FAMILIES)
+        raise AssumptionError(f"Assumption 3 (5): no disturbance family {name!r}; {nearest_name}")
     return FAMILIES[name]
 
 
 def K(family: Family, theta: ArrayLike, D: float) -> Vector:
-    """Give the row `K(theta, D)' = c' expm(-G D)` of (5), shape ``(v,)``.
+    """Compute the row `K(theta, D)' = c' expm(-G D)` of (5), shape ``(v,)``.
 
     Parameters
     ----------
     family : Family
-        The kind of component.
+        The family of the component.
     theta : ArrayLike
         Its parameters, a number or shape ``(len(family.parameters),)``.
     D : float
@@ -154,43 +164,59 @@ def K(family: Family, theta: ArrayLike, D: float) -> Vector:
         If theta has another number of entries.
     """
     parameters = np.atleast_1d(np.asarray(theta, dtype=np.float64))
-    if parameters.shape != (len(family.parameters),):
+    needed = (len(family.parameters),)
+    if parameters.shape != needed:
+        names = ", ".join(family.parameters)
         raise AssumptionError(
-            f"theta of family {family.name!r} has shape {parameters.shape}; needed ({len(family.parameters)},): "
-            f"{', '.join(family.parameters)}"
+            f"theta of family {family.name!r} has shape {parameters.shape}; needed {needed}: "
+            f"{names}"
         )
-    row: Vector = family.c @ expm(-family.G(parameters) * D)
+    exponent = -family.G(parameters) * D
+    row: Vector = family.c @ expm(exponent)
     return row
 
 
 def coefficients(
     families: Sequence[Family], thetas: Sequence[ArrayLike], delays: Sequence[float]
 ) -> Matrix:
-    """Stack the rows K of components that share one alpha, shape ``(len(delays), sum of v)``."""
-    return np.array(
-        [
-            np.concatenate(
-                [K(kind, theta, D) for kind, theta in zip(families, thetas, strict=True)]
-            )
-            for D in delays
-        ]
-    )
+    """Stack the rows K (5) of components that share one alpha.
+
+    Parameters
+    ----------
+    families : sequence of Family
+        The families of the components.
+    thetas : sequence of ArrayLike
+        The parameters of each.
+    delays : sequence of float
+        `D_j` [s].
+
+    Returns
+    -------
+    Matrix
+        Shape ``(len(delays), V_b)``, `V_b` the sum of the basis functions.
+    """
+    stacked = []
+    for D in delays:
+        rows = [K(family, theta, D) for family, theta in zip(families, thetas, strict=True)]
+        stacked.append(np.concatenate(rows))
+    return np.array(stacked)
 
 
 def group_by_alpha(alphas: Sequence[str], families: Sequence[Family]) -> tuple[AlphaGroup, ...]:
-    """Group the components of (4) by alpha, blocks in the order of their first component.
+    """Group the components of (4) by alpha, the groups in the order of their first component.
 
     Parameters
     ----------
     alphas : sequence of str
-        What identifies the alpha of each component; equal text, one block.
+        The alpha of each component as text; equal text, one group.
     families : sequence of Family
         The family of each component.
     """
-    members = {
-        alpha: tuple(i for i, other in enumerate(alphas) if other == alpha) for alpha in alphas
-    }
-    pairs = list(zip(alphas, families, strict=True))
-    return tuple(
-        AlphaGroup(alpha, of, tuple(pairs[i][1] for i in of)) for alpha, of in members.items()
-    )
+    members: dict[str, list[int]] = {}
+    for position, (alpha, _) in enumerate(zip(alphas, families, strict=True)):
+        members.setdefault(alpha, []).append(position)
+    groups = []
+    for alpha, positions in members.items():
+        group_families = tuple(families[position] for position in positions)
+        groups.append(AlphaGroup(alpha, tuple(positions), group_families))
+    return tuple(groups)

@@ -1,13 +1,16 @@
 """Subspaces of a linear system `x' = A x + B u, y = C x + D u`, by singular values.
 
-The **output-nulling subspace** V is the largest one in which the state can be kept, by some u, while y = 0::
+The **output-nulling subspace** V is the largest one in which the state can be kept, by some u,
+while y = 0::
 
     V_0 = R^n,    V_k+1 = {x : [A; C] x  in  [V_k; 0] + im [B; D]}
 
-It shrinks at every step or has arrived, so at most n steps are made. Without inputs it is the unobservable subspace of (A, C).
-On V there are X and U with `[A; C] V = [V; 0] X + [B; D] U`; the eigenvalues of X are the invariant zeros where X is unique.
-A row of (C, D), a column of (B, D) or the unit of time may be scaled without changing V, so all are normalized before any rank is
-decided: one relative tolerance then serves every unit.
+It shrinks at every step until it stays the same, so at most n steps are made. Without inputs it is
+the unobservable subspace of (A, C). On V there are X and U with `[A; C] V = [V; 0] X + [B; D] U`;
+the eigenvalues of X are the invariant zeros where X is unique.
+
+A row of (C, D), a column of (B, D) or the unit of time may be scaled without changing V, so all are
+normalized before any rank is decided: one relative tolerance then serves every unit.
 """
 
 from __future__ import annotations
@@ -25,52 +28,75 @@ def rank(matrix: Matrix, rtol: float = RANK_TOLERANCE) -> int:
 
 
 def without_rounding(sums: Matrix, magnitudes: Matrix, condition: float = 1.0) -> Matrix:
-    """Set to zero what is smaller than the rounding error of a sum whose terms have these magnitudes in all."""
-    return np.where(
-        np.abs(sums) > 8.0 * np.finfo(np.float64).eps * condition * magnitudes, sums, 0.0
-    )
+    """Return ``sums`` with zeros in place of entries that may be nothing but rounding error.
+
+    Parameters
+    ----------
+    sums : Matrix
+        Computed sums, any shape.
+    magnitudes : Matrix
+        For each of them the sum of the absolute values of its terms, the same shape.
+    condition : float
+        Condition number of the matrix that was solved with, if any.
+    """
+    bound = 8.0 * np.finfo(np.float64).eps * condition * magnitudes
+    return np.where(np.abs(sums) > bound, sums, 0.0)
 
 
 def null_space(matrix: Matrix, tolerance: float = RANK_TOLERANCE) -> Matrix:
-    """Give an orthonormal basis ``(n, k)`` of the vectors that ``matrix`` ``(m, n)`` shortens below ``tolerance``."""
+    """Compute an orthonormal basis of the vectors that ``matrix`` shortens below ``tolerance``.
+
+    The shape is ``(n, k)`` for a ``matrix`` of shape ``(m, n)``.
+    """
     values, rows = np.linalg.svd(matrix, full_matrices=True)[1:]
-    return np.ascontiguousarray(rows[int((values > tolerance).sum()) :].T)
+    numerical_rank = int((values > tolerance).sum())
+    return np.ascontiguousarray(rows[numerical_rank:].T)
 
 
 def orthogonal_complement(basis: Matrix) -> Matrix:
-    """Give an orthonormal basis of everything orthogonal to the orthonormal columns of ``basis`` ``(n, k)``: ``(n, n - k)``."""
+    """Compute an orthonormal basis, shape ``(n, n - k)``, of the complement of a subspace.
+
+    The subspace is given by its orthonormal ``basis``, shape ``(n, k)``.
+    """
     return null_space(basis.T) if basis.shape[1] else np.eye(basis.shape[0])
 
 
 def output_nulling(A: Matrix, B: Matrix, C: Matrix, D: Matrix) -> Matrix:
-    """Give an orthonormal basis of the output-nulling subspace of (A, B, C, D).
+    """Compute an orthonormal basis of the output-nulling subspace of (A, B, C, D).
 
     Parameters
     ----------
     A, B, C, D : Matrix
-        Shapes ``(n, n)``, ``(n, m)``, ``(p, n)``, ``(p, m)``; ``m = 0`` gives the unobservable subspace of (A, C).
+        Shapes ``(n, n)``, ``(n, m)``, ``(p, n)``, ``(p, m)``; with ``m = 0`` the result is the
+        unobservable subspace of (A, C).
 
     Returns
     -------
     Matrix
         Shape ``(n, k)``.
     """
-    n, p = A.shape[0], C.shape[0]
+    n = A.shape[0]
+    p = C.shape[0]
     rate = np.linalg.norm(A) or 1.0
-    bottom = _unit(np.hstack([C, D]), axis=1)
-    states = np.vstack([A / rate, bottom[:, :n]])
-    inputs = _unit(np.vstack([B / rate, bottom[:, n:]]), axis=0)
+    outputs = _normalized(np.hstack([C, D]), axis=1)
+    from_states = np.vstack([A / rate, outputs[:, :n]])
+    from_inputs = np.vstack([B / rate, outputs[:, n:]])
+    from_inputs = _normalized(from_inputs, axis=0)
     V = np.eye(n)
     while True:
-        reachable = np.hstack([np.vstack([V, np.zeros((p, V.shape[1]))]), inputs])
+        no_output = np.zeros((p, V.shape[1]))
+        inside = np.vstack([V, no_output])
+        reachable = np.hstack([inside, from_inputs])
         basis, values = np.linalg.svd(reachable, full_matrices=True)[:2]
-        outside = basis[:, int((values > RANK_TOLERANCE).sum()) :]
-        smaller = null_space(outside.T @ states)
+        dimension = int((values > RANK_TOLERANCE).sum())
+        outside = basis[:, dimension:]
+        smaller = null_space(outside.T @ from_states)
         if smaller.shape[1] == V.shape[1]:
             return smaller
         V = smaller
 
 
-def _unit(matrix: Matrix, axis: int) -> Matrix:
+def _normalized(matrix: Matrix, axis: int) -> Matrix:
+    """Scale rows (axis 1) or columns (axis 0) to length one; those of zeros stay zero."""
     lengths = np.linalg.norm(matrix, axis=axis, keepdims=True)
     return matrix / np.where(lengths > 0.0, lengths, 1.0)

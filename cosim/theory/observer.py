@@ -1,15 +1,18 @@
-"""Unknown-input observer design (13)-(18), its realization with one derivative filter (19)-(20), and the start time (36)-(38).
+"""Unknown-input observer (13)-(18), its realization (19)-(20), and the time T_id (36)-(38).
 
 Any number of inputs, disturbances and outputs. With `w = y - C4 u` and `G = (C3 B_2a)^+`::
 
-    delta = G (w' - C3 A_a x_a - C3 B_1a u),    F = B_2a G,    M = (I - F C3) A_a,    N = (I - F C3) B_1a
+    delta = G (w' - C3 A_a x_a - C3 B_1a u)
+    F = B_2a G,    M = (I - F C3) A_a,    N = (I - F C3) B_1a
 
-The derivatives of y and u are needed only together, in w', so **one** filter on w gives what two filters on y and u give (19)::
+The derivatives of y and u are needed only together, in w', so **one** filter on w gives what two
+filters on y and u give (19)::
 
     q' = filter_rate (w - q),    w' is taken as filter_rate (w - q)
 
-The modes of (M, C3) that C3 does not see are the invariant zeros of (A_a, B_2a, C3); no L moves them. In coordinates `[W, V]`,
-V the unobservable subspace and W its complement, `M - L C3` is block triangular: `W'M W - W'L C3 W` and `V'M V`.
+The modes of (M, C3) that C3 does not see are the invariant zeros of (A_a, B_2a, C3); no L moves
+them. In coordinates `[W, V]`, V the unobservable subspace and W its complement, `M - L C3` is block
+triangular: `W'M W - W'L C3 W` and `V'M V`.
 """
 
 from __future__ import annotations
@@ -33,8 +36,9 @@ from cosim.theory.placement import place
 class ObserverDesign:
     """The matrices of the observer (16)-(18).
 
-    Shapes: ``F (n_a, n_y)``, ``M (n_a, n_a)``, ``N (n_a, n_u)``, ``L (n_a, n_y)``, ``G (n_d, n_y)``. ``eigenvalues`` are those of
-    `M - L C3` [1/s], ``fixed_modes`` those of them that no L can move, ``lambda_obs`` (37) [1/s], ``filter_rate`` (19) [rad/s].
+    Shapes: ``F (n_a, n_y)``, ``M (n_a, n_a)``, ``N (n_a, n_u)``, ``L (n_a, n_y)``,
+    ``G (n_d, n_y)``. ``eigenvalues`` are those of `M - L C3` [1/s], shape ``(n_a,)``,
+    ``fixed_modes`` those of them that no L can move; ``filter_rate`` is `lambda_f` (19) [rad/s].
     """
 
     F: Matrix
@@ -44,23 +48,38 @@ class ObserverDesign:
     G: Matrix
     eigenvalues: ComplexVector
     fixed_modes: ComplexVector
-    lambda_obs: float
     filter_rate: float
+
+    def __post_init__(self) -> None:
+        """Freeze the matrices."""
+        _freeze(self, ("F", "M", "N", "L", "G"))
+
+    @property
+    def lambda_obs(self) -> float:
+        """The slowest rate (37) of the error [1/s]."""
+        return float(np.abs(self.eigenvalues.real).min())
 
 
 @dataclass(frozen=True, eq=False)
 class StateSpace:
-    """The linear system `x' = A x + B u, y = C x + D u`."""
+    """The linear system `x' = A x + B u, y = C x + D u`.
+
+    Shapes: ``A (n, n)``, ``B (n, m)``, ``C (p, n)``, ``D (p, m)``.
+    """
 
     A: Matrix
     B: Matrix
     C: Matrix
     D: Matrix
 
+    def __post_init__(self) -> None:
+        """Freeze the matrices."""
+        _freeze(self, ("A", "B", "C", "D"))
+
 
 @dataclass(frozen=True)
 class IdentificationStartTime:
-    """When identification may start (36)-(38), all [s]."""
+    """The identification start time `T_id` (36)-(38) and its parts, all [s]."""
 
     T_obs: float
     T_f: float
@@ -80,60 +99,60 @@ def design(
     Parameters
     ----------
     reduced : ReducedSystem
-        The model the observer believes.
+        The design model.
     L : ArrayLike, optional
         Gain, shape ``(n_a, n_y)`` or, with one output, ``(n_a,)``.
     poles : sequence of complex, optional
-        Eigenvalues [1/s] of `M - L C3` on the observable part: as many as are not fixed. Exactly one of ``L`` and ``poles``.
+        Eigenvalues [1/s] of `M - L C3` on the observable part: as many as are not fixed. Exactly
+        one of ``L`` and ``poles``.
     filter_rate : float
         `lambda_f` of the derivative filter (19) [rad/s].
 
     Raises
     ------
     AssumptionError
-        If (11) or (14) does not hold, if a mode that no L can move is not stable, if L or the poles do not fit or leave
-        `M - L C3` not Hurwitz, or if the filter rate is not positive.
+        If (11) or (14) does not hold, a fixed mode is not stable, L or the poles do not fit or
+        leave `M - L C3` not Hurwitz, or the filter rate is not positive and finite.
     """
-    if not 0.0 < filter_rate < math.inf:
-        raise AssumptionError(
-            f"(19): filter_rate = {filter_rate:g}; needed a positive finite rate [rad/s]"
-        )
-    if (L is None) == (poles is None):
-        raise AssumptionError(
-            "(17): give either L or poles, not both"
-            if poles is not None
-            else "(17): neither L nor poles given; needed one of them"
-        )
+    _check_options(L, poles, filter_rate)
+    C3 = reduced.C3
     G = decoupling_matrix(reduced)
     F = reduced.B_2a @ G
-    M, N = (
-        reduced.A_a - F @ (reduced.C3 @ reduced.A_a),
-        reduced.B_1a - F @ (reduced.C3 @ reduced.B_1a),
-    )
-    V = output_nulling(M, np.zeros((len(M), 0)), reduced.C3, np.zeros((len(reduced.C3), 0)))
+    M = reduced.A_a - F @ (C3 @ reduced.A_a)
+    N = reduced.B_1a - F @ (C3 @ reduced.B_1a)
+    no_inputs = np.zeros((len(M), 0))
+    V = output_nulling(M, no_inputs, C3, np.zeros((len(C3), 0)))
     W = orthogonal_complement(V)
     fixed_modes = _sorted_eigenvalues(V.T @ M @ V)
     check_detectable(fixed_modes, M)
-    observable, seen = W.T @ M @ W, reduced.C3 @ W
-    gain = (
-        _gain(L, reduced.C3.T.shape)
-        if poles is None
-        else W @ place(observable, seen, poles, fixed_modes)
-    )
+    observable = W.T @ M @ W
+    seen = C3 @ W
+    if poles is not None:
+        gain = W @ place(observable, seen, poles, fixed_modes)
+    else:
+        gain = _given_gain(L, C3.T.shape)
     movable = _sorted_eigenvalues(observable - W.T @ gain @ seen)
-    check_hurwitz(movable, M - gain @ reduced.C3, fixed_modes)
+    check_hurwitz(movable, M - gain @ C3, fixed_modes)
     eigenvalues = np.sort_complex(np.concatenate([movable, fixed_modes]))
+    rate = float(filter_rate)
     return ObserverDesign(
-        F=frozen(F, 2),
-        M=frozen(M, 2),
-        N=frozen(N, 2),
-        L=frozen(gain, 2),
-        G=frozen(G, 2),
+        F=F,
+        M=M,
+        N=N,
+        L=gain,
+        G=G,
         eigenvalues=eigenvalues,
         fixed_modes=fixed_modes,
-        lambda_obs=float(np.abs(eigenvalues.real).min()),
-        filter_rate=float(filter_rate),
+        filter_rate=rate,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _LinearMap:
+    """A signal `of_x x + of_v v` of the realization with states x = (z, q), inputs v = (u, y)."""
+
+    of_x: Matrix
+    of_v: Matrix
 
 
 def realize(reduced: ReducedSystem, observer: ObserverDesign) -> StateSpace:
@@ -142,35 +161,33 @@ def realize(reduced: ReducedSystem, observer: ObserverDesign) -> StateSpace:
     Returns
     -------
     StateSpace
-        Inputs (u, y), states (z, q) with q of the size of y, outputs (x_a hat, delta hat, x_b hat, z, q).
+        Inputs (u, y), states (z, q) with q of the size of y, outputs (x_a hat, delta hat, x_b hat,
+        z, q).
     """
-    n, m, p = len(reduced.A_a), reduced.B_1a.shape[1], len(reduced.C3)
-    F, G, rate = observer.F, observer.G, observer.filter_rate
-    U = np.hstack([np.eye(m), np.zeros((m, p))])  # u of (u, y)
-    Y = np.hstack([-reduced.C4, np.eye(p)])  # w = y - C4 u
-    Z, Q = np.eye(n, n + p), np.eye(n + p)[n:]  # z, q of (z, q)
+    n = len(reduced.A_a)
+    n_y = len(reduced.C3)
+    n_u = reduced.B_1a.shape[1]
+    rate = observer.filter_rate
+    identity = np.eye(n + n_y)
+    Z = identity[:n]  # z of (z, q)
+    Q = identity[n:]  # q of (z, q)
+    U = np.eye(n_u, n_u + n_y)  # u of (u, y)
+    Y = _w_of_inputs(reduced)
+    F = observer.F
+    magnitudes = np.abs(F) @ np.abs(Y)
+    x_a = _LinearMap(Z, without_rounding(F @ Y, magnitudes))
+    w_dot = _LinearMap(-rate * Q, rate * Y)
+    delta = _reconstruction(reduced, observer.G, x_a=x_a, w_dot=w_dot, U=U)
+    x_b = _algebraic_map(reduced, x_a=x_a, delta=delta, U=U)
     closed = observer.M - observer.L @ reduced.C3
-    x_hat = Z, without_rounding(F @ Y, np.abs(F) @ np.abs(Y))
-    w_dot = -rate * Q, rate * Y
-    delta_hat = (
-        G @ (w_dot[0] - reduced.C3 @ reduced.A_a @ x_hat[0]),
-        G @ (w_dot[1] - reduced.C3 @ reduced.A_a @ x_hat[1] - reduced.C3 @ reduced.B_1a @ U),
-    )
-    x_b_hat = (
-        reduced.Kx @ x_hat[0] + reduced.Kd @ delta_hat[0],
-        without_rounding(
-            reduced.Kx @ x_hat[1] + reduced.Ku @ U + reduced.Kd @ delta_hat[1],
-            np.abs(reduced.Kx) @ np.abs(x_hat[1])
-            + np.abs(reduced.Ku) @ U
-            + np.abs(reduced.Kd) @ np.abs(delta_hat[1]),
-        ),
-    )
-    return StateSpace(
-        A=frozen(np.vstack([closed @ x_hat[0], w_dot[0]]), 2),
-        B=frozen(np.vstack([closed @ x_hat[1] + observer.N @ U + observer.L @ Y, w_dot[1]]), 2),
-        C=frozen(np.vstack([x_hat[0], delta_hat[0], x_b_hat[0], Z, Q]), 2),
-        D=frozen(np.vstack([x_hat[1], delta_hat[1], x_b_hat[1], np.zeros((n + p, m + p))]), 2),
-    )
+    z_dot_of_x = closed @ x_a.of_x
+    z_dot_of_v = closed @ x_a.of_v + observer.N @ U + observer.L @ Y
+    no_feedthrough = np.zeros((n + n_y, n_u + n_y))
+    A = np.vstack([z_dot_of_x, w_dot.of_x])
+    B = np.vstack([z_dot_of_v, w_dot.of_v])
+    C = np.vstack([x_a.of_x, delta.of_x, x_b.of_x, Z, Q])
+    D = np.vstack([x_a.of_v, delta.of_v, x_b.of_v, no_feedthrough])
+    return StateSpace(A, B, C, D)
 
 
 def initial_state_map(
@@ -180,16 +197,18 @@ def initial_state_map(
     x_a0: ArrayLike | None = None,
     q0: ArrayLike | None = None,
 ) -> tuple[Vector, Matrix]:
-    """Give the start of the realized observer as `x(0) = X0 + Xw [u(0); y(0)]`.
+    """Compute the initial state of the realized observer as `x(0) = X0 + Xw [u(0); y(0)]`.
 
     Parameters
     ----------
     reduced, observer : ReducedSystem, ObserverDesign
-        The model and the design.
+        The design model and the design.
     x_a0 : ArrayLike, optional
-        `x_a hat(0)`, shape ``(n_a,)``; left out: the shortest one with `C3 x_a hat(0) = y(0) - C4 u(0)`.
+        `x_a hat(0)`, shape ``(n_a,)``; by default the shortest one with
+        `C3 x_a hat(0) = y(0) - C4 u(0)`.
     q0 : ArrayLike, optional
-        Filter state q(0), shape ``(n_y,)``; left out: `y(0) - C4 u(0)`, so that the filter starts without a transient.
+        Filter state q(0), shape ``(n_y,)``; by default `y(0) - C4 u(0)`, so that the filter starts
+        without a transient.
 
     Returns
     -------
@@ -199,15 +218,26 @@ def initial_state_map(
     Raises
     ------
     AssumptionError
-        If a given start has the wrong size or is not finite.
+        If a given initial value has the wrong size or is not finite.
     """
-    n, p = len(reduced.A_a), len(reduced.C3)
-    Y = np.hstack([-reduced.C4, np.eye(p)])
-    from_w = np.zeros((n, p)) if x_a0 is not None else np.linalg.pinv(reduced.C3)
-    x_a = np.zeros(n) if x_a0 is None else _start_vector("x_a0", x_a0, n)
-    q = np.zeros(p) if q0 is None else _start_vector("q0", q0, p)
+    n = len(reduced.A_a)
+    n_y = len(reduced.C3)
+    Y = _w_of_inputs(reduced)
+    if x_a0 is None:
+        x_a = np.zeros(n)
+        from_w = np.linalg.pinv(reduced.C3)
+    else:
+        x_a = _initial_vector("x_a0", x_a0, n)
+        from_w = np.zeros((n, n_y))
+    if q0 is None:
+        q = np.zeros(n_y)
+        q_map = Y
+    else:
+        q = _initial_vector("q0", q0, n_y)
+        q_map = np.zeros_like(Y)
+    z_map = (from_w - observer.F) @ Y
     X0 = np.concatenate([x_a, q])
-    Xw = np.vstack([(from_w - observer.F) @ Y, Y if q0 is None else np.zeros_like(Y)])
+    Xw = np.vstack([z_map, q_map])
     return frozen(X0, 1), frozen(Xw, 2)
 
 
@@ -219,7 +249,9 @@ def identification_start_time(
     epsilon_observer: float,
     epsilon_filter: float,
 ) -> IdentificationStartTime:
-    """Give the time after which the transients have left the regression, `T_id = T_obs + T_f + D_max` (36)-(38).
+    """Compute the identification start time `T_id = T_obs + T_f + D_max` (36)-(38).
+
+    From then on the transients of observer and filter have left the regression.
 
     Parameters
     ----------
@@ -238,29 +270,76 @@ def identification_start_time(
     for name, rate in (("lambda_obs", lambda_obs), ("filter_rate", filter_rate)):
         if not 0.0 < rate < math.inf:
             raise AssumptionError(f"(36)-(38): {name} = {rate:g}; needed a positive finite rate")
-    for name, fraction in (
-        ("epsilon_observer", epsilon_observer),
-        ("epsilon_filter", epsilon_filter),
-    ):
+    fractions = {"epsilon_observer": epsilon_observer, "epsilon_filter": epsilon_filter}
+    for name, fraction in fractions.items():
         if not 0.0 < fraction < 1.0:
             raise AssumptionError(f"(36)-(38): {name} = {fraction:g}; needed a fraction in (0, 1)")
     if not delays:
         raise AssumptionError("(36): no delays; needed at least one")
-    T_obs, T_f, D_max = (
-        math.log(1.0 / epsilon_observer) / lambda_obs,
-        math.log(1.0 / epsilon_filter) / filter_rate,
-        max(delays),
-    )
+    T_obs = math.log(1.0 / epsilon_observer) / lambda_obs
+    T_f = math.log(1.0 / epsilon_filter) / filter_rate
+    D_max = max(delays)
     return IdentificationStartTime(T_obs=T_obs, T_f=T_f, D_max=D_max, T_id=T_obs + T_f + D_max)
 
 
-def _gain(L: ArrayLike | None, shape: tuple[int, ...]) -> Matrix:
+def _freeze(matrices: ObserverDesign | StateSpace, names: Sequence[str]) -> None:
+    for name in names:
+        matrix = frozen(getattr(matrices, name), 2)
+        object.__setattr__(matrices, name, matrix)
+
+
+def _check_options(
+    L: ArrayLike | None, poles: Sequence[complex] | None, filter_rate: float
+) -> None:
+    if not 0.0 < filter_rate < math.inf:
+        raise AssumptionError(
+            f"(19): filter_rate = {filter_rate:g}; needed a positive finite rate [rad/s]"
+        )
+    if L is None and poles is None:
+        raise AssumptionError("(17): neither L nor poles given; needed one of them")
+    if L is not None and poles is not None:
+        raise AssumptionError("(17): give either L or poles, not both")
+
+
+def _w_of_inputs(reduced: ReducedSystem) -> Matrix:
+    """Return the matrix of `w = y - C4 u` in terms of (u, y), shape ``(n_y, n_u + n_y)``."""
+    return np.hstack([-reduced.C4, np.eye(len(reduced.C3))])
+
+
+def _reconstruction(
+    reduced: ReducedSystem, G: Matrix, *, x_a: _LinearMap, w_dot: _LinearMap, U: Matrix
+) -> _LinearMap:
+    """Compute `delta = G (w' - C3 A_a x_a - C3 B_1a u)` (20)."""
+    C3_A = reduced.C3 @ reduced.A_a
+    C3_B = reduced.C3 @ reduced.B_1a
+    of_x = w_dot.of_x - C3_A @ x_a.of_x
+    of_v = w_dot.of_v - C3_A @ x_a.of_v - C3_B @ U
+    return _LinearMap(G @ of_x, G @ of_v)
+
+
+def _algebraic_map(
+    reduced: ReducedSystem, *, x_a: _LinearMap, delta: _LinearMap, U: Matrix
+) -> _LinearMap:
+    """Compute `x_b = Kx x_a + Ku u + Kd delta` (8)."""
+    Kx = reduced.Kx
+    Ku = reduced.Ku
+    Kd = reduced.Kd
+    of_x = Kx @ x_a.of_x + Kd @ delta.of_x
+    of_v = Kx @ x_a.of_v + Ku @ U + Kd @ delta.of_v
+    from_x_a = np.abs(Kx) @ np.abs(x_a.of_v)
+    from_delta = np.abs(Kd) @ np.abs(delta.of_v)
+    magnitudes = from_x_a + np.abs(Ku) @ U + from_delta
+    return _LinearMap(of_x, without_rounding(of_v, magnitudes))
+
+
+def _given_gain(L: ArrayLike | None, shape: tuple[int, ...]) -> Matrix:
     gain = np.asarray(L, dtype=np.float64)
     if gain.ndim == 1 and shape[1] == 1:
         gain = gain[:, None]
     if gain.shape != shape:
         raise AssumptionError(
-            f"(17): L has shape {gain.shape}; needed {shape}: one row per dynamic state, one column per output"
+            f"(17): L has shape {gain.shape}; needed {shape}: one row per dynamic state, one "
+            "column per output"
         )
     if not np.isfinite(gain).all():
         raise AssumptionError(f"(17): L = {gain.tolist()}; needed finite numbers")
@@ -268,14 +347,13 @@ def _gain(L: ArrayLike | None, shape: tuple[int, ...]) -> Matrix:
 
 
 def _sorted_eigenvalues(matrix: Matrix) -> ComplexVector:
-    return (
-        np.sort_complex(np.linalg.eigvals(matrix).astype(np.complex128))
-        if matrix.size
-        else np.zeros(0, dtype=np.complex128)
-    )
+    if not matrix.size:
+        return np.zeros(0, dtype=np.complex128)
+    eigenvalues = np.linalg.eigvals(matrix).astype(np.complex128)
+    return np.sort_complex(eigenvalues)
 
 
-def _start_vector(name: str, values: ArrayLike, size: int) -> Vector:
+def _initial_vector(name: str, values: ArrayLike, size: int) -> Vector:
     vector = np.atleast_1d(np.asarray(values, dtype=np.float64))
     if vector.shape != (size,):
         raise AssumptionError(f"(18): {name} has shape {vector.shape}; needed ({size},)")

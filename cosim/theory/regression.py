@@ -1,20 +1,21 @@
 """The regression (21)-(26) as one determinant.
 
-Components that share one alpha form a **block** b of size `V_b`, the sum of their basis sizes; `l = sum V_b`. With `l + 1` delays
-the matrix with the rows
+Components that share one alpha form a **group** b with `V_b` basis functions, the sum of those of
+its components; `l = sum V_b`. With `l + 1` delays the matrix with the rows
 
     [delta(t - D_j), alpha_1(t - D_j) K_1(D_j)', ..., alpha_B(t - D_j) K_B(D_j)'],    j = 1..l+1
 
-has more columns than basis functions, so its determinant vanishes: that is (24). Laplace's expansion along the delta column and
-then block by block gives one term for each choice of a row j for delta and of a set `R_b` of `V_b` rows for every block::
+has more columns than basis functions, so its determinant vanishes: that is (24). Laplace's
+expansion along the delta column and then group by group gives one term for each choice of a row j
+for delta and of a set `R_b` of `V_b` rows for every group::
 
     sum over terms of  mu chi = 0                                                              (25)
     mu  = sign delta(t - D_j) prod_b prod_{i in R_b} alpha_b(t - D_i)     known signals
     chi = prod_b det K_b[R_b]                                             unknown constants
 
-`(l + 1)! / prod V_b!` terms. The sign is that of the permutation (j, R_1, R_2, ...). Terms are ordered by the column that holds
-the last row (delta, then the blocks), then by the rows: for two exponentials exactly the paper's mu_1..mu_6 (32). In the code
-rows count from 0.
+`(l + 1)! / prod V_b!` terms. The sign is that of the permutation (j, R_1, R_2, ...). Terms are
+ordered by the column that holds the last row (delta, then the groups), then by the rows: for two
+exponentials exactly the paper's mu_1..mu_6 (32). In the code rows count from 0.
 """
 
 from __future__ import annotations
@@ -29,12 +30,16 @@ import numpy as np
 from cosim.arrays import Matrix, Vector
 from cosim.errors import AssumptionError
 
-COLLINEAR = 1e-9  # singular value of the alpha products, columns of length one, below which they count as dependent
+# singular value of the alpha products, columns of length one, below which they count as dependent
+COLLINEAR = 1e-9
 
 
 @dataclass(frozen=True)
 class Term:
-    """One term of (25): the row of delta, the rows of each block, and the sign that belongs to mu."""
+    """One term of (25).
+
+    ``row`` is the row of delta, ``parts`` are the rows `R_b` of each group, ``sign`` belongs to mu.
+    """
 
     row: int
     parts: tuple[tuple[int, ...], ...]
@@ -42,35 +47,37 @@ class Term:
 
 
 def count_terms(sizes: Sequence[int]) -> int:
-    """Count the terms of (25), `(l + 1)! / prod V_b!`, without making them."""
-    return math.factorial(sum(sizes) + 1) // math.prod(math.factorial(size) for size in sizes)
+    """Compute the number of terms of (25), `(l + 1)! / prod V_b!`, for groups of these sizes."""
+    permutations = math.factorial(sum(sizes) + 1)
+    inside_groups = math.prod(math.factorial(size) for size in sizes)
+    return permutations // inside_groups
 
 
 def expand(sizes: tuple[int, ...]) -> tuple[Term, ...]:
-    """Expand the determinant for blocks of these sizes into the terms of (25), in the order of (32).
+    """Expand the determinant for groups of these sizes into the terms of (25), as ordered in (32).
 
     Raises
     ------
     AssumptionError
-        If there is no block or a block is empty.
+        If there is no group or a group is empty.
     """
     if not sizes or min(sizes) < 1:
         raise AssumptionError(
-            f"(21): block sizes {list(sizes)}; needed at least one block, each with at least one basis function"
+            f"(21): group sizes {list(sizes)}; needed at least one group, each with at least one "
+            "basis function"
         )
     rows = tuple(range(sum(sizes) + 1))
-    choices = [
-        (row, parts) for row in rows for parts in _partitions(rows[:row] + rows[row + 1 :], sizes)
-    ]
-    choices.sort(key=lambda choice: (_holder(rows[-1], *choice), choice))
-    return tuple(
-        Term(row, parts, _parity((row, *(i for part in parts for i in part))))
-        for row, parts in choices
-    )
+    last = rows[-1]
+    choices: list[tuple[int, tuple[tuple[int, ...], ...]]] = []
+    for row in rows:
+        others = rows[:row] + rows[row + 1 :]
+        choices.extend((row, parts) for parts in _partitions(others, sizes))
+    choices.sort(key=lambda choice: (_column_of(last, *choice), choice))
+    return tuple(Term(row, parts, _sign(row, parts)) for row, parts in choices)
 
 
 def mu(terms: Sequence[Term], delta: Matrix, alpha: Matrix) -> Matrix:
-    """Give the known signals of (25), signs included.
+    """Compute the known signals of (25), signs included.
 
     Parameters
     ----------
@@ -79,59 +86,68 @@ def mu(terms: Sequence[Term], delta: Matrix, alpha: Matrix) -> Matrix:
     delta : Matrix
         `delta(t - D_j)`, shape ``(N, l + 1)``.
     alpha : Matrix
-        `alpha_b(t - D_j)`, shape ``(N, l + 1, blocks)``.
+        `alpha_b(t - D_j)`, shape ``(N, l + 1, n_groups)``.
 
     Returns
     -------
     Matrix
         Shape ``(N, q + 1)``; `p = -mu[:, 0]` and `m = mu[:, 1:]` (26).
     """
-    return np.stack([term.sign * delta[:, term.row] for term in terms], axis=1) * alpha_products(
-        terms, alpha
-    )
+    columns = [term.sign * delta[:, term.row] for term in terms]
+    return np.stack(columns, axis=1) * alpha_products(terms, alpha)
 
 
 def alpha_products(terms: Sequence[Term], alpha: Matrix) -> Matrix:
-    """Give `prod_b prod_{i in R_b} alpha_b(t - D_i)` for every term, shape ``(N, q + 1)``, from alpha ``(N, l + 1, blocks)``."""
+    """Compute `prod_b prod_{i in R_b} alpha_b(t - D_i)` (25) for every term.
+
+    Parameters
+    ----------
+    terms : sequence of Term
+        The ``q + 1`` terms.
+    alpha : Matrix
+        `alpha_b(t - D_j)`, shape ``(N, l + 1, n_groups)``.
+
+    Returns
+    -------
+    Matrix
+        Shape ``(N, q + 1)``.
+    """
     products = np.ones((len(alpha), len(terms)))
     for column, term in enumerate(terms):
-        for block, part in enumerate(term.parts):
-            products[:, column] *= alpha[:, list(part), block].prod(axis=1)
+        for b, part in enumerate(term.parts):
+            factors = alpha[:, list(part), b]
+            products[:, column] *= factors.prod(axis=1)
     return products
 
 
 def chi(terms: Sequence[Term], K: Sequence[Matrix]) -> Vector:
-    """Give the constants of (25), the products of minors `det K_b[R_b]`, without the signs.
+    """Compute the constants of (25), the products of minors `det K_b[R_b]`, without the signs.
 
     Parameters
     ----------
     terms : sequence of Term
         The ``q + 1`` terms.
     K : sequence of Matrix
-        For each block the rows `K_b(D_j)'`, shape ``(l + 1, V_b)``.
+        For each group the rows `K_b(D_j)'`, shape ``(l + 1, V_b)``.
 
     Returns
     -------
     Vector
         Shape ``(q + 1,)``.
     """
-    with np.errstate(
-        divide="ignore"
-    ):  # the logarithm inside det of a minor that underflows to zero
-        minors = [
-            {
-                part: float(np.linalg.det(rows[list(part)]))
-                for part in {term.parts[block] for term in terms}
-            }
-            for block, rows in enumerate(K)
-        ]
-    return np.array(
-        [math.prod(minors[block][part] for block, part in enumerate(term.parts)) for term in terms]
-    )
+    minors = []
+    for b, rows in enumerate(K):
+        parts = {term.parts[b] for term in terms}
+        minors.append(_minors(rows, parts))
+    constants = []
+    for term in terms:
+        factors = [minors[b][part] for b, part in enumerate(term.parts)]
+        constants.append(math.prod(factors))
+    return np.array(constants)
 
 
 def eta(terms: Sequence[Term], K: Sequence[Matrix]) -> Vector:
-    """Give `eta_c = chi_c / chi_0` (26), shape ``(q,)``.
+    """Compute the regression coefficients `eta_c = chi_c / chi_0` (26), shape ``(q,)``.
 
     Raises
     ------
@@ -139,9 +155,10 @@ def eta(terms: Sequence[Term], K: Sequence[Matrix]) -> Vector:
         If chi_0 vanishes.
     """
     constants = chi(terms, K)
-    if constants[0] == 0.0:
+    normalizer = constants[0]
+    if normalizer == 0.0:
         raise AssumptionError("(26): chi_0 = 0, so eta is not defined; choose other delays")
-    ratios: Vector = constants[1:] / constants[0]
+    ratios: Vector = constants[1:] / normalizer
     return ratios
 
 
@@ -155,14 +172,16 @@ def check_delays(delays: Sequence[float], needed: int) -> None:
     """
     if len(delays) != needed:
         raise AssumptionError(
-            f"Assumption 3 (5): {len(delays)} delays; needed l + 1 = {needed} for l = {needed - 1} basis functions"
+            f"Assumption 3 (5): {len(delays)} delays; needed l + 1 = {needed} for "
+            f"l = {needed - 1} basis functions"
         )
-    for j, D in enumerate(delays, start=1):
+    numbered = list(enumerate(delays, start=1))
+    for j, D in numbered:
         if not 0.0 <= D < math.inf:
             raise AssumptionError(
                 f"Assumption 3 (5): D_{j} = {D:g} s; needed a finite delay, not negative"
             )
-    for (i, first), (j, second) in combinations(enumerate(delays, start=1), 2):
+    for (i, first), (j, second) in combinations(numbered, 2):
         if first == second:
             raise AssumptionError(
                 f"Assumption 3 (5): D_{i} = D_{j} = {first:g} s; needed pairwise distinct delays"
@@ -170,68 +189,65 @@ def check_delays(delays: Sequence[float], needed: int) -> None:
 
 
 def check_alpha_products(terms: Sequence[Term], alpha: Matrix, names: Sequence[str]) -> None:
-    """Refuse alphas whose products are dependent, so that (26) has many solutions whatever the data.
+    """Check that the alpha products are independent; else (26) has many solutions for any data.
 
-    Terms with the same row of delta multiply the same `delta(t - D_j)`; their alpha products alone must be independent in time.
+    Terms with the same row of delta multiply the same `delta(t - D_j)`; their alpha products alone
+    must be independent in time.
 
     Parameters
     ----------
     terms : sequence of Term
         The terms.
     alpha : Matrix
-        `alpha_b(t - D_j)` over a time grid, shape ``(N, l + 1, blocks)``, N at least the terms per row of delta.
+        `alpha_b(t - D_j)` over a time grid, shape ``(N, l + 1, n_groups)``, N at least the number
+        of terms per row of delta.
     names : sequence of str
-        A name for each block, for the message.
+        A name for each group, for the message.
 
     Raises
     ------
     AssumptionError
-        If two alphas are proportional (their blocks must be merged), or if products are dependent for another reason, or if the
-        grid is too short to tell.
+        If two alphas are proportional (their groups must be merged), if products are dependent for
+        another reason, or if the grid is too short to decide.
     """
     for a, b in combinations(range(len(names)), 2):
-        if _rank(alpha[:, :, [a, b]].reshape(-1, 2)) < 2:
+        pair = alpha[:, :, [a, b]].reshape(-1, 2)
+        if _rank(pair) < 2:
             raise AssumptionError(
-                f"(21): alpha {names[a]!r} and alpha {names[b]!r} are proportional; merge their components into one block "
-                "(give them the same alpha)"
+                f"(21): alpha {names[a]!r} and alpha {names[b]!r} are proportional; merge their "
+                "components into one group (give them the same alpha)"
             )
     products = alpha_products(terms, alpha)
     for row in sorted({term.row for term in terms}):
-        columns = products[:, [c for c, term in enumerate(terms) if term.row == row]]
-        if len(columns) < columns.shape[1]:
-            raise AssumptionError(
-                f"(26): {len(columns)} times; needed at least {columns.shape[1]} to tell the alpha products apart"
-            )
-        found = _rank(columns)
-        if found < columns.shape[1]:
-            raise AssumptionError(
-                f"(26): the {columns.shape[1]} alpha products with delta(t - D_{row + 1}) of {', '.join(map(repr, names))} have "
-                f"rank {found}; choose delays that are no multiples of a period of alpha, and alphas that a delay does not "
-                "merely scale"
-            )
+        columns = [c for c, term in enumerate(terms) if term.row == row]
+        _check_independent(products[:, columns], row, names)
 
 
 def linear_route_warning(sizes: Sequence[int]) -> str:
-    """Say whether estimating eta linearly (26) can work for blocks of these sizes; empty where there is nothing to say.
+    """Return why estimating eta linearly (26) is poor for groups of these sizes, or ``""``.
 
-    With exact data the condition of the information matrix is 3e4 for the paper's l = 2, and 4e12 or worse for l = 4.
+    With exact data the condition of the information matrix is 3e4 for the paper's l = 2, and 4e12
+    or worse for l = 4.
     """
     length = sum(sizes)
-    unknowns = f"l = {length} with different alphas makes {count_terms(sizes) - 1} unknowns"
     if len(sizes) == 1 or length < 3:
         return ""
+    unknowns = f"l = {length} with different alphas makes {count_terms(sizes) - 1} unknowns"
     if length == 3:
-        return f"the linear route is marginal: {unknowns}; expect a poor condition, or merge alphas, or estimate theta directly"
+        return (
+            f"the linear route is marginal: {unknowns}; expect a poor condition, or merge alphas, "
+            "or estimate theta directly"
+        )
     return (
-        f"the linear route is unusable: {unknowns}, with a condition of 4e12 or worse even from exact data; merge alphas or "
-        "estimate theta directly"
+        f"the linear route is unusable: {unknowns}, with a condition of 4e12 or worse even from "
+        "exact data; merge alphas or estimate theta directly"
     )
 
 
 def _partitions(
     rows: tuple[int, ...], sizes: tuple[int, ...]
 ) -> Iterator[tuple[tuple[int, ...], ...]]:
-    """Give each way to share the rows among the blocks, once."""
+    """Yield each way to share the rows among groups of these sizes, once."""
     if not sizes:
         yield ()
         return
@@ -241,16 +257,48 @@ def _partitions(
             yield (part, *others)
 
 
-def _holder(last: int, row: int, parts: tuple[tuple[int, ...], ...]) -> int:
-    """Give the column group that holds the last row: 0 for delta, 1.. for the blocks."""
-    return 0 if row == last else 1 + next(block for block, part in enumerate(parts) if last in part)
+def _column_of(last: int, row: int, parts: tuple[tuple[int, ...], ...]) -> int:
+    """Return the column that holds the last row: 0 for delta, 1.. for the groups."""
+    if row == last:
+        return 0
+    holds_last = [last in part for part in parts]
+    return 1 + holds_last.index(True)
 
 
-def _parity(permutation: tuple[int, ...]) -> int:
-    return -1 if sum(a > b for a, b in combinations(permutation, 2)) % 2 else 1
+def _sign(row: int, parts: tuple[tuple[int, ...], ...]) -> int:
+    """Return the sign of the permutation (row, parts[0], parts[1], ...)."""
+    permutation = [row]
+    for part in parts:
+        permutation.extend(part)
+    inversions = sum(first > second for first, second in combinations(permutation, 2))
+    return -1 if inversions % 2 else 1
+
+
+def _minors(rows: Matrix, parts: set[tuple[int, ...]]) -> dict[tuple[int, ...], float]:
+    """Compute the minors `det K_b[R_b]` of one group."""
+    with np.errstate(divide="ignore"):  # det takes the logarithm of a minor that underflows to 0
+        return {part: float(np.linalg.det(rows[list(part)])) for part in parts}
+
+
+def _check_independent(columns: Matrix, row: int, names: Sequence[str]) -> None:
+    times, needed = columns.shape
+    if times < needed:
+        raise AssumptionError(
+            f"(26): {times} times; needed at least {needed} to tell the alpha products apart"
+        )
+    independent = _rank(columns)
+    if independent < needed:
+        listed = ", ".join(map(repr, names))
+        raise AssumptionError(
+            f"(26): the {needed} alpha products with delta(t - D_{row + 1}) of {listed} have rank "
+            f"{independent}; choose delays that are no multiples of a period of alpha, and alphas "
+            "that a delay does not merely scale"
+        )
 
 
 def _rank(columns: Matrix) -> int:
+    """Compute the rank of columns that are first scaled to length one."""
     lengths = np.linalg.norm(columns, axis=0)
-    values = np.linalg.svd(columns / np.where(lengths > 0.0, lengths, 1.0), compute_uv=False)
+    normalized = columns / np.where(lengths > 0.0, lengths, 1.0)
+    values = np.linalg.svd(normalized, compute_uv=False)
     return int((values > COLLINEAR).sum())

@@ -1,4 +1,10 @@
-"""What the data can identify: the information of (34) and a verdict on it."""
+"""What the data determine: the information of (34) and a verdict on it.
+
+The q directions are those of the **regression coefficients** eta (26). The regressor m is
+*persistently exciting* where the information, the integral of m m', has full rank q. The parameters
+theta are fewer than eta and follow from it by (35): full rank is sufficient for theta, but no
+statement about its error.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +12,8 @@ import numpy as np
 
 from cosim.arrays import Matrix, Vector
 
-COMPARABLE = (
-    0.1  # prior over information above which the prior decides a direction as much as the data do
-)
+# prior over information from which on the prior decides a direction as much as the data do
+COMPARABLE = 0.1
 
 
 def information(m: Matrix, dt: float) -> Matrix:
@@ -26,37 +31,50 @@ def information(m: Matrix, dt: float) -> Matrix:
     Matrix
         Shape ``(q, q)``.
     """
-    matrix: Matrix = dt * (m.T @ m - (np.outer(m[0], m[0]) + np.outer(m[-1], m[-1])) / 2.0)
+    first = np.outer(m[0], m[0])
+    last = np.outer(m[-1], m[-1])
+    matrix: Matrix = dt * (m.T @ m - (first + last) / 2.0)
     return matrix
 
 
 def verdict(eigenvalues: Vector, prior: float | None) -> str:
-    """Say what the data can identify, with numbers.
+    """Describe in one sentence, with numbers, what the data determine of eta (26).
 
     Parameters
     ----------
     eigenvalues : Vector
-        Eigenvalues of the information matrix in any order.
+        Eigenvalues of the information matrix in any order, shape ``(q,)``.
     prior : float or None
         `1/P0` of (34); None or 0 for no prior.
     """
-    smallest, largest = float(np.min(eigenvalues)), float(np.max(eigenvalues))
-    if smallest <= len(eigenvalues) * np.finfo(np.float64).eps * max(largest, 0.0):
+    q = len(eigenvalues)
+    smallest = float(np.min(eigenvalues))
+    largest = float(np.max(eigenvalues))
+    rounding = q * np.finfo(np.float64).eps * max(largest, 0.0)
+    if smallest <= rounding:
+        rank = int((np.asarray(eigenvalues) > rounding).sum())
+        decided_by_prior = "; the prior alone decides it" if prior else ""
         return (
-            f"not identifiable: the smallest information eigenvalue {smallest:.3g} is zero to rounding beside the largest "
-            f"{largest:.3g}; some combination of the unknowns leaves no trace in the data"
-            + ("; the prior alone decides it" if prior else "")
+            f"the regressor is not persistently exciting (rank {rank} of {q}): the smallest "
+            f"information eigenvalue {smallest:.3g} is zero to rounding beside the largest "
+            f"{largest:.3g}; some combination of the regression coefficients leaves no trace in "
+            f"the data{decided_by_prior}"
         )
+    exciting = f"the regressor is persistently exciting (rank {q} of {q})"
     condition = f"condition {largest / smallest:.3g}"
     if not prior:
-        return f"the data decide all {len(eigenvalues)} directions, smallest information eigenvalue {smallest:.3g}, {condition}"
+        return f"{exciting}, smallest information eigenvalue {smallest:.3g}, {condition}"
     ratio = prior / smallest
-    compared = f"the prior 1/P0 = {prior:.3g} is {ratio:.2g} of the smallest information eigenvalue {smallest:.3g}"
+    compared = (
+        f"the prior 1/P0 = {prior:.3g} is {ratio:.2g} of the smallest information eigenvalue "
+        f"{smallest:.3g}"
+    )
     if ratio < COMPARABLE:
-        return f"{compared}: the data decide all {len(eigenvalues)} directions, {condition}"
-    directions = int((prior >= COMPARABLE * np.asarray(eigenvalues)).sum())
+        return f"{compared}: {exciting}, {condition}"
+    weight = ratio / (1.0 + ratio)
+    affected = int((prior >= COMPARABLE * np.asarray(eigenvalues)).sum())
     return (
-        f"{compared}: the estimate in that direction is the prior's, not the data's (weight of the prior "
-        f"{ratio / (1.0 + ratio):.2g}); {directions} of {len(eigenvalues)} directions are affected, {condition}; raise P0 or "
+        f"{compared}: the estimate in that direction is the prior's, not the data's (weight of the "
+        f"prior {weight:.2g}); {affected} of {q} directions are affected, {condition}; raise P0 or "
         "leave it out"
     )

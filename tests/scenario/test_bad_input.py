@@ -112,7 +112,7 @@ CASES = {
     "too few delays": ([("[1.0, 2.0, 3.0]", "[1.0, 2.0]")], r"2 delays; needed l \+ 1 = 3"),
     "proportional alphas": (
         [('alpha = "1.10 + 0.20*cos(2.3*t)", family = "exponential" }', 'alpha = "2.7 + 0.5*sin(1.7*t)", family = "exponential" }')],
-        r"are proportional; merge their components into one block",
+        r"are proportional; merge their components into one group",
     ),
     "unknown family": ([('family = "exponential" },\n]\ndelays', 'family = "exponentail" },\n]\ndelays')], r"no disturbance family 'exponentail'; did you mean 'exponential'\?"),
     "unknown model": ([('model = "academic" ', 'model = "acedemic" ')], r"there is no model 'acedemic' in \[models\]; did you mean 'academic'\?"),

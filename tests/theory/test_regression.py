@@ -167,7 +167,7 @@ def test_the_expansion_is_the_determinant(sizes, random):
 def test_an_empty_expansion_is_refused():
     """No blocks, or a block without basis functions."""
     for sizes in ((), (1, 0)):
-        with pytest.raises(AssumptionError, match=r"block sizes \[.*\]; needed at least one block"):
+        with pytest.raises(AssumptionError, match=r"group sizes \[.*\]; needed at least one group"):
             expand(sizes)
 
 
@@ -210,7 +210,7 @@ def test_the_papers_alphas_are_independent():
     [
         (
             grid(np.cos, lambda t: -3.0 * np.cos(t)),
-            r"alpha 'a' and alpha 'b' are proportional; merge their components into one block",
+            r"alpha 'a' and alpha 'b' are proportional; merge their components into one group",
         ),
         (
             grid(lambda t: np.exp(-0.1 * t), lambda t: np.exp(-0.2 * t)),

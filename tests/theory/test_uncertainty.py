@@ -14,7 +14,8 @@ def papers_information(case, steps):
 def test_the_information_is_the_papers(case):
     """Eigenvalues and condition over [T_id, 40] from exact delta."""
     expected, rel = case("C03")["expected"], case("C03")["tol"]["rel"]
-    # Richardson's step on the trapezoid rule leaves order h^4: h = 4 ms, derivatives of order 10^4 / 180, far below 1e-6 * 1.7e-3
+    # Richardson's step on the trapezoid rule leaves order h^4: h = 4 ms, derivatives of order
+    # 10^4 / 180, far below 1e-6 * 1.7e-3
     matrix = (4.0 * papers_information(case, 8192) - papers_information(case, 4096)) / 3.0
     eigenvalues = np.linalg.eigvalsh(matrix)
     np.testing.assert_allclose(eigenvalues, expected["info_eigs_T_id_to_40"], rtol=rel)
@@ -30,41 +31,45 @@ def test_the_information_converges_with_order_two(case):
 
 def test_the_verdict_names_the_prior_that_decides(case):
     """1/P0 = 1e-3 against 1.70e-3: the paper's own setting."""
-    text = verdict(np.array(case("C03")["expected"]["info_eigs_T_id_to_40"]), 1e-3)
-    assert text.startswith(
-        "the prior 1/P0 = 0.001 is 0.59 of the smallest information eigenvalue 0.0017: the estimate in that direction is the "
-        "prior's, not the data's (weight of the prior 0.37); 2 of 5 directions are affected, condition 3.23e+04"
+    eigenvalues = np.array(case("C03")["expected"]["info_eigs_T_id_to_40"])
+    assert verdict(eigenvalues, 1e-3).startswith(
+        "the prior 1/P0 = 0.001 is 0.59 of the smallest information eigenvalue 0.0017: the "
+        "estimate in that direction is the prior's, not the data's (weight of the prior 0.37); "
+        "2 of 5 directions are affected, condition 3.23e+04"
     )
 
 
 @pytest.mark.parametrize(
-    ("eigenvalues", "prior", "text"),
+    ("eigenvalues", "prior", "message"),
     [
         (
             [1.0, 4.0],
             1e-9,
-            "the prior 1/P0 = 1e-09 is 1e-09 of the smallest information eigenvalue 1: the data decide all 2 "
-            "directions, condition 4",
+            "the prior 1/P0 = 1e-09 is 1e-09 of the smallest information eigenvalue 1: the "
+            "regressor is persistently exciting (rank 2 of 2), condition 4",
         ),
         (
             [4.0, 1.0],
             None,
-            "the data decide all 2 directions, smallest information eigenvalue 1, condition 4",
+            "the regressor is persistently exciting (rank 2 of 2), smallest information "
+            "eigenvalue 1, condition 4",
         ),
         (
             [4.0, -1e-17],
             None,
-            "not identifiable: the smallest information eigenvalue -1e-17 is zero to rounding beside the largest 4; some "
-            "combination of the unknowns leaves no trace in the data",
+            "the regressor is not persistently exciting (rank 1 of 2): the smallest information "
+            "eigenvalue -1e-17 is zero to rounding beside the largest 4; some combination of the "
+            "regression coefficients leaves no trace in the data",
         ),
         (
             [0.0, 0.0],
             1e-3,
-            "not identifiable: the smallest information eigenvalue 0 is zero to rounding beside the largest 0; some "
-            "combination of the unknowns leaves no trace in the data; the prior alone decides it",
+            "the regressor is not persistently exciting (rank 0 of 2): the smallest information "
+            "eigenvalue 0 is zero to rounding beside the largest 0; some combination of the "
+            "regression coefficients leaves no trace in the data; the prior alone decides it",
         ),
     ],
 )
-def test_the_verdict_has_numbers(eigenvalues, prior, text):
-    """Data decide, nothing decides, or the prior decides."""
-    assert verdict(np.array(eigenvalues), prior) == text
+def test_the_verdict_has_numbers(eigenvalues, prior, message):
+    """The data determine eta, nothing does, or the prior does."""
+    assert verdict(np.array(eigenvalues), prior) == message
