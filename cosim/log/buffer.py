@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import struct
 from collections.abc import Mapping, Sequence
-from typing import final
+from typing import TypeAlias, final
 
 import numpy as np
 from mcap.opcode import Opcode
@@ -17,20 +17,24 @@ from numpy.typing import NDArray
 from cosim.arrays import Matrix, Nanoseconds
 from cosim.core.contracts import Block
 from cosim.core.signals import Layout
-from cosim.log.content import hashable
-from cosim.log.layout import HEADER, Part, blank_records, group_columns, record_dtype
+from cosim.log.content import hash_input
+from cosim.log.layout import HEADER, Part, Records, blank_records, group_columns, record_dtype
 from cosim.log.result import LastRow
-from cosim.log.sink import Run
+from cosim.log.sink import MessageBatch
 
 CHUNK_BYTES = 2**20  # of records, uncompressed
 _BUFFER_BYTES = 2**22  # of rows, where long periods leave few of them in a chunk
+_DOUBLE_BYTES = 8
+_SEQUENCE_MASK = 0xFFFFFFFF  # MCAP's sequence has 32 bits
 
 _MESSAGE = struct.Struct("<BQHIQQ")  # a message record up to its data
+
+RowSelection: TypeAlias = slice | NDArray[np.intp]
 
 
 @final
 class RowBuffer:
-    """Takes blocks, gives the message records of a chunk.
+    """The rows of blocks, collected until they fill a chunk.
 
     Parameters
     ----------
@@ -41,21 +45,16 @@ class RowBuffer:
 
     def __init__(self, layout: Layout, parts: Sequence[tuple[int, Part]]) -> None:
         self._layout = layout
-        per_step = sum(record_dtype(part.size).itemsize / part.channel.period for _, part in parts)
-        most = min(CHUNK_BYTES // max(per_step, 1.0), _BUFFER_BYTES // (8 * max(layout.width, 1)))
-        self._capacity = max(int(most), 1)
+        self._capacity = _capacity(layout, [part for _, part in parts])
         self._rows = np.empty((self._capacity, layout.width))
         self._time_ns = np.empty(self._capacity, dtype=np.int64)
         self._step = np.empty(self._capacity, dtype=np.int64)
         self._count = 0
-        kept = {
-            period: -(-self._capacity // period)
-            for period in {part.channel.period for _, part in parts}
-        }
-        self._parts = [
-            (part, blank_records(number, part.size, kept[part.channel.period]))
-            for number, part in parts
-        ]
+        self._parts: list[tuple[Part, Records]] = []
+        for channel_id, part in parts:
+            recorded_rows = -(-self._capacity // part.channel.period)  # rounded up
+            records = blank_records(channel_id, part.size, recorded_rows)
+            self._parts.append((part, records))
 
     @property
     def full(self) -> bool:
@@ -63,75 +62,108 @@ class RowBuffer:
         return self._count == self._capacity
 
     @property
-    def reached(self) -> LastRow | None:
-        """The last row taken; None: there is none."""
+    def last_row(self) -> LastRow | None:
+        """The last row in the buffer; None: it is empty."""
+        if self._count == 0:
+            return None
         last = self._count - 1
-        return None if last < 0 else LastRow(int(self._step[last]), int(self._time_ns[last]))
+        step = int(self._step[last])
+        time_ns = int(self._time_ns[last])
+        return LastRow(step, time_ns)
 
-    def take(self, block: Block, signals: Matrix, start: int) -> int:
-        """Copy rows of a block from ``start`` on, as many as there is room for; give the row to go on at."""
-        stop = min(start + self._capacity - self._count, block.steps + 1)
-        place = slice(self._count, self._count + stop - start)
-        self._rows[place] = signals[start:stop]
-        self._time_ns[place] = block.time_ns[start:stop]
-        self._step[place] = np.arange(block.index + start, block.index + stop)
-        self._count = place.stop
+    def append(self, block: Block, signals: Matrix, start: int) -> int:
+        """Copy the rows of a block from ``start`` on, as many as there is room for.
+
+        Returns
+        -------
+        int
+            The row of the block to go on at.
+        """
+        room = self._capacity - self._count
+        stop = min(start + room, block.steps + 1)
+        target = slice(self._count, self._count + stop - start)
+        self._rows[target] = signals[start:stop]
+        self._time_ns[target] = block.time_ns[start:stop]
+        self._step[target] = np.arange(block.index + start, block.index + stop)
+        # Last: an interrupt before this line leaves the buffer as it was.
+        self._count = target.stop
         return stop
 
-    def runs(self) -> list[Run]:
-        """Give the message records of all rows taken, one run per channel; valid until more is taken."""
-        kept = self._kept()
-        runs = [
-            self._run(part, records, kept[part.channel.period]) for part, records in self._parts
-        ]
-        return [run for run in runs if len(run.time_ns)]
+    def message_batches(self) -> list[MessageBatch]:
+        """Return the message records of all rows, one batch per channel that has any.
+
+        They share the buffer's memory: valid until the next call.
+        """
+        recorded = self._recorded_rows()
+        batches = []
+        for part, records in self._parts:
+            batch = self._message_batch(part, records, recorded[part.channel.period])
+            if len(batch.time_ns):
+                batches.append(batch)
+        return batches
 
     def hash_into(self, hashes: Mapping[str, hashlib._Hash]) -> None:
-        """Add the rows taken to the content hashes of their components."""
-        kept = self._kept()
+        """Add the rows in the buffer to the content hashes of their components."""
+        recorded = self._recorded_rows()
         for channel in self._layout.channels:
-            chosen = kept[channel.period]
-            hashes[channel.name].update(
-                hashable(self._time_ns[chosen], self._rows[chosen, channel.columns])
-            )
+            selected = recorded[channel.period]
+            rows = self._rows[selected, channel.columns]
+            hashes[channel.name].update(hash_input(self._time_ns[selected], rows))
 
     def clear(self) -> None:
         """Forget the rows."""
         self._count = 0
 
-    def _kept(self) -> dict[int, slice | NDArray[np.intp]]:
-        """Say for each period which of the rows its log keeps."""
+    def _recorded_rows(self) -> dict[int, RowSelection]:
+        """Return for each period the rows that components of that period record."""
         periods = {channel.period for channel in self._layout.channels}
         return {period: self._every(period) for period in periods}
 
-    def _every(self, period: int) -> slice | NDArray[np.intp]:
-        return (
-            slice(self._count)
-            if period == 1
-            else np.flatnonzero(self._step[: self._count] % period == 0)
-        )
+    def _every(self, period: int) -> RowSelection:
+        if period == 1:
+            return slice(self._count)
+        steps = self._step[: self._count]
+        return np.flatnonzero(steps % period == 0)
 
-    def _run(self, part: Part, blank: NDArray[np.void], kept: slice | NDArray[np.intp]) -> Run:
-        time_ns: Nanoseconds = self._time_ns[kept].copy()
+    def _message_batch(self, part: Part, blank: Records, selected: RowSelection) -> MessageBatch:
+        time_ns: Nanoseconds = self._time_ns[selected].copy()
         records = blank[: len(time_ns)]
-        records["sequence"] = self._step[kept].astype(np.uint32)
-        records["log_time"] = records["publish_time"] = time_ns
+        records["sequence"] = self._step[selected].astype(np.uint32)
+        records["log_time"] = time_ns
+        records["publish_time"] = time_ns
         first = part.channel.start + part.columns.start
-        for name, columns in group_columns(part.size).items():
-            records[name]["value"] = self._rows[kept, first + columns.start : first + columns.stop]
+        for group, columns in group_columns(part.size).items():
+            row_columns = slice(first + columns.start, first + columns.stop)
+            records[group]["value"] = self._rows[selected, row_columns]
+        channel_id = int(blank["channel_id"][0])
         offsets = np.arange(len(records), dtype=np.int64) * records.itemsize
-        return Run(int(blank["channel_id"][0]), records.view(np.uint8).data, time_ns, offsets)
+        return MessageBatch(channel_id, records.view(np.uint8).data, time_ns, offsets)
 
 
-def message_run(messages: Sequence[tuple[int, bytes]], *, channel_id: int, step_ns: int) -> Run:
-    """Give the message records of (time [ns], data) pairs of any size."""
-    records, offsets, size = [], [], 0
+def _capacity(layout: Layout, parts: Sequence[Part]) -> int:
+    """Return the number of rows that fill a chunk, or the buffer where periods are long."""
+    record_bytes_per_step = 0.0
+    for part in parts:
+        record_bytes_per_step += record_dtype(part.size).itemsize / part.channel.period
+    rows_in_chunk = CHUNK_BYTES // max(record_bytes_per_step, 1.0)
+    row_bytes = _DOUBLE_BYTES * max(layout.width, 1)
+    rows_in_buffer = _BUFFER_BYTES // row_bytes
+    return max(int(min(rows_in_chunk, rows_in_buffer)), 1)
+
+
+def message_batch(
+    messages: Sequence[tuple[int, bytes]], *, channel_id: int, step_ns: int
+) -> MessageBatch:
+    """Return the message records of (time [ns], data) pairs of any size."""
+    records = []
+    offsets = []
+    size = 0
     for time_ns, data in messages:
-        length, step = _MESSAGE.size - HEADER + len(data), time_ns // step_ns & 0xFFFFFFFF
-        records.append(
-            _MESSAGE.pack(Opcode.MESSAGE, length, channel_id, step, time_ns, time_ns) + data
-        )
+        length = _MESSAGE.size - HEADER + len(data)
+        sequence = time_ns // step_ns & _SEQUENCE_MASK
+        header = _MESSAGE.pack(Opcode.MESSAGE, length, channel_id, sequence, time_ns, time_ns)
+        records.append(header + data)
         offsets.append(size)
-        size += len(records[-1])
+        size += len(header) + len(data)
     times = np.array([time_ns for time_ns, _ in messages], dtype=np.int64)
-    return Run(channel_id, b"".join(records), times, np.array(offsets, dtype=np.int64))
+    return MessageBatch(channel_id, b"".join(records), times, np.array(offsets, dtype=np.int64))

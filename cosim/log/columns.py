@@ -14,7 +14,7 @@ _FIRST_ROWS = 1024
 
 @final
 class SignalRows:
-    """The rows of one part of a component; grows as they come.
+    """The rows of one part of a component; grows as they are appended.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ class SignalRows:
         return self.part.channel.name
 
     def append(self, records: Records) -> None:
-        """Take message records.
+        """Append the rows of message records.
 
         Raises
         ------
@@ -44,9 +44,7 @@ class SignalRows:
         """
         stop = self.count + len(records)
         if stop > len(self._time_ns):
-            more = max(stop, 2 * len(self._time_ns), _FIRST_ROWS) - len(self._time_ns)
-            self._time_ns = np.concatenate([self._time_ns, np.empty(more, dtype=np.int64)])
-            self._values = np.concatenate([self._values, np.empty((more, self.part.size))])
+            self._grow(stop)
         times = records["log_time"].astype(np.int64)
         if (times < 0).any():
             raise ValueError(f"a time beyond {np.iinfo(np.int64).max} ns")
@@ -54,10 +52,21 @@ class SignalRows:
         copy_values(records, self._values[self.count : stop])
         self.count = stop
 
-    def sorted(self) -> tuple[Nanoseconds, Matrix]:
-        """Give times (n,) and values (n, size) in the order of time; rows of one time keep their order."""
-        time_ns, values = self._time_ns[: self.count], self._values[: self.count]
-        if (time_ns[1:] < time_ns[:-1]).any():
-            order = np.argsort(time_ns, kind="stable")
-            return time_ns[order], values[order]
-        return time_ns, values
+    def in_time_order(self) -> tuple[Nanoseconds, Matrix]:
+        """Return times (n,) and values (n, size) in the order of time."""
+        time_ns = self._time_ns[: self.count]
+        values = self._values[: self.count]
+        if (time_ns[1:] >= time_ns[:-1]).all():
+            return time_ns, values
+        # Stable: rows of one instant are the limits of a jump, told apart by their order.
+        order = np.argsort(time_ns, kind="stable")
+        return time_ns[order], values[order]
+
+    def _grow(self, needed: int) -> None:
+        """Make room for ``needed`` rows, and at least twice as many as before."""
+        room = len(self._time_ns)
+        added = max(needed, 2 * room, _FIRST_ROWS) - room
+        new_times = np.empty(added, dtype=np.int64)
+        new_values = np.empty((added, self.part.size))
+        self._time_ns = np.concatenate([self._time_ns, new_times])
+        self._values = np.concatenate([self._values, new_values])

@@ -1,7 +1,7 @@
 """Chunks compressed and, within limits, decompressed.
 
-32 kB of zstd can hold 1 GiB, and a decompressor told to give at most 1000 bytes still gave 100 MiB: the declared size is
-checked before anything is decompressed, and the decompressor is bounded by it.
+32 kB of zstd can hold 1 GiB, and a decompressor limited to 1000 bytes still returned 100 MiB: the
+declared size is checked before anything is decompressed, and the decompressor is bounded by it.
 """
 
 from __future__ import annotations
@@ -42,14 +42,16 @@ def decompress(data: bytes, compression: str, *, size: int, crc: int) -> bytes:
     Raises
     ------
     ValueError
-        If the chunk is too large, has another size or CRC than declared, or cannot be decompressed.
+        If the chunk is too large, has another size or CRC than declared, or cannot be
+        decompressed.
     """
+    # First of all: nothing may be decompressed, or allocated, for a size that is refused.
     if size > MOST_BYTES:
         raise ValueError(f"a chunk of {size} bytes, at most {MOST_BYTES} are read")
     if compression == "zstd":
-        records = _zstd(data, size)
+        records = _decompress_zstd(data, size)
     elif compression == "lz4":
-        records = _lz4(data, size)
+        records = _decompress_lz4(data, size)
     elif not compression:
         records = data
     else:
@@ -61,21 +63,22 @@ def decompress(data: bytes, compression: str, *, size: int, crc: int) -> bytes:
     return records
 
 
-def _zstd(data: bytes, size: int) -> bytes:
+def _decompress_zstd(data: bytes, size: int) -> bytes:
     try:
-        inside = zstandard.get_frame_parameters(data).content_size
-        if inside == zstandard.CONTENTSIZE_UNKNOWN:
+        frame_size = zstandard.get_frame_parameters(data).content_size
+        if frame_size == zstandard.CONTENTSIZE_UNKNOWN:
             with zstandard.ZstdDecompressor().stream_reader(data) as stream:
-                return stream.read(size + 1)
-        if inside != size:
-            raise ValueError(f"a chunk of {inside} bytes, {size} declared")
+                return stream.read(size + 1)  # one more, to notice a longer chunk
+        if frame_size != size:
+            raise ValueError(f"a chunk of {frame_size} bytes, {size} declared")
         return zstandard.ZstdDecompressor().decompress(data, max_output_size=size)
     except zstandard.ZstdError as error:
         raise ValueError(f"a chunk cannot be decompressed: {error}") from error
 
 
-def _lz4(data: bytes, size: int) -> bytes:
+def _decompress_lz4(data: bytes, size: int) -> bytes:
     try:
+        # One byte more than declared, to notice a longer chunk.
         return bytes(lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size + 1))
     except (RuntimeError, EOFError) as error:
         raise ValueError(f"a chunk cannot be decompressed: {error}") from error

@@ -1,6 +1,6 @@
 """An MCAP file as checked pieces: chunks, metadata, attachments, channels.
 
-Message indexes are not used, chunk indexes only to check what the chunks say of themselves.
+Message indexes are not used, chunk indexes only to check the headers of the chunks.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ import os
 import struct
 import zlib
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO, final
@@ -24,20 +25,28 @@ from mcap.summary import Summary
 from cosim.errors import LogError
 from cosim.log.compression import MOST_BYTES, decompress
 from cosim.log.layout import HEADER
-from cosim.log.scan import Loose, scan
-from cosim.log.walk import RecordSpan, damage, walk
+from cosim.log.scan import OtherRecord, scan
+from cosim.log.walk import RecordSpan, damage_error, walk
 
-MALFORMED = (
-    McapError,
-    ValueError,
-    KeyError,
-    TypeError,
-    OverflowError,
-    struct.error,
-)  # what parsing bytes from outside may raise
+# What parsing bytes from outside may raise.
+MALFORMED = (McapError, ValueError, KeyError, TypeError, OverflowError, struct.error)
 
 _READ_BYTES = 2**22
-_SIZES = struct.Struct("<QQQI")  # of a chunk: first and last time, size, CRC
+_CHUNK_HEADER = struct.Struct("<QQQI")  # first and last time, size, CRC
+_LONGEST_NAME = 16  # of a compression, more than any that is known
+_ATTACHMENT_TIMES = 16  # bytes: log time, creation time
+
+
+@dataclass(frozen=True, slots=True)
+class _ChunkHeader:
+    """What a chunk's record says of its messages, before their data."""
+
+    first_ns: int
+    last_ns: int
+    size: int  # of the records, uncompressed [bytes]
+    crc: int
+    compression: str
+    data_length: int
 
 
 @final
@@ -60,8 +69,12 @@ class Container:
             self._identity = _identity(path.stat())
             with path.open("rb") as stream:
                 self.contents = walk(path, stream)
-                self.summary = self._summary(stream)
-                self._check(stream)
+                self.summary = self._read_summary(stream)
+                self._chunk_indexes = {
+                    index.chunk_start_offset: index for index in self.summary.chunk_indexes
+                }
+                self._check_summary()
+                self._check_data(stream)
         except OSError as error:
             raise LogError(f"{path} cannot be read: {error.strerror or error}") from error
 
@@ -71,7 +84,7 @@ class Container:
         Raises
         ------
         LogError
-            If it is not the file it was.
+            If it cannot be read, or is not the file it was.
         """
         try:
             stream = self.path.open("rb")
@@ -83,7 +96,7 @@ class Container:
         return stream
 
     def blocks(self) -> Iterator[bytes]:
-        """Give the message records chunk by chunk, decompressed and checked.
+        """Yield the message records chunk by chunk, decompressed and checked.
 
         Raises
         ------
@@ -91,66 +104,94 @@ class Container:
             If a chunk is damaged or too large.
         """
         with self.open() as stream:
-            for place in self.contents.data:
-                yield (
-                    self._chunk(stream, place)
-                    if place.opcode == Opcode.CHUNK
-                    else _read(stream, place)
-                )
+            for span in self.contents.data:
+                if span.opcode == Opcode.CHUNK:
+                    yield self._chunk(stream, span)
+                else:
+                    yield _read(stream, span)
 
     def channels(self) -> Mapping[int, records.Channel]:
-        """Give the channels by id: from the summary, or else from outside the chunks, or else from inside."""
-        told: Mapping[int, records.Channel] = self.summary.channels
-        if told:
-            return told
-        with self.open() as stream:
-            found = [_read(stream, place)[HEADER:] for place in self.contents.channels]
-        for block in () if found else self.blocks():
-            inside = (record for record in scan(block, {}) if isinstance(record, Loose))
-            found += [record.content for record in inside if record.opcode == Opcode.CHANNEL]
-        try:
-            parsed = [records.Channel.read(ReadDataStream(BytesIO(content))) for content in found]
-        except MALFORMED as error:
-            raise LogError(f"{self.path} is damaged: a channel cannot be read: {error}") from error
-        return {channel.id: channel for channel in parsed}
+        """Return the channels by id.
 
-    def expected(self, channel_id: int, size: int) -> int:
-        """Say how many messages of ``size`` bytes to make room for: what the summary says, as far as the chunks can hold it."""
-        told = (
-            self.summary.statistics.channel_message_counts.get(channel_id, 0)
-            if self.summary.statistics
-            else 0
-        )
-        room = sum(
-            MOST_BYTES if place.opcode == Opcode.CHUNK else place.stop - place.start
-            for place in self.contents.data
-        )
-        return min(told, room // size)
+        From the summary, or else from outside the chunks, or else from inside.
+
+        Raises
+        ------
+        LogError
+            If a channel is damaged.
+        """
+        in_summary: Mapping[int, records.Channel] = self.summary.channels
+        if in_summary:
+            return in_summary
+        contents = self._channels_outside_chunks() or self._channels_inside_chunks()
+        channels = {}
+        for content in contents:
+            try:
+                channel = records.Channel.read(ReadDataStream(BytesIO(content)))
+            except MALFORMED as error:
+                raise LogError(
+                    f"{self.path} is damaged: a channel cannot be read: {error}"
+                ) from error
+            channels[channel.id] = channel
+        return channels
+
+    def _channels_outside_chunks(self) -> list[bytes]:
+        with self.open() as stream:
+            return [_read(stream, span)[HEADER:] for span in self.contents.channels]
+
+    def _channels_inside_chunks(self) -> list[bytes]:
+        contents = []
+        for block in self.blocks():
+            for record in scan(block, {}):
+                if isinstance(record, OtherRecord) and record.opcode == Opcode.CHANNEL:
+                    contents.append(record.content)
+        return contents
+
+    def expected_messages(self, channel_id: int, message_bytes: int) -> int:
+        """Return for how many messages of a channel to make room.
+
+        As many as the summary says, but no more than the chunks can hold: the summary of a damaged
+        file may ask for any amount of memory.
+        """
+        statistics = self.summary.statistics
+        if statistics is None:
+            return 0
+        count: int = statistics.channel_message_counts.get(channel_id, 0)
+        data_bytes = 0
+        for span in self.contents.data:
+            data_bytes += MOST_BYTES if span.opcode == Opcode.CHUNK else span.size
+        return min(count, data_bytes // message_bytes)
 
     def metadata(self) -> Iterator[records.Metadata]:
-        """Give the metadata records."""
+        """Yield the metadata records.
+
+        Raises
+        ------
+        LogError
+            If one is damaged.
+        """
         with self.open() as stream:
-            for place in self.contents.metadata:
+            for span in self.contents.metadata:
                 try:
-                    yield records.Metadata.read(_content(_read(stream, place)))
+                    yield records.Metadata.read(_content(_read(stream, span)))
                 except MALFORMED as error:
-                    raise self.damaged(
-                        place.start, f"a metadata record cannot be read: {error}"
+                    raise self.damage_error(
+                        span.start, f"a metadata record cannot be read: {error}"
                     ) from error
 
     def attachments(self) -> dict[str, RecordSpan]:
-        """Give the attachments' names and places, without their content."""
-        places = {}
+        """Return the attachments' names and where they stand, without their content."""
+        spans = {}
         with self.open() as stream:
-            for place in self.contents.attachments:
-                stream.seek(place.start + HEADER + 16)  # behind two times
-                head = stream.read(4)
-                name = stream.read(min(int.from_bytes(head, "little"), place.stop - place.start))
-                places[name.decode(errors="replace")] = place
-        return places
+            for span in self.contents.attachments:
+                stream.seek(span.start + HEADER + _ATTACHMENT_TIMES)
+                length = int.from_bytes(stream.read(4), "little")
+                name = stream.read(min(length, span.size))
+                spans[name.decode(errors="replace")] = span
+        return spans
 
-    def attachment(self, place: RecordSpan) -> bytes:
-        """Give the content of an attachment, checked by its CRC.
+    def attachment(self, span: RecordSpan) -> bytes:
+        """Return the content of an attachment, checked by its CRC.
 
         Raises
         ------
@@ -158,92 +199,119 @@ class Container:
             If it is damaged.
         """
         with self.open() as stream:
-            data = _read(stream, place)
-        crc = int.from_bytes(data[-4:], "little")
-        if crc and zlib.crc32(data[HEADER:-4]) != crc:
-            raise self.damaged(place.start, "the CRC of an attachment does not fit its content")
+            record = _read(stream, span)
+        crc = int.from_bytes(record[-4:], "little")
+        if crc and zlib.crc32(record[HEADER:-4]) != crc:
+            raise self.damage_error(span.start, "the CRC of an attachment does not fit its content")
         try:
-            return bytes(records.Attachment.read(_content(data)).data)
+            return bytes(records.Attachment.read(_content(record)).data)
         except MALFORMED as error:
-            raise self.damaged(place.start, f"an attachment cannot be read: {error}") from error
+            raise self.damage_error(span.start, f"an attachment cannot be read: {error}") from error
 
-    def damaged(self, offset: int, reason: str) -> LogError:
-        """Make the error that says where the file is damaged."""
-        return damage(self.path, offset, reason)
+    def damage_error(self, offset: int, reason: str) -> LogError:
+        """Return the error that names the byte at which the file is damaged."""
+        return damage_error(self.path, offset, reason)
 
-    def _chunk(self, stream: BinaryIO, place: RecordSpan) -> bytes:
+    def _chunk(self, stream: BinaryIO, span: RecordSpan) -> bytes:
+        """Read, check and decompress the records of a chunk."""
         try:
-            first, last, size, crc, compression, length = self._sizes(stream, place)
-            index = self._indexes.get(place.start)
-            told = index and (
-                index.message_start_time,
-                index.message_end_time,
-                index.uncompressed_size,
-                index.compression,
-            )
-            if told and told != (first, last, size, compression):
-                raise ValueError("a chunk differs from its index")
-            return decompress(stream.read(length), compression, size=size, crc=crc)
+            header = _read_chunk_header(stream, span)
+            # Before decompressing: no CRC covers the header, and a wrong size may be a huge one.
+            self._check_chunk_index(span, header)
+            data = stream.read(header.data_length)
+            return decompress(data, header.compression, size=header.size, crc=header.crc)
         except MALFORMED as error:
-            raise self.damaged(place.start, str(error)) from error
+            raise self.damage_error(span.start, str(error)) from error
 
-    def _sizes(self, stream: BinaryIO, place: RecordSpan) -> tuple[int, int, int, int, str, int]:
-        """Read a chunk up to its data: first and last time, size, CRC, compression, length of the data."""
-        stream.seek(place.start + HEADER)
-        first, last, size, crc = _SIZES.unpack(stream.read(_SIZES.size))
-        compression = stream.read(min(int.from_bytes(stream.read(4), "little"), 16)).decode()
-        (length,) = struct.unpack("<Q", stream.read(8))
-        if stream.tell() + length > place.stop:
-            raise ValueError(
-                f"a chunk with {length} bytes of data in a record of {place.stop - place.start}"
-            )
-        return first, last, size, crc, compression, length
+    def _check_chunk_index(self, span: RecordSpan, header: _ChunkHeader) -> None:
+        """Check a chunk's header, which no CRC covers, against the chunk's index.
 
-    def _summary(self, stream: BinaryIO) -> Summary:
+        Raises
+        ------
+        ValueError
+            If they differ.
+        """
+        index = self._chunk_indexes.get(span.start)
+        if index is None:
+            return
+        same_times = (index.message_start_time, index.message_end_time) == (
+            header.first_ns,
+            header.last_ns,
+        )
+        same_size = index.uncompressed_size == header.size
+        same_compression = index.compression == header.compression
+        if not (same_times and same_size and same_compression):
+            raise ValueError("a chunk differs from its index")
+
+    def _read_summary(self, stream: BinaryIO) -> Summary:
         """Read the summary; an empty one if there is none."""
-        place = RecordSpan(Opcode.FOOTER, self.contents.footer, self.contents.footer + FOOTER_SIZE)
+        footer_start = self.contents.footer
+        footer_span = RecordSpan(Opcode.FOOTER, footer_start, footer_start + FOOTER_SIZE)
         summary = Summary()
         try:
-            footer = records.Footer.read(_content(_read(stream, place)))
+            footer = records.Footer.read(_content(_read(stream, footer_span)))
             if not footer.summary_start:
                 return summary
             stream.seek(footer.summary_start)
             data = stream.read()
-            checked = data[: place.start - footer.summary_start + FOOTER_SIZE - 4]
+            # The CRC covers the summary and the footer up to the CRC itself, its last four bytes.
+            checked = data[: footer_span.stop - footer.summary_start - 4]
             if footer.summary_crc and zlib.crc32(checked) != footer.summary_crc:
                 raise ValueError("the CRC of the summary does not fit its content")
             for record in StreamReader(BytesIO(data), skip_magic=True).records:
-                _collect(summary, record)
+                _add_to_summary(summary, record)
         except MALFORMED as error:
-            raise self.damaged(place.start, f"the summary cannot be read: {error}") from error
+            raise self.damage_error(footer_start, f"the summary cannot be read: {error}") from error
         return summary
 
-    def _check(self, stream: BinaryIO) -> None:
-        """Compare the file with its summary; without chunks there is but the CRC of all data to check."""
-        self._indexes = {index.chunk_start_offset: index for index in self.summary.chunk_indexes}
-        chunks = [place.start for place in self.contents.data if place.opcode == Opcode.CHUNK]
-        told = self.summary.statistics
-        if told:
-            found = len(chunks), len(self.contents.metadata), len(self.contents.attachments)
-            needed = told.chunk_count, told.metadata_count, told.attachment_count
-            if found != needed:
-                raise LogError(
-                    f"{self.path} is damaged: found {found} chunks, metadata records and attachments, its summary says {needed}"
-                )
-        if self._indexes.keys() - set(chunks):
-            raise self.damaged(
-                min(self._indexes.keys() - set(chunks)), "no chunk there, though its index says so"
+    def _check_summary(self) -> None:
+        """Compare the pieces of the file with its summary."""
+        chunks = self.contents.chunks
+        statistics = self.summary.statistics
+        if statistics is not None:
+            counts = (len(chunks), len(self.contents.metadata), len(self.contents.attachments))
+            needed = (
+                statistics.chunk_count,
+                statistics.metadata_count,
+                statistics.attachment_count,
             )
-        bare = len(chunks) < len(self.contents.data)
-        if (
-            bare
-            and self.contents.data_crc
-            and _crc(stream, self.contents.data_end) != self.contents.data_crc
-        ):
-            raise self.damaged(self.contents.data_end, "the CRC of the data does not fit")
+            if counts != needed:
+                raise LogError(
+                    f"{self.path} is damaged: found {counts} chunks, metadata records and"
+                    f" attachments, its summary says {needed}"
+                )
+        without_chunk = self._chunk_indexes.keys() - {span.start for span in chunks}
+        if without_chunk:
+            raise self.damage_error(min(without_chunk), "no chunk there, though its index says so")
+
+    def _check_data(self, stream: BinaryIO) -> None:
+        """Check messages outside chunks, which only the CRC of all data covers."""
+        contents = self.contents
+        if len(contents.chunks) == len(contents.data) or not contents.data_crc:
+            return
+        if _crc(stream, contents.data_end) != contents.data_crc:
+            raise self.damage_error(contents.data_end, "the CRC of the data does not fit")
 
 
-def _collect(summary: Summary, record: records.McapRecord) -> None:
+def _read_chunk_header(stream: BinaryIO, span: RecordSpan) -> _ChunkHeader:
+    """Read a chunk up to its data.
+
+    Raises
+    ------
+    ValueError, struct.error
+        If the record is too short.
+    """
+    stream.seek(span.start + HEADER)
+    first_ns, last_ns, size, crc = _CHUNK_HEADER.unpack(stream.read(_CHUNK_HEADER.size))
+    name_length = int.from_bytes(stream.read(4), "little")
+    compression = stream.read(min(name_length, _LONGEST_NAME)).decode()
+    (data_length,) = struct.unpack("<Q", stream.read(8))
+    if stream.tell() + data_length > span.stop:
+        raise ValueError(f"a chunk with {data_length} bytes of data in a record of {span.size}")
+    return _ChunkHeader(first_ns, last_ns, size, crc, compression, data_length)
+
+
+def _add_to_summary(summary: Summary, record: records.McapRecord) -> None:
     match record:
         case records.Statistics():
             summary.statistics = record
@@ -254,12 +322,13 @@ def _collect(summary: Summary, record: records.McapRecord) -> None:
 
 
 def _identity(status: os.stat_result) -> tuple[int, int, int]:
+    """Return what changes when a file is replaced or written to."""
     return status.st_ino, status.st_size, status.st_mtime_ns
 
 
-def _read(stream: BinaryIO, place: RecordSpan) -> bytes:
-    stream.seek(place.start)
-    return stream.read(place.stop - place.start)
+def _read(stream: BinaryIO, span: RecordSpan) -> bytes:
+    stream.seek(span.start)
+    return stream.read(span.size)
 
 
 def _content(record: bytes) -> ReadDataStream:
@@ -267,8 +336,10 @@ def _content(record: bytes) -> ReadDataStream:
 
 
 def _crc(stream: BinaryIO, stop: int) -> int:
+    """Compute the CRC-32 of the first ``stop`` bytes, piece by piece."""
     stream.seek(0)
     crc = 0
     for start in range(0, stop, _READ_BYTES):
-        crc = zlib.crc32(stream.read(min(_READ_BYTES, stop - start)), crc)
+        piece = stream.read(min(_READ_BYTES, stop - start))
+        crc = zlib.crc32(piece, crc)
     return crc

@@ -1,28 +1,32 @@
 """Two recorded runs compared, signal by signal, at the times they share.
 
-Without tolerances the comparison is of bits: 0.0 and -0.0 differ. With tolerances a pair of values agrees where
-``|a - b| <= atol + rtol * max|a|``, the maximum over all the signal's rows and elements, or where both are NaN.
+Without tolerances the comparison is of bits: 0.0 and -0.0 differ. With tolerances a pair of values
+agrees where ``|a - b| <= atol + rtol * max|a|``, the maximum over all the signal's rows and
+elements, or where both are NaN.
 """
 
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.arrays import Mask, Matrix, Nanoseconds
+from cosim.arrays import Mask, Matrix, Nanoseconds, as_columns
 from cosim.core.contracts import Recording
 from cosim.core.signals import Signal
 
-Status = Literal[
+DifferenceStatus: TypeAlias = Literal[
     "equal", "within", "outside", "other times", "other size", "only in a", "only in b"
 ]
 
+# Rows of a and of b at the same instants; None: all, one by one.
+SharedRows: TypeAlias = tuple[NDArray[np.intp], NDArray[np.intp]] | None
+
 
 @dataclass(frozen=True, slots=True)
-class Moment:
+class ElementDifference:
     """One element of one signal at one instant of both runs."""
 
     signal: str  # component.signal, with the element's index
@@ -40,27 +44,28 @@ class SignalDifference:
     signal : str
         ``component.signal``.
     status : str
-        ``equal``: the same bits at the same times; ``within`` or ``outside`` the tolerance; ``other times``: within it where
-        both have values, but they have not the same instants; ``other size``, ``only in a``, ``only in b``: not compared.
+        ``equal``: the same bits at the same times; ``within`` or ``outside`` the tolerance;
+        ``other times``: within it where both have values, but they have not the same instants;
+        ``other size``, ``only in a``, ``only in b``: not compared.
     rows : tuple of int
         Numbers of rows in a and in b, and at times they share.
     largest : float
-        Largest |a - b|; infinite where one alone is NaN or infinite.
+        Largest |a - b|; infinite where only one is NaN or infinite.
     scale : float
         Largest finite |a|.
     tolerance : float
         What |a - b| was compared with.
-    first : Moment or None
+    first : ElementDifference or None
         The first time outside the tolerance.
     """
 
     signal: str
-    status: Status
+    status: DifferenceStatus
     rows: tuple[int, int, int]
     largest: float = 0.0
     scale: float = 0.0
     tolerance: float = 0.0
-    first: Moment | None = None
+    first: ElementDifference | None = None
 
     @property
     def ratio(self) -> float:
@@ -72,7 +77,15 @@ class SignalDifference:
 
 @dataclass(frozen=True, slots=True)
 class LogDifference:
-    """How two runs compare, signal by signal."""
+    """How two runs compare, signal by signal.
+
+    Parameters
+    ----------
+    rows : tuple of SignalDifference
+        The signals of a in their order, then those that only b has.
+    atol, rtol : float
+        The tolerances of :func:`diff`.
+    """
 
     rows: tuple[SignalDifference, ...]
     atol: float
@@ -89,16 +102,13 @@ class LogDifference:
         return all(row.status in {"equal", "within"} for row in self.rows)
 
     @property
-    def first(self) -> Moment | None:
-        """The earliest time outside the tolerance; of several, the first signal's in the order of a."""
-        return min(
-            (row.first for row in self.rows if row.first),
-            key=lambda moment: moment.time_ns,
-            default=None,
-        )
+    def first(self) -> ElementDifference | None:
+        """The earliest time outside the tolerance; of several signals, the first row's."""
+        candidates = [row.first for row in self.rows if row.first]
+        return min(candidates, key=lambda element: element.time_ns, default=None)
 
     def to_dict(self) -> dict[str, Any]:
-        """Give everything as JSON values."""
+        """Return everything as JSON values."""
         rows = [{**asdict(row), "ratio": row.ratio} for row in self.rows]
         first = asdict(self.first) if self.first else None
         return {
@@ -123,100 +133,149 @@ def diff(a: Recording, b: Recording, *, atol: float = 0.0, rtol: float = 0.0) ->
     rtol : float
         As a part of each signal's largest |a|.
     """
-    sizes = [
-        {f"{c.name}.{s.name}": (c.name, s) for c in run.channels.values() for s in c.signals}
-        for run in (a, b)
-    ]
-    shared = {
-        name: _shared(a.time_ns(name), b.time_ns(name)) for name in a.channels if name in b.channels
+    signals_a = _signals(a)
+    signals_b = _signals(b)
+    # Once per component: its signals have the same instants.
+    shared_rows = {
+        component: _shared_rows(a.time_ns(component), b.time_ns(component))
+        for component in a.channels
+        if component in b.channels
     }
     rows = []
-    for name in [*sizes[0], *(name for name in sizes[1] if name not in sizes[0])]:
-        component, signal = sizes[0].get(name) or sizes[1][name]
-        if name not in sizes[1]:
-            rows.append(SignalDifference(name, "only in a", (len(a.time_ns(component)), 0, 0)))
-        elif name not in sizes[0]:
-            rows.append(SignalDifference(name, "only in b", (0, len(b.time_ns(component)), 0)))
-        elif signal.size != sizes[1][name][1].size:
-            rows.append(
-                SignalDifference(
-                    name, "other size", (len(a.time_ns(component)), len(b.time_ns(component)), 0)
-                )
-            )
+    for name in {**signals_a, **signals_b}:
+        in_a = signals_a.get(name)
+        in_b = signals_b.get(name)
+        if in_a is not None and in_b is not None and in_a.size == in_b.size:
+            shared = shared_rows[_component_of(name)]
+            row = _compare(name, a, b, shared=shared, atol=atol, rtol=rtol)
         else:
-            pair = a[name].reshape(-1, signal.size), b[name].reshape(-1, signal.size)
-            rows.append(
-                _compare(
-                    name,
-                    signal,
-                    pair,
-                    times=a.time_ns(component),
-                    shared=shared[component],
-                    tol=(atol, rtol),
-                )
-            )
+            run_a = None if in_a is None else a
+            run_b = None if in_b is None else b
+            row = _not_compared(name, run_a, run_b)
+        rows.append(row)
     return LogDifference(tuple(rows), atol, rtol)
 
 
-Shared = (
-    tuple[NDArray[np.intp], NDArray[np.intp]] | None
-)  # rows of a and of b at the same instants; None: all, one by one
+def _signals(run: Recording) -> dict[str, Signal]:
+    """Return all signals by ``component.signal``."""
+    signals = {}
+    for channel in run.channels.values():
+        for signal in channel.signals:
+            signals[f"{channel.name}.{signal.name}"] = signal
+    return signals
 
 
-def _shared(a: Nanoseconds, b: Nanoseconds) -> Shared:
-    if np.array_equal(a, b):
+def _component_of(name: str) -> str:
+    return name.partition(".")[0]  # the signal's own name may have further dots
+
+
+def _not_compared(name: str, a: Recording | None, b: Recording | None) -> SignalDifference:
+    """Describe a signal that only one run has, or that the runs have with different sizes."""
+    component = _component_of(name)
+    rows_a = 0 if a is None else len(a.time_ns(component))
+    rows_b = 0 if b is None else len(b.time_ns(component))
+    status: DifferenceStatus = "other size"
+    if b is None:
+        status = "only in a"
+    elif a is None:
+        status = "only in b"
+    return SignalDifference(name, status, (rows_a, rows_b, 0))
+
+
+def _shared_rows(times_a: Nanoseconds, times_b: Nanoseconds) -> SharedRows:
+    """Return the rows of a and of b that stand for the same instants."""
+    if np.array_equal(times_a, times_b):
         return None
     _, rows_a, rows_b = np.intersect1d(
-        _instants(a), _instants(b), assume_unique=True, return_indices=True
+        _instants(times_a), _instants(times_b), assume_unique=True, return_indices=True
     )
     return rows_a, rows_b
 
 
 def _instants(time_ns: Nanoseconds) -> NDArray[np.void]:
-    """Tell rows of one instant (both limits of a jump) apart by counting them; times are in order."""
+    """Return the times with the rows of one instant numbered: both limits of a jump.
+
+    So each limit pairs with its own. The times are in order, so the first row of an instant is found
+    by bisection.
+    """
+    first_rows = np.searchsorted(time_ns, time_ns)
     instants = np.empty(len(time_ns), dtype=[("time", "<i8"), ("count", "<i8")])
     instants["time"] = time_ns
-    instants["count"] = np.arange(len(time_ns)) - np.searchsorted(time_ns, time_ns)
+    instants["count"] = np.arange(len(time_ns)) - first_rows
     return instants
 
 
 def _compare(
-    name: str,
-    signal: Signal,
-    pair: tuple[Matrix, Matrix],
-    *,
-    times: Nanoseconds,
-    shared: Shared,
-    tol: tuple[float, float],
+    name: str, a: Recording, b: Recording, *, shared: SharedRows, atol: float, rtol: float
 ) -> SignalDifference:
-    a, b = pair
-    finite = np.abs(a[np.isfinite(a)])
-    scale = float(finite.max()) if finite.size else 0.0
+    """Compare a signal that both runs have with the same size."""
+    times = a.time_ns(_component_of(name))
+    values_a = as_columns(a[name])
+    values_b = as_columns(b[name])
+    rows_a = len(values_a)
+    rows_b = len(values_b)
+    # Before the rows are selected: the scale is that of the whole signal.
+    scale = _largest_finite(values_a)
+    tolerance = atol + rtol * scale
     if shared is not None:
-        times, a, b = times[shared[0]], a[shared[0]], b[shared[1]]
-    tolerance = tol[0] + tol[1] * scale
-    bits = np.ascontiguousarray(a).view(np.int64) == np.ascontiguousarray(b).view(np.int64)
-    with np.errstate(invalid="ignore", over="ignore"):
-        distance = np.where(bits | (a == b) | (np.isnan(a) & np.isnan(b)), 0.0, np.abs(a - b))
-    distance[np.isnan(distance)] = np.inf
-    outside = ~bits if tol == (0.0, 0.0) else ~(distance <= tolerance) | np.isinf(distance)
-    status: Status = "outside" if outside.any() else "equal" if bits.all() else "within"
-    if shared is not None and status != "outside":
-        status = "other times"
-    largest = float(distance.max()) if distance.size else 0.0
-    count = (len(pair[0]), len(pair[1]), len(times))
+        shared_a, shared_b = shared
+        times = times[shared_a]
+        values_a = values_a[shared_a]
+        values_b = values_b[shared_b]
+    same_bits = _bits(values_a) == _bits(values_b)
+    distance = _distance(values_a, values_b)
+    if atol == 0.0 and rtol == 0.0:
+        outside = ~same_bits
+    else:
+        outside = ~(distance <= tolerance) | np.isinf(distance)
     return SignalDifference(
-        name, status, count, largest, scale, tolerance, _first(name, signal, outside, (times, a, b))
+        name,
+        _status(outside, same_bits, same_times=shared is None),
+        (rows_a, rows_b, len(times)),
+        float(distance.max()) if distance.size else 0.0,
+        scale,
+        tolerance,
+        _first_outside(name, outside, times, values_a, values_b),
     )
 
 
-def _first(
-    name: str, signal: Signal, outside: Mask, values: tuple[Nanoseconds, Matrix, Matrix]
-) -> Moment | None:
-    """Give the first time, and there the first element, that is outside."""
+def _largest_finite(values: Matrix) -> float:
+    finite = np.abs(values[np.isfinite(values)])
+    return float(finite.max()) if finite.size else 0.0
+
+
+def _bits(values: Matrix) -> NDArray[np.int64]:
+    return np.ascontiguousarray(values).view(np.int64)
+
+
+def _distance(a: Matrix, b: Matrix) -> Matrix:
+    """Compute |a - b|: 0 where both are NaN or the same infinity, infinite where only one is."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        distance = np.abs(a - b)
+    # Infinity minus itself is NaN, as is everything minus NaN: first what agrees, then the rest.
+    agrees = (a == b) | (np.isnan(a) & np.isnan(b))
+    distance[agrees] = 0.0
+    distance[np.isnan(distance)] = np.inf
+    return distance
+
+
+def _status(outside: Mask, same_bits: Mask, *, same_times: bool) -> DifferenceStatus:
+    if outside.any():
+        return "outside"
+    if not same_times:
+        return "other times"
+    return "equal" if same_bits.all() else "within"
+
+
+def _first_outside(
+    name: str, outside: Mask, times: Nanoseconds, a: Matrix, b: Matrix
+) -> ElementDifference | None:
+    """Return the first time, and there the first element, outside the tolerance."""
     if not outside.any():
         return None
-    times, a, b = values
-    row, column = divmod(int(outside.argmax()), signal.size)
-    element = name if signal.size == 1 else f"{name}[{column}]"
-    return Moment(element, int(times[row]), float(a[row, column]), float(b[row, column]))
+    size = outside.shape[1]
+    row, column = divmod(int(outside.argmax()), size)
+    element = name if size == 1 else f"{name}[{column}]"
+    value_a = float(a[row, column])
+    value_b = float(b[row, column])
+    return ElementDifference(element, int(times[row]), value_a, value_b)

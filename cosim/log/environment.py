@@ -1,4 +1,4 @@
-"""Where a run was made: versions and processor, for whoever finds other bits elsewhere."""
+"""The environment of a run: versions and processor, for whoever finds other bits elsewhere."""
 
 from __future__ import annotations
 
@@ -14,16 +14,18 @@ _PACKAGES = ("numpy", "scipy", "mcap")
 
 
 @cache
-def library() -> str:
-    """Name the program in the header of a log."""
+def library_name() -> str:
+    """Return the name of the program, for the header of a log."""
     return f"cosim/{__version__} mcap-python/{_version('mcap')}"
 
 
 def environment() -> dict[str, str]:
-    """Describe Python, the packages that compute, the platform and the processor."""
-    packages = {"cosim": __version__, **{name: _version(name) for name in _PACKAGES}}
+    """Return the versions of Python and the packages that compute, the platform, the processor."""
+    versions = {"cosim": __version__}
+    for name in _PACKAGES:
+        versions[name] = _version(name)
     return {
-        **packages,
+        **versions,
         "python": platform.python_version(),
         "platform": platform.platform(),
         "processor": _processor(),
@@ -44,15 +46,24 @@ def _processor() -> str:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:
         return platform.processor() or platform.machine()
-    named = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
-    return next(named, platform.machine())
+    for line in lines:
+        key, _, value = line.partition(":")
+        if key.startswith("model name"):
+            return value.strip()
+    return platform.machine()
 
 
-def other_environment(recording: Recording) -> dict[str, tuple[str, str]]:
-    """Give what was different on the machine that wrote a log: name, then and now."""
-    then, now = recording.metadata.get("cosim.env", {}), environment()
-    return {
-        key: (str(then[key]), value)
-        for key, value in now.items()
-        if key in then and then[key] != value
-    }
+def environment_changes(recording: Recording) -> dict[str, tuple[str, str]]:
+    """Return what is different on this machine from the one that wrote a log.
+
+    Returns
+    -------
+    dict of str to (str, str)
+        By name the recorded value and the present one; what was not recorded is not compared.
+    """
+    recorded = recording.metadata.get("cosim.env", {})
+    changes = {}
+    for name, present in environment().items():
+        if name in recorded and recorded[name] != present:
+            changes[name] = (str(recorded[name]), present)
+    return changes

@@ -1,4 +1,4 @@
-"""Ctrl-C and requests to terminate, held off where a file and what is known of it must change together."""
+"""Ctrl-C and requests to terminate, deferred where a file and its bookkeeping change together."""
 
 from __future__ import annotations
 
@@ -15,25 +15,33 @@ Handler: TypeAlias = Callable[[int, FrameType | None], Any]
 
 @contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Hand SIGINT and SIGTERM on only when the block has ended, however it ends.
+    """Defer SIGINT and SIGTERM until the block has ended, however it ends.
 
-    Only the main thread runs Python's handlers, and only those can raise within the block; elsewhere, and where a signal is
-    ignored or kills, nothing is changed.
+    Only the main thread runs Python's handlers, and only those can raise within the block;
+    elsewhere, and where a signal is ignored or kills, nothing is changed.
     """
-    found = {number: signal.getsignal(number) for number in SIGNALS}
-    handlers: dict[int, Handler] = {
-        number: handler for number, handler in found.items() if callable(handler)
-    }
+    handlers = _python_handlers()
     if threading.current_thread() is not threading.main_thread() or not handlers:
         yield
         return
-    pressed: list[tuple[int, FrameType | None]] = []
+    deferred: list[tuple[int, FrameType | None]] = []
     for number in handlers:
-        signal.signal(number, lambda number, frame: pressed.append((number, frame)))
+        signal.signal(number, lambda number, frame: deferred.append((number, frame)))
     try:
         yield
     finally:
+        # All handlers first: the first deferred signal usually raises, and ends this loop.
         for number, handler in handlers.items():
             signal.signal(number, handler)
-        for number, frame in pressed:
+        for number, frame in deferred:
             handlers[number](number, frame)
+
+
+def _python_handlers() -> dict[int, Handler]:
+    """Return the handlers that are Python functions; not those that ignore the signal, or kill."""
+    handlers: dict[int, Handler] = {}
+    for number in SIGNALS:
+        handler = signal.getsignal(number)
+        if callable(handler):
+            handlers[number] = handler
+    return handlers

@@ -1,12 +1,14 @@
-"""How a component becomes MCAP channels, and how it is found again from their metadata.
+"""How a component becomes MCAP channels, and how it is read back from their metadata.
 
-A component's row is one protobuf message of doubles, every one always written. All messages of a channel therefore have one
-size, and a run of them is a numpy structured array::
+A component's row is one protobuf message of doubles, every one always written. All messages of a
+channel therefore have one size, and consecutive ones are a numpy structured array::
 
-    opcode u1 | length u8 | channel id u2 | sequence u4 | log time u8 | publish time u8 | tag, double | tag, double | ...
+    opcode u1 | length u8 | channel id u2 | sequence u4 | log time u8 | publish time u8
+    | tag, double | tag, double | ...
 
-Tags are constant: one byte up to field 15, two up to 2047, three from 2048 on. Protobuf for Python stops at 8190 doubles a
-message, so a component with more than 4096 elements is split into ``/<component>``, ``/<component>.2``, ...
+Tags are constant: one byte up to field 15, two up to 2047, three from 2048 on. Protobuf for Python
+stops at 8190 doubles a message, so a component with more than 4096 elements is split into
+``/<component>``, ``/<component>.2``, ...
 """
 
 from __future__ import annotations
@@ -22,19 +24,18 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Matrix
 from cosim.core.signals import Channel, Interface, Signal
-from cosim.log.metadata import compact, seal, unseal
+from cosim.log.metadata import add_checksum, compact, verify_checksum
 from cosim.units import BaseUnit
 
 MOST_ELEMENTS = 4096
 HEADER = 9  # bytes: opcode u1, length u8
 Records: TypeAlias = NDArray[np.void]  # shape (n,), of a dtype by record_dtype
 
-_SEALED_AS = "cosim.channel"
-_GROUPS = (
-    ("short", 1, 16),
-    ("middle", 16, 2048),
-    ("long", 2048, MOST_ELEMENTS + 1),
-)  # fields whose tags have 1, 2, 3 bytes
+_CHECKSUM_NAME = "cosim.channel"  # metadata of channels have no name of their own
+_DOUBLE_WIRE_TYPE = 1  # of protobuf: 64 bits
+
+# Groups of fields whose tags have 1, 2 and 3 bytes: name, first field number, one past the last.
+_GROUPS = (("short", 1, 16), ("middle", 16, 2048), ("long", 2048, MOST_ELEMENTS + 1))
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,169 +73,191 @@ class Part:
     @property
     def elements(self) -> list[str]:
         """Names of the elements."""
-        return [name for signal in self.channel.signals for name in signal.elements][self.columns]
+        names: list[str] = []
+        for signal in self.channel.signals:
+            names += signal.elements
+        return names[self.columns]
 
     @property
     def metadata(self) -> dict[str, str]:
-        """What :func:`read_part` needs to give this part back."""
-        items = {
-            "cosim.component": self.channel.name,
-            "cosim.kind": self.kind,
-            "cosim.step_ns": str(self.step_ns),
-            "cosim.period_ns": str(self.step_ns * self.channel.period),
-            "cosim.start": str(self.channel.start),
-            "cosim.columns": f"{self.columns.start}:{self.columns.stop}",
-            "cosim.signals": signals_json(self.channel.interface),
-        }
-        if self.channel.interface.initial:
-            items["cosim.initial"] = compact(dict(self.channel.interface.initial))
-        return seal(_SEALED_AS, items)
+        """What :func:`read_part` needs to build this part again."""
+        channel = self.channel
+        items = {"cosim.component": channel.name, "cosim.kind": self.kind}
+        items["cosim.step_ns"] = str(self.step_ns)
+        items["cosim.period_ns"] = str(self.step_ns * channel.period)
+        items["cosim.start"] = str(channel.start)
+        items["cosim.columns"] = f"{self.columns.start}:{self.columns.stop}"
+        items["cosim.signals"] = signals_json(channel.interface)
+        if channel.interface.initial:
+            items["cosim.initial"] = compact(dict(channel.interface.initial))
+        # Last: the checksum covers all items, and what came after it would be unprotected.
+        return add_checksum(_CHECKSUM_NAME, items)
 
 
-def split(channel: Channel, *, kind: str, step_ns: int) -> list[Part]:
-    """Split a component into parts of at most 4096 elements; one without signals has one empty part."""
+def split_channel(channel: Channel, *, kind: str, step_ns: int) -> list[Part]:
+    """Split a component into parts of at most 4096 elements.
+
+    A component without signals has one empty part, so that it is in the log all the same.
+    """
     width = channel.columns.stop - channel.columns.start
-    starts = range(0, max(width, 1), MOST_ELEMENTS)
-    return [
-        Part(channel, kind, step_ns, slice(start, min(start + MOST_ELEMENTS, width)))
-        for start in starts
-    ]
+    parts = []
+    for start in range(0, max(width, 1), MOST_ELEMENTS):
+        columns = slice(start, min(start + MOST_ELEMENTS, width))
+        parts.append(Part(channel, kind, step_ns, columns))
+    return parts
 
 
 def read_part(metadata: Mapping[str, str]) -> Part:
-    """Give the part back from a channel's metadata.
+    """Build a part from its channel's metadata.
 
     Raises
     ------
     ValueError, KeyError, TypeError, GraphError
         If the metadata is damaged or not ours.
     """
-    items = unseal(_SEALED_AS, metadata)
-    step_ns, period_ns = int(items["cosim.step_ns"]), int(items["cosim.period_ns"])
-    start, stop = (int(text) for text in items["cosim.columns"].split(":"))
+    # First: a damaged number may still parse, and would silently be another one.
+    items = verify_checksum(_CHECKSUM_NAME, metadata)
+    step_ns = int(items["cosim.step_ns"])
+    period_ns = int(items["cosim.period_ns"])
+    start, stop = (int(edge) for edge in items["cosim.columns"].split(":"))
     if step_ns < 1 or period_ns % step_ns or not 0 <= stop - start <= MOST_ELEMENTS:
         raise ValueError(
             f"period {period_ns} ns, step {step_ns} ns, columns {start}:{stop} do not fit together"
         )
-    interface = _interface(
+    interface = _read_interface(
         json.loads(items["cosim.signals"]), json.loads(items.get("cosim.initial", "{}"))
     )
-    channel = Channel(
-        items["cosim.component"], interface, int(items["cosim.start"]), period_ns // step_ns
-    )
+    first_column = int(items["cosim.start"])
+    channel = Channel(items["cosim.component"], interface, first_column, period_ns // step_ns)
     return Part(channel, items["cosim.kind"], step_ns, slice(start, stop))
 
 
 def signals_json(interface: Interface) -> str:
-    """Describe all signals, inputs first: the text that the content hash covers.
+    """Describe all signals as JSON: the text that the content hash covers.
 
-    ``feedthrough`` lists the inputs an output depends on directly; null: unknown. What stands at its default is left out.
-    What outputs depend on at the start only orders the start: it stands beside, in ``cosim.initial``, and changes no hash.
+    Inputs come first. ``feedthrough`` lists the inputs an output depends on directly; null:
+    unknown. What has its default is left out. What outputs depend on at initialization only orders
+    the initialization: it stands apart, in ``cosim.initial``, and changes no hash.
     """
-    entries = []
-    for signal in (*interface.inputs, *interface.outputs):
-        entry: dict[str, Any] = {
-            "causality": "input" if signal in interface.inputs else "output",
-            **asdict(signal),
-        }
-        for name in ("base", "start"):
-            if not entry[name]:
-                del entry[name]
-        if signal.name in interface.feedthrough:
-            entry["feedthrough"] = interface.feedthrough[signal.name]
-        entries.append(entry)
+    # The hash covers this text byte by byte: neither the order of the signals nor that of the keys
+    # in an entry may change, and a field that is new must be left out where it has its default.
+    entries = [_signal_entry(signal, "input") for signal in interface.inputs]
+    entries += [_signal_entry(signal, "output") for signal in interface.outputs]
+    for entry in entries:
+        if entry["name"] in interface.feedthrough:
+            entry["feedthrough"] = interface.feedthrough[entry["name"]]
     return compact(entries)
 
 
-def _interface(entries: list[dict[str, Any]], initial: Mapping[str, Any]) -> Interface:
-    sides: dict[str, list[Signal]] = {"input": [], "output": []}
+def _signal_entry(signal: Signal, causality: str) -> dict[str, Any]:
+    entry: dict[str, Any] = {"causality": causality}
+    entry |= asdict(signal)
+    for name in ("base", "start"):
+        if not entry[name]:
+            del entry[name]
+    return entry
+
+
+def _read_interface(entries: list[dict[str, Any]], initial: Mapping[str, Any]) -> Interface:
+    signals: dict[str, list[Signal]] = {"input": [], "output": []}
     feedthrough = {}
     for entry in entries:
-        signal = dict(entry)
-        side = signal.pop("causality")
-        if "feedthrough" in signal:
-            feedthrough[signal["name"]] = _names(signal.pop("feedthrough"))
-        if "base" in signal:
-            signal["base"] = BaseUnit(
-                **signal["base"] | {"exponents": tuple(signal["base"]["exponents"])}
-            )
-        sides[side].append(Signal(**signal | {"start": tuple(signal.get("start", ()))}))
-    known = {output: _names(names) for output, names in initial.items()}
-    return Interface(tuple(sides["input"]), tuple(sides["output"]), feedthrough, known)
+        fields = dict(entry)
+        # Causality and feedthrough first: they are of the interface, and no field of a signal.
+        causality = fields.pop("causality")
+        if "feedthrough" in fields:
+            feedthrough[fields["name"]] = _input_names(fields.pop("feedthrough"))
+        if "base" in fields:
+            base = fields["base"]
+            fields["base"] = BaseUnit(**base | {"exponents": tuple(base["exponents"])})
+        fields["start"] = tuple(fields.get("start", ()))
+        signals[causality].append(Signal(**fields))
+    initial_dependencies = {output: _input_names(names) for output, names in initial.items()}
+    return Interface(
+        tuple(signals["input"]), tuple(signals["output"]), feedthrough, initial_dependencies
+    )
 
 
-def _names(names: list[str] | None) -> tuple[str, ...] | None:
+def _input_names(names: list[str] | None) -> tuple[str, ...] | None:
     return None if names is None else tuple(names)
 
 
 def record_dtype(size: int) -> np.dtype[np.void]:
-    """Describe a whole message record of ``size`` doubles."""
-    head: list[Any] = [
+    """Return the dtype of a whole message record of ``size`` doubles."""
+    # The order of the fields is the order of the bytes in the file; numpy adds no padding.
+    fields: list[Any] = [
         ("opcode", "u1"),
         ("length", "<u8"),
         ("channel_id", "<u2"),
         ("sequence", "<u4"),
+        ("log_time", "<u8"),
+        ("publish_time", "<u8"),
     ]
-    head += [("log_time", "<u8"), ("publish_time", "<u8")]
-    for width, (name, first, stop) in enumerate(_GROUPS, start=1):
+    for tag_bytes, (name, first, stop) in enumerate(_GROUPS, start=1):
         count = min(size + 1, stop) - first
         if count > 0:
-            head.append((name, [("tag", "u1", (width,)), ("value", "<f8")], (count,)))
-    return np.dtype(head)
+            element = [("tag", "u1", (tag_bytes,)), ("value", "<f8")]
+            fields.append((name, element, (count,)))
+    return np.dtype(fields)
 
 
 def blank_records(channel_id: int, size: int, count: int) -> Records:
-    """Make ``count`` message records with everything constant filled in."""
+    """Return ``count`` message records with everything constant filled in."""
     dtype = record_dtype(size)
     records = np.zeros(count, dtype)
-    records["opcode"], records["length"], records["channel_id"] = (
-        Opcode.MESSAGE,
-        dtype.itemsize - HEADER,
-        channel_id,
-    )
-    for name, tags in tags_of(size).items():
+    records["opcode"] = Opcode.MESSAGE
+    records["length"] = dtype.itemsize - HEADER
+    records["channel_id"] = channel_id
+    for name, tags in field_tags(size).items():
         records[name]["tag"] = tags
     return records
 
 
-def tags_of(size: int) -> dict[str, NDArray[np.uint8]]:
-    """Give the tag bytes of each group of fields, shape (fields, bytes): ``number << 3 | 1`` as varints."""
+def field_tags(size: int) -> dict[str, NDArray[np.uint8]]:
+    """Return the tags of each group of fields, shape (fields, bytes).
+
+    A tag is ``number << 3 | wire type`` as a varint: seven bits a byte, the lowest first, with the
+    highest bit set in every byte but the last.
+    """
     tags = {}
-    for width, (name, first, stop) in enumerate(_GROUPS, start=1):
-        keys = np.arange(first, min(size + 1, stop), dtype=np.int64) << 3 | 1
-        if len(keys):
-            varint = np.stack(
-                [keys >> 7 * i & 0x7F | (0x80 if i < width - 1 else 0) for i in range(width)],
-                axis=1,
-            )
-            tags[name] = varint.astype(np.uint8)
+    for tag_bytes, (name, first, stop) in enumerate(_GROUPS, start=1):
+        numbers = np.arange(first, min(size + 1, stop), dtype=np.int64)
+        if not len(numbers):
+            continue
+        keys = (numbers << 3) | _DOUBLE_WIRE_TYPE
+        varint = np.empty((len(keys), tag_bytes), dtype=np.uint8)
+        for position in range(tag_bytes):
+            varint[:, position] = (keys >> 7 * position) & 0x7F
+        varint[:, :-1] |= 0x80
+        tags[name] = varint
     return tags
 
 
 def group_columns(size: int) -> dict[str, slice]:
-    """Say which elements of a part stand in which group of fields."""
-    return {
-        name: slice(first - 1, min(size + 1, stop) - 1)
-        for name, first, stop in _GROUPS
-        if size >= first
-    }
+    """Return which elements of a part stand in which group of fields."""
+    columns = {}
+    for name, first, stop in _GROUPS:
+        if size >= first:
+            # Field numbers begin at 1, elements at 0.
+            columns[name] = slice(first - 1, min(size + 1, stop) - 1)
+    return columns
 
 
-def copy_values(records: Records, into: Matrix) -> None:
-    """Copy the doubles of message records to ``into``, shape (n, size).
+def copy_values(records: Records, target: Matrix) -> None:
+    """Copy the doubles of message records to ``target``, shape (n, size).
 
     Raises
     ------
     ValueError
         If the records have other fields than ours.
     """
-    size = into.shape[1]
-    tags = tags_of(size)
+    size = target.shape[1]
+    tags = field_tags(size)
     for name, columns in group_columns(size).items():
-        if not np.array_equal(
-            records[name]["tag"], np.broadcast_to(tags[name], records[name]["tag"].shape)
-        ):
+        # Before the values: the same bytes behind other tags are other fields, or another type.
+        record_tags = records[name]["tag"]
+        if not np.array_equal(record_tags, np.broadcast_to(tags[name], record_tags.shape)):
             raise ValueError(
                 "messages with other fields than declared: written or re-encoded by another tool"
             )
-        into[:, columns] = records[name]["value"]
+        target[:, columns] = records[name]["value"]

@@ -1,7 +1,8 @@
 """Metadata maps with a checksum of their own, and exact arrays in them.
 
-MCAP protects neither metadata records nor a running file's channels: one flipped bit makes a filter rate of 0000.0 out of 1000.0,
-unnoticed. So every map of ours carries the SHA-256 of its name and items.
+MCAP protects neither metadata records nor the channels of a file that is still written: one flipped
+bit makes a filter rate of 0000.0 out of 1000.0, unnoticed. So every map of ours carries the SHA-256
+of its name and items.
 """
 
 from __future__ import annotations
@@ -26,13 +27,15 @@ def compact(value: Any) -> str:
     return json.dumps(value, separators=(",", ":"))
 
 
-def seal(name: str, items: Mapping[str, str]) -> dict[str, str]:
+def add_checksum(name: str, items: Mapping[str, str]) -> dict[str, str]:
     """Add the checksum to the map recorded under ``name``."""
     return {**items, CHECKSUM: _checksum(name, items)}
 
 
-def unseal(name: str, items: Mapping[str, str]) -> dict[str, str]:
-    """Check the map recorded under ``name`` and give it without its checksum; maps of others pass as they are.
+def verify_checksum(name: str, items: Mapping[str, str]) -> dict[str, str]:
+    """Check the map recorded under ``name`` and return it without its checksum.
+
+    Maps that other tools added pass as they are.
 
     Raises
     ------
@@ -48,39 +51,40 @@ def unseal(name: str, items: Mapping[str, str]) -> dict[str, str]:
 
 
 def _checksum(name: str, items: Mapping[str, str]) -> str:
-    return hashlib.sha256(compact([name, sorted(items.items())]).encode()).hexdigest()
+    # Sorted: another tool may write the items of a map in another order.
+    text = compact([name, sorted(items.items())])
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def encode_design(design: Design) -> str:
-    """Write arrays as JSON, bit for bit: shape, and base64 of the little-endian doubles in C order."""
-    return compact(
-        {
-            name: {"shape": list(np.shape(array)), "data": _base64(array)}
-            for name, array in design.items()
-        }
-    )
+    """Write arrays as JSON, bit for bit: shape, and base64 of the doubles in C order."""
+    entries = {}
+    for name, array in design.items():
+        entries[name] = {"shape": list(np.shape(array)), "data": _encode_doubles(array)}
+    return compact(entries)
 
 
-def _base64(array: NDArray[np.float64]) -> str:
-    return base64.b64encode(np.ascontiguousarray(array, dtype="<f8").tobytes()).decode("ascii")
+def _encode_doubles(array: NDArray[np.float64]) -> str:
+    little_endian = np.ascontiguousarray(array, dtype="<f8")
+    return base64.b64encode(little_endian.tobytes()).decode("ascii")
 
 
 def decode_design(text: str) -> dict[str, NDArray[np.float64]]:
-    """Read what :func:`encode_design` wrote; the arrays cannot be written to.
+    """Read what :func:`encode_design` wrote; the arrays are read-only.
 
     Raises
     ------
     ValueError, KeyError, TypeError
         If ``text`` is something else.
     """
-    return {name: _array(entry["shape"], entry["data"]) for name, entry in json.loads(text).items()}
+    design = {}
+    for name, entry in json.loads(text).items():
+        doubles = _decode_doubles(entry["data"])
+        design[name] = doubles.reshape(entry["shape"])
+        design[name].setflags(write=False)
+    return design
 
 
-def _array(shape: list[int], data: str) -> NDArray[np.float64]:
-    array = (
-        np.frombuffer(base64.b64decode(data, validate=True), dtype="<f8")
-        .astype(np.float64)
-        .reshape(shape)
-    )
-    array.setflags(write=False)
-    return array
+def _decode_doubles(data: str) -> NDArray[np.float64]:
+    little_endian = np.frombuffer(base64.b64decode(data, validate=True), dtype="<f8")
+    return little_endian.astype(np.float64)

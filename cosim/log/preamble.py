@@ -1,4 +1,4 @@
-"""What a log says before the first row: schemas, channels, metadata, attachments."""
+"""What stands in a log before the first row: schemas, channels, metadata, attachments."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from cosim.core.contracts import Plan
 from cosim.log.environment import environment
 from cosim.log.layout import Part
-from cosim.log.metadata import compact, encode_design, seal
+from cosim.log.metadata import add_checksum, compact, encode_design
 from cosim.log.schema import LOG_SCHEMA, component_schema, identifiers, log_schema
 from cosim.log.sink import Sink
 
@@ -26,16 +26,14 @@ class Attachment:
 
 
 def write_parts(sink: Sink, parts: Sequence[Part]) -> list[int]:
-    """Write schema and channel of every part; give the channels' ids."""
+    """Write schema and channel of every part; return the channels' ids."""
     messages = identifiers([part.title for part in parts])
-    return [
-        sink.channel(
-            f"/{part.title}",
-            schema=(f"cosim.{message}", component_schema(message, part.elements)),
-            metadata=part.metadata,
-        )
-        for part, message in zip(parts, messages, strict=True)
-    ]
+    channel_ids = []
+    for part, message in zip(parts, messages, strict=True):
+        schema = (f"cosim.{message}", component_schema(message, part.elements))
+        channel_id = sink.channel(f"/{part.title}", schema=schema, metadata=part.metadata)
+        channel_ids.append(channel_id)
+    return channel_ids
 
 
 def write_preamble(
@@ -45,25 +43,39 @@ def write_preamble(
     metadata: Mapping[str, Mapping[str, str]],
     attachments: Sequence[Attachment],
 ) -> int:
-    """Write the channel of messages, the metadata and the attachments; give the channel's id."""
-    log_id = sink.channel(LOG_TOPIC, schema=(LOG_SCHEMA, log_schema()), metadata={})
-    for name, items in _completed(plan, metadata).items():
-        sink.metadata(name, seal(name, items))
+    """Write the channel of messages, the metadata and the attachments; return the channel's id."""
+    channel_id = sink.channel(LOG_TOPIC, schema=(LOG_SCHEMA, log_schema()), metadata={})
+    for name, items in _complete_metadata(plan, metadata).items():
+        sink.metadata(name, add_checksum(name, items))
     for attachment in attachments:
         sink.attachment(attachment.name, attachment.media_type, attachment.data)
-    return log_id
+    return channel_id
 
 
-def _completed(plan: Plan, metadata: Mapping[str, Mapping[str, str]]) -> dict[str, dict[str, str]]:
-    """Give all metadata records: the caller's, completed by ours."""
-    stages = {"step_ns": str(plan.step_ns), "stages": compact(list(plan.schedule))}
-    ours = {"cosim.run": {"format": FORMAT}, "cosim.env": environment(), "cosim.schedule": stages}
+def _complete_metadata(
+    plan: Plan, metadata: Mapping[str, Mapping[str, str]]
+) -> dict[str, dict[str, str]]:
+    """Return all metadata records: the caller's, completed by the recorder's own."""
+    completed = {name: dict(items) for name, items in metadata.items()}
+    for name, items in _own_metadata(plan).items():
+        # Ours after the caller's: no caller may overwrite what a replay rests on.
+        completed[name] = {**completed.get(name, {}), **items}
+    return completed
+
+
+def _own_metadata(plan: Plan) -> dict[str, dict[str, str]]:
+    records = {
+        "cosim.run": {"format": FORMAT},
+        "cosim.env": environment(),
+        "cosim.schedule": {
+            "step_ns": str(plan.step_ns),
+            "stages": compact(list(plan.schedule)),
+        },
+    }
     for channel in plan.layout.channels:
         held = [bool(value) for value in plan.held.get(channel.name, ())]
-        design = encode_design(plan.designs.get(channel.name, {}))
-        ours[f"cosim.component.{channel.name}"] = {
-            "cosim.design": design,
+        records[f"cosim.component.{channel.name}"] = {
+            "cosim.design": encode_design(plan.designs.get(channel.name, {})),
             "cosim.held": compact(held),
         }
-    names = [*metadata, *(name for name in ours if name not in metadata)]
-    return {name: {**metadata.get(name, {}), **ours.get(name, {})} for name in names}
+    return records

@@ -1,14 +1,17 @@
-"""A log file as arrays: a component's rows are read when first asked for, chunk by chunk, with every CRC checked."""
+"""A log file as arrays.
+
+A component's rows are read when first asked for, chunk by chunk, with every CRC checked.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, final
+from typing import Any, TypeVar, final
 
 import numpy as np
 from mcap.opcode import Opcode
@@ -21,15 +24,19 @@ from cosim.core.signals import Channel
 from cosim.errors import GraphError, LogError, nearest
 from cosim.log.columns import SignalRows
 from cosim.log.container import MALFORMED, Container
-from cosim.log.content import combine, hashable
+from cosim.log.content import combine_hashes, hash_input
 from cosim.log.layout import Part, read_part, record_dtype, signals_json
-from cosim.log.metadata import decode_design, unseal
+from cosim.log.metadata import decode_design, verify_checksum
 from cosim.log.preamble import LOG_TOPIC
 from cosim.log.result import RESULT, RESULT_FILE
-from cosim.log.scan import Loose, scan
+from cosim.log.scan import OtherRecord, scan
 from cosim.log.schema import decode_log
 
-_TIME = slice(6, 14)  # of a message record's content
+_LOG_TIME = slice(6, 14)  # of a message record's content
+_DATA = slice(22, None)
+_HASHED_ROWS = 2**16  # at a time
+
+_Parsed = TypeVar("_Parsed")
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +45,7 @@ class LogMessage:
 
     time_ns: int
     level: MessageLevel
-    name: str
+    source: str  # "run", or the component's name
     text: str
 
 
@@ -104,27 +111,30 @@ class Log:
 
     @property
     def status(self) -> str:
-        """How the run ended: ``complete``, ``failed`` or ``interrupted``; ``unknown`` if another tool left that out."""
+        """How the run ended: ``complete``, ``failed`` or ``interrupted``.
+
+        ``unknown`` if another tool left that out.
+        """
         return self._metadata.get(RESULT, {}).get("status", "unknown")
 
     @property
     def reason(self) -> str:
-        """Why it ended so; empty where it came to its end."""
+        """Stop reason; empty where the run came to its end."""
         return self._metadata.get(RESULT, {}).get("reason", "")
 
     @property
     def end_ns(self) -> int:
-        """The last recorded instant [ns], as the result tells it; 0 if there are no rows."""
-        return self._told("end_ns")
+        """The last recorded instant [ns], from the result; 0 if there are no rows."""
+        return self._result_number("end_ns")
 
     @property
     def steps(self) -> int:
-        """Number of the last recorded communication step, as the result tells it."""
-        return self._told("steps")
+        """Number of the last recorded communication step, from the result."""
+        return self._result_number("steps")
 
     @property
     def result(self) -> Mapping[str, Any]:
-        """What ``result.json`` says; empty if there is none."""
+        """The content of ``result.json``; empty if there is none."""
         if RESULT_FILE not in self._attachments:
             return {}
         try:
@@ -135,61 +145,64 @@ class Log:
     @property
     def designs(self) -> Mapping[str, Design]:
         """The design-time arrays of every component, bit for bit."""
-        return {
-            name: self._component_metadata(name, "cosim.design", {}, decode_design)
-            for name in self._channels
-        }
+        designs: dict[str, Design] = {}
+        for name in self._channels:
+            designs[name] = self._component_metadata(name, "cosim.design", decode_design, {})
+        return designs
 
     @property
     def held(self) -> Mapping[str, Mask]:
         """Which input elements of every component held their value over a step."""
-        free = {
-            name: np.zeros(channel.interface.n_u, dtype=np.bool_)
-            for name, channel in self._channels.items()
-        }
-        return {
-            name: self._component_metadata(name, "cosim.held", mask, _mask)
-            for name, mask in free.items()
-        }
+        held: dict[str, Mask] = {}
+        for name, channel in self._channels.items():
+            none_held = np.zeros(channel.interface.n_u, dtype=np.bool_)
+            held[name] = self._component_metadata(name, "cosim.held", _read_mask, none_held)
+        return held
 
     def signals(self) -> list[str]:
-        """Names of all signals, ``component.signal``."""
-        return [
-            f"{name}.{signal.name}"
-            for name, channel in self._channels.items()
-            for signal in channel.signals
-        ]
+        """Return the names of all signals, ``component.signal``."""
+        names = []
+        for name, channel in self._channels.items():
+            names += [f"{name}.{signal.name}" for signal in channel.signals]
+        return names
 
     def __getitem__(self, signal: str) -> NDArray[np.float64]:
-        """Give ``component.signal`` at every recorded row: shape (N,) for size 1, else (N, size); read-only."""
+        """Return ``component.signal`` at every recorded row; read-only.
+
+        Shape (N,) for size 1, else (N, size).
+        """
         channel, columns = find_signal(self._channels, signal, source=str(self.path))
-        values = self.rows(channel.name)[
-            :, columns.start - channel.start : columns.stop - channel.start
-        ]
+        first = columns.start - channel.start
+        stop = columns.stop - channel.start
+        values = self.rows(channel.name)[:, first:stop]
         return values[:, 0] if values.shape[1] == 1 else values
 
     def rows(self, component: str) -> Matrix:
-        """Give all rows of a component, applied inputs, then outputs, shape (N, width); read-only."""
-        return self._loaded(component)[1]
+        """Return all rows of a component: applied inputs, then outputs.
+
+        Shape (N, width), read-only.
+        """
+        return self._times_and_rows(component)[1]
 
     def time_ns(self, component: str) -> Nanoseconds:
-        """Give the instants of a component's rows, shape (N,) [ns]; read-only."""
-        return self._loaded(component)[0]
+        """Return the instants of a component's rows, shape (N,) [ns]; read-only."""
+        return self._times_and_rows(component)[0]
 
     def time(self, name: str) -> Vector:
-        """Give the instants of a signal's or component's rows, shape (N,) [s]."""
-        channel = (
-            find_signal(self._channels, name, source=str(self.path))[0] if "." in name else None
-        )
-        return self.time_ns(channel.name if channel else name) / 1e9
+        """Return the instants of a signal's or component's rows, shape (N,) [s]."""
+        component = name
+        if "." in name:
+            channel, _ = find_signal(self._channels, name, source=str(self.path))
+            component = channel.name
+        return self.time_ns(component) / 1e9
 
     def load(self, *components: str) -> None:
         """Read several components in one pass over the file; none named: all."""
-        wanted = [name for name in components or self._channels if name not in self._rows]
-        self._rows.update(self._gather(wanted))
+        missing = [name for name in components or self._channels if name not in self._rows]
+        self._rows.update(self._read_rows(missing))
 
     def attachment(self, name: str) -> bytes:
-        """Give the content of an attachment."""
+        """Return the content of an attachment."""
         if name not in self._attachments:
             raise LogError(
                 f"{self.path} has no attachment {name!r}; {nearest(name, self._attachments)}"
@@ -197,147 +210,186 @@ class Log:
         return self._file.attachment(self._attachments[name])
 
     def messages(self) -> list[LogMessage]:
-        """Give what the run and its components said, in the order of time."""
-        spoken = {
-            number for number, channel in self._declared.items() if channel.topic == LOG_TOPIC
-        }
-        found = []
+        """Return the messages of the run and its components, in the order of time."""
+        channel_ids = set()
+        for number, channel in self._declared.items():
+            if channel.topic == LOG_TOPIC:
+                channel_ids.add(number)
+        messages = []
         try:
-            for block in self._file.blocks():
-                for record in scan(block, self._dtypes()):
-                    if (
-                        isinstance(record, Loose)
-                        and record.opcode == Opcode.MESSAGE
-                        and record.channel_id in spoken
-                    ):
-                        time_ns = int.from_bytes(record.content[_TIME], "little")
-                        found.append(LogMessage(time_ns, *decode_log(record.content[22:])))
+            for record in self._other_records():
+                if record.opcode == Opcode.MESSAGE and record.channel_id in channel_ids:
+                    time_ns = int.from_bytes(record.content[_LOG_TIME], "little")
+                    messages.append(LogMessage(time_ns, *decode_log(record.content[_DATA])))
         except MALFORMED as error:
             raise LogError(f"{self.path} is damaged: {error}") from error
-        return sorted(found, key=lambda message: message.time_ns)
+        return sorted(messages, key=lambda message: message.time_ns)
 
     def content_hash(self) -> str:
         """Compute the hash of every bit of every signal from the data, one component at a time."""
-        digests = []
+        components = []
         for name, channel in self._channels.items():
-            time_ns, rows = self._rows.get(name) or self._gather([name])[name]
+            # Rows read for the hash are not kept: a log may be larger than the memory.
+            time_ns, rows = self._rows.get(name) or self._read_rows([name])[name]
             digest = hashlib.sha256()
-            for start in range(0, len(rows), 2**16):
-                digest.update(hashable(time_ns[start : start + 2**16], rows[start : start + 2**16]))
-            digests.append((name, signals_json(channel.interface), digest.hexdigest()))
-        return combine(digests)
+            for start in range(0, len(rows), _HASHED_ROWS):
+                part = slice(start, start + _HASHED_ROWS)
+                digest.update(hash_input(time_ns[part], rows[part]))
+            components.append((name, signals_json(channel.interface), digest.hexdigest()))
+        return combine_hashes(components)
 
-    def _loaded(self, component: str) -> tuple[Nanoseconds, Matrix]:
+    def _times_and_rows(self, component: str) -> tuple[Nanoseconds, Matrix]:
         find_channel(self._channels, component, source=str(self.path))
         self.load(component)
         return self._rows[component]
 
-    def _gather(self, components: list[str]) -> dict[str, tuple[Nanoseconds, Matrix]]:
+    def _other_records(self) -> Iterator[OtherRecord]:
+        """Yield the records that are no rows of a component."""
+        dtypes = self._dtypes()
+        for block in self._file.blocks():
+            for record in scan(block, dtypes):
+                if isinstance(record, OtherRecord):
+                    yield record
+
+    def _read_rows(self, components: list[str]) -> dict[str, tuple[Nanoseconds, Matrix]]:
         """Read the rows of some components in one pass."""
         if not components:
             return {}
-        dtypes = self._dtypes()
-        wanted = {
-            number: part for number, part in self._parts.items() if part.channel.name in components
-        }
-        rows = {
-            number: SignalRows(part, self._file.expected(number, dtypes[number].itemsize))
-            for number, part in wanted.items()
-        }
         try:
-            for block in self._file.blocks():
-                for found in scan(block, dtypes):
-                    if isinstance(found, Loose):
-                        self._check_declared(found)
-                    elif found[0] in rows:
-                        rows[found[0]].append(found[1])
-            self._check_counts(rows)
-            return {
-                name: _joined([part for part in rows.values() if part.component == name])
-                for name in components
-            }
+            parts = self._read_part_rows(components)
+            self._check_counts(parts)
+            rows = {}
+            for name in components:
+                own_parts = [part for part in parts.values() if part.component == name]
+                rows[name] = _side_by_side(own_parts)
         except MALFORMED as error:
             raise LogError(f"{self.path} is damaged: {error}") from error
+        return rows
 
-    def _check_declared(self, found: Loose) -> None:
-        if found.opcode == Opcode.MESSAGE and found.channel_id not in self._declared:
-            raise ValueError(f"a message of channel {found.channel_id}, which is declared nowhere")
+    def _read_part_rows(self, components: list[str]) -> dict[int, SignalRows]:
+        """Read the rows of some components by channel id."""
+        dtypes = self._dtypes()
+        rows: dict[int, SignalRows] = {}
+        for number, part in self._parts.items():
+            if part.channel.name in components:
+                expected = self._file.expected_messages(number, dtypes[number].itemsize)
+                rows[number] = SignalRows(part, expected)
+        for block in self._file.blocks():
+            for record in scan(block, dtypes):
+                if isinstance(record, OtherRecord):
+                    self._check_declared(record)
+                    continue
+                number, messages = record
+                if number in rows:
+                    rows[number].append(messages)
+        return rows
 
-    def _check_counts(self, rows: Mapping[int, SignalRows]) -> None:
-        told = self._file.summary.statistics
-        for number, found in rows.items():
-            needed = told.channel_message_counts.get(number, 0) if told else found.count
-            if found.count != needed:
+    def _check_declared(self, record: OtherRecord) -> None:
+        """Check that a message's channel exists: a flipped bit may hide a row in another channel.
+
+        Raises
+        ------
+        ValueError
+            If it does not.
+        """
+        if record.opcode == Opcode.MESSAGE and record.channel_id not in self._declared:
+            raise ValueError(f"a message of channel {record.channel_id}, which is declared nowhere")
+
+    def _check_counts(self, parts: Mapping[int, SignalRows]) -> None:
+        """Check the numbers of rows against the summary, if there is one.
+
+        Raises
+        ------
+        ValueError
+            If they differ.
+        """
+        statistics = self._file.summary.statistics
+        if statistics is None:
+            return
+        for number, part in parts.items():
+            needed = statistics.channel_message_counts.get(number, 0)
+            if part.count != needed:
                 raise ValueError(
-                    f"{found.count} rows of {found.component!r} found, its summary says {needed}"
+                    f"{part.count} rows of {part.component!r} found, its summary says {needed}"
                 )
 
     def _dtypes(self) -> dict[int, np.dtype[np.void]]:
         return {number: record_dtype(part.size) for number, part in self._parts.items()}
 
     def _read_parts(self) -> dict[int, Part]:
-        ours = {
-            number: channel
-            for number, channel in self._declared.items()
-            if "cosim.component" in channel.metadata
-        }
-        if not ours:
-            topics = (
-                ", ".join(channel.topic for channel in self._declared.values())
-                or "no channels at all"
-            )
-            raise LogError(
-                f"{self.path} has no channels of cosim, which carry 'cosim.component'; found: {topics}"
-            )
+        """Read the parts of the components from their channels' metadata, by channel id."""
         parts = {}
-        for number, channel in ours.items():
+        for number, channel in self._declared.items():
+            if "cosim.component" not in channel.metadata:
+                continue
             try:
                 parts[number] = read_part(channel.metadata)
             except (*MALFORMED, GraphError) as error:
                 raise LogError(
                     f"{self.path}: channel {channel.topic!r} cannot be understood: {error}"
                 ) from error
+        if not parts:
+            topics = ", ".join(channel.topic for channel in self._declared.values())
+            raise LogError(
+                f"{self.path} has no channels of cosim, which carry 'cosim.component';"
+                f" found: {topics or 'no channels at all'}"
+            )
         return parts
 
     def _read_channels(self) -> dict[str, Channel]:
-        channels = {}
-        for part in sorted(
+        """Return the components in the order of the row, each checked to be whole."""
+        # By name too: a component without signals starts where the next one does.
+        parts = sorted(
             self._parts.values(), key=lambda part: (part.channel.start, part.channel.name)
-        ):
-            channels[part.channel.name] = part.channel
+        )
+        channels = {part.channel.name: part.channel for part in parts}
         for name, channel in channels.items():
-            spans = sorted(
-                (part.columns.start, part.columns.stop)
-                for part in self._parts.values()
-                if part.channel.name == name
-            )
-            edges = [0, *(stop for _, stop in spans)]
-            if [start for start, _ in spans] != edges[:-1] or edges[
-                -1
-            ] != channel.columns.stop - channel.start:
-                raise LogError(
-                    f"{self.path}: component {name!r} is not there once and whole; its channels hold columns {spans}"
-                )
+            columns = [part.columns for part in parts if part.channel.name == name]
+            self._check_whole(channel, columns)
         return channels
 
+    def _check_whole(self, channel: Channel, columns: list[slice]) -> None:
+        """Check that the parts of a component tile its row.
+
+        Raises
+        ------
+        LogError
+            If some columns are missing, or there more than once.
+        """
+        spans = sorted((span.start, span.stop) for span in columns)
+        column = 0
+        contiguous = True
+        for start, stop in spans:
+            contiguous &= start == column
+            column = stop
+        width = channel.columns.stop - channel.start
+        if not contiguous or column != width:
+            raise LogError(
+                f"{self.path}: component {channel.name!r} is not there once and whole;"
+                f" its channels hold columns {spans}"
+            )
+
     def _read_metadata(self) -> dict[str, Mapping[str, str]]:
+        metadata: dict[str, Mapping[str, str]] = {}
         try:
-            return {
-                record.name: unseal(record.name, record.metadata)
-                for record in self._file.metadata()
-            }
+            for record in self._file.metadata():
+                metadata[record.name] = verify_checksum(record.name, record.metadata)
         except ValueError as error:
             raise LogError(f"{self.path}: {error}") from error
+        return metadata
 
-    def _told(self, key: str) -> int:
+    def _result_number(self, key: str) -> int:
         try:
             return int(self._metadata[RESULT][key])
         except MALFORMED as error:
             raise LogError(
-                f"{self.path} does not tell {key!r}: needed a {RESULT} record, which cosim writes"
+                f"{self.path} has no {key!r}: needed a {RESULT} record, which cosim writes"
             ) from error
 
-    def _component_metadata(self, component: str, key: str, default: Any, parse: Any) -> Any:
+    def _component_metadata(
+        self, component: str, key: str, parse: Callable[[str], _Parsed], default: _Parsed
+    ) -> _Parsed:
+        """Parse a component's metadata; ``default`` where another tool left them out."""
         text = self._metadata.get(f"cosim.component.{component}", {}).get(key)
         try:
             return default if text is None else parse(text)
@@ -347,20 +399,30 @@ class Log:
             ) from error
 
 
-def _joined(parts: list[SignalRows]) -> tuple[Nanoseconds, Matrix]:
-    """Put the parts of a component side by side."""
-    ordered = [rows.sorted() for rows in sorted(parts, key=lambda rows: rows.part.columns.start)]
-    time_ns, values = ordered[0]
-    if len(ordered) > 1:
-        if not all(np.array_equal(time_ns, other) for other, _ in ordered):
-            raise ValueError(f"the channels of {parts[0].component!r} have rows at different times")
-        values = np.hstack([part for _, part in ordered])
-    for array in (time_ns, values):
-        array.setflags(write=False)
+def _side_by_side(parts: list[SignalRows]) -> tuple[Nanoseconds, Matrix]:
+    """Join the parts of a component to its rows.
+
+    Raises
+    ------
+    ValueError
+        If they have rows at different times.
+    """
+    ordered = sorted(parts, key=lambda rows: rows.part.columns.start)
+    time_ns, values = ordered[0].in_time_order()
+    columns = [values]
+    for rows in ordered[1:]:
+        other_time_ns, other_values = rows.in_time_order()
+        if not np.array_equal(time_ns, other_time_ns):
+            raise ValueError(f"the channels of {rows.component!r} have rows at different times")
+        columns.append(other_values)
+    if len(columns) > 1:
+        values = np.hstack(columns)
+    time_ns.setflags(write=False)
+    values.setflags(write=False)
     return time_ns, values
 
 
-def _mask(text: str) -> Mask:
+def _read_mask(text: str) -> Mask:
     mask = np.array(json.loads(text), dtype=np.bool_)
     mask.setflags(write=False)
     return mask

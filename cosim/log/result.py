@@ -1,4 +1,7 @@
-"""How a run ended: the record ``cosim.result`` and, with what the caller adds, the attachment ``result.json``."""
+"""How a run ended: the record ``cosim.result``, and the attachment ``result.json``.
+
+The attachment has the values that the caller adds, too.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from cosim.core.recorders import EndOfRun
-from cosim.log.metadata import seal
+from cosim.log.metadata import add_checksum
 from cosim.log.sink import Sink
 
 RESULT = "cosim.result"
@@ -26,21 +29,28 @@ class LastRow:
 
 
 def write_result(
-    sink: Sink, end: EndOfRun, reached: LastRow, *, content_hash: str, more: Mapping[str, Any]
+    sink: Sink,
+    end: EndOfRun,
+    last_row: LastRow,
+    *,
+    content_hash: str,
+    values: Mapping[str, Any],
 ) -> None:
-    """Write the record and the attachment; ``more`` goes to the attachment alone.
+    """Write the record and the attachment; ``values`` go to the attachment only.
 
     Raises
     ------
     OSError
         If the file cannot be written to.
     """
-    items = {**asdict(end), **asdict(reached), "content_hash": content_hash}
-    sink.metadata(RESULT, seal(RESULT, {key: str(value) for key, value in items.items()}))
-    text = json.dumps({**more, **items}, default=_plain, indent=2)
+    items = {**asdict(end), **asdict(last_row), "content_hash": content_hash}
+    record = {key: str(value) for key, value in items.items()}
+    sink.metadata(RESULT, add_checksum(RESULT, record))
+    # Ours after the caller's: no caller may overwrite how the run ended.
+    text = json.dumps({**values, **items}, default=_to_json, indent=2)
     sink.attachment(RESULT_FILE, "application/json", text.encode())
 
 
-def _plain(value: object) -> object:
-    """Give numpy values and paths as JSON can say them."""
+def _to_json(value: object) -> object:
+    """Return numpy values as numbers and lists, and all others, such as paths, as text."""
     return value.tolist() if isinstance(value, (np.ndarray, np.generic)) else str(value)

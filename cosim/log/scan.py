@@ -1,7 +1,8 @@
-"""Find message records in the bytes of a chunk, a run of equal ones at a time.
+"""Find message records in the bytes of a chunk, consecutive ones of a channel at a time.
 
-Our chunks hold one run per channel, and a run is found by comparing whole columns. Chunks of other tools, with the channels'
-messages mixed, are read by the same code, one short run after another.
+Our chunks hold the messages of one channel after those of another, and where a channel's end is
+found by comparing whole columns. Chunks of other tools, with the channels' messages mixed, are read
+by the same code, a few messages at a time.
 """
 
 from __future__ import annotations
@@ -15,71 +16,101 @@ from mcap.opcode import Opcode
 
 from cosim.log.layout import HEADER, Records
 
-_HEAD = struct.Struct("<BQ")
-_HEAD_BYTES = 11  # opcode, length, channel id
-_FIRST_LOOK = 64  # records compared at once to begin with
+_RECORD_HEADER = struct.Struct("<BQ")
+_MESSAGE_KEY = 11  # bytes: opcode, length, channel id; equal in all messages of a channel
+_MESSAGE_HEADER = 22  # bytes of a message's content before its data
+_FIRST_WINDOW = 64  # records compared at once to begin with
+_WINDOW_GROWTH = 8
 
 
 @dataclass(frozen=True, slots=True)
-class Loose:
+class OtherRecord:
     """A record that is no message of a known channel."""
 
     opcode: int
-    channel_id: int  # of a message
+    channel_id: int  # of a message; else 0
     content: bytes
 
 
 def scan(
     data: bytes, dtypes: Mapping[int, np.dtype[np.void]]
-) -> Iterator[tuple[int, Records] | Loose]:
-    """Give the records in ``data`` in their order: runs of messages of the channels in ``dtypes``, and all others one by one.
+) -> Iterator[tuple[int, Records] | OtherRecord]:
+    """Yield the records in ``data`` in their order.
+
+    Parameters
+    ----------
+    data : bytes
+    dtypes : mapping of channel id to dtype
+        Consecutive messages of these channels are yielded together, as channel id and records; all
+        other records one by one.
 
     Raises
     ------
     ValueError
-        If ``data`` is no sequence of records, or a message has another size than its channel's dtype.
+        If ``data`` is no sequence of records, or a message has another size than its channel's
+        dtype.
     """
-    at = 0
-    while at < len(data):
-        if at + HEADER > len(data):
-            raise ValueError(f"{len(data) - at} bytes too many in a chunk")
-        opcode, length = _HEAD.unpack_from(data, at)
-        stop = at + HEADER + length
-        if stop > len(data) or (opcode == Opcode.MESSAGE and length < 22):
-            raise ValueError(f"a record of {length} bytes does not fit into its chunk")
-        channel_id = (
-            int.from_bytes(data[at + HEADER : at + _HEAD_BYTES], "little")
-            if opcode == Opcode.MESSAGE
-            else 0
-        )
-        dtype = dtypes.get(channel_id)
-        if dtype is None or opcode != Opcode.MESSAGE:
-            yield Loose(opcode, channel_id, data[at + HEADER : stop])
-        elif stop - at != dtype.itemsize:
+    position = 0
+    while position < len(data):
+        opcode, stop = _record_bounds(data, position)
+        content = position + HEADER
+        channel_id = 0
+        dtype = None
+        if opcode == Opcode.MESSAGE:
+            channel_id = int.from_bytes(data[content : content + 2], "little")
+            dtype = dtypes.get(channel_id)
+        if dtype is None:
+            yield OtherRecord(opcode, channel_id, data[content:stop])
+        elif stop - position != dtype.itemsize:
             raise ValueError(
-                f"a message of {stop - at} bytes in channel {channel_id}, needed {dtype.itemsize}: re-encoded by another tool"
+                f"a message of {stop - position} bytes in channel {channel_id}, needed"
+                f" {dtype.itemsize}: re-encoded by another tool"
             )
         else:
-            records = _run(data, at, dtype)
+            records = _consecutive_messages(data, position, dtype)
             yield channel_id, records
-            stop = at + records.nbytes
-        at = stop
+            stop = position + records.nbytes
+        position = stop
 
 
-def _run(data: bytes, at: int, dtype: np.dtype[np.void]) -> Records:
-    """Give the records from ``at`` on that have the opcode, length and channel of the first."""
-    size, head = dtype.itemsize, data[at : at + _HEAD_BYTES]
-    most = (len(data) - at) // size
-    if most == 1 or data[at + size : at + size + _HEAD_BYTES] != head:
-        return np.frombuffer(data, dtype, 1, at)
-    records = np.frombuffer(data, dtype, most, at)
-    first, found, look = records[0], 2, _FIRST_LOOK
-    while found < most:
-        part = records[found : found + look]
-        same = (part["opcode"] == first["opcode"]) & (part["length"] == first["length"])
-        same &= part["channel_id"] == first["channel_id"]
+def _record_bounds(data: bytes, position: int) -> tuple[int, int]:
+    """Return opcode and end of the record at ``position``.
+
+    Raises
+    ------
+    ValueError
+        If no whole record is there, or a message too short for its header.
+    """
+    if position + HEADER > len(data):
+        raise ValueError(f"{len(data) - position} bytes too many in a chunk")
+    opcode, length = _RECORD_HEADER.unpack_from(data, position)
+    stop = position + HEADER + length
+    if stop > len(data) or (opcode == Opcode.MESSAGE and length < _MESSAGE_HEADER):
+        raise ValueError(f"a record of {length} bytes does not fit into its chunk")
+    return opcode, stop
+
+
+def _consecutive_messages(data: bytes, position: int, dtype: np.dtype[np.void]) -> Records:
+    """Return the records from ``position`` on with opcode, length and channel of the first."""
+    size = dtype.itemsize
+    room = (len(data) - position) // size
+    key = data[position : position + _MESSAGE_KEY]
+    second = position + size
+    # Chunks of other tools mix the channels: a single message is the usual case there, and cheap.
+    if room == 1 or data[second : second + _MESSAGE_KEY] != key:
+        return np.frombuffer(data, dtype, 1, position)
+    records = np.frombuffer(data, dtype, room, position)
+    first = records[0]
+    count = 2
+    window = _FIRST_WINDOW
+    while count < room:
+        candidates = records[count : count + window]
+        same = candidates["opcode"] == first["opcode"]
+        same &= candidates["length"] == first["length"]
+        same &= candidates["channel_id"] == first["channel_id"]
         if not same.all():
-            found += int(same.argmin())
+            count += int(same.argmin())
             break
-        found, look = found + len(part), look * 8
-    return records[:found]
+        count += len(candidates)
+        window *= _WINDOW_GROWTH
+    return records[:count]

@@ -1,8 +1,9 @@
 """Protobuf schemas: legal names for any signal name, and what a component's messages look like.
 
-A protobuf field name is an identifier, and its JSON name drops the underscores and raises the letter behind each. Two fields
-with one JSON name (``x_1`` and ``x1``, ``a_b`` and ``aB``) make the stock decoders refuse the whole channel. So two names
-never differ by underscores and case alone here; the original names stand in the channel's metadata.
+A protobuf field name is an identifier, and its JSON name drops the underscores and capitalizes the
+letter behind each. Two fields with one JSON name (``x_1`` and ``x1``, ``a_b`` and ``aB``) make the
+stock decoders refuse the whole channel. So no two names differ only by underscores and case here;
+the original names stand in the channel's metadata.
 """
 
 from __future__ import annotations
@@ -16,13 +17,8 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, ti
 
 from cosim.core.contracts import MessageLevel
 
-LEVELS: tuple[MessageLevel, ...] = (
-    "debug",
-    "info",
-    "warning",
-    "error",
-    "fatal",
-)  # foxglove.Log.Level 1 to 5
+# foxglove.Log.Level 1 to 5
+LEVELS: tuple[MessageLevel, ...] = ("debug", "info", "warning", "error", "fatal")
 LOG_SCHEMA = "foxglove.Log"
 
 _LEGAL = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
@@ -31,35 +27,56 @@ _FIELD = descriptor_pb2.FieldDescriptorProto
 
 
 def identifiers(names: Sequence[str]) -> list[str]:
-    """Give each name an identifier that no other has, nor its JSON name; legal names keep theirs where they can."""
-    result, taken, last = [""] * len(names), set[str](), dict[str, int]()
-    for i in sorted(range(len(names)), key=lambda i: _LEGAL.fullmatch(names[i]) is None):
-        base = names[i] if _LEGAL.fullmatch(names[i]) else _ILLEGAL.sub("_", names[i]).strip("_")
-        base = base if base[:1].isalpha() else f"n{base}"
-        chosen = base
-        while _folded(chosen) in taken:
-            last[base] = last.get(base, 1) + 1
-            chosen = f"{base}_{last[base]}"
-        taken.add(_folded(chosen))
-        result[i] = chosen
+    """Return an identifier for each name, such that no two have the same JSON name.
+
+    Legal names are kept where they can be.
+    """
+    result = [""] * len(names)
+    taken: set[str] = set()
+    last_number: dict[str, int] = {}
+    # Legal names first, so that no illegal one takes theirs; otherwise in order, so that the same
+    # names always get the same identifiers.
+    order = sorted(range(len(names)), key=lambda i: not _is_legal(names[i]))
+    for i in order:
+        base = _legal_name(names[i])
+        identifier = base
+        while _comparable(identifier) in taken:
+            last_number[base] = last_number.get(base, 1) + 1
+            identifier = f"{base}_{last_number[base]}"
+        taken.add(_comparable(identifier))
+        result[i] = identifier
     return result
 
 
-def _folded(name: str) -> str:
-    return name.replace("_", "").lower()
+def _is_legal(name: str) -> bool:
+    return _LEGAL.fullmatch(name) is not None
+
+
+def _legal_name(name: str) -> str:
+    """Return the name with everything illegal replaced."""
+    if _is_legal(name):
+        return name
+    replaced = _ILLEGAL.sub("_", name).strip("_")
+    return replaced if replaced[:1].isalpha() else f"n{replaced}"
+
+
+def _comparable(identifier: str) -> str:
+    """Return the same text for identifiers that may have one JSON name."""
+    return identifier.replace("_", "").lower()
 
 
 def component_schema(message: str, elements: Sequence[str]) -> bytes:
-    """Describe the message ``cosim.<message>`` with one double per element as a serialized FileDescriptorSet.
+    """Return the FileDescriptorSet of the message ``cosim.<message>``, one double per element.
 
-    Field numbers are 1 to ``len(elements)``: a channel has at most 4096, so the reserved 19000 to 19999 are never reached.
+    Field numbers are 1 to ``len(elements)``: a channel has at most 4096, so the reserved 19000 to
+    19999 are never reached.
     """
     file = descriptor_pb2.FileDescriptorProto(
         name=f"cosim/{message}.proto", package="cosim", syntax="proto3"
     )
-    described = file.message_type.add(name=message)
+    descriptor = file.message_type.add(name=message)
     for number, name in enumerate(identifiers(elements), start=1):
-        described.field.add(
+        descriptor.field.add(
             name=name, number=number, type=_FIELD.TYPE_DOUBLE, label=_FIELD.LABEL_OPTIONAL
         )
     return bytes(descriptor_pb2.FileDescriptorSet(file=[file]).SerializeToString())
@@ -67,19 +84,20 @@ def component_schema(message: str, elements: Sequence[str]) -> bytes:
 
 @cache
 def log_schema() -> bytes:
-    """Describe ``foxglove.Log`` as a serialized FileDescriptorSet."""
-    return bytes(_log_files().SerializeToString())
+    """Return the FileDescriptorSet of ``foxglove.Log``, serialized."""
+    return bytes(_log_descriptors().SerializeToString())
 
 
-def encode_log(time_ns: int, level: MessageLevel, name: str, text: str) -> bytes:
+def encode_log(time_ns: int, level: MessageLevel, source: str, text: str) -> bytes:
     """Serialize a ``foxglove.Log``."""
-    message = _log_message()(level=LEVELS.index(level) + 1, message=text, name=name)
+    message = _log_message()(level=LEVELS.index(level) + 1, message=text, name=source)
     message.timestamp.FromNanoseconds(time_ns)
+    # Deterministic: the files of equal runs have equal bytes.
     return bytes(message.SerializeToString(deterministic=True))
 
 
 def decode_log(data: bytes) -> tuple[MessageLevel, str, str]:
-    """Give level, name and text of a serialized ``foxglove.Log``.
+    """Return level, source and text of a serialized ``foxglove.Log``.
 
     Raises
     ------
@@ -88,22 +106,23 @@ def decode_log(data: bytes) -> tuple[MessageLevel, str, str]:
     """
     try:
         message = _log_message().FromString(data)
-    except (
-        Exception
-    ) as error:  # the error's type depends on which of its three implementations protobuf runs on
+    # The error's type depends on which of its three implementations protobuf runs on.
+    except Exception as error:
         raise ValueError(f"no {LOG_SCHEMA} message: {error}") from error
-    return LEVELS[min(max(message.level, 1), 5) - 1], message.name, message.message
+    # Other tools may write levels that foxglove.Log does not have, such as UNKNOWN, 0.
+    number = min(max(message.level, 1), len(LEVELS))
+    return LEVELS[number - 1], message.name, message.message
 
 
 @cache
 def _log_message() -> Any:
     pool = descriptor_pool.DescriptorPool()
-    for file in _log_files().file:
+    for file in _log_descriptors().file:
         pool.Add(file)
     return message_factory.GetMessageClass(pool.FindMessageTypeByName(LOG_SCHEMA))
 
 
-def _log_files() -> descriptor_pb2.FileDescriptorSet:
+def _log_descriptors() -> descriptor_pb2.FileDescriptorSet:
     timestamp = descriptor_pb2.FileDescriptorProto()
     timestamp_pb2.DESCRIPTOR.CopyToProto(timestamp)
     file = descriptor_pb2.FileDescriptorProto(
@@ -112,8 +131,10 @@ def _log_files() -> descriptor_pb2.FileDescriptorSet:
     file.dependency.append(timestamp.name)
     log = file.message_type.add(name="Log")
     levels = log.enum_type.add(name="Level")
-    for number, level in enumerate(("UNKNOWN", *(level.upper() for level in LEVELS))):
-        levels.value.add(name=level, number=number)
+    levels.value.add(name="UNKNOWN", number=0)
+    for number, level in enumerate(LEVELS, start=1):
+        levels.value.add(name=level.upper(), number=number)
+    # Numbers and types are those of foxglove's own schema; viewers know it by its name.
     field = {"label": _FIELD.LABEL_OPTIONAL}
     log.field.add(
         name="timestamp",

@@ -1,7 +1,7 @@
 """The write path: whole records appended to an MCAP file, and the summary that closes it.
 
-All writes to the disk go through :meth:`Sink.append`, one call for every record or chunk. After a failed write
-:meth:`Sink.rewind` goes back to a mark, so that the file can still be closed.
+All writes to the disk go through :meth:`Sink.append`, one call for every record or chunk. After a
+failed write :meth:`Sink.rewind` goes back to a mark, so that the file can still be closed.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 import struct
 import zlib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import final
 
@@ -22,11 +22,15 @@ from mcap.writer import MCAP0_MAGIC
 from cosim.arrays import Nanoseconds
 from cosim.log.compression import Compression, compress
 
+_RECORD_HEADER = struct.Struct("<BQ")  # opcode, length
+_CHUNK_HEADER = struct.Struct("<QQQI")  # first and last time, size, CRC
+_INDEX_HEADER = struct.Struct("<BQHI")  # opcode, length, channel id, bytes of entries
+_FOOTER_LENGTH = 20  # bytes of its content
 _INDEX_ENTRY = np.dtype([("log_time", "<u8"), ("offset", "<u8")])
 
 
 @dataclass(frozen=True, slots=True)
-class Run:
+class MessageBatch:
     """Message records of one channel that stand side by side in a chunk."""
 
     channel_id: int
@@ -37,7 +41,7 @@ class Run:
 
 @dataclass(frozen=True, slots=True)
 class Mark:
-    """A place between two records to go back to."""
+    """A position between two records to go back to, and what had been written up to there."""
 
     position: int
     crc: int
@@ -46,8 +50,16 @@ class Mark:
     attachments: int
 
 
+@dataclass(frozen=True, slots=True)
+class _WrittenChunk:
+    """What the summary needs of a chunk."""
+
+    index: records.ChunkIndex
+    counts: dict[int, int]  # messages by channel id
+
+
 def encoded(*items: records.McapRecord) -> bytes:
-    """Encode records one after another."""
+    """Return records as bytes, one after another."""
     builder = RecordBuilder()
     for item in items:
         item.write(builder)
@@ -56,7 +68,7 @@ def encoded(*items: records.McapRecord) -> bytes:
 
 @final
 class Sink:
-    """Appends records to an open file and keeps what the summary needs.
+    """An open file that records are appended to, with what its summary needs.
 
     Raises
     ------
@@ -66,166 +78,192 @@ class Sink:
 
     def __init__(self, stream: io.RawIOBase, *, library: str) -> None:
         self._stream = stream
-        self._position = self._crc = 0
+        self._position = 0
+        self._crc = 0
         self._schemas: list[records.Schema] = []
         self._channels: list[records.Channel] = []
-        self._chunks: list[tuple[records.ChunkIndex, dict[int, int]]] = []
+        self._chunks: list[_WrittenChunk] = []
         self._metadata: list[records.MetadataIndex] = []
         self._attachments: list[records.AttachmentIndex] = []
         self.append(MCAP0_MAGIC + encoded(records.Header(profile="", library=library)))
 
     def append(self, data: bytes) -> int:
-        """Write whole records; give the position they begin at."""
-        rest = memoryview(data)
-        while rest:
-            written = self._stream.write(rest)
+        """Write whole records; return the position they begin at."""
+        remaining = memoryview(data)
+        while remaining:
+            written = self._stream.write(remaining)
             if not written:
                 raise OSError("the file takes no more bytes")
-            rest = rest[written:]
+            remaining = remaining[written:]
+        # After the write: one that fails leaves position and CRC where the last record ended.
         start = self._position
         self._crc = zlib.crc32(data, self._crc)
         self._position += len(data)
         return start
 
     def mark(self) -> Mark:
-        """Remember the place reached."""
+        """Return the position reached."""
         return Mark(
-            self._position,
-            self._crc,
-            len(self._chunks),
-            len(self._metadata),
-            len(self._attachments),
+            position=self._position,
+            crc=self._crc,
+            chunks=len(self._chunks),
+            metadata=len(self._metadata),
+            attachments=len(self._attachments),
         )
 
     def rewind(self, mark: Mark) -> None:
         """Forget, on the disk too, what was written since ``mark``."""
+        # Truncating does not move the stream: without the seek the next write would leave a gap.
         self._stream.truncate(mark.position)
         self._stream.seek(mark.position)
-        self._position, self._crc = mark.position, mark.crc
-        del (
-            self._chunks[mark.chunks :],
-            self._metadata[mark.metadata :],
-            self._attachments[mark.attachments :],
-        )
+        self._position = mark.position
+        self._crc = mark.crc
+        del self._chunks[mark.chunks :]
+        del self._metadata[mark.metadata :]
+        del self._attachments[mark.attachments :]
 
     def channel(self, topic: str, *, schema: tuple[str, bytes], metadata: dict[str, str]) -> int:
-        """Write a channel with its own protobuf schema (name, FileDescriptorSet); give the channel's id."""
+        """Write a channel with its own protobuf schema; return the channel's id.
+
+        Parameters
+        ----------
+        topic : str
+        schema : (str, bytes)
+            Name of the message and serialized FileDescriptorSet.
+        metadata : dict
+        """
         number = len(self._channels) + 1
-        self._schemas.append(
-            records.Schema(id=number, data=schema[1], encoding="protobuf", name=schema[0])
-        )
-        self._channels.append(records.Channel(number, topic, "protobuf", metadata, number))
-        self.append(encoded(self._schemas[-1], self._channels[-1]))
+        name, descriptors = schema
+        schema_record = records.Schema(id=number, data=descriptors, encoding="protobuf", name=name)
+        channel_record = records.Channel(number, topic, "protobuf", metadata, number)
+        self._schemas.append(schema_record)
+        self._channels.append(channel_record)
+        self.append(encoded(schema_record, channel_record))
         return number
 
     def metadata(self, name: str, items: dict[str, str]) -> None:
         """Write a metadata record."""
         data = encoded(records.Metadata(name=name, metadata=items))
-        self._metadata.append(
-            records.MetadataIndex(offset=self.append(data), length=len(data), name=name)
-        )
+        start = self.append(data)
+        self._metadata.append(records.MetadataIndex(offset=start, length=len(data), name=name))
 
     def attachment(self, name: str, media_type: str, content: bytes) -> None:
         """Write an attachment, at time 0."""
-        data = encoded(
-            records.Attachment(
-                create_time=0, log_time=0, name=name, media_type=media_type, data=content
-            )
+        attachment = records.Attachment(
+            create_time=0, log_time=0, name=name, media_type=media_type, data=content
         )
+        data = encoded(attachment)
         start = self.append(data)
-        self._attachments.append(
-            records.AttachmentIndex(start, len(data), 0, 0, len(content), name, media_type)
+        index = records.AttachmentIndex(
+            offset=start,
+            length=len(data),
+            log_time=0,
+            create_time=0,
+            data_size=len(content),
+            name=name,
+            media_type=media_type,
         )
+        self._attachments.append(index)
 
-    def chunk(self, runs: Sequence[Run], compression: Compression) -> None:
+    def chunk(self, batches: Sequence[MessageBatch], compression: Compression) -> None:
         """Write message records as one chunk, with its message indexes."""
-        content = b"".join(run.data for run in runs)
-        packed = compress(content, compression)
+        content = b"".join(batch.data for batch in batches)
+        compressed = compress(content, compression)
         name = "" if compression == "none" else compression
-        first, last = (
-            min(int(run.time_ns.min()) for run in runs),
-            max(int(run.time_ns.max()) for run in runs),
-        )
-        label = struct.pack("<I", len(name)) + name.encode()
-        sizes = (
-            struct.pack("<QQQI", first, last, len(content), zlib.crc32(content))
-            + label
-            + struct.pack("<Q", len(packed))
-        )
-        length = len(sizes) + len(packed)
-        pieces = [struct.pack("<BQ", Opcode.CHUNK, length), sizes, packed, *_indexes(runs)]
-        start = self.append(b"".join(pieces))
+        first_ns = min(int(batch.time_ns.min()) for batch in batches)
+        last_ns = max(int(batch.time_ns.max()) for batch in batches)
 
-        index = records.ChunkIndex(
-            9 + length, start, name, len(packed), last, 0, {}, first, len(content)
+        header = _CHUNK_HEADER.pack(first_ns, last_ns, len(content), zlib.crc32(content))
+        header += struct.pack("<I", len(name)) + name.encode()
+        header += struct.pack("<Q", len(compressed))
+        length = len(header) + len(compressed)
+        record_header = _RECORD_HEADER.pack(Opcode.CHUNK, length)
+        indexes = _message_indexes(batches)
+        # One write: chunk and indexes are on the disk together, or rewound together.
+        start = self.append(b"".join([record_header, header, compressed, *indexes]))
+
+        chunk_length = _RECORD_HEADER.size + length
+        index_offsets: dict[int, int] = {}
+        index_start = start + chunk_length
+        for batch, index in zip(batches, indexes, strict=True):
+            index_offsets[batch.channel_id] = index_start
+            index_start += len(index)
+        chunk_index = records.ChunkIndex(
+            chunk_length=chunk_length,
+            chunk_start_offset=start,
+            compression=name,
+            compressed_size=len(compressed),
+            message_end_time=last_ns,
+            message_index_length=sum(len(index) for index in indexes),
+            message_index_offsets=index_offsets,
+            message_start_time=first_ns,
+            uncompressed_size=len(content),
         )
-        for run, piece in zip(runs, pieces[3:], strict=True):
-            index.message_index_offsets[run.channel_id] = (
-                start + 9 + length + index.message_index_length
-            )
-            index.message_index_length += len(piece)
-        self._chunks.append((index, {run.channel_id: len(run.time_ns) for run in runs}))
+        counts = {batch.channel_id: len(batch.time_ns) for batch in batches}
+        self._chunks.append(_WrittenChunk(chunk_index, counts))
 
     def close(self) -> None:
         """Write the end of the data and the summary, and close the file."""
-        end = encoded(records.DataEnd(data_section_crc=self._crc))
-        start = self._position + len(end)
-        summary, offsets = b"", []
-        for opcode, group in self._groups():
-            part = encoded(*group)
-            if part:
-                offsets.append(records.SummaryOffset(opcode, start + len(summary), len(part)))
-            summary += part
+        data_end = encoded(records.DataEnd(data_section_crc=self._crc))
+        start = self._position + len(data_end)
+        summary = b""
+        offsets = []
+        for opcode, group in self._summary_groups():
+            encoded_group = encoded(*group)
+            if encoded_group:
+                group_start = start + len(summary)
+                offsets.append(records.SummaryOffset(opcode, group_start, len(encoded_group)))
+            summary += encoded_group
         offset_start = start + len(summary)
         summary += encoded(*offsets)
-        head = struct.pack("<BQQQ", Opcode.FOOTER, 20, start, offset_start)
-        footer = records.Footer(start, offset_start, zlib.crc32(summary + head))
-        self.append(end + summary + encoded(footer) + MCAP0_MAGIC)
+        # The CRC covers the summary and the footer up to the CRC itself.
+        footer_head = struct.pack("<BQQQ", Opcode.FOOTER, _FOOTER_LENGTH, start, offset_start)
+        footer = records.Footer(start, offset_start, zlib.crc32(summary + footer_head))
+        self.append(data_end + summary + encoded(footer) + MCAP0_MAGIC)
         self._stream.close()
 
     def abandon(self) -> None:
         """Close the file as it is."""
         self._stream.close()
 
-    def _groups(self) -> Iterable[tuple[Opcode, Sequence[records.McapRecord]]]:
+    def _summary_groups(self) -> Iterable[tuple[Opcode, Sequence[records.McapRecord]]]:
+        """Yield the records of the summary; those of one opcode must stand side by side."""
         yield Opcode.SCHEMA, self._schemas
         yield Opcode.CHANNEL, self._channels
         yield Opcode.STATISTICS, [self._statistics()]
-        yield Opcode.CHUNK_INDEX, [index for index, _ in self._chunks]
+        yield Opcode.CHUNK_INDEX, [chunk.index for chunk in self._chunks]
         yield Opcode.ATTACHMENT_INDEX, self._attachments
         yield Opcode.METADATA_INDEX, self._metadata
 
     def _statistics(self) -> records.Statistics:
-        counts = dict.fromkeys((channel.id for channel in self._channels), 0)
-        for _, chunk in self._chunks:
-            for number, count in chunk.items():
-                counts[number] += count
+        counts = {channel.id: 0 for channel in self._channels}
+        for chunk in self._chunks:
+            for channel_id, count in chunk.counts.items():
+                counts[channel_id] += count
+        indexes = [chunk.index for chunk in self._chunks]
         return records.Statistics(
             attachment_count=len(self._attachments),
             channel_count=len(self._channels),
             channel_message_counts=counts,
             chunk_count=len(self._chunks),
             message_count=sum(counts.values()),
-            message_end_time=_limit(max, [index.message_end_time for index, _ in self._chunks]),
-            message_start_time=_limit(min, [index.message_start_time for index, _ in self._chunks]),
+            message_end_time=max((index.message_end_time for index in indexes), default=0),
+            message_start_time=min((index.message_start_time for index in indexes), default=0),
             metadata_count=len(self._metadata),
             schema_count=len(self._schemas),
         )
 
 
-def _limit(choose: Callable[[list[int]], int], times: list[int]) -> int:
-    return choose(times) if times else 0
-
-
-def _indexes(runs: Sequence[Run]) -> list[bytes]:
-    pieces, base = [], 0
-    for run in runs:
-        entries = np.empty(len(run.time_ns), _INDEX_ENTRY)
-        entries["log_time"], entries["offset"] = run.time_ns, run.offsets + base
-        size = entries.nbytes
-        pieces.append(
-            struct.pack("<BQHI", Opcode.MESSAGE_INDEX, 6 + size, run.channel_id, size)
-            + entries.tobytes()
-        )
-        base += len(run.data)
-    return pieces
+def _message_indexes(batches: Sequence[MessageBatch]) -> list[bytes]:
+    """Return the message index record of each batch; its offsets count from the chunk's records."""
+    indexes = []
+    batch_start = 0
+    for batch in batches:
+        entries = np.empty(len(batch.time_ns), _INDEX_ENTRY)
+        entries["log_time"] = batch.time_ns
+        entries["offset"] = batch.offsets + batch_start
+        length = _INDEX_HEADER.size - _RECORD_HEADER.size + entries.nbytes
+        header = _INDEX_HEADER.pack(Opcode.MESSAGE_INDEX, length, batch.channel_id, entries.nbytes)
+        indexes.append(header + entries.tobytes())
+        batch_start += len(batch.data)
+    return indexes

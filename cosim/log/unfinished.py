@@ -1,4 +1,7 @@
-"""A new file that stands under a hidden name until it has something to show; what stood at its path is untouched until then."""
+"""A new log under a hidden name until its first row.
+
+A file at its path is untouched until then.
+"""
 
 from __future__ import annotations
 
@@ -11,30 +14,31 @@ from typing import final
 
 from cosim.errors import LogError
 
-_NAME = 48  # characters of the path's name that the hidden one keeps: names end at 255 bytes
+_KEPT_NAME = 48  # characters of the path's name in the hidden one: names end at 255 bytes
 
 
 def create(path: Path) -> io.RawIOBase:
-    """Create a file that is not there yet, unbuffered."""
+    """Create a file that does not exist yet, unbuffered."""
     return path.open("xb", buffering=0)
 
 
 @final
 class UnfinishedLog:
-    """A file to be published, or discarded.
+    """A file to be published at its path, or discarded.
 
     Parameters
     ----------
     path : Path
         Where it goes; missing folders are created.
     force : bool
-        Replace what stands there.
+        Replace a file that exists there.
     """
 
     def __init__(self, path: Path, *, force: bool) -> None:
-        self.path, self._force = path, force
+        self.path = path
+        self._force = force
         self.published = False
-        self._hidden: Path | None = None
+        self._hidden_path: Path | None = None
         self._stream: io.RawIOBase | None = None
 
     def create(self) -> io.RawIOBase:
@@ -47,28 +51,31 @@ class UnfinishedLog:
         """
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            self._hidden = self.path.with_name(f".{self.path.name[:_NAME]}.{secrets.token_hex(4)}")
-            self._stream = create(self._hidden)
+            kept_name = self.path.name[:_KEPT_NAME]
+            # Assigned before the file is created: an interrupt between the two must not leave it.
+            self._hidden_path = self.path.with_name(f".{kept_name}.{secrets.token_hex(4)}")
+            self._stream = create(self._hidden_path)
         except OSError as error:
             raise LogError(f"{self.path} cannot be created: {error.strerror or error}") from error
         return self._stream
 
     def publish(self) -> None:
-        """Give the file its path, the first time this is called; it stays open.
+        """Rename the file to its path, the first time this is called; it stays open.
 
         Raises
         ------
         LogError
-            If something has come to stand there meanwhile and ``force`` is false, or the file cannot be moved.
+            If a file has been created there meanwhile and ``force`` is false, or the file cannot be
+            moved.
         """
         if self.published:
             return
-        assert self._hidden is not None
+        assert self._hidden_path is not None
         try:
             if self._force:
-                self._hidden.replace(self.path)  # whoever has the old file open keeps it whole
+                self._hidden_path.replace(self.path)  # readers of the old file keep it whole
             else:
-                _move(self._hidden, self.path)
+                _move(self._hidden_path, self.path)
         except FileExistsError as error:
             raise LogError(
                 f"{self.path} exists by now; choose another path, or --force to replace it"
@@ -79,23 +86,30 @@ class UnfinishedLog:
 
     def discard(self) -> None:
         """Remove the file if it was not published."""
-        if self.published or self._hidden is None:
+        if self.published or self._hidden_path is None:
             return
-        with suppress(OSError):  # what brought us here is the error to tell
+        with suppress(OSError):  # the error to report is the one that brought us here
             if self._stream is not None:
                 self._stream.close()
-            self._hidden.unlink(missing_ok=True)
+            self._hidden_path.unlink(missing_ok=True)
 
 
 def _move(source: Path, target: Path) -> None:
-    """Rename a file and never replace another, which ``rename`` would."""
+    """Rename a file, but never replace another, as ``rename`` would.
+
+    Raises
+    ------
+    FileExistsError
+        If there is a file at ``target``.
+    OSError
+        If the file cannot be moved.
+    """
     try:
         os.link(source, target)
     except FileExistsError:
         raise
-    except (
-        OSError
-    ):  # a file system without hard links: reserve the name, then replace what reserves it
+    except OSError:
+        # A file system without hard links: reserve the name, then replace what reserves it.
         target.open("xb").close()
         source.replace(target)
     else:

@@ -1,6 +1,6 @@
 """Walk an MCAP file from record to record by their lengths, and note where its pieces stand.
 
-A truncated file is told from a damaged one, with the byte.
+The error of a truncated file differs from that of a damaged one; both name the byte.
 """
 
 from __future__ import annotations
@@ -16,21 +16,26 @@ from mcap.writer import MCAP0_MAGIC
 from cosim.errors import LogError
 from cosim.log.layout import HEADER
 
-_SPAN_BYTES = 2**22  # of messages outside chunks that are taken as one piece
+_SPAN_BYTES = 2**22  # of messages outside chunks that are read as one piece
 
 
 @dataclass(frozen=True, slots=True)
 class RecordSpan:
-    """Where a record, or a span of messages outside chunks, stands: from ``start`` to ``stop``, headers included."""
+    """Bytes ``start`` to ``stop`` of a record, or of messages outside chunks, headers included."""
 
     opcode: int
     start: int
     stop: int
 
+    @property
+    def size(self) -> int:
+        """Number of bytes."""
+        return self.stop - self.start
+
 
 @dataclass(slots=True)
 class FileContents:
-    """What a file holds, in the order of the file."""
+    """Where the pieces of a file stand, in the order of the file."""
 
     data: list[RecordSpan] = field(default_factory=list)  # chunks and spans of messages
     channels: list[RecordSpan] = field(default_factory=list)  # outside chunks
@@ -40,9 +45,42 @@ class FileContents:
     data_crc: int = 0
     footer: int = 0
 
+    @property
+    def chunks(self) -> list[RecordSpan]:
+        """The chunks among the data."""
+        return [span for span in self.data if span.opcode == Opcode.CHUNK]
+
+    def add(self, span: RecordSpan) -> None:
+        """Add a record to the list it belongs to."""
+        if span.opcode == Opcode.FOOTER:
+            self.footer = span.start
+            return
+        if self.data_end:
+            return  # the summary repeats records of the data section
+        match span.opcode:
+            case Opcode.CHUNK:
+                self.data.append(span)
+            case Opcode.MESSAGE:
+                self._add_message(span)
+            case Opcode.CHANNEL:
+                self.channels.append(span)
+            case Opcode.METADATA:
+                self.metadata.append(span)
+            case Opcode.ATTACHMENT:
+                self.attachments.append(span)
+
+    def _add_message(self, message: RecordSpan) -> None:
+        """Lengthen the last span of messages by the one behind it, or begin another."""
+        if self.data and self.data[-1].opcode == Opcode.MESSAGE:
+            last = self.data[-1]
+            if last.stop == message.start and message.stop - last.start <= _SPAN_BYTES:
+                self.data[-1] = RecordSpan(Opcode.MESSAGE, last.start, message.stop)
+                return
+        self.data.append(message)
+
 
 def walk(path: Path, stream: BinaryIO) -> FileContents:
-    """Go from record to record up to the footer.
+    """Read the headers of all records up to the footer.
 
     Raises
     ------
@@ -54,39 +92,47 @@ def walk(path: Path, stream: BinaryIO) -> FileContents:
     magic = stream.read(len(MCAP0_MAGIC))
     if magic != MCAP0_MAGIC:
         raise LogError(f"{path} is no MCAP file: it begins with {magic!r}, needed {MCAP0_MAGIC!r}")
-    contents, at, opcode = FileContents(), len(MCAP0_MAGIC), 0
+    contents = FileContents()
+    position = len(MCAP0_MAGIC)
+    opcode = 0
     while opcode != Opcode.FOOTER:
-        stream.seek(at)
-        head = stream.read(HEADER)
-        stop = at + HEADER + int.from_bytes(head[1:], "little")
-        if len(head) < HEADER or stop > size:
-            raise _cut(path, stream, contents, (at, size))
-        opcode = head[0]
-        _sort(contents, RecordSpan(opcode, at, stop))
+        stream.seek(position)
+        header = stream.read(HEADER)
+        stop = position + HEADER + int.from_bytes(header[1:], "little")
+        if len(header) < HEADER or stop > size:
+            raise _incomplete(path, stream, contents, position=position, size=size)
+        opcode = header[0]
+        contents.add(RecordSpan(opcode, position, stop))
         if opcode == Opcode.DATA_END and not contents.data_end:
-            contents.data_end, contents.data_crc = at, int.from_bytes(stream.read(4), "little")
-        at = stop
-    stream.seek(at)
+            contents.data_end = position
+            contents.data_crc = int.from_bytes(stream.read(4), "little")
+        position = stop
+    stream.seek(position)
+    # One byte more than the magic: nothing may follow it.
     if stream.read(len(MCAP0_MAGIC) + 1) != MCAP0_MAGIC:
-        raise _cut(path, stream, contents, (at, size))
+        raise _incomplete(path, stream, contents, position=position, size=size)
     return contents
 
 
-def _cut(path: Path, stream: BinaryIO, contents: FileContents, end: tuple[int, int]) -> LogError:
-    """Make the error of a file without its end, of which what stands before the first byte of ``end`` is whole."""
-    at, size = end
+def _incomplete(
+    path: Path, stream: BinaryIO, contents: FileContents, *, position: int, size: int
+) -> LogError:
+    """Return the error of a file of ``size`` bytes with no whole record at ``position``.
+
+    A file that ends with the magic was closed, so a length in it is wrong; else its end is missing.
+    """
     stream.seek(max(size - len(MCAP0_MAGIC), 0))
     if stream.read() == MCAP0_MAGIC:
-        return damage(path, at, "no whole record begins there")
+        return damage_error(path, position, "no whole record begins there")
     return LogError(
-        f"{path} is truncated at byte {size}: the run was killed before it could close the log, or still goes on, and there is no"
-        f" complete summary; {_whole(stream, contents)}"
+        f"{path} is truncated at byte {size}: the run was killed before it could close the log, or"
+        f" still goes on, and there is no complete summary; {_rescue(stream, contents)}"
     )
 
 
-def _whole(stream: BinaryIO, contents: FileContents) -> str:
-    """Say how much is there, and what to do."""
-    chunks = [place for place in contents.data if place.opcode == Opcode.CHUNK]
+def _rescue(stream: BinaryIO, contents: FileContents) -> str:
+    """Return up to which time a truncated file is whole, and the way out, for its error."""
+    chunks = contents.chunks
     if not chunks:
         return "no row is whole: run it again"
     stream.seek(chunks[-1].start + HEADER + 8)  # behind the time of its first message
@@ -94,32 +140,6 @@ def _whole(stream: BinaryIO, contents: FileContents) -> str:
     return f"it is whole up to t = {end_ns / 1e9} s: run it again, or save that with 'mcap recover'"
 
 
-def damage(path: Path, offset: int, reason: str) -> LogError:
-    """Make the error that says where a file is damaged."""
+def damage_error(path: Path, offset: int, reason: str) -> LogError:
+    """Return the error that names the byte at which a file is damaged."""
     return LogError(f"{path} is damaged at byte {offset}: {reason}")
-
-
-def _sort(contents: FileContents, place: RecordSpan) -> None:
-    """Put a record where it belongs."""
-    if place.opcode == Opcode.FOOTER:
-        contents.footer = place.start
-    elif contents.data_end:
-        return  # the summary repeats what was there
-    elif place.opcode == Opcode.CHUNK:
-        contents.data.append(place)
-    elif place.opcode == Opcode.METADATA:
-        contents.metadata.append(place)
-    elif place.opcode == Opcode.ATTACHMENT:
-        contents.attachments.append(place)
-    elif place.opcode == Opcode.CHANNEL:
-        contents.channels.append(place)
-    elif place.opcode == Opcode.MESSAGE:
-        last = contents.data[-1] if contents.data else None
-        if (
-            last
-            and last.opcode == Opcode.MESSAGE
-            and last.stop == place.start
-            and place.stop - last.start <= _SPAN_BYTES
-        ):
-            place = RecordSpan(Opcode.MESSAGE, contents.data.pop().start, place.stop)
-        contents.data.append(place)

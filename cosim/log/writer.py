@@ -18,38 +18,39 @@ from cosim.core.contracts import Block, MessageLevel, Plan
 from cosim.core.recorders import EndOfRun, end_of_run
 from cosim.core.signals import Interface
 from cosim.errors import LogError, LogWriteError, RunError
-from cosim.log.buffer import RowBuffer, message_run
+from cosim.log.buffer import RowBuffer, message_batch
 from cosim.log.compression import Compression
-from cosim.log.content import combine
-from cosim.log.unfinished import UnfinishedLog
-from cosim.log.environment import library
+from cosim.log.content import combine_hashes
+from cosim.log.environment import library_name
 from cosim.log.interrupts import uninterrupted
-from cosim.log.layout import signals_json, split
+from cosim.log.layout import Part, signals_json, split_channel
 from cosim.log.preamble import Attachment, write_parts, write_preamble
 from cosim.log.result import LastRow, write_result
 from cosim.log.schema import encode_log
 from cosim.log.sink import Mark, Sink
+from cosim.log.unfinished import UnfinishedLog
 
 _FLUSH_AFTER = 1.0  # s of wall time
-_MARKS = 16  # chunks that may be given up to make room for the end of the file on a full disk
+_CHECKPOINTS = 16  # chunks that may be given up to make room for the file's end on a full disk
 
 
 @dataclass(frozen=True, slots=True)
-class _Saved:
+class _Checkpoint:
     """What the file held at a mark: to close it there after a failed write."""
 
     mark: Mark
     hashes: dict[str, hashlib._Hash]
-    reached: LastRow
+    last_row: LastRow
 
 
 @final
 class McapRecorder:
     """Record a run to an MCAP file.
 
-    The file is created by :meth:`begin` under a hidden name, stands at its path from the first :meth:`write` on, and is
-    completed when the ``with`` block ends, however it ends. A run that is refused before its first row leaves nothing, and an
-    existing log as it was; one that failed at its start, or had no rows, leaves a log without rows.
+    The file is created by :meth:`begin` under a hidden name, stands at its path from the first
+    :meth:`write` on, and is completed when the ``with`` block ends, however it ends. A run that is
+    refused before its first row leaves nothing, and an existing log as it was; one that failed at
+    its start, or had no rows, leaves a log without rows.
 
     Parameters
     ----------
@@ -61,7 +62,8 @@ class McapRecorder:
     kinds : mapping of component name to str
         Kinds of the components, as the scenario calls them.
     metadata : mapping of record name to its items
-        Metadata records, such as ``cosim.run``, ``cosim.connections``, ``cosim.component.<name>`` (parameters).
+        Metadata records, such as ``cosim.run``, ``cosim.connections``,
+        ``cosim.component.<name>`` (parameters).
     attachments : sequence of Attachment
     """
 
@@ -76,14 +78,17 @@ class McapRecorder:
         attachments: Sequence[Attachment] = (),
     ) -> None:
         self.path = Path(path)
+        self._force = force
+        self._compression = compression
+        self._kinds = kinds or {}
+        self._metadata = metadata or {}
+        self._attachments = attachments
         self._result: dict[str, Any] = {}
-        self._force, self._compression = force, compression
-        self._kinds, self._metadata, self._attachments = kinds or {}, metadata or {}, attachments
-        self._unfinished = UnfinishedLog(self.path, force=force)
-        self._sink: Sink | None = None
-        self._saved: deque[_Saved] = deque(maxlen=_MARKS)
         self._messages: list[tuple[int, bytes]] = []
-        self._reached = LastRow()
+        self._last_row = LastRow()
+        self._file = UnfinishedLog(self.path, force=force)
+        self._sink: Sink | None = None
+        self._checkpoints: deque[_Checkpoint] = deque(maxlen=_CHECKPOINTS)
 
     def __enter__(self) -> Self:
         """Refuse a path that exists.
@@ -118,13 +123,17 @@ class McapRecorder:
         """
         with uninterrupted():
             try:
-                wanted = self._unfinished.published or error is None or isinstance(error, RunError)
-                if self._sink is not None and wanted:
-                    self._unfinished.publish()
+                if self._sink is not None and self._is_worth_keeping(error):
+                    # First: if the end cannot be written, what could be is at its path.
+                    self._file.publish()
                     self._complete(self._sink, end_of_run(error))
             finally:
-                self._unfinished.discard()
+                self._file.discard()
                 self._sink = None
+
+    def _is_worth_keeping(self, error: BaseException | None) -> bool:
+        """Return whether there are rows, or why there are none belongs in a log."""
+        return self._file.published or error is None or isinstance(error, RunError)
 
     def begin(self, plan: Plan) -> None:
         """Create the file and write everything known before the run.
@@ -135,39 +144,43 @@ class McapRecorder:
             If the file cannot be created.
         """
         with uninterrupted():
-            self._begin(plan, self._unfinished.create())
+            self._begin(plan, self._file.create())
 
     def _begin(self, plan: Plan, stream: RawIOBase) -> None:
-        channels = plan.layout.channels
-        parts = [
-            p
-            for c in channels
-            for p in split(c, kind=self._kinds.get(c.name, ""), step_ns=plan.step_ns)
-        ]
+        parts = self._parts(plan)
         try:
-            sink = Sink(stream, library=library())
-            ids = write_parts(sink, parts)
-            self._log_id = write_preamble(
+            sink = Sink(stream, library=library_name())
+            channel_ids = write_parts(sink, parts)
+            self._log_channel_id = write_preamble(
                 sink, plan, metadata=self._metadata, attachments=self._attachments
             )
         except OSError as error:
             raise LogError(f"{self.path} cannot be written: {error.strerror or error}") from error
-        self._interfaces: dict[str, Interface] = {
-            channel.name: channel.interface for channel in channels
-        }
-        self._hashes = {channel.name: hashlib.sha256() for channel in channels}
-        self._buffer = RowBuffer(plan.layout, list(zip(ids, parts, strict=True)))
+        self._interfaces: dict[str, Interface] = {}
+        self._hashes: dict[str, hashlib._Hash] = {}
+        for channel in plan.layout.channels:
+            self._interfaces[channel.name] = channel.interface
+            self._hashes[channel.name] = hashlib.sha256()
+        self._buffer = RowBuffer(plan.layout, list(zip(channel_ids, parts, strict=True)))
         self._step_ns = plan.step_ns
+        # Last: with a sink the file is completed, and that needs everything above.
         self._sink = sink
-        self._save()
+        self._add_checkpoint()
+
+    def _parts(self, plan: Plan) -> list[Part]:
+        parts = []
+        for channel in plan.layout.channels:
+            kind = self._kinds.get(channel.name, "")
+            parts += split_channel(channel, kind=kind, step_ns=plan.step_ns)
+        return parts
 
     def write(self, block: Block, signals: Matrix) -> None:
-        """Take rows 1 to K of ``signals``, shape (K+1, width); of the very first block row 0 too.
+        """Record rows 1 to K of ``signals``, shape (K+1, width); of the very first block row 0 too.
 
         Raises
         ------
         LogError
-            If another file has come to stand at the path before the first row.
+            If another file has been created at the path before the first row.
         LogWriteError
             If the file cannot be written to, or a time is negative.
         """
@@ -175,13 +188,13 @@ class McapRecorder:
             raise LogWriteError(
                 f"{self.path}: time {block.time_ns[0]} ns; the times of a log begin at 0"
             )
-        first = not self._unfinished.published
-        if first:
+        is_first = not self._file.published
+        if is_first:
             with uninterrupted():
-                self._unfinished.publish()
-        row = 0 if first and block.index == 0 else 1
+                self._file.publish()
+        row = 0 if is_first and block.index == 0 else 1
         while row <= block.steps:
-            row = self._buffer.take(block, signals, row)
+            row = self._buffer.append(block, signals, row)
             if self._buffer.full or time.monotonic() - self._flushed >= _FLUSH_AFTER:
                 self._write_chunk()
 
@@ -203,9 +216,8 @@ class McapRecorder:
         self._result.update(values)
 
     def _write_chunk(self) -> None:
-        with (
-            uninterrupted()
-        ):  # between the mark and the cleared buffer, an interrupt would write the rows twice
+        # Between the checkpoint and the cleared buffer, an interrupt would write the rows twice.
+        with uninterrupted():
             try:
                 self._flush()
             except OSError as error:
@@ -214,67 +226,81 @@ class McapRecorder:
     def _flush(self) -> None:
         """Write what is buffered as one chunk."""
         assert self._sink is not None
-        runs = self._buffer.runs()
+        batches = self._buffer.message_batches()
         if self._messages:
-            runs.append(message_run(self._messages, channel_id=self._log_id, step_ns=self._step_ns))
-        if runs:
-            self._sink.chunk(runs, self._compression)
+            batches.append(
+                message_batch(
+                    self._messages, channel_id=self._log_channel_id, step_ns=self._step_ns
+                )
+            )
+        if batches:
+            self._sink.chunk(batches, self._compression)
+        # Before the checkpoint: it takes the hashes and the last row of what the file holds now.
         self._buffer.hash_into(self._hashes)
-        self._reached = self._buffer.reached or self._reached
-        self._save()
+        self._last_row = self._buffer.last_row or self._last_row
+        self._add_checkpoint()
+        # After the checkpoint: until then the rows are needed, to be written again.
         self._buffer.clear()
         self._messages.clear()
 
-    def _save(self) -> None:
+    def _add_checkpoint(self) -> None:
         """Remember what the file holds now, and when."""
         assert self._sink is not None
-        self._saved.append(_Saved(self._sink.mark(), _copied(self._hashes), self._reached))
+        checkpoint = _Checkpoint(self._sink.mark(), _copied(self._hashes), self._last_row)
+        self._checkpoints.append(checkpoint)
         self._flushed = time.monotonic()
 
     def _fail(self, error: OSError) -> None:
-        """Close the file where it was whole last, giving up chunks if the disk has no room for the end.
+        """Close the file where it was last whole.
+
+        Where the disk has no room for the file's end, chunks are given up, the latest first.
 
         Raises
         ------
         LogWriteError
             Always.
         """
-        sink, self._sink = self._sink, None
+        sink = self._sink
         assert sink is not None
+        self._sink = None  # whatever happens now, nothing more is written after the end
         reason = error.strerror or str(error)
-        self._result.pop("last", None)  # rows may have to be given up
-        while self._saved:
-            saved = self._saved.pop()
-            with suppress(OSError):
-                sink.rewind(saved.mark)
-                self._close(
-                    sink,
-                    saved,
-                    EndOfRun("failed", f"the log could not be written further: {reason}"),
-                )
-                whole = f"up to t = {saved.reached.end_ns / 1e9} s it is a valid file"
+        end = EndOfRun("failed", f"the log could not be written further: {reason}")
+        self._result.pop("last", None)  # of rows that may have to be given up
+        outcome = "it has no end"
+        while self._checkpoints:
+            checkpoint = self._checkpoints.pop()
+            with suppress(OSError):  # no room here: make more at the checkpoint before
+                sink.rewind(checkpoint.mark)
+                self._close(sink, checkpoint, end)
+                outcome = f"up to t = {checkpoint.last_row.end_ns / 1e9} s it is a valid file"
                 break
         else:
             sink.abandon()
-            whole = "it has no end"
-        raise LogWriteError(f"{self.path} cannot be written further: {reason}; {whole}") from error
+        raise LogWriteError(
+            f"{self.path} cannot be written further: {reason}; {outcome}"
+        ) from error
 
     def _complete(self, sink: Sink, end: EndOfRun) -> None:
+        """Write the rest and the end of the file, from its last checkpoint on."""
         try:
-            sink.rewind(self._saved[-1].mark)  # where a write was not finished
-            self._hashes = _copied(self._saved[-1].hashes)
+            # A write that was interrupted left half a chunk, and its rows are in the buffer still:
+            # file and hashes go back to the checkpoint before the rows are written again.
+            checkpoint = self._checkpoints[-1]
+            sink.rewind(checkpoint.mark)
+            self._hashes = _copied(checkpoint.hashes)
             self._flush()
-            self._close(sink, self._saved[-1], end)
+            self._close(sink, self._checkpoints[-1], end)
         except OSError as failure:
             self._fail(failure)
 
-    def _close(self, sink: Sink, saved: _Saved, end: EndOfRun) -> None:
+    def _close(self, sink: Sink, checkpoint: _Checkpoint, end: EndOfRun) -> None:
         """Write the result and the end of the file."""
-        digests = [
-            (name, signals_json(self._interfaces[name]), digest.hexdigest())
-            for name, digest in saved.hashes.items()
-        ]
-        write_result(sink, end, saved.reached, content_hash=combine(digests), more=self._result)
+        components = []
+        for name, digest in checkpoint.hashes.items():
+            declaration = signals_json(self._interfaces[name])
+            components.append((name, declaration, digest.hexdigest()))
+        content_hash = combine_hashes(components)
+        write_result(sink, end, checkpoint.last_row, content_hash=content_hash, values=self._result)
         sink.close()
 
 

@@ -45,7 +45,7 @@ def log(path: str) -> Section:
         for signal, role in _signals(channel.interface)
     ]
     messages = [
-        {"t": m.time_ns / 1e9, "level": m.level, "from": m.name, "text": m.text}
+        {"t": m.time_ns / 1e9, "level": m.level, "from": m.source, "text": m.text}
         for m in found.messages()
     ]
     metadata = {

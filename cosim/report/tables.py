@@ -146,7 +146,7 @@ def verification(
 ) -> None:
     """Say whether a replay equals its log bit for bit; exit 1 at the first difference."""
     from cosim.log.diff import diff
-    from cosim.log.environment import other_environment
+    from cosim.log.environment import environment_changes
 
     found = diff(source, again)
     if as_json:
@@ -161,7 +161,7 @@ def verification(
         if first is not None:
             where = f"{first.signal} at t = {first.time_ns / 1e9} s: log {first.a!r}, replay {first.b!r}"
         typer.echo(f"{path}: the replay differs from the log; first: {where}", err=True)
-        for key, (then, now) in other_environment(source).items():
+        for key, (then, now) in environment_changes(source).items():
             typer.echo(
                 f"note: {key} was {then}, is {now}; sin, exp and log may differ in their last bit",
                 err=True,

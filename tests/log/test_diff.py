@@ -9,7 +9,7 @@ import pytest
 
 from cosim.core.signals import Channel, Interface, Layout, Signal
 from cosim.log import open_log
-from cosim.log.diff import Moment, diff
+from cosim.log.diff import ElementDifference, diff
 
 from .recordings import STEP_NS, layout, record
 
@@ -51,7 +51,9 @@ def test_a_log_equals_itself_and_the_first_difference_is_found(tmp_path):
     difference = diff(a, b)
     assert not difference.equal
     assert not difference.within
-    assert difference.first == Moment("identifier.y[1]", 40 * STEP_NS, rows[40, 6], changed[40, 6])
+    assert difference.first == ElementDifference(
+        "identifier.y[1]", 40 * STEP_NS, rows[40, 6], changed[40, 6]
+    )
     assert {row.signal: row.status for row in difference.rows if row.status != "equal"} == {
         "plant.u": "outside",
         "identifier.y": "outside",
@@ -96,7 +98,7 @@ def test_runs_of_other_length_compare_where_both_have_values():
     assert (row.status, row.rows, row.largest) == ("other times", (4, 3, 2), 0.0)
     assert not diff(a, b, atol=1.0).within
     (row,) = diff(a, Run({"y": [3, 9]}, times=[2, 3])).rows
-    assert (row.status, row.first) == ("outside", Moment("c.y", 3 * STEP_NS, 4.0, 9.0))
+    assert (row.status, row.first) == ("outside", ElementDifference("c.y", 3 * STEP_NS, 4.0, 9.0))
     (row,) = diff(a, Run({"y": [3]}, times=[9])).rows
     assert (row.status, row.rows) == ("other times", (4, 1, 0))
 
@@ -105,7 +107,7 @@ def test_both_limits_of_a_jump_are_compared_with_their_own():
     """Rows of one instant pair up in their order."""
     a = Run({"y": [0, 1, 2, 3]}, times=[0, 1, 1, 2])
     (row,) = diff(a, Run({"y": [0, 1, 7]}, times=[0, 1, 1])).rows
-    assert (row.rows, row.first) == ((4, 3, 3), Moment("c.y", STEP_NS, 2.0, 7.0))
+    assert (row.rows, row.first) == ((4, 3, 3), ElementDifference("c.y", STEP_NS, 2.0, 7.0))
 
 
 def test_signals_that_only_one_run_has_are_told():

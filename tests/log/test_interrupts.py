@@ -20,7 +20,7 @@ from .recordings import STEP_NS, blocks, layout, plan, same_bits, table
 FOLDER = Path(cosim.log.__file__).parent
 BY_BYTECODE = {str(FOLDER / name) for name in ("writer.py", "interrupts.py", "unfinished.py")}
 SEEN = {str(path) for path in FOLDER.glob("*.py")} | {contextlib.__file__}
-SWITCH = {"_write_chunk", "_flush", "_save", "clear", "uninterrupted"}
+SWITCH = {"_write_chunk", "_flush", "_add_checkpoint", "clear", "uninterrupted"}
 
 
 @pytest.fixture(autouse=True)

@@ -19,9 +19,9 @@ from cosim.log.layout import (
     group_columns,
     read_part,
     record_dtype,
-    split,
+    split_channel,
 )
-from cosim.log.metadata import decode_design, encode_design, seal, unseal
+from cosim.log.metadata import add_checksum, decode_design, encode_design, verify_checksum
 from cosim.log.schema import component_schema, decode_log, encode_log, identifiers
 from cosim.units import BASE, BaseUnit
 
@@ -164,7 +164,9 @@ def channels(draw):
 @given(channels(), st.integers(1, 10**12))
 def test_metadata_gives_the_component_back(channel, step_ns):
     """Every part of a component knows the whole component, and the parts tile its row."""
-    parts = [read_part(part.metadata) for part in split(channel, kind="some", step_ns=step_ns)]
+    parts = [
+        read_part(part.metadata) for part in split_channel(channel, kind="some", step_ns=step_ns)
+    ]
     assert all(
         part.channel == channel and part.kind == "some" and part.step_ns == step_ns
         for part in parts
@@ -176,16 +178,16 @@ def test_metadata_gives_the_component_back(channel, step_ns):
 
 def test_a_changed_channel_is_noticed():
     """Metadata of a channel carries a checksum."""
-    (part,) = split(layout()["plant"], kind="", step_ns=1)
+    (part,) = split_channel(layout()["plant"], kind="", step_ns=1)
     with pytest.raises(ValueError, match="damaged"):
         read_part({**part.metadata, "cosim.start": "1"})
 
 
 def test_seals_cover_name_keys_and_values_and_leave_others_alone():
     """Whatever changes in a map of ours is noticed; a map of another tool passes."""
-    sealed = seal("cosim.run", {"a": "1"})
-    assert unseal("cosim.run", sealed) == {"a": "1"}
-    assert unseal("theirs", {"a": "1"}) == {"a": "1"}
+    sealed = add_checksum("cosim.run", {"a": "1"})
+    assert verify_checksum("cosim.run", sealed) == {"a": "1"}
+    assert verify_checksum("theirs", {"a": "1"}) == {"a": "1"}
     wrong = {
         "cosim.rum": sealed,
         "theirs": sealed,
@@ -194,7 +196,7 @@ def test_seals_cover_name_keys_and_values_and_leave_others_alone():
     }
     for name, items in wrong.items():
         with pytest.raises(ValueError, match=f"{name!r} is damaged"):
-            unseal(name, items)
+            verify_checksum(name, items)
 
 
 def test_designs_keep_every_bit():

@@ -71,7 +71,7 @@ def test_a_log_gives_back_all_it_was_given(tmp_path):
     assert all(np.array_equal(log.held[name], mask) for name, mask in expected.held.items())
     assert log.metadata["cosim.component.plant"]["mass"] == "1.5"
     assert log.metadata["cosim.schedule"]["stages"] == '["cascade plant","cascade identifier"]'
-    assert [(m.time_ns, m.level, m.name, m.text) for m in log.messages()] == sorted(said)
+    assert [(m.time_ns, m.level, m.source, m.text) for m in log.messages()] == sorted(said)
     assert log.signals() == [
         "plant.u",
         "plant.x_a",
@@ -250,7 +250,7 @@ def test_the_end_of_a_run_is_told_without_reading_rows(tmp_path):
     log._metadata.pop("cosim.result")
     with pytest.raises(
         LogError,
-        match=r"b\.mcap does not tell 'end_ns': needed a cosim\.result record, which cosim writes",
+        match=r"b\.mcap has no 'end_ns': needed a cosim\.result record, which cosim writes",
     ):
         _ = log.end_ns
 

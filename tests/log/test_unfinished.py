@@ -141,7 +141,7 @@ def test_a_folder_lost_before_the_first_row_is_an_error(tmp_path):
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), MemoryError()])
-@pytest.mark.parametrize("place", ["write_parts", "write_preamble", "RowBuffer", "library"])
+@pytest.mark.parametrize("place", ["write_parts", "write_preamble", "RowBuffer", "library_name"])
 def test_an_interrupt_in_begin_leaves_no_trace(path, force, monkeypatch, place, error):
     """Wherever it comes."""
 
