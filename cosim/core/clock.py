@@ -73,9 +73,11 @@ class Clock:
     Parameters
     ----------
     stop, step : float
-        End of the run and communication step [s], whole nanoseconds; ``stop`` a whole number of steps.
+        End of the run and communication step [s], whole nanoseconds; ``stop`` a whole number of
+        steps.
     block : int or None
-        Communication steps in one block; None: as many as make about 50 ms of work. Results do not depend on it.
+        Communication steps in one block; None: as many as make about 50 ms of work. Results do not
+        depend on it.
 
     Raises
     ------

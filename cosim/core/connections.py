@@ -1,221 +1,319 @@
-"""Which output drives which input: the connections of a graph, checked against its ports and their units."""
+"""Connections: which outputs drive which input, checked against the ports and their units."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import InitVar, dataclass, field
+from typing import Literal, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from cosim.core.contracts import Component
+from cosim.core.port import Port
 from cosim.core.signals import Channel, Layout, Signal
 from cosim.errors import GraphError, nearest
 from cosim.units import BASE, Conversion, Unit, conversion
 
+SourceText: TypeAlias = str | Port | Sequence[str | Port]
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Connection:
-    """``to = gain from + offset``, then from the unit reached to the unit of ``to`` (:mod:`cosim.units`).
+    """What drives an input: ``gain source + offset``, converted from the unit reached to its unit.
 
     Parameters
     ----------
-    source : str
-        ``component.output``, or one element of it: ``component.output[1]``.
-    gain : float or matrix of shape (size of to, size of from)
+    source : str, Port, or a sequence of these
+        ``component.output``, or elements of it: ``component.output[1]``, ``component.output[0:2]``.
+        Several sources are stacked in their order.
+    gain : float or matrix of shape (size of the input, size of all sources)
     offset : float
         In the unit reached.
     unit : str or None
-        Unit reached by gain and offset; None: that of the source.
+        Unit reached by gain and offset; None: that of each source.
+
+    Attributes
+    ----------
+    sources : tuple of Port
+
+    Raises
+    ------
+    GraphError
+        If a source is no port, or gain and offset are not finite numbers or a matrix.
     """
 
-    source: str
+    source: InitVar[SourceText]
     gain: float | ArrayLike = 1.0
     offset: float = 0.0
     unit: str | None = None
+    sources: tuple[Port, ...] = field(init=False)
 
-    def __post_init__(self) -> None:
+    def __post_init__(self, source: SourceText) -> None:
+        written = [source] if isinstance(source, str | Port) else source
+        sources = tuple(port if isinstance(port, Port) else Port.parse(port) for port in written)
+        if not sources:
+            raise GraphError("a connection has no source; needed at least one")
+        label = _label(sources)
         try:
             gain = np.array(self.gain, np.float64)
         except ValueError as error:
             raise GraphError(
-                f"{self.source!r}: gain has rows of different lengths; needed a number or a matrix"
+                f"'{label}': gain has rows of different lengths; needed a number or a matrix"
             ) from error
-        if gain.ndim not in (0, 2) or not np.isfinite(gain).all() or not np.isfinite(self.offset):
+        finite = np.isfinite(gain).all() and np.isfinite(self.offset)
+        if gain.ndim not in (0, 2) or not finite:
             raise GraphError(
-                f"{self.source!r}: found gain {self.gain} and offset {self.offset}; needed finite numbers or a matrix"
+                f"'{label}': found gain {self.gain} and offset {self.offset}; "
+                "needed finite numbers or a matrix"
             )
         object.__setattr__(self, "gain", gain)
+        object.__setattr__(self, "sources", sources)
+
+    @property
+    def matrix(self) -> NDArray[np.float64]:
+        """The gain as an array, of no or of two dimensions."""
+        return np.asarray(self.gain, np.float64)
+
+    @property
+    def label(self) -> str:
+        """The sources as they are written."""
+        return _label(self.sources)
+
+
+def _label(sources: Iterable[Port]) -> str:
+    return ", ".join(map(str, sources))
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """An output, or elements of it, and their columns in the row."""
+
+    channel: Channel
+    signal: Signal
+    columns: slice
+
+    @property
+    def port(self) -> Port:
+        """The whole output."""
+        return Port(self.channel.name, self.signal.name)
+
+    @property
+    def size(self) -> int:
+        """Number of elements."""
+        return self.columns.stop - self.columns.start
 
 
 class Ports:
-    """Ports by their written names."""
+    """The ports of a layout by their names."""
 
     def __init__(self, layout: Layout) -> None:
-        self.layout = layout
         self.channels = {channel.name: channel for channel in layout.channels}
 
-    def find(self, port: str, causality: Literal["input", "output"]) -> tuple[Channel, Signal]:
-        """Find a port of one kind."""
-        name, _, wanted = port.partition(".")
-        if name not in self.channels:
-            raise GraphError(
-                f"{port!r}: there is no component {name!r}; {nearest(name, self.channels)}"
-            )
-        channel = self.channels[name]
-        signals = channel.interface.inputs if causality == "input" else channel.interface.outputs
-        for signal in signals:
-            if signal.name == wanted:
+    def input(self, port: Port) -> tuple[Channel, Signal]:
+        """Return the channel and the signal of an input.
+
+        Raises
+        ------
+        GraphError
+            If there is no such input; names the nearest.
+        """
+        channel = self._channel(port)
+        for signal in channel.interface.inputs:
+            if signal.name == port.name:
                 return channel, signal
+        raise _unknown_port(port, channel, "input")
+
+    def source(self, port: Port) -> Source:
+        """Return an output, or elements of it.
+
+        Raises
+        ------
+        GraphError
+            If there is no such output or element; names the nearest.
+        """
+        channel = self._channel(port)
+        match = port.find(channel.interface.outputs)
+        if match is None:
+            raise _unknown_port(port, channel, "output")
+        signal, elements = match
+        start = channel.outputs.start + channel.interface.output_columns()[signal.name].start
+        return Source(channel, signal, slice(start + elements.start, start + elements.stop))
+
+    def _channel(self, port: Port) -> Channel:
+        if port.component not in self.channels:
+            raise _unknown_component(port, self.channels)
+        return self.channels[port.component]
+
+
+def _unknown_component(port: Port, known: Iterable[str]) -> GraphError:
+    name = port.component
+    return GraphError(f"'{port}': there is no component {name!r}; {nearest(name, known)}")
+
+
+def _unknown_port(
+    port: Port, channel: Channel, causality: Literal["input", "output"]
+) -> GraphError:
+    interface = channel.interface
+    signals = interface.inputs if causality == "input" else interface.outputs
+    names = [signal.name for signal in signals]
+    wanted = port.signal if causality == "output" else port.name
+    if wanted in (signal.name for signal in interface.signals):
         other = "input" if causality == "output" else "output"
-        if wanted in (signal.name for signal in channel.signals):
-            raise GraphError(
-                f"{port!r} is an {other} of {name!r}; needed an {causality}. There is: {_names(signals)}"
-            )
-        raise GraphError(
-            f"{port!r}: {name!r} has no {causality} {wanted!r}; {nearest(wanted, [s.name for s in signals])}"
+        return GraphError(
+            f"'{port}' is an {other} of {channel.name!r}; needed an {causality}. "
+            f"There is: {', '.join(names) or 'none'}"
         )
-
-    def has(self, port: str) -> bool:
-        """Say whether an output has just this name."""
-        name, _, wanted = port.partition(".")
-        return name in self.channels and any(
-            s.name == wanted for s in self.channels[name].interface.outputs
-        )
-
-    def source(self, port: str) -> tuple[Channel, Signal, slice]:
-        """Find an output, or one element of it, and its columns in the row."""
-        element = re.fullmatch(r"(.*)\[(\d+)\]", port)
-        if element is not None and self.has(port):  # a name of its own that looks like an element
-            element = None
-        channel, signal = self.find(element[1] if element else port, "output")
-        columns = next(columns for s, columns in channel.signal_columns() if s is signal)
-        if element is None:
-            return channel, signal, columns
-        index = int(element[2])
-        if index >= signal.size:
-            raise GraphError(
-                f"{port!r}: '{channel.name}.{signal.name}' has {signal.size} elements, numbered from 0"
-            )
-        return channel, signal, slice(columns.start + index, columns.start + index + 1)
+    suggestion = nearest(wanted, names)
+    return GraphError(f"'{port}': {channel.name!r} has no {causality} {wanted!r}; {suggestion}")
 
 
 def check_connections(
-    layout: Layout, connections: Mapping[str, Connection], missing: Collection[str] = ()
-) -> dict[str, str]:
-    """Find every problem of the connections, by the input it belongs to.
+    layout: Layout, connections: Mapping[Port, Connection], missing: Collection[str] = ()
+) -> dict[Port, str]:
+    """Return every problem of the connections, by the input it belongs to.
 
-    ``missing`` names components that are meant to be there but could not be built: what touches them is not judged.
+    ``missing`` names components that are meant to be there but could not be built: connections to
+    and from them are not checked.
     """
-    ports, problems = Ports(layout), {}
-    known = [*ports.channels, *missing]
+    ports = Ports(layout)
+    problems: dict[Port, str] = {}
     for to, connection in connections.items():
-        ends = {port: port.partition(".")[0] for port in (to, connection.source)}
-        lost = [
-            f"{port!r}: there is no component {name!r}; {nearest(name, known)}"
-            for port, name in ends.items()
-            if name not in known
-        ]
-        judged = not lost and not set(ends.values()) & set(missing)
-        found = "; ".join(_check_connection(ports, to, connection) if judged else lost)
-        if found:
-            problems[to] = found
+        text = "; ".join(_problems(ports, to, connection, missing))
+        if text:
+            problems[to] = text
+    connected = {str(to) for to in connections}
     for channel in layout.channels:
         for signal in channel.interface.inputs:
-            to = f"{channel.name}.{signal.name}"
-            if to not in connections:
-                problems[to] = f"'{to}' is not connected; give it a source in [connections]"
+            port = Port(channel.name, signal.name)
+            if str(port) not in connected:
+                problems[port] = f"'{port}' is not connected; give it a source in [connections]"
     return problems
 
 
-def _check_connection(ports: Ports, to: str, connection: Connection) -> Iterable[str]:
-    found = f"{connection.source} -> {to}"
+def _problems(
+    ports: Ports, to: Port, connection: Connection, missing: Collection[str]
+) -> Iterator[str]:
+    """Yield the problems of one connection."""
+    ends = (to, *connection.sources)
+    known = [*ports.channels, *missing]
+    unknown = [port for port in ends if port.component not in known]
+    if unknown:
+        for port in unknown:
+            yield str(_unknown_component(port, known))
+        return
+    if any(port.component in missing for port in ends):
+        return
     try:
-        _, target = ports.find(to, "input")
-        _, source, columns = ports.source(connection.source)
+        _, target = ports.input(to)
+        sources = [ports.source(port) for port in connection.sources]
     except GraphError as error:
-        return [str(error)]
-    size, problems = columns.stop - columns.start, []
-    shape = np.shape(connection.gain)
-    if shape:
-        if shape != (target.size, size):
-            problems.append(f"{found}: gain has shape {shape}, needed ({target.size}, {size})")
-    elif size != target.size:
-        problems.append(
-            f"{found}: size {size}{_unit(source)} cannot drive size {target.size}{_unit(target)}"
-        )
+        yield str(error)
+        return
+    for problem in _mismatches(to, connection, target, sources):
+        yield f"{connection.label} -> {to}: {problem}"
+
+
+def _mismatches(
+    to: Port, connection: Connection, target: Signal, sources: Sequence[Source]
+) -> Iterator[str]:
+    """Yield what does not fit between the sources of a connection and its input."""
+    size = sum(source.size for source in sources)
+    shape = connection.matrix.shape
+    if shape and shape != (target.size, size):
+        yield f"gain has shape {shape}, needed ({target.size}, {size})"
+    if not shape and size != target.size:
+        source_unit = _bracketed_unit(sources[0].signal)
+        target_unit = _bracketed_unit(target)
+        yield f"size {size}{source_unit} cannot drive size {target.size}{target_unit}"
+    for source in sources:
+        yield from _unit_mismatches(connection, source.signal, target)
+    if shape and len({_conversion(connection, source.signal, target) for source in sources}) > 1:
+        units = ", ".join(_unit_text(source.signal.measure) for source in sources)
+        yield f"a gain cannot mix the units {units}; give the unit that it leads to, unit = ..."
+    if any(source.signal.optional for source in sources) and not target.optional:
+        yield "the source may carry no value (NaN), the input needs one at every step"
+
+
+def _unit_mismatches(connection: Connection, source: Signal, target: Signal) -> Iterator[str]:
     reached = unit_reached(connection, source, target)
     if conversion(reached, target.measure) is None:
-        way = f"convert with {{ from = {connection.source!r}, gain = ..., unit = {target.unit!r} }}"
-        unknown = [repr(unit.name) for unit in (reached, target.measure) if unit.si is None]
-        if unknown:
-            way = f"unknown unit {' and '.join(unknown)}; {way}, and offset = ... where it has one, or define it in its FMU"
-        problems.append(
-            f"{found}: unit {_shown(reached)} cannot drive unit {_shown(target.measure)}; {way}"
+        wanted = [repr(unit.name) for unit in (reached, target.measure) if unit.si is None]
+        remedy = (
+            f"convert with {{ from = {connection.label!r}, gain = ..., unit = {target.unit!r} }}"
         )
-    plain = not shape and connection.gain == 1.0 and connection.offset == 0.0
-    if plain and not _same(source.measure, reached):
-        way = "needs its gain; without it the unit is converted"
-        problems.append(
-            f"{found}: the source has unit {source.unit!r}; unit = {connection.unit!r} {way}"
+        if wanted:
+            remedy = (
+                f"unknown unit {' and '.join(wanted)}; {remedy}, and offset = ... "
+                "where it has one, or define it in its FMU"
+            )
+        yield f"unit {_unit_text(reached)} cannot drive unit {_unit_text(target.measure)}; {remedy}"
+    if _is_identity(connection) and not _same_unit(source.measure, reached):
+        yield (
+            f"the source has unit {source.unit!r}; unit = {connection.unit!r} needs its gain; "
+            "without it the unit is converted"
         )
-    if source.optional and not target.optional:
-        problems.append(
-            f"{found}: the source may carry no value (NaN), the input needs one at every step"
-        )
-    return problems
+
+
+def _is_identity(connection: Connection) -> bool:
+    gain = connection.matrix
+    return gain.ndim == 0 and bool(gain == 1.0) and connection.offset == 0.0
 
 
 def unit_reached(connection: Connection, source: Signal, target: Signal) -> Unit:
-    """Give the unit after gain and offset; a name that either port uses means what it means there."""
+    """Return the unit after gain and offset; a name that either port uses means what it does there."""
     if connection.unit is None:
         return source.measure
-    return next(
-        (s.measure for s in (source, target) if s.unit == connection.unit), Unit(connection.unit)
-    )
+    for signal in (source, target):
+        if signal.unit == connection.unit:
+            return signal.measure
+    return Unit(connection.unit)
 
 
-def converted(ports: Ports, to: str, connection: Connection) -> Conversion:
-    """Give the conversion at the end of a connection that was checked."""
-    (_, target), (_, source, _) = ports.find(to, "input"), ports.source(connection.source)
-    found = conversion(unit_reached(connection, source, target), target.measure)
-    assert found is not None
-    return found
+def _conversion(connection: Connection, source: Signal, target: Signal) -> Conversion | None:
+    return conversion(unit_reached(connection, source, target), target.measure)
 
 
-def _same(one: Unit, other: Unit) -> bool:
-    found = conversion(one, other)
-    return found is not None and found.copies
+def conversions_of(ports: Ports, to: Port, connection: Connection) -> tuple[Conversion, ...]:
+    """Return the conversion at the end of a checked connection, for each of its sources."""
+    _, target = ports.input(to)
+    conversions = []
+    for port in connection.sources:
+        converted = _conversion(connection, ports.source(port).signal, target)
+        assert converted is not None
+        conversions.append(converted)
+    return tuple(conversions)
 
 
-def _shown(unit: Unit) -> str:
-    """Name a unit, with what it is where a definition says so."""
+def _same_unit(first: Unit, second: Unit) -> bool:
+    converted = conversion(first, second)
+    return converted is not None and converted.copies
+
+
+def _unit_text(unit: Unit) -> str:
+    """Return the name of a unit, with its base units where a definition gives them."""
     if unit.base is None:
         return repr(unit.name)
-    powers = ".".join(
-        name if n == 1 else f"{name}{n}"
-        for name, n in zip(BASE, unit.base.exponents, strict=True)
-        if n
-    )
-    return f"{unit.name!r} ({powers or '1'})"
+    powers = []
+    for name, exponent in zip(BASE, unit.base.exponents, strict=True):
+        if exponent:
+            powers.append(name if exponent == 1 else f"{name}{exponent}")
+    return f"{unit.name!r} ({'.'.join(powers) or '1'})"
 
 
-def _names(signals: Iterable[Signal]) -> str:
-    return ", ".join(signal.name for signal in signals) or "none"
-
-
-def _unit(signal: Signal) -> str:
+def _bracketed_unit(signal: Signal) -> str:
     return "" if signal.unit is None else f" [{signal.unit}]"
 
 
 def layout_of(
     components: Mapping[str, Component], periods: Mapping[str, int] | None = None
 ) -> Layout:
-    """Give every component its columns."""
+    """Return the layout that gives every component its columns."""
     channels: list[Channel] = []
+    start = 0
     for name, component in components.items():
-        start = channels[-1].columns.stop if channels else 0
-        channels.append(Channel(name, component.interface, start, (periods or {}).get(name, 1)))
+        period = 1 if periods is None else periods.get(name, 1)
+        channel = Channel(name, component.interface, start, period)
+        channels.append(channel)
+        start = channel.columns.stop
     return Layout(tuple(channels))

@@ -1,7 +1,8 @@
 """The contracts: what a model, a component, a recorder and a recording are.
 
-Order of the calls of a component: ``prepare`` once, ``initialize`` one or more times, then ``outputs`` and ``advance`` in any
-order.
+A component has an interface and three methods. Order of the calls: ``prepare`` once, where its
+interface declares it; ``initialize`` one or more times; then ``outputs`` and ``advance`` in any
+order, and ``save`` and ``restore`` where its interface declares them.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Any, Literal, Protocol, Self, TypeAlias
+from typing import Any, Literal, Protocol, Self, TypeAlias, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,8 @@ from cosim.core.signals import Channel, Interface, Layout
 from cosim.errors import RunError
 
 Design: TypeAlias = Mapping[str, NDArray[np.float64]]
-MessageLevel: TypeAlias = Literal["debug", "info", "warning", "error", "fatal"]  # of a message
+MessageLevel: TypeAlias = Literal["debug", "info", "warning", "error", "fatal"]
+State = TypeVar("State")
 
 
 class Component(Protocol):
@@ -27,35 +29,18 @@ class Component(Protocol):
 
     @property
     def interface(self) -> Interface:
-        """Inputs, outputs and feedthrough; constant."""
-        ...
-
-    def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
-        """Compute, once before the run, what rests on design-time linear algebra: gains, discretized matrices.
-
-        BLAS and LAPACK give other bits on other processors, so the result is recorded, and a replay takes it from there.
-
-        Parameters
-        ----------
-        h : float
-            Communication step [s].
-        held : Mask, shape (n_u,)
-            Input elements that keep their value from the start of a step; the others move in a straight line. What an input
-            does at the end of a step reaches the outputs there in both cases.
-        recorded : Design
-            Arrays to take instead of computing them; empty, or complete.
-        """
+        """Inputs, outputs and feedthrough, and which of the optional methods there are; constant."""
         ...
 
     def initialize(self, t: float, u: Vector) -> Vector:
-        """Start at ``t`` with inputs ``u``; return the outputs at ``t``, shape (n_y,).
+        """Set the initial state at ``t`` for inputs ``u``; return the outputs at ``t``, shape (n_y,).
 
         Forgets the past. May be called again with other inputs until the first advance.
         """
         ...
 
     def outputs(self, t: float, u: Vector) -> Vector:
-        """Give the outputs at ``t``, the time reached, for inputs ``u``, shape (n_y,); changes nothing."""
+        """Return the outputs at ``t``, the time reached, for inputs ``u``, shape (n_y,); changes nothing."""
         ...
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
@@ -83,16 +68,46 @@ class Component(Protocol):
         ...
 
 
-class Rollback(Protocol):
-    """For components that can go back; needed by iterative coupling and step control."""
+class Preparable(Protocol):
+    """For components that compute before the run; their interface declares ``prepares``."""
 
-    def save(self) -> object:
+    def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
+        """Compute, once before the run, what needs linear algebra: gains, discretized matrices.
+
+        BLAS and LAPACK give other bits on other processors, so the result is recorded, and a replay
+        takes it from there.
+
+        Parameters
+        ----------
+        h : float
+            Communication step [s].
+        held : Mask, shape (n_u,)
+            Input elements with a zero-order hold: they keep their value from the start of a step.
+            The others are interpolated linearly. What an input is at the end of a step reaches the
+            outputs there in both cases.
+        recorded : Design
+            Arrays to take instead of computing them; empty, or complete.
+        """
+        ...
+
+
+class Rollback(Protocol[State]):
+    """For components that can go back, as iterative coupling and step control need; their interface declares ``rollback``."""
+
+    def save(self) -> State:
         """Copy the state."""
         ...
 
-    def restore(self, state: object) -> None:
+    def restore(self, state: State) -> None:
         """Go back to a saved state."""
         ...
+
+
+def prepare(component: Component, h: float, held: Mask, recorded: Design) -> Design:
+    """Prepare a component whose interface declares it; return its design, empty for all others."""
+    if not component.interface.prepares:
+        return {}
+    return cast(Preparable, component).prepare(h, held, recorded)
 
 
 class Stopped(RunError):
@@ -119,7 +134,7 @@ class Stopped(RunError):
         return len(self.outputs)
 
     def at(self, component: str, t: float) -> Stopped:
-        """Name the component and the time [s] in the message."""
+        """Return the same stop with the component and the time [s] in the message."""
         return Stopped(
             self.outputs, f"{component!r} stopped at t = {t} s: {self}", failed=self.failed
         )
@@ -139,15 +154,15 @@ class Model(Protocol):
         ...
 
     def initial(self, t: float, u: Vector) -> Vector:
-        """Give the consistent state x(t) at the start, shape (n_x,)."""
+        """Return the consistent initial state x(t), shape (n_x,)."""
         ...
 
     def derivatives(self, t: float, x: Vector, u: Vector) -> Vector:
-        """Give x', shape (n_x,)."""
+        """Return x', shape (n_x,)."""
         ...
 
     def outputs(self, t: float, x: Vector, u: Vector) -> Vector:
-        """Give y, shape (n_y,)."""
+        """Return y, shape (n_y,)."""
         ...
 
 
@@ -169,13 +184,13 @@ class Block:
         return len(self.time_ns) - 1
 
     def cut(self, steps: int) -> Block:
-        """Keep the first ``steps`` steps."""
+        """Return the block of the first ``steps`` steps."""
         return Block(self.index, self.time_ns[: steps + 1], self.time[: steps + 1], self.h)
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What was decided before the run: goes to the log, and a replay follows it.
+    """What is fixed before the run: it goes to the log, and a replay follows it.
 
     Parameters
     ----------
@@ -184,9 +199,10 @@ class Plan:
         Communication step [ns].
     designs : mapping of component name to Design
     held : mapping of component name to Mask
-        Which input elements hold their value over a step.
+        Which input elements have a zero-order hold.
     schedule : tuple of str
-        The stages in order, readable: ``"cascade plant"``, ``"gauss-seidel controller plant observer"``.
+        The stages in order, readable: ``"cascade plant"``, ``"gauss-seidel controller plant
+        observer"``.
     """
 
     layout: Layout
@@ -209,7 +225,7 @@ class Recorder(Protocol):
     ) -> None: ...
 
     def begin(self, plan: Plan) -> None:
-        """Learn what will be written; called once, before the first write."""
+        """Take note of what will be written; called once, before everything else."""
         ...
 
     def write(self, block: Block, signals: Matrix) -> None:
@@ -217,6 +233,14 @@ class Recorder(Protocol):
 
         The array is used again afterwards: what is kept must be copied.
         """
+        ...
+
+    def message(self, time_ns: int, level: MessageLevel, source: str, text: str) -> None:
+        """Record a message of the run or of a component, ``source``, at a simulation time [ns]."""
+        ...
+
+    def result(self, values: Mapping[str, Any]) -> None:
+        """Add plain values to what is recorded of the end of the run; called before the recorder is left."""
         ...
 
 
@@ -230,7 +254,7 @@ class Recording(Protocol):
 
     @property
     def reason(self) -> str:
-        """Why it ended so; empty where it came to its end."""
+        """The stop reason; empty where the run came to its end."""
         ...
 
     @property
@@ -239,11 +263,11 @@ class Recording(Protocol):
         ...
 
     def __getitem__(self, signal: str) -> NDArray[np.float64]:
-        """Give ``component.signal`` at every recorded row: shape (N,) for size 1, else (N, size)."""
+        """Return ``component.signal``, or elements of it, at every recorded row: shape (N,) for size 1, else (N, size)."""
         ...
 
     def time_ns(self, component: str) -> Nanoseconds:
-        """Give the instants of a component's rows, shape (N,) [ns]."""
+        """Return the instants of a component's rows, shape (N,) [ns]."""
         ...
 
     @property

@@ -1,56 +1,49 @@
 """How the components of one stage advance over a block.
 
-A cascade is one component: one call. The components of a loop advance step by step, by operations that are fixed before the run
-(:mod:`cosim.core.order`). At each step a component's input from a component that has not reached the end of the step yet is
-*late*: it keeps its value from the start of the step (first order), and outputs that feed through from it are evaluated again as
-soon as it is known.
+A cascade is one component: one call. The components of a loop advance step by step, by operations
+whose order is fixed before the run (:mod:`cosim.core.order`). At each step the input of a component
+from one that has not reached the end of the step yet is *extrapolated*: it keeps its value from the
+start of the step (first order). Outputs that feed through from it are evaluated again as soon as it
+is known.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
+from cosim.core.connections import Connection, Source
 from cosim.core.contracts import Block, Component, Stopped
 from cosim.core.order import OperationKind
 from cosim.errors import RunError
 from cosim.units import Conversion
 
+Columns: TypeAlias = slice | NDArray[np.intp]
+
 
 @dataclass(frozen=True, slots=True)
 class Wire:
-    """Copies source columns into input columns, through a gain and an offset where there are any, then from unit to unit."""
+    """Copies columns of outputs into columns of an input: gain and offset, then the conversion."""
 
     to: slice
-    source: slice
-    gain: Matrix | None
+    source: Columns
+    gain: Matrix | None  # None: plain values
     offset: float
     conversion: Conversion
 
-    @staticmethod
-    def of(
-        to: slice, source: slice, gain: NDArray[np.float64], offset: float, conversion: Conversion
-    ) -> Wire:
-        """Build a wire from a number or a matrix; no map where the gain is 1 and the offset 0."""
-        if gain.ndim == 2:
-            return Wire(to, source, gain, offset, conversion)
-        plain = gain == 1.0 and offset == 0.0
-        return Wire(
-            to, source, None if plain else gain * np.eye(to.stop - to.start), offset, conversion
-        )
-
     def copy(self, signals: Matrix, rows: slice) -> None:
-        """Fill the input columns of some rows; sums run in a fixed order, without BLAS."""
-        if self.gain is None:
-            signals[rows, self.to] = self.conversion(signals[rows, self.source])
-            return
+        """Fill the input columns of some rows."""
         source = signals[rows, self.source]
+        if self.gain is None:
+            signals[rows, self.to] = self.conversion(source)
+            return
         for i, gains in enumerate(self.gain):
+            # Sums run in a fixed order, without BLAS, which gives other bits on other processors.
             total = np.full(len(source), self.offset)
             for j, gain in enumerate(gains):
                 if gain != 0.0:
@@ -58,36 +51,72 @@ class Wire:
             signals[rows, self.to.start + i] = self.conversion(total)
 
 
+def wires_of(
+    to: slice,
+    connection: Connection,
+    sources: Sequence[Source],
+    conversions: Sequence[Conversion],
+) -> tuple[Wire, ...]:
+    """Return the wires of a connection: one for each source, or one for all of them under a matrix."""
+    gain = connection.matrix
+    if gain.ndim == 2:
+        # Every source reaches the same unit (checked), so one conversion is that of all of them.
+        return (Wire(to, _joined(sources), gain, connection.offset, conversions[0]),)
+    identity = gain == 1.0 and connection.offset == 0.0
+    wires = []
+    start = to.start
+    for source, conversion in zip(sources, conversions, strict=True):
+        part = slice(start, start + source.size)
+        scaled = None if identity else gain * np.eye(source.size)
+        wires.append(Wire(part, source.columns, scaled, connection.offset, conversion))
+        start = part.stop
+    return tuple(wires)
+
+
+def _joined(sources: Sequence[Source]) -> Columns:
+    if len(sources) == 1:
+        return sources[0].columns
+    ranges = [np.arange(source.columns.start, source.columns.stop) for source in sources]
+    return np.concatenate(ranges)
+
+
 @dataclass(frozen=True, slots=True)
 class Member:
-    """A component with its columns and the wires that feed it."""
+    """A component with its columns and the wires that feed each of its inputs."""
 
     name: str
     component: Component
     inputs: slice
     outputs: slice
-    wires: tuple[Wire, ...]
+    wires: tuple[tuple[Wire, ...], ...]
 
     def gather(self, signals: Matrix, rows: slice) -> None:
         """Bring the inputs of some rows up to date."""
-        for wire in self.wires:
-            wire.copy(signals, rows)
+        for wires in self.wires:
+            for wire in wires:
+                wire.copy(signals, rows)
 
     def perform(self, kind: OperationKind, time: Vector, h: float, rows: Matrix) -> None:
         """Carry out one operation of a loop over one step, from row 0 to row 1."""
         if kind == "advance":
             rows[1:, self.outputs] = self.advance(time, h, rows)
         else:
-            rows[1, self.outputs] = self.component.outputs(float(time[1]), rows[1, self.inputs])
+            end = float(time[1])
+            rows[1, self.outputs] = self.component.outputs(end, rows[1, self.inputs])
 
     def advance(self, time: Vector, h: float, rows: Matrix) -> Matrix:
-        """Let the component advance; its rows must have the shape that its interface promises."""
+        """Advance the component.
+
+        Raises
+        ------
+        RunError
+            If its rows do not have the shape that its interface promises.
+        """
         y = self.component.advance(time, h, rows[:, self.inputs])
         needed = (len(time) - 1, self.outputs.stop - self.outputs.start)
         if np.shape(y) != needed:
-            raise RunError(
-                f"advance gave an array of shape {np.shape(y)}, its interface needs {needed}"
-            )
+            shape = np.shape(y)
+            raise RunError(f"advance gave an array of shape {shape}, its interface needs {needed}")
         return y
 
 
@@ -100,22 +129,28 @@ class Stage(Protocol):
         ...
 
     @property
-    def late(self) -> Mapping[str, frozenset[str]]:
+    def extrapolated(self) -> Mapping[str, frozenset[str]]:
         """Inputs by component that are known only after the component has advanced."""
         ...
 
     @property
     def warnings(self) -> tuple[tuple[str, str], ...]:
-        """What was taken to be so, as (component, text)."""
+        """What was assumed, as (component, text)."""
         ...
 
     @property
     def description(self) -> str:
-        """For the log."""
+        """The components and the order of their operations, for the log."""
         ...
 
     def advance(self, block: Block, signals: Matrix) -> None:
-        """Fill rows 1 to K of its columns. Raises Stopped with the number of rows that are filled."""
+        """Fill rows 1 to K of its columns.
+
+        Raises
+        ------
+        Stopped
+            With the number of rows that are filled.
+        """
         ...
 
 
@@ -124,7 +159,7 @@ class Cascade:
     """One component outside every loop."""
 
     member: Member
-    late: Mapping[str, frozenset[str]] = field(default_factory=dict)
+    extrapolated: Mapping[str, frozenset[str]] = field(default_factory=dict)
     warnings: tuple[tuple[str, str], ...] = ()
 
     @property
@@ -134,7 +169,7 @@ class Cascade:
 
     @property
     def description(self) -> str:
-        """For the log."""
+        """The component, for the log."""
         return f"cascade {self.member.name}"
 
     def advance(self, block: Block, signals: Matrix) -> None:
@@ -144,7 +179,7 @@ class Cascade:
         try:
             signals[1:, member.outputs] = member.advance(block.time, block.h, signals)
         except RunError as error:
-            stop = _stop(error)
+            stop = _as_stop(error)
             if stop.steps:
                 signals[1 : stop.steps + 1, member.outputs] = stop.outputs
             raise stop.at(member.name, float(block.time[stop.steps])) from error
@@ -152,40 +187,40 @@ class Cascade:
 
 @dataclass(frozen=True, slots=True)
 class Loop:
-    """Components that influence each other in a circle, advanced step by step in a fixed order of operations."""
+    """Components of a cycle of the graph, advanced step by step in a fixed order of operations."""
 
     coupling: str
     members: tuple[Member, ...]
     operations: tuple[tuple[OperationKind, Member], ...]
-    late: Mapping[str, frozenset[str]]
+    extrapolated: Mapping[str, frozenset[str]]
     warnings: tuple[tuple[str, str], ...]
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The components, in the order they advance."""
+        """The components, in the order in which they advance."""
         return tuple(member.name for kind, member in self.operations if kind == "advance")
 
     @property
     def description(self) -> str:
-        """For the log."""
-        return " ".join(
-            [
-                self.coupling,
-                *(m.name if kind == "advance" else f"({m.name})" for kind, m in self.operations),
-            ]
-        )
+        """The operations in order, for the log; in parentheses where outputs are evaluated again."""
+        words = [self.coupling]
+        for kind, member in self.operations:
+            words.append(member.name if kind == "advance" else f"({member.name})")
+        return " ".join(words)
 
     def advance(self, block: Block, signals: Matrix) -> None:
         """Advance step by step."""
         for k in range(block.steps):
-            ended = self._step(block.time[k : k + 2], block.h, signals[k : k + 2])
-            if ended is not None:
-                raise Stopped(np.empty((k + ended.steps, 0)), str(ended), failed=ended.failed)
+            stop = self._step(block.time[k : k + 2], block.h, signals[k : k + 2])
+            if stop is not None:
+                filled = np.empty((k + stop.steps, 0))
+                raise Stopped(filled, str(stop), failed=stop.failed)
 
     def _step(self, time: Vector, h: float, rows: Matrix) -> Stopped | None:
-        """Fill row 1; give what ended the run there, with a row of outputs if the step was completed all the same."""
+        """Fill row 1; return what stopped the run, with a row of outputs if the step is complete."""
         end = slice(1, 2)
-        ended: Stopped | None = None
+        stopped: Stopped | None = None
+        # Extrapolated inputs read row 1 before their source has written it: first, it is row 0.
         for member in self.members:
             rows[1, member.outputs] = rows[0, member.outputs]
         for kind, member in self.operations:
@@ -193,16 +228,17 @@ class Loop:
             try:
                 member.perform(kind, time, h, rows)
             except RunError as error:
-                stop = _stop(error)
-                ended = stop.at(member.name, float(time[stop.steps]))
-                if not ended.steps:
-                    return ended
-                rows[1, member.outputs] = ended.outputs[0]
+                stop = _as_stop(error)
+                stopped = stop.at(member.name, float(time[stop.steps]))
+                if not stopped.steps:
+                    return stopped
+                rows[1, member.outputs] = stopped.outputs[0]
+        # What is recorded as applied at the end of the step is what the sources gave there at last.
         for member in self.members:
             member.gather(rows, end)
-        return ended
+        return stopped
 
 
-def _stop(error: RunError) -> Stopped:
-    """Take an error of a component that does not say how far it came as a stop before the first step."""
+def _as_stop(error: RunError) -> Stopped:
+    """Return an error as a stop; one that does not say how far it came stopped before any step."""
     return error if isinstance(error, Stopped) else Stopped(np.empty((0, 0)), str(error))

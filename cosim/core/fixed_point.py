@@ -15,13 +15,11 @@ from cosim.arrays import Matrix, Vector
 
 Function: TypeAlias = Callable[[Vector], Vector]
 
-RELATIVE: Final = 1e-9  # largest residual of a solution, of the values
-ROUNDING: Final = 64 * float(np.finfo(np.float64).eps)  # and of the largest value that took part
+RELATIVE: Final = 1e-9  # largest residual of a solution, relative to the values
+ROUNDING: Final = 64 * float(np.finfo(np.float64).eps)  # relative to the largest value involved
 STEPS: Final = 50  # of Newton's method
-DIFFERENCE: Final = (
-    -20
-)  # power of two, of the value: rounding leaves errors of some 2^-32 in a derivative
-SINGULAR: Final = 1e-8  # least pivot
+DIFFERENCE: Final = -20  # power of two, relative: rounding leaves errors of 2^-32 in a derivative
+SINGULAR: Final = 1e-8  # smallest pivot
 
 
 class SingularError(Exception):
@@ -29,40 +27,49 @@ class SingularError(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
-    """The best v, where its residual ``|w(v) - v|`` is worst for what is needed, and both there."""
+class Candidate:
+    """A candidate v, and the element where its residual is worst for its tolerance.
+
+    Parameters
+    ----------
+    v : Vector
+    element : int
+        Where the residual ``|w(v) - v|`` is worst for what is allowed.
+    residual, tolerance : float
+        Both there.
+    """
 
     v: Vector
     element: int = 0
     residual: float = np.inf
-    needed: float = 0.0
+    tolerance: float = 0.0
 
     @property
     def excess(self) -> float:
-        """The worst residual in units of what is needed: 1 or less is a solution."""
-        return (
-            0.0 if self.residual == 0.0 else self.residual / self.needed if self.needed else np.inf
-        )
+        """The worst residual in units of its tolerance: 1 or less is a solution."""
+        if self.residual == 0.0:
+            return 0.0
+        if self.tolerance == 0.0:
+            return np.inf
+        return self.residual / self.tolerance
 
 
-def judge(v: Vector, w: Vector, largest: float) -> Found:
-    """Hold the residual against the values; ``largest``: the largest value that took part in computing w."""
-    residual, needed = (
-        np.abs(w - v),
-        RELATIVE * np.maximum(np.abs(v), np.abs(w)) + ROUNDING * largest,
-    )
-    excess = np.where(
-        residual == 0.0, 0.0, residual / np.maximum(needed, np.finfo(np.float64).tiny)
-    )
-    if not np.isfinite(excess).all():
-        return Found(v, int(np.argmin(np.isfinite(excess))))
-    i = int(np.argmax(excess))
-    return Found(v, i, float(residual[i]), float(needed[i]))
+def measure(v: Vector, w: Vector, largest: float) -> Candidate:
+    """Return v with its residual; ``largest``: the largest value involved in computing w."""
+    residual = np.abs(w - v)
+    tolerance = RELATIVE * np.maximum(np.abs(v), np.abs(w)) + ROUNDING * largest
+    excess = residual / np.maximum(tolerance, np.finfo(np.float64).tiny)
+    excess = np.where(residual == 0.0, 0.0, excess)
+    finite = np.isfinite(excess)
+    if not finite.all():
+        return Candidate(v, int(np.argmin(finite)))
+    worst = int(np.argmax(excess))
+    return Candidate(v, worst, float(residual[worst]), float(tolerance[worst]))
 
 
-def settle(function: Function, v: Vector, sweeps: int) -> Vector | None:
-    """Put w in the place of v until no bit changes; None where it does not come to that."""
-    for _ in range(sweeps):
+def iterate(function: Function, v: Vector, limit: int) -> Vector | None:
+    """Return the fixed point by fixed-point iteration, to the last bit; None: it was not reached."""
+    for _ in range(limit):
         w = function(v)
         if v.tobytes() == w.tobytes():
             return v
@@ -72,31 +79,33 @@ def settle(function: Function, v: Vector, sweeps: int) -> Vector | None:
     return None
 
 
-def newton(function: Function, v: Vector, largest: Callable[[], float]) -> Found:
-    """Take Newton's steps while the residual falls.
+def newton(function: Function, v: Vector, largest: Callable[[], float]) -> Candidate:
+    """Return the best candidate of Newton's method; it goes on while the residual falls.
 
     Raises
     ------
     SingularError
         If a matrix on the way is singular.
     """
-    best = Found(v)
+    best = Candidate(v)
     for _ in range(STEPS):
         w = function(v)
-        found = judge(v, w, largest())
-        if not np.isfinite(found.excess) or (
-            best.excess <= 1.0 and found.excess >= 0.5 * best.excess
-        ):
-            break  # at the level of rounding
-        best = found if found.excess < best.excess else best
-        if found.excess == 0.0:
+        candidate = measure(v, w, largest())
+        if not np.isfinite(candidate.excess):
+            break
+        at_rounding = best.excess <= 1.0 and candidate.excess >= 0.5 * best.excess
+        if at_rounding:
+            break
+        if candidate.excess < best.excess:
+            best = candidate
+        if candidate.excess == 0.0:
             break
         v = v + newton_step(function, v, w)
     return best
 
 
 def newton_step(function: Function, v: Vector, w: Vector) -> Vector:
-    """Solve ``(1 - w') step = w - v`` with differences for w', every element in units of its own value.
+    """Solve ``(1 - w') step = w - v`` with differences for w', in units of each element's value.
 
     Raises
     ------
@@ -104,27 +113,33 @@ def newton_step(function: Function, v: Vector, w: Vector) -> Vector:
         If the matrix is singular.
     """
     size = np.maximum(np.abs(v), np.abs(w))
-    scale = np.array([np.ldexp(1.0, np.frexp(x)[1]) if x > 0.0 else 1.0 for x in size])
+    # Powers of two: scaling then changes no bit of the mantissas.
+    exponent = np.frexp(size)[1]
+    scale = np.where(size > 0.0, np.ldexp(1.0, exponent), 1.0)
     matrix = np.eye(len(v))
     for j in range(len(v)):
+        difference = np.ldexp(scale[j], DIFFERENCE)
         moved = v.copy()
-        moved[j] += np.copysign(np.ldexp(scale[j], DIFFERENCE), v[j])
+        moved[j] += np.copysign(difference, v[j])
         slope = (function(moved) - w) / (moved[j] - v[j])
         matrix[:, j] -= slope * scale[j] / scale
-    step: Vector = eliminate(matrix, (w - v) / scale) * scale
+    scaled = eliminate(matrix, (w - v) / scale)
+    step: Vector = scaled * scale
     return step
 
 
 def eliminate(matrix: Matrix, right: Vector) -> Vector:
-    """Solve ``matrix x = right`` by Gauss's elimination with partial pivoting.
+    """Solve ``matrix x = right`` by Gauss-Jordan elimination with partial pivoting.
 
     Raises
     ------
     SingularError
         If a pivot is below ``SINGULAR`` times the largest element of its row, or 1.
     """
-    n, rows = len(right), np.column_stack([matrix, right])
-    rows /= np.maximum(1.0, np.abs(matrix).max(axis=1))[:, np.newaxis]
+    n = len(right)
+    rows = np.column_stack([matrix, right])
+    largest = np.abs(matrix).max(axis=1)
+    rows /= np.maximum(1.0, largest)[:, np.newaxis]
     for k in range(n):
         pivot = k + int(np.argmax(np.abs(rows[k:, k])))
         rows[[k, pivot]] = rows[[pivot, k]]
@@ -132,6 +147,7 @@ def eliminate(matrix: Matrix, right: Vector) -> Vector:
             raise SingularError
         for i in range(n):
             if i != k:
-                rows[i] -= rows[i, k] / rows[k, k] * rows[k]
+                factor = rows[i, k] / rows[k, k]
+                rows[i] -= factor * rows[k]
     x: Vector = rows[:, n] / np.diagonal(rows)
     return x

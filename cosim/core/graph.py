@@ -1,7 +1,7 @@
 """Components by name, the connections between their signals, and the order in which they advance.
 
-Components that influence each other in a circle form a loop; every other component is a cascade, which advances a whole block in
-one call. Feedthrough orders only the inside of loops and the start.
+Components on a cycle of the graph form a loop; every other component is a cascade, which advances a
+whole block in one call. Feedthrough orders only the inside of loops and the initialization.
 """
 
 from __future__ import annotations
@@ -14,18 +14,27 @@ from typing import Literal
 import numpy as np
 
 from cosim.arrays import Mask, Matrix, Vector
-from cosim.core.connections import Connection, Ports, check_connections, converted, layout_of
-from cosim.core.contracts import Component, Design, Plan
-from cosim.core.coupling import Cascade, Loop, Member, Stage, Wire
+from cosim.core.connections import (
+    Connection,
+    Ports,
+    SourceText,
+    check_connections,
+    conversions_of,
+    layout_of,
+)
+from cosim.core.contracts import Component, Design, Plan, prepare
+from cosim.core.coupling import Cascade, Loop, Member, Stage, wires_of
 from cosim.core.initial_values import InitialValues
-from cosim.core.order import Port, order_loop
+from cosim.core.order import order_loop
+from cosim.core.port import Port
 from cosim.core.signals import Channel, Variability
-from cosim.errors import GraphError, nearest
+from cosim.errors import GraphError, NonFiniteError, nearest
 from cosim.units import Conversion
 
 Coupling = Literal["gauss-seidel", "jacobi"]
 InputInterpolation = Literal["linear", "zero-order"]
 COUPLINGS: tuple[str, ...] = ("gauss-seidel", "jacobi")
+INTERPOLATIONS: tuple[str, ...] = ("linear", "zero-order")
 
 
 class Graph:
@@ -34,169 +43,208 @@ class Graph:
     Parameters
     ----------
     components : mapping of name to Component
-    connections : mapping of ``component.input`` to ``component.output`` or Connection
+    connections : mapping of ``component.input`` to Connection, or to what it takes as its source
     coupling : {"gauss-seidel", "jacobi"}
         How the components of a loop advance.
     input_interpolation : {"linear", "zero-order"}
-        "linear": continuous signals are interpolated linearly inside a step. "zero-order": every input holds its value from the start of
-        the step, as most masters do; first order only.
+        "linear": continuous signals are interpolated linearly inside a step. "zero-order": every
+        input holds its value from the start of the step, as in most masters; first order only.
     periods : mapping of component name to int
-        Communication steps between the rows that a component's log channel keeps; 1 where not named.
+        Communication steps between the rows that a component's log channel keeps; 1 where not
+        named.
+
+    Attributes
+    ----------
+    connections : dict of Port to Connection
+    conversions : dict of Port to tuple of Conversion
+        Where a connection converts units: its conversion for each source.
+    held : dict of component name to Mask, shape (n_u,)
+        Which input elements have a zero-order hold.
 
     Raises
     ------
     GraphError
         All problems together: unknown names, unconnected inputs, sizes, units.
     AlgebraicLoopError
-        If outputs are known to feed through to each other in a circle.
+        If outputs are known to feed through to each other in a cycle.
     """
 
     def __init__(
         self,
         components: Mapping[str, Component],
-        connections: Mapping[str, str | Connection],
+        connections: Mapping[str, SourceText | Connection] | Mapping[Port, Connection],
         *,
         coupling: Coupling = "gauss-seidel",
         input_interpolation: InputInterpolation = "linear",
         periods: Mapping[str, int] | None = None,
     ) -> None:
-        if not components:
-            raise GraphError("the graph has no components; needed at least one")
-        dotted = [name for name in components if "." in name or not name]
-        if dotted:
-            raise GraphError(
-                f"component {dotted[0]!r}: a component's name must not be empty and has no dot"
-            )
-        if coupling not in COUPLINGS:
-            raise GraphError(f"coupling: found {coupling!r}; {nearest(coupling, COUPLINGS)}")
-        if input_interpolation not in ("linear", "zero-order"):
-            raise GraphError(
-                f"input_interpolation: found {input_interpolation!r}; {nearest(input_interpolation, ('linear', 'zero-order'))}"
-            )
-        for name, period in (periods or {}).items():
-            if name not in components:
-                raise GraphError(
-                    f"periods: there is no component {name!r}; {nearest(name, components)}"
-                )
-            if period < 1:
-                raise GraphError(f"periods: found {period} steps for {name!r}, needed at least 1")
+        _check_names(components)
+        _check_choice("coupling", coupling, COUPLINGS)
+        _check_choice("input_interpolation", input_interpolation, INTERPOLATIONS)
+        self.periods = dict(periods or {})
+        _check_periods(self.periods, components)
         self.components = dict(components)
-        self.connections = {
-            to: c if isinstance(c, Connection) else Connection(c) for to, c in connections.items()
-        }
-        self.coupling, self.input_interpolation, self.periods = (
-            coupling,
-            input_interpolation,
-            dict(periods or {}),
-        )
+        self.coupling = coupling
+        self.input_interpolation = input_interpolation
         self.layout = layout_of(self.components, self.periods)
         self._ports = Ports(self.layout)
-        problems = check_connections(self.layout, self.connections)
-        if problems:
-            raise GraphError("\n".join(problems.values()))
-        found = {
-            to: converted(self._ports, to, connection)
-            for to, connection in self.connections.items()
-        }
-        self.conversions = {
-            to: conversion for to, conversion in found.items() if not conversion.copies
-        }
+        self.connections = self._checked(connections)
+        self.conversions = self._conversions()
         self._sources = {
             channel.name: self._sources_of(channel) for channel in self.layout.channels
         }
         self._members = {name: self._member(name) for name in self.components}
         self.stages = self._order()
-        self._start = InitialValues(self.layout, self._members, self._sources)
-        self.held = {
-            name: self._held(name) for stage in self.stages for name in stage.names
-        }  # which inputs keep their value
+        self._initial_values = InitialValues(self.layout, self._members, self._sources)
+        self.held: dict[str, Mask] = {}
+        for stage in self.stages:
+            for name in stage.names:
+                self.held[name] = self._held(name, stage.extrapolated.get(name, frozenset()))
 
     def prepare(self, step_ns: int, recorded: Mapping[str, Design] | None = None) -> Plan:
-        """Let every component compute its design for the communication step; say what was decided."""
+        """Prepare every component for the communication step; return what is fixed by that."""
         h = step_ns / 1e9
-        designs = {
-            name: component.prepare(h, self.held[name], (recorded or {}).get(name, {}))
-            for name, component in self.components.items()
-        }
-        return Plan(
-            self.layout,
-            step_ns,
-            designs,
-            self.held,
-            tuple(stage.description for stage in self.stages),
-        )
+        designs: dict[str, Design] = {}
+        for name, component in self.components.items():
+            design = {} if recorded is None else recorded.get(name, {})
+            designs[name] = prepare(component, h, self.held[name], design)
+        schedule = tuple(stage.description for stage in self.stages)
+        return Plan(self.layout, step_ns, designs, self.held, schedule)
 
+    @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # the check below names them
     def initialize(self, t: float, row: Vector) -> None:
-        """Fill the first row: initialize all components together; see :mod:`cosim.core.initial_values`.
+        """Initialize all components together; see :mod:`cosim.core.initial_values`.
+
+        Parameters
+        ----------
+        t : float
+            Start time [s].
+        row : Vector, shape (width,)
+            Is filled.
 
         Raises
         ------
         GraphError
-            If initial values depend on each other in a circle that has no solution, or none that was found.
+            If initial values depend on each other and no solution was found.
+        NonFiniteError
+            If an initial value is not finite.
         """
-        self._start.find(t, row)
+        self._initial_values.find(t, row)
+        for stage in self.stages:
+            bad = self.first_non_finite(stage, row[np.newaxis])
+            if bad is not None:
+                raise bad.error(t)
 
     def first_non_finite(self, stage: Stage, rows: Matrix) -> NonFinite | None:
-        """Find, among the columns of a stage, the first value that is not finite: by row, then by component and signal."""
-        found: NonFinite | None = None
+        """Return the first value of a stage that is not finite, by row, then component and signal."""
+        first: NonFinite | None = None
         for name in stage.names:
             channel = self.layout[name]
             if np.isfinite(rows[:, channel.columns]).all():
                 continue
             for signal, columns in channel.signal_columns():
-                values = rows[: None if found is None else found.row, columns]
-                bad = ~np.isfinite(values) & ~(np.isnan(values) & signal.optional)
+                end = None if first is None else first.row
+                values = rows[:end, columns]
+                no_value = np.isnan(values) & signal.optional
+                bad = ~np.isfinite(values) & ~no_value
                 if bad.any():
                     row, element = np.unravel_index(int(np.argmax(bad)), bad.shape)
-                    found = NonFinite(
-                        int(row), f"{name}.{signal.elements[element]}", float(values[row, element])
-                    )
-        return found
+                    label = f"{name}.{signal.elements[element]}"
+                    first = NonFinite(int(row), label, float(values[row, element]))
+        return first
 
     @property
     def warnings(self) -> list[tuple[str, str]]:
-        """What is right only if something unknown is as it was taken, as (component, text)."""
-        return [warning for stage in self.stages for warning in stage.warnings]
+        """What holds only if something unknown is as it was assumed, as (component, text)."""
+        warnings: list[tuple[str, str]] = []
+        for stage in self.stages:
+            warnings += stage.warnings
+        return warnings
 
     def labels(self) -> list[str]:
-        """Name every column: ``component.signal`` or ``component.signal[i]``."""
-        return [
-            f"{c.name}.{element}"
-            for c in self.layout.channels
-            for signal in c.signals
-            for element in signal.elements
-        ]
+        """Return the name of every column: ``component.signal`` or ``component.signal[i]``."""
+        labels = []
+        for channel in self.layout.channels:
+            for signal in channel.signals:
+                labels += [f"{channel.name}.{element}" for element in signal.elements]
+        return labels
 
     # --- structure ---
+
+    def _checked(
+        self, connections: Mapping[str, SourceText | Connection] | Mapping[Port, Connection]
+    ) -> dict[Port, Connection]:
+        """Return the connections by the port of the input, after a check of them all."""
+        parsed: dict[Port, Connection] = {}
+        for to, given in connections.items():
+            port = to if isinstance(to, Port) else Port.parse(to)
+            parsed[port] = given if isinstance(given, Connection) else Connection(given)
+        problems = check_connections(self.layout, parsed)
+        if problems:
+            raise GraphError("\n".join(problems.values()))
+        by_input = {}
+        for port, connection in parsed.items():
+            channel, signal = self._ports.input(port)
+            by_input[Port(channel.name, signal.name)] = connection
+        return by_input
+
+    def _conversions(self) -> dict[Port, tuple[Conversion, ...]]:
+        conversions = {}
+        for to, connection in self.connections.items():
+            by_source = conversions_of(self._ports, to, connection)
+            if not all(conversion.copies for conversion in by_source):
+                conversions[to] = by_source
+        return conversions
+
+    def _sources_of(self, channel: Channel) -> dict[str, tuple[Port, ...]]:
+        """Return the outputs that drive each input."""
+        sources = {}
+        for signal in channel.interface.inputs:
+            connection = self.connections[Port(channel.name, signal.name)]
+            ports = [self._ports.source(port).port for port in connection.sources]
+            sources[signal.name] = tuple(dict.fromkeys(ports))
+        return sources
 
     def _member(self, name: str) -> Member:
         channel = self.layout[name]
         wires = []
         for signal, columns in channel.signal_columns():
-            port = f"{name}.{signal.name}"
+            port = Port(name, signal.name)
             connection = self.connections.get(port)
-            if connection is not None:
-                _, _, source = self._ports.source(connection.source)
-                gain, conversion = (
-                    np.asarray(connection.gain),
-                    self.conversions.get(port, Conversion()),
-                )
-                wires.append(Wire.of(columns, source, gain, connection.offset, conversion))
-        return Member(name, self.components[name], channel.inputs, channel.outputs, tuple(wires))
-
-    def _sources_of(self, channel: Channel) -> dict[str, Port]:
-        """Give the output that drives each input."""
-        found = {
-            s.name: self._ports.source(self.connections[f"{channel.name}.{s.name}"].source)
-            for s in channel.interface.inputs
-        }
-        return {name: (source.name, output.name) for name, (source, output, _) in found.items()}
+            if connection is None:  # an output
+                continue
+            sources = [self._ports.source(source) for source in connection.sources]
+            copies = (Conversion(),) * len(sources)
+            conversions = self.conversions.get(port, copies)
+            wires.append(wires_of(columns, connection, sources, conversions))
+        component = self.components[name]
+        return Member(name, component, channel.inputs, channel.outputs, tuple(wires))
 
     def _drivers(self, name: str) -> set[str]:
-        return {driver for driver, _ in self._sources[name].values()}
+        """Return the components that drive an input of this one."""
+        drivers = set()
+        for ports in self._sources[name].values():
+            drivers.update(port.component for port in ports)
+        return drivers
 
     def _order(self) -> tuple[Stage, ...]:
+        """Return the stages: the strongly connected components of the graph in topological order."""
         names = list(self.components)
+        group_of = self._groups(names)
+        sorter: TopologicalSorter[str] = TopologicalSorter()
+        for name in names:
+            sorter.add(group_of[name])
+        for name in names:
+            for driver in self._drivers(name):
+                if group_of[driver] != group_of[name]:
+                    sorter.add(group_of[name], group_of[driver])
+        stages = []
+        for group in sorter.static_order():
+            stages.append(self._stage([name for name in names if group_of[name] == group]))
+        return tuple(stages)
+
+    def _groups(self, names: list[str]) -> dict[str, str]:
+        """Return for every component the first of those that it reaches and that reach it."""
         number = {name: i for i, name in enumerate(names)}
         reach = np.eye(len(names), dtype=np.bool_)
         for name in names:
@@ -205,15 +253,7 @@ class Graph:
         for _ in range(len(names).bit_length()):  # paths of twice the length each time
             reach = reach @ reach
         together = reach & reach.T
-        group = [int(np.argmax(together[i])) for i in range(len(names))]
-        sorter: TopologicalSorter[int] = TopologicalSorter({g: set() for g in dict.fromkeys(group)})
-        for name in names:
-            for driver in self._drivers(name):
-                if group[number[driver]] != group[number[name]]:
-                    sorter.add(group[number[name]], group[number[driver]])
-        return tuple(
-            self._stage([n for n in names if group[number[n]] == g]) for g in sorter.static_order()
-        )
+        return {name: names[int(np.argmax(row))] for name, row in zip(names, together, strict=True)}
 
     def _stage(self, names: list[str]) -> Stage:
         if len(names) == 1 and names[0] not in self._drivers(names[0]):
@@ -221,44 +261,92 @@ class Graph:
         interfaces = {name: self.layout[name].interface for name in names}
         sources = {name: self._sources[name] for name in names}
         order = order_loop(interfaces, sources, jacobi=self.coupling == "jacobi")
-        plan = tuple((kind, self._members[name]) for kind, name in order.operations)
-        warnings = tuple((doubt.component, str(doubt)) for doubt in order.doubts)
-        return Loop(
-            self.coupling, tuple(self._members[name] for name in names), plan, order.late, warnings
-        )
+        members = tuple(self._members[name] for name in names)
+        operations = tuple((kind, self._members[name]) for kind, name in order.operations)
+        warnings = tuple((unknown.component, str(unknown)) for unknown in order.unknown)
+        return Loop(self.coupling, members, operations, order.extrapolated, warnings)
 
-    def _held(self, name: str) -> Mask:
-        late = next(
-            stage.late.get(name, frozenset()) for stage in self.stages if name in stage.names
-        )
-        held = []
+    def _held(self, name: str, extrapolated: frozenset[str]) -> Mask:
+        """Return which input elements of a component have a zero-order hold."""
+        held: list[bool] = []
         for signal in self.layout[name].interface.inputs:
-            discrete = (
-                signal.variability == "discrete"
-                or self.variability(*self._sources[name][signal.name]) == "discrete"
+            zero_order = (
+                self.input_interpolation == "zero-order"
+                or signal.variability == "discrete"
+                or signal.name in extrapolated
             )
-            held += [
-                self.input_interpolation == "zero-order" or discrete or signal.name in late
-            ] * signal.size
+            if zero_order:
+                held += [True] * signal.size
+            else:
+                held += self._discrete_elements(Port(name, signal.name), signal.size)
         return np.array(held, dtype=np.bool_)
 
-    def variability(
-        self, name: str, output: str, seen: frozenset[str] = frozenset()
-    ) -> Variability:
-        """Give the variability of an output; an inherited one is discrete where every input behind it is."""
-        _, signal = self._ports.find(f"{name}.{output}", "output")
+    def _discrete_elements(self, to: Port, size: int) -> list[bool]:
+        """Return which elements of an input are driven by discrete signals."""
+        connection = self.connections[to]
+        sources = [self._ports.source(port) for port in connection.sources]
+        discrete = [self.variability(source.port) == "discrete" for source in sources]
+        if connection.matrix.ndim == 2:  # every element may be a sum of all sources
+            return [all(discrete)] * size
+        elements: list[bool] = []
+        for source, is_discrete in zip(sources, discrete, strict=True):
+            elements += [is_discrete] * source.size
+        return elements
+
+    def variability(self, output: Port, visited: frozenset[str] = frozenset()) -> Variability:
+        """Return the variability of an output.
+
+        An inherited one is discrete where every input of its component is.
+        """
+        name = output.component
+        signal = self._ports.source(output).signal
         if signal.variability != "inherited":
             return signal.variability
-        if name in seen:
+        if name in visited:
             return "discrete"
-        found = {self.variability(*port, seen | {name}) for port in self._sources[name].values()}
+        found = set()
+        for ports in self._sources[name].values():
+            found.update(self.variability(port, visited | {name}) for port in ports)
         return "discrete" if found == {"discrete"} else "continuous"
+
+
+def _check_names(components: Mapping[str, Component]) -> None:
+    if not components:
+        raise GraphError("the graph has no components; needed at least one")
+    for name in components:
+        if "." in name or not name:
+            raise GraphError(
+                f"component {name!r}: a component's name must not be empty and has no dot"
+            )
+
+
+def _check_choice(key: str, value: str, choices: tuple[str, ...]) -> None:
+    if value not in choices:
+        raise GraphError(f"{key}: found {value!r}; {nearest(value, choices)}")
+
+
+def _check_periods(periods: Mapping[str, int], components: Mapping[str, Component]) -> None:
+    for name, period in periods.items():
+        if name not in components:
+            suggestion = nearest(name, components)
+            raise GraphError(f"periods: there is no component {name!r}; {suggestion}")
+        if period < 1:
+            raise GraphError(f"periods: found {period} steps for {name!r}, needed at least 1")
 
 
 @dataclass(frozen=True, slots=True)
 class NonFinite:
-    """A value that is infinite, or NaN where that does not mean "no value yet": ``label`` names its column."""
+    """A value that is infinite, or NaN where NaN does not mean "no value yet".
+
+    ``label`` names its column, ``row`` is counted from the first row searched.
+    """
 
     row: int
     label: str
     value: float
+
+    def error(self, t: float) -> NonFiniteError:
+        """Return the error that names it, at time ``t`` [s]."""
+        return NonFiniteError(
+            f"{self.label!r} became {self.value} at t = {t} s; the log keeps everything before"
+        )

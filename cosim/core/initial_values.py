@@ -1,54 +1,58 @@
-"""The start: initial values of all inputs and outputs of a graph, found together (FMI 2.0.4 section 2.2.8, InitialUnknowns).
+"""Initial values of all inputs and outputs of a graph (FMI 2.0.4 section 2.2.8, InitialUnknowns).
 
-At the start an output may depend on more inputs than later, because the state may follow them
-(:meth:`cosim.core.signals.Interface.feeds_at_start`). The ports are taken in the order of these dependencies: an input when the
-output that drives it is defined, an output when the inputs it depends on are. A component is initialized again whenever inputs of
-it have come to be known; until then they have their start values.
+At initialization an output may depend on more inputs than later, because the state may follow them
+(:meth:`cosim.core.signals.Interface.feeds_at_start`). The ports are taken in the order of these
+dependencies: an input when the outputs that drive it are known, an output when the inputs that it
+depends on are. A component is initialized again whenever inputs of it have become known; until then
+they have their start values.
 
-Ports that depend on each other form a *circle*. It is torn at some of its inputs, v; one sweep along the rest of it gives them
-back as w(v), and w(v) = v is solved (:mod:`cosim.core.fixed_point`):
+Ports that depend on each other form an algebraic loop. It is torn at some of its inputs, v; one
+sweep along the rest of it gives them back as w(v), and w(v) = v is solved
+(:mod:`cosim.core.fixed_point`):
 
-1. by sweeps, as many as the circle has ports. They settle where in truth there is no circle: dependencies that are unknown count
-   as there. Where a signal is discrete, sweeps are all that is tried;
+1. by fixed-point iteration, with as many sweeps as the loop has ports. That is enough where there
+   is no loop in truth: unknown dependencies count as there. Where a signal is discrete, sweeps are
+   all that is tried;
 2. else by Newton's method from the start values, until the residual no longer falls;
-3. the residual is held against the values, and 1 - w' must be regular: else the start is not determined.
+3. the residual is compared with the values, and 1 - w' must be regular: else the initial values are
+   not determined.
 
-At the end every input is what its connection gives, and every component was initialized with its inputs. Only the outputs of a
-component at whose inputs a circle was torn belong to v, which is as far from the recorded input as the residual.
+At the end every input is what its connection gives, and every component was initialized with its
+inputs. Only the outputs of a component at whose inputs a loop was torn belong to v, which is as far
+from the recorded input as the residual.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from graphlib import TopologicalSorter
 from itertools import pairwise
-from typing import Final, TypeAlias
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Vector
 from cosim.core.coupling import Member, Wire
-from cosim.core.fixed_point import Found, SingularError, judge, newton, newton_step, settle
-from cosim.core.order import Behind, Port, cycles, find_cycle
-from cosim.core.signals import Channel, Interface, Layout
+from cosim.core.fixed_point import Candidate, SingularError, iterate, measure, newton, newton_step
+from cosim.core.order import Dependencies, Sources, cycles, find_cycle
+from cosim.core.port import Port
+from cosim.core.signals import Channel, Interface, Layout, Signal
 from cosim.errors import GraphError
 
-SWEEPS: Final = 100  # of a circle with discrete signals, beyond one a port
-
-Columns: TypeAlias = NDArray[np.intp]
+SWEEPS: Final = 100  # of a loop with discrete signals, beyond one for each port
 
 
 @dataclass(frozen=True, slots=True)
-class Circle:
-    """Ports that depend on each other at the start.
+class AlgebraicLoop:
+    """Ports that depend on each other at initialization.
 
     Parameters
     ----------
     order : tuple of Port
         In the order of a sweep; the torn inputs come last.
-    torn : tuple of str
+    torn : tuple of Port
         The torn inputs, named once for each of their elements.
     columns : integer array
         Of these elements, in the row.
@@ -61,91 +65,86 @@ class Circle:
     """
 
     order: tuple[Port, ...]
-    torn: tuple[str, ...]
-    columns: Columns
+    torn: tuple[Port, ...]
+    columns: NDArray[np.intp]
     optional: Mask
     discrete: bool
     path: str
 
 
 class InitialValues:
-    """The order in which a graph starts, fixed by its structure.
+    """The order in which a graph is initialized, fixed by its structure.
 
     Parameters
     ----------
     layout : Layout
     members : mapping of component name to Member
-    sources : mapping of component name to mapping of input to Port
+    sources : mapping of component name to mapping of input to tuple of Port
         What drives each input.
     """
 
-    def __init__(
-        self,
-        layout: Layout,
-        members: Mapping[str, Member],
-        sources: Mapping[str, Mapping[str, Port]],
-    ) -> None:
-        self.layout, self.members = layout, members
-        self.columns = {
-            (c.name, signal.name): columns
-            for c in layout.channels
-            for signal, columns in c.signal_columns()
-        }
-        self.wires = {port: wire for port, wire in _wires(layout, members)}
-        behind = _behind(layout.channels, sources)
-        cycle_of, groups = cycles(behind), dict[Port, list[Port]]()
-        for port, circle in cycle_of.items():
-            groups.setdefault(circle, []).append(port)
-        between = {
-            circle: {cycle_of[b] for p in ports for b in behind[p]} - {circle}
-            for circle, ports in groups.items()
-        }
-        self.order = [
-            port if len(groups[port]) == 1 else self._circle(sorted(groups[port]), behind)
-            for port in _inputs_first(between, self.wires.keys())
-        ]
-        in_circles = {
-            port for step in self.order if isinstance(step, Circle) for port in step.order
-        }
-        self.last = [
-            port for port in self.columns if port not in self.wires and port not in in_circles
-        ]
+    def __init__(self, layout: Layout, members: Mapping[str, Member], sources: Sources) -> None:
+        self.layout = layout
+        self.members = members
+        self.columns: dict[Port, slice] = {}
+        self._signals: dict[Port, Signal] = {}
+        for channel in layout.channels:
+            for signal, columns in channel.signal_columns():
+                port = Port(channel.name, signal.name)
+                self.columns[port] = columns
+                self._signals[port] = signal
+        self.wires = dict(_wires(layout, members))
+        self.order = self._ordered(_dependencies(layout.channels, sources))
+        self.last = self._not_ordered()
 
-    def _circle(self, ports: list[Port], behind: Behind) -> Circle:
+    def _ordered(self, dependencies: Dependencies) -> list[Port | AlgebraicLoop]:
+        """Return ports and algebraic loops in the order in which they can be computed."""
+        group_of = cycles(dependencies)
+        groups: dict[Port, list[Port]] = {}
+        for port, group in group_of.items():
+            groups.setdefault(group, []).append(port)
+        between: dict[Port, set[Port]] = {}
+        for group, ports in groups.items():
+            needed = set[Port]()
+            for port in ports:
+                needed.update(group_of[other] for other in dependencies[port])
+            between[group] = needed - {group}
+        order: list[Port | AlgebraicLoop] = []
+        for group in _inputs_first(between, self.wires.keys()):
+            ports = groups[group]
+            if len(ports) == 1:
+                order.append(group)
+            else:
+                order.append(self._algebraic_loop(sorted(ports), dependencies))
+        return order
+
+    def _not_ordered(self) -> list[Port]:
+        """Return the outputs outside every loop: they are written again at the end of a round."""
+        in_loops: set[Port] = set()
+        for step in self.order:
+            if isinstance(step, AlgebraicLoop):
+                in_loops.update(step.order)
+        return [port for port in self.columns if port not in self.wires and port not in in_loops]
+
+    def _algebraic_loop(self, ports: list[Port], dependencies: Dependencies) -> AlgebraicLoop:
         interfaces = {channel.name: channel.interface for channel in self.layout.channels}
-        inside: dict[Port, list[Port]] = {
-            port: sorted(set(behind[port]) & set(ports)) for port in ports
-        }
-        path, torn = find_cycle(inside), []
-        while circle := find_cycle(inside):
-            torn.append(_weakest(circle, interfaces))
-            inside[torn[-1]] = []
-        torn.sort()
-        signals = {
-            (c.name, s.name): s
-            for c in self.layout.channels
-            for s in c.signals
-            if (c.name, s.name) in inside
-        }
-        return Circle(
-            order=(
-                *(port for port in TopologicalSorter(inside).static_order() if port not in torn),
-                *torn,
-            ),
-            torn=tuple(_name(port) for port in torn for _ in range(signals[port].size)),
-            columns=np.concatenate(
-                [np.arange(self.layout.width)[self.columns[port]] for port in torn]
-            ),
-            optional=np.repeat(
-                [signals[port].optional for port in torn], [signals[port].size for port in torn]
-            ),
-            discrete=any(
-                signal.kind != "real" or signal.variability == "discrete"
-                for signal in signals.values()
-            ),
-            path=" -> ".join(map(_name, path))
-            if set(path) == set(ports)
-            else ", ".join(map(_name, ports)),
+        members = set(ports)
+        inside = {port: sorted(members.intersection(dependencies[port])) for port in ports}
+        path = find_cycle(inside)
+        torn = _tear(inside, interfaces)
+        sweep = [port for port in TopologicalSorter(inside).static_order() if port not in torn]
+        sizes = [self._signals[port].size for port in torn]
+        elements: list[Port] = []
+        for port, size in zip(torn, sizes, strict=True):
+            elements += [port] * size
+        all_columns = np.arange(self.layout.width)
+        return AlgebraicLoop(
+            order=(*sweep, *torn),
+            torn=tuple(elements),
+            columns=np.concatenate([all_columns[self.columns[port]] for port in torn]),
+            optional=np.repeat([self._signals[port].optional for port in torn], sizes),
+            discrete=any(_is_discrete(self._signals[port]) for port in ports),
+            path=_path_text(path, ports),
         )
 
     def find(self, t: float, row: Vector) -> None:
@@ -154,199 +153,232 @@ class InitialValues:
         Raises
         ------
         GraphError
-            If a circle has no solution, more than one, or none that was found; if outputs depend on more than their components
-            say, and do not settle all the same.
+            If an algebraic loop has no solution, more than one, or none that was found; if outputs
+            depend on more than their components declare, and keep changing.
         """
         for channel in self.layout.channels:
             for signal in channel.interface.inputs:
-                row[self.columns[channel.name, signal.name]] = signal.start or 0.0
-        values, rounds = _Values(self, t, row), len(self.members) + 2
+                row[self.columns[Port(channel.name, signal.name)]] = signal.start or 0.0
+        values = _Row(self, t, row)
+        rounds = len(self.members) + 2
         for _ in range(rounds):
             before = row.copy()
-            with np.errstate(
-                over="ignore", invalid="ignore", divide="ignore"
-            ):  # what is not finite is named later
-                values.fill()
+            values.fill()
             if before.tobytes() == row.tobytes():
                 return
-        moving = [
-            _name(port)
-            for port, at in self.columns.items()
-            if before[at].tobytes() != row[at].tobytes()
-        ]
+        changing = []
+        for port, columns in self.columns.items():
+            if before[columns].tobytes() != row[columns].tobytes():
+                changing.append(str(port))
         raise GraphError(
-            f"initial values do not settle: {', '.join(moving)} still change after {rounds} rounds; an output there depends at "
-            "the start on an input that its component does not declare (FMI: InitialUnknowns); declare it, or none at all"
+            f"initial values do not settle: {', '.join(changing)} still change after {rounds} "
+            "rounds; an output there depends at initialization on an input that its component does "
+            "not declare (FMI: InitialUnknowns); declare it, or none at all"
         )
 
 
-class _Values:
-    """The first row while it is found, and what each component was last initialized with."""
+class _Row:
+    """The first row while it is computed, and what each component was last initialized with."""
 
-    def __init__(self, start: InitialValues, t: float, row: Vector) -> None:
-        self._start, self._t, self._row = start, t, row
-        self._last: dict[str, tuple[bytes, Vector]] = {}
+    def __init__(self, plan: InitialValues, t: float, row: Vector) -> None:
+        self._plan = plan
+        self._t = t
+        self._row = row
+        self._initialized: dict[str, tuple[bytes, Vector]] = {}
         self._solved: set[str] = set()
 
     def fill(self) -> None:
-        """Go once along the order; in the end no component has inputs that it was not initialized with."""
-        for step in self._start.order:
-            if isinstance(step, Circle):
+        """Compute every port once, in order; then no component has inputs that it was not given."""
+        for step in self._plan.order:
+            if isinstance(step, AlgebraicLoop):
                 self._solve(step)
             else:
-                self._take(step)
-        for port in self._start.last:
-            self._take(port)
-        for name in self._start.members:
-            self._initialized(name)
+                self._update(step)
+        for port in self._plan.last:
+            self._update(port)
+        for name in self._plan.members:
+            self._initialize(name)
 
-    def _take(self, port: Port) -> None:
-        """Bring an input up to date, or an output."""
-        if port in self._start.wires:
-            self._start.wires[port].copy(self._row[np.newaxis], slice(0, 1))
+    def _update(self, port: Port) -> None:
+        """Bring an input or an output up to date."""
+        if port in self._plan.wires:
+            rows = self._row[np.newaxis]
+            for wire in self._plan.wires[port]:
+                wire.copy(rows, slice(0, 1))
             return
-        columns, first = self._start.columns[port], self._start.members[port[0]].outputs.start
-        self._row[columns] = self._initialized(port[0])[
-            columns.start - first : columns.stop - first
-        ]
+        columns = self._plan.columns[port]
+        first = self._plan.members[port.component].outputs.start
+        y = self._initialize(port.component)
+        self._row[columns] = y[columns.start - first : columns.stop - first]
 
-    def _initialized(self, name: str) -> Vector:
-        """Give the outputs of a component that is initialized with its inputs as they are now."""
-        member = self._start.members[name]
+    def _initialize(self, name: str) -> Vector:
+        """Return the outputs of a component, initialized with its inputs as they are now."""
+        member = self._plan.members[name]
         u = self._row[member.inputs].copy()
         bits = u.tobytes()
-        if name not in self._last or self._last[name][0] != bits:
-            self._last[name] = bits, np.array(member.component.initialize(self._t, u))
-        return self._last[name][1]
+        if name not in self._initialized or self._initialized[name][0] != bits:
+            y = np.array(member.component.initialize(self._t, u))
+            self._initialized[name] = bits, y
+        return self._initialized[name][1]
 
-    # --- circles ---
+    # --- algebraic loops ---
 
-    def _solve(self, circle: Circle) -> None:
+    def _solve(self, loop: AlgebraicLoop) -> None:
+        """Solve a loop, unless what it depends on is as it was when it was solved."""
+
         def sweep(v: Vector) -> Vector:
-            self._row[circle.columns] = v
-            for port in circle.order:
-                self._take(port)
-            return self._row[circle.columns].copy()
+            self._row[loop.columns] = v
+            for port in loop.order:
+                self._update(port)
+            return self._row[loop.columns].copy()
 
-        kept, v = self._row.copy(), self._row[circle.columns].copy()
-        if circle.path in self._solved:
+        before = self._row.copy()
+        v = self._row[loop.columns].copy()
+        if loop.path in self._solved:
             sweep(v)
-            if self._unmoved(circle, kept):
-                self._row[:] = kept
+            if self._is_solved(loop, before):
+                self._row[:] = before
                 return
-        self._solved.add(circle.path)
-        found = settle(sweep, v, len(circle.order) + (SWEEPS if circle.discrete else 0))
+        self._solved.add(loop.path)
+        limit = len(loop.order) + (SWEEPS if loop.discrete else 0)
+        iterated = iterate(sweep, v, limit)
         try:
-            if circle.discrete:
-                found = _need_settled(circle, found)
-            elif found is None or (np.isnan(found) & ~circle.optional).any():
-                found = _need_small(circle, newton(sweep, v, lambda: self._largest(circle)))
-            elif np.isfinite(found).all():
-                newton_step(sweep, found, found)
+            if loop.discrete:
+                solution = _need_fixed_point(loop, iterated)
+            elif iterated is None or (np.isnan(iterated) & ~loop.optional).any():
+                candidate = newton(sweep, v, lambda: self._largest(loop))
+                solution = _need_small_residual(loop, candidate)
+            else:
+                solution = iterated
+                if np.isfinite(solution).all():
+                    newton_step(sweep, solution, solution)  # only to see that 1 - w' is regular
         except SingularError as error:
-            text = f"1 - w' is singular, with a {_residual(circle, judge(v, sweep(v), self._largest(circle)))}"
-            raise GraphError(_unsolved(circle, text)) from error
-        sweep(found)
+            residual = _residual_text(loop, measure(v, sweep(v), self._largest(loop)))
+            raise _unsolved(loop, f"1 - w' is singular, with a {residual}") from error
+        sweep(solution)
 
-    def _largest(self, circle: Circle) -> float:
-        """Give the largest value among the components of a circle."""
-        values = np.concatenate(
-            [self._row[self._start.layout[name].columns] for name, _ in circle.order]
-        )
+    def _largest(self, loop: AlgebraicLoop) -> float:
+        """Return the largest value among the components of a loop."""
+        parts = [self._row[self._plan.layout[port.component].columns] for port in loop.order]
+        values = np.concatenate(parts)
         return float(np.abs(values[np.isfinite(values)]).max(initial=0.0))
 
-    def _unmoved(self, circle: Circle, kept: Vector) -> bool:
-        """Say whether a sweep gave again what is there: nothing that the circle depends on has changed."""
-        columns = np.concatenate(
-            [
-                np.arange(self._start.layout.width)[self._start.columns[port]]
-                for port in circle.order
-            ]
-        )
-        return judge(kept[columns], self._row[columns], self._largest(circle)).excess <= 1.0
+    def _is_solved(self, loop: AlgebraicLoop, before: Vector) -> bool:
+        """Return whether a sweep gave the values of ``before`` again."""
+        all_columns = np.arange(self._plan.layout.width)
+        columns = np.concatenate([all_columns[self._plan.columns[port]] for port in loop.order])
+        return measure(before[columns], self._row[columns], self._largest(loop)).excess <= 1.0
 
 
-def _need_settled(circle: Circle, found: Vector | None) -> Vector:
-    if found is None:
-        sweeps = len(circle.order) + SWEEPS
-        raise GraphError(
-            _unsolved(
-                circle,
-                f"with a discrete signal among them, and still changing after {sweeps} sweeps",
-            )
-        )
-    return found
+def _need_fixed_point(loop: AlgebraicLoop, solution: Vector | None) -> Vector:
+    if solution is None:
+        sweeps = len(loop.order) + SWEEPS
+        reason = f"with a discrete signal among them, and still changing after {sweeps} sweeps"
+        raise _unsolved(loop, reason)
+    return solution
 
 
-def _need_small(circle: Circle, found: Found) -> Vector:
-    if not found.excess <= 1.0:
-        raise GraphError(
-            _unsolved(circle, f"Newton's method ended with a {_residual(circle, found)}")
-        )
-    return found.v
+def _need_small_residual(loop: AlgebraicLoop, candidate: Candidate) -> Vector:
+    if not candidate.excess <= 1.0:
+        residual = _residual_text(loop, candidate)
+        raise _unsolved(loop, f"Newton's method ended with a {residual}")
+    return candidate.v
 
 
-def _wires(layout: Layout, members: Mapping[str, Member]) -> Iterable[tuple[Port, Wire]]:
+def _wires(
+    layout: Layout, members: Mapping[str, Member]
+) -> Iterator[tuple[Port, tuple[Wire, ...]]]:
     for channel in layout.channels:
-        for signal, wire in zip(channel.interface.inputs, members[channel.name].wires, strict=True):
-            yield (channel.name, signal.name), wire
+        wires = members[channel.name].wires
+        for signal, wires_of_input in zip(channel.interface.inputs, wires, strict=True):
+            yield Port(channel.name, signal.name), wires_of_input
 
 
-def _behind(
-    channels: Iterable[Channel], sources: Mapping[str, Mapping[str, Port]]
-) -> dict[Port, tuple[Port, ...]]:
-    """Give the ports that each port depends on directly at the start."""
-    behind: dict[Port, tuple[Port, ...]] = {}
-    for c in channels:
-        behind |= {(c.name, signal): (source,) for signal, source in sources[c.name].items()}
-        behind |= {
-            (c.name, o.name): tuple((c.name, i) for i in c.interface.feeds_at_start(o.name))
-            for o in c.interface.outputs
-        }
-    return behind
+def _dependencies(channels: Iterable[Channel], sources: Sources) -> Dependencies:
+    """Return the ports that each port depends on directly at initialization."""
+    dependencies: dict[Port, tuple[Port, ...]] = {}
+    for channel in channels:
+        name = channel.name
+        for signal, ports in sources[name].items():
+            dependencies[Port(name, signal)] = ports
+        for output in channel.interface.outputs:
+            inputs = channel.interface.feeds_at_start(output.name)
+            dependencies[Port(name, output.name)] = tuple(Port(name, signal) for signal in inputs)
+    return dependencies
 
 
-def _inputs_first(behind: Behind, inputs: Collection[Port]) -> Iterable[Port]:
-    """Order ports by what they depend on, inputs as early as can be, so that components are initialized as seldom as can be."""
-    sorter, later = TopologicalSorter(behind), list[Port]()
+def _inputs_first(dependencies: Dependencies, inputs: Collection[Port]) -> Iterator[Port]:
+    """Yield ports after what they depend on, inputs as early as possible.
+
+    So components are initialized as seldom as possible: an output waits until all inputs that can
+    be known before it are known.
+    """
+    sorter = TopologicalSorter(dependencies)
+    waiting: list[Port] = []
     sorter.prepare()
     while sorter.is_active():
         ready = sorter.get_ready()
-        now = [port for port in ready if port in inputs]
-        later += [port for port in ready if port not in inputs]
-        if not now:
-            now, later = later, []
-        yield from now
-        sorter.done(*now)
+        batch = [port for port in ready if port in inputs]
+        waiting += [port for port in ready if port not in inputs]
+        if not batch:
+            batch = waiting
+            waiting = []
+        yield from batch
+        sorter.done(*batch)
 
 
-def _weakest(circle: list[Port], interfaces: Mapping[str, Interface]) -> Port:
-    """Choose the input where a circle is torn: feedthrough that is unknown, else at the start only, else the first by name."""
+def _tear(inside: dict[Port, list[Port]], interfaces: Mapping[str, Interface]) -> list[Port]:
+    """Tear cycles at inputs until there is none; return these inputs. ``inside`` is cut there."""
+    torn = []
+    while cycle := find_cycle(inside):
+        port = _weakest(cycle, interfaces)
+        torn.append(port)
+        inside[port] = []
+    return sorted(torn)
+
+
+def _weakest(cycle: list[Port], interfaces: Mapping[str, Interface]) -> Port:
+    """Return the input at which a cycle is torn.
+
+    Its feedthrough is unknown, else there at initialization only; among equals, the first by name.
+    """
     ranked = []
-    for (name, signal), (other, output) in pairwise(circle):
-        face = interfaces[name]
-        if (
-            other == name
-            and signal in (i.name for i in face.inputs)
-            and output in (o.name for o in face.outputs)
-        ):
-            unknown = face.initial.get(output, face.feedthrough.get(output, ())) is None
-            ranked.append(
-                (0 if unknown else 1 if signal not in face.feeds(output) else 2, (name, signal))
-            )
+    for port, following in pairwise(cycle):
+        interface = interfaces[port.component]
+        is_input = port.signal in (signal.name for signal in interface.inputs)
+        if following.component == port.component and is_input:
+            ranked.append((_strength(interface, port.signal, following.signal), port))
     return min(ranked)[1]
 
 
-def _name(port: Port) -> str:
-    return ".".join(port)
+def _strength(interface: Interface, signal: str, output: str) -> int:
+    """Rank how an output depends on an input: unknown, at initialization only, directly."""
+    direct = interface.feedthrough.get(output, ())
+    if interface.initial.get(output, direct) is None:
+        return 0
+    return 2 if signal in interface.feeds(output) else 1
 
 
-def _residual(circle: Circle, found: Found) -> str:
-    return f"residual of {found.residual:.3g} at {circle.torn[found.element]!r}, needed at most {found.needed:.3g}"
+def _is_discrete(signal: Signal) -> bool:
+    return signal.kind != "real" or signal.variability == "discrete"
 
 
-def _unsolved(circle: Circle, why: str) -> str:
-    return (
-        f"no initial values for {circle.path}, which depend on each other at the start: {why}; give a component among them a "
-        "start of its own, such as a lag with start or a delay with initial, or other start values"
+def _path_text(path: list[Port], ports: list[Port]) -> str:
+    """Return the ports of a loop as one cycle, or as a list where one cycle does not hold all."""
+    if set(path) == set(ports):
+        return " -> ".join(map(str, path))
+    return ", ".join(map(str, ports))
+
+
+def _residual_text(loop: AlgebraicLoop, candidate: Candidate) -> str:
+    port = loop.torn[candidate.element]
+    residual = f"residual of {candidate.residual:.3g} at '{port}'"
+    return f"{residual}, needed at most {candidate.tolerance:.3g}"
+
+
+def _unsolved(loop: AlgebraicLoop, reason: str) -> GraphError:
+    return GraphError(
+        f"no initial values for {loop.path}, which depend on each other at initialization: "
+        f"{reason}; give a component among them a start of its own, such as a lag with start or a "
+        "delay with initial, or other start values"
     )

@@ -1,12 +1,12 @@
-"""Solvers: how a model's state moves over one communication step.
+"""Linear models, and their exact solver.
 
-``exact`` is the discretization of a linear model for straight-line inputs, by the matrix exponential: no error but rounding. The
-others integrate any model, and run on over communication points: see :class:`Solver`.
+The solver discretizes a model for inputs that are interpolated linearly between communication
+points, by the matrix exponential: there is no error but rounding.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.contracts import Design
@@ -39,13 +39,15 @@ class LinearModel:
     Xu: Matrix
 
     def __post_init__(self) -> None:
-        n, m, p = len(self.states), self.interface.n_u, self.interface.n_y
-        shapes = {"A": (n, n), "B": (n, m), "C": (p, n), "D": (p, m), "X0": (n,), "Xu": (n, m)}
-        for name, needed in shapes.items():
-            if getattr(self, name).shape != needed:
-                raise GraphError(
-                    f"matrix {name}: found shape {getattr(self, name).shape}, needed {needed}"
-                )
+        n_x = len(self.states)
+        n_u = self.interface.n_u
+        n_y = self.interface.n_y
+        _check_shape("A", self.A, (n_x, n_x))
+        _check_shape("B", self.B, (n_x, n_u))
+        _check_shape("C", self.C, (n_y, n_x))
+        _check_shape("D", self.D, (n_y, n_u))
+        _check_shape("X0", self.X0, (n_x,))
+        _check_shape("Xu", self.Xu, (n_x, n_u))
 
     @property
     def arrays(self) -> dict[str, Matrix]:
@@ -53,15 +55,15 @@ class LinearModel:
         return {"A": self.A, "B": self.B, "C": self.C, "D": self.D, "X0": self.X0, "Xu": self.Xu}
 
     def initial(self, t: float, u: Vector) -> Vector:
-        """Give the state at the start."""
+        """Return the initial state."""
         return self.X0 + affine([(self.Xu, u)])
 
     def derivatives(self, t: float, x: Vector, u: Vector) -> Vector:
-        """Give x' = A x + B u."""
+        """Return x' = A x + B u."""
         return affine([(self.A, x), (self.B, u)])
 
     def outputs(self, t: float, x: Vector, u: Vector) -> Vector:
-        """Give y = C x + D u."""
+        """Return y = C x + D u."""
         return affine([(self.C, x), (self.D, u)])
 
 
@@ -80,7 +82,8 @@ class DescriptorModel:
     reduced : LinearModel
     algebraic : str
         The output that is z, n_z elements.
-    by_x, by_z, by_u : Matrix, shapes (n_x + n_y + n_z, n_x), (n_x + n_y + n_z, n_z), (n_x + n_y + n_z, n_u)
+    by_x, by_z, by_u : Matrix, shapes (n, n_x), (n, n_z), (n, n_u)
+        n = n_x + n_y + n_z rows.
     """
 
     reduced: LinearModel
@@ -90,19 +93,24 @@ class DescriptorModel:
     by_u: Matrix
 
     def __post_init__(self) -> None:
-        n_x, face = len(self.reduced.states), self.reduced.interface
-        n_z = (
-            face.output_columns()[self.algebraic].stop - face.output_columns()[self.algebraic].start
-        )
-        for name, columns in (("by_x", n_x), ("by_z", n_z), ("by_u", face.n_u)):
-            found, needed = getattr(self, name).shape, (n_x + face.n_y + n_z, columns)
-            if found != needed:
-                raise GraphError(f"matrix {name}: found shape {found}, needed {needed}")
+        interface = self.reduced.interface
+        algebraic = interface.output_columns()[self.algebraic]
+        n_x = len(self.reduced.states)
+        n_z = algebraic.stop - algebraic.start
+        rows = n_x + interface.n_y + n_z
+        _check_shape("by_x", self.by_x, (rows, n_x))
+        _check_shape("by_z", self.by_z, (rows, n_z))
+        _check_shape("by_u", self.by_u, (rows, interface.n_u))
 
     @property
     def arrays(self) -> dict[str, Matrix]:
         """The numbers of the descriptor form by name."""
         return {"by_x": self.by_x, "by_z": self.by_z, "by_u": self.by_u}
+
+
+def _check_shape(name: str, matrix: Matrix, needed: tuple[int, ...]) -> None:
+    if matrix.shape != needed:
+        raise GraphError(f"matrix {name}: found shape {matrix.shape}, needed {needed}")
 
 
 class Linear:
@@ -115,20 +123,19 @@ class Linear:
 
     def __init__(self, model: LinearModel) -> None:
         self.model = model
-        self.interface = model.interface
+        self.interface = replace(model.interface, prepares=True, rollback=True)
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Discretize, or take the recorded matrices."""
-        if recorded:
-            arrays = dict(recorded)
-        else:
-            discrete = first_order_hold(self.model.A, self.model.B, h, held)
-            arrays = {**self.model.arrays, "Ad": discrete.Ad, "B0": discrete.B0, "B1": discrete.B1}
+        arrays = dict(recorded) or self._discretized(h, held)
+        discrete = DiscretizedDynamics(arrays["Ad"], arrays["B0"], arrays["B1"])
         self._arrays = arrays
-        self._step: NativeStep = linear_step(
-            DiscretizedDynamics(arrays["Ad"], arrays["B0"], arrays["B1"]), arrays["C"], arrays["D"]
-        )
+        self._step: NativeStep = linear_step(discrete, arrays["C"], arrays["D"])
         return arrays
+
+    def _discretized(self, h: float, held: Mask) -> dict[str, Matrix]:
+        discrete = first_order_hold(self.model.A, self.model.B, h, held)
+        return {**self.model.arrays, "Ad": discrete.Ad, "B0": discrete.B0, "B1": discrete.B1}
 
     @property
     def state(self) -> Vector:
@@ -141,7 +148,7 @@ class Linear:
         return self.outputs(t, u)
 
     def outputs(self, t: float, u: Vector) -> Vector:
-        """Give y = C x + D u."""
+        """Return y = C x + D u."""
         return affine([(self._arrays["C"], self.state), (self._arrays["D"], u)])
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
@@ -160,19 +167,21 @@ class Linear:
 def start_dependencies(
     inputs: Interface, C: Matrix, D: Matrix, Xu: Matrix
 ) -> dict[str, tuple[str, ...]]:
-    """Read off the zeros of C, Xu and D what outputs depend on at the start, where it is more than feeds through."""
-    direct, pattern = feedthrough_of(inputs, D), ((C != 0.0) @ (Xu != 0.0)) | (D != 0.0)
-    return {
-        output: names
-        for output, names in feedthrough_of(inputs, pattern).items()
-        if names != direct[output]
-    }
+    """Return what outputs depend on at initialization, where it is more than feeds through.
+
+    Read off the zeros of C, Xu and D: the initial state follows the inputs by Xu.
+    """
+    direct = feedthrough_of(inputs, D)
+    by_state = (C != 0.0) @ (Xu != 0.0)
+    dependencies = feedthrough_of(inputs, by_state | (D != 0.0))
+    return {output: names for output, names in dependencies.items() if names != direct[output]}
 
 
 def feedthrough_of(inputs: Interface, D: Matrix | Mask) -> dict[str, tuple[str, ...]]:
-    """Read the feedthrough of an interface off the nonzero blocks of D, shape (n_y, n_u)."""
-    columns, rows = inputs.input_columns(), inputs.output_columns()
-    return {
-        output: tuple(name for name, c in columns.items() if D[r, c].any())
-        for output, r in rows.items()
-    }
+    """Return the feedthrough of an interface by the nonzero blocks of D, shape (n_y, n_u)."""
+    columns = inputs.input_columns()
+    feedthrough = {}
+    for output, rows in inputs.output_columns().items():
+        feeding = [name for name, block in columns.items() if D[rows, block].any()]
+        feedthrough[output] = tuple(feeding)
+    return feedthrough

@@ -9,22 +9,22 @@
             stage.advance(block, signals)       # a cascade: one call; a loop: step by step
             a stage that stops early cuts the block for all
             so does the first value that is not finite, before anything downstream sees it
-        recorder.write(block, signals)
+        yield block, signals                    # run: recorder.write(block, signals)
         end there, if something stopped
         row 0 <- the last row
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
 from cosim.arrays import Matrix
 from cosim.core.clock import Clock
-from cosim.core.contracts import Block, Design, Recorder, Stopped
-from cosim.core.graph import Graph, NonFinite
-from cosim.errors import NonFiniteError, RunError
+from cosim.core.contracts import Block, Design, Plan, Recorder, Stopped
+from cosim.core.graph import Graph
+from cosim.errors import RunError
 
 BLOCK_BYTES = 16 * 2**20  # memory for the rows of one block
 
@@ -48,54 +48,57 @@ def run(
     NonFiniteError
         At the first NaN or infinity outside an optional signal; everything before is recorded.
     Stopped
-        If a component cannot go on; everything before is recorded. A regular stop ends the run without an error; its reason is
-        told to the recorder.
+        If a component cannot go on; everything before is recorded. A regular stop ends the run
+        without an error; its reason is recorded.
     """
     try:
-        with (
-            recorder,
-            np.errstate(over="ignore", invalid="ignore", divide="ignore"),
-        ):  # what is not finite is named below
-            recorder.begin(graph.prepare(clock.step_ns, designs))
-            limit = max(1, BLOCK_BYTES // (8 * graph.layout.width + 8))
-            signals = np.zeros((min(limit, clock.steps) + 1, graph.layout.width))
-            graph.initialize(0.0, signals[0])
-            _need_finite_start(graph, signals[:1])
-            for block in clock.blocks(limit):
-                done, end = _advance(graph, block, signals)
-                recorder.write(done, signals[: done.steps + 1])
-                if end is not None:
-                    raise end
-                signals[0] = signals[done.steps]
+        with recorder:
+            plan = graph.prepare(clock.step_ns, designs)
+            recorder.begin(plan)
+            for block, signals in simulate(graph, clock, plan):
+                recorder.write(block, signals)
     except Stopped as stop:
         if stop.failed:
             raise
 
 
+def simulate(
+    graph: Graph, clock: Clock, plan: Plan | None = None
+) -> Iterator[tuple[Block, Matrix]]:
+    """Yield block after block with its rows, shape (K+1, width); row 0 is the last one before.
+
+    Between two blocks the simulation stands still, and nothing more is computed once the iterator
+    is closed. The array is used again: copy what is kept. ``plan`` is what ``graph.prepare`` gave;
+    left out, the graph is prepared here. Raises what :func:`run` raises, after the last block.
+    """
+    if plan is None:
+        graph.prepare(clock.step_ns)
+    limit = max(1, BLOCK_BYTES // (8 * graph.layout.width + 8))
+    signals = np.zeros((min(limit, clock.steps) + 1, graph.layout.width))
+    graph.initialize(0.0, signals[0])
+    for block in clock.blocks(limit):
+        reached, error = _advance(graph, block, signals)
+        yield reached, signals[: reached.steps + 1]
+        if error is not None:
+            raise error
+        signals[0] = signals[reached.steps]
+
+
+# What is not finite is named by the check; numpy's warnings would say the same without a name.
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def _advance(graph: Graph, block: Block, signals: Matrix) -> tuple[Block, RunError | None]:
-    """Advance stage after stage; give the block as far as all of them came, and what ended it there."""
-    end: RunError | None = None
+    """Advance stage after stage; return the block that all completed, and the error that cut it."""
+    error: RunError | None = None
     for stage in graph.stages:
         try:
             stage.advance(block, signals[: block.steps + 1])
         except Stopped as stop:
-            end, block = stop, block.cut(stop.steps)
+            error = stop
+            block = block.cut(stop.steps)
         bad = graph.first_non_finite(stage, signals[1 : block.steps + 1])
         if bad is not None:
-            end, block = _non_finite(bad, float(block.time[bad.row + 1])), block.cut(bad.row)
+            error = bad.error(float(block.time[bad.row + 1]))
+            block = block.cut(bad.row)
         if block.steps == 0:
             break
-    return block, end
-
-
-def _need_finite_start(graph: Graph, signals: Matrix) -> None:
-    for stage in graph.stages:
-        bad = graph.first_non_finite(stage, signals)
-        if bad is not None:
-            raise _non_finite(bad, 0.0)
-
-
-def _non_finite(bad: NonFinite, t: float) -> NonFiniteError:
-    return NonFiniteError(
-        f"{bad.label!r} became {bad.value} at t = {t} s; the log keeps everything before"
-    )
+    return block, error

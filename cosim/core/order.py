@@ -1,13 +1,15 @@
-"""The order in which the components of a loop advance, found from what feeds through.
+"""The order in which the components of a loop advance, derived from what feeds through.
 
-Which inputs are late (:mod:`cosim.core.coupling`) is fixed before the run:
+Which inputs are extrapolated (:mod:`cosim.core.coupling`) is fixed before the run:
 
-* Gauss-Seidel: components advance one after the other, those whose feedthrough inputs are known first.
-* Jacobi: all inputs from inside the loop are late.
+* Gauss-Seidel: components advance one after the other, those whose feedthrough inputs are known
+  first.
+* Jacobi: all inputs from inside the loop are extrapolated.
 
-A circle of outputs that are known to feed through to each other is refused. Feedthrough that is unknown counts as there, except
-where it would close a circle: there it is taken as not there (:class:`UnknownFeedthrough`). If it is there after all, its output has been
-computed with the late input's value from the start of the step.
+An algebraic loop, that is a cycle of outputs that are known to feed through to each other, is
+refused. Unknown feedthrough counts as there, except where it would close a cycle: there it is taken
+as not there (:class:`UnknownFeedthrough`). If it is there after all, its output was computed with
+the extrapolated input, the value from the start of the step.
 """
 
 from __future__ import annotations
@@ -18,32 +20,31 @@ from graphlib import CycleError, TopologicalSorter
 from itertools import pairwise
 from typing import Literal, TypeAlias
 
+from cosim.core.port import Port
 from cosim.core.signals import Interface
 from cosim.errors import AlgebraicLoopError
 
-Port: TypeAlias = tuple[str, str]  # component, signal
-Behind: TypeAlias = Mapping[Port, Collection[Port]]  # the ports that each port depends on directly
-Feeds: TypeAlias = dict[str, tuple[str, ...]]  # the inputs that feed through to each output
+Dependencies: TypeAlias = Mapping[Port, Collection[Port]]  # what each port depends on directly
+Feedthrough: TypeAlias = dict[str, tuple[str, ...]]  # the inputs that feed through to each output
+Sources: TypeAlias = Mapping[str, Mapping[str, tuple[Port, ...]]]  # of each input, by component
 OperationKind: TypeAlias = Literal["advance", "refresh"]
 Operation: TypeAlias = tuple[OperationKind, str]
 
 
 @dataclass(frozen=True, slots=True)
 class UnknownFeedthrough:
-    """Feedthrough of a component that is unknown, and was taken as not there because it would close a circle."""
+    """Unknown feedthrough of a component, taken as not there because it would close a cycle."""
 
     component: str
     outputs: tuple[str, ...]
     inputs: tuple[str, ...]
 
     def __str__(self) -> str:
-        outputs, inputs = (
-            _some([f"{self.component}.{name}" for name in names])
-            for names in (self.outputs, self.inputs)
-        )
+        outputs = _first_names(self.component, self.outputs)
+        inputs = _first_names(self.component, self.inputs)
         return (
-            f"{outputs} may depend directly on {inputs} (the FMU does not say): taken as not feeding through; if it does, the "
-            "loop is solved with the value of the step before"
+            f"{outputs} may depend directly on {inputs} (the FMU does not say): taken as not "
+            "feeding through; if it does, the loop is solved with the value of the step before"
         )
 
 
@@ -54,191 +55,219 @@ class LoopOrder:
     Parameters
     ----------
     operations : tuple of Operation
-    late : mapping of component name to frozenset of str
+    extrapolated : mapping of component name to frozenset of str
         Inputs that are known only after the component has advanced.
-    doubts : tuple of UnknownFeedthrough
+    unknown : tuple of UnknownFeedthrough
     """
 
     operations: tuple[Operation, ...]
-    late: Mapping[str, frozenset[str]]
-    doubts: tuple[UnknownFeedthrough, ...]
+    extrapolated: Mapping[str, frozenset[str]]
+    unknown: tuple[UnknownFeedthrough, ...]
 
 
-def order_loop(
-    interfaces: Mapping[str, Interface], sources: Mapping[str, Mapping[str, Port]], *, jacobi: bool
-) -> LoopOrder:
-    """Fix the order of operations in a loop, and which inputs are late.
+def order_loop(interfaces: Mapping[str, Interface], sources: Sources, *, jacobi: bool) -> LoopOrder:
+    """Return the order of operations in a loop, and which inputs are extrapolated.
 
     Parameters
     ----------
     interfaces : mapping of component name to Interface
         The components of the loop.
-    sources : mapping of component name to mapping of input to Port
+    sources : mapping of component name to mapping of input to tuple of Port
         What drives each input; ports of components outside the loop are known from the start.
     jacobi : bool
-        Treat every input from inside the loop as late.
+        Extrapolate every input from inside the loop.
 
     Raises
     ------
     AlgebraicLoopError
-        If outputs are known to feed through to each other in a circle; every port of it is named.
+        If outputs are known to feed through to each other in a cycle; every port of it is named.
     """
-    feeds, doubts = _feedthrough(interfaces, sources)
-    order = _Order(feeds, sources)
+    feedthrough, unknown = _feedthrough(interfaces, sources)
+    order = _Order(feedthrough, sources)
     if jacobi:
-        for name in interfaces:
-            order.advance(name, late=order.inside(name))
-        for name in interfaces:  # outputs that no late input reaches are right already
-            order.known.update(
-                (name, o)
-                for o, inputs in feeds[name].items()
-                if not order.late[name].intersection(inputs)
-            )
-        order.refresh()
+        order.advance_together()
     else:
-        waiting = list(interfaces)
-        while waiting:
-            name = min(waiting, key=order.unknown_feedthrough)
-            waiting.remove(name)
-            order.advance(
-                name, late=frozenset(i for i in order.inside(name) if not order.is_known(name, i))
-            )
-            order.settle(name)
-            order.refresh()
-    return LoopOrder(tuple(order.operations), order.late, doubts)
+        order.advance_in_turn()
+    return LoopOrder(tuple(order.operations), order.extrapolated, unknown)
 
 
 class _Order:
-    """The order of operations of a loop while it is found; ``known``: the outputs at the end of the step that are final."""
+    """The order of operations of a loop while it is built.
 
-    def __init__(
-        self, feeds: Mapping[str, Feeds], sources: Mapping[str, Mapping[str, Port]]
-    ) -> None:
-        self.feeds, self.sources = feeds, sources
-        self.known: set[Port] = set()
+    Attributes
+    ----------
+    final : set of Port
+        The outputs that have their value at the end of the step.
+    """
+
+    def __init__(self, feedthrough: Mapping[str, Feedthrough], sources: Sources) -> None:
+        self.feedthrough = feedthrough
+        self.sources = sources
+        self.final: set[Port] = set()
         self.operations: list[Operation] = []
-        self.late: dict[str, frozenset[str]] = {}
+        self.extrapolated: dict[str, frozenset[str]] = {}
 
-    def inside(self, name: str) -> frozenset[str]:
-        return frozenset(i for i, source in self.sources[name].items() if source[0] in self.feeds)
+    def advance_together(self) -> None:
+        """Advance all components with the values of the step before (Jacobi)."""
+        for name in self.feedthrough:
+            self._advance(name, extrapolated=self._inputs_from_inside(name))
+        # Outputs that no extrapolated input reaches are final already.
+        for name, feedthrough in self.feedthrough.items():
+            for output, inputs in feedthrough.items():
+                if not self.extrapolated[name].intersection(inputs):
+                    self.final.add(Port(name, output))
+        self._refresh()
 
-    def is_known(self, name: str, signal: str) -> bool:
-        source = self.sources[name][signal]
-        return source[0] not in self.feeds or source in self.known
+    def advance_in_turn(self) -> None:
+        """Advance the components one after the other (Gauss-Seidel)."""
+        waiting = list(self.feedthrough)
+        while waiting:
+            # Of equals the first in the file: min keeps the order of the list.
+            name = min(waiting, key=self._count_unknown_feedthrough)
+            waiting.remove(name)
+            inside = self._inputs_from_inside(name)
+            unknown = frozenset(signal for signal in inside if not self._is_known(name, signal))
+            self._advance(name, extrapolated=unknown)
+            self._mark_final(name)
+            self._refresh()
 
-    def unknown_feedthrough(self, name: str) -> int:
-        feeding = {i for inputs in self.feeds[name].values() for i in inputs}
-        return sum(not self.is_known(name, signal) for signal in feeding)
+    def _inputs_from_inside(self, name: str) -> frozenset[str]:
+        inside = set()
+        for signal, ports in self.sources[name].items():
+            if any(port.component in self.feedthrough for port in ports):
+                inside.add(signal)
+        return frozenset(inside)
 
-    def advance(self, name: str, *, late: frozenset[str]) -> None:
-        self.late[name] = late
+    def _is_known(self, name: str, signal: str) -> bool:
+        ports = self.sources[name][signal]
+        inside = [port for port in ports if port.component in self.feedthrough]
+        return self.final.issuperset(inside)
+
+    def _count_unknown_feedthrough(self, name: str) -> int:
+        feeding: set[str] = set()
+        for inputs in self.feedthrough[name].values():
+            feeding.update(inputs)
+        return sum(not self._is_known(name, signal) for signal in feeding)
+
+    def _advance(self, name: str, *, extrapolated: frozenset[str]) -> None:
+        self.extrapolated[name] = extrapolated
         self.operations.append(("advance", name))
 
-    def settle(self, name: str) -> bool:
-        """Take the outputs as known whose feedthrough inputs are; say whether any is new."""
-        ports = {
-            (name, o)
-            for o, inputs in self.feeds[name].items()
-            if all(self.is_known(name, i) for i in inputs)
-        }
-        news = not ports <= self.known
-        self.known |= ports
-        return news
+    def _mark_final(self, name: str) -> bool:
+        """Mark the outputs whose feedthrough inputs are known; return whether any is new."""
+        before = len(self.final)
+        for output, inputs in self.feedthrough[name].items():
+            if all(self._is_known(name, signal) for signal in inputs):
+                self.final.add(Port(name, output))
+        return len(self.final) > before
 
-    def refresh(self) -> None:
-        """Evaluate outputs again wherever late inputs have become known, until there is nothing new."""
+    def _refresh(self) -> None:
+        """Evaluate outputs again where extrapolated inputs became known, until nothing is new."""
         progress = True
         while progress:
             progress = False
-            for name in self.late:
-                if self.settle(name):
+            for name in self.extrapolated:
+                if self._mark_final(name):
                     self.operations.append(("refresh", name))
                     progress = True
 
 
 def _feedthrough(
-    interfaces: Mapping[str, Interface], sources: Mapping[str, Mapping[str, Port]]
-) -> tuple[dict[str, Feeds], tuple[UnknownFeedthrough, ...]]:
-    """Say what feeds through to each output of each component; where that is unknown, all that closes no circle."""
-    known = {
-        n: {o.name: face.feeds(o.name) if face.knows(o.name) else () for o in face.outputs}
-        for n, face in interfaces.items()
-    }
-    circle = find_cycle(_behind(known, sources))
-    if circle:
+    interfaces: Mapping[str, Interface], sources: Sources
+) -> tuple[dict[str, Feedthrough], tuple[UnknownFeedthrough, ...]]:
+    """Return what feeds through to each output; where that is unknown, what closes no cycle.
+
+    Raises
+    ------
+    AlgebraicLoopError
+        If what is known to feed through closes a cycle.
+    """
+    known: dict[str, Feedthrough] = {}
+    possible: dict[str, Feedthrough] = {}
+    for name, interface in interfaces.items():
+        possible[name] = {output.name: interface.feeds(output.name) for output in interface.outputs}
+        known[name] = {
+            output: inputs if interface.knows(output) else ()
+            for output, inputs in possible[name].items()
+        }
+    cycle = find_cycle(_dependencies(known, sources))
+    if cycle:
         raise AlgebraicLoopError(
-            f"{' -> '.join('.'.join(port) for port in circle)}: every output here feeds through; put a component with a state of "
-            "its own between, such as a lag or a delay"
+            f"{' -> '.join(map(str, cycle))}: every output here feeds through; put a component "
+            "with a state of its own between, such as a lag or a delay"
         )
-    feeds = {
-        name: {o.name: face.feeds(o.name) for o in face.outputs}
-        for name, face in interfaces.items()
-    }
-    doubts = []
-    while circle := find_cycle(behind := _behind(feeds, sources)):
-        name = next(
-            a[0]
-            for a, b in pairwise(circle)
-            if a in behind[b] and a[0] == b[0] and not interfaces[a[0]].knows(b[1])
-        )
-        cycle_of, outputs = (
-            cycles(behind),
-            [o for o in feeds[name] if not interfaces[name].knows(o)],
-        )
-        closing = [
-            (o, i)
-            for o in outputs
-            for i in feeds[name][o]
-            if cycle_of[name, i] == cycle_of[name, o]
-        ]
-        for output in outputs:
-            feeds[name][output] = tuple(
-                i for i in feeds[name][output] if (output, i) not in closing
-            )
-        doubts.append(
-            UnknownFeedthrough(
-                name,
-                tuple(dict.fromkeys(o for o, _ in closing)),
-                tuple(dict.fromkeys(i for _, i in closing)),
-            )
-        )
-    return feeds, tuple(doubts)
+    unknown = []
+    dependencies = _dependencies(possible, sources)
+    while cycle := find_cycle(dependencies):
+        name = _unknown_component(cycle, dependencies, interfaces)
+        unknown.append(_cut_unknown(name, possible[name], interfaces[name], dependencies))
+        dependencies = _dependencies(possible, sources)
+    return possible, tuple(unknown)
 
 
-def _behind(
-    feeds: Mapping[str, Feeds], sources: Mapping[str, Mapping[str, Port]]
-) -> dict[Port, list[Port]]:
-    """Give the ports of a loop that each of them follows at once: along connections, and through components."""
-    behind: dict[Port, list[Port]] = {}
-    for name, outputs in feeds.items():
-        behind |= {
-            (name, signal): [source] if source[0] in feeds else []
-            for signal, source in sources[name].items()
-        }
-        behind |= {
-            (name, output): [(name, signal) for signal in inputs]
-            for output, inputs in outputs.items()
-        }
-    return behind
+def _unknown_component(
+    cycle: list[Port], dependencies: Dependencies, interfaces: Mapping[str, Interface]
+) -> str:
+    """Return the first component on a cycle that the cycle passes by unknown feedthrough."""
+    for first, second in pairwise(cycle):
+        inside = first.component == second.component and first in dependencies[second]
+        if inside and not interfaces[first.component].knows(second.signal):
+            return first.component
+    raise AssertionError("a cycle of known feedthrough was refused before")
 
 
-def find_cycle(behind: Behind) -> list[Port]:
-    """Find a circle among ports, each with those it depends on; give it closed, in the direction of the signals, or nothing."""
+def _cut_unknown(
+    name: str, feedthrough: Feedthrough, interface: Interface, dependencies: Dependencies
+) -> UnknownFeedthrough:
+    """Take away the unknown feedthrough of a component that lies on any cycle; return what it is."""
+    cycle_of = cycles(dependencies)
+    cut_outputs: dict[str, None] = {}
+    cut_inputs: dict[str, None] = {}
+    for output, inputs in feedthrough.items():
+        if interface.knows(output):
+            continue
+        cycle = cycle_of[Port(name, output)]
+        closing = [signal for signal in inputs if cycle_of[Port(name, signal)] == cycle]
+        feedthrough[output] = tuple(signal for signal in inputs if signal not in closing)
+        if closing:
+            cut_outputs[output] = None
+            cut_inputs.update(dict.fromkeys(closing))
+    return UnknownFeedthrough(name, tuple(cut_outputs), tuple(cut_inputs))
+
+
+def _dependencies(feedthrough: Mapping[str, Feedthrough], sources: Sources) -> Dependencies:
+    """Return what the ports of a loop depend on directly: by connections, and inside components."""
+    dependencies: dict[Port, list[Port]] = {}
+    for name, outputs in feedthrough.items():
+        for signal, ports in sources[name].items():
+            inside = [port for port in ports if port.component in feedthrough]
+            dependencies[Port(name, signal)] = inside
+        for output, inputs in outputs.items():
+            dependencies[Port(name, output)] = [Port(name, signal) for signal in inputs]
+    return dependencies
+
+
+def find_cycle(dependencies: Dependencies) -> list[Port]:
+    """Return a cycle of ports, closed, in the direction of the signals; empty: there is none."""
     try:
-        TopologicalSorter(behind).prepare()
+        TopologicalSorter(dependencies).prepare()
     except CycleError as error:
         return list(error.args[1])
     return []
 
 
-def cycles(behind: Behind) -> dict[Port, Port]:
-    """Give for every port one that stands for all those it depends on and that depend on it (Tarjan, 1972)."""
+def cycles(dependencies: Dependencies) -> dict[Port, Port]:
+    """Return for every port the one that stands for its strongly connected component.
+
+    R. Tarjan, Depth-first search and linear graph algorithms, SIAM J. Comput. 1 (1972), without
+    recursion: ``path`` is the stack of calls, ``least`` the low link.
+    """
     number: dict[Port, int] = {}
     least: dict[Port, int] = {}
-    found: dict[Port, Port] = {}
+    representative: dict[Port, Port] = {}
     open_ports: list[Port] = []
-    for root in behind:
-        path = [] if root in number else [(root, iter(behind[root]))]
+    for root in dependencies:
+        path = [] if root in number else [(root, iter(dependencies[root]))]
         while path:
             port, edges = path[-1]
             if port not in number:
@@ -246,20 +275,23 @@ def cycles(behind: Behind) -> dict[Port, Port]:
                 open_ports.append(port)
             for other in edges:
                 if other not in number:
-                    path.append((other, iter(behind[other])))
+                    path.append((other, iter(dependencies[other])))
                     break
-                if other not in found:
+                if other not in representative:
                     least[port] = min(least[port], number[other])
             else:
                 path.pop()
                 if path:
-                    least[path[-1][0]] = min(least[path[-1][0]], least[port])
-                while least[port] == number[port] and port not in found:
-                    found[open_ports.pop()] = port
-    return found
+                    caller = path[-1][0]
+                    least[caller] = min(least[caller], least[port])
+                while least[port] == number[port] and port not in representative:
+                    representative[open_ports.pop()] = port
+    return representative
 
 
-def _some(names: list[str], most: int = 6) -> str:
-    """List the first names, and how many more there are."""
+def _first_names(component: str, signals: Collection[str], most: int = 6) -> str:
+    """Return the first ports in words, and how many more there are."""
+    names = [f"{component}.{signal}" for signal in signals]
+    shown = ", ".join(names[:most])
     more = len(names) - most
-    return ", ".join(names) if more <= 0 else f"{', '.join(names[:most])} and {more} more"
+    return shown if more <= 0 else f"{shown} and {more} more"

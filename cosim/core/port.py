@@ -6,8 +6,8 @@
     plant.x_a[1]      one element of it, numbered from 0
     plant.x_a[0:2]    some of its elements, the end not included, as in Python
 
-A signal may have a name of its own that looks like that of an element, such as the FMI variable ``x[1]``: where a component has
-it, it comes first.
+A signal may have a name of its own that looks like that of an element, such as the FMI variable
+``x[1]``: where a component has it, it comes first.
 """
 
 from __future__ import annotations

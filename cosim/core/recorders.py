@@ -1,6 +1,6 @@
-"""Recorders: one that keeps everything in memory and is the recording afterwards, one that keeps nothing, one that watches.
+"""Recorders: Memory keeps a run and is its recording, Nothing keeps nothing, Watched watches.
 
-And what a recorder learns of the end of a run.
+Also: how a run ended, and how recorded signals are found by their names.
 """
 
 from __future__ import annotations
@@ -9,46 +9,57 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from types import TracebackType
-from typing import Any, Literal, Self
+from typing import Any, Literal, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Nanoseconds
-from cosim.core.contracts import Block, Plan, Recorder, Stopped
+from cosim.core.contracts import Block, MessageLevel, Plan, Recorder, Stopped
+from cosim.core.port import Port
 from cosim.core.signals import Channel
-from cosim.errors import Interrupted, LogError, nearest
+from cosim.errors import GraphError, Interrupted, LogError, nearest
 
 
 def find_signal(
-    channels: Mapping[str, Channel], signal: str, *, source: str
+    channels: Mapping[str, Channel], signal: str | Port, *, source: str
 ) -> tuple[Channel, slice]:
-    """Find a recorded ``component.signal``: its channel and its columns in the row.
+    """Return the channel of a recorded signal, or of elements of it, and its columns in the row.
 
     Parameters
     ----------
     channels : mapping of component name to Channel
-    signal : str
-        The first dot ends the component's name; the signal's own may have more.
+    signal : str or Port
+        ``component.signal``, ``component.signal[1]`` or ``component.signal[0:2]``.
     source : str
         What was recorded to, for the message.
 
     Raises
     ------
     LogError
-        If there is no such component or signal; names the nearest.
+        If there is no such component, signal or element; names the nearest.
     """
-    name, _, wanted = signal.partition(".")
-    channel = find_channel(channels, name, source=source)
-    for found, columns in channel.signal_columns():
-        if found.name == wanted:
-            return channel, columns
-    known = nearest(wanted, [found.name for found in channel.signals])
-    raise LogError(f"{source} has no {signal!r}: {name!r} has no signal {wanted!r}; {known}")
+    try:
+        port = signal if isinstance(signal, Port) else Port.parse(signal)
+        channel = find_channel(channels, port.component, source=source)
+        match = port.find(channel.signals)
+    except GraphError as error:
+        raise LogError(f"{source}: {error}") from error
+    if match is None:
+        suggestion = nearest(port.signal, [known.name for known in channel.signals])
+        raise LogError(
+            f"{source} has no '{port}': {port.component!r} has no signal {port.signal!r}; "
+            f"{suggestion}"
+        )
+    meant, elements = match
+    for known, columns in channel.signal_columns():
+        if known is meant:
+            return channel, slice(columns.start + elements.start, columns.start + elements.stop)
+    raise AssertionError("the signal was found among those of the channel")
 
 
 def find_channel(channels: Mapping[str, Channel], component: str, *, source: str) -> Channel:
-    """Find a recorded component.
+    """Return a recorded component.
 
     Raises
     ------
@@ -56,20 +67,21 @@ def find_channel(channels: Mapping[str, Channel], component: str, *, source: str
         If there is none of that name; names the nearest.
     """
     if component not in channels:
-        raise LogError(f"{source} has no component {component!r}; {nearest(component, channels)}")
+        suggestion = nearest(component, channels)
+        raise LogError(f"{source} has no component {component!r}; {suggestion}")
     return channels[component]
 
 
 @dataclass(frozen=True, slots=True)
 class EndOfRun:
-    """How a run ended, and why; a reason without an error is that of a component that asked for the end."""
+    """How a run ended, and its stop reason; a component that asked for the end gives one too."""
 
     status: Literal["complete", "failed", "interrupted"] = "complete"
     reason: str = ""
 
 
 def end_of_run(error: BaseException | None) -> EndOfRun:
-    """Name how a run ended by what it ended with."""
+    """Return how a run ended by the error that it ended with."""
     match error:
         case None:
             return EndOfRun()
@@ -81,15 +93,33 @@ def end_of_run(error: BaseException | None) -> EndOfRun:
             return EndOfRun("failed", str(error) or type(error).__name__)
 
 
+class RunMessage(NamedTuple):
+    """A message of a run, or of a component in it."""
+
+    time_ns: int
+    level: MessageLevel
+    source: str
+    text: str
+
+
 class Memory:
-    """Keeps every row of a run in memory; implements Recorder and Recording."""
+    """Keeps every row of a run in memory; implements Recorder and Recording.
+
+    Attributes
+    ----------
+    messages : list of RunMessage
+    results : dict
+        What was recorded of the end of the run.
+    """
 
     def __init__(self, metadata: Mapping[str, Any] | None = None) -> None:
         self.metadata: Mapping[str, Any] = metadata or {}
+        self.messages: list[RunMessage] = []
+        self.results: dict[str, Any] = {}
         self._rows: list[Matrix] = []
         self._times: list[Nanoseconds] = []
         self._steps: list[NDArray[np.int64]] = []
-        self._outcome = EndOfRun()
+        self._end = EndOfRun()
 
     def __enter__(self) -> Self:
         return self
@@ -100,10 +130,10 @@ class Memory:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self._outcome = end_of_run(error)
+        self._end = end_of_run(error)
 
     def begin(self, plan: Plan) -> None:
-        """Learn the layout."""
+        """Keep the layout."""
         self.plan = plan
 
     def write(self, block: Block, signals: Matrix) -> None:
@@ -111,20 +141,28 @@ class Memory:
         first = 0 if block.index == 0 and not self._rows else 1
         if first > block.steps:
             return
-        self.__dict__.pop("_table", None)  # what was read while the run went on
+        self.__dict__.pop("_table", None)  # it was read while the run went on
         self._rows.append(signals[first:].copy())
         self._times.append(block.time_ns[first:].copy())
         self._steps.append(np.arange(block.index + first, block.index + block.steps + 1))
 
+    def message(self, time_ns: int, level: MessageLevel, source: str, text: str) -> None:
+        """Keep a message."""
+        self.messages.append(RunMessage(time_ns, level, source, text))
+
+    def result(self, values: Mapping[str, Any]) -> None:
+        """Keep values of the end of the run."""
+        self.results.update(values)
+
     @property
     def status(self) -> str:
         """How the run ended: ``complete``, ``failed`` or ``interrupted``."""
-        return self._outcome.status
+        return self._end.status
 
     @property
     def reason(self) -> str:
-        """Why it ended so; empty where it came to its end."""
-        return self._outcome.reason
+        """The stop reason; empty where the run came to its end."""
+        return self._end.reason
 
     @property
     def channels(self) -> Mapping[str, Channel]:
@@ -133,28 +171,38 @@ class Memory:
 
     @cached_property
     def _table(self) -> tuple[Matrix, Nanoseconds, NDArray[np.int64]]:
-        none = np.empty(0, np.int64)
-        rows = np.concatenate([np.empty((0, self.plan.layout.width)), *self._rows])
-        return rows, np.concatenate([none, *self._times]), np.concatenate([none, *self._steps])
+        """All rows, their instants [ns] and the numbers of their steps."""
+        no_rows = np.empty((0, self.plan.layout.width))
+        no_numbers = np.empty(0, np.int64)
+        rows = np.concatenate([no_rows, *self._rows])
+        times = np.concatenate([no_numbers, *self._times])
+        steps = np.concatenate([no_numbers, *self._steps])
+        return rows, times, steps
 
-    def _kept(self, channel: Channel) -> NDArray[np.bool_]:
-        kept: NDArray[np.bool_] = self._table[2] % channel.period == 0
+    def _is_kept(self, channel: Channel) -> NDArray[np.bool_]:
+        _, _, steps = self._table
+        kept: NDArray[np.bool_] = steps % channel.period == 0
         return kept
 
-    def __getitem__(self, signal: str) -> NDArray[np.float64]:
-        """Give ``component.signal`` at every recorded row: shape (N,) for size 1, else (N, size)."""
+    def __getitem__(self, signal: str | Port) -> NDArray[np.float64]:
+        """Return a signal at every recorded row: shape (N,) for one element, else (N, size)."""
         channel, columns = find_signal(self.channels, signal, source="the run")
-        values = self._table[0][self._kept(channel), columns]
+        rows, _, _ = self._table
+        values = rows[self._is_kept(channel), columns]
         return values[:, 0] if values.shape[1] == 1 else values
 
     def time_ns(self, component: str) -> Nanoseconds:
-        """Give the instants of a component's rows, shape (N,) [ns]."""
-        return self._table[1][self._kept(find_channel(self.channels, component, source="the run"))]
+        """Return the instants of a component's rows, shape (N,) [ns]."""
+        channel = find_channel(self.channels, component, source="the run")
+        _, times, _ = self._table
+        return times[self._is_kept(channel)]
 
     def time(self, name: str) -> NDArray[np.float64]:
-        """Give the instants of a signal's or component's rows, shape (N,) [s]."""
-        channel = find_signal(self.channels, name, source="the run")[0] if "." in name else None
-        return self.time_ns(channel.name if channel else name) / 1e9
+        """Return the instants of a signal's or component's rows, shape (N,) [s]."""
+        if "." in name:
+            channel, _ = find_signal(self.channels, name, source="the run")
+            return self.time_ns(channel.name) / 1e9
+        return self.time_ns(name) / 1e9
 
     @property
     def end_ns(self) -> int:
@@ -186,9 +234,15 @@ class Nothing:
     def write(self, block: Block, signals: Matrix) -> None:
         """Do nothing."""
 
+    def message(self, time_ns: int, level: MessageLevel, source: str, text: str) -> None:
+        """Do nothing."""
+
+    def result(self, values: Mapping[str, Any]) -> None:
+        """Do nothing."""
+
 
 class Watched:
-    """Hands everything on to another recorder, then says how far the run is.
+    """Passes everything on to another recorder, and reports how far the run is.
 
     Parameters
     ----------
@@ -198,7 +252,11 @@ class Watched:
     """
 
     def __init__(self, recorder: Recorder, reached: Callable[[Block], None]) -> None:
-        self._recorder, self._reached = recorder, reached
+        self._recorder = recorder
+        self._reached = reached
+        self.begin = recorder.begin
+        self.message = recorder.message
+        self.result = recorder.result
 
     def __enter__(self) -> Self:
         self._recorder.__enter__()
@@ -212,11 +270,7 @@ class Watched:
     ) -> None:
         self._recorder.__exit__(kind, error, trace)
 
-    def begin(self, plan: Plan) -> None:
-        """Hand on."""
-        self._recorder.begin(plan)
-
     def write(self, block: Block, signals: Matrix) -> None:
-        """Hand on, then tell."""
+        """Pass on, then report."""
         self._recorder.write(block, signals)
         self._reached(block)

@@ -16,7 +16,7 @@ Role = Literal["input", "output", "state", "estimate"]
 
 @dataclass(frozen=True, slots=True)
 class Signal:
-    """A named vector of real numbers that a component takes or gives.
+    """A named vector of real numbers, input or output of a component.
 
     Parameters
     ----------
@@ -27,8 +27,9 @@ class Signal:
     unit : str or None
         SI unit, ``"1"`` for dimensionless; None: not declared, and so never compared.
     variability : {"continuous", "discrete", "inherited"}
-        Between two communication points a continuous signal is a straight line, a discrete one holds its value from the
-        start of the step. An inherited one is discrete where all inputs of its component are.
+        Between two communication points a continuous signal is interpolated linearly, a discrete
+        one holds its value from the start of the step (zero-order hold). An inherited one is
+        discrete where all inputs of its component are.
     optional : bool
         NaN means "no value yet"; everywhere else it stops the run.
     kind : {"real", "integer", "boolean"}
@@ -38,7 +39,8 @@ class Signal:
     base : BaseUnit or None
         What the unit is in SI, where a definition says so; None: what its name says.
     start : tuple of float
-        Of an input: its elements as long as nothing drives it yet at the start; empty: zeros.
+        Of an input: its initial elements as long as its source has no value; empty: zeros (FMI:
+        start).
     """
 
     name: str
@@ -55,8 +57,9 @@ class Signal:
         if self.size < 1:
             raise GraphError(f"signal {self.name!r}: size {self.size}, needed at least 1")
         if self.start and len(self.start) != self.size:
+            count = len(self.start)
             raise GraphError(
-                f"signal {self.name!r}: {len(self.start)} start values, needed {self.size} or none"
+                f"signal {self.name!r}: {count} start values, needed {self.size} or none"
             )
 
     @property
@@ -72,7 +75,9 @@ class Signal:
     @property
     def elements(self) -> list[str]:
         """Names of the elements: ``y`` for size 1, else ``y[0]``, ``y[1]``, ..."""
-        return [self.name] if self.size == 1 else [f"{self.name}[{i}]" for i in range(self.size)]
+        if self.size == 1:
+            return [self.name]
+        return [f"{self.name}[{i}]" for i in range(self.size)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,25 +88,37 @@ class Interface:
     ----------
     inputs, outputs : tuple of Signal
     feedthrough : mapping of output name to input names or None
-        On which inputs at the same instant an output depends directly (FMI: ModelStructure/Outputs); on none where not named.
-        None: unknown, so possibly on any of them.
+        On which inputs at the same instant an output depends directly (FMI:
+        ModelStructure/Outputs); on none where not named. None: unknown, so possibly on any of them.
     initial : mapping of output name to input names or None
-        The same at the start, where the state may depend on inputs too (FMI: ModelStructure/InitialUnknowns); as feedthrough
-        where not named.
+        The same at initialization, where the state may depend on inputs too (FMI:
+        ModelStructure/InitialUnknowns); as feedthrough where not named.
+    prepares : bool
+        Whether the component has ``prepare`` (:class:`cosim.core.contracts.Preparable`).
+    rollback : bool
+        Whether the component has ``save`` and ``restore`` (:class:`cosim.core.contracts.Rollback`).
     """
 
     inputs: tuple[Signal, ...] = ()
     outputs: tuple[Signal, ...] = ()
     feedthrough: Mapping[str, tuple[str, ...] | None] = field(default_factory=dict)
     initial: Mapping[str, tuple[str, ...] | None] = field(default_factory=dict)
+    prepares: bool = False
+    rollback: bool = False
 
     def __post_init__(self) -> None:
-        names = [signal.name for signal in (*self.inputs, *self.outputs)]
-        twice = sorted({name for name in names if names.count(name) > 1})
-        if twice:
+        names = [signal.name for signal in self.signals]
+        repeated = sorted({name for name in names if names.count(name) > 1})
+        if repeated:
             raise GraphError(
-                f"signal {twice[0]!r} is declared twice in one interface; every signal needs its own name"
+                f"signal {repeated[0]!r} is declared twice in one interface; "
+                "every signal needs its own name"
             )
+
+    @property
+    def signals(self) -> tuple[Signal, ...]:
+        """Inputs, then outputs."""
+        return self.inputs + self.outputs
 
     @property
     def n_u(self) -> int:
@@ -114,31 +131,35 @@ class Interface:
         return sum(signal.size for signal in self.outputs)
 
     def feeds(self, output: str) -> tuple[str, ...]:
-        """Names of the inputs on which ``output`` depends directly, or may depend."""
+        """Return the inputs on which ``output`` depends directly, or may depend."""
         return self._all_if_unknown(self.feedthrough.get(output, ()))
 
     def feeds_at_start(self, output: str) -> tuple[str, ...]:
-        """Names of the inputs on which ``output`` depends at the start, or may depend."""
-        return self._all_if_unknown(self.initial.get(output, self.feedthrough.get(output, ())))
+        """Return the inputs on which ``output`` depends at initialization, or may depend."""
+        direct = self.feedthrough.get(output, ())
+        return self._all_if_unknown(self.initial.get(output, direct))
 
     def knows(self, output: str) -> bool:
-        """Whether it is known on which inputs ``output`` depends directly."""
+        """Return whether it is known on which inputs ``output`` depends directly."""
         return self.feedthrough.get(output, ()) is not None
 
     def _all_if_unknown(self, names: tuple[str, ...] | None) -> tuple[str, ...]:
-        return tuple(signal.name for signal in self.inputs) if names is None else names
+        if names is None:
+            return tuple(signal.name for signal in self.inputs)
+        return names
 
     def input_columns(self) -> dict[str, slice]:
-        """Where each input stands in the input vector."""
+        """Return the columns of each input in the input vector."""
         return _columns(self.inputs)
 
     def output_columns(self) -> dict[str, slice]:
-        """Where each output stands in the output vector."""
+        """Return the columns of each output in the output vector."""
         return _columns(self.outputs)
 
 
 def _columns(signals: tuple[Signal, ...]) -> dict[str, slice]:
-    columns, start = {}, 0
+    columns = {}
+    start = 0
     for signal in signals:
         columns[signal.name] = slice(start, start + signal.size)
         start += signal.size
@@ -172,10 +193,10 @@ class Channel:
     @property
     def signals(self) -> tuple[Signal, ...]:
         """Inputs, then outputs."""
-        return self.interface.inputs + self.interface.outputs
+        return self.interface.signals
 
     def signal_columns(self) -> Iterator[tuple[Signal, slice]]:
-        """Every signal with its columns in the row."""
+        """Yield every signal with its columns in the row."""
         start = self.start
         for signal in self.signals:
             yield signal, slice(start, start + signal.size)
@@ -194,5 +215,5 @@ class Layout:
         return self.channels[-1].columns.stop if self.channels else 0
 
     def __getitem__(self, component: str) -> Channel:
-        """Give the channel of a component."""
+        """Return the channel of a component."""
         return next(channel for channel in self.channels if channel.name == component)
