@@ -14,10 +14,10 @@ import numpy as np
 
 from cosim.arrays import NAN, Mask, Matrix, Vector
 from cosim.core.clock import nanoseconds, seconds
-from cosim.core.contracts import Component, Rollback
+from cosim.core.contracts import Component, Rollback, State, prepare
 
 
-class RollbackComponent(Component, Rollback, Protocol):
+class RollbackComponent(Component, Rollback[State], Protocol[State]):
     """A component that can go back."""
 
 
@@ -69,7 +69,7 @@ def check_component(
 
 
 def check_rollback(
-    make: Callable[[], RollbackComponent],
+    make: Callable[[], RollbackComponent[State]],
     *,
     inputs: Matrix | None = None,
     h: float = 1e-3,
@@ -88,7 +88,7 @@ def check_rollback(
     bench = _Bench(make, inputs, h, steps, seed)
     for k in (0, bench.steps // 2):
         component = make()
-        component.prepare(bench.h, bench.masks()[0], {})
+        prepare(component, bench.h, bench.masks()[0], {})
         component.initialize(float(bench.t[0]), bench.u[0].copy())
         bench.advance(component, 0, k)
         state, now = component.save(), bench.outputs(component, k, bench.u[k])
@@ -122,9 +122,9 @@ def _check_values(bench: _Bench, rows: Matrix) -> None:
 def _check_repeatable(bench: _Bench, held: Mask, expected: Matrix) -> None:
     """Another component, a recorded design, a second start: the same run."""
     component = bench.make()
-    design = component.prepare(bench.h, held, {})
+    design = prepare(component, bench.h, held, {})
     replayed = bench.make()
-    replayed.prepare(bench.h, held, {name: np.array(array) for name, array in design.items()})
+    prepare(replayed, bench.h, held, {name: np.array(array) for name, array in design.items()})
     laws = {
         "a second component repeats the run": component,
         "a component takes its recorded design": replayed,
@@ -206,7 +206,7 @@ def _check_start(bench: _Bench, held: Mask, first: Vector) -> None:
     for name, columns in bench.interface.input_columns().items():
         component, u = bench.make(), bench.u[0].copy()
         u[columns] = bench.perturbed[0, columns]
-        component.prepare(bench.h, held, {})
+        prepare(component, bench.h, held, {})
         y = component.initialize(float(bench.t[0]), u)
         law = f"initialize ignores {name!r}, which is not declared to count at the start"
         bench.compare(law, np.where(bench.fed_at_start(name), first, y), first)
@@ -269,7 +269,7 @@ class _Bench:
     def start(self, held: Mask) -> tuple[Component, Vector]:
         """Give a component at the start, and its outputs there."""
         component = self.make()
-        component.prepare(self.h, held, {})
+        prepare(component, self.h, held, {})
         first = component.initialize(float(self.t[0]), self.u[0].copy())
         return component, self._sized("initialize", first, (self.n_y,))
 

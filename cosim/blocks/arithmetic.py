@@ -6,8 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from cosim.arrays import Mask, Matrix, Vector
-from cosim.core.contracts import Design
+from cosim.arrays import Matrix, Vector
 from cosim.core.signals import Interface, Signal
 from cosim.errors import UsageError
 
@@ -26,10 +25,6 @@ class Static:
     def __init__(self, interface: Interface, function: Callable[[Matrix], Matrix]) -> None:
         self.interface = interface
         self._function = function
-
-    def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
-        """Nothing rests on linear algebra."""
-        return {}
 
     def initialize(self, t: float, u: Vector) -> Vector:
         """Give y(t)."""

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cosim.arrays import Mask, Matrix, Vector
-from cosim.core.contracts import Design
+from cosim.arrays import Matrix, Vector
 from cosim.core.linear import LinearModel
 from cosim.core.signals import Interface, Signal
 from cosim.errors import UsageError
@@ -63,14 +62,13 @@ class Delay:
         self.initial = initial
         follows = {"y": ("u",)} if initial is None else {}
         self.interface = Interface(
-            (Signal("u", size, unit),), (Signal("y", size, unit, "inherited"),), initial=follows
+            (Signal("u", size, unit),),
+            (Signal("y", size, unit, "inherited"),),
+            initial=follows,
+            rollback=True,
         )
         self._size = size
         self._step = delay_step(steps, size)
-
-    def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
-        """Nothing rests on linear algebra."""
-        return {}
 
     def initialize(self, t: float, u: Vector) -> Vector:
         """Fill the line."""

@@ -37,6 +37,8 @@ class LeastSquaresIdentifier:
                 Signal("theta", recovery.n_theta, optional=True, role="estimate"),
                 Signal("eta", recovery.n_eta, optional=True, role="estimate"),
             ),
+            prepares=True,
+            rollback=True,
         )
 
     def constants(self, start: float, *, held: bool) -> LeastSquaresConstants:

@@ -6,8 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cosim.arrays import Mask, Matrix, Vector
-from cosim.core.contracts import Design
+from cosim.arrays import Matrix, Vector
 from cosim.core.signals import Interface, Signal
 from cosim.native.expression import Program
 from cosim.native.step import RegressorConstants
@@ -53,11 +52,8 @@ class Regressor:
             (Signal("delta", role="input"),),
             (Signal("mu", len(terms), optional=True),),
             {"mu": ("delta",)} if 0 in steps else {},
+            rollback=True,
         )
-
-    def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
-        """Nothing rests on linear algebra."""
-        return {}
 
     def initialize(self, t: float, u: Vector) -> Vector:
         """Forget the past."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from cosim.arrays import Mask, Matrix, Vector, as_columns
@@ -34,7 +36,8 @@ class Replay:
                 f"the log has no rows of {component!r}; needed at least the one at t = 0"
             )
         found = channel.interface
-        self.interface = found if inputs else Interface((), found.outputs, {})
+        shown = found if inputs else Interface((), found.outputs, {})
+        self.interface = replace(shown, prepares=True, rollback=False)
         columns = [as_columns(recording[f"{component}.{signal.name}"]) for signal in found.outputs]
         self._rows = (
             np.hstack(columns) if columns else np.zeros((len(recording.time_ns(component)), 0))

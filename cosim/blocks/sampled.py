@@ -8,7 +8,7 @@ import numpy as np
 
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.clock import NANOSECONDS
-from cosim.core.contracts import Component, Design, Stopped
+from cosim.core.contracts import Component, Design, Stopped, prepare
 from cosim.core.signals import Interface
 from cosim.errors import ClockError, RunError
 
@@ -26,6 +26,8 @@ def _held_between(interface: Interface, n: int) -> Interface:
     return replace(
         interface,
         outputs=tuple(replace(signal, variability="discrete") for signal in interface.outputs),
+        prepares=True,
+        rollback=False,
     )
 
 
@@ -50,7 +52,7 @@ class Sampled:
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Prepare the component for its own step."""
-        return self._component.prepare(self._own(h), held | self._hold, recorded)
+        return prepare(self._component, self._own(h), held | self._hold, recorded)
 
     def initialize(self, t: float, u: Vector) -> Vector:
         """Start the component; its first own step begins here."""
@@ -111,7 +113,7 @@ class Decimated:
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Prepare the component."""
-        return self._component.prepare(h, held, recorded)
+        return prepare(self._component, h, held, recorded)
 
     def initialize(self, t: float, u: Vector) -> Vector:
         """Start the component; the first answer is the one at the start."""

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cosim.arrays import Mask, Matrix, Vector, frozen
-from cosim.core.contracts import Design, Stopped
+from cosim.arrays import Matrix, Vector, frozen
+from cosim.core.contracts import Stopped
 from cosim.core.signals import Interface, Signal, SignalType, Variability
 from cosim.errors import UsageError
 from cosim.native.expression import compile_expression
@@ -38,10 +38,6 @@ class Expression:
         self.programs = tuple(compile_expression(text) for text in texts)
         self.interface = Interface(outputs=(Signal("y", len(texts), unit, variability, kind=kind),))
         self._step = expression_step(self.programs)
-
-    def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
-        """Nothing rests on linear algebra."""
-        return {}
 
     def initialize(self, t: float, u: Vector) -> Vector:
         """Give y(t)."""
@@ -150,10 +146,6 @@ class Table:
             outputs=(Signal("y", y.shape[1], unit, "discrete" if hold else "continuous"),)
         )
 
-    def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
-        """Nothing rests on linear algebra."""
-        return {}
-
     def initialize(self, t: float, u: Vector) -> Vector:
         """Give y(t)."""
         return self.outputs(t, u)
@@ -199,10 +191,6 @@ class Noise:
         self.deviation, self.seed, self.size = deviation, seed, size
         self.interface = Interface(outputs=(Signal("y", size, unit, "discrete"),))
         self._last = np.zeros(size)
-
-    def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
-        """Nothing rests on linear algebra."""
-        return {}
 
     def initialize(self, t: float, u: Vector) -> Vector:
         """Begin the sequence anew."""

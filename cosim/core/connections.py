@@ -101,7 +101,7 @@ class Source:
     @property
     def size(self) -> int:
         """Number of elements."""
-        return self.columns.stop - self.columns.start
+        return int(self.columns.stop - self.columns.start)
 
 
 class Ports:

@@ -222,7 +222,7 @@ class Graph:
 
     def _drivers(self, name: str) -> set[str]:
         """Return the components that drive an input of this one."""
-        drivers = set()
+        drivers: set[str] = set()
         for ports in self._sources[name].values():
             drivers.update(port.component for port in ports)
         return drivers
@@ -304,10 +304,10 @@ class Graph:
             return signal.variability
         if name in visited:
             return "discrete"
-        found = set()
+        behind: set[str] = set()
         for ports in self._sources[name].values():
-            found.update(self.variability(port, visited | {name}) for port in ports)
-        return "discrete" if found == {"discrete"} else "continuous"
+            behind.update(self.variability(port, visited | {name}) for port in ports)
+        return "discrete" if behind == {"discrete"} else "continuous"
 
 
 def _check_names(components: Mapping[str, Component]) -> None:

@@ -171,7 +171,7 @@ class InitialValues:
             if before[columns].tobytes() != row[columns].tobytes():
                 changing.append(str(port))
         raise GraphError(
-            f"initial values do not settle: {', '.join(changing)} still change after {rounds} "
+            f"initial values do not converge: {', '.join(changing)} still change after {rounds} "
             "rounds; an output there depends at initialization on an input that its component does "
             "not declare (FMI: InitialUnknowns); declare it, or none at all"
         )

@@ -13,6 +13,7 @@ import numpy as np
 
 from cosim.core.connections import Connection, Ports, unit_reached
 from cosim.core.graph import Graph
+from cosim.core.port import Port
 from cosim.core.signals import Interface, Signal
 from cosim.scenario.build import build
 from cosim.scenario.execution import load
@@ -98,12 +99,14 @@ def _wire_row(graph: Graph, to: str, wire: Connection) -> Section:
     )
     if wire.offset:
         shown += f" {'-' if wire.offset < 0.0 else '+'} {abs(wire.offset)}"
-    ports, conversion = Ports(graph.layout), graph.conversions.get(to)
-    (_, target), (_, source, _) = ports.find(to, "input"), ports.source(wire.source)
+    ports = Ports(graph.layout)
+    conversion = next(iter(graph.conversions.get(Port.parse(to), ())), None)
+    _, target = ports.input(Port.parse(to))
+    source = ports.source(wire.sources[0]).signal
     unit = unit_reached(wire, source, target).name
     return {
         "to": to,
-        "from": wire.source,
+        "from": wire.label,
         "map": None if shown == "v" else shown,
         "unit": unit if conversion is None else f"{unit} -> {target.unit}",
         "conversion": conversion and str(conversion),

@@ -14,6 +14,7 @@ from cosim.core.clock import Clock
 from cosim.core.connections import Connection, check_connections, layout_of
 from cosim.core.contracts import Component, Recording
 from cosim.core.graph import Graph
+from cosim.core.port import Port
 from cosim.errors import CosimError
 from cosim.scenario.context import MessageSource, ScenarioBuildContext
 from cosim.scenario.document import Document, Problem
@@ -144,11 +145,20 @@ def draft(
     context.step_ns = clock.step_ns
     components, periods, missing = context.build_all(problems)
     found = (
-        check_connections(layout_of(components), scenario.connections, missing)
+        check_connections(
+            layout_of(components),
+            {Port.parse(to): wire for to, wire in scenario.connections.items()},
+            missing,
+        )
         if components
         else {}
     )
-    problems += [(("connections", to), text) for to, text in found.items()]
+    reported = {key for key, _ in problems}
+    problems += [
+        (("connections", str(to)), text)
+        for to, text in found.items()
+        if ("connections", str(to)) not in reported
+    ]
     truth, wrong = check_truth(scenario.file, components, missing, context.warn)
     return Draft(
         scenario,
@@ -206,10 +216,9 @@ def upstream(made: Draft, component: str) -> Graph:
     while waiting:
         name = waiting.pop()
         needed.add(name)
-        wires = (
-            wire.source for to, wire in scenario.connections.items() if to.partition(".")[0] == name
-        )
-        waiting += {source.partition(".")[0] for source in wires} - needed
+        for to, wire in scenario.connections.items():
+            if to.partition(".")[0] == name:
+                waiting += {port.component for port in wire.sources} - needed
     components = {name: found for name, found in made.components.items() if name in needed}
     connections = {
         to: wire for to, wire in scenario.connections.items() if to.partition(".")[0] in needed

@@ -13,6 +13,7 @@ from typing import Any, final
 from cosim.arrays import Mask
 from cosim.core.graph import Graph
 from cosim.core.linear import DescriptorModel
+from cosim.core.port import Port
 from cosim.core.signals import Interface
 from cosim.errors import UsageError, nearest
 from cosim.fmi.exporting.export import export
@@ -119,7 +120,7 @@ class _Wiring:
         """Whether outputs that inherit their variability are discrete."""
         face = self._graph.components[self._component].interface
         return all(
-            self._graph.variability(self._component, signal.name) == "discrete"
+            self._graph.variability(Port(self._component, signal.name)) == "discrete"
             for signal in face.outputs
         )
 

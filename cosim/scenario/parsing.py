@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -46,7 +47,7 @@ class Parsed:
     def driver(self, to: str) -> str | None:
         """Give the component that drives an input, ``component.input``."""
         connection = self.connections.get(to)
-        return connection.source.partition(".")[0] if connection is not None else None
+        return connection.sources[0].component if connection is not None else None
 
 
 def read(document: Document) -> tuple[Parsed, Problems]:
@@ -80,7 +81,8 @@ def read(document: Document) -> tuple[Parsed, Problems]:
             wires[to] = Connection(*parts)
         except CosimError as error:
             more.append((("connections", to), str(error)))
-            wires[to] = Connection(parts[0])
+            with suppress(CosimError):
+                wires[to] = Connection(parts[0])
     return Parsed(document, file, specs, wires, tree), [*problems, *more]
 
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from time import perf_counter
 
 from cosim.arrays import Mask, Matrix, Vector
-from cosim.core.contracts import Component, Design
+from cosim.core.contracts import Component, Design, prepare
 
 
 class Timed:
@@ -13,13 +14,13 @@ class Timed:
 
     def __init__(self, component: Component, name: str, seconds: dict[str, float]) -> None:
         self._component, self._name, self._seconds = component, name, seconds
-        self.interface = component.interface
+        self.interface = replace(component.interface, prepares=True, rollback=False)
         seconds[name] = 0.0
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Hand on."""
         began = perf_counter()
-        design = self._component.prepare(h, held, recorded)
+        design = prepare(self._component, h, held, recorded)
         self._seconds[self._name] += perf_counter() - began
         return design
 

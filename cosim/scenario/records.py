@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping
 from dataclasses import asdict
 from types import TracebackType
 from typing import Any, Self
 
 from cosim.arrays import Matrix, Vector
 from cosim.core.contracts import Block, MessageLevel, Plan, Stopped
+from cosim.core.port import Port
 from cosim.errors import Interrupted
 from cosim.log import Attachment, McapRecorder
 from cosim.log.interrupts import uninterrupted
@@ -59,6 +61,14 @@ class MessageRecorder:
         for name, text in self._experiment.warnings:
             self._recorder.message(0, "warning", name, text)
 
+    def message(self, time_ns: int, level: MessageLevel, source: str, text: str) -> None:
+        """Pass on."""
+        self._recorder.message(time_ns, level, source, text)
+
+    def result(self, values: Mapping[str, Any]) -> None:
+        """Pass on."""
+        self._recorder.result(values)
+
     def write(self, block: Block, signals: Matrix) -> None:
         """Tell what was said in this block, and hand on."""
         self._tell()
@@ -101,7 +111,7 @@ def metadata_of(experiment: Experiment) -> dict[str, dict[str, str]]:
             "warnings": json.dumps(experiment.warnings),
         },
         "cosim.connections": {
-            to: json.dumps(_plain(wire, experiment.graph.conversions.get(to)))
+            to: json.dumps(_plain(wire, experiment.graph.conversions.get(Port.parse(to), ())))
             for to, wire in scenario.connections.items()
         },
     }
@@ -114,15 +124,17 @@ def metadata_of(experiment: Experiment) -> dict[str, dict[str, str]]:
     return records
 
 
-def _plain(wire: Any, conversion: Conversion | None) -> dict[str, Any]:
+def _plain(wire: Any, conversions: tuple[Conversion, ...]) -> dict[str, Any]:
     """Give a connection in plain values; its conversion only where units are converted."""
     plain = {
-        "from": wire.source,
+        "from": wire.label,
         "gain": wire.gain.tolist(),
         "offset": wire.offset,
         "unit": wire.unit,
     }
-    return plain if conversion is None else {**plain, "conversion": asdict(conversion)}
+    if not conversions:
+        return plain
+    return {**plain, "conversions": [asdict(conversion) for conversion in conversions]}
 
 
 def attachments_of(experiment: Experiment) -> list[Attachment]:

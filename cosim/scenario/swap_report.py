@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from cosim.arrays import Vector
+from cosim.core.contracts import prepare
 from cosim.core.signals import Interface
 from cosim.errors import CosimError, ScenarioError
 from cosim.fmi.description import INTERFACE_TYPE_NAMES, Description, InterfaceType
@@ -263,7 +264,7 @@ def _alone(
         if at is not None and at.stop - at.start == len(values):
             u[at] = values
     with suppress(CosimError):
-        component.prepare(made.clock.step_ns / 1e9, np.zeros(len(u), np.bool_), {})
+        prepare(component, made.clock.step_ns / 1e9, np.zeros(len(u), np.bool_), {})
         return u, component.initialize(0.0, u)
     return None
 
@@ -282,7 +283,7 @@ def _side(made: Draft, name: str, start: InitialSignals | None) -> _Half:
     driven = (
         {} if inputs is None else {port: inputs[at] for port, at in face.input_columns().items()}
     )
-    return _Half(side, driven, {to: wire.source for to, wire in made.scenario.connections.items()})
+    return _Half(side, driven, {to: wire.label for to, wire in made.scenario.connections.items()})
 
 
 def _renamed(made: Draft, name: str, before: _Half) -> list[tuple[str, str]]:
@@ -355,7 +356,7 @@ def _connected(made: Draft, name: str) -> set[str]:
     truth = made.scenario.file.truth
     named = [
         *made.scenario.connections,
-        *(wire.source for wire in made.scenario.connections.values()),
+        *(str(port) for wire in made.scenario.connections.values() for port in wire.sources),
     ]
     named += [*truth, *(true for true in truth.values() if isinstance(true, str))]
     return _own(named, name)
@@ -368,7 +369,7 @@ def _refused(made: Draft, name: str) -> set[str]:
     for key, _ in made.problems:
         port = str(key[-1])
         if key[:1] == ("connections",):
-            named += [port, *([wires[port].source] if port in wires else [])]
+            named += [port, *(map(str, wires[port].sources) if port in wires else [])]
         elif key[:1] == ("truth",):
             named += [port, str(truth.get(port))]
     return _own(named, name)

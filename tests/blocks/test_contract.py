@@ -141,7 +141,10 @@ class Broken(Static):
         outputs = (Signal("y", optional=optional), Signal("n"))
         super().__init__(
             Interface(
-                (Signal("u"),), outputs, {"y": ("u",)} if feedthrough is None else feedthrough
+                (Signal("u"),),
+                outputs,
+                {"y": ("u",)} if feedthrough is None else feedthrough,
+                prepares=True,
             ),
             None,
         )

@@ -51,9 +51,6 @@ class Scripted:
             tuple(Signal(f"u{i}") for i in range(inputs)), (Signal("y", optional=optional),)
         )
 
-    def prepare(self, h, held, recorded):
-        return {}
-
     def initialize(self, t, u):
         self.k = 0
         return self.outputs(t, u)
@@ -85,9 +82,6 @@ class Starter:
         signals = tuple(Signal(name, size, kind=kind, start=start) for name in inputs)
         initial = {"y": tuple(inputs) if declared is ... else declared}
         self.interface = Interface(signals, (Signal("y", size, kind=kind),), {"y": ()}, initial)
-
-    def prepare(self, h, held, recorded):
-        return {}
 
     def initialize(self, t, u):
         self.calls.append(u.tolist())

@@ -14,6 +14,8 @@ from cosim.core.clock import Clock
 from cosim.core.graph import Graph
 from cosim.core.master import run
 from cosim.core.order import UnknownFeedthrough, cycles, order_loop
+from cosim.core.contracts import prepare
+from cosim.core.port import Port
 from cosim.core.recorders import Memory
 from cosim.core.signals import Interface, Signal
 from tests.core.parts import half_through, integrator, through, times
@@ -117,29 +119,29 @@ def interface(inputs, **outputs):
 
 
 def test_gauss_seidel_has_as_few_late_inputs_as_possible():
-    """Who needs no input at the end of the step goes first; only the input that closes the circle is late."""
+    """Who needs no input at the end of the step goes first; only the input that closes the cycle is extrapolated."""
     interfaces = {
         "gain": interface(["u"], y=("u",)),
         "sum": interface(["r", "u"], y=("r", "u")),
         "lag": interface(["u"], y=()),
     }
     sources = {
-        "gain": {"u": ("lag", "y")},
-        "sum": {"r": ("out", "y"), "u": ("gain", "y")},
-        "lag": {"u": ("sum", "y")},
+        "gain": {"u": (Port("lag", "y"),)},
+        "sum": {"r": (Port("out", "y"),), "u": (Port("gain", "y"),)},
+        "lag": {"u": (Port("sum", "y"),)},
     }
     order = order_loop(interfaces, sources, jacobi=False)
     assert order.operations == (("advance", "lag"), ("advance", "gain"), ("advance", "sum"))
-    assert order.late == {"lag": {"u"}, "gain": set(), "sum": set()}
+    assert order.extrapolated == {"lag": {"u"}, "gain": set(), "sum": set()}
 
 
 def test_an_output_is_evaluated_again_when_a_late_input_feeds_through():
     """Plant with v = x and y = C x + D u, gain from v to u: y waits for the gain, and is refreshed once."""
     interfaces = {"plant": interface(["u"], v=(), y=("u",)), "gain": interface(["u"], y=("u",))}
-    sources = {"plant": {"u": ("gain", "y")}, "gain": {"u": ("plant", "v")}}
+    sources = {"plant": {"u": (Port("gain", "y"),)}, "gain": {"u": (Port("plant", "v"),)}}
     order = order_loop(interfaces, sources, jacobi=False)
     assert order.operations == (("advance", "plant"), ("advance", "gain"), ("refresh", "plant"))
-    assert order.late == {"plant": {"u"}, "gain": set()}
+    assert order.extrapolated == {"plant": {"u"}, "gain": set()}
 
 
 def test_jacobi_takes_every_input_from_inside_as_late():
@@ -150,9 +152,9 @@ def test_jacobi_takes_every_input_from_inside_as_late():
         "lag": interface(["u"], y=()),
     }
     sources = {
-        "gain": {"u": ("lag", "y")},
-        "sum": {"r": ("out", "y"), "u": ("gain", "y")},
-        "lag": {"u": ("sum", "y")},
+        "gain": {"u": (Port("lag", "y"),)},
+        "sum": {"r": (Port("out", "y"),), "u": (Port("gain", "y"),)},
+        "lag": {"u": (Port("sum", "y"),)},
     }
     order = order_loop(interfaces, sources, jacobi=True)
     assert order.operations == (
@@ -162,23 +164,23 @@ def test_jacobi_takes_every_input_from_inside_as_late():
         ("refresh", "gain"),
         ("refresh", "sum"),
     )
-    assert order.late == {"gain": {"u"}, "sum": {"u"}, "lag": {"u"}}
+    assert order.extrapolated == {"gain": {"u"}, "sum": {"u"}, "lag": {"u"}}
 
 
-def test_the_doubts_of_a_component_are_one_sentence():
-    """However many ports close circles; those that close none are not named."""
+def test_the_unknown_feedthrough_of_a_component_are_one_sentence():
+    """However many ports close cycles; those that close none are not named."""
     names = [f"u{i}" for i in range(8)]
     interfaces = {
         "plant": interface([*names, "w"], y=None, v=None),
         "gain": interface(names, **{f"y{i}": (f"u{i}",) for i in range(8)}),
     }
     sources = {
-        "plant": {f"u{i}": ("gain", f"y{i}") for i in range(8)} | {"w": ("out", "y")},
-        "gain": {f"u{i}": ("plant", "y") for i in range(8)},
+        "plant": {f"u{i}": (Port("gain", f"y{i}"),) for i in range(8)} | {"w": (Port("out", "y"),)},
+        "gain": {f"u{i}": (Port("plant", "y"),) for i in range(8)},
     }
-    (doubt,) = order_loop(interfaces, sources, jacobi=False).doubts
-    assert doubt == UnknownFeedthrough("plant", ("y",), tuple(names))
-    assert str(doubt).startswith(
+    (unknown,) = order_loop(interfaces, sources, jacobi=False).unknown
+    assert unknown == UnknownFeedthrough("plant", ("y",), tuple(names))
+    assert str(unknown).startswith(
         "plant.y may depend directly on plant.u0, plant.u1, plant.u2, plant.u3, plant.u4, plant.u5 and 2 more ("
     )
 
@@ -188,9 +190,9 @@ def test_the_doubts_of_a_component_are_one_sentence():
         lambda n: st.lists(st.tuples(st.integers(0, n - 1), st.integers(0, n - 1)), max_size=25)
     )
 )
-def test_circles_are_what_reaches_itself(edges):
+def test_cycles_are_what_reaches_itself(edges):
     """Two ports stand together where each reaches the other, by the closure of the relation."""
-    ports = [("c", str(i)) for i in range(9)]
+    ports = [Port("c", str(i)) for i in range(9)]
     behind = {port: [ports[b] for a, b in edges if a == i] for i, port in enumerate(ports)}
     reach = np.eye(9, dtype=bool)
     for a, b in edges:
@@ -205,19 +207,19 @@ def test_circles_are_what_reaches_itself(edges):
     )
 
 
-def test_unknown_feedthrough_counts_where_it_closes_no_circle():
-    """Plant, unknown, behind a lag: it waits for its input, and is refreshed where that is late."""
+def test_unknown_feedthrough_counts_where_it_closes_no_cycle():
+    """Plant, unknown, behind a lag: it waits for its input, and is refreshed where that is extrapolated."""
     interfaces = {"plant": interface(["u"], y=None), "lag": interface(["u"], y=())}
-    sources = {"plant": {"u": ("lag", "y")}, "lag": {"u": ("plant", "y")}}
+    sources = {"plant": {"u": (Port("lag", "y"),)}, "lag": {"u": (Port("plant", "y"),)}}
     order = order_loop(interfaces, sources, jacobi=False)
     assert order.operations == (("advance", "lag"), ("advance", "plant"))
-    assert (order.late, order.doubts) == ({"lag": {"u"}, "plant": set()}, ())
+    assert (order.extrapolated, order.unknown) == ({"lag": {"u"}, "plant": set()}, ())
     order = order_loop(interfaces, sources, jacobi=True)
     assert order.operations == (("advance", "plant"), ("advance", "lag"), ("refresh", "plant"))
-    assert (order.late, order.doubts) == ({"plant": {"u"}, "lag": {"u"}}, ())
+    assert (order.extrapolated, order.unknown) == ({"plant": {"u"}, "lag": {"u"}}, ())
 
 
-def test_unknown_feedthrough_that_closes_a_circle_is_taken_as_not_there():
+def test_unknown_feedthrough_that_closes_a_cycle_is_taken_as_not_there():
     """Only where it does: w of the plant still counts, and y is refreshed with it."""
     interfaces = {
         "plant": interface(["u", "w"], y=None),
@@ -225,16 +227,16 @@ def test_unknown_feedthrough_that_closes_a_circle_is_taken_as_not_there():
         "lag": interface(["u"], y=()),
     }
     sources = {
-        "plant": {"u": ("gain", "y"), "w": ("lag", "y")},
-        "gain": {"u": ("plant", "y")},
-        "lag": {"u": ("plant", "y")},
+        "plant": {"u": (Port("gain", "y"),), "w": (Port("lag", "y"),)},
+        "gain": {"u": (Port("plant", "y"),)},
+        "lag": {"u": (Port("plant", "y"),)},
     }
     order = order_loop(interfaces, sources, jacobi=False)
-    assert order.doubts == (UnknownFeedthrough("plant", ("y",), ("u",)),)
+    assert order.unknown == (UnknownFeedthrough("plant", ("y",), ("u",)),)
     assert order.operations == (("advance", "lag"), ("advance", "plant"), ("advance", "gain"))
-    assert order.late == {"lag": {"u"}, "plant": {"u"}, "gain": set()}
+    assert order.extrapolated == {"lag": {"u"}, "plant": {"u"}, "gain": set()}
     order = order_loop(interfaces, sources, jacobi=True)
-    assert order.doubts == (UnknownFeedthrough("plant", ("y",), ("u",)),)
+    assert order.unknown == (UnknownFeedthrough("plant", ("y",), ("u",)),)
     assert [operation for operation in order.operations if operation[0] == "refresh"] == [
         ("refresh", "plant"),
         ("refresh", "gain"),
@@ -246,7 +248,7 @@ def test_what_feeds_through_all_the_same_is_a_step_late(coupling):
     """y = x + 0.5 u with u = -y / 2 of the step before, as the warning says; the gain is of the same instant."""
     plant = through(0.5)
     plant.interface = Interface(
-        plant.interface.inputs, plant.interface.outputs, {"y": None, "x": ()}
+        plant.interface.inputs, plant.interface.outputs, {"y": None, "x": ()}, prepares=True
     )
     log = record(
         Graph({"p": plant, "k": times(-0.5)}, {"p.u": "k.y", "k.u": "p.y"}, coupling=coupling)
@@ -255,7 +257,7 @@ def test_what_feeds_through_all_the_same_is_a_step_late(coupling):
     assert (log["p.y"][1:] == log["p.x"][1:] + 0.5 * log["p.u"][:-1]).all()
     assert (
         abs(log["p.y"][0] - 0.3 / 1.25) <= 1e-15
-    )  # at the start the circle is solved: y = x - 0.25 y
+    )  # at the start the algebraic loop is solved: y = x - 0.25 y
 
 
 @pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
@@ -363,7 +365,7 @@ def test_every_component_can_be_verified_alone(name):
         y = np.hstack(
             [np.atleast_2d(memory[f"{component}.{s.name}"].T).T for s in channel.interface.outputs]
         )
-        alone.prepare(0.01, plan.held[component], plan.designs[component])
+        prepare(alone, 0.01, plan.held[component], plan.designs[component])
         found = np.vstack(
             [alone.initialize(0.0, u[0]), alone.advance(memory.time(component), 0.01, u)]
         )

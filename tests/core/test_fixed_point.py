@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from cosim.core.fixed_point import SingularError, eliminate, judge, newton, newton_step, settle
+from cosim.core.fixed_point import SingularError, eliminate, iterate, measure, newton, newton_step
 
 elements = st.floats(-1.0, 1.0).map(lambda x: round(x, 3))
 
@@ -41,7 +41,7 @@ def test_elimination_needs_its_pivots():
 
 
 @given(st.integers(1, 5), st.integers(0, 2**32 - 1))
-def test_a_linear_circle_has_its_closed_form(n, seed):
+def test_a_linear_loop_has_its_closed_form(n, seed):
     """``w = G v + b``: v = (1 - G)^-1 b to 1e-13, from any start; sizes of the unknowns differ by 1e8."""
     random = np.random.default_rng(seed)
     G, b, size = (
@@ -60,7 +60,7 @@ def test_a_linear_circle_has_its_closed_form(n, seed):
     assert found.excess <= 1.0
 
 
-def test_a_nonlinear_circle_is_solved():
+def test_a_nonlinear_loop_is_solved():
     """v = cos v has the root 0.7390851332151607 (Dottie's number, OEIS A003957); v^2 = 2 by a slope that repels sweeps."""
     assert abs(newton(np.cos, np.zeros(1), lambda: 1.0).v[0] - 0.7390851332151607) <= 2e-16
     assert (
@@ -69,12 +69,12 @@ def test_a_nonlinear_circle_is_solved():
     )
 
 
-def test_a_solution_at_zero_is_judged_by_what_took_part():
+def test_a_solution_at_zero_is_measured_by_the_values_involved():
     """Its own size says nothing: 1 - 1 leaves rounding errors of 1."""
     found = newton(lambda v: 3.0 * v + (0.1 + 0.2 - 0.3), np.array([5.0]), lambda: 0.3)
     assert abs(found.v[0]) <= 1e-16
     assert found.excess <= 1.0
-    assert judge(np.zeros(1), np.array([1e-3]), 0.3).excess > 1e8
+    assert measure(np.zeros(1), np.array([1e-3]), 0.3).excess > 1e8
 
 
 def test_what_has_no_solution_is_not_found():
@@ -89,10 +89,10 @@ def test_what_has_no_solution_is_not_found():
     assert newton(lambda v: v * np.nan, np.ones(1), lambda: 1.0).excess == np.inf
 
 
-def test_sweeps_settle_on_equal_bits_or_not_at_all():
-    """A chain ends after as many sweeps as it has links; a circle that grows ends at infinity."""
+def test_fixed_point_iteration_ends_on_equal_bits_or_not_at_all():
+    """A chain ends after as many sweeps as it has links; a loop that grows ends at infinity."""
     chain = np.diag(np.ones(3), 1)
-    assert settle(lambda v: chain @ v + 1.0, np.zeros(4), 5).tolist() == [4.0, 3.0, 2.0, 1.0]
-    assert settle(lambda v: chain @ v + 1.0, np.zeros(4), 4) is None
+    assert iterate(lambda v: chain @ v + 1.0, np.zeros(4), 5).tolist() == [4.0, 3.0, 2.0, 1.0]
+    assert iterate(lambda v: chain @ v + 1.0, np.zeros(4), 4) is None
     with np.errstate(over="ignore"):
-        assert settle(lambda v: v * 1e200, np.ones(1), 100) is None
+        assert iterate(lambda v: v * 1e200, np.ones(1), 100) is None

@@ -42,7 +42,7 @@ def graph(connections, **options):
             "'small.yy': 'small' has no output 'yy'; did you mean 'y'? There is: y",
         ),
         ({"u.x": "one.y"}, "'u.x': 'u' has no input 'x'; there are none"),
-        ({"lag": "u.y"}, "'lag': 'lag' has no input ''"),
+        ({"lag": "u.y"}, "'lag' is no port; needed COMPONENT.SIGNAL"),
         ({"lag.u": "one.y"}, "one.y -> lag.u: size 1 cannot drive size 3 [m]"),
         ({"small.u": "u.y[3]"}, "'u.y[3]': 'u.y' has 3 elements, numbered from 0"),
         (
@@ -159,16 +159,76 @@ def test_elements_gains_offsets_and_matrices_reach_the_input():
     assert (memory["m.u"] == [7.0, 15.0]).all()
 
 
+def conversions_of(components, connections):
+    """Return the one conversion of each connection that converts."""
+    conversions = Graph(components, connections).conversions
+    return {str(to): conversion for to, (conversion,) in conversions.items()}
+
+
 def converted(connection, source, target):
-    """Give what arrives at the input of 2.5 and -40 at an output, both by unit."""
+    """Return what arrives at the input of 2.5 and -40 at an output, both by unit."""
     sink = Delay(1, size=2)
     sink.interface = Interface((Signal("u", 2, target),), sink.interface.outputs)
-    graph, row = (
-        Graph({"c": constant([2.5, -40.0], unit=source), "d": sink}, {"d.u": connection}),
-        np.zeros(6),
+    components = {"c": constant([2.5, -40.0], unit=source), "d": sink}
+    row = np.zeros(6)
+    Graph(components, {"d.u": connection}).initialize(0.0, row)
+    return row[2:4].tolist(), conversions_of(components, {"d.u": connection})
+
+
+def stacked(sources, units, target="m", **options):
+    """Return what arrives at an input of size 3 from outputs of two constants."""
+    components = {
+        "a": constant([1.0, 2.0, 3.0], unit=units[0]),
+        "b": constant([10.0], unit=units[1]),
+        "d": Delay(1, size=3),
+    }
+    components["d"].interface = Interface(
+        (Signal("u", 3, target),), components["d"].interface.outputs
     )
+    graph = Graph(components, {"d.u": Connection(sources, **options)})
+    row = np.zeros(graph.layout.width)
     graph.initialize(0.0, row)
-    return row[2:4].tolist(), graph.conversions
+    return row[graph.layout["d"].inputs].tolist()
+
+
+def test_a_connection_selects_and_stacks():
+    """Elements, slices and several sources, each converted from its own unit."""
+    assert stacked("a.y", ("m", "m")) == [1.0, 2.0, 3.0]
+    assert stacked(["a.y[1:3]", "b.y"], ("m", "m")) == [2.0, 3.0, 10.0]
+    assert stacked(["b.y", "a.y[2]", "a.y[0]"], ("m", "mm")) == [0.01, 3.0, 1.0]
+    assert stacked(["b.y", "a.y[0:2]"], ("m", "m"), gain=2.0, offset=1.0) == [21.0, 3.0, 5.0]
+    matrix = [[1.0, 0.0, 1.0], [0.0, 1.0, 0.0], [0.0, 0.0, 2.0]]
+    assert stacked(["a.y[0:2]", "b.y"], ("m", "m"), gain=matrix) == [11.0, 2.0, 20.0]
+
+
+@pytest.mark.parametrize(
+    ("sources", "options", "text"),
+    [
+        (["a.y", "b.y"], {}, r"a\.y, b\.y -> d\.u: size 4 \[m\] cannot drive size 3 \[m\]"),
+        (["a.y[1:4]"], {}, r"'a\.y\[1:4\]': 'a\.y' has 3 elements, numbered from 0"),
+        ([], {}, "a connection has no source; needed at least one"),
+        (
+            ["a.y[0:2]", "b.y"],
+            {"gain": np.eye(3)},
+            r"a\.y\[0:2\], b\.y -> d\.u: a gain cannot mix the units 'm', 'mm'; give the unit",
+        ),
+    ],
+)
+def test_a_stack_that_does_not_fit_is_refused(sources, options, text):
+    """With all its sources, and what was needed."""
+    with pytest.raises(GraphError, match=text):
+        stacked(sources, ("m", "mm"), **options)
+
+
+def test_a_stack_holds_the_elements_that_are_discrete():
+    """Each element of a stacked input is interpolated as its own source is."""
+    components = {
+        "s": sine(rate=1.0),
+        "n": Noise(deviation=0.1, seed=1),
+        "d": Delay(1, size=2),
+    }
+    graph = Graph(components, {"d.u": ["s.y", "n.y"]})
+    assert graph.held["d"].tolist() == [False, True]
 
 
 def test_values_are_converted_between_units():
@@ -216,11 +276,11 @@ def test_a_definition_tells_what_a_name_does_not():
     feet.interface = Interface(
         (), (Signal("y", 1, "ft", base=BaseUnit((0, 1, 0, 0, 0, 0, 0, 0), 0.3048)),)
     )
-    assert Graph({"c": feet, "d": sink}, {"d.u": "c.y"}).conversions == {
+    assert conversions_of({"c": feet, "d": sink}, {"d.u": "c.y"}) == {
         "d.u": Conversion(0.3048, 0.0, 0.0, 1.0)
     }
     named = Connection("c.y", 2.0, unit="ft")
-    assert Graph({"c": feet, "d": sink}, {"d.u": named}).conversions == {
+    assert conversions_of({"c": feet, "d": sink}, {"d.u": named}) == {
         "d.u": Conversion(0.3048, 0.0, 0.0, 1.0)
     }
     sink.interface = Interface((Signal("u", 1, "s"),), sink.interface.outputs)
@@ -235,11 +295,11 @@ def test_an_algebraic_loop_names_every_port():
             {"r": constant([1.0]), "s": sum_of([1.0, -1.0]), "k": times(2.0), "p": through()},
             {"s.u1": "r.y", "s.u2": "p.y", "k.u": "s.y", "p.u": "k.y"},
         )
-    circle, _, way = str(error.value).partition(
+    cycle, _, way = str(error.value).partition(
         ": every output here feeds through; put a component with a state of its own between"
     )
     assert way
-    ports = circle.split(" -> ")
+    ports = cycle.split(" -> ")
     assert ports[0] == ports[-1]
     assert set(ports) == {"s.u2", "s.y", "k.u", "k.y", "p.u", "p.y"}
     order = ["s.u2", "s.y", "k.u", "k.y", "p.u", "p.y"]
@@ -258,7 +318,7 @@ def unknown(D):
 
 
 def test_a_loop_through_feedthrough_that_is_unknown_is_a_warning():
-    """With the reason; where the circle is not closed that way, or is known, there is none."""
+    """With the reason; where the cycle is not closed that way, or is known, there is none."""
     loop = {"a.u": "k.y", "k.u": "a.y"}
     found = Graph({"a": unknown(0.0), "k": times(1.0)}, loop)
     text = (
@@ -273,7 +333,7 @@ def test_a_loop_through_feedthrough_that_is_unknown_is_a_warning():
     assert [name for name, _ in twice.warnings] in (["a"], ["b"])
 
 
-def test_a_known_circle_beside_an_unknown_one_is_refused():
+def test_a_known_cycle_beside_an_unknown_one_is_refused():
     """What is unknown elsewhere excuses nothing."""
     connections = {"s.u1": "k.y", "s.u2": "a.y", "k.u": "s.y", "a.u": "s.y"}
     with pytest.raises(AlgebraicLoopError, match="every output here feeds through"):

@@ -1,4 +1,4 @@
-"""The start: every input has what drives it, whatever the order of the components; circles are solved or named."""
+"""The start: every input has what drives it, whatever the order of the components; loops are solved or named."""
 
 import numpy as np
 import pytest
@@ -75,7 +75,7 @@ def test_start_values_have_the_size_of_their_signal():
 
 
 def network():
-    """Give a chain with branches and a circle of lags that start at their inputs: x = 1 - 3 z, z = 2 x."""
+    """Give a chain with branches and a loop of lags that start at their inputs: x = 1 - 3 z, z = 2 x."""
     components = {
         "one": constant([1.0]),
         "s": sum_of([1.0, -1.0]),
@@ -93,14 +93,14 @@ def network():
 
 @given(st.permutations(["one", "s", "x", "z", "behind", "last"]))
 def test_the_order_of_the_components_does_not_matter(names):
-    """Equal bits, the circle included."""
+    """Equal bits, the loop included."""
     components, connections = network()
     expected = start(components, connections)
     found = start({name: components[name] for name in names}, connections)
     assert all(found[name].tobytes() == value.tobytes() for name, value in expected.items())
 
 
-def test_a_circle_has_its_closed_form():
+def test_a_loop_has_its_closed_form():
     """x = 1 - 3 (2 x) = 1/7, though sweeps would diverge; what stands behind follows it."""
     found = start(*network())
     for name, value in {
@@ -114,7 +114,7 @@ def test_a_circle_has_its_closed_form():
 
 
 @given(st.integers(1, 4), st.integers(0, 2**32 - 1))
-def test_linear_circles_of_vectors_have_their_closed_form(n, seed):
+def test_linear_loops_of_vectors_have_their_closed_form(n, seed):
     """x = A z + a, z = B x + b: x = (1 - A B)^-1 (A b + a) to 1e-13 of its condition."""
     random = np.random.default_rng(seed)
     A, B, a, b = (random.uniform(-2.0, 2.0, shape) for shape in ((n, n), (n, n), n, n))
@@ -130,7 +130,7 @@ def test_linear_circles_of_vectors_have_their_closed_form(n, seed):
     assert parts["z"].calls[-1] == found["z.u"].tolist()
 
 
-def test_a_nonlinear_circle_starts_from_the_start_values():
+def test_a_nonlinear_loop_starts_from_the_start_values():
     """x = z^2, z = x / 4 + 1 / 2, so x^2 - 12 x + 4 = 0: of 6 + 4 sqrt(2) and 6 - 4 sqrt(2) the one where they lead."""
     for value, root in ((10.0, 6.0 + 4.0 * np.sqrt(2.0)), (0.3, 6.0 - 4.0 * np.sqrt(2.0))):
         parts = {
@@ -141,8 +141,8 @@ def test_a_nonlinear_circle_starts_from_the_start_values():
         assert abs(found["x.y"].item() - root) <= 1e-13 * root
 
 
-def test_two_circles_are_solved_one_after_the_other():
-    """x = -2 x + 3 gives 1; behind it y = x - 4 y gives 1/5. Nobody behind a circle starts with a trial value of it."""
+def test_two_loops_are_solved_one_after_the_other():
+    """x = -2 x + 3 gives 1; behind it y = x - 4 y gives 1/5. Nobody behind a loop starts with a trial value of it."""
     seen = Starter(lambda u: u)
     parts = {
         "x": Starter(lambda u: -2.0 * u + 3.0),
@@ -156,7 +156,7 @@ def test_two_circles_are_solved_one_after_the_other():
 
 
 def test_dependencies_that_are_unknown_are_tried():
-    """A chain that looks like a circle has its exact bits; a circle in truth is solved: x = 1 - 3 x."""
+    """A chain that looks like a loop has its exact bits; a loop in truth is solved: x = 1 - 3 x."""
     one, chain = constant([1.0]), Starter(lambda a, b: 3.0 * a, ("a", "b"), declared=None)
     found = start(
         {"one": one, "p": chain, "k": times(0.1)}, {"p.a": "one.y", "p.b": "k.y", "k.u": "p.y"}
@@ -178,12 +178,10 @@ def refused(components, connections, text):
         assert str(error.value).endswith(f"{way}, or other start values")
 
 
-def test_a_circle_without_a_solution_is_named():
-    """Every port of it, the residual and what is needed; also of more than one circle through a port."""
+def test_a_loop_without_a_solution_is_named():
+    """Every port of it, the residual and what is needed; also of more than one loop through a port."""
     chase = {"lag": Linear(lag(time_constant=1.0))}
-    name = (
-        "no initial values for lag.u -> lag.y -> lag.u, which depend on each other at the start: "
-    )
+    name = "no initial values for lag.u -> lag.y -> lag.u, which depend on each other at initialization: "
     refused(
         chase,
         {"lag.u": Connection("lag.y", 1.0, 1.0)},
@@ -195,7 +193,7 @@ def test_a_circle_without_a_solution_is_named():
         name + "1 - w' is singular, with a residual of 0 at 'lag.u', needed at most 0; give",
     )
     square = {"x": Starter(lambda u: u * u + 1.0, start=(0.2,))}
-    name = "no initial values for x.u -> x.y -> x.u, which depend on each other at the start: Newton's method ended with a residual"
+    name = "no initial values for x.u -> x.y -> x.u, which depend on each other at initialization: Newton's method ended with a residual"
     refused(square, {"x.u": "x.y"}, name)
     refused(square, {"x.u": "x.y"}, " at 'x.u', needed at most ")
     both = {
@@ -209,7 +207,7 @@ def test_a_circle_without_a_solution_is_named():
     )
 
 
-def test_values_that_are_missing_settle_only_where_they_may_be_missing():
+def test_missing_values_are_kept_only_where_they_may_be_missing():
     """NaN is no solution of an equation between numbers; "no value yet" is one of optional signals."""
     face = Interface(
         (Signal("u", optional=True),), (Signal("y", optional=True),), {"y": ()}, {"y": ("u",)}
@@ -221,30 +219,30 @@ def test_values_that_are_missing_settle_only_where_they_may_be_missing():
     refused(root, {"x.u": Connection("x.y", 1.0, 0.5)}, "Newton's method ended with a residual of ")
 
 
-def test_discrete_signals_in_a_circle_settle_or_are_refused():
+def test_discrete_signals_in_a_loop_converge_or_are_refused():
     """n = n // 2 + 21 climbs to 41 in halves and stays; b = not b never does."""
     whole = Starter(lambda u: u // 2.0 + 21.0, kind="integer")
     found = start({"n": whole}, {"n.u": "n.y"})
     assert (found["n.u"].item(), found["n.y"].item()) == (41.0, 41.0)
     flip = Starter(lambda u: 1.0 - u, kind="boolean")
-    text = "b.u -> b.y -> b.u, which depend on each other at the start: with a discrete signal among them, and still changing "
+    text = "b.u -> b.y -> b.u, which depend on each other at initialization: with a discrete signal among them, and still changing "
     refused({"b": flip}, {"b.u": "b.y"}, f"{text}after 102 sweeps")
 
 
 def test_a_dependency_that_is_not_declared_is_followed_or_refused():
-    """Beyond what is declared, rounds go on until nothing moves: a chain settles, a circle that grows does not."""
+    """Beyond what is declared, rounds go on until nothing moves: a chain converges, a loop that grows does not."""
     quiet = Starter(lambda u: 2.0 * u, declared=())
     found = start(
         {"p": quiet, "k": times(0.5), "one": constant([4.0])}, {"p.u": "one.y", "k.u": "p.y"}
     )
     assert (found["p.y"].item(), found["k.y"].item()) == (8.0, 4.0)
     liar = Starter(lambda u: 2.0 * u + 1.0, declared=())
-    text = "initial values do not settle: p.u, p.y, k.u, k.y still change after 4 rounds; an output there depends at the start on "
+    text = "initial values do not converge: p.u, p.y, k.u, k.y still change after 4 rounds; an output there depends at initialization on "
     refused({"p": liar, "k": times(1.0)}, {"p.u": "k.y", "k.u": "p.y"}, text)
 
 
 def test_every_input_is_what_its_connection_gives():
-    """With gain, offset, an element and units, also inside a circle: the recorded start keeps all equations."""
+    """With gain, offset, an element and units, also inside a loop: the recorded start keeps all equations."""
     celsius, kelvin = (
         BaseUnit((0, 0, 0, 0, 1, 0, 0, 0), 1.0, 273.15),
         BaseUnit((0, 0, 0, 0, 1, 0, 0, 0)),

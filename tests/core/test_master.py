@@ -11,7 +11,7 @@ from cosim.core.clock import Clock
 from cosim.core.connections import Connection
 from cosim.core.contracts import Stopped
 from cosim.core.graph import Graph
-from cosim.core.master import run
+from cosim.core.master import run, simulate
 from cosim.core.recorders import Memory, Nothing, Watched
 from cosim.core.signals import Interface, Signal
 from cosim.errors import LogError, NonFiniteError, RunError
@@ -332,9 +332,6 @@ class Refusing:
     def __init__(self, *, asked):
         self.asked = asked
 
-    def prepare(self, h, held, recorded):
-        return {}
-
     def initialize(self, t, u):
         self.y = 0.0
         return np.zeros(1)
@@ -375,3 +372,40 @@ def test_what_a_failing_component_leaves_does_not_depend_on_the_block(wrap, aske
         )
         kept.append(memory["c.y"].tolist())
     assert kept[0] == kept[1] == kept[2]
+
+
+def test_a_simulation_stands_still_between_blocks():
+    """Block after block, as many as are asked for; the rows are those that a run records."""
+    graph = Graph({"u": sine(rate=1.0), "x": integrator()}, {"x.u": "u.y"})
+    memory = Memory()
+    run(graph, Clock(0.1, 1e-3, block=7), memory)
+    times, rows = [], []
+    for block, signals in simulate(graph, Clock(0.1, 1e-3, block=7)):
+        times += block.time[1:].tolist()
+        rows.append(signals[1:].copy())
+        assert signals.shape == (block.steps + 1, graph.layout.width)
+        if len(rows) == 3:
+            break
+    assert times == (np.arange(1, 22) * 1_000_000 / 1e9).tolist()
+    column = graph.layout["x"].outputs
+    assert (np.vstack(rows)[:, column][:, 0] == memory["x.y"][1:22]).all()
+
+
+def test_a_simulation_raises_behind_the_last_block():
+    """What was completed is yielded first, then the error comes."""
+    graph = Graph({"x": Scripted([1.0, 2.0, np.inf, 3.0])}, {})
+    blocks = simulate(graph, Clock(0.003, 1e-3, block=3))
+    block, signals = next(blocks)
+    assert (block.steps, signals[:, 0].tolist()) == (1, [1.0, 2.0])
+    with pytest.raises(NonFiniteError, match=r"'x\.y' became inf at t = 0\.002 s"):
+        next(blocks)
+
+
+def test_memory_keeps_messages_and_results():
+    """A recorder that is no file needs no other place for them."""
+    memory = Memory()
+    memory.message(5, "warning", "plant", "slow")
+    memory.result({"last": 1.0})
+    memory.result({"steps": 2})
+    assert memory.messages == [(5, "warning", "plant", "slow")]
+    assert memory.results == {"last": 1.0, "steps": 2}

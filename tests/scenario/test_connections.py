@@ -196,7 +196,7 @@ def test_a_unit_that_is_not_known_is_called_so(units):
 def test_a_loop_through_an_fmu_without_dependencies_runs_with_a_warning(
     coupling, foreign2, tmp_path, capsys
 ):
-    """pythonfmu writes none. Its y = x1 - u does feed through: solved at the start, one step late afterwards, and said so.
+    """pythonfmu writes none. Its y = x1 - u does feed through: solved at initialization, one step late afterwards, and said so.
 
     At the start u = y / 2 and y = 1 - u, so y = 2 / 3.
     """
@@ -244,7 +244,7 @@ K = 3.3
 
 
 @pytest.mark.parametrize("interface_type", ["me", "cs"])
-def test_a_circle_at_the_start_through_an_fmu_is_solved_and_replayed(interface_type, tmp_path):
+def test_a_loop_at_initialization_through_an_fmu_is_solved_and_replayed(interface_type, tmp_path):
     """The lag starts at its input, y = 1.1 - 3.3 y = 1.1 / 4.3, as a component and as an FMU by its InitialUnknowns."""
     scenario, fmu, path = tmp_path / "circle.toml", tmp_path / "lag.fmu", tmp_path / "circle.mcap"
     scenario.write_text(CIRCLE)
@@ -257,7 +257,7 @@ def test_a_circle_at_the_start_through_an_fmu_is_solved_and_replayed(interface_t
 
 
 def test_an_fmu_without_dependencies_in_a_cascade_needs_no_warning(foreign2, tmp_path):
-    """What is unknown matters only in a circle."""
+    """What is unknown matters only in a cycle."""
     text = LOOP.format(coupling="jacobi", path=foreign2).replace(
         '"k.u" = "plant.y"', '"k.u" = "one.y"'
     )

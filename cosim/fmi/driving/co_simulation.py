@@ -6,6 +6,7 @@ the next ``advance`` at the latest.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import final
 
 import numpy as np
@@ -45,7 +46,11 @@ class CoSimulation:
     def __init__(self, instance: CoSimulationInstance, *, starts: Starts | None = None) -> None:
         description = instance.description
         self._instance, self._name = instance, description.name
-        self.interface = instance.interface
+        self.interface = replace(
+            instance.interface,
+            prepares=True,
+            rollback=instance.description.capabilities["cs"].saves_state,
+        )
         self._start = Initialization(instance, starts or {})
         self._can = description.capabilities["cs"]
         self._in_events = frozenset(

@@ -93,7 +93,11 @@ class ModelExchange:
                 f"{self._name}: relative tolerance {rtol}; needed at least {CLOSEST} and less than 1"
             )
         self.rtol = rtol if self.solver in TOLERANT else None
-        self.interface = instance.interface
+        self.interface = replace(
+            instance.interface,
+            prepares=True,
+            rollback=instance.description.capabilities["me"].saves_state,
+        )
         self.notes: tuple[str, ...] = ()
         self._start = Initialization(instance, starts or {})
         self._discrete, self._capabilities = (
