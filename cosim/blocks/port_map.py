@@ -1,0 +1,549 @@
+"""Ports of a component under other names: what each shown port stands for.
+
+A shown port stands for ports of the component, or for elements of them, in the order of its own
+elements::
+
+    plant.u    <- plant.force               another name
+    plant.y    <- plant.out[2]              one element of a vector
+    plant.x_a  <- plant.s1, plant.s2        a vector made of scalars
+    plant.x_a  <- plant.s[0:2]              some elements of a vector
+
+Every input element of the component is shown once. An output that no shown port covers keeps its
+own name, so that nothing is lost; where that name is taken, ``_`` is appended to it. An element
+that is shown, ``plant.x[1] <- plant.speed``, is a signal of that name beside the vector ``x``, if
+there is one: such names come first (:mod:`cosim.core.port`). Elements from 0 on make a vector.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.arrays import Mask, Matrix, Vector
+from cosim.core.port import Port
+from cosim.core.signals import Interface, Signal
+from cosim.errors import GraphError, nearest
+from cosim.units import Conversion, Unit, conversion
+
+Causality: TypeAlias = Literal["input", "output"]
+Dependencies: TypeAlias = Mapping[str, tuple[str, ...] | None]
+
+
+@dataclass(frozen=True, slots=True)
+class Renaming:
+    """A name under which ports of a component are shown.
+
+    Parameters
+    ----------
+    port : Port
+        As it is shown.
+    sources : tuple of Port
+        Ports of the component, or elements of them, in the order of the shown elements.
+    causality : {"input", "output"} or None
+        What they must be; None: either.
+    """
+
+    port: Port
+    sources: tuple[Port, ...]
+    causality: Causality | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class PortElement:
+    """One element of a port of the component.
+
+    Parameters
+    ----------
+    signal : Signal
+    causality : {"input", "output"}
+    index : int
+        In the signal.
+    column : int
+        In the vector of all inputs or outputs.
+    """
+
+    signal: Signal
+    causality: Causality
+    index: int
+    column: int
+
+    @property
+    def name(self) -> str:
+        """Name of the element."""
+        return self.signal.elements[self.index]
+
+    @property
+    def start(self) -> float:
+        """Value of an input that nothing drives yet."""
+        return self.signal.start[self.index] if self.signal.start else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class ShownPort:
+    """A port as it is shown, and the elements that it stands for, all of one causality."""
+
+    signal: Signal
+    elements: tuple[PortElement, ...]
+
+    @property
+    def causality(self) -> Causality:
+        """Causality of its elements."""
+        return self.elements[0].causality
+
+    @property
+    def sources(self) -> dict[str, Signal]:
+        """The signals of the component that it is made of, by name."""
+        return {element.signal.name: element.signal for element in self.elements}
+
+
+@dataclass(frozen=True)
+class PortMap:
+    """The ports of a component under the names by which they are shown.
+
+    Parameters
+    ----------
+    component : Interface
+        Of the component itself.
+    inputs : tuple of ShownPort
+        Cover every input element of the component once.
+    outputs : tuple of ShownPort
+    """
+
+    component: Interface
+    inputs: tuple[ShownPort, ...]
+    outputs: tuple[ShownPort, ...]
+
+    @property
+    def names(self) -> dict[str, str]:
+        """What each shown port stands for, by its name, where that is not its own."""
+        names = {}
+        for port in (*self.inputs, *self.outputs):
+            sources = ", ".join(_names_of(port.elements))
+            if sources != port.signal.name:
+                names[port.signal.name] = sources
+        return names
+
+    @cached_property
+    def interface(self) -> Interface:
+        """The interface that is shown."""
+        direct = self.component.feedthrough
+        feedthrough = {}
+        initial = {}
+        for port in self.outputs:
+            name = port.signal.name
+            if port.sources.keys() & direct.keys():
+                feedthrough[name] = self._shown_inputs_behind(port, direct)
+            if port.sources.keys() & self.component.initial.keys():
+                at_start = {**direct, **self.component.initial}
+                initial[name] = self._shown_inputs_behind(port, at_start)
+        return replace(
+            self.component,
+            inputs=tuple(port.signal for port in self.inputs),
+            outputs=tuple(port.signal for port in self.outputs),
+            feedthrough=feedthrough,
+            initial=initial,
+        )
+
+    def _shown_inputs_behind(
+        self, output: ShownPort, dependencies: Dependencies
+    ) -> tuple[str, ...] | None:
+        """Return the shown inputs that an output depends on; None: that is not known."""
+        inputs: set[str] = set()
+        for name in output.sources:
+            names = dependencies.get(name, ())
+            if names is None:
+                return None
+            inputs.update(names)
+        return tuple(p.signal.name for p in self.inputs if not inputs.isdisjoint(p.sources))
+
+    # --- values ---
+
+    def component_inputs(self, shown: Matrix) -> Matrix:
+        """Return the component's inputs for shown ones, shape (..., n_u)."""
+        values = _convert(shown, self._inward)
+        return np.take(values, self._shown_columns, axis=-1)
+
+    def component_mask(self, shown: Mask) -> Mask:
+        """Return a mask of the component's input elements for one of shown ones, shape (n_u,)."""
+        return np.take(shown, self._shown_columns)
+
+    def shown_outputs(self, values: Matrix) -> Matrix:
+        """Return the shown outputs for the component's, shape (..., n_y)."""
+        picked = np.take(values, self._output_columns, axis=-1)
+        return _convert(picked, self._outward)
+
+    def shown_inputs(self, values: Vector) -> Vector:
+        """Return the shown inputs for the component's, shape (n_u,)."""
+        picked = np.take(values, self._input_columns)
+        return _convert(picked, _conversions(self.inputs, outward=True))
+
+    def shown_gain(self, gain: Matrix) -> Matrix:
+        """Return the gain from shown inputs to shown outputs for the component's."""
+        picked = gain[np.ix_(self._output_columns, self._input_columns)]
+        shown: Matrix = _factors(self._outward)[:, np.newaxis] * picked * _factors(self._inward)
+        return shown
+
+    @cached_property
+    def _input_columns(self) -> NDArray[np.intp]:
+        """Column of the component for every shown input element."""
+        return _columns(self.inputs)
+
+    @cached_property
+    def _output_columns(self) -> NDArray[np.intp]:
+        """Column of the component for every shown output element."""
+        return _columns(self.outputs)
+
+    @cached_property
+    def _shown_columns(self) -> NDArray[np.intp]:
+        """Shown column for every input element of the component."""
+        return np.argsort(self._input_columns)
+
+    @cached_property
+    def _inward(self) -> list[Conversion]:
+        return _conversions(self.inputs, outward=False)
+
+    @cached_property
+    def _outward(self) -> list[Conversion]:
+        return _conversions(self.outputs, outward=True)
+
+
+def _columns(ports: Iterable[ShownPort]) -> NDArray[np.intp]:
+    columns: list[int] = []
+    for port in ports:
+        columns += [element.column for element in port.elements]
+    return np.array(columns, np.intp)
+
+
+def _conversions(ports: Iterable[ShownPort], *, outward: bool) -> list[Conversion]:
+    """Return the conversion of every shown element, from the component's unit if ``outward``."""
+    conversions = []
+    for port in ports:
+        shown = port.signal.measure
+        for element in port.elements:
+            own = element.signal.measure
+            found = conversion(own, shown) if outward else conversion(shown, own)
+            assert found is not None
+            conversions.append(found)
+    return conversions
+
+
+def _convert(values: Matrix, conversions: Sequence[Conversion]) -> Matrix:
+    if all(conversion.copies for conversion in conversions):
+        return values
+    converted = values.copy()
+    for column, conversion_ in enumerate(conversions):
+        converted[..., column] = conversion_(values[..., column])
+    return converted
+
+
+def _factors(conversions: Iterable[Conversion]) -> Vector:
+    return np.array([found.factor1 / found.factor2 for found in conversions], np.float64)
+
+
+# --- from names to ports ---
+
+
+def port_map(
+    interface: Interface, renamings: Iterable[Renaming], replaced: Interface | None = None
+) -> PortMap:
+    """Return the map of ports for renamings, parameters as of :func:`resolve`.
+
+    Raises
+    ------
+    GraphError
+        With every problem of the renamings.
+    """
+    ports, problems = resolve(interface, renamings, replaced)
+    if problems:
+        raise GraphError("\n".join(problems.values()))
+    return ports
+
+
+def resolve(
+    interface: Interface, renamings: Iterable[Renaming], replaced: Interface | None = None
+) -> tuple[PortMap, dict[Port, str]]:
+    """Return the map of ports for the renamings that hold, and the problems of the others.
+
+    Parameters
+    ----------
+    interface : Interface
+        Of the component.
+    renamings : iterable of Renaming
+        Each port once; ports that are not named keep their own names.
+    replaced : Interface or None
+        Of the component that has the shown names: a vector made of elements of different units
+        is shown in the unit of its port there, where that is declared.
+
+    Returns
+    -------
+    PortMap
+    dict of Port to str
+        Problems, by the port of a renaming.
+    """
+    resolver = _Resolver(interface, replaced)
+    for renaming in _vectors(renamings, _signals(interface)):
+        resolver.show(renaming)
+    resolver.check_inputs()
+    return resolver.port_map(), resolver.problems
+
+
+def _vectors(renamings: Iterable[Renaming], own: Mapping[str, Signal]) -> list[Renaming]:
+    """Join renamings of elements from 0 on to one of a vector, where there is no such port yet."""
+    groups: dict[Port, list[Renaming]] = {}
+    for renaming in renamings:
+        groups.setdefault(renaming.port.whole, []).append(renaming)
+    joined = []
+    for whole, parts in groups.items():
+        parts.sort(key=lambda part: _positions(part.port).start)
+        positions: list[int] = []
+        sources: list[Port] = []
+        for part in parts:
+            positions += _positions(part.port)
+            sources += part.sources
+        from_zero = bool(positions) and positions == list(range(len(positions)))
+        if from_zero and whole not in (part.port for part in parts) and whole.signal not in own:
+            joined.append(Renaming(whole, tuple(sources), parts[0].causality))
+        else:
+            joined += parts
+    return joined
+
+
+def _positions(port: Port) -> range:
+    """Return the positions of the elements that a port names; none where it is the whole."""
+    match port.element:
+        case None:
+            return range(0)
+        case int():
+            return range(port.element, port.element + 1)
+        case _:
+            return port.element
+
+
+class _Resolver:
+    """The shown ports, and the problems of renamings, both by port."""
+
+    def __init__(self, interface: Interface, replaced: Interface | None) -> None:
+        self.problems: dict[Port, str] = {}
+        self._interface = interface
+        self._replaced = {} if replaced is None else _signals(replaced)
+        inputs = _elements(interface.inputs, "input")
+        outputs = _elements(interface.outputs, "output")
+        self._elements = {**inputs, **outputs}
+        self._shown: dict[Port, ShownPort] = {}
+
+    def show(self, renaming: Renaming) -> None:
+        """Show ports of the component under another name."""
+        port = renaming.port
+        try:
+            elements: list[PortElement] = []
+            for source in renaming.sources:
+                elements += self._find(source, renaming.causality)
+            _check_size(port, elements)
+            _check_alike(port, elements)
+            unit = self._unit(port, elements)
+        except GraphError as error:
+            self.problems[port] = str(error)
+            return
+        signal = _shown_signal(port.name, elements, unit)
+        self._shown[port] = ShownPort(signal, tuple(elements))
+
+    def _find(self, source: Port, causality: Causality | None) -> list[PortElement]:
+        """Return the elements of a port of the component.
+
+        Raises
+        ------
+        GraphError
+            If there is no such port of this causality, or no such element.
+        """
+        known = [name for name in self._elements if self._is(name, causality)]
+        match = source.find(_signals(self._interface).values())
+        if match is None:
+            needed = causality or "input or output"
+            raise GraphError(
+                f"'{source}': {source.component!r} has no {needed} {source.signal!r}; "
+                f"{nearest(source.signal, known)}"
+            )
+        signal, part = match
+        if not self._is(signal.name, causality):
+            other = self._elements[signal.name][0].causality
+            raise GraphError(
+                f"'{source}' is an {other} of {source.component!r}; needed an {causality}. "
+                f"There is: {', '.join(known) or 'none'}"
+            )
+        return self._elements[signal.name][part]
+
+    def _is(self, name: str, causality: Causality | None) -> bool:
+        return causality in (None, self._elements[name][0].causality)
+
+    def _unit(self, port: Port, elements: Sequence[PortElement]) -> Unit:
+        """Return the unit in which elements are shown.
+
+        Raises
+        ------
+        GraphError
+            If the unit of one of them cannot be converted to it.
+        """
+        measures = {element.signal.measure for element in elements}
+        if len(measures) == 1:
+            return measures.pop()
+        replaced = self._replaced.get(port.signal)
+        known = replaced is not None and replaced.unit is not None
+        unit = replaced.measure if replaced and known else elements[0].signal.measure
+        for element in elements:
+            found = element.signal.measure
+            if conversion(found, unit) is None:
+                raise GraphError(
+                    f"'{port}' cannot be made of {', '.join(_names_of(elements))}: unit "
+                    f"{found.name!r} of {element.signal.name!r} cannot be converted to "
+                    f"{unit.name!r}; {_way_out(port, elements)}"
+                )
+        return unit
+
+    def check_inputs(self) -> None:
+        """Check that the component's input elements are shown once, all of an input or none."""
+        driven: dict[int, Port] = {}
+        inputs = {p: shown for p, shown in self._shown.items() if shown.causality == "input"}
+        for port, shown in inputs.items():
+            for element in shown.elements:
+                if element.column in driven:
+                    first = driven[element.column]
+                    name = f"{port.component}.{element.name}"
+                    self._drop(port, f"{name!r} is given twice, for '{first}' and '{port}'")
+                driven[element.column] = port
+        for port, shown in inputs.items():
+            for name in shown.sources:
+                elements = self._elements[name]
+                missing = [e.name for e in elements if e.column not in driven]
+                if missing:
+                    self._drop(
+                        port,
+                        f"'{port}' is a part of the input {name!r}; needed ports for the rest "
+                        f"too: {', '.join(missing)}",
+                    )
+
+    def _drop(self, port: Port, problem: str) -> None:
+        self.problems.setdefault(port, problem)
+        self._shown.pop(port, None)
+
+    def port_map(self) -> PortMap:
+        """Return the map: the shown ports, and those of the component that none of them covers."""
+        ports = list(self._shown.values())
+        taken = {port.signal.name for port in ports}
+        covered: set[PortElement] = set()
+        for port in ports:
+            covered.update(port.elements)
+        for elements in self._elements.values():
+            if not covered.issuperset(elements):
+                name = elements[0].signal.name
+                while name in taken:
+                    name += "_"
+                taken.add(name)
+                signal = replace(elements[0].signal, name=name)
+                ports.append(ShownPort(signal, tuple(elements)))
+        ports.sort(key=lambda port: port.elements[0].column)
+        return PortMap(
+            self._interface,
+            tuple(port for port in ports if port.causality == "input"),
+            tuple(port for port in ports if port.causality == "output"),
+        )
+
+
+def _signals(interface: Interface) -> dict[str, Signal]:
+    return {signal.name: signal for signal in (*interface.inputs, *interface.outputs)}
+
+
+def _elements(signals: Iterable[Signal], causality: Causality) -> dict[str, list[PortElement]]:
+    """Return the elements of every signal by its name, columns counted from 0."""
+    elements = {}
+    column = 0
+    for signal in signals:
+        elements[signal.name] = [
+            PortElement(signal, causality, index, column + index) for index in range(signal.size)
+        ]
+        column += signal.size
+    return elements
+
+
+def _shown_signal(name: str, elements: Sequence[PortElement], unit: Unit) -> Signal:
+    """Return the signal that is shown for elements of one kind, variability and causality."""
+    first = elements[0].signal
+    roles = {element.signal.role for element in elements}
+    return replace(
+        first,
+        name=name,
+        size=len(elements),
+        unit=unit.name,
+        base=unit.base,
+        role=first.role if len(roles) == 1 else "output",
+        start=_start(elements, unit),
+    )
+
+
+def _start(elements: Sequence[PortElement], unit: Unit) -> tuple[float, ...]:
+    """Return the values of a shown input that nothing drives yet; empty: zeros."""
+    if not any(element.signal.start for element in elements):
+        return ()
+    values = []
+    for element in elements:
+        to_shown = conversion(element.signal.measure, unit)
+        assert to_shown is not None
+        values.append(float(to_shown(element.start)))
+    return tuple(values)
+
+
+def _check_size(port: Port, elements: Sequence[PortElement]) -> None:
+    needed = len(_positions(port))
+    if needed and len(elements) != needed:
+        names = ", ".join(_names_of(elements))
+        raise GraphError(f"'{port}' has size {needed}; found size {len(elements)}: {names}")
+
+
+def _check_alike(port: Port, elements: Sequence[PortElement]) -> None:
+    """Check that elements can be one signal: of one causality, type and variability.
+
+    Raises
+    ------
+    GraphError
+        If they differ, with the way out.
+    """
+    first = elements[0]
+    for element in elements:
+        for own, other in zip(_nature(first), _nature(element), strict=True):
+            if own != other:
+                raise GraphError(
+                    f"'{port}' cannot be made of {', '.join(_names_of(elements))}: "
+                    f"{first.name!r} is {own}, {element.name!r} is {other}, and all of a signal "
+                    f"is one or the other; {_way_out(port, elements)}"
+                )
+
+
+def _nature(element: PortElement) -> tuple[str, ...]:
+    """Return what all elements of a signal have in common, in words."""
+    signal = element.signal
+    value = "optional (may be NaN)" if signal.optional else "never NaN"
+    return element.causality, signal.kind, signal.variability, value
+
+
+def _way_out(port: Port, elements: Sequence[PortElement]) -> str:
+    """Return how elements reach what the port drives, each as a port of its own."""
+    sources = ", ".join(f'"{port.component}.{name}"' for name in _names_of(elements))
+    if elements[0].causality == "input":
+        return f"leave '{port}' out of the map and connect each of them: {sources}"
+    return f"leave '{port}' out of the map and list them in the connection: [{sources}]"
+
+
+def _names_of(elements: Iterable[PortElement]) -> list[str]:
+    """Return the names of elements; that of the signal where all of it is there, in order."""
+    groups: dict[str, list[PortElement]] = {}
+    for element in elements:
+        groups.setdefault(element.signal.name, []).append(element)
+    names = []
+    for name, parts in groups.items():
+        whole = [part.index for part in parts] == list(range(parts[0].signal.size))
+        names += [name] if whole else [part.name for part in parts]
+    return names

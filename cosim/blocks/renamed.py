@@ -1,0 +1,57 @@
+"""A component under other port names, such as those of the component that it replaces."""
+
+from __future__ import annotations
+
+from typing import cast, final
+
+from cosim.arrays import Mask, Matrix, Vector
+from cosim.blocks.port_map import PortMap
+from cosim.core.contracts import Component, Design, Rollback, Stopped
+
+
+@final
+class Renamed:
+    """Shows the ports of a component under other names.
+
+    Parameters
+    ----------
+    component : Component
+    ports : PortMap
+        Made for the interface of the component.
+    """
+
+    def __init__(self, component: Component, ports: PortMap) -> None:
+        self.interface = ports.interface
+        self._component = component
+        self._ports = ports
+
+    def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
+        """Prepare the component; the arrays of its design have no ports."""
+        return self._component.prepare(h, self._ports.component_mask(held), recorded)
+
+    def initialize(self, t: float, u: Vector) -> Vector:
+        """Initialize the component; return the shown outputs at ``t``."""
+        y = self._component.initialize(t, self._ports.component_inputs(u))
+        return self._ports.shown_outputs(y)
+
+    def outputs(self, t: float, u: Vector) -> Vector:
+        """Return the shown outputs at ``t``, the time reached."""
+        y = self._component.outputs(t, self._ports.component_inputs(u))
+        return self._ports.shown_outputs(y)
+
+    def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
+        """Advance the component; return the shown outputs at ``t[1:]``."""
+        try:
+            y = self._component.advance(t, h, self._ports.component_inputs(u))
+        except Stopped as stop:
+            completed = self._ports.shown_outputs(stop.outputs)
+            raise Stopped(completed, str(stop), failed=stop.failed) from stop
+        return self._ports.shown_outputs(y)
+
+    def save(self) -> object:
+        """Copy the state of the component."""
+        return cast(Rollback, self._component).save()
+
+    def restore(self, state: object) -> None:
+        """Go back to a saved state of the component."""
+        cast(Rollback, self._component).restore(state)

@@ -1,0 +1,217 @@
+"""A component under other port names keeps the contract; wrong names say what there is."""
+
+import numpy as np
+import pytest
+
+from cosim.blocks.port_map import Renaming, port_map
+from cosim.blocks.renamed import Renamed
+from cosim.blocks.replay import Replay
+from cosim.blocks.source import Expression
+from cosim.core.clock import Clock
+from cosim.core.contracts import Stopped
+from cosim.core.graph import Graph
+from cosim.core.linear import Linear, LinearModel
+from cosim.core.master import run
+from cosim.core.port import Port
+from cosim.core.recorders import Memory
+from cosim.core.signals import Interface, Signal
+from cosim.errors import GraphError
+from cosim.testing import check_component, check_rollback
+
+INTERFACE = Interface(
+    (Signal("push", start=(0.5,)), Signal("f", 2, unit="N"), Signal("g", unit="kN")),
+    (Signal("s", 2, role="state"), Signal("out", 3), Signal("v")),
+    {"out": ("f",), "v": ("push",)},
+    {"s": ("g",), "out": ("f", "g")},
+)
+A = np.array([[-1.0, 1.0], [-1.0, -2.0]])
+CASES = {
+    "other names": {"u": ["push"], "x_a": ["s"], "y": ["v"]},
+    "the same names in another place": {"v": ["push"], "push": ["v"]},
+    "elements of a vector": {"y": ["out[2]"], "a": ["f[1]"], "b": ["f[0]"], "x": ["s[1]"]},
+    "vectors": {"u": ["g", "push"], "x_a": ["v", "s"], "z": ["out[0:2]", "s[0]"], "f_": ["f"]},
+}
+
+
+def linear():
+    """x' = A x + B u, s = x, out = (x_1 + f_0, x_2 + f_1, x_1), v = push; x(0) depends on g."""
+    B = np.array([[1.0, 0.5, 0.0, 0.1], [0.0, 0.0, 2.0, 0.3]])
+    C = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 0.0], [0.0, 1.0], [1.0, 0.0], [0.0, 0.0]])
+    D = np.zeros((6, 4))
+    D[2, 1] = 1.0
+    D[3, 2] = 1.0
+    D[5, 0] = 1.0
+    Xu = np.zeros((2, 4))
+    Xu[1, 3] = 0.7
+    model = LinearModel(INTERFACE, ("s[0]", "s[1]"), A, B, C, D, np.array([1.0, -1.0]), Xu)
+    return Linear(model)
+
+
+def renamings(names, component="plant"):
+    return [
+        Renaming(
+            Port.parse(f"{component}.{port}"),
+            tuple(Port.parse(f"{component}.{source}") for source in sources),
+        )
+        for port, sources in names.items()
+    ]
+
+
+def renamed(names, component=None, replaced=None):
+    component = component or linear()
+    return Renamed(component, port_map(component.interface, renamings(names), replaced))
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_renamed_component_keeps_the_contract(case):
+    """With rollback; the dependencies that are declared hold for the shown ports."""
+    INTERFACE_WITHOUT_UNITS = CASES[case]
+    check_component(lambda: renamed(INTERFACE_WITHOUT_UNITS))
+    check_rollback(lambda: renamed(INTERFACE_WITHOUT_UNITS))
+
+
+def test_shown_ports_have_the_bits_of_what_they_stand_for():
+    """Inputs in their places, outputs put together and taken apart."""
+    component = linear()
+    shown = renamed(CASES["vectors"])
+    u = np.array([0.1, 0.2, 0.3, 0.4])  # shown: u = (g, push), f_ = f
+    names = [signal.name for signal in shown.interface.inputs]
+    assert names == ["f_", "u"]
+    for part in (component, shown):
+        part.prepare(1e-3, np.zeros(4, np.bool_), {})
+    y = component.initialize(0.0, np.array([u[3], u[0], u[1], u[2]]))
+    rows = shown.initialize(0.0, u)
+    columns = shown.interface.output_columns()
+    assert (rows[columns["x_a"]] == y[[5, 0, 1]]).all()
+    assert (rows[columns["z"]] == y[[2, 3, 0]]).all()
+    assert (rows[columns["out"]] == y[2:5]).all(), "what no port covers is shown under its own name"
+    assert set(columns) == {"x_a", "z", "out"}
+
+
+def test_what_depends_on_what_is_shown_in_the_shown_names():
+    """Feedthrough, dependencies of initial values; unknown where one part is unknown."""
+    shown = renamed(CASES["vectors"]).interface
+    assert shown.feedthrough == {"x_a": ("u",), "z": ("f_",), "out": ("f_",)}
+    assert shown.initial == {"x_a": ("u",), "z": ("f_", "u"), "out": ("f_", "u")}
+    unknown = Interface((Signal("a"),), (Signal("b"), Signal("c")), {"b": None, "c": ("a",)})
+    names = renamings({"y": ["c", "b"]})
+    assert port_map(unknown, names).interface.feedthrough == {"y": None}
+
+
+def test_inputs_keep_their_initial_values_and_roles():
+    """Before anything drives them."""
+    shown = renamed(CASES["vectors"]).interface
+    assert [signal.start for signal in shown.inputs] == [(), (0.0, 0.5)]
+    assert [signal.role for signal in shown.outputs] == ["output", "output", "output"]
+    assert renamed(CASES["other names"]).interface.outputs[0].role == "state"
+
+
+class Gauge:
+    """Two lengths in and out, in m and mm; keeps what it was given."""
+
+    interface = Interface(
+        (Signal("p", unit="m"), Signal("q", unit="mm", start=(5.0,))),
+        (Signal("a", unit="m"), Signal("b", unit="mm")),
+        {"a": ("p",), "b": ("q",)},
+    )
+
+    def prepare(self, h, held, recorded):
+        return {}
+
+    def initialize(self, t, u):
+        return u.copy()
+
+    def outputs(self, t, u):
+        return u.copy()
+
+    def advance(self, t, h, u):
+        return u[1:].copy()
+
+
+def test_a_vector_of_two_units_is_converted_element_by_element():
+    """To the unit of the first, or to that of the port that it replaces; 1 m is 100 cm."""
+    names = {"x": ["a", "b"], "w": ["p", "q"]}
+    first = renamed(names, Gauge())
+    assert first.interface.inputs[0].unit == first.interface.outputs[0].unit == "m"
+    assert first.outputs(0.0, np.array([2.0, 0.003])) == pytest.approx([2.0, 0.003], rel=1e-15)
+    assert first.interface.inputs[0].start == pytest.approx([0.0, 0.005])
+    replaced = Interface((), (Signal("x", 2, unit="cm"),))
+    shown = renamed(names, Gauge(), replaced)
+    assert (shown.interface.inputs[0].unit, shown.interface.outputs[0].unit) == ("m", "cm")
+    y = shown.advance(np.array([0.0, 1.0]), 1.0, np.array([[0.0, 0.0], [2.0, 0.003]]))
+    assert y == pytest.approx(np.array([[200.0, 0.3]]), rel=1e-15)
+    ports = port_map(Gauge.interface, renamings(names), replaced)
+    assert ports.shown_gain(np.diag([1.0, 1.0])) == pytest.approx(np.diag([100.0, 100.0]))
+    assert ports.shown_inputs(np.array([2.0, 5.0])) == pytest.approx([2.0, 0.005])
+    check_component(lambda: renamed(names, Gauge(), replaced))
+
+
+def test_elements_of_a_vector_that_is_not_there_make_one():
+    """From 0 on; another element is a signal of its name."""
+    whole = port_map(INTERFACE, renamings({"y[1]": ["s[0]"], "y[0]": ["v"]}))
+    assert [signal.name for signal in whole.interface.outputs] == ["s", "out", "y"]
+    assert whole.names == {"y": "v, s[0]"}
+    single = port_map(INTERFACE, renamings({"y[1]": ["v"], "s[0]": ["out[1]"]}))
+    assert [(s.name, s.size) for s in single.interface.outputs] == [
+        ("s", 2),
+        ("out", 3),
+        ("s[0]", 1),
+        ("y[1]", 1),
+    ]
+
+
+def test_a_recording_may_be_renamed_and_ends_where_it_ends():
+    """The rows up to there are shown."""
+    memory = Memory()
+    run(Graph({"plant": Expression(["t"])}, {}), Clock(0.2, 0.1), memory)
+    shown = renamed({"z": ["y"]}, Replay(memory, "plant"))
+    shown.initialize(0.0, np.zeros(0))
+    with pytest.raises(Stopped, match=r"recording ends at 0\.2 s") as stopped:
+        shown.advance(np.array([0.0, 0.1, 0.2, 0.3]), 0.1, np.zeros((4, 0)))
+    assert stopped.value.outputs.tolist() == [[0.1], [0.2]]
+
+
+MIXED = Interface(
+    (Signal("u", 2), Signal("w")),
+    (
+        Signal("r", unit="m"),
+        Signal("n", kind="integer"),
+        Signal("k", variability="discrete"),
+        Signal("m", unit="kg"),
+        Signal("o", optional=True),
+    ),
+)
+WRONG = {
+    "no such port": (
+        {"y": ["rr"]},
+        r"'plant\.rr': 'plant' has no input or output 'rr'; did you mean",
+    ),
+    "no such element": ({"y": ["r[1]"]}, r"'plant\.r\[1\]': 'plant\.r' has 1 element, numbered"),
+    "types": ({"y": ["r", "n"]}, r"'plant\.y' cannot be made of r, n: 'r' is real, 'n' is integer"),
+    "variability": (
+        {"y": ["r", "k"]},
+        r"'r' is continuous, 'k' is discrete, and all of a signal is one or the other; leave "
+        r"'plant\.y' out of the map and list them in the connection: \[\"plant\.r\", "
+        r"\"plant\.k\"\]",
+    ),
+    "values that may be missing": ({"y": ["r", "o"]}, r"'r' is never NaN, 'o' is optional"),
+    "units": ({"y": ["r", "m"]}, r"unit 'kg' of 'm' cannot be converted to 'm'; leave 'plant\.y'"),
+    "causality": ({"y": ["r", "w"]}, r"'r' is output, 'w' is input"),
+    "size": ({"y[1]": ["u"]}, r"'plant\.y\[1\]' has size 1; found size 2: u"),
+    "an input twice": (
+        {"a": ["w"], "b": ["w"]},
+        r"'plant\.w' is given twice, for 'plant\.a' and 'plant\.b'",
+    ),
+    "a part of an input": (
+        {"a": ["u[1]"]},
+        r"'plant\.a' is a part of the input 'u'; needed ports for the rest too: u\[0\]",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_a_wrong_name_says_what_there_is(case):
+    """What was found, and the way out."""
+    names, text = WRONG[case]
+    with pytest.raises(GraphError, match=text):
+        port_map(MIXED, renamings(names))
