@@ -426,7 +426,7 @@ def test_a_good_archive_comes_out_whole(tmp_path):
     )
     folder = tmp_path / "folder"
     folder.mkdir()
-    found = archive.look(path, ("modelDescription.xml",), folder)
+    found = archive.read_archive(path, ("modelDescription.xml",), folder)
     assert found.wanted == {"modelDescription.xml": XML.encode()}
     assert found.members == {*names, "modelDescription.xml"}
     assert {name: (folder / name).read_bytes() for name in names} == names

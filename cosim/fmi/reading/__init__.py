@@ -1,1 +1,1 @@
-"""What an .fmu says of itself: the archive, judged and unpacked, and its modelDescription.xml."""
+"""What an .fmu holds: the archive, checked and unpacked, and its modelDescription.xml."""

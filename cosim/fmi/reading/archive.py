@@ -1,7 +1,7 @@
-"""The zip archive of an .fmu: judged before anything is written, bounded while it is unpacked.
+"""The zip archive of an .fmu: checked before anything is written, bounded while it is unpacked.
 
-FMI 2.0.4 section 2.3, FMI 3.0 section 2.5. The file is opened once: what is hashed is what is read. The sizes that entries
-declare are only a first reason to refuse; what counts is what comes out.
+FMI 2.0.4 section 2.3, FMI 3.0 section 2.5. The file is opened once: what is hashed is what is read.
+The sizes that entries declare are only a first reason to refuse; what counts is what comes out.
 """
 
 from __future__ import annotations
@@ -22,23 +22,24 @@ from cosim.errors import FmuError
 
 LARGEST: Final = 2**30  # bytes, unpacked
 MOST: Final = 10_000  # entries
-DIRECTORY: Final = (
-    2**24
-)  # bytes of the list of entries, which zipfile reads in one piece before it can be counted
+# Bytes of the list of entries, which zipfile reads in one piece before it can be counted.
+DIRECTORY: Final = 2**24
 RATIO: Final = 200  # unpacked to packed, of one entry
 SMALL: Final = 2**20  # bytes: a small file may be emptier than that, such as a table of zeros
 DEEPEST: Final = 32  # folders in folders
 LONGEST: Final = 255  # bytes of one name
 XML_LARGEST: Final = 64 * 2**20  # bytes
 CHUNK: Final = 2**16
-WINDOWS: Final = re.compile(
-    r"(?i)(con|prn|aux|nul|com[0-9¹²³]|lpt[0-9¹²³])(\..*)?|.*[. ]"
-)  # no names of files there
+# No names of files on Windows.
+WINDOWS: Final = re.compile(r"(?i)(con|prn|aux|nul|com[0-9¹²³]|lpt[0-9¹²³])(\..*)?|.*[. ]")
+ENTRY_HEADER: Final = 30  # bytes before the name of an entry
+ENCRYPTED: Final = 0x2041  # flag bits: encrypted, strongly encrypted, masked
+UTF8_NAME: Final = 0x800  # flag bit
 
 
 @dataclass(frozen=True, slots=True)
 class ArchiveContents:
-    """What an archive was found to hold.
+    """What an archive holds.
 
     Parameters
     ----------
@@ -55,8 +56,8 @@ class ArchiveContents:
     wanted: Mapping[str, bytes]
 
 
-def look(path: Path, wanted: Sequence[str], into: Path | None = None) -> ArchiveContents:
-    """Judge an archive and read some members of it; unpack all of it where a folder is given.
+def read_archive(path: Path, wanted: Sequence[str], into: Path | None = None) -> ArchiveContents:
+    """Check an archive and read some members of it; unpack all of it where a folder is given.
 
     Parameters
     ----------
@@ -71,167 +72,190 @@ def look(path: Path, wanted: Sequence[str], into: Path | None = None) -> Archive
     FmuError
         If it is no zip archive, or one that must not or cannot be unpacked.
     """
-    with _opened(path) as (archive, sha256):
-        files = _judged(path, archive)
-        read = {member: io.BytesIO() for member in wanted if member in files}
-        for member, content in read.items():
-            _copy(path, archive, files[member], content.write, XML_LARGEST)
+    with _open(path) as (archive, sha256):
+        entries = _check_entries(path, archive)
+        contents = {}
+        for member in wanted:
+            if member in entries:
+                content = io.BytesIO()
+                _copy(path, archive, entries[member], content.write, XML_LARGEST)
+                contents[member] = content.getvalue()
         if into is not None:
-            _unpack(path, archive, files, into)
-        return ArchiveContents(
-            sha256,
-            frozenset(files),
-            {member: content.getvalue() for member, content in read.items()},
-        )
+            _unpack(path, archive, entries, into)
+        return ArchiveContents(sha256, frozenset(entries), contents)
 
 
-class _Bounded(io.FileIO):
-    """A file that does not give more than ``DIRECTORY`` bytes at once."""
+class _BoundedFile(io.FileIO):
+    """A file of which at most ``DIRECTORY`` bytes can be read at once."""
 
     def read(self, size: int | None = -1, /) -> bytes:
         if size is not None and size > DIRECTORY:
             raise FmuError(
-                f"{self.name}: the archive's list of entries takes {size} bytes; needed at most {DIRECTORY}"
+                f"{self.name}: the archive's list of entries takes {size} bytes; "
+                f"needed at most {DIRECTORY}"
             )
-        found = super().read(size)
-        assert found is not None
-        return found
+        content = super().read(size)
+        assert content is not None
+        return content
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[tuple[zipfile.ZipFile, str]]:
+def _open(path: Path) -> Iterator[tuple[zipfile.ZipFile, str]]:
+    """Open an archive; yield it with the SHA-256 of the file. Whatever fails is an FmuError."""
     try:
-        with _Bounded(path) as file:
+        with _BoundedFile(path) as file:
             sha256 = hashlib.file_digest(file, "sha256").hexdigest()
             with zipfile.ZipFile(file) as archive:
                 try:
                     yield archive, sha256
                 except FmuError:
                     raise
-                except (
-                    Exception
-                ) as error:  # damaged, a full disk: zipfile raises what its parts happen to raise
-                    raise FmuError(
-                        f"{path}: the archive cannot be unpacked: {type(error).__name__}: {error}"
-                    ) from error
+                # Damaged data, a full disk: zipfile raises what its parts happen to raise.
+                except Exception as error:
+                    reason = f"{type(error).__name__}: {error}"
+                    raise FmuError(f"{path}: the archive cannot be unpacked: {reason}") from error
     except FmuError:
         raise
     except OSError as error:
         raise FmuError(f"{path} cannot be read: {error.strerror or error}") from error
-    except (
-        Exception
-    ) as error:  # BadZipFile, NotImplementedError, UnicodeDecodeError, struct.error, ...
+    # BadZipFile, NotImplementedError, UnicodeDecodeError, struct.error, ...
+    except Exception as error:
         raise FmuError(f"{path}: not an FMU, as it is no zip archive ({error})") from error
 
 
-# --- judging ---
+# --- checks before anything is unpacked ---
 
 
-def _judged(path: Path, archive: zipfile.ZipFile) -> Mapping[str, zipfile.ZipInfo]:
-    """Give the files by name, if the archive may be unpacked."""
+def _check_entries(path: Path, archive: zipfile.ZipFile) -> Mapping[str, zipfile.ZipInfo]:
+    """Return the files by name, if the archive may be unpacked."""
     entries = archive.infolist()
     if len(entries) > MOST:
         raise FmuError(f"{path}: the archive has {len(entries)} entries; needed at most {MOST}")
-    _check_size(path, sum(entry.file_size for entry in entries))
-    for entry in entries:
-        problem = _name_problem(entry.orig_filename) or _kind_problem(
-            entry
-        )  # zipfile alters the other name
-        if problem:
-            raise FmuError(f"{path}: the archive has {problem}: {entry.orig_filename!r}")
-    _check_clashes(path, [entry.orig_filename for entry in entries])
-    _check_overlap(path, archive, entries)
-    return {
-        entry.orig_filename: entry for entry in entries if not entry.orig_filename.endswith("/")
-    }
-
-
-def _check_size(path: Path, size: int) -> None:
+    size = sum(entry.file_size for entry in entries)
     if size > LARGEST:
         raise FmuError(
             f"{path}: unpacked, the archive would have {size} bytes; needed at most {LARGEST}"
         )
+    for entry in entries:
+        # The original name: zipfile alters ``filename``, so that some problems no longer show.
+        name = entry.orig_filename
+        problem = _name_problem(name) or _type_problem(entry)
+        if problem:
+            raise FmuError(f"{path}: the archive has {problem}: {name!r}")
+    names = [entry.orig_filename for entry in entries]
+    _check_duplicates(path, names)
+    _check_clashes(path, names)
+    _check_overlap(path, archive, entries)
+    return {entry.orig_filename: entry for entry in entries if not _is_folder(entry)}
+
+
+def _is_folder(entry: zipfile.ZipInfo) -> bool:
+    return entry.orig_filename.endswith("/")
 
 
 def _name_problem(name: str) -> str | None:
-    """Say what is wrong with the name of an entry."""
-    parts = name.removesuffix("/").split("/")
+    """Return what is wrong with the name of an entry."""
     if re.match(r"[/\\]|[A-Za-z]:", name):
         return "an entry with an absolute path"
     if ".." in re.split(r"[/\\]", name):
         return "an entry that leads out of it"
     if "\\" in name:
         return "an entry with a backslash in its name, where FMI needs '/'"
-    if any(unicodedata.category(letter) in ("Cc", "Cf", "Cs", "Zl", "Zp") for letter in name):
+    if _has_control_character(name):
         return "an entry with a control character in its name"
+    return _parts_problem(name.removesuffix("/").split("/"))
+
+
+def _parts_problem(parts: list[str]) -> str | None:
+    """Return what is wrong with the names of folders and of the file in a path."""
     if "" in parts or "." in parts:
         return "an entry with an empty part in its path"
-    if ":" in name or any(WINDOWS.fullmatch(part) for part in parts):
+    if any(":" in part or WINDOWS.fullmatch(part) for part in parts):
         return "an entry with a name that Windows keeps for devices or streams, or ends otherwise"
-    if len(parts) > DEEPEST or any(len(part.encode()) > LONGEST for part in parts):
+    longest_part = max(len(part.encode()) for part in parts)
+    if len(parts) > DEEPEST or longest_part > LONGEST:
         return f"an entry whose path is too long (at most {DEEPEST} parts of {LONGEST} bytes)"
     return None
 
 
-def _kind_problem(entry: zipfile.ZipInfo) -> str | None:
-    """Say what is wrong with an entry that is no plain file or folder."""
-    kind, folder = stat.S_IFMT(entry.external_attr >> 16), entry.orig_filename.endswith("/")
-    if kind == stat.S_IFLNK:
+def _has_control_character(name: str) -> bool:
+    categories = {unicodedata.category(character) for character in name}
+    return not categories.isdisjoint(("Cc", "Cf", "Cs", "Zl", "Zp"))
+
+
+def _type_problem(entry: zipfile.ZipInfo) -> str | None:
+    """Return what is wrong with an entry that is no plain file or folder."""
+    is_folder = _is_folder(entry)
+    file_type = stat.S_IFMT(entry.external_attr >> 16)
+    if file_type == stat.S_IFLNK:
         return "a link, where it may have files and folders only"
-    if kind not in (0, stat.S_IFREG) and not (folder and kind == stat.S_IFDIR):
+    allowed_types = (0, stat.S_IFREG, stat.S_IFDIR) if is_folder else (0, stat.S_IFREG)
+    if file_type not in allowed_types:
         return "a special file, where it may have files and folders only"
-    if folder and entry.file_size:
+    if is_folder and entry.file_size:
         return "a folder with content of its own"
-    if entry.flag_bits & 0x2041:  # encrypted, strongly encrypted, masked
+    if entry.flag_bits & ENCRYPTED:
         return "an encrypted entry"
     if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-        return f"an entry with compression method {entry.compress_type} (needed 0, stored, or 8, deflated)"
+        needed = "needed 0, stored, or 8, deflated"
+        return f"an entry with compression method {entry.compress_type} ({needed})"
     return None
 
 
-def _check_clashes(path: Path, names: list[str]) -> None:
-    """Refuse names that are one file on some system: duplicates, other case or composition, a file where a folder is needed."""
+def _check_duplicates(path: Path, names: list[str]) -> None:
     if len(set(names)) < len(names):
-        twice = next(name for name in names if names.count(name) > 1)
-        raise FmuError(f"{path}: the archive has two entries of one name: {twice!r}")
+        duplicate = next(name for name in names if names.count(name) > 1)
+        raise FmuError(f"{path}: the archive has two entries of one name: {duplicate!r}")
+
+
+def _check_clashes(path: Path, names: list[str]) -> None:
+    """Refuse names that are one file on some system, and a file where a folder is needed.
+
+    Names are one where neither the case nor the composition of letters counts.
+    """
     files = {name for name in names if not name.endswith("/")}
-    spelled: dict[str, str] = {}
+    spellings: dict[str, str] = {}
     for name in names:
-        parts = name.removesuffix("/").split("/")
-        for place in ("/".join(parts[:end]) for end in range(1, len(parts) + 1)):
+        for place in _places(name):
             if place in files and place != name:
                 raise FmuError(
                     f"{path}: the archive has {place!r} as a file, where {name!r} needs a folder"
                 )
-            other = spelled.setdefault(_key(place), place)
+            other = spellings.setdefault(_normalized(place), place)
             if other != place:
                 raise FmuError(
-                    f"{path}: the archive has names that are one on some systems: {other!r} and {place!r}"
+                    f"{path}: the archive has names that are one on some systems: "
+                    f"{other!r} and {place!r}"
                 )
 
 
-def _key(name: str) -> str:
-    """Give what a name is where neither case nor the composition of letters counts."""
+def _places(name: str) -> list[str]:
+    """Return the path of an entry and of every folder above it, from the outermost."""
+    parts = name.removesuffix("/").split("/")
+    return ["/".join(parts[:end]) for end in range(1, len(parts) + 1)]
+
+
+def _normalized(name: str) -> str:
+    """Return what a name is where neither case nor the composition of letters counts."""
     return unicodedata.normalize("NFC", unicodedata.normalize("NFC", name).casefold())
 
 
 def _check_overlap(path: Path, archive: zipfile.ZipFile, entries: list[zipfile.ZipInfo]) -> None:
-    """Refuse entries that share their packed bytes: 30 bytes of header, the name and the packed content stand one by one."""
+    """Refuse entries that share their packed bytes: header, name and content stand one by one."""
     end = 0
     for entry in sorted(entries, key=lambda entry: entry.header_offset):
         if entry.header_offset < end:
             raise FmuError(
-                f"{path}: the archive has overlapping entries: {entry.orig_filename!r} begins inside another"
+                f"{path}: the archive has overlapping entries: "
+                f"{entry.orig_filename!r} begins inside another"
             )
-        end = (
-            entry.header_offset
-            + 30
-            + len(entry.orig_filename.encode("utf-8" if entry.flag_bits & 0x800 else "cp437"))
-        )
-        end += entry.compress_size
+        encoding = "utf-8" if entry.flag_bits & UTF8_NAME else "cp437"
+        name_length = len(entry.orig_filename.encode(encoding))
+        end = entry.header_offset + ENTRY_HEADER + name_length + entry.compress_size
     if end > archive.start_dir:
         raise FmuError(
-            f"{path}: the archive has an entry that reaches beyond the others: the file is truncated or altered"
+            f"{path}: the archive has an entry that reaches beyond the others: "
+            "the file is truncated or altered"
         )
 
 
@@ -248,9 +272,10 @@ def _unpack(
         with target.open("xb") as file:
             size += _copy(path, archive, entry, file.write, LARGEST - size)
     for entry in archive.infolist():
-        (folder / entry.orig_filename).parent.mkdir(parents=True, exist_ok=True)
-        if entry.orig_filename.endswith("/"):
-            (folder / entry.orig_filename).mkdir(exist_ok=True)
+        target = folder / entry.orig_filename
+        target.parent.mkdir(parents=True, exist_ok=True)
+        if _is_folder(entry):
+            target.mkdir(exist_ok=True)
 
 
 def _copy(
@@ -260,23 +285,25 @@ def _copy(
     write: Callable[[bytes], object],
     room: int,
 ) -> int:
-    """Unpack one entry in pieces, into at most ``room`` bytes; give its size."""
+    """Unpack one entry in pieces, into at most ``room`` bytes; return its size."""
     size = 0
+    name = entry.orig_filename
     with archive.open(entry) as source:
         while chunk := source.read(CHUNK):
             size += len(chunk)
             if size > room:
                 raise FmuError(
-                    f"{path}: {entry.orig_filename!r} has more than {room} bytes unpacked, which is all it may have"
+                    f"{path}: {name!r} has more than {room} bytes unpacked, "
+                    "which is all it may have"
                 )
             if size > max(SMALL, RATIO * entry.compress_size):
                 raise FmuError(
-                    f"{path}: {entry.orig_filename!r} is packed more than {RATIO} times: {entry.compress_size} bytes unpack to "
-                    f"{size} or more"
+                    f"{path}: {name!r} is packed more than {RATIO} times: "
+                    f"{entry.compress_size} bytes unpack to {size} or more"
                 )
             write(chunk)
     if size != entry.file_size:
         raise FmuError(
-            f"{path}: {entry.orig_filename!r} has {size} bytes unpacked; the archive says {entry.file_size}"
+            f"{path}: {name!r} has {size} bytes unpacked; the archive says {entry.file_size}"
         )
     return size

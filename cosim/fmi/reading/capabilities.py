@@ -1,4 +1,7 @@
-"""Read what each kind of an FMU can do (FMI 1.0 co-simulation section 4.3, FMI 2.0.4 and 3.0 sections 3.3.1 and 4.3.1)."""
+"""Read what an FMU can do with each interface type.
+
+FMI 1.0 for co-simulation section 4.3, FMI 2.0.4 and FMI 3.0 sections 3.3.1 and 4.3.1.
+"""
 
 from __future__ import annotations
 
@@ -16,52 +19,55 @@ ELEMENTS: Final[Mapping[InterfaceType, str]] = {"me": "ModelExchange", "cs": "Co
 
 
 def read_capabilities(root: Element, attributes: Attributes) -> dict[InterfaceType, Capabilities]:
-    """Give the kinds that are there, and what each can do."""
+    """Return the interface types that are there, and what the FMU can do with each."""
     version = major(root)
-    found: dict[InterfaceType, Capabilities] = {}
     if version == 1:
         identifier = _identifier(root, attributes)
         implementation = root.find("Implementation")
         if implementation is None:
             return {"me": Capabilities(identifier)}
         return {"cs": _capabilities_1(implementation, identifier)}
+    read = _capabilities_2 if version == 2 else _capabilities_3
+    capabilities: dict[InterfaceType, Capabilities] = {}
     for interface_type, tag in ELEMENTS.items():
         element = root.find(tag)
         if element is not None:
-            able = _capabilities_2 if version == 2 else _capabilities_3
-            found[interface_type] = able(
-                element, _identifier(element, attributes), interface_type, attributes
-            )
-    return found
+            identifier = _identifier(element, attributes)
+            capabilities[interface_type] = read(element, identifier, interface_type, attributes)
+    return capabilities
 
 
 def _identifier(element: Element, attributes: Attributes) -> str:
-    """Give the modelIdentifier; it becomes part of a path, and "../x" must not."""
-    found = element.get("modelIdentifier")
-    if found is None:
+    """Return the modelIdentifier; it becomes part of a path, and "../x" must not."""
+    identifier = element.get("modelIdentifier")
+    if identifier is None:
         attributes.problems.append(f"{element.tag}: the attribute modelIdentifier is missing")
-    elif not IDENTIFIER.fullmatch(found) or not found.isascii():
+    elif not IDENTIFIER.fullmatch(identifier) or not identifier.isascii():
         attributes.problems.append(
-            f"{element.tag}: modelIdentifier {found!r} is no identifier of C"
+            f"{element.tag}: modelIdentifier {identifier!r} is no identifier of C"
         )
-    return found or ""
+    return identifier or ""
 
 
 def _capabilities_1(implementation: Element, identifier: str) -> Capabilities:
-    found = implementation.find("*/Capabilities")
-    element = Element("none") if found is None else found
+    element = implementation.find("*/Capabilities")
+    if element is None:
+        element = Element("none")
+    once_per_process = flag(element, "canBeInstantiatedOnlyOncePerProcess")
+    needs_tool = implementation.find("CoSimulation_Tool") is not None
     return Capabilities(
         identifier,
         interpolates_inputs=flag(element, "canInterpolateInputs"),
         variable_step=flag(element, "canHandleVariableCommunicationStepSize"),
-        once_per_process=flag(element, "canBeInstantiatedOnlyOncePerProcess"),
-        needs_tool=implementation.find("CoSimulation_Tool") is not None,
+        once_per_process=once_per_process,
+        needs_tool=needs_tool,
     )
 
 
 def _capabilities_2(
     element: Element, identifier: str, interface_type: InterfaceType, attributes: Attributes
 ) -> Capabilities:
+    not_needed = flag(element, "completedIntegratorStepNotNeeded")
     return Capabilities(
         identifier,
         directional_derivatives=flag(element, "providesDirectionalDerivative"),
@@ -69,8 +75,7 @@ def _capabilities_2(
         serializes_state=flag(element, "canSerializeFMUstate"),
         interpolates_inputs=flag(element, "canInterpolateInputs"),
         variable_step=flag(element, "canHandleVariableCommunicationStepSize"),
-        completed_step=interface_type == "me"
-        and not flag(element, "completedIntegratorStepNotNeeded"),
+        completed_step=interface_type == "me" and not not_needed,
         once_per_process=flag(element, "canBeInstantiatedOnlyOncePerProcess"),
         needs_tool=flag(element, "needsExecutionTool"),
     )
@@ -84,6 +89,7 @@ def _capabilities_3(
         attributes.problems.append(
             f"{element.tag}: fixedInternalStepSize: found {step}, needed a positive number"
         )
+    needs_completed_step = flag(element, "needsCompletedIntegratorStep")
     return Capabilities(
         identifier,
         directional_derivatives=flag(element, "providesDirectionalDerivatives"),
@@ -95,7 +101,7 @@ def _capabilities_3(
         fixed_step=step,
         event_mode=flag(element, "hasEventMode"),
         early_return=flag(element, "mightReturnEarlyFromDoStep"),
-        completed_step=interface_type == "me" and flag(element, "needsCompletedIntegratorStep"),
+        completed_step=interface_type == "me" and needs_completed_step,
         once_per_process=flag(element, "canBeInstantiatedOnlyOncePerProcess"),
         needs_tool=flag(element, "needsExecutionTool"),
     )

@@ -1,17 +1,19 @@
 """Read the manifest of the layered standard FMI-LS-DAE (a draft): the residual form of an FMU.
 
-The draft's text, schema and sample disagree. All of their variants are read: the root fmiLayeredStandardManifest or fmi-dae,
-attributes with or without the namespace, versions 0.0.1 and 0.1, and any description. With the root fmi-dae the attribute
-isDaeFmu says whether there is a residual form at all; without it, what the manifest lists.
+The draft's text, schema and sample disagree. All of their variants are read: the root
+fmiLayeredStandardManifest or fmi-dae, attributes with or without the namespace, versions 0.0.1 and
+0.1, and any description. With the root fmi-dae the attribute isDaeFmu says whether there is a
+residual form at all; without it, what the manifest lists.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Final
 from xml.etree.ElementTree import Element
 
 from cosim.fmi.description import Dae, Formulation
+from cosim.fmi.reading.dependencies import known_names
 from cosim.fmi.reading.markup import Attributes, flag, parse
 from cosim.fmi.variable import Variable
 
@@ -25,149 +27,164 @@ UNKNOWNS: Final = ("Output", "ContinuousStateDerivative")
 
 
 def read_dae(raw: bytes, variables: Sequence[Variable]) -> Dae | None:
-    """Read a manifest; None: it says that there is no residual form. What is wrong with it is among its ``problems``."""
+    """Read a manifest; None: it says that there is no residual form.
+
+    What is wrong with the manifest is among the ``problems`` of the result.
+    """
     try:
         root = parse(raw)
     except ValueError as error:
         return Dae("", problems=(f"it is not well-formed: {error}",))
     attributes = Attributes([])
-    version = _about(root, attributes)
-    structure = next(_children(root, "ModelStructure"), Element("none"))
-    lists = next(_children(root, "AlgebraicVariables"), Element("none"))
-    if (
-        _local(root) == "fmi-dae"
-        and not flag(root, "isDaeFmu")
-        and not len(structure)
-        and not len(lists)
-    ):
+    version = _read_version(root, attributes)
+    structure = _child(root, "ModelStructure")
+    algebraic_variables = _child(root, "AlgebraicVariables")
+    lists_nothing = not len(structure) and not len(algebraic_variables)
+    if _local_name(root) == "fmi-dae" and lists_nothing and not flag(root, "isDaeFmu"):
         return None
-    reader = _Reader(variables, attributes)
-    algebraic = [reader.variable(element) for element in _children(lists, "AlgebraicVariable")]
+    reader = _ManifestReader(variables, attributes)
+    algebraic = reader.variables(algebraic_variables, "AlgebraicVariable")
     residuals = [
-        [reader.formulation(element) for element in _children(residual, "Formulation")]
-        for residual in _children(structure, "Residual")
+        reader.formulations(element, "Formulation") for element in _children(structure, "Residual")
     ]
-    unknowns = [
-        reader.formulation(element) for tag in UNKNOWNS for element in _children(structure, tag)
-    ]
-    _check(algebraic, residuals, reader, attributes.problems)
+    dependencies: dict[str, tuple[str, ...] | None] = {}
+    for tag in UNKNOWNS:
+        for unknown in reader.formulations(structure, tag):
+            dependencies[unknown.name] = unknown.dependencies
+    _check_variables("AlgebraicVariable", algebraic, reader)
+    _check_residuals(structure, residuals, reader)
+    if not attributes.problems:
+        _check_count(algebraic, residuals, reader)
     return Dae(
         version,
-        tuple(name for name in algebraic if name),
-        tuple(tuple(one for one in formulations if one) for formulations in residuals),
-        {unknown.name: unknown.dependencies for unknown in unknowns if unknown},
+        tuple(algebraic),
+        tuple(residuals),
+        dependencies,
         tuple(attributes.problems),
     )
 
 
-def _about(root: Element, attributes: Attributes) -> str:
-    """Check whose manifest it is; give its version."""
-    name, version = (
-        root.get(f"{{{NAMESPACE}}}fmi-ls-{key}", root.get(f"fmi-ls-{key}", ""))
-        for key in ("name", "version")
-    )
-    for what, found, needed in (
-        ("the root", _local(root), ROOTS),
+def _read_version(root: Element, attributes: Attributes) -> str:
+    """Check which layered standard a manifest belongs to; return its version."""
+    name = _manifest_attribute(root, "name")
+    version = _manifest_attribute(root, "version")
+    checks: tuple[tuple[str, str, tuple[str, ...]], ...] = (
+        ("the root", _local_name(root), ROOTS),
         ("fmi-ls-name", name, (NAME,)),
         ("fmi-ls-version", version, VERSIONS),
-    ):
-        if found not in needed:
-            attributes.problems.append(f"{what}: found {found!r}, needed {' or '.join(needed)}")
+    )
+    for what, found, allowed in checks:
+        if found not in allowed:
+            needed = " or ".join(allowed)
+            attributes.problems.append(f"{what}: found {found!r}, needed {needed}")
     return version
 
 
-def _local(element: Element) -> str:
-    """Give the name of an element without its namespace; of a comment, which has a function for it, nothing."""
+def _manifest_attribute(root: Element, key: str) -> str:
+    """Return an attribute of the manifest, with or without its namespace."""
+    plain = root.get(f"fmi-ls-{key}", "")
+    return root.get(f"{{{NAMESPACE}}}fmi-ls-{key}", plain)
+
+
+def _local_name(element: Element) -> str:
+    """Return the name of an element without its namespace; "" of a comment."""
+    # The tag of a comment is a function.
     return element.tag.rpartition("}")[2] if isinstance(element.tag, str) else ""
 
 
-def _children(element: Element, tag: str) -> Iterator[Element]:
-    return (child for child in element if _local(child) == tag)
+def _children(element: Element, tag: str) -> list[Element]:
+    return [child for child in element if _local_name(child) == tag]
 
 
-class _Reader:
-    """Finds the variables that a manifest refers to; what it does not find goes to the problems."""
+def _child(element: Element, tag: str) -> Element:
+    """Return the first child of a name; an empty element where there is none."""
+    return next(iter(_children(element, tag)), Element("none"))
+
+
+class _ManifestReader:
+    """Finds the variables that a manifest refers to; what it does not find goes to ``problems``."""
 
     def __init__(self, variables: Sequence[Variable], attributes: Attributes) -> None:
-        self.named = {v.name: v for v in variables}
+        self.named = {variable.name: variable for variable in variables}
+        self.problems = attributes.problems
         self._names = {v.reference: v.name for v in variables if v.alias_of is None}
         self._attributes = attributes
 
-    def variable(self, element: Element) -> str | None:
-        """Give the name behind the attribute valueReference."""
-        where = _local(element)
+    def variables(self, parent: Element, tag: str) -> list[str]:
+        """Return the names of the variables that the children of one tag refer to."""
+        names = [self._variable(element) for element in _children(parent, tag)]
+        return [name for name in names if name]
+
+    def formulations(self, parent: Element, tag: str) -> tuple[Formulation, ...]:
+        """Return the unknowns that the children of one tag refer to."""
+        formulations = [self._formulation(element) for element in _children(parent, tag)]
+        return tuple(formulation for formulation in formulations if formulation is not None)
+
+    def _variable(self, element: Element) -> str | None:
+        """Return the name behind the attribute valueReference."""
+        where = _local_name(element)
         reference = self._attributes.integer(element, "valueReference", where)
         if reference is None or reference not in self._names:
-            self._attributes.problems.append(
-                f"{where}: valueReference={element.get('valueReference')} is no variable"
-            )
+            found = element.get("valueReference")
+            self.problems.append(f"{where}: valueReference={found} is no variable")
             return None
         return self._names[reference]
 
-    def formulation(self, element: Element) -> Formulation | None:
-        """Give an unknown with what it depends on."""
-        name = self.variable(element)
+    def _formulation(self, element: Element) -> Formulation | None:
+        """Return an unknown with what it depends on."""
+        name = self._variable(element)
         if name is None:
             return None
-        where = f"{_local(element)} {name!r}"
-        known = self._attributes.integers(element, "dependencies", where)
-        missing = [str(other) for other in known or () if other not in self._names]
-        if missing:
-            self._attributes.problems.append(
-                f"{where}: dependencies name no variable: {', '.join(missing)}"
+        where = f"{_local_name(element)} {name!r}"
+        dependencies = known_names(element, self._names, where, self._attributes)
+        index = self._attributes.integer(element, "index", where)
+        return Formulation(name, dependencies, index)
+
+
+def _check_variables(where: str, names: Sequence[str], reader: _ManifestReader) -> None:
+    """Check that variables are listed once, and are real and continuous."""
+    for name in dict.fromkeys(names):
+        count = names.count(name)
+        if count > 1:
+            reader.problems.append(f"{where} {name!r} is listed {count} times, needed once")
+        variable = reader.named[name]
+        if variable.kind != "real" or variable.variability != "continuous":
+            reader.problems.append(
+                f"{where} {name!r}: found a variable that is not real and continuous, "
+                "needed one that is"
             )
-        needs = (
-            None
-            if known is None
-            else tuple(self._names[other] for other in known if other in self._names)
-        )
-        return Formulation(name, needs, self._attributes.integer(element, "index", where))
 
 
-def _check(
-    algebraic: Sequence[str | None],
-    residuals: Sequence[Sequence[Formulation | None]],
-    reader: _Reader,
-    problems: list[str],
+def _check_residuals(
+    structure: Element, residuals: Sequence[Sequence[Formulation]], reader: _ManifestReader
 ) -> None:
-    """Check that the variables are what they should be, and as many equations as unknowns."""
-    formulations = [one.name for equation in residuals for one in equation if one]
-    for where, names in (
-        ("AlgebraicVariable", [name for name in algebraic if name]),
-        ("Formulation", formulations),
-    ):
-        for name in dict.fromkeys(names):
-            if names.count(name) > 1:
-                problems.append(
-                    f"{where} {name!r} is listed {names.count(name)} times, needed once"
-                )
-            if reader.named[name].kind != "real" or reader.named[name].variability != "continuous":
-                problems.append(
-                    f"{where} {name!r}: found a variable that is not real and continuous, needed one that is"
-                )
-    if any(not equation for equation in residuals):
-        problems.append("Residual: found no Formulation, needed one at least")
-    problems += (
-        _count([name for name in algebraic if name], residuals, reader) if not problems else []
-    )
+    """Check the variables of the equations, and that none is without."""
+    names: list[str] = []
+    for residual in residuals:
+        names += [formulation.name for formulation in residual]
+    _check_variables("Formulation", names, reader)
+    elements = _children(structure, "Residual")
+    if not all(_children(element, "Formulation") for element in elements):
+        reader.problems.append("Residual: found no Formulation, needed one at least")
 
 
-def _count(
-    algebraic: Sequence[str], residuals: Sequence[Sequence[Formulation | None]], reader: _Reader
-) -> list[str]:
-    """Compare the elements of algebraic variables and equations; a fully implicit form has equations for the states too."""
-    implicit = set()
+def _check_count(
+    algebraic: Sequence[str],
+    residuals: Sequence[Sequence[Formulation]],
+    reader: _ManifestReader,
+) -> None:
+    """Check that there are as many equations as algebraic variables, element by element.
+
+    A fully implicit form, where equations depend on derivatives, has equations for the states too.
+    """
     derivatives = {v.name for v in reader.named.values() if v.derivative_of is not None}
-    for equation in residuals:
-        implicit |= {
-            name
-            for one in equation
-            if one
-            for name in one.dependencies or ()
-            if name in derivatives
-        }
+    for residual in residuals:
+        for formulation in residual:
+            if not derivatives.isdisjoint(formulation.dependencies or ()):
+                return
     unknowns = sum(reader.named[name].size for name in algebraic)
-    equations = sum(reader.named[equation[0].name].size for equation in residuals if equation[0])
-    if implicit or unknowns == equations:
-        return []
-    return [f"found {equations} residuals for {unknowns} algebraic variables, needed as many"]
+    equations = sum(reader.named[residual[0].name].size for residual in residuals)
+    if unknowns != equations:
+        reader.problems.append(
+            f"found {equations} residuals for {unknowns} algebraic variables, needed as many"
+        )

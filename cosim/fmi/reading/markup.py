@@ -1,4 +1,4 @@
-"""XML from outside: parsed without document types and entities, its attributes read as what they should be."""
+"""XML from outside: parsed without document types and entities, its attributes read by type."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Value = TypeVar("Value")
 
 
 @final
-class _Tree(TreeBuilder):
+class _BoundedTree(TreeBuilder):
     """Builds the tree of a document that has no document type and is not deep."""
 
     depth = 0
@@ -38,9 +38,10 @@ def parse(raw: bytes) -> Element:
     Raises
     ------
     ValueError
-        If it is not well-formed, in an encoding that is not known, has a document type, or is too deep.
+        If it is not well-formed, in an encoding that is not known, has a document type, or is too
+        deep.
     """
-    parser = XMLParser(target=_Tree())
+    parser = XMLParser(target=_BoundedTree())
     try:
         for start in range(0, len(raw), CHUNK):
             parser.feed(raw[start : start + CHUNK])
@@ -52,7 +53,7 @@ def parse(raw: bytes) -> Element:
 
 @final
 class Attributes:
-    """Reads attributes; what is not what it should be goes to ``problems``, and is None.
+    """Reads attributes by type; one that is not of its type goes to ``problems``, and is None.
 
     Parameters
     ----------
@@ -64,42 +65,39 @@ class Attributes:
         self.problems = problems
 
     def text(self, element: Element, name: str, where: str) -> str:
-        """Give an attribute that must be there."""
-        found = element.get(name)
-        if found is None:
+        """Read an attribute that must be there."""
+        value = element.get(name)
+        if value is None:
             self.problems.append(f"{where}: the attribute {name} is missing")
-        return found or ""
+        return value or ""
 
     def number(self, element: Element, name: str, where: str) -> float | None:
-        """Give an xs:double."""
-        return self._converted(element.get(name), real, f"{where}: {name}", "a number")
+        """Read an xs:double."""
+        return self._convert(element.get(name), real, f"{where}: {name}", "a number")
 
     def integer(self, element: Element, name: str, where: str) -> int | None:
-        """Give an integer."""
-        return self._converted(element.get(name), whole, f"{where}: {name}", "an integer")
+        """Read an integer."""
+        return self._convert(element.get(name), whole, f"{where}: {name}", "an integer")
 
     def reference(self, element: Element, name: str, where: str) -> int:
-        """Give a value reference, which must be there."""
-        found = (
-            self._converted(
-                self.text(element, name, where) or None, whole, f"{where}: {name}", "an integer"
-            )
-            or 0
-        )
-        if not 0 <= found < 2**32:
-            self.problems.append(f"{where}: {name}: found {found}, needed 0 to {2**32 - 1}")
+        """Read a value reference, which must be there."""
+        text = self.text(element, name, where) or None
+        reference = self._convert(text, whole, f"{where}: {name}", "an integer") or 0
+        if not 0 <= reference < 2**32:
+            needed = f"needed 0 to {2**32 - 1}"
+            self.problems.append(f"{where}: {name}: found {reference}, {needed}")
             return 0
-        return found
+        return reference
 
     def integers(self, element: Element, name: str, where: str) -> tuple[int, ...] | None:
-        """Give a list of integers."""
-        return self._converted(element.get(name), integers, f"{where}: {name}", "integers")
+        """Read a list of integers."""
+        return self._convert(element.get(name), integers, f"{where}: {name}", "integers")
 
     def numbers(self, text: str | None, where: str) -> tuple[float, ...] | None:
-        """Give a list of numbers or Booleans."""
-        return self._converted(text, reals, where, "numbers")
+        """Read a list of numbers or Booleans."""
+        return self._convert(text, reals, where, "numbers")
 
-    def _converted(
+    def _convert(
         self, text: str | None, convert: Callable[[str], Value], where: str, needed: str
     ) -> Value | None:
         if text is None:
@@ -112,7 +110,7 @@ class Attributes:
 
 
 def flag(element: Element, name: str) -> bool:
-    """Give an xs:boolean; false where it is missing."""
+    """Read an xs:boolean; false where it is missing."""
     return element.get(name, "").strip() in ("true", "1")
 
 
@@ -128,7 +126,11 @@ def real(text: str) -> float:
     if "_" in text:
         raise ValueError
     word = text.strip()
-    return {"true": 1.0, "false": 0.0}.get(word) if word in ("true", "false") else float(word)  # type: ignore[return-value]
+    if word == "true":
+        return 1.0
+    if word == "false":
+        return 0.0
+    return float(word)
 
 
 def integers(text: str) -> tuple[int, ...]:

@@ -1,13 +1,15 @@
-"""Read what an .fmu says about itself; refuse what is no FMU.
+"""Read the description in an .fmu; refuse what is no FMU.
 
-``archive.py`` judges the archive, ``markup.py`` the XML; ``variables.py``, ``dependencies.py``, ``capabilities.py`` and
-``dae.py`` read its parts. The XML is read here and not by
-fmpy, whose description misses the directional derivatives and unsigned ranges of FMI 3, its string arrays, relative quantities,
-and the dependencies, aliases and start values of FMI 1, and which fails with whatever its parsing happens to raise.
+``archive.py`` checks the archive, ``markup.py`` the XML; ``variables.py``, ``dependencies.py``,
+``capabilities.py`` and ``dae.py`` read its parts. The XML is read here and not by fmpy, whose
+description misses the directional derivatives and unsigned ranges of FMI 3, its string arrays,
+relative quantities, and the dependencies, aliases and start values of FMI 1, and which fails with
+whatever its parsing happens to raise.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -15,7 +17,7 @@ from xml.etree.ElementTree import Element
 
 from cosim.errors import FmuError
 from cosim.fmi.description import Description
-from cosim.fmi.reading.archive import ArchiveContents, look
+from cosim.fmi.reading.archive import ArchiveContents, read_archive
 from cosim.fmi.reading.capabilities import read_capabilities
 from cosim.fmi.reading.dae import MANIFEST, read_dae
 from cosim.fmi.reading.dependencies import name_states, read_structure
@@ -27,7 +29,7 @@ XML: Final = "modelDescription.xml"
 
 @dataclass(frozen=True, slots=True)
 class Archive:
-    """An .fmu file that was looked into.
+    """An .fmu file, and what was read from it.
 
     Parameters
     ----------
@@ -49,7 +51,7 @@ class Archive:
 
 
 def read(path: Path | str, into: Path | None = None) -> Archive:
-    """Look into an .fmu, and unpack it where a folder is given.
+    """Read an .fmu, and unpack it where a folder is given.
 
     Parameters
     ----------
@@ -60,8 +62,9 @@ def read(path: Path | str, into: Path | None = None) -> Archive:
     Raises
     ------
     FmuError
-        If the file is missing, no zip archive or one that must not be unpacked, without modelDescription.xml, or the XML is
-        broken, of an unknown version, or contradicts itself: all that is wrong with it in one report.
+        If the file is missing, no zip archive or one that must not be unpacked, without
+        modelDescription.xml, or the XML is broken, of an unknown version, or contradicts itself:
+        all problems in one report.
     """
     path = Path(path)
     root, contents = open_description(path, into)
@@ -69,17 +72,12 @@ def read(path: Path | str, into: Path | None = None) -> Archive:
     description = describe_root(root, contents, path.stem, problems)
     if problems:
         raise FmuError("\n".join(f"{path}: {XML}: {problem}" for problem in problems))
-    return Archive(
-        path,
-        contents.sha256,
-        contents.wanted[XML].decode("utf-8", "replace"),
-        contents.members,
-        description,
-    )
+    xml = contents.wanted[XML].decode("utf-8", "replace")
+    return Archive(path, contents.sha256, xml, contents.members, description)
 
 
 def open_description(path: Path, into: Path | None = None) -> tuple[Element, ArchiveContents]:
-    """Give the root of the XML of a version that is known, and what the archive holds.
+    """Return the root of the XML, if its version is known, and what the archive holds.
 
     Raises
     ------
@@ -87,7 +85,7 @@ def open_description(path: Path, into: Path | None = None) -> tuple[Element, Arc
         As ``read``, except for what contradicts itself.
     """
     need_file(path)
-    contents = look(path, (XML, MANIFEST), into)
+    contents = read_archive(path, (XML, MANIFEST), into)
     if XML not in contents.wanted:
         raise FmuError(f"{path}: not an FMU, as the archive has no {XML}")
     try:
@@ -95,7 +93,8 @@ def open_description(path: Path, into: Path | None = None) -> tuple[Element, Arc
     except ValueError as error:
         raise FmuError(f"{path}: {XML} is not well-formed: {error}") from error
     version = root.get("fmiVersion")
-    if version is None or not (version in ("1.0", "2.0") or version.startswith("3.")):
+    is_known = version in ("1.0", "2.0") or (version or "").startswith("3.")
+    if not is_known:
         raise FmuError(
             f"{path}: unknown FMI version {version!r}; FMI 1.0, 2.0 and 3.0 are supported"
         )
@@ -110,56 +109,69 @@ def need_file(path: Path) -> None:
     FmuError
         If there is nothing, or a folder.
     """
+    if not path.exists():
+        raise FmuError(f"{path}: there is no such file")
     if not path.is_file():
-        raise FmuError(
-            f"{path}: there is no such file"
-            if not path.exists()
-            else f"{path}: needed an .fmu file, found a folder"
-        )
+        raise FmuError(f"{path}: needed an .fmu file, found a folder")
 
 
 def describe_root(
     root: Element, contents: ArchiveContents, stem: str, problems: list[str]
 ) -> Description:
-    """Read the XML; what is wrong goes to ``problems``, and the description is then not to be used.
+    """Read the XML; problems are appended to ``problems``, and the result is then not to be used.
 
-    What is wrong with the manifest of a residual form is told with that: the FMU is what it is without it.
+    Problems of the manifest of a residual form stay with that form: the FMU works without it.
     """
     attributes = Attributes(problems)
     version = major(root)
-    variables = read_variables(root, read_definitions(root, attributes), attributes)
+    definitions = read_definitions(root, attributes)
+    variables = read_variables(root, definitions, attributes)
     structure = read_structure(root, variables, attributes)
     named = {variable.name: variable for variable in variables}
     states = name_states(structure.derivatives, named, problems)
-    experiment = root.find("DefaultExperiment")
-    experiment = Element("none") if experiment is None else experiment
+    token = attributes.text(root, "instantiationToken" if version == 3 else "guid", root.tag)
+    capabilities = read_capabilities(root, attributes)
+    default_step, default_tolerance = _read_experiment(root, attributes)
+    dae = None
+    if version == 3 and MANIFEST in contents.wanted:
+        dae = read_dae(contents.wanted[MANIFEST], variables)
     return Description(
         name=root.get("modelName") or stem,
-        token=attributes.text(root, "instantiationToken" if version == 3 else "guid", root.tag),
+        token=token,
         version=root.get("fmiVersion", ""),
         variables=variables,
         states=states,
         dependencies=structure.outputs | structure.derivatives,
         initial_dependencies=structure.initial,
         unnamed_states=structure.unnamed_states,
-        capabilities=read_capabilities(root, attributes),
+        capabilities=capabilities,
         event_indicators=structure.event_indicators,
         indicators=structure.indicators,
-        clocks=tuple(v.name for v in variables if v.type == "Clock"),
-        platforms=tuple(
-            sorted(
-                {
-                    name.split("/")[1]
-                    for name in contents.members
-                    if name.startswith("binaries/") and name.count("/") > 1
-                }
-            )
-        ),
+        clocks=tuple(variable.name for variable in variables if variable.type == "Clock"),
+        platforms=_platforms(contents.members),
         read=tuple(name for name in states if named[name].causality == "local"),
-        default_step=attributes.number(experiment, "stepSize", "DefaultExperiment"),
-        default_tolerance=attributes.number(experiment, "tolerance", "DefaultExperiment"),
+        default_step=default_step,
+        default_tolerance=default_tolerance,
         tool=root.get("generationTool", ""),
-        dae=read_dae(contents.wanted[MANIFEST], variables)
-        if version == 3 and MANIFEST in contents.wanted
-        else None,
+        dae=dae,
     )
+
+
+def _read_experiment(root: Element, attributes: Attributes) -> tuple[float | None, float | None]:
+    """Return the step size and the tolerance of DefaultExperiment."""
+    experiment = root.find("DefaultExperiment")
+    if experiment is None:
+        return None, None
+    step = attributes.number(experiment, "stepSize", "DefaultExperiment")
+    tolerance = attributes.number(experiment, "tolerance", "DefaultExperiment")
+    return step, tolerance
+
+
+def _platforms(members: Iterable[str]) -> tuple[str, ...]:
+    """Return the names of the folders under ``binaries/`` that hold something."""
+    platforms = set()
+    for name in members:
+        folder, _, path = name.partition("/")
+        if folder == "binaries" and "/" in path:
+            platforms.add(path.partition("/")[0])
+    return tuple(sorted(platforms))

@@ -2,14 +2,15 @@
 
 FMI 1.0 section 3.2; FMI 2.0.4 sections 2.2.2, 2.2.3 and 2.2.7; FMI 3.0 sections 2.4.3 to 2.4.7.
 
-A second name of FMI 3 (Alias) becomes a variable with the reference of the first. In FMI 1 an ``alias`` is a variable like others
-that shares its reference; a ``negatedAlias`` has the value of another negated, which no call gives, and is left out.
+A second name of FMI 3 (Alias) becomes a variable with the reference of the first. In FMI 1 an
+``alias`` is a variable like others that shares its reference; a ``negatedAlias`` has the value of
+another negated, which no call returns, and is left out.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final, cast
 from xml.etree.ElementTree import Element
@@ -20,14 +21,31 @@ from cosim.units import BASE, BaseUnit, base_unit
 
 LARGEST_ARRAY: Final = 2**24  # elements
 FLOATS: Final = ("Float32", "Float64")
-TYPES: Final[Mapping[str, VariableType]] = {  # elements of FMI 3 have the name of their type
-    "Real": "Float64", "Integer": "Int32", "Enumeration": "Int32", "Boolean": "Boolean", "String": "String",
-}  # fmt: skip
+TYPES: Final[Mapping[str, VariableType]] = {  # of FMI 1 and 2, by the name of the element
+    "Real": "Float64",
+    "Integer": "Int32",
+    "Enumeration": "Int32",
+    "Boolean": "Boolean",
+    "String": "String",
+}
 TYPES_3: Final[Mapping[str, VariableType]] = {
-    "Float64": "Float64", "Float32": "Float32", "Int8": "Int8", "UInt8": "UInt8", "Int16": "Int16", "UInt16": "UInt16",
-    "Int32": "Int32", "UInt32": "UInt32", "Int64": "Int64", "UInt64": "UInt64", "Enumeration": "Int64", "Boolean": "Boolean",
-    "String": "String", "Binary": "Binary", "Clock": "Clock",
-}  # fmt: skip
+    "Float64": "Float64",
+    "Float32": "Float32",
+    "Int8": "Int8",
+    "UInt8": "UInt8",
+    "Int16": "Int16",
+    "UInt16": "UInt16",
+    "Int32": "Int32",
+    "UInt32": "UInt32",
+    "Int64": "Int64",
+    "UInt64": "UInt64",
+    "Enumeration": "Int64",
+    "Boolean": "Boolean",
+    "String": "String",
+    "Binary": "Binary",
+    "Clock": "Clock",
+}
+PARAMETERS: Final = ("parameter", "calculatedParameter", "structuralParameter")
 CALCULATED: Final = ("calculatedParameter", "output", "local")
 
 
@@ -48,175 +66,199 @@ class Definitions:
 
 
 def major(root: Element) -> int:
-    """Give the major FMI version, which is known to be 1, 2 or 3."""
+    """Return the major FMI version, which is known to be 1, 2 or 3."""
     return int(root.get("fmiVersion", "")[0])
+
+
+# --- units and types ---
 
 
 def read_definitions(root: Element, attributes: Attributes) -> Definitions:
     """Read UnitDefinitions and TypeDefinitions."""
     version = major(root)
-    if version == 1:  # the names of base units say what they are; all else is for display
-        units = [
-            (u.get("unit", ""), base_unit(u.get("unit", "")))
-            for u in root.iterfind("UnitDefinitions/BaseUnit")
-        ]
+    units: list[tuple[str, BaseUnit | None]] = []
+    if version == 1:
+        # The names of base units say what they are; all else is for display.
+        for element in root.iterfind("UnitDefinitions/BaseUnit"):
+            name = element.get("unit", "")
+            units.append((name, base_unit(name)))
     else:
-        units = [
-            (u.get("name", ""), _base(u, attributes)) for u in root.iterfind("UnitDefinitions/Unit")
-        ]
-    for name in _twice(name for name, _ in units):
+        for element in root.iterfind("UnitDefinitions/Unit"):
+            units.append((element.get("name", ""), _read_unit(element, attributes)))
+    for name in _duplicates(name for name, _ in units):
         attributes.problems.append(f"two units with the name {name!r}")
     types: dict[str, Element] = {}
     for element in root.iterfind("TypeDefinitions/*"):
-        inner = element if version == 3 else next(iter(element), element)
-        types[element.get("name", "")] = inner
+        typed = element if version == 3 else next(iter(element), element)
+        types[element.get("name", "")] = typed
     return Definitions(dict(units), types)
 
 
-def _base(unit: Element, attributes: Attributes) -> BaseUnit | None:
-    found = unit.find("BaseUnit")
-    if found is None:
+def _read_unit(unit: Element, attributes: Attributes) -> BaseUnit | None:
+    base = unit.find("BaseUnit")
+    if base is None:
         return None
     where = f"unit {unit.get('name')!r}"
-    exponents = tuple(attributes.integer(found, base, where) or 0 for base in BASE)
-    factor, offset = (attributes.number(found, name, where) for name in ("factor", "offset"))
-    if factor is not None and not (math.isfinite(factor) and factor != 0.0):
-        attributes.problems.append(
-            f"{where}: factor: found {factor}, needed a finite number that is not 0"
-        )
-        factor = None
+    exponents = tuple(attributes.integer(base, name, where) or 0 for name in BASE)
+    factor = attributes.number(base, "factor", where)
+    offset = attributes.number(base, "offset", where)
+    if factor is None:
+        factor = 1.0
+    elif factor == 0.0 or not math.isfinite(factor):
+        needed = "needed a finite number that is not 0"
+        attributes.problems.append(f"{where}: factor: found {factor}, {needed}")
+        factor = 1.0
     if offset is not None and not math.isfinite(offset):
         attributes.problems.append(f"{where}: offset: found {offset}, needed a finite number")
         offset = None
-    return BaseUnit(exponents, 1.0 if factor is None else factor, offset or 0.0)
+    return BaseUnit(exponents, factor, offset or 0.0)
+
+
+def _duplicates(names: Iterable[str]) -> list[str]:
+    counts: dict[str, int] = {}
+    for name in names:
+        counts[name] = counts.get(name, 0) + 1
+    return [name for name, count in counts.items() if count > 1]
+
+
+# --- variables ---
 
 
 def read_variables(
     root: Element, definitions: Definitions, attributes: Attributes
 ) -> tuple[Variable, ...]:
-    """Read ModelVariables, in the order of the file; second names of FMI 3 stand behind all others."""
+    """Read ModelVariables, in the order of the file; aliases of FMI 3 stand behind all others."""
     version = major(root)
-    reader = _Reader(version, definitions, attributes)
+    reader = _VariableReader(version, definitions, attributes)
     elements = list(root.iterfind("ModelVariables/*"))
-    first = _sized([(element, reader.variable(element)) for element in elements], attributes)
-    found = [
-        variable
-        for element, variable in first
-        if version > 1 or element.get("alias") != "negatedAlias"
+    without_sizes = [reader.variable(element) for element in elements]
+    by_reference = {variable.reference: variable for variable in without_sizes}
+    sized = [
+        _with_size(variable, element, by_reference, attributes)
+        for element, variable in zip(elements, without_sizes, strict=True)
     ]
-    found += [
-        replace(
-            variable,
-            name=alias.get("name", ""),
-            alias_of=variable.name,
-            doc=alias.get("description", variable.doc),
-        )
-        for element, variable in first
-        for alias in element.iterfind("Alias")
-    ]
-    for name in _twice(variable.name for variable in found):
+    variables: list[Variable] = []
+    aliases: list[Variable] = []
+    for element, variable in zip(elements, sized, strict=True):
+        if version > 1 or element.get("alias") != "negatedAlias":
+            variables.append(variable)
+        aliases += _aliases(variable, element)
+    variables += aliases
+    for name in _duplicates(variable.name for variable in variables):
         attributes.problems.append(f"two variables with the name {name!r}")
-    return tuple(_with_states(elements, found, version, attributes))
+    if version == 1:
+        return tuple(variables)
+    return _with_derivatives(variables, elements, version, attributes)
 
 
-def _twice(names: Iterator[str]) -> list[str]:
-    seen: dict[str, int] = {}
-    for name in names:
-        seen[name] = seen.get(name, 0) + 1
-    return [name for name, count in seen.items() if count > 1]
-
-
-class _Reader:
+class _VariableReader:
     """Reads one variable after the other."""
 
     def __init__(self, version: int, definitions: Definitions, attributes: Attributes) -> None:
-        self._version, self._definitions, self._attributes = version, definitions, attributes
+        self._version = version
+        self._definitions = definitions
+        self._attributes = attributes
 
     def variable(self, element: Element) -> Variable:
         """Read a variable, as yet without its size and without what it is the derivative of."""
-        attributes, version = self._attributes, self._version
-        value = (
-            element
-            if version == 3
-            else next((child for child in element if child.tag in TYPES), element)
-        )
+        version = self._version
+        attributes = self._attributes
+        typed = _typed(element, version, TYPES)
         name = attributes.text(element, "name", "a variable")
         where = f"variable {name!r}"
-        kind = (TYPES_3 if version == 3 else TYPES).get(value.tag)
-        if kind is None:
+        known_type = (TYPES_3 if version == 3 else TYPES).get(typed.tag)
+        if known_type is None:
             attributes.problems.append(f"{where}: its type is none of FMI {version}")
-        declared = self._definitions.types.get(value.get("declaredType", ""), Element("none"))
-        low, high, nominal = (
-            self._number(value, declared, key, where) for key in ("min", "max", "nominal")
-        )
-        unit = value.get("unit", declared.get("unit"))
-        causality, variability, initial = (_roles_1 if version == 1 else _roles)(
-            element, value, kind in FLOATS
-        )
+        variable_type = known_type or "Float64"
+        declared = self._definitions.types.get(typed.get("declaredType", ""), Element("none"))
+        minimum = self._number(typed, declared, "min", where)
+        maximum = self._number(typed, declared, "max", where)
+        nominal = self._number(typed, declared, "nominal", where)
+        unit = typed.get("unit", declared.get("unit"))
+        roles = _roles_1 if version == 1 else _roles
+        causality, variability, initial = roles(element, typed, known_type in FLOATS)
+        reference = attributes.reference(element, "valueReference", where)
+        text = self._text(typed, variable_type, where)
+        start = self._start(typed, variable_type, where)
+        items = self._items(declared) if typed.tag == "Enumeration" else {}
         return Variable(
             name=name,
-            reference=attributes.reference(element, "valueReference", where),
+            reference=reference,
             causality=causality,
-            type=kind or "Float64",
+            type=variable_type,
             variability=variability,
             initial=initial,
             unit=unit,
-            base=self._unit(unit, value, declared),
-            start=None if kind in ("String", "Binary", "Clock") else self._start(value, where),
-            text=self._text(value, kind, where) if kind in ("String", "Binary") else None,
-            minimum=-math.inf if low is None else low,
-            maximum=math.inf if high is None else high,
+            base=self._base(unit, typed, declared),
+            start=start,
+            text=text,
+            minimum=-math.inf if minimum is None else minimum,
+            maximum=math.inf if maximum is None else maximum,
             nominal=nominal,
-            items=self._items(declared) if value.tag == "Enumeration" else {},
-            inside_steps=self._version < 3 or flag(element, "intermediateUpdate"),
+            items=items,
+            inside_steps=version < 3 or flag(element, "intermediateUpdate"),
             doc=element.get("description", ""),
         )
 
-    def _number(self, value: Element, declared: Element, key: str, where: str) -> float | None:
-        return self._attributes.number(value if key in value.keys() else declared, key, where)
+    def _number(self, typed: Element, declared: Element, key: str, where: str) -> float | None:
+        source = declared if typed.get(key) is None else typed
+        return self._attributes.number(source, key, where)
 
-    def _unit(self, unit: str | None, value: Element, declared: Element) -> BaseUnit | None:
+    def _base(self, unit: str | None, typed: Element, declared: Element) -> BaseUnit | None:
+        """Return what a unit is in SI; a relative quantity has no offset."""
         base = self._definitions.units.get(unit or "")
-        relative = flag(
-            value if value.get("relativeQuantity") is not None else declared, "relativeQuantity"
-        )
-        return replace(base, offset=0.0) if base and relative else base
+        source = declared if typed.get("relativeQuantity") is None else typed
+        if base is not None and flag(source, "relativeQuantity"):
+            return replace(base, offset=0.0)
+        return base
 
-    def _start(self, value: Element, where: str) -> tuple[float, ...] | None:
-        """Give what float64 can say exactly; an integer beyond that is left to the unit."""
-        if value.tag in ("Real", "Boolean", *FLOATS):
-            return self._attributes.numbers(value.get("start"), f"{where}: start")
-        found = self._attributes.integers(value, "start", where)
-        return (
-            None
-            if found is None or any(abs(n) > LARGEST_EXACT for n in found)
-            else tuple(map(float, found))
-        )
+    def _start(
+        self, typed: Element, variable_type: VariableType, where: str
+    ) -> tuple[float, ...] | None:
+        """Return start values that float64 carries exactly; any other is left to the FMU."""
+        if variable_type in ("String", "Binary", "Clock"):
+            return None
+        if typed.tag in ("Real", "Boolean", *FLOATS):
+            return self._attributes.numbers(typed.get("start"), f"{where}: start")
+        numbers = self._attributes.integers(typed, "start", where)
+        if numbers is None or any(abs(number) > LARGEST_EXACT for number in numbers):
+            return None
+        return tuple(float(number) for number in numbers)
 
     def _items(self, declared: Element) -> dict[str, int]:
-        """Give the items of an enumeration; in FMI 1 they count from 1."""
-        items = declared.findall("Item")
-        if self._version == 1:
-            return {item.get("name", ""): number for number, item in enumerate(items, 1)}
+        """Return the items of an enumeration; in FMI 1 they count from 1."""
         where = f"type {declared.get('name', 'Enumeration')!r}: item"
-        return {
-            item.get("name", ""): self._attributes.integer(item, "value", where) or 0
-            for item in items
-        }
+        items: dict[str, int] = {}
+        for position, item in enumerate(declared.findall("Item"), 1):
+            value = position
+            if self._version > 1:
+                value = self._attributes.integer(item, "value", where) or 0
+            items[item.get("name", "")] = value
+        return items
 
-    def _text(self, value: Element, kind: str, where: str) -> tuple[str, ...] | None:
-        found = (
-            (value.get("start"),)
-            if self._version < 3
-            else tuple(start.get("value") for start in value.iterfind("Start"))
-        )
-        texts = tuple(text for text in found if text is not None)
-        if kind == "Binary" and not all(_is_hexadecimal(text) for text in texts):
+    def _text(
+        self, typed: Element, variable_type: VariableType, where: str
+    ) -> tuple[str, ...] | None:
+        if variable_type not in ("String", "Binary"):
+            return None
+        if self._version < 3:
+            values = [typed.get("start")]
+        else:
+            values = [start.get("value") for start in typed.iterfind("Start")]
+        texts = tuple(text for text in values if text is not None)
+        if variable_type == "Binary" and not all(_is_hexadecimal(text) for text in texts):
             self._attributes.problems.append(
                 f"{where}: start: needed hexadecimal digits, two for every byte"
             )
             return None
         return texts or None
+
+
+def _typed(element: Element, version: int, tags: Container[str]) -> Element:
+    """Return the element with the attributes of a variable's type: before FMI 3, a child."""
+    if version == 3:
+        return element
+    return next((child for child in element if child.tag in tags), element)
 
 
 def _is_hexadecimal(text: str) -> bool:
@@ -227,33 +269,35 @@ def _is_hexadecimal(text: str) -> bool:
     return True
 
 
-def _roles(element: Element, value: Element, is_real: bool) -> tuple[str, str, Initial | None]:
-    """Give causality, variability and initial, the standard's where the file says none (FMI 2.0.4 section 2.2.7)."""
-    causality, parameter = (
-        element.get("causality", "local"),
-        ("parameter", "calculatedParameter", "structuralParameter"),
-    )
-    usual = "continuous" if is_real else "discrete"
-    variability = element.get("variability") or (
-        "fixed" if value is element and causality in parameter else usual
-    )
-    if not is_real and variability == "continuous":  # the default of FMI 2, whatever the type
+def _roles(element: Element, typed: Element, is_real: bool) -> tuple[str, str, Initial | None]:
+    """Return causality, variability and initial, with their defaults (FMI 2.0.4 section 2.2.7)."""
+    causality = element.get("causality", "local")
+    variability = element.get("variability")
+    if not variability:
+        # Only in FMI 3, where the element itself has the type, are parameters fixed by default.
+        is_fixed = typed is element and causality in PARAMETERS
+        variability = "fixed" if is_fixed else "continuous"
+    if variability == "continuous" and not is_real:
+        # FMI 2 has this default whatever the type.
         variability = "discrete"
+    return causality, variability, _initial(element, causality, variability)
+
+
+def _initial(element: Element, causality: str, variability: str) -> Initial | None:
     initial = element.get("initial")
-    if initial is None and causality != "independent":
-        initial = "calculated" if causality in CALCULATED and variability != "constant" else "exact"
-    return (
-        causality,
-        variability,
-        cast(Initial, initial) if initial in ("exact", "approx", "calculated") else None,
-    )
+    if initial in ("exact", "approx", "calculated"):
+        return cast(Initial, initial)
+    if initial is not None or causality == "independent":
+        return None
+    is_calculated = causality in CALCULATED and variability != "constant"
+    return "calculated" if is_calculated else "exact"
 
 
-def _roles_1(element: Element, value: Element, is_real: bool) -> tuple[str, str, Initial | None]:
-    """Say in the words of FMI 2 what FMI 1 says with ``parameter``, ``internal``, ``none`` and ``fixed``."""
-    causality = {"internal": "local", "none": "local"}.get(
-        found := element.get("causality", "internal"), found
-    )
+def _roles_1(element: Element, typed: Element, is_real: bool) -> tuple[str, str, Initial | None]:
+    """Return in words of FMI 2 what FMI 1 says otherwise (parameter, internal, none, fixed)."""
+    causality = element.get("causality", "internal")
+    if causality in ("internal", "none"):
+        causality = "local"
     variability = element.get("variability", "continuous")
     if variability == "parameter":
         return "parameter", "fixed", "exact"
@@ -261,84 +305,107 @@ def _roles_1(element: Element, value: Element, is_real: bool) -> tuple[str, str,
         variability = "discrete"
     if variability == "constant" or causality == "input":
         return causality, variability, "exact"
-    if value.get("start") is None:
+    if typed.get("start") is None:
         return causality, variability, "calculated"
-    return (
-        causality,
-        variability,
-        "approx" if value.get("fixed", "true") in ("false", "0") else "exact",
-    )
+    is_guess = typed.get("fixed", "true") in ("false", "0")
+    return causality, variability, "approx" if is_guess else "exact"
 
 
-def _sized(
-    first: list[tuple[Element, Variable]], attributes: Attributes
-) -> list[tuple[Element, Variable]]:
-    """Give arrays their sizes, and one start value to all their elements where there is but one."""
-    by_reference = {variable.reference: variable for _, variable in first}
-    found = []
-    for element, variable in first:
-        dimensions: list[int | str] = []
-        size, known = 1, len(attributes.problems)
-        for dimension in element.iterfind("Dimension"):
-            where = f"variable {variable.name!r}: Dimension"
-            length, reference = (
-                attributes.integer(dimension, key, where) for key in ("start", "valueReference")
+def _with_size(
+    variable: Variable,
+    element: Element,
+    by_reference: Mapping[int, Variable],
+    attributes: Attributes,
+) -> Variable:
+    """Return a variable with its dimensions, and with a single start value for all its elements."""
+    where = f"variable {variable.name!r}"
+    problems_before = len(attributes.problems)
+    dimensions: list[int | str] = []
+    size = 1
+    for dimension in element.iterfind("Dimension"):
+        length, parameter = _length(dimension, by_reference, f"{where}: Dimension", attributes)
+        if length is None or not 0 < size * length <= LARGEST_ARRAY:
+            attributes.problems.append(
+                f"{where}: Dimension: found size {length}, needed a number or a structural "
+                f"parameter with one, at most {LARGEST_ARRAY} elements"
             )
-            parameter = None if reference is None else by_reference.get(reference)
-            if parameter is not None and parameter.start:
-                length = int(parameter.start[0]) if math.isfinite(parameter.start[0]) else None
-            if length is None or not 0 < length <= LARGEST_ARRAY or size * length > LARGEST_ARRAY:
-                needed = f"needed a number or a structural parameter with one, at most {LARGEST_ARRAY} elements"
-                attributes.problems.append(f"{where}: found size {length}, {needed}")
-                length = 1
-            dimensions.append(parameter.name if parameter is not None else length)
-            size *= length
-        start, text = _spread(variable.start, size), _spread(variable.text, size)
-        attributes.problems += [
-            f"variable {variable.name!r}: has {len(values)} start values for {size} element{'s' * (size > 1)}"
-            for values in (start, text)
-            if values is not None and len(values) != size and len(attributes.problems) == known
-        ]
-        found.append(
-            (
-                element,
-                replace(variable, dimensions=tuple(dimensions), size=size, start=start, text=text),
-            )
-        )
-    return found
+            length = 1
+        dimensions.append(length if parameter is None else parameter)
+        size *= length
+    start = _repeated(variable.start, size)
+    text = _repeated(variable.text, size)
+    if len(attributes.problems) == problems_before:
+        _check_start_count(start, size, where, attributes)
+        _check_start_count(text, size, where, attributes)
+    return replace(variable, dimensions=tuple(dimensions), size=size, start=start, text=text)
 
 
-def _spread(values: tuple[Value, ...] | None, size: int) -> tuple[Value, ...] | None:
+def _length(
+    dimension: Element, by_reference: Mapping[int, Variable], where: str, attributes: Attributes
+) -> tuple[int | None, str | None]:
+    """Return the length of a dimension, and the name of the structural parameter that sets it."""
+    length = attributes.integer(dimension, "start", where)
+    reference = attributes.integer(dimension, "valueReference", where)
+    parameter = None if reference is None else by_reference.get(reference)
+    if parameter is None:
+        return length, None
+    if parameter.start:
+        value = parameter.start[0]
+        length = int(value) if math.isfinite(value) else None
+    return length, parameter.name
+
+
+def _check_start_count(
+    values: tuple[object, ...] | None, size: int, where: str, attributes: Attributes
+) -> None:
+    if values is not None and len(values) != size:
+        elements = "elements" if size > 1 else "element"
+        attributes.problems.append(f"{where}: has {len(values)} start values for {size} {elements}")
+
+
+def _repeated(values: tuple[Value, ...] | None, size: int) -> tuple[Value, ...] | None:
     return values * size if values is not None and len(values) == 1 else values
 
 
-def _with_states(
-    elements: list[Element], found: list[Variable], version: int, attributes: Attributes
-) -> list[Variable]:
-    """Name the states of derivatives: FMI 2 by position from 1, FMI 3 by value reference."""
-    if version == 1:
-        return found
-    names = (
-        dict(enumerate((v.name for v in found), 1))
-        if version == 2
-        else {v.reference: v.name for v in reversed(found)}
-    )
+def _aliases(variable: Variable, element: Element) -> list[Variable]:
+    """Return the other names of a variable."""
+    aliases = []
+    for alias in element.iterfind("Alias"):
+        name = alias.get("name", "")
+        doc = alias.get("description", variable.doc)
+        aliases.append(replace(variable, name=name, alias_of=variable.name, doc=doc))
+    return aliases
+
+
+def _with_derivatives(
+    variables: Sequence[Variable],
+    elements: Sequence[Element],
+    version: int,
+    attributes: Attributes,
+) -> tuple[Variable, ...]:
+    """Return the variables with the states that they are derivatives of.
+
+    FMI 2 names a state by its position from 1, FMI 3 by its value reference, which is that of the
+    first name and of its aliases.
+    """
+    if version == 2:
+        names = {position: variable.name for position, variable in enumerate(variables, 1)}
+    else:
+        # Reversed, so that the first name wins: aliases stand behind all others.
+        names = {variable.reference: variable.name for variable in reversed(variables)}
     states: dict[str, str] = {}
-    for element, variable in zip(elements, found, strict=False):
-        value = (
-            element
-            if version == 3
-            else next((child for child in element if child.tag == "Real"), element)
-        )
-        number = attributes.integer(value, "derivative", f"variable {variable.name!r}")
-        if number is not None and number not in names:
-            attributes.problems.append(
-                f"variable {variable.name!r}: derivative={number} is no variable"
-            )
-        elif number is not None:
+    # Aliases have no element of their own, and end what is longer.
+    for element, variable in zip(elements, variables, strict=False):
+        where = f"variable {variable.name!r}"
+        number = attributes.integer(_typed(element, version, ("Real",)), "derivative", where)
+        if number is None:
+            continue
+        if number in names:
             states[variable.name] = names[number]
-    of = [states.get(variable.alias_of or variable.name) for variable in found]
-    return [
-        v if state is None else replace(v, derivative_of=state)
-        for v, state in zip(found, of, strict=True)
-    ]
+        else:
+            attributes.problems.append(f"{where}: derivative={number} is no variable")
+    completed = []
+    for variable in variables:
+        state = states.get(variable.alias_of or variable.name)
+        completed.append(variable if state is None else replace(variable, derivative_of=state))
+    return tuple(completed)
