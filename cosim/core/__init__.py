@@ -1,4 +1,7 @@
-"""Contracts, signals, clock, graph, coupling, solvers and master: simulation without knowledge of the method."""
+"""Contracts, signals, clock, graph, coupling, solvers and master.
+
+Simulation without knowledge of the method.
+"""
 
 from cosim.core.clock import Clock
 from cosim.core.connections import Connection

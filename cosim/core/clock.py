@@ -34,11 +34,13 @@ def nanoseconds(seconds: float | str) -> int:
         raise ClockError(f"{seconds} is not a time in seconds; needed a finite number") from error
     whole = round(exact)
     if exact != whole:
-        nearest = (whole or (1 if exact > 0 else -1)) / NANOSECONDS
+        smallest = 1 if exact > 0 else -1
+        nearest = (whole or smallest) / NANOSECONDS
         raise ClockError(f"{seconds} s is not a whole number of nanoseconds; nearest: {nearest} s")
     if abs(whole) > LARGEST_NS:
         raise ClockError(
-            f"{seconds} s does not fit into 64-bit nanoseconds; at most {LARGEST_NS / NANOSECONDS:.3e} s"
+            f"{seconds} s does not fit into 64-bit nanoseconds; at most "
+            f"{LARGEST_NS / NANOSECONDS:.3e} s"
         )
     return whole
 
@@ -49,7 +51,7 @@ def seconds(ns: Nanoseconds) -> Vector:
 
 
 def whole_steps(duration: float | str, step_ns: int, what: str) -> int:
-    """Give ``duration`` [s] in communication steps.
+    """Return ``duration`` [s] in communication steps.
 
     Raises
     ------
@@ -59,9 +61,11 @@ def whole_steps(duration: float | str, step_ns: int, what: str) -> int:
     ns = nanoseconds(duration)
     steps, rest = divmod(ns, step_ns)
     if rest:
-        nearest = max(1, round(ns / step_ns)) * step_ns / NANOSECONDS
+        nearest_steps = max(1, round(ns / step_ns))
+        nearest = nearest_steps * step_ns / NANOSECONDS
+        step = step_ns / NANOSECONDS
         raise ClockError(
-            f"{what}: {duration} s is not a whole number of {step_ns / NANOSECONDS} s steps; nearest: {nearest} s"
+            f"{what}: {duration} s is not a whole number of {step} s steps; nearest: {nearest} s"
         )
     return steps
 
@@ -113,7 +117,8 @@ class Clock:
 
         Without a fixed size the time between two requests decides how long the next block is.
         """
-        index, size = 0, min(self.block or FIRST_BLOCK, limit)
+        index = 0
+        size = min(self.block or FIRST_BLOCK, limit)
         while index < self.steps:
             size = min(size, self.steps - index)
             ns = np.arange(index, index + size + 1, dtype=np.int64) * self.step_ns
@@ -121,5 +126,6 @@ class Clock:
             yield Block(index, ns, seconds(ns), self.step_ns / NANOSECONDS)
             index += size
             if self.block is None:
-                factor = BLOCK_WORK / max(perf_counter() - began, 1e-9)
-                size = max(1, min(limit, int(size * min(4.0, max(0.25, factor)))))
+                elapsed = max(perf_counter() - began, 1e-9)
+                factor = min(4.0, max(0.25, BLOCK_WORK / elapsed))
+                size = max(1, min(limit, int(size * factor)))

@@ -210,14 +210,25 @@ def _problems(
     except GraphError as error:
         yield str(error)
         return
-    for problem in _mismatches(to, connection, target, sources):
+    for problem in _mismatches(connection, target, sources):
         yield f"{connection.label} -> {to}: {problem}"
 
 
-def _mismatches(
-    to: Port, connection: Connection, target: Signal, sources: Sequence[Source]
-) -> Iterator[str]:
+def _mismatches(connection: Connection, target: Signal, sources: Sequence[Source]) -> Iterator[str]:
     """Yield what does not fit between the sources of a connection and its input."""
+    yield from _size_mismatches(connection, target, sources)
+    for source in sources:
+        yield from _unit_mismatches(connection, source.signal, target)
+    if connection.matrix.ndim and not _one_conversion(connection, target, sources):
+        units = ", ".join(_unit_text(source.signal.measure) for source in sources)
+        yield f"a gain cannot mix the units {units}; give the unit that it leads to, unit = ..."
+    if not target.optional and any(source.signal.optional for source in sources):
+        yield "the source may carry no value (NaN), the input needs one at every step"
+
+
+def _size_mismatches(
+    connection: Connection, target: Signal, sources: Sequence[Source]
+) -> Iterator[str]:
     size = sum(source.size for source in sources)
     shape = connection.matrix.shape
     if shape and shape != (target.size, size):
@@ -226,13 +237,11 @@ def _mismatches(
         source_unit = _bracketed_unit(sources[0].signal)
         target_unit = _bracketed_unit(target)
         yield f"size {size}{source_unit} cannot drive size {target.size}{target_unit}"
-    for source in sources:
-        yield from _unit_mismatches(connection, source.signal, target)
-    if shape and len({_conversion(connection, source.signal, target) for source in sources}) > 1:
-        units = ", ".join(_unit_text(source.signal.measure) for source in sources)
-        yield f"a gain cannot mix the units {units}; give the unit that it leads to, unit = ..."
-    if any(source.signal.optional for source in sources) and not target.optional:
-        yield "the source may carry no value (NaN), the input needs one at every step"
+
+
+def _one_conversion(connection: Connection, target: Signal, sources: Sequence[Source]) -> bool:
+    conversions = {_conversion(connection, source.signal, target) for source in sources}
+    return len(conversions) == 1
 
 
 def _unit_mismatches(connection: Connection, source: Signal, target: Signal) -> Iterator[str]:
@@ -261,7 +270,10 @@ def _is_identity(connection: Connection) -> bool:
 
 
 def unit_reached(connection: Connection, source: Signal, target: Signal) -> Unit:
-    """Return the unit after gain and offset; a name that either port uses means what it does there."""
+    """Return the unit after gain and offset.
+
+    A name that either port uses means what it does there.
+    """
     if connection.unit is None:
         return source.measure
     for signal in (source, target):

@@ -29,18 +29,26 @@ class Component(Protocol):
 
     @property
     def interface(self) -> Interface:
-        """Inputs, outputs and feedthrough, and which of the optional methods there are; constant."""
+        """Inputs, outputs and feedthrough, and which of the optional methods there are.
+
+        Constant.
+        """
         ...
 
     def initialize(self, t: float, u: Vector) -> Vector:
-        """Set the initial state at ``t`` for inputs ``u``; return the outputs at ``t``, shape (n_y,).
+        """Set the initial state at ``t`` for inputs ``u``.
+
+        Return the outputs at ``t``, shape (n_y,).
 
         Forgets the past. May be called again with other inputs until the first advance.
         """
         ...
 
     def outputs(self, t: float, u: Vector) -> Vector:
-        """Return the outputs at ``t``, the time reached, for inputs ``u``, shape (n_y,); changes nothing."""
+        """Return the outputs at ``t``, the time reached, for inputs ``u``, shape (n_y,).
+
+        Changes nothing.
+        """
         ...
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
@@ -92,7 +100,10 @@ class Preparable(Protocol):
 
 
 class Rollback(Protocol[State]):
-    """For components that can go back, as iterative coupling and step control need; their interface declares ``rollback``."""
+    """For components that can go back, as iterative coupling and step control need.
+
+    Their interface declares ``rollback``.
+    """
 
     def save(self) -> State:
         """Copy the state."""
@@ -213,7 +224,10 @@ class Plan:
 
 
 class Recorder(Protocol):
-    """Takes blocks of rows; a context manager that leaves a complete record behind however the run ends."""
+    """Takes blocks of rows.
+
+    A context manager that leaves a complete record behind however the run ends.
+    """
 
     def __enter__(self) -> Self: ...
 
@@ -229,7 +243,9 @@ class Recorder(Protocol):
         ...
 
     def write(self, block: Block, signals: Matrix) -> None:
-        """Take rows 1 to K of ``signals``, shape (K+1, width); of the very first block (index 0) row 0 too.
+        """Take rows 1 to K of ``signals``, shape (K+1, width).
+
+        Of the very first block (index 0) row 0 too.
 
         The array is used again afterwards: what is kept must be copied.
         """
@@ -240,7 +256,10 @@ class Recorder(Protocol):
         ...
 
     def result(self, values: Mapping[str, Any]) -> None:
-        """Add plain values to what is recorded of the end of the run; called before the recorder is left."""
+        """Add plain values to what is recorded of the end of the run.
+
+        Called before the recorder is left.
+        """
         ...
 
 
@@ -263,7 +282,10 @@ class Recording(Protocol):
         ...
 
     def __getitem__(self, signal: str) -> NDArray[np.float64]:
-        """Return ``component.signal``, or elements of it, at every recorded row: shape (N,) for size 1, else (N, size)."""
+        """Return ``component.signal``, or elements of it, at every recorded row.
+
+        Shape (N,) for size 1, else (N, size).
+        """
         ...
 
     def time_ns(self, component: str) -> Nanoseconds:

@@ -68,7 +68,10 @@ def measure(v: Vector, w: Vector, largest: float) -> Candidate:
 
 
 def iterate(function: Function, v: Vector, limit: int) -> Vector | None:
-    """Return the fixed point by fixed-point iteration, to the last bit; None: it was not reached."""
+    """Return the fixed point by fixed-point iteration, to the last bit.
+
+    None: it was not reached.
+    """
     for _ in range(limit):
         w = function(v)
         if v.tobytes() == w.tobytes():

@@ -136,7 +136,10 @@ class Graph:
                 raise bad.error(t)
 
     def first_non_finite(self, stage: Stage, rows: Matrix) -> NonFinite | None:
-        """Return the first value of a stage that is not finite, by row, then component and signal."""
+        """Return the first value of a stage that is not finite, by row.
+
+        Then component and signal.
+        """
         first: NonFinite | None = None
         for name in stage.names:
             channel = self.layout[name]
@@ -228,7 +231,7 @@ class Graph:
         return drivers
 
     def _order(self) -> tuple[Stage, ...]:
-        """Return the stages: the strongly connected components of the graph in topological order."""
+        """Return the strongly connected components of the graph, as stages in topological order."""
         names = list(self.components)
         group_of = self._groups(names)
         sorter: TopologicalSorter[str] = TopologicalSorter()

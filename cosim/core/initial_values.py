@@ -138,13 +138,11 @@ class InitialValues:
         for port, size in zip(torn, sizes, strict=True):
             elements += [port] * size
         all_columns = np.arange(self.layout.width)
+        columns = np.concatenate([all_columns[self.columns[port]] for port in torn])
+        optional = np.repeat([self._signals[port].optional for port in torn], sizes)
+        discrete = any(_is_discrete(self._signals[port]) for port in ports)
         return AlgebraicLoop(
-            order=(*sweep, *torn),
-            torn=tuple(elements),
-            columns=np.concatenate([all_columns[self.columns[port]] for port in torn]),
-            optional=np.repeat([self._signals[port].optional for port in torn], sizes),
-            discrete=any(_is_discrete(self._signals[port]) for port in ports),
-            path=_path_text(path, ports),
+            (*sweep, *torn), tuple(elements), columns, optional, discrete, _path_text(path, ports)
         )
 
     def find(self, t: float, row: Vector) -> None:
@@ -172,7 +170,8 @@ class InitialValues:
                 changing.append(str(port))
         raise GraphError(
             f"initial values do not converge: {', '.join(changing)} still change after {rounds} "
-            "rounds; an output there depends at initialization on an input that its component does "
+            "rounds; an output there depends at initialization on an input that its component "
+            "does "
             "not declare (FMI: InitialUnknowns); declare it, or none at all"
         )
 

@@ -219,7 +219,10 @@ def _unknown_component(
 def _cut_unknown(
     name: str, feedthrough: Feedthrough, interface: Interface, dependencies: Dependencies
 ) -> UnknownFeedthrough:
-    """Take away the unknown feedthrough of a component that lies on any cycle; return what it is."""
+    """Take away the unknown feedthrough of a component that lies on any cycle.
+
+    Return what it is.
+    """
     cycle_of = cycles(dependencies)
     cut_outputs: dict[str, None] = {}
     cut_inputs: dict[str, None] = {}
@@ -267,7 +270,9 @@ def cycles(dependencies: Dependencies) -> dict[Port, Port]:
     representative: dict[Port, Port] = {}
     open_ports: list[Port] = []
     for root in dependencies:
-        path = [] if root in number else [(root, iter(dependencies[root]))]
+        if root in number:
+            continue
+        path = [(root, iter(dependencies[root]))]
         while path:
             port, edges = path[-1]
             if port not in number:

@@ -41,7 +41,9 @@ class Port:
 
     @classmethod
     def parse(cls, text: str) -> Port:
-        """Return the port that ``component.signal``, ``component.signal[1]`` or ``component.signal[0:2]`` names.
+        """Return the port that ``component.signal``.
+
+        ``component.signal[1]`` or ``component.signal[0:2]`` names.
 
         Raises
         ------
@@ -76,7 +78,9 @@ class Port:
         return Port(self.component, self.signal)
 
     def find(self, signals: Iterable[Signal]) -> tuple[Signal, slice] | None:
-        """Return the signal that is meant, and which of its elements; None: it is none of ``signals``.
+        """Return the signal that is meant, and which of its elements.
+
+        None: it is none of ``signals``.
 
         Raises
         ------
@@ -107,7 +111,10 @@ class Port:
 
 
 def split_element(name: str) -> tuple[str, Element]:
-    """Split ``x[1]`` into ``x`` and 1, ``x[0:2]`` into ``x`` and range(0, 2); without brackets the element is None."""
+    """Split ``x[1]`` into ``x`` and 1, ``x[0:2]`` into ``x`` and range(0, 2).
+
+    Without brackets the element is None.
+    """
     match = re.fullmatch(r"(.+)\[(\d+)(?::(\d+))?\]", name)
     if match is None:
         return name, None

@@ -9,7 +9,7 @@ from cosim.core.contracts import prepare
 
 
 def times(steps: int, step_ns: int = 1_000_000) -> Vector:
-    """Give the communication points [s]."""
+    """Return the communication points [s]."""
     return np.arange(steps + 1) * step_ns / 1e9
 
 

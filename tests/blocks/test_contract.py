@@ -35,7 +35,7 @@ H = 1e-3
 
 
 def through():
-    """Give a controller with a state and feedthrough from its first input only."""
+    """Return a controller with a state and feedthrough from its first input only."""
     D = np.array([[0.5, 0.0], [0.0, 0.0]])
     return Linear(controller(A=np.array([[-3.0, 1.0], [0.0, -2.0]]), B=np.eye(2), C=np.eye(2), D=D))
 
@@ -213,8 +213,8 @@ FAULTS = {
     "block size": "blocks of 1 give the bits of one block: 'n' at t = 0.001 s: found",
     "writes": "advance does not write to its arguments",
     "keeps its inputs": "arguments and results of earlier calls are no part of the state",
-    "shape": r"advance gives float64 of shape \(30, 2\): found float64 of shape \(30,\)",
-    "type": r"advance gives float64 of shape \(30, 2\): found float32",
+    "shape": r"advance returns float64 of shape \(30, 2\): found float64 of shape \(30,\)",
+    "type": r"advance returns float64 of shape \(30, 2\): found float32",
     "nan": r"a value is finite, or cosim.arrays.NAN in an optional output: 'y' at t = 0.0 s: found nan",
     "infinite": "a value is finite, or cosim.arrays.NAN in an optional output: 'y' at t = 0.0 s: found inf",
     "by chance": "a second component repeats the run: 'y'",
@@ -264,7 +264,7 @@ def test_an_undeclared_dependency_at_the_start_is_named():
     check_component(lambda: Linear(lag(time_constant=1.0)))
     silent = lag(time_constant=1.0)
     silent = replace(silent, interface=replace(silent.interface, initial={}))
-    law = r"initialize ignores 'u', which is not declared to count at the start: 'y' at t = 0.0 s: found"
+    law = r"initialize ignores 'u', which is not declared to count there: 'y' at t = 0.0 s: found"
     with pytest.raises(AssertionError, match=law):
         check_component(lambda: Linear(silent))
     check_component(

@@ -13,12 +13,12 @@ from cosim.core.signals import Interface, Signal
 
 
 def integrator(rate: float = 1.0, start: float = 0.0) -> Linear:
-    """Give x' = rate (u - x), y = x: no feedthrough."""
+    """Return x' = rate (u - x), y = x: no feedthrough."""
     return Linear(lag(time_constant=1.0 / rate, start=start))
 
 
 def through(D: float = 0.5) -> Linear:
-    """Give x' = -2 x + u, y = x + D u, x."""
+    """Return x' = -2 x + u, y = x + D u, x."""
     return Linear(
         controller(
             A=np.array([[-2.0]]), B=np.eye(1), C=np.eye(1), D=np.array([[D]]), x0=np.array([0.3])
@@ -27,12 +27,15 @@ def through(D: float = 0.5) -> Linear:
 
 
 def times(K: float):
-    """Give y = K u."""
+    """Return y = K u."""
     return gain(np.array([[K]]))
 
 
 def half_through() -> Linear:
-    """Give a plant x' = -3 x + u with the outputs v = x, without feedthrough, and y = 2 x + 0.5 u, with it."""
+    """Return a plant x' = -3 x + u with the outputs v = x, without feedthrough.
+
+    And y = 2 x + 0.5 u, with it.
+    """
     interface = Interface((Signal("u"),), (Signal("v"), Signal("y")), {"v": (), "y": ("u",)})
     C, D = np.array([[1.0], [2.0]]), np.array([[0.0], [0.5]])
     return Linear(
@@ -43,7 +46,10 @@ def half_through() -> Linear:
 
 
 class Scripted:
-    """Gives ``values[k]`` at step k, and raises what stands there if it is an exception; takes any inputs."""
+    """Gives ``values[k]`` at step k, and raises what stands there if it is an exception.
+
+    Takes any inputs.
+    """
 
     def __init__(self, values, *, optional=False, inputs=0):
         self.values = values
@@ -75,7 +81,10 @@ class Scripted:
 
 
 class Starter:
-    """Starts at ``y = function(u1, u2, ...)`` and stays there: no feedthrough. Notes the inputs of every start."""
+    """Starts at ``y = function(u1, u2, ...)`` and stays there: no feedthrough.
+
+    Notes the inputs of every start.
+    """
 
     def __init__(self, function, inputs=("u",), *, declared=..., size=1, kind="real", start=()):
         self.function, self.calls = function, []

@@ -14,7 +14,10 @@ from cosim.errors import ClockError
 
 @given(st.integers(-(10**15), 10**15))
 def test_nanoseconds_are_exact(ns):
-    """From decimal text, and from a float that prints as it: 15 digits survive in a double, and 16 to 17 in its repr."""
+    """From decimal text, and from a float that prints as it.
+
+    15 digits survive in a double, and 16 to 17 in its repr.
+    """
     text = str(Decimal(ns) / 10**9)
     assert nanoseconds(text) == ns
     assert nanoseconds(ns / 10**9) == ns
@@ -45,7 +48,10 @@ def test_what_is_no_time_is_refused(value, text):
 
 
 def test_seconds_are_never_accumulated():
-    """Every point is its integer divided once; adding up 40 000 steps of 1 ms, or k h, gives other numbers."""
+    """Every point is its integer divided once.
+
+    Adding up 40 000 steps of 1 ms, or k h, gives other numbers.
+    """
     blocks = list(Clock(40.0, 1e-3, 1000).blocks(10**6))
     time = np.concatenate([blocks[0].time[:1], *(block.time[1:] for block in blocks)])
     assert all(
@@ -63,7 +69,10 @@ def test_seconds_are_never_accumulated():
     st.integers(1, 4000),
 )
 def test_blocks_cover_the_grid_once_whatever_their_size(steps, step_ns, size, limit):
-    """Each begins at the last point of the one before; none is longer than the limit or the size."""
+    """Each begins at the last point of the one before.
+
+    None is longer than the limit or the size.
+    """
     clock = Clock(steps * step_ns / 1e9, step_ns / 1e9, size)
     assert clock.steps == steps
     blocks = list(clock.blocks(limit))

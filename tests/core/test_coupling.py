@@ -11,10 +11,10 @@ from cosim.blocks.dynamics import Delay
 from cosim.blocks.sampled import Sampled
 from cosim.blocks.source import Noise, sine
 from cosim.core.clock import Clock
+from cosim.core.contracts import prepare
 from cosim.core.graph import Graph
 from cosim.core.master import run
 from cosim.core.order import UnknownFeedthrough, cycles, order_loop
-from cosim.core.contracts import prepare
 from cosim.core.port import Port
 from cosim.core.recorders import Memory
 from cosim.core.signals import Interface, Signal
@@ -26,7 +26,7 @@ def reference():
 
 
 def cascade(**options):
-    """Give r -> a -> b with a sum of both, listed in the wrong order."""
+    """Return r -> a -> b with a sum of both, listed in the wrong order."""
     components = {
         "sum": sum_of([1.0, -2.0]),
         "b": integrator(3.0),
@@ -39,7 +39,7 @@ def cascade(**options):
 
 
 def loop(coupling="gauss-seidel", **options):
-    """Give r - k v -> plant (v without, y with feedthrough), k a gain, and a sink behind y."""
+    """Return r - k v -> plant (v without, y with feedthrough), k a gain, and a sink behind y."""
     components = {
         "sink": integrator(2.0),
         "k": times(2.0),
@@ -58,7 +58,7 @@ def loop(coupling="gauss-seidel", **options):
 
 
 def two_lags(coupling="gauss-seidel", **options):
-    """Give x1' = 2 (r - x2 - x1), x2' = 5 (x1 - x2)."""
+    """Return x1' = 2 (r - x2 - x1), x2' = 5 (x1 - x2)."""
     components = {
         "r": reference(),
         "s": sum_of([1.0, -1.0]),
@@ -80,7 +80,7 @@ def record(graph, stop=1.0, step=0.01, block=None, **options):
 
 
 def table(memory):
-    """Give all signals side by side."""
+    """Return all signals side by side."""
     signals = [f"{c.name}.{s.name}" for c in memory.channels.values() for s in c.signals]
     return np.column_stack([memory[name] for name in signals])
 
@@ -119,7 +119,10 @@ def interface(inputs, **outputs):
 
 
 def test_gauss_seidel_has_as_few_late_inputs_as_possible():
-    """Who needs no input at the end of the step goes first; only the input that closes the cycle is extrapolated."""
+    """Who needs no input at the end of the step goes first.
+
+    Only the input that closes the cycle is extrapolated.
+    """
     interfaces = {
         "gain": interface(["u"], y=("u",)),
         "sum": interface(["r", "u"], y=("r", "u")),
@@ -136,7 +139,10 @@ def test_gauss_seidel_has_as_few_late_inputs_as_possible():
 
 
 def test_an_output_is_evaluated_again_when_a_late_input_feeds_through():
-    """Plant with v = x and y = C x + D u, gain from v to u: y waits for the gain, and is refreshed once."""
+    """Plant with v = x and y = C x + D u, gain from v to u.
+
+    Y waits for the gain, and is refreshed once.
+    """
     interfaces = {"plant": interface(["u"], v=(), y=("u",)), "gain": interface(["u"], y=("u",))}
     sources = {"plant": {"u": (Port("gain", "y"),)}, "gain": {"u": (Port("plant", "v"),)}}
     order = order_loop(interfaces, sources, jacobi=False)
@@ -145,7 +151,10 @@ def test_an_output_is_evaluated_again_when_a_late_input_feeds_through():
 
 
 def test_jacobi_takes_every_input_from_inside_as_late():
-    """All advance on the values of the start of the step; what feeds through is evaluated again, in order."""
+    """All advance on the values of the start of the step.
+
+    What feeds through is evaluated again, in order.
+    """
     interfaces = {
         "gain": interface(["u"], y=("u",)),
         "sum": interface(["r", "u"], y=("r", "u")),
@@ -181,7 +190,8 @@ def test_the_unknown_feedthrough_of_a_component_are_one_sentence():
     (unknown,) = order_loop(interfaces, sources, jacobi=False).unknown
     assert unknown == UnknownFeedthrough("plant", ("y",), tuple(names))
     assert str(unknown).startswith(
-        "plant.y may depend directly on plant.u0, plant.u1, plant.u2, plant.u3, plant.u4, plant.u5 and 2 more ("
+        "plant.y may depend directly on plant.u0, plant.u1, plant.u2, plant.u3, plant.u4, "
+        "plant.u5 and 2 more ("
     )
 
 
@@ -208,7 +218,10 @@ def test_cycles_are_what_reaches_itself(edges):
 
 
 def test_unknown_feedthrough_counts_where_it_closes_no_cycle():
-    """Plant, unknown, behind a lag: it waits for its input, and is refreshed where that is extrapolated."""
+    """Plant, unknown, behind a lag.
+
+    It waits for its input, and is refreshed where that is extrapolated.
+    """
     interfaces = {"plant": interface(["u"], y=None), "lag": interface(["u"], y=())}
     sources = {"plant": {"u": (Port("lag", "y"),)}, "lag": {"u": (Port("plant", "y"),)}}
     order = order_loop(interfaces, sources, jacobi=False)
@@ -245,7 +258,10 @@ def test_unknown_feedthrough_that_closes_a_cycle_is_taken_as_not_there():
 
 @pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
 def test_what_feeds_through_all_the_same_is_a_step_late(coupling):
-    """y = x + 0.5 u with u = -y / 2 of the step before, as the warning says; the gain is of the same instant."""
+    """y = x + 0.5 u with u = -y / 2 of the step before, as the warning says.
+
+    The gain is of the same instant.
+    """
     plant = through(0.5)
     plant.interface = Interface(
         plant.interface.inputs, plant.interface.outputs, {"y": None, "x": ()}, prepares=True
@@ -262,7 +278,10 @@ def test_what_feeds_through_all_the_same_is_a_step_late(coupling):
 
 @pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
 def test_what_feeds_through_in_a_loop_belongs_to_the_same_instant(coupling):
-    """At every row the static equations hold with the recorded values of that row: none is stale."""
+    """At every row the static equations hold with the recorded values of that row.
+
+    None is stale.
+    """
     log = record(loop(coupling))
     assert (log["k.y"] == 2.0 * log["plant.v"]).all()
     assert (log["s.y"] == log["r.y"] - log["k.y"]).all()
@@ -272,7 +291,7 @@ def test_what_feeds_through_in_a_loop_belongs_to_the_same_instant(coupling):
 
 
 def error(graph, step):
-    """Compare x1 and x2 of the loop at t = 2 s with an independent integration of the closed loop."""
+    """Compare x1 and x2 of the loop at t = 2 s with an independent integration."""
     log = record(graph, 2.0, step)
 
     def f(t, x):
@@ -306,7 +325,10 @@ def cascade_error(step, **options):
 
 
 def test_cascades_are_second_order():
-    """Straight lines between communication points: halving the step quarters the error; held inputs halve it."""
+    """Straight lines between communication points: halving the step quarters the error.
+
+    Held inputs halve it.
+    """
     assert 3.5 < cascade_error(0.02) / cascade_error(0.01) < 4.5
     assert (
         1.9
@@ -317,7 +339,10 @@ def test_cascades_are_second_order():
 
 
 def noisy_loop(coupling):
-    """Give a loop with discrete inputs, a delay, a slow component with feedthrough, and an element of a vector."""
+    """Return a loop with discrete inputs, a delay, a slow component with feedthrough.
+
+    And an element of a vector.
+    """
     components = {
         "n": Noise(deviation=1.0, seed=2),
         "s": sum_of([1.0, -1.0]),
@@ -349,7 +374,10 @@ def test_the_size_of_the_blocks_does_not_matter(name):
 
 @pytest.mark.parametrize("name", GRAPHS)
 def test_every_component_can_be_verified_alone(name):
-    """Fed with its recorded inputs and its recorded mask of held ones, it gives its recorded outputs bit for bit."""
+    """Fed with its recorded inputs and its recorded mask of held ones.
+
+    It gives its recorded outputs bit for bit.
+    """
     memory = record(GRAPHS[name]())
     for component, alone in GRAPHS[name]().components.items():
         channel, plan = memory.channels[component], memory.plan

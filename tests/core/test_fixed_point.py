@@ -19,7 +19,10 @@ elements = st.floats(-1.0, 1.0).map(lambda x: round(x, 3))
     )
 )
 def test_elimination_agrees_with_lapack(system):
-    """A diagonal that outweighs its row keeps the condition number below 2 n + 1; rounding stays below 1e-13."""
+    """A diagonal that outweighs its row keeps the condition number below 2 n + 1.
+
+    Rounding stays below 1e-13.
+    """
     matrix, right = system
     matrix = matrix + np.diag(1.0 + 2.0 * np.abs(matrix).sum(axis=1))
     assert np.abs(eliminate(matrix, right) - np.linalg.solve(matrix, right)).max() <= 1e-13
@@ -42,7 +45,10 @@ def test_elimination_needs_its_pivots():
 
 @given(st.integers(1, 5), st.integers(0, 2**32 - 1))
 def test_a_linear_loop_has_its_closed_form(n, seed):
-    """``w = G v + b``: v = (1 - G)^-1 b to 1e-13, from any start; sizes of the unknowns differ by 1e8."""
+    """``w = G v + b``: v = (1 - G)^-1 b to 1e-13, from any start.
+
+    Sizes of the unknowns differ by 1e8.
+    """
     random = np.random.default_rng(seed)
     G, b, size = (
         random.uniform(-3.0, 3.0, (n, n)),
@@ -55,13 +61,17 @@ def test_a_linear_loop_has_its_closed_form(n, seed):
         lambda v: (G @ (v / size) + b) * size, random.uniform(-1.0, 1.0, n) * size, lambda: 0.0
     )
     exact = np.linalg.solve(np.eye(n) - G, b)
-    # the residual at the level of rounding, some 16 eps of the largest term, times the condition number
+    # the residual at the level of rounding, some 16 eps of the largest term, times the condition
+    # number
     assert np.abs(found.v / size - exact).max() <= 1e-13 * max(1.0, np.abs(exact).max())
     assert found.excess <= 1.0
 
 
 def test_a_nonlinear_loop_is_solved():
-    """v = cos v has the root 0.7390851332151607 (Dottie's number, OEIS A003957); v^2 = 2 by a slope that repels sweeps."""
+    """v = cos v has the root 0.7390851332151607 (Dottie's number, OEIS A003957).
+
+    V^2 = 2 by a slope that repels sweeps.
+    """
     assert abs(newton(np.cos, np.zeros(1), lambda: 1.0).v[0] - 0.7390851332151607) <= 2e-16
     assert (
         abs(newton(lambda v: v + (2.0 - v * v) * 3.0, np.ones(1), lambda: 2.0).v[0] - np.sqrt(2.0))

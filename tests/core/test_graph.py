@@ -33,7 +33,8 @@ def graph(connections, **options):
     [
         (
             {"lab.u": "u.y"},
-            "'lab.u': there is no component 'lab'; did you mean 'lag'? There is: u, one, lag, small",
+            "'lab.u': there is no component 'lab'; did you mean 'lag'? There is: u, one, lag, "
+            "small",
         ),
         ({"lag.u": "v.y"}, "'v.y': there is no component 'v'; There is: u, one, lag, small"),
         ({"lag.yy": "u.y"}, "'lag.yy': 'lag' has no input 'yy'; There is: u"),
@@ -47,11 +48,13 @@ def graph(connections, **options):
         ({"small.u": "u.y[3]"}, "'u.y[3]': 'u.y' has 3 elements, numbered from 0"),
         (
             {"small.u": "u.y[1]"},
-            "u.y[1] -> small.u: unit 'm' cannot drive unit 's'; convert with { from = 'u.y[1]', gain = ..., unit = 's' }",
+            "u.y[1] -> small.u: unit 'm' cannot drive unit 's'; convert with { from = "
+            "'u.y[1]', gain = ..., unit = 's' }",
         ),
         (
             {"lag.u": Connection("u.y", unit="mm")},
-            "u.y -> lag.u: the source has unit 'm'; unit = 'mm' needs its gain; without it the unit is converted",
+            "u.y -> lag.u: the source has unit 'm'; unit = 'mm' needs its gain; without it the "
+            "unit is converted",
         ),
         (
             {"lag.u": Connection("u.y", ((1.0, 2.0, 3.0),))},
@@ -93,7 +96,8 @@ def test_several_problems_are_reported_together():
         ),
         (
             {"input_interpolation": "liner"},
-            "input_interpolation: found 'liner'; did you mean 'linear'? There is: linear, zero-order",
+            "input_interpolation: found 'liner'; did you mean 'linear'? There is: linear, "
+            "zero-order",
         ),
         ({"periods": {"lab": 2}}, "periods: there is no component 'lab'; did you mean 'lag'?"),
         ({"periods": {"lag": 0}}, "periods: found 0 steps for 'lag', needed at least 1"),
@@ -126,13 +130,17 @@ def test_an_optional_output_drives_only_what_takes_no_value():
     """NaN means "no value yet" and must not reach an input that needs one."""
     with pytest.raises(
         GraphError,
-        match=r"a\.y -> b\.u: the source may carry no value \(NaN\), the input needs one at every step",
+        match=r"a\.y -> b\.u: the source may carry no value \(NaN\), the input needs one at "
+        r"every step",
     ):
         Graph({"a": Scripted([0.0], optional=True), "b": integrator()}, {"b.u": "a.y"})
 
 
 def test_elements_gains_offsets_and_matrices_reach_the_input():
-    """`x[1]` is one element; a gain and an offset act on each; a matrix maps; a name that looks like an element is a name."""
+    """`x[1]` is one element; a gain and an offset act on each; a matrix maps.
+
+    A name that looks like an element is a name.
+    """
     odd = Interface((), (Signal("x[1]"), Signal("x", 2)), {})
     memory = Memory()
     components = {
@@ -270,7 +278,8 @@ def test_a_definition_tells_what_a_name_does_not():
     sink.interface = Interface((Signal("u", 1, "m"),), sink.interface.outputs)
     with pytest.raises(
         GraphError,
-        match=r"c\.y -> d\.u: unit 'ft' cannot drive unit 'm'; unknown unit 'ft'; convert with \{ from",
+        match=r"c\.y -> d\.u: unit 'ft' cannot drive unit 'm'; unknown unit 'ft'; convert with "
+        r"\{ from",
     ):
         Graph({"c": feet, "d": sink}, {"d.u": "c.y"})
     feet.interface = Interface(
@@ -289,7 +298,10 @@ def test_a_definition_tells_what_a_name_does_not():
 
 
 def test_an_algebraic_loop_names_every_port():
-    """In the order of the signal's way, closed; also through a connection of a component to itself."""
+    """In the order of the signal's way, closed.
+
+    Also through a connection of a component to itself.
+    """
     with pytest.raises(AlgebraicLoopError) as error:
         Graph(
             {"r": constant([1.0]), "s": sum_of([1.0, -1.0]), "k": times(2.0), "p": through()},
@@ -310,7 +322,7 @@ def test_an_algebraic_loop_names_every_port():
 
 
 def unknown(D):
-    """Give a component with a state and ``y = x + D u`` that does not say what feeds through."""
+    """Return a component with a state and ``y = x + D u`` that does not say what feeds through."""
     component = through(D)
     inputs, outputs = component.interface.inputs, component.interface.outputs
     component.interface = Interface(inputs, outputs, {o.name: None for o in outputs})
@@ -322,7 +334,8 @@ def test_a_loop_through_feedthrough_that_is_unknown_is_a_warning():
     loop = {"a.u": "k.y", "k.u": "a.y"}
     found = Graph({"a": unknown(0.0), "k": times(1.0)}, loop)
     text = (
-        "a.y may depend directly on a.u (the FMU does not say): taken as not feeding through; if it does, the loop is solved "
+        "a.y may depend directly on a.u (the FMU does not say): taken as not feeding through; "
+        "if it does, the loop is solved "
         "with the value of the step before"
     )
     assert found.warnings == [("a", text)]
@@ -352,7 +365,10 @@ def test_a_lag_that_chases_its_own_tail_is_refused():
 
 
 def test_what_holds_over_a_step_follows_variability():
-    """Discrete sources hold, continuous ones are lines, inherited ones are what drives them, `hold = "start"` holds all."""
+    """Discrete sources hold, continuous ones are lines, inherited ones are what drives them.
+
+    `hold = "start"` holds all.
+    """
     components = {
         "line": sine(amplitude=1.0, rate=1.0, phase=0.0, offset=0.0),
         "noise": Noise(deviation=1.0, seed=1),
@@ -364,17 +380,28 @@ def test_what_holds_over_a_step_follows_variability():
         "last": gain(np.ones((1, 4))),
     }
     connections = {
-        "both.u1": "line.y", "both.u2": "noise.y", "discrete.u1": "table.y", "discrete.u2": "noise.y", "delayed.u": "discrete.y",
-        "sink.u": Connection("discrete.y", ((1.0,), (1.0,), (1.0,))), "last.u": Connection("both.y", ((1.0,),) * 4),
-    }  # fmt: skip
+        "both.u1": "line.y",
+        "both.u2": "noise.y",
+        "discrete.u1": "table.y",
+        "discrete.u2": "noise.y",
+        "delayed.u": "discrete.y",
+        "sink.u": Connection("discrete.y", ((1.0,), (1.0,), (1.0,))),
+        "last.u": Connection("both.y", ((1.0,),) * 4),
+    }
     held = {
         name: mask.tolist()
         for name, mask in Graph(components, connections).prepare(10**6).held.items()
     }
     assert held == {
-        "line": [], "noise": [], "table": [], "both": [False, True], "discrete": [True, True], "delayed": [True],
-        "sink": [True] * 3, "last": [False] * 4,
-    }  # fmt: skip
+        "line": [],
+        "noise": [],
+        "table": [],
+        "both": [False, True],
+        "discrete": [True, True],
+        "delayed": [True],
+        "sink": [True] * 3,
+        "last": [False] * 4,
+    }
     assert all(
         mask.all()
         for mask in Graph(components, connections, input_interpolation="zero-order")

@@ -1,4 +1,7 @@
-"""The start: every input has what drives it, whatever the order of the components; loops are solved or named."""
+"""The start: every input has what drives it, whatever the order of the components.
+
+Loops are solved or named.
+"""
 
 import numpy as np
 import pytest
@@ -22,7 +25,7 @@ from tests.core.parts import Starter, integrator, through, times
 
 
 def start(components, connections):
-    """Give the first row by signal."""
+    """Return the first row by signal."""
     found = Graph(components, connections)
     found.prepare(10**7)
     row = np.full(found.layout.width, 7.0)
@@ -35,7 +38,10 @@ def start(components, connections):
 
 
 def test_a_chain_starts_in_its_order():
-    """Everything once, with what drives it; an output that does not depend on an input is there before it."""
+    """Everything once, with what drives it.
+
+    An output that does not depend on an input is there before it.
+    """
     parts = {
         "c": Starter(lambda u: 2.0 * u),
         "b": Starter(lambda u: u + 1.0),
@@ -44,8 +50,14 @@ def test_a_chain_starts_in_its_order():
     }
     found = start(parts, {"b.u": "a.y", "c.u": "b.y", "free.u": "c.y"})
     assert {name: value.item() for name, value in found.items()} == {
-        "a.y": 3.0, "b.u": 3.0, "b.y": 4.0, "c.u": 4.0, "c.y": 8.0, "free.u": 8.0, "free.y": 0.5,
-    }  # fmt: skip
+        "a.y": 3.0,
+        "b.u": 3.0,
+        "b.y": 4.0,
+        "c.u": 4.0,
+        "c.y": 8.0,
+        "free.u": 8.0,
+        "free.y": 0.5,
+    }
     assert parts["c"].calls == [[4.0]]
     assert parts["b"].calls == [[3.0]]
 
@@ -75,7 +87,10 @@ def test_start_values_have_the_size_of_their_signal():
 
 
 def network():
-    """Give a chain with branches and a loop of lags that start at their inputs: x = 1 - 3 z, z = 2 x."""
+    """Return a chain with branches and a loop of lags that start at their inputs.
+
+    X = 1 - 3 z, z = 2 x.
+    """
     components = {
         "one": constant([1.0]),
         "s": sum_of([1.0, -1.0]),
@@ -85,9 +100,14 @@ def network():
         "last": Delay(2),
     }
     connections = {
-        "s.u1": "one.y", "s.u2": Connection("z.y", 3.0), "x.u": "s.y", "z.u": Connection("x.y", 2.0), "behind.u1": "x.y",
-        "behind.u2": "z.y", "last.u": "behind.y",
-    }  # fmt: skip
+        "s.u1": "one.y",
+        "s.u2": Connection("z.y", 3.0),
+        "x.u": "s.y",
+        "z.u": Connection("x.y", 2.0),
+        "behind.u1": "x.y",
+        "behind.u2": "z.y",
+        "last.u": "behind.y",
+    }
     return components, connections
 
 
@@ -131,7 +151,10 @@ def test_linear_loops_of_vectors_have_their_closed_form(n, seed):
 
 
 def test_a_nonlinear_loop_starts_from_the_start_values():
-    """x = z^2, z = x / 4 + 1 / 2, so x^2 - 12 x + 4 = 0: of 6 + 4 sqrt(2) and 6 - 4 sqrt(2) the one where they lead."""
+    """x = z^2, z = x / 4 + 1 / 2, so x^2 - 12 x + 4 = 0.
+
+    Of 6 + 4 sqrt(2) and 6 - 4 sqrt(2) the one where they lead.
+    """
     for value, root in ((10.0, 6.0 + 4.0 * np.sqrt(2.0)), (0.3, 6.0 - 4.0 * np.sqrt(2.0))):
         parts = {
             "x": Starter(lambda u: u * u, start=(value,)),
@@ -142,7 +165,10 @@ def test_a_nonlinear_loop_starts_from_the_start_values():
 
 
 def test_two_loops_are_solved_one_after_the_other():
-    """x = -2 x + 3 gives 1; behind it y = x - 4 y gives 1/5. Nobody behind a loop starts with a trial value of it."""
+    """x = -2 x + 3 gives 1; behind it y = x - 4 y gives 1/5.
+
+    Nobody behind a loop starts with a trial value of it.
+    """
     seen = Starter(lambda u: u)
     parts = {
         "x": Starter(lambda u: -2.0 * u + 3.0),
@@ -173,15 +199,24 @@ def refused(components, connections, text):
     with pytest.raises(GraphError) as error:
         start(components, connections)
     assert text in str(error.value)
-    way = "; give a component among them a start of its own, such as a lag with start or a delay with initial"
+    way = (
+        "; give a component among them a start of its own, such as a lag with start or a "
+        "delay with initial"
+    )
     if "depend on each other" in text:
         assert str(error.value).endswith(f"{way}, or other start values")
 
 
 def test_a_loop_without_a_solution_is_named():
-    """Every port of it, the residual and what is needed; also of more than one loop through a port."""
+    """Every port of it, the residual and what is needed.
+
+    Also of more than one loop through a port.
+    """
     chase = {"lag": Linear(lag(time_constant=1.0))}
-    name = "no initial values for lag.u -> lag.y -> lag.u, which depend on each other at initialization: "
+    name = (
+        "no initial values for lag.u -> lag.y -> lag.u, which depend on each other at "
+        "initialization: "
+    )
     refused(
         chase,
         {"lag.u": Connection("lag.y", 1.0, 1.0)},
@@ -193,7 +228,10 @@ def test_a_loop_without_a_solution_is_named():
         name + "1 - w' is singular, with a residual of 0 at 'lag.u', needed at most 0; give",
     )
     square = {"x": Starter(lambda u: u * u + 1.0, start=(0.2,))}
-    name = "no initial values for x.u -> x.y -> x.u, which depend on each other at initialization: Newton's method ended with a residual"
+    name = (
+        "no initial values for x.u -> x.y -> x.u, which depend on each other at "
+        "initialization: Newton's method ended with a residual"
+    )
     refused(square, {"x.u": "x.y"}, name)
     refused(square, {"x.u": "x.y"}, " at 'x.u', needed at most ")
     both = {
@@ -208,7 +246,10 @@ def test_a_loop_without_a_solution_is_named():
 
 
 def test_missing_values_are_kept_only_where_they_may_be_missing():
-    """NaN is no solution of an equation between numbers; "no value yet" is one of optional signals."""
+    """NaN is no solution of an equation between numbers.
+
+    "no value yet" is one of optional signals.
+    """
     face = Interface(
         (Signal("u", optional=True),), (Signal("y", optional=True),), {"y": ()}, {"y": ("u",)}
     )
@@ -225,24 +266,36 @@ def test_discrete_signals_in_a_loop_converge_or_are_refused():
     found = start({"n": whole}, {"n.u": "n.y"})
     assert (found["n.u"].item(), found["n.y"].item()) == (41.0, 41.0)
     flip = Starter(lambda u: 1.0 - u, kind="boolean")
-    text = "b.u -> b.y -> b.u, which depend on each other at initialization: with a discrete signal among them, and still changing "
+    text = (
+        "b.u -> b.y -> b.u, which depend on each other at initialization: with a discrete "
+        "signal among them, and still changing "
+    )
     refused({"b": flip}, {"b.u": "b.y"}, f"{text}after 102 sweeps")
 
 
 def test_a_dependency_that_is_not_declared_is_followed_or_refused():
-    """Beyond what is declared, rounds go on until nothing moves: a chain converges, a loop that grows does not."""
+    """Beyond what is declared, rounds go on until nothing moves.
+
+    A chain converges, a loop that grows does not.
+    """
     quiet = Starter(lambda u: 2.0 * u, declared=())
     found = start(
         {"p": quiet, "k": times(0.5), "one": constant([4.0])}, {"p.u": "one.y", "k.u": "p.y"}
     )
     assert (found["p.y"].item(), found["k.y"].item()) == (8.0, 4.0)
     liar = Starter(lambda u: 2.0 * u + 1.0, declared=())
-    text = "initial values do not converge: p.u, p.y, k.u, k.y still change after 4 rounds; an output there depends at initialization on "
+    text = (
+        "initial values do not converge: p.u, p.y, k.u, k.y still change after 4 rounds; an "
+        "output there depends at initialization on "
+    )
     refused({"p": liar, "k": times(1.0)}, {"p.u": "k.y", "k.u": "p.y"}, text)
 
 
 def test_every_input_is_what_its_connection_gives():
-    """With gain, offset, an element and units, also inside a loop: the recorded start keeps all equations."""
+    """With gain, offset, an element and units, also inside a loop.
+
+    The recorded start keeps all equations.
+    """
     celsius, kelvin = (
         BaseUnit((0, 0, 0, 0, 1, 0, 0, 0), 1.0, 273.15),
         BaseUnit((0, 0, 0, 0, 1, 0, 0, 0)),
@@ -270,7 +323,10 @@ def test_a_run_goes_on_from_the_start_that_was_found():
 
 
 def test_our_models_say_what_their_start_depends_on():
-    """A lag without a start follows its input; one with a start does not, nor what merely feeds through."""
+    """A lag without a start follows its input.
+
+    One with a start does not, nor what merely feeds through.
+    """
     assert lag(time_constant=1.0).interface.feeds_at_start("y") == ("u",)
     assert lag(time_constant=1.0, start=0.0).interface.feeds_at_start("y") == ()
     assert Delay(2).interface.feeds_at_start("y") == ("u",)

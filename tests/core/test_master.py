@@ -52,7 +52,7 @@ def attempt(components, connections, expected=None, *, block=None, steps=10, tex
 
 
 def script(value, at, **options):
-    """Give 0, 1, 2, ... with ``value`` at step ``at``."""
+    """Return 0, 1, 2, ... with ``value`` at step ``at``."""
     return Scripted([*range(at), value, *range(at + 1, 12)], **options)
 
 
@@ -62,7 +62,10 @@ def stop(*, failed=True, done=()):
 
 @pytest.mark.parametrize("block", BLOCKS)
 def test_a_stop_cuts_the_block_for_all(block):
-    """Before, beside and behind the component that stops: everything up to there is recorded, nothing after it."""
+    """Before, beside and behind the component that stops.
+
+    Everything up to there is recorded, nothing after it.
+    """
     components = {
         "early": sine(amplitude=1.0, rate=1.0, phase=0.0, offset=0.0),
         "x": script(stop(), 5, inputs=1),
@@ -130,7 +133,10 @@ def test_the_first_of_two_stops_counts(block):
 @pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
 @pytest.mark.parametrize("block", BLOCKS)
 def test_a_loop_stops_with_everything_before(block, coupling):
-    """A failed step is not recorded; a step completed before a regular end is, for every component of the loop."""
+    """A failed step is not recorded.
+
+    A step completed before a regular end is, for every component of the loop.
+    """
     for failed, done, rows in ((True, [], 5), (False, [], 5), (False, [7.0], 6)):
         components = {
             "x": script(stop(failed=failed, done=done), 5, inputs=1),
@@ -233,7 +239,10 @@ class Fussy(Scripted):
 
 @pytest.mark.parametrize("block", BLOCKS)
 def test_the_cause_is_named_not_who_suffers(block):
-    """A component behind never sees the value that is not finite, so that its complaint does not hide where it arose."""
+    """A component behind never sees the value that is not finite.
+
+    So that its complaint does not hide where it arose.
+    """
     components = {"x": script(np.nan, 5), "fussy": Fussy(list(range(12)), inputs=1)}
     attempt(
         components,
@@ -325,7 +334,10 @@ def test_watched_tells_after_recording_and_may_end_the_run(block):
 
 
 class Refusing:
-    """Counts its steps; refuses to be asked for outputs, or to advance, from t = 0.5 s on, without saying how far it came."""
+    """Counts its steps; refuses to be asked for outputs, or to advance, from t = 0.5 s on.
+
+    Without saying how far it came.
+    """
 
     interface = Interface((), (Signal("y"),))
 
@@ -364,7 +376,10 @@ class Refusing:
     ],
 )
 def test_what_a_failing_component_leaves_does_not_depend_on_the_block(wrap, asked):
-    """An error of a component behind a period keeps the rows before it, whatever the block, and names component and time."""
+    """An error of a component behind a period keeps the rows before it, whatever the block.
+
+    And names component and time.
+    """
     kept = []
     for block in (1, 7, 1000):
         memory = attempt(

@@ -12,7 +12,10 @@ from cosim.errors import LogError
 
 
 def memory(first=0, offset=0, period=3, sizes=(4, 4)):
-    """Keep rows that hold the numbers of their steps, in blocks of some sizes, each at ``offset`` [ns] behind its grid point."""
+    """Keep rows that hold the numbers of their steps, in blocks of some sizes.
+
+    Each at ``offset`` [ns] behind its grid point.
+    """
     channel = Channel("c", Interface((), (Signal("n"), Signal("p.q", 2))), 0, period)
     kept = Memory()
     kept.begin(Plan(Layout((channel,)), 10, {}, {}, ()))
@@ -36,7 +39,10 @@ def test_rows_are_kept_by_the_number_of_their_step(offset):
 
 
 def test_the_end_of_a_run_is_told():
-    """The last step, kept or not; a block that stopped at once adds nothing; without rows there is 0."""
+    """The last step, kept or not; a block that stopped at once adds nothing.
+
+    Without rows there is 0.
+    """
     assert (memory().steps, memory().end_ns) == (8, 80)
     assert (memory(sizes=(4, 4, 0)).steps, memory(sizes=(4, 4, 0)).end_ns) == (8, 80)
     assert (memory(sizes=()).steps, memory(sizes=()).end_ns, memory(sizes=())["c.p.q"].shape) == (
@@ -53,7 +59,8 @@ def test_signal_names_may_have_dots_and_unknown_ones_are_answered_with_the_neare
     assert kept.time("c.p.q").tolist() == kept.time("c").tolist()
     with pytest.raises(
         LogError,
-        match=r"the run has no 'c\.p': 'c' has no signal 'p'; did you mean 'p\.q'\? There is: n, p\.q",
+        match=r"the run has no 'c\.p': 'c' has no signal 'p'; did you mean 'p\.q'\? There is: "
+        r"n, p\.q",
     ):
         kept["c.p"]
     with pytest.raises(LogError, match="the run has no component 'd'; There is: c"):
