@@ -17,10 +17,10 @@ from cosim.core.port import Port
 from cosim.core.signals import Interface
 from cosim.errors import UsageError, nearest
 from cosim.fmi.exporting.export import export
+from cosim.fmi.exporting.specifications import Exportable
 from cosim.scenario.build import Scenario, build_context, draft, upstream
 from cosim.scenario.execution import load
 from cosim.scenario.kinds import EXPORTABLE, DescriptorKind, ExportableKind
-from cosim.scenario.kinds.base import Exportable
 
 HOLDS = (
     "its inputs hold over a step here, so its outputs do too; co-simulation in FMI 2.0 has no events to say so, and they are "

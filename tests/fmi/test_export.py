@@ -172,7 +172,7 @@ def test_without_a_compiler_the_sources_are_written(fmi, tmp_path, monkeypatch):
     assert found.platforms == ()
     assert "sources only" in found.lines[0]
     assert "no C compiler was found" in found.lines[1]
-    assert f"fmi{fmi}.c unit.c continuous.c model.c linear.c -o" in found.lines[1]
+    assert f"fmi{fmi}.c instance.c continuous.c model.c linear.c -o" in found.lines[1]
     assert validate_fmu(str(found.path)) == []
     with pytest.raises(
         FmuError, match="no binary for this platform; found binaries for: none; needed binaries/"
@@ -200,7 +200,7 @@ def discrete(kernel, *, every=1, holds=False, optional=False, size=1, step_ns=1_
         (Signal("y", size, optional=optional),),
         {},
     )
-    return DiscreteModel(face, kernel, step_ns, "it is discrete", every=every, holds=holds)
+    return DiscreteModel(face, kernel, step_ns, "it is discrete", steps_per_sample=every, zero_order_hold=holds)
 
 
 def regressor():
@@ -226,7 +226,7 @@ def identifier():
         (Signal("theta", optional=True), Signal("eta", optional=True)),
     )
     return DiscreteModel(
-        face, kernels.least_squares(constants), 1_000_000, "it is discrete", every=3
+        face, kernels.least_squares(constants), 1_000_000, "it is discrete", steps_per_sample=3
     )
 
 
@@ -315,7 +315,7 @@ def test_sources_are_clean_under_warnings_and_sanitizers(
 )
 @pytest.mark.parametrize("fmi", ["2", "3"])
 def test_nothing_is_shared_by_instances_that_changes(fmi, tmp_path, monkeypatch):
-    """No file has a variable outside the instance: nm finds no writable data. Memory is taken by unit_new and by copies alone."""
+    """No file has a variable outside the instance: nm finds no writable data. Memory is taken by instance_new and by copies alone."""
     monkeypatch.setattr(build, "compiler", list)
     seen: set[bytes] = set()  # most files are those of every form
     for form in OF_VERSION[fmi]:
@@ -339,8 +339,8 @@ def test_nothing_is_shared_by_instances_that_changes(fmi, tmp_path, monkeypatch)
             ).stdout
             kinds = {line.split()[-2] for line in symbols.splitlines()}
             assert not kinds & set("BbDdCc"), f"{source.name}: {symbols}"
-            assert source.name in ("unit.c", f"fmi{fmi}.c") or "alloc" not in symbols
-    assert {"unit.c", f"fmi{fmi}.c"} <= {
+            assert source.name in ("instance.c", f"fmi{fmi}.c") or "alloc" not in symbols
+    assert {"instance.c", f"fmi{fmi}.c"} <= {
         source.name for source in (tmp_path / "plant" / "sources").iterdir()
     }
 
@@ -424,7 +424,7 @@ def test_the_page_says_what_it_is(exported, tmp_path):
         page = archive.read("documentation/index.html").decode()
     assert "x&#x27; = A x + B u" in page or "x' = A x + B u" in page
     assert "<td>delta</td><td>input</td>" in page
-    assert "fmi2.c unit.c continuous.c model.c linear.c" in page
+    assert "fmi2.c instance.c continuous.c model.c linear.c" in page
     with zipfile.ZipFile(export(regressor(), tmp_path / "r.fmu", name="r").path) as archive:
         page = archive.read("documentation/index.html").decode()
     assert "NaN: no value yet" in page

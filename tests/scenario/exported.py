@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import cosim
-from cosim.core.contracts import Component
+from cosim.core.contracts import Component, prepare
 from cosim.core.linear import LinearModel
 from cosim.scenario.build import build, build_context
 from cosim.scenario.execution import load
@@ -92,7 +92,7 @@ def case(key: str, name: str) -> Case:
     if (
         key in DRIVERS
     ):  # the log keeps only the rows at its period, so it runs here on what drove it
-        component.prepare(H, graph.held[name], {})
+        prepare(component, H, graph.held[name], {})
         u = columns(run, DRIVERS[key], graph.components[DRIVERS[key]].interface.outputs)
         y = np.vstack([component.initialize(0.0, u[0]), component.advance(t, H, u)])
     else:
@@ -120,7 +120,7 @@ def export(key: str, name: str, fmi: str, folder: Path) -> Path:
 
 def drive(component: Any, found: Case, held: Any = None) -> Any:
     """Run a component on recorded inputs; its outputs in the order of the original."""
-    component.prepare(H, found.held if held is None else held, {})
+    prepare(component, H, found.held if held is None else held, {})
     first = component.initialize(0.0, found.u[0])
     y = np.vstack([first, component.advance(found.t, H, found.u)])
     at = component.interface.output_columns()

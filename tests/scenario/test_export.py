@@ -9,6 +9,7 @@ from fmpy.validation import validate_fmu
 
 import cosim
 from cosim.cli import main
+from cosim.core.contracts import prepare
 from cosim.core.linear import Linear
 from cosim.errors import CosimError
 from cosim.fmi.component import ModelExchange, load
@@ -131,8 +132,11 @@ def test_co_simulation_by_fmpy_alone_gives_what_the_component_gives(key, name, f
     _, named = rows(found)
     y = by_fmpy(export(key, name, fmi, folder), "CoSimulation", found, named, STOP)
     component = found.component
-    component.prepare(
-        H, np.ones(found.u.shape[1], np.bool_) if name != "identifier" else found.held, {}
+    prepare(
+        component,
+        H,
+        np.ones(found.u.shape[1], np.bool_) if name != "identifier" else found.held,
+        {},
     )
     expected = [component.initialize(0.0, found.u[0])]
     for k in range(len(found.t) - 1):
@@ -154,7 +158,7 @@ def test_model_exchange_by_fmpy_alone_gives_what_the_component_gives(key, name, 
     u, named = rows(found, np.linspace(0.5, 1.0, found.u.shape[1]))
     y = by_fmpy(export(key, name, fmi, folder), "ModelExchange", found, named, 0.5)
     exact = Linear(found.model)
-    exact.prepare(H, np.zeros(u.shape[1], np.bool_), {})
+    prepare(exact, H, np.zeros(u.shape[1], np.bool_), {})
     expected = np.vstack([exact.initialize(0.0, u[0]), exact.advance(found.t, H, u)])[: len(y)]
     assert relative(y, expected) <= 1e-6
 
@@ -168,7 +172,7 @@ def test_derivatives_are_the_matrices(interface_type, fmi, folder):
         export("academic", "observer", fmi, folder), FmuOptions(interface_type=interface_type)
     ) as fmu:
         component, unit = fmu.component, fmu.component._instance
-        component.prepare(H, found.held, {})
+        prepare(component, H, found.held, {})
         component.initialize(0.0, found.u[0])
         at_start = jacobian(unit, "input")
         component.outputs(0.0, found.u[0])
@@ -242,11 +246,11 @@ def test_a_fixed_step_is_kept(folder):
         load(export("academic", "regressor", "3", folder), FmuOptions(interface_type="cs")) as fmu,
         pytest.raises(CosimError, match=r"0\.001 s"),
     ):
-        fmu.component.prepare(0.0015, found.held, {})
+        prepare(fmu.component, 0.0015, found.held, {})
     with load(export("academic", "regressor", "2", folder), FmuOptions(interface_type="cs")) as fmu:
-        fmu.component.prepare(0.002, found.held, {})
+        prepare(fmu.component, 0.002, found.held, {})
         fmu.component.initialize(0.0, found.u[0])
-        needed = r"a communication step of 0\.002\d* s was asked for; needed 0\.001 s, the step of this unit"
+        needed = r"a communication step of 0\.002\d* s was asked for; needed 0\.001 s, the step of this FMU"
         with pytest.raises(CosimError, match=needed):
             fmu.component.advance(np.array([0.0, 0.002]), 0.002, found.u[:2])
 

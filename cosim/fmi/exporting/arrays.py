@@ -1,4 +1,4 @@
-"""Scalars put together to the arrays of FMI 3."""
+"""Join scalars to the arrays of FMI 3."""
 
 from __future__ import annotations
 
@@ -11,142 +11,169 @@ from cosim.fmi.variable import Variable
 
 
 def with_arrays(description: Description) -> Description:
-    """Make one array of the scalars ``x[0]``, ``x[1]``, ... where their references follow each other; it has that of the first.
+    """Join the scalars ``x[0]``, ``x[1]``, ... whose references follow each other to one array.
 
-    The derivatives of an array of states are an array too.
+    It has the reference of the first. The derivatives of an array of states are an array too.
     """
-    plain = [v for v in description.variables if v.derivative_of is None]
-    groups = {group[0].name: group for group in _runs(plain, _order(description))}
-    array_of = {v.name: _base(group) for group in groups.values() for v in group}
+    not_derivatives = [v for v in description.variables if v.derivative_of is None]
+    groups = _groups(not_derivatives, _derivative_references(description))
+    group_of = {variable.name: group for group in groups for variable in group}
+    array_of = {name: _array_name(group) for name, group in group_of.items()}
+    names = dict(array_of)  # of scalars, derivatives included: their arrays
     variables: list[Variable] = []
-    names = dict(array_of)
     for variable in description.variables:
-        if variable.name in groups:
-            variables.append(_together(groups[variable.name], array_of))
         if variable.derivative_of is None:
+            group = group_of[variable.name]
+            if variable is group[0]:
+                variables.append(_join(group, array_of))
             continue
-        owner = next(
-            group for group in groups.values() if variable.derivative_of in [v.name for v in group]
-        )
-        ders = [
-            v for v in description.variables if v.derivative_of in [state.name for state in owner]
-        ]
-        base = f"der({_base(owner)})" if len(owner) > 1 else variable.name
-        names[variable.name] = base
-        if variable is ders[0]:
-            variables.append(replace(_together(ders, array_of), name=base))
-    solved = {
-        v.name for v in variables if v.initial == "calculated"
-    }  # no start value can be given for one element alone
-    initial = {
-        name: None if needs is None else tuple(need for need in needs if need not in solved)
-        for name, needs in _merge(description.initial_dependencies, names).items()
-    }
+        states = group_of[variable.derivative_of]
+        name = f"der({_array_name(states)})" if len(states) > 1 else variable.name
+        names[variable.name] = name
+        derivatives = _derivatives(description, states)
+        if variable is derivatives[0]:
+            variables.append(replace(_join(derivatives, array_of), name=name))
     return replace(
         description,
         variables=tuple(variables),
-        states=_merged(description.states, names),
-        dependencies=_merge(description.dependencies, names),
-        initial_dependencies=initial,
-        dae=description.dae and _gathered(description.dae, names),
+        states=_array_names(description.states, names),
+        dependencies=_array_dependencies(description.dependencies, names),
+        initial_dependencies=_initial_dependencies(description, variables, names),
+        dae=None if description.dae is None else _residual_form(description.dae, names),
     )
 
 
-def _gathered(dae: Dae, names: Mapping[str, str]) -> Dae:
-    needs = _merge(
-        {one.name: one.dependencies for formulations in dae.residuals for one in formulations},
-        names,
-    )
-    return replace(
-        dae,
-        algebraic=_merged(dae.algebraic, names),
-        residuals=tuple((Formulation(name, found),) for name, found in needs.items()),
-        dependencies=_merge(dae.dependencies, names),
-    )
+def _derivative_references(description: Description) -> dict[str, int]:
+    """Return the value reference of each state's derivative."""
+    references = {}
+    for variable in description.variables:
+        if variable.derivative_of is not None:
+            references[variable.derivative_of] = variable.reference
+    return references
 
 
-def _base(group: Sequence[Variable]) -> str:
-    return group[0].name if len(group) == 1 else group[0].name.rpartition("[")[0]
+def _derivatives(description: Description, states: Sequence[Variable]) -> list[Variable]:
+    names = {state.name for state in states}
+    return [v for v in description.variables if v.derivative_of in names]
 
 
-def _order(description: Description) -> dict[str, int]:
-    """Give the reference of each state's derivative."""
-    return {
-        v.derivative_of: v.reference for v in description.variables if v.derivative_of is not None
-    }
+# --- which scalars are one array ---
 
 
-def _runs(variables: Sequence[Variable], order: Mapping[str, int]) -> list[list[Variable]]:
+def _groups(variables: Sequence[Variable], derivatives: Mapping[str, int]) -> list[list[Variable]]:
     """Split into elements 0, 1, ... of one array each, all of them states or none."""
-    runs: list[list[Variable]] = []
+    groups: list[list[Variable]] = []
     for variable in variables:
-        last = runs[-1] if runs else []
-        if last and variable.name == _next(last) and _alike(last[-1], variable, order):
-            last.append(variable)
+        if groups and _continues(groups[-1], variable, derivatives):
+            groups[-1].append(variable)
         else:
-            runs.append([variable])
-    return runs
+            groups.append([variable])
+    return groups
 
 
-def _next(run: Sequence[Variable]) -> str | None:
-    """Give the name of the element that would go on with a run; None: it is no array."""
-    first = re.fullmatch(r"(.+)\[0\]", run[0].name)
-    return f"{first[1]}[{len(run)}]" if first else None
-
-
-def _alike(one: Variable, other: Variable, order: Mapping[str, int]) -> bool:
-    """Whether they may stand in one array: all of it states, whose derivatives follow each other too, or none."""
-    return (
-        other.reference == one.reference + 1
-        and (one.causality, one.unit, one.variability)
-        == (other.causality, other.unit, other.variability)
-        and (one.name in order) == (other.name in order)
-        and (one.name not in order or order[other.name] == order[one.name] + 1)
+def _continues(
+    group: Sequence[Variable], variable: Variable, derivatives: Mapping[str, int]
+) -> bool:
+    """Check whether a variable is the next element of an array."""
+    first = re.fullmatch(r"(.+)\[0\]", group[0].name)
+    if first is None or variable.name != f"{first[1]}[{len(group)}]":
+        return False
+    last = group[-1]
+    if variable.reference != last.reference + 1:
+        return False
+    return _attributes(last) == _attributes(variable) and _derivatives_continue(
+        last, variable, derivatives
     )
 
 
-def _together(group: Sequence[Variable], array_of: Mapping[str, str]) -> Variable:
+def _attributes(variable: Variable) -> tuple[str, str | None, str]:
+    return variable.causality, variable.unit, variable.variability
+
+
+def _derivatives_continue(
+    last: Variable, variable: Variable, derivatives: Mapping[str, int]
+) -> bool:
+    """Check that neither is a state, or both are and their derivatives follow each other too."""
+    if last.name not in derivatives or variable.name not in derivatives:
+        return last.name not in derivatives and variable.name not in derivatives
+    return derivatives[variable.name] == derivatives[last.name] + 1
+
+
+# --- arrays in the place of scalars ---
+
+
+def _array_name(group: Sequence[Variable]) -> str:
+    name = group[0].name
+    return name if len(group) == 1 else name.rpartition("[")[0]
+
+
+def _join(group: Sequence[Variable], array_of: Mapping[str, str]) -> Variable:
     first = group[0]
-    of = None if first.derivative_of is None else array_of[first.derivative_of]
+    state = None if first.derivative_of is None else array_of[first.derivative_of]
     if len(group) == 1:
-        return replace(first, derivative_of=of)
-    initial = first.initial if len({v.initial for v in group}) == 1 else "calculated"
-    starts = [v.start for v in group if v.start is not None]
-    start = (
-        tuple(value for values in starts for value in values)
-        if len(starts) == len(group) and initial != "calculated"
-        else None
-    )
-    size = len(group)
+        return replace(first, derivative_of=state)
+    initials = {variable.initial for variable in group}
+    initial = first.initial if len(initials) == 1 else "calculated"
     return replace(
         first,
-        name=_base(group),
-        size=size,
-        dimensions=(size,),
+        name=_array_name(group),
+        size=len(group),
+        dimensions=(len(group),),
         initial=initial,
-        start=start,
-        derivative_of=of,
+        start=None if initial == "calculated" else _start(group),
+        derivative_of=state,
     )
 
 
-def _merged(found: Iterable[str], names: Mapping[str, str]) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(names[name] for name in found))
+def _start(group: Sequence[Variable]) -> tuple[float, ...] | None:
+    """Return the start values of all elements; None if one has none."""
+    values: list[float] = []
+    for variable in group:
+        if variable.start is None:
+            return None
+        values += variable.start
+    return tuple(values)
 
 
-def _merge(
-    found: Mapping[str, tuple[str, ...] | None], names: Mapping[str, str]
+def _array_names(scalars: Iterable[str], names: Mapping[str, str]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(names[scalar] for scalar in scalars))
+
+
+def _array_dependencies(
+    dependencies: Mapping[str, tuple[str, ...] | None], names: Mapping[str, str]
 ) -> dict[str, tuple[str, ...] | None]:
-    """Give what arrays depend on: what any of their elements does; None where one does not say."""
+    """Return what arrays depend on: what any of their elements does; None: one does not say."""
     merged: dict[str, tuple[str, ...] | None] = {}
-    for name, needs in found.items():
-        known = merged.get(names[name], ())
-        merged[names[name]] = (
-            None
-            if needs is None or known is None
-            else _merged((*known, *needs), {**names, **_itself(known)})
-        )
+    for scalar, needs in dependencies.items():
+        array = names[scalar]
+        known = merged.get(array, ())
+        if needs is None or known is None:
+            merged[array] = None
+        else:
+            merged[array] = tuple(dict.fromkeys((*known, *_array_names(needs, names))))
     return merged
 
 
-def _itself(found: Iterable[str]) -> dict[str, str]:
-    return {name: name for name in found}
+def _initial_dependencies(
+    description: Description, variables: Sequence[Variable], names: Mapping[str, str]
+) -> dict[str, tuple[str, ...] | None]:
+    # a calculated array is no known: its elements cannot be set, not even those that were exact
+    calculated = {variable.name for variable in variables if variable.initial == "calculated"}
+    dependencies = _array_dependencies(description.initial_dependencies, names)
+    for name, needs in dependencies.items():
+        if needs is not None:
+            dependencies[name] = tuple(need for need in needs if need not in calculated)
+    return dependencies
+
+
+def _residual_form(dae: Dae, names: Mapping[str, str]) -> Dae:
+    needs: dict[str, tuple[str, ...] | None] = {}
+    for formulations in dae.residuals:
+        needs |= {formulation.name: formulation.dependencies for formulation in formulations}
+    residuals = _array_dependencies(needs, names)
+    return replace(
+        dae,
+        algebraic=_array_names(dae.algebraic, names),
+        residuals=tuple((Formulation(name, known),) for name, known in residuals.items()),
+        dependencies=_array_dependencies(dae.dependencies, names),
+    )

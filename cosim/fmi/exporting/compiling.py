@@ -63,7 +63,7 @@ class Binary:
 
 
 def check_platforms(platforms: Sequence[str]) -> None:
-    """Refuse what cannot be compiled for.
+    """Check that these platforms can be compiled for.
 
     Raises
     ------
@@ -77,8 +77,9 @@ def check_platforms(platforms: Sequence[str]) -> None:
             raise FmuError(f"platform {name!r} is there twice; needed once")
     if platforms and not build.cross_compiler(""):
         raise FmuError(
-            f"platform {', '.join(platforms)}: other machines are compiled for with ziglang, which is not installed; "
-            "pip install 'cosim[build]', or leave --platform out to compile for this machine with its own compiler"
+            f"platform {', '.join(platforms)}: other machines are compiled for with ziglang, which "
+            "is not installed; pip install 'cosim[build]', or leave --platform out to compile for "
+            "this machine with its own compiler"
         )
 
 
@@ -101,7 +102,7 @@ def compile_sources(
     name : str
         The modelIdentifier.
     version : str
-        FMI version, which decides on the folders.
+        FMI version, which decides the names of the folders.
     platforms : sequence of str
         Of ``PLATFORMS``.
 
@@ -117,51 +118,51 @@ def compile_sources(
         try:
             if platforms:
                 return [
-                    _cross(files, Path(folder), name, version, platform) for platform in platforms
+                    _cross_compile(files, Path(folder), name, version, platform)
+                    for platform in platforms
                 ]
-            return [_own(files, Path(folder), name, version)] if build.compiler() else []
+            if not build.compiler():
+                return []
+            return [_compile_here(files, Path(folder), name, version)]
         except RuntimeError as error:
             raise FmuError(f"the FMU {name!r} could not be compiled: {error}") from error
 
 
-def _own(files: Sequence[Path], folder: Path, name: str, version: str) -> Binary:
+def _compile_here(files: Sequence[Path], folder: Path, name: str, version: str) -> Binary:
     library = folder / f"{name}{SUFFIX}"
     build.compile_library(files, library)
-    return Binary(
-        folders(version)[0],
-        library.name,
-        library.read_bytes(),
-        _note(version, f"{ARCHITECTURE}-{SYSTEM}"),
-    )
+    note = _note(version, f"{ARCHITECTURE}-{SYSTEM}")
+    return Binary(folders(version)[0], library.name, library.read_bytes(), note)
 
 
-def _cross(files: Sequence[Path], folder: Path, name: str, version: str, platform: str) -> Binary:
-    found = PLATFORMS[platform]
-    library = folder / f"{name}-{platform}" / f"{name}{found.suffix}"
+def _cross_compile(
+    files: Sequence[Path], folder: Path, name: str, version: str, platform: str
+) -> Binary:
+    machine = PLATFORMS[platform]
+    library = folder / f"{name}-{platform}" / f"{name}{machine.suffix}"
     library.parent.mkdir()
-    own_name = (f"-Wl,-install_name,@rpath/{library.name}",) if found.suffix == ".dylib" else ()
-    options = (
-        "-s",
-        *own_name,
-    )  # neither debug information nor the library itself names the temporary folder
-    build.compile_library(files, library, options, command=build.cross_compiler(found.target))
-    short = found.short if version == "2.0" else None
+    # without these, debug information or the library itself would name the temporary folder
+    options = ["-s"]
+    if machine.suffix == ".dylib":
+        options.append(f"-Wl,-install_name,@rpath/{library.name}")
+    build.compile_library(files, library, options, command=build.cross_compiler(machine.target))
+    short = machine.short if version == "2.0" else None
     return Binary(short or platform, library.name, library.read_bytes(), _note(version, platform))
 
 
 def _note(version: str, platform: str) -> str:
-    known = PLATFORMS.get(platform)
-    return (
-        f"FMI 2.0 has no name for {platform}; its folder is FMI 3.0's"
-        if version == "2.0" and known and not known.short
-        else ""
-    )
+    machine = PLATFORMS.get(platform)
+    if version != "2.0" or machine is None or machine.short is not None:
+        return ""
+    return f"FMI 2.0 has no name for {platform}; its folder is FMI 3.0's"
 
 
 def advice(main: Sequence[str], name: str, version: str) -> str:
-    """Say how to compile what was written as sources only."""
+    """Return how to compile what was written as sources only."""
     flags = " ".join(build.FLAGS)
+    library = f"../binaries/{folders(version)[0]}/{name}{SUFFIX}"
     return (
-        "no C compiler was found, so the FMU holds sources only. Install one as 'cc' or 'pip install ziglang' and export again, "
-        f"or, in sources/: cc {flags} {' '.join(main)} -o ../binaries/{folders(version)[0]}/{name}{SUFFIX} -lm"
+        "no C compiler was found, so the FMU holds sources only. Install one as 'cc' or "
+        "'pip install ziglang' and export again, or, in sources/: "
+        f"cc {flags} {' '.join(main)} -o {library} -lm"
     )

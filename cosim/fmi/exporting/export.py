@@ -3,9 +3,11 @@
 The parts of the C source, each in ``c/``::
 
     fmi2.c | fmi3.c               the functions of the standard
-    unit.c                        variables, modes, time, steps, derivatives, copies of the state
-    continuous.c | discrete.c     a linear model | a model that lives at the communication points, around one kernel
-    residual.c                    the equations of the algebraic variables that were eliminated from a linear model (FMI 3.0)
+    instance.c                    variables, modes, time, steps, derivatives, copies of the state
+    continuous.c | discrete.c     a linear model | a model that changes at communication points
+                                  only, around one kernel
+    residual.c                    the equations of the algebraic variables that were eliminated from
+                                  a linear model (FMI 3.0)
     model.c                       written here: the numbers
     cosim/native/*.c              the steps, as they run in the package: one arithmetic in two homes
 
@@ -20,19 +22,19 @@ import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final, TypeAlias
+from typing import Final
 from uuid import UUID
 
 import numpy as np
 
-from cosim.core.linear import DescriptorModel, LinearModel
+from cosim.core.linear import DescriptorModel
 from cosim.errors import FmuError, nearest
 from cosim.fmi.description import INTERFACE_TYPE_NAMES, Description, InterfaceType
 from cosim.fmi.exporting.arrays import with_arrays
-from cosim.fmi.exporting.compiling import advice, check_platforms, compile_sources
+from cosim.fmi.exporting.compiling import Binary, advice, check_platforms, compile_sources
 from cosim.fmi.exporting.documenting import document
-from cosim.fmi.exporting.kernels import DiscreteModel, integer, integers
-from cosim.fmi.exporting.specifications import ExportSpecification, form_of
+from cosim.fmi.exporting.kernels import integer, integers
+from cosim.fmi.exporting.specifications import Exportable, ExportSpecification, specify
 from cosim.fmi.exporting.writing_dae import write_dae
 from cosim.fmi.exporting.writing_fmi2 import write_fmi2
 from cosim.fmi.exporting.writing_fmi3 import write_build_description, write_fmi3
@@ -43,8 +45,6 @@ from cosim.native import build
 HERE = Path(__file__).resolve().parent / "c"
 EPOCH = (1980, 1, 1, 0, 0, 0)  # the same content gives the same archive
 LARGEST = 2**27  # doubles of an instance, 1 GiB
-
-Exportable: TypeAlias = LinearModel | DescriptorModel | DiscreteModel
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,9 +59,9 @@ class Version:
     headers : tuple of str
     write : callable
         Writes the modelDescription.xml.
-    arranged : callable
+    arrange : callable
         Gives the description its variables: scalars, or arrays.
-    build : callable
+    write_build : callable
         Writes files beside the sources, by name.
     """
 
@@ -69,34 +69,34 @@ class Version:
     source: str
     headers: tuple[str, ...]
     write: Callable[..., str]
-    arranged: Callable[[Description], Description]
-    build: Callable[[str, Sequence[str]], Mapping[str, str]]
+    arrange: Callable[[Description], Description]
+    write_build: Callable[[str, Sequence[str]], Mapping[str, str]]
 
 
-def _with_time(description: Description) -> Description:
-    """Give arrays, and the independent variable that FMI 3 wants (FMI 3.0.2 section 2.4.7.4), behind the states."""
-    if any(v.name == "time" for v in description.variables):
+def _arrays_and_time(description: Description) -> Description:
+    """Join arrays; add the independent variable that FMI 3 needs (FMI 3.0.2 section 2.4.7.4)."""
+    if "time" in description:
         raise FmuError(
-            f"{description.name}: a variable is called 'time', which in FMI 3 is the time; use FMI 2, or another name"
+            f"{description.name}: a variable is called 'time', which in FMI 3 is the time; "
+            "use FMI 2, or another name"
         )
     ports = sum(v.causality in ("input", "output") for v in description.variables)
-    time = Variable(
-        "time", ports + 2 * len(description.states), "independent", unit="s", doc="the time reached"
-    )
+    reference = ports + 2 * len(description.states)  # behind the derivatives and the states
+    time = Variable("time", reference, "independent", unit="s", doc="the time reached")
     arrays = with_arrays(description)
     return replace(arrays, variables=(*arrays.variables, time))
 
 
-def _as_it_is(description: Description) -> Description:
+def _scalars(description: Description) -> Description:
     return description
 
 
-def _nothing(name: str, sources: Sequence[str]) -> dict[str, str]:
-    return {}
-
-
-def _build(name: str, sources: Sequence[str]) -> dict[str, str]:
+def _build_description(name: str, sources: Sequence[str]) -> dict[str, str]:
     return {"buildDescription.xml": write_build_description(name, sources)}
+
+
+def _no_build_description(name: str, sources: Sequence[str]) -> dict[str, str]:
+    return {}
 
 
 VERSIONS: Final[Mapping[str, Version]] = {
@@ -105,16 +105,16 @@ VERSIONS: Final[Mapping[str, Version]] = {
         "fmi2.c",
         ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"),
         write_fmi2,
-        _as_it_is,
-        _nothing,
+        _scalars,
+        _no_build_description,
     ),
     "3": Version(
         "3.0",
         "fmi3.c",
         ("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h"),
         write_fmi3,
-        _with_time,
-        _build,
+        _arrays_and_time,
+        _build_description,
     ),
 }
 
@@ -128,31 +128,32 @@ class Exported:
     path : Path
     version : str
         FMI version.
-    kinds : tuple of Mode
+    interface_types : tuple of InterfaceType
         Which it is for.
     platforms : tuple of str
         The folders under ``binaries/`` that were filled; none: sources only.
     notes : tuple of str
-        What is to be known: why a kind is missing, how to compile the sources where there was no compiler.
+        What is to be known: why model exchange is missing, how to compile the sources where there
+        was no compiler.
     """
 
     path: Path
     version: str
-    kinds: tuple[InterfaceType, ...]
+    interface_types: tuple[InterfaceType, ...]
     platforms: tuple[str, ...]
     notes: tuple[str, ...] = ()
 
     @property
     def lines(self) -> list[str]:
         """What was written, for people."""
-        kinds = " and ".join(INTERFACE_TYPE_NAMES[kind] for kind in self.kinds)
+        interface_types = " and ".join(INTERFACE_TYPE_NAMES[name] for name in self.interface_types)
         binary = "binary" if len(self.platforms) == 1 else "binaries"
         built = f"{binary} for {', '.join(self.platforms)}" if self.platforms else "sources only"
-        return [f"{self.path}: FMI {self.version}, {kinds}, {built}", *self.notes]
+        return [f"{self.path}: FMI {self.version}, {interface_types}, {built}", *self.notes]
 
 
 def export(
-    model: Exportable,
+    model: Exportable | DescriptorModel,
     path: Path | str,
     *,
     name: str,
@@ -182,59 +183,26 @@ def export(
     Raises
     ------
     FmuError
-        If the model holds a number that is not finite, the name is no identifier, the version or a platform is not known or
-        cannot have what the model needs, or the folder of ``path`` is missing.
+        If the model holds a number that is not finite, the name is no identifier, the version or a
+        platform is not known or cannot have what the model needs, or the folder of ``path`` is
+        missing.
     """
     path = Path(path)
     _check_names(path, name, fmi)
     check_platforms(platforms)
-    form, version = form_of(model, name), VERSIONS[fmi]
-    _check_numbers(form)
-    if form.residuals and fmi != "3":
-        raise FmuError(
-            f"{name}: FMI {version.number} has no residual form; the layered standard for it is on top of FMI 3: use FMI 3"
-        )
-    unit = version.arranged(_named(form.description, name, version))
-    sources, main = _sources(form, version)
-
-    def xml() -> str:
-        return version.write(unit, text=description, sources=main, constant=form.constant)
-
-    digest = hashlib.sha256(
-        b"\0".join([_constants(form, unit, 0).encode(), xml().encode(), *sources.values()])
-    ).digest()
-    unit = replace(unit, token=f"{{{UUID(bytes=digest[:16], version=5)}}}")
-    sources["model.c"] = _constants(form, unit, int.from_bytes(digest[:6])).encode()
+    specification = specify(model, name)
+    _check_specification(specification, VERSIONS[fmi])
+    fmu = _assemble(specification, VERSIONS[fmi], text=description)
     binaries = compile_sources(
-        sources, main, name=name, version=version.number, platforms=platforms
+        fmu.sources, fmu.main, name=name, version=fmu.version.number, platforms=platforms
     )
-    files = {
-        "modelDescription.xml": xml().encode(),
-        "documentation/index.html": document(
-            unit, form.equations, text=description, main=main
-        ).encode(),
-        **{f"sources/{file}": content for file, content in sources.items()},
-        **{
-            f"sources/{file}": content.encode()
-            for file, content in version.build(name, main).items()
-        },
-        **{f"binaries/{binary.folder}/{binary.name}": binary.content for binary in binaries},
-        **({MANIFEST: write_dae(unit, constant=form.constant).encode()} if unit.dae else {}),
-        **(extra or {}),
-    }
-    _write(path, files)
-    notes = [f"co-simulation only: {form.reason}"] if form.reason else []
-    notes += (
-        [binary.note for binary in binaries if binary.note]
-        if binaries
-        else [advice(main, name, version.number)]
-    )
+    _write(path, fmu.files(binaries) | dict(extra or {}))
     return Exported(
         path,
-        version.number,
-        tuple(unit.capabilities),
+        fmu.version.number,
+        tuple(fmu.description.capabilities),
         tuple(binary.folder for binary in binaries),
-        tuple(notes),
+        fmu.notes(binaries),
     )
 
 
@@ -249,60 +217,140 @@ def _check_names(path: Path, name: str, fmi: str) -> None:
         raise FmuError(f"{path}: there is no folder {path.parent}; make it first")
 
 
-def _check_numbers(form: ExportSpecification) -> None:
-    for letter, array in form.numbers.items():
+def _check_specification(specification: ExportSpecification, version: Version) -> None:
+    name = specification.description.name
+    for letter, array in specification.numbers.items():
         if not np.isfinite(array).all():
             raise FmuError(f"matrix {letter} holds NaN or infinity; an FMU needs finite numbers")
-    if form.memory + form.work > LARGEST:
+    size = specification.memory + specification.work
+    if size > LARGEST:
+        raise FmuError(f"{name}: an instance needs {size} numbers; needed at most {LARGEST}")
+    if specification.n_residuals and version.number != "3.0":
         raise FmuError(
-            f"{form.description.name}: an instance needs {form.memory + form.work} numbers; needed at most {LARGEST}"
+            f"{name}: FMI {version.number} has no residual form; the layered standard for it is "
+            "on top of FMI 3: use FMI 3"
         )
 
 
-def _named(unit: Description, name: str, version: Version) -> Description:
-    kinds = {
-        interface_type: replace(kind, identifier=name)
-        for interface_type, kind in unit.capabilities.items()
+@dataclass(frozen=True, slots=True)
+class _Fmu:
+    """The content of an FMU.
+
+    Parameters
+    ----------
+    specification : ExportSpecification
+    version : Version
+    description : Description
+        With the variables of this version, identifier and token.
+    text : str
+        What it is, for people.
+    sources : mapping of file name to content
+    main : tuple of str
+        The C files among the sources.
+    """
+
+    specification: ExportSpecification
+    version: Version
+    description: Description
+    text: str
+    sources: Mapping[str, bytes]
+    main: tuple[str, ...]
+
+    @property
+    def xml(self) -> str:
+        """The modelDescription.xml."""
+        constant = self.specification.constant
+        return self.version.write(
+            self.description, text=self.text, sources=self.main, constant=constant
+        )
+
+    def files(self, binaries: Sequence[Binary]) -> dict[str, bytes]:
+        """Return the files of the archive by path."""
+        specification = self.specification
+        page = document(self.description, specification.equations, text=self.text, main=self.main)
+        files = {
+            "modelDescription.xml": self.xml.encode(),
+            "documentation/index.html": page.encode(),
+        }
+        for name, content in self.sources.items():
+            files[f"sources/{name}"] = content
+        for name, text in self.version.write_build(self.description.name, self.main).items():
+            files[f"sources/{name}"] = text.encode()
+        for binary in binaries:
+            files[f"binaries/{binary.folder}/{binary.name}"] = binary.content
+        if self.description.dae:
+            manifest = write_dae(self.description, constant=specification.constant)
+            files[MANIFEST] = manifest.encode()
+        return files
+
+    def notes(self, binaries: Sequence[Binary]) -> tuple[str, ...]:
+        """Return what is to be known about the FMU."""
+        notes: list[str] = []
+        if self.specification.reason:
+            notes.append(f"co-simulation only: {self.specification.reason}")
+        if not binaries:
+            notes.append(advice(self.main, self.description.name, self.version.number))
+        notes += [binary.note for binary in binaries if binary.note]
+        return tuple(notes)
+
+
+def _assemble(specification: ExportSpecification, version: Version, *, text: str) -> _Fmu:
+    """Build the content of an FMU, identified by a digest of all that decides its results."""
+    main = (version.source, "instance.c", *specification.sources, "model.c", *specification.natives)
+    sources = _sources(specification, version)
+    description = version.arrange(_with_identifier(specification.description, version))
+    draft = _Fmu(specification, version, description, text, sources, main)
+    constants = _constants(specification, description, stamp=0)
+    content = [constants.encode(), draft.xml.encode(), *sources.values()]
+    digest = hashlib.sha256(b"\0".join(content)).digest()
+    identified = replace(description, token=f"{{{UUID(bytes=digest[:16], version=5)}}}")
+    constants = _constants(specification, identified, stamp=int.from_bytes(digest[:6]))
+    return replace(
+        draft, description=identified, sources={**sources, "model.c": constants.encode()}
+    )
+
+
+def _with_identifier(description: Description, version: Version) -> Description:
+    capabilities = {
+        interface_type: replace(able, identifier=description.name)
+        for interface_type, able in description.capabilities.items()
     }
-    return replace(unit, version=version.number, capabilities=kinds)
+    return replace(description, version=version.number, capabilities=capabilities)
 
 
-def _sources(form: ExportSpecification, version: Version) -> tuple[dict[str, bytes], list[str]]:
-    """Give the files that are the same for every model of this form, and the C files to compile."""
+def _sources(specification: ExportSpecification, version: Version) -> dict[str, bytes]:
+    """Read the files that are the same for every model of this kind."""
     import fmpy
 
-    ours = [version.source, "unit.c", *form.sources]
-    places = {
-        **{file: HERE / file for file in (*ours, "unit.h", "model.h", *form.headers)},
-        **{file: build.HERE / file for file in (*form.natives, "cosim.h")},
-        **{file: Path(fmpy.__file__).parent / "c-code" / file for file in version.headers},
-    }
-    return {file: place.read_bytes() for file, place in places.items()}, [
-        *ours,
-        "model.c",
-        *form.natives,
-    ]
+    standard = Path(fmpy.__file__).parent / "c-code"
+    ours = (version.source, "instance.c", *specification.sources)
+    headers = ("instance.h", "model.h", *specification.headers)
+    paths = [HERE / name for name in (*ours, *headers)]
+    paths += [build.HERE / name for name in (*specification.natives, "cosim.h")]
+    paths += [standard / name for name in version.headers]
+    return {path.name: path.read_bytes() for path in paths}
 
 
-def _constants(form: ExportSpecification, unit: Description, stamp: int) -> str:
+def _constants(specification: ExportSpecification, description: Description, stamp: int) -> str:
     """Write model.c: every number as a hexadecimal float, which is exact."""
-    n, m, p = form.size
-    sizes = {v.reference: v.size for v in unit.variables}
+    n, m, p = specification.size
+    memory = specification.memory
+    work = specification.work
+    size_of = {variable.reference: variable.size for variable in description.variables}
+    n_references = m + p + 2 * n + 1 + specification.n_residuals
+    sizes = [size_of.get(reference, 0) for reference in range(n_references)]
     lines = [
-        f'#include "{form.headers[0]}"',
+        f'#include "{specification.headers[0]}"',
         "",
-        f'const char *const model_token = "{unit.token}";',
+        f'const char *const model_token = "{description.token}";',
         f"const double model_stamp = {float(stamp).hex()};",
         f"const int32_t model_n = {n}, model_m = {m}, model_p = {p};",
-        f"const int64_t model_step_ns = INT64_C({form.step_ns});",
-        integer("model_has_derivatives", int("me" in unit.capabilities)),
-        f"const int32_t model_memory = {form.memory}, model_work = {form.work};",
-        integers(
-            "model_size",
-            [sizes.get(reference, 0) for reference in range(m + p + 2 * n + 1 + form.residuals)],
-        ),
+        f"const int64_t model_step_ns = INT64_C({specification.step_ns});",
+        integer("model_has_derivatives", int("me" in description.capabilities)),
+        f"const int32_t model_memory = {memory}, model_work = {work};",
+        integers("model_size", sizes),
     ]
-    return "\n".join([*lines, *form.constants, ""])
+    return "\n".join([*lines, *specification.constants, ""])
 
 
 def _write(path: Path, files: Mapping[str, bytes]) -> None:

@@ -1,7 +1,7 @@
-"""Models that live at the communication points, and the kernels of ``cosim.native`` that an exported one is made of.
+"""Models that change at communication points only, and the kernels that an exported one is made of.
 
-A kernel here is a C file of ``c/`` with the constants it needs as C text; numbers are
-written as hexadecimal floats, which are exact.
+A kernel is a C file of ``c/``, around code of ``cosim.native``, with the constants it needs as C
+text; numbers are written as hexadecimal floats, which are exact.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class Kernel:
 
 @dataclass(frozen=True, slots=True)
 class DiscreteModel:
-    """A model that lives at the communication points.
+    """A model that changes at communication points only.
 
     Parameters
     ----------
@@ -63,18 +63,19 @@ class DiscreteModel:
         Its communication step [ns]; 0: any.
     reason : str
         Why it is for co-simulation only.
-    every : int
-        Communication steps between two answers; the outputs hold between.
-    holds : bool
-        It samples its inputs at an answer and takes all those steps as one; else it takes every step.
+    steps_per_sample : int
+        Communication steps between two samples of its outputs, which are held between.
+    zero_order_hold : bool
+        It samples its inputs with its outputs and holds them too, so that all these steps are one;
+        else it takes every communication step.
     """
 
     interface: Interface
     kernel: Kernel
     step_ns: int
     reason: str
-    every: int = 1
-    holds: bool = False
+    steps_per_sample: int = 1
+    zero_order_hold: bool = False
 
     @property
     def states(self) -> tuple[str, ...]:
@@ -82,15 +83,27 @@ class DiscreteModel:
         return ()
 
 
+# --- constants in C ---
+
+
 def doubles(name: str, values: Iterable[float] | Matrix) -> str:
     """Write an array of doubles."""
-    listed = ", ".join(float(v).hex() for v in np.ravel(np.asarray(values, np.float64)))
-    return f"const double {name}[] = {{{listed or '0.0'}}};"
+    numbers = np.ravel(np.asarray(values, np.float64))
+    return f"const double {name}[] = {{{_hexadecimal(numbers) or '0.0'}}};"
+
+
+def _hexadecimal(numbers: Iterable[float]) -> str:
+    return ", ".join(float(number).hex() for number in numbers)
 
 
 def integers(name: str, values: Iterable[Any]) -> str:
     """Write an array of integers."""
-    return f"const int32_t {name}[] = {{{', '.join(str(int(v)) for v in np.ravel(list(values))) or '0'}}};"
+    numbers = np.ravel(list(values))
+    return f"const int32_t {name}[] = {{{_decimal(numbers) or '0'}}};"
+
+
+def _decimal(numbers: Iterable[Any]) -> str:
+    return ", ".join(str(int(number)) for number in numbers)
 
 
 def integer(name: str, value: int) -> str:
@@ -98,109 +111,125 @@ def integer(name: str, value: int) -> str:
     return f"const int32_t {name} = {value};"
 
 
+# --- kernels ---
+
+
 def regressor(constants: RegressorConstants) -> Kernel:
     """Write the regressor (21)-(25)."""
+    lines: list[str] = []
+    programs: list[str] = []
+    alphas: list[str] = []
+    for b, program in enumerate(constants.alphas):
+        lines += _program(f"alpha{b}", program)
+        programs.append(f"{{{len(program.code)}, alpha{b}_code, alpha{b}_constants}}")
+        alphas.append(f"alpha_{b} = {program.text}")
+    n_steps = len(constants.steps)
+    n_alphas = len(constants.alphas)
     terms, factors = np.shape(constants.factor)
-    lines = [
-        line
-        for b, program in enumerate(constants.alphas)
-        for line in _program(f"alpha{b}", program)
-    ]
-    programs = ", ".join(
-        f"{{{len(p.code)}, alpha{b}_code, alpha{b}_constants}}"
-        for b, p in enumerate(constants.alphas)
-    )
     lines += [
-        f"static const cosim_program alphas[] = {{{programs}}};",
+        f"static const cosim_program alphas[] = {{{', '.join(programs)}}};",
         "static " + integers("steps", constants.steps),
         "static " + doubles("delays", constants.delays),
         "static " + integers("row", constants.row),
         "static " + integers("factor", constants.factor),
         "static " + doubles("sign", constants.sign),
-        f"const cosim_regressor kernel_constants = {{{len(constants.steps)}, {len(constants.alphas)}, {terms}, {factors}, "
+        "const cosim_regressor kernel_constants = "
+        f"{{{n_steps}, {n_alphas}, {terms}, {factors}, "
         "steps, delays, alphas, row, factor, sign, 0};",
     ]
-    alphas = "; ".join(f"alpha_{b} = {program.text}" for b, program in enumerate(constants.alphas))
+    equations = (
+        "mu_c(t) = sign_c delta(t - D_row) product of alpha_b(t - D_i); "
+        f"delays D = {list(constants.delays)} s; {'; '.join(alphas)}. "
+        "No value (NaN) before the longest delay has passed."
+    )
     return Kernel(
         "regressor.c",
         ("estimate.c", "expression.c"),
         constants.memory,
         tuple(lines),
-        f"mu_c(t) = sign_c delta(t - D_row) product of alpha_b(t - D_i); delays D = {list(constants.delays)} s; {alphas}. "
-        "No value (NaN) before the longest delay has passed.",
+        equations,
     )
 
 
 def _program(name: str, program: Program) -> tuple[str, str]:
-    return "static " + integers(f"{name}_code", program.code), "static " + doubles(
-        f"{name}_constants", program.constants
-    )
+    code = integers(f"{name}_code", program.code)
+    constants = doubles(f"{name}_constants", program.constants)
+    return f"static {code}", f"static {constants}"
 
 
 def least_squares(constants: LeastSquaresConstants) -> Kernel:
     """Write the identifier (33)-(35)."""
-    recovery = ", ".join(_recovery(step) for step in constants.recovery)
+    recovery = ", ".join(_recovery(block) for block in constants.recovery)
+    numbers = [
+        str(constants.unknowns),
+        str(len(constants.recovery)),
+        str(constants.parameters),
+        str(int(constants.held)),
+        constants.start.hex(),
+        constants.prior.hex(),
+    ]
+    lines = (
+        f"static const cosim_recovery recovery[] = {{{recovery}}};",
+        f"const cosim_least_squares kernel_constants = {{{', '.join(numbers)}, recovery, 0}};",
+    )
+    equations = (
+        f"Least squares of -mu_0 on mu_1, mu_2, ..., from t = {constants.start} s on: eta, and the "
+        "parameters theta that follow from it. No value (NaN) before there is one."
+    )
     return Kernel(
-        "identifier.c",
-        ("estimate.c", "expression.c"),
-        constants.memory,
-        (
-            f"static const cosim_recovery recovery[] = {{{recovery}}};",
-            f"const cosim_least_squares kernel_constants = {{{constants.unknowns}, {len(constants.recovery)}, "
-            f"{constants.parameters}, {int(constants.held)}, {constants.start.hex()}, {constants.prior.hex()}, recovery, 0}};",
-        ),
-        f"Least squares of -mu_0 on mu_1, mu_2, ..., from t = {constants.start} s on: eta, and the parameters theta that follow "
-        "from it. No value (NaN) before there is one.",
+        "identifier.c", ("estimate.c", "expression.c"), constants.memory, lines, equations
     )
 
 
-def _recovery(step: RecoveryConstants) -> str:
-    numbers = [
-        "{" + ", ".join(texts) + "}"
-        for texts in (
-            map(str, step.index),
-            map(str, step.theta),
-            (float(sign).hex() for sign in step.sign),
-        )
+def _recovery(block: RecoveryConstants) -> str:
+    members = [
+        str(int(block.kind)),
+        f"{{{_decimal(block.index)}}}",
+        f"{{{_decimal(block.theta)}}}",
+        f"{{{_hexadecimal(block.sign)}}}",
+        float(block.spacing).hex(),
     ]
-    return f"{{{int(step.kind)}, {', '.join(numbers)}, {float(step.spacing).hex()}}}"
+    return f"{{{', '.join(members)}}}"
 
 
 def delay(steps: int, width: int, initial: float | None) -> Kernel:
-    """Write a delay line; ``initial`` None: it starts at the input."""
+    """Write a delay line; ``initial`` None: initially the output is the input."""
+    lines = (
+        f"const cosim_delay kernel_constants = {{{steps}, {width}, 0}};",
+        f"const int32_t kernel_follows = {int(initial is None)};",
+        f"const double kernel_initial = {float(initial or 0.0).hex()};",
+    )
+    before = "the initial u" if initial is None else initial
     return Kernel(
         "delay.c",
         ("linear.c",),
         1 + steps * width,
-        (
-            f"const cosim_delay kernel_constants = {{{steps}, {width}, 0}};",
-            f"const int32_t kernel_follows = {int(initial is None)};",
-            f"const double kernel_initial = {float(initial or 0.0).hex()};",
-        ),
-        f"y(t) = u(t - {steps} communication steps); before that {'u at the start' if initial is None else initial}.",
+        lines,
+        f"y(t) = u(t - {steps} communication steps); before that {before}.",
         linear=True,
     )
 
 
 def sampled(discrete: DiscretizedDynamics, *, C: Matrix, D: Matrix, X0: Vector) -> Kernel:
-    """Write a linear model discretized for its own step, its inputs held over it."""
-    n, m, p = len(discrete.Ad), discrete.B0.shape[1], len(C)
+    """Write a linear model discretized for its own step with a zero-order hold of its inputs."""
+    n = len(discrete.Ad)
+    m = discrete.B0.shape[1]
+    p = len(C)
     arrays = {"Ad": discrete.Ad, "B0": discrete.B0, "B1": discrete.B1, "C": C, "D": D}
-    return Kernel(
-        "sampled.c",
-        ("linear.c",),
-        2 * n,
-        (
-            *("static " + doubles(letter, array) for letter, array in arrays.items()),
-            doubles("kernel_X0", X0),
-            f"const cosim_linear kernel_constants = {{{n}, {m}, {p}, Ad, B0, B1, C, D, 0}};",
-        ),
-        "x_next = Ad x + B0 u, y = C x + D u, with u sampled at the start of its own step and y held over it; "
-        + "; ".join(f"{letter} = {arrays[letter].tolist()}" for letter in ("Ad", "B0", "C", "D")),
+    lines = [f"static {doubles(letter, array)}" for letter, array in arrays.items()]
+    lines += [
+        doubles("kernel_X0", X0),
+        f"const cosim_linear kernel_constants = {{{n}, {m}, {p}, Ad, B0, B1, C, D, 0}};",
+    ]
+    matrices = [f"{letter} = {arrays[letter].tolist()}" for letter in ("Ad", "B0", "C", "D")]
+    equations = (
+        "x_next = Ad x + B0 u, y = C x + D u, with u sampled at the start of its own step and y "
+        f"held over it; {'; '.join(matrices)}"
     )
+    return Kernel("sampled.c", ("linear.c",), 2 * n, tuple(lines), equations)
 
 
 def limit(lower: float, upper: float) -> Kernel:
     """Write a limit; it has no memory."""
-    bounds = (f"const double kernel_lower = {lower.hex()}, kernel_upper = {upper.hex()};",)
-    return Kernel("limit.c", (), 0, bounds, f"y = u, at least {lower} and at most {upper}.")
+    bounds = f"const double kernel_lower = {lower.hex()}, kernel_upper = {upper.hex()};"
+    return Kernel("limit.c", (), 0, (bounds,), f"y = u, at least {lower} and at most {upper}.")

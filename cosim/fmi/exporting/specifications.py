@@ -1,6 +1,7 @@
-"""The two forms of a model that can be exported: continuous (linear), or discrete.
+"""Specify what the FMU of a model is made of, whatever its version.
 
-What they have in common is what an FMU is made of, whatever its version: files, numbers as C, kinds, structure, equations.
+Files, constants in C, capabilities, structure, equations. A model is continuous in time (linear,
+with or without its algebraic equations), or changes at communication points only.
 """
 
 from __future__ import annotations
@@ -8,12 +9,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from html import escape
+from typing import TypeAlias
 
 import numpy as np
 
 from cosim.arrays import Matrix
 from cosim.core.clock import NANOSECONDS
 from cosim.core.linear import DescriptorModel, LinearModel
+from cosim.core.signals import Signal
 from cosim.fmi.describing import describe, element_dependencies, states_of_outputs
 from cosim.fmi.description import (
     Capabilities,
@@ -25,18 +28,19 @@ from cosim.fmi.description import (
 from cosim.fmi.exporting.kernels import DiscreteModel, doubles, integer, integers
 from cosim.fmi.variable import Variable
 
-RESIDUAL = (
-    "residual"  # the variable that is zero where the algebraic variables solve their equations
-)
-NO_DESCRIPTOR = "const model_descriptor *const model_form = 0;"
-BOTH = Capabilities(
+Exportable: TypeAlias = LinearModel | DiscreteModel
+
+# the name of the variable that is zero where the algebraic variables solve their equations
+RESIDUAL = "residual"
+NO_RESIDUAL_FORM = "const residual_form *const model_residual_form = 0;"
+COMMON = Capabilities(
     directional_derivatives=True,
     adjoint_derivatives=True,
     saves_state=True,
     serializes_state=True,
     completed_step=False,
 )
-STEPPED = replace(BOTH, interpolates_inputs=True, event_mode=True)
+CO_SIMULATION = replace(COMMON, interpolates_inputs=True, event_mode=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,13 +50,13 @@ class ExportSpecification:
     Parameters
     ----------
     description : Description
-        Scalars, structure, kinds; no token and no identifier yet.
+        Scalars, structure, capabilities; no token and no identifier yet.
     sources, headers, natives : tuple of str
         Files of ``c/``, and C files of ``cosim/native``.
     size : tuple of int
-        States, inputs, outputs: their elements.
+        Number of states, inputs and outputs: of their elements.
     memory, work : int
-        Doubles of an instance: that change, and of scratch.
+        Doubles of an instance: those that change, and scratch.
     constants : tuple of str
         Lines of C.
     numbers : mapping of name to Matrix
@@ -65,8 +69,8 @@ class ExportSpecification:
         Every unknown is a sum of constants times what it depends on.
     reason : str
         Why it is for co-simulation only; empty: it is for model exchange too.
-    residuals : int
-        Elements of the residual, where it has one.
+    n_residuals : int
+        Number of elements of the residual, where there is one.
     """
 
     description: Description
@@ -82,135 +86,156 @@ class ExportSpecification:
     step_ns: int = 0
     constant: bool = True
     reason: str = ""
-    residuals: int = 0
+    n_residuals: int = 0
 
 
-def form_of(model: LinearModel | DescriptorModel | DiscreteModel, name: str) -> ExportSpecification:
-    """Give the form of a model; ``name`` is that of the unit."""
+def specify(model: Exportable | DescriptorModel, name: str) -> ExportSpecification:
+    """Specify the FMU of a model; ``name`` is that of the FMU's model."""
     if isinstance(model, DescriptorModel):
-        return _descriptor(model, name)
-    return _continuous(model, name) if isinstance(model, LinearModel) else _discrete(model, name)
+        return _specify_descriptor(model, name)
+    if isinstance(model, LinearModel):
+        return _specify_linear(model, name)
+    return _specify_discrete(model, name)
 
 
-# --- continuous ---
+# --- linear models ---
 
 
-def _continuous(model: LinearModel, name: str) -> ExportSpecification:
-    n, m, p = len(model.states), model.interface.n_u, model.interface.n_y
-    unit = describe(model, name, model)
-    kinds: dict[InterfaceType, Capabilities] = {
-        "me": BOTH,
-        "cs": replace(STEPPED, variable_step=True),
+def _specify_linear(model: LinearModel, name: str) -> ExportSpecification:
+    n = len(model.states)
+    m = model.interface.n_u
+    p = model.interface.n_y
+    description = describe(model, name, model)
+    capabilities: dict[InterfaceType, Capabilities] = {
+        "me": COMMON,
+        "cs": replace(CO_SIMULATION, variable_step=True),
     }
+    description = replace(
+        description,
+        capabilities=capabilities,
+        initial_dependencies=_initial_dependencies(description, model),
+    )
+    not_held = ", ".join(["0"] * max(1, m))
+    constants = [
+        integers("model_is_exact", [not row.any() for row in model.Xu]),
+        integers("model_state_of", states_of_outputs(model)),
+    ]
+    constants += [doubles(f"model_{letter}", array) for letter, array in model.arrays.items()]
+    constants += [f"const uint8_t model_free[] = {{{not_held}}};", NO_RESIDUAL_FORM]
+    discretization = 1 + n * n + 2 * n * m
+    scratch = 4 * (n + 2 * m) ** 2
     return ExportSpecification(
-        replace(unit, capabilities=kinds, initial_dependencies=_linear_start(unit, model)),
+        description,
         sources=("continuous.c",),
         headers=("continuous.h",),
         natives=("linear.c",),
         size=(n, m, p),
         memory=2 * n,
-        work=1 + n * n + 2 * n * m + 4 * (n + 2 * m) ** 2,
-        constants=(
-            integers("model_is_exact", [not row.any() for row in model.Xu]),
-            integers("model_state_of", states_of_outputs(model)),
-            *(doubles(f"model_{letter}", array) for letter, array in model.arrays.items()),
-            f"const uint8_t model_free[] = {{{', '.join(['0'] * max(1, m))}}};",
-            NO_DESCRIPTOR,
-        ),
+        work=discretization + scratch,
+        constants=tuple(constants),
         numbers=model.arrays,
         equations=_linear_equations(model),
     )
 
 
-def _linear_start(unit: Description, model: LinearModel) -> dict[str, tuple[str, ...] | None]:
-    """Give what the unknowns of the initialization depend on: inputs, and states whose start value is given."""
-    inputs = [v.name for v in unit.variables if v.causality == "input"]
-    through = {
-        x: tuple(u for u, value in zip(inputs, row, strict=True) if value)
-        for x, row in zip(model.states, model.Xu, strict=True)
+def _initial_dependencies(
+    description: Description, model: LinearModel
+) -> dict[str, tuple[str, ...] | None]:
+    """Return what initial unknowns depend on: inputs, and states whose start value can be set."""
+    inputs = [v.name for v in description.variables if v.causality == "input"]
+    inputs_of = {
+        state: element_dependencies(inputs, row)
+        for state, row in zip(model.states, model.Xu, strict=True)
     }
-    unknowns: dict[str, tuple[str, ...] | None] = {}
-    for variable in unit.variables:
+    dependencies: dict[str, tuple[str, ...] | None] = {}
+    for variable in description.variables:
         if variable.initial != "calculated":
             continue
-        needs: dict[str, None] = {}
-        direct = (
-            (variable.name,)
-            if variable.name in unit.states
-            else unit.dependencies[variable.name] or ()
-        )
+        if variable.name in description.states:
+            direct: tuple[str, ...] = (variable.name,)
+        else:
+            direct = description.dependencies[variable.name] or ()
+        needs: list[str] = []
         for name in direct:
-            needs |= dict.fromkeys(through.get(name) or (name,))
-        unknowns[variable.name] = tuple(needs)
-    return unknowns
+            # a state that follows inputs in initialization mode stands for these inputs
+            needs += inputs_of.get(name) or (name,)
+        dependencies[variable.name] = tuple(dict.fromkeys(needs))
+    return dependencies
 
 
 def _linear_equations(model: LinearModel) -> str:
-    names = ", ".join(model.states)
-    matrices = "".join(
-        f"<pre>{letter} =\n{escape(np.array2string(array, threshold=1000))}</pre>\n"
-        for letter, array in model.arrays.items()
-    )
+    states = escape(", ".join(model.states)) or "none"
     return (
-        f"<p>x' = A x + B u, y = C x + D u, started at x = X0 + Xu u; states x: {escape(names) or 'none'}. Steps in "
-        f"co-simulation are exact for inputs that move in straight lines over a step.</p>\n{matrices}"
+        f"<p>x' = A x + B u, y = C x + D u, initially x = X0 + Xu u; states x: {states}. Steps in "
+        "co-simulation are exact for linearly interpolated inputs.</p>\n"
+        f"{_matrices(model.arrays)}"
     )
 
 
-# --- a linear model that keeps its algebraic equations ---
+def _matrices(arrays: Mapping[str, Matrix]) -> str:
+    paragraphs = []
+    for letter, array in arrays.items():
+        numbers = escape(np.array2string(array, threshold=1000))
+        paragraphs.append(f"<pre>{letter} =\n{numbers}</pre>\n")
+    return "".join(paragraphs)
 
 
-def _descriptor(model: DescriptorModel, name: str) -> ExportSpecification:
-    """Give the form of the reduced model, with the residual and its equations beside it; its references are the last."""
-    form, face = _continuous(model.reduced, name), model.reduced.interface
-    z, (n, m, p) = face.output_columns()[model.algebraic], form.size
-    n_z = z.stop - z.start
-    names = [RESIDUAL] if n_z == 1 else [f"{RESIDUAL}[{k}]" for k in range(n_z)]
-    variables = [
-        Variable(
-            residual,
-            m + p + 2 * n + 1 + k,
-            "local",
-            initial="calculated",
-            doc=f"zero where {model.algebraic} is the solution",
-        )
-        for k, residual in enumerate(names)
+# --- linear models that keep their algebraic equations ---
+
+
+def _specify_descriptor(model: DescriptorModel, name: str) -> ExportSpecification:
+    """Specify the reduced model with the residual beside it, whose references are the last."""
+    reduced = _specify_linear(model.reduced, name)
+    n, m, p = reduced.size
+    columns = model.reduced.interface.output_columns()[model.algebraic]
+    n_z = columns.stop - columns.start
+    residuals = _residual_variables(model, n_z, first_reference=m + p + 2 * n + 1)
+    description = replace(
+        reduced.description,
+        variables=(*reduced.description.variables, *residuals),
+        dae=_residual_form(model, [variable.name for variable in residuals]),
+    )
+    of_output = [-1] * p
+    of_output[columns] = range(n_z)
+    functions = "residual_outputs, residual_values, residual_partial"
+    constants = [line for line in reduced.constants if line != NO_RESIDUAL_FORM]
+    constants.append('#include "residual.h"')
+    constants += [doubles(f"residual_{letter}", array) for letter, array in model.arrays.items()]
+    constants += [
+        "static " + integers("of_output", of_output),
+        f"static const residual_form form = {{{n_z}, of_output, {functions}}};",
+        "const residual_form *const model_residual_form = &form;",
     ]
-    unit = replace(
-        form.description,
-        variables=(*form.description.variables, *variables),
-        dae=_residual_form(model, names),
-    )
-    of_output = [k - z.start if z.start <= k < z.stop else -1 for k in range(p)]
-    functions = "residual_follow, residual_rest, residual_partial"
     return replace(
-        form,
-        description=unit,
-        sources=(*form.sources, "residual.c"),
-        headers=(*form.headers, "residual.h"),
-        constants=(
-            *(line for line in form.constants if line != NO_DESCRIPTOR),
-            '#include "residual.h"',
-            *(doubles(f"residual_{letter}", array) for letter, array in model.arrays.items()),
-            "static " + integers("of_output", of_output),
-            f"static const model_descriptor form = {{{n_z}, of_output, {functions}}};",
-            "const model_descriptor *const model_form = &form;",
-        ),
-        numbers={**form.numbers, **model.arrays},
-        equations=form.equations + _descriptor_equations(model),
-        residuals=n_z,
+        reduced,
+        description=description,
+        sources=(*reduced.sources, "residual.c"),
+        headers=(*reduced.headers, "residual.h"),
+        constants=tuple(constants),
+        numbers={**reduced.numbers, **model.arrays},
+        equations=reduced.equations + _descriptor_equations(model),
+        n_residuals=n_z,
     )
+
+
+def _residual_variables(
+    model: DescriptorModel, n_z: int, *, first_reference: int
+) -> list[Variable]:
+    names = [RESIDUAL] if n_z == 1 else [f"{RESIDUAL}[{k}]" for k in range(n_z)]
+    doc = f"zero where {model.algebraic} is the solution"
+    return [
+        Variable(name, reference, "local", initial="calculated", doc=doc)
+        for reference, name in enumerate(names, first_reference)
+    ]
 
 
 def _residual_form(model: DescriptorModel, residuals: Sequence[str]) -> Dae:
-    face, states = model.reduced.interface, model.reduced.states
-    outputs = [element for signal in face.outputs for element in signal.elements]
-    algebraic = outputs[face.output_columns()[model.algebraic]]
-    knowns = [
-        *states,
-        *algebraic,
-        *(element for signal in face.inputs for element in signal.elements),
-    ]
+    interface = model.reduced.interface
+    states = model.reduced.states
+    inputs = _elements(interface.inputs)
+    outputs = _elements(interface.outputs)
+    algebraic = outputs[interface.output_columns()[model.algebraic]]
+    knowns = [*states, *algebraic, *inputs]
     unknowns = [*(f"der({x})" for x in states), *outputs, *residuals]
     rows = np.hstack([model.by_x, model.by_z, model.by_u])
     needs = {
@@ -221,48 +246,49 @@ def _residual_form(model: DescriptorModel, residuals: Sequence[str]) -> Dae:
 
 
 def _descriptor_equations(model: DescriptorModel) -> str:
-    matrices = "".join(
-        f"<pre>{letter} =\n{escape(np.array2string(array, threshold=1000))}</pre>\n"
-        for letter, array in model.arrays.items()
-    )
     return (
-        "<h3>Residual form</h3>\n<p>The rows of x', of y and of the residual are by_x x + by_z z + by_u u. z is "
-        f"{model.algebraic}: calculated, so that the residual is zero up to rounding, until the importer sets it in event or "
-        "continuous-time mode; then x', y and the residual are those of the z that is set. See extra/, FMI-LS-DAE.</p>\n"
-        + matrices
+        "<h3>Residual form</h3>\n"
+        "<p>The rows of x', of y and of the residual are by_x x + by_z z + by_u u. z is "
+        f"{model.algebraic}: calculated, so that the residual is zero up to rounding, until the "
+        "importer sets it in event or continuous-time mode; then x', y and the residual are those "
+        "of the z that is set. See extra/, FMI-LS-DAE.</p>\n"
+        f"{_matrices(model.arrays)}"
     )
 
 
-# --- discrete ---
+# --- discrete models ---
 
 
-def _discrete(model: DiscreteModel, name: str) -> ExportSpecification:
-    m, p = model.interface.n_u, model.interface.n_y
-    unit = describe(model, name, None)
+def _specify_discrete(model: DiscreteModel, name: str) -> ExportSpecification:
+    m = model.interface.n_u
+    p = model.interface.n_y
     step = model.step_ns / NANOSECONDS if model.step_ns else None
+    able = replace(CO_SIMULATION, variable_step=step is None, fixed_step=step)
+    description = replace(
+        describe(model, name, None),
+        capabilities={"cs": able},
+        initial_dependencies=_discrete_initial_dependencies(model),
+        default_step=step,
+    )
+    constants = (
+        NO_RESIDUAL_FORM,
+        integers("model_is_exact", []),
+        integers("model_state_of", [-1] * p),
+        doubles("model_X0", []),
+        integer("model_steps_per_sample", model.steps_per_sample),
+        integer("model_is_zero_order_hold", int(model.zero_order_hold)),
+        integer("kernel_memory", model.kernel.memory),
+        *model.kernel.constants,
+    )
     return ExportSpecification(
-        replace(
-            unit,
-            capabilities={"cs": replace(STEPPED, variable_step=step is None, fixed_step=step)},
-            initial_dependencies=_discrete_start(model),
-            default_step=step,
-        ),
+        description,
         sources=("discrete.c", model.kernel.source),
         headers=("discrete.h",),
         natives=model.kernel.natives,
         size=(0, m, p),
         memory=2 + m + p + model.kernel.memory,
         work=p,
-        constants=(
-            NO_DESCRIPTOR,
-            integers("model_is_exact", []),
-            integers("model_state_of", [-1] * p),
-            doubles("model_X0", []),
-            integer("model_every", model.every),
-            integer("model_holds", int(model.holds)),
-            integer("kernel_memory", model.kernel.memory),
-            *model.kernel.constants,
-        ),
+        constants=constants,
         numbers={},
         equations=_discrete_equations(model),
         step_ns=model.step_ns,
@@ -271,25 +297,31 @@ def _discrete(model: DiscreteModel, name: str) -> ExportSpecification:
     )
 
 
-def _discrete_start(model: DiscreteModel) -> dict[str, tuple[str, ...] | None]:
-    face = model.interface
-    elements = {signal.name: signal.elements for signal in face.inputs}
-    return {
-        element: tuple(e for name in face.feeds_at_start(output.name) for e in elements[name])
-        for output in face.outputs
-        for element in output.elements
-    }
+def _discrete_initial_dependencies(model: DiscreteModel) -> dict[str, tuple[str, ...] | None]:
+    interface = model.interface
+    elements_of = {signal.name: signal.elements for signal in interface.inputs}
+    dependencies: dict[str, tuple[str, ...] | None] = {}
+    for output in interface.outputs:
+        needs: list[str] = []
+        for name in interface.feeds_at_start(output.name):
+            needs += elements_of[name]
+        dependencies |= dict.fromkeys(output.elements, tuple(needs))
+    return dependencies
 
 
 def _discrete_equations(model: DiscreteModel) -> str:
-    step = (
-        f"Its communication step is {model.step_ns / NANOSECONDS} s, and no other. "
-        if model.step_ns
-        else ""
-    )
-    every = (
-        f"It answers after every {model.every} steps; its outputs hold between. "
-        if model.every > 1
-        else ""
-    )
-    return f"<p>{escape(model.kernel.equations)}</p>\n<p>{step}{every}Co-simulation only: {escape(model.reason)}.</p>"
+    step = ""
+    if model.step_ns:
+        step = f"Its communication step is {model.step_ns / NANOSECONDS} s, and no other. "
+    period = ""
+    if model.steps_per_sample > 1:
+        period = f"Its outputs change every {model.steps_per_sample} steps and are held between. "
+    reason = f"Co-simulation only: {escape(model.reason)}."
+    return f"<p>{escape(model.kernel.equations)}</p>\n<p>{step}{period}{reason}</p>"
+
+
+def _elements(signals: Sequence[Signal]) -> list[str]:
+    elements: list[str] = []
+    for signal in signals:
+        elements += signal.elements
+    return elements

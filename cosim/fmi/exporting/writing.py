@@ -5,17 +5,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from cosim.fmi.description import Description, InterfaceType
 from cosim.fmi.variable import Variable
-from cosim.units import BASE, base_unit
+from cosim.units import BASE, BaseUnit, base_unit
 
 ELEMENTS: dict[InterfaceType, str] = {"me": "ModelExchange", "cs": "CoSimulation"}
 
 
 def begin(description: Description, text: str, **attributes: str) -> Element:
-    """Open the document; ``text`` says what the model is, for people."""
+    """Begin the document; ``text`` describes the model for people."""
     root = Element("fmiModelDescription", modelName=description.name)
     for name, value in attributes.items():
         root.set(name, value)
@@ -28,22 +29,25 @@ def begin(description: Description, text: str, **attributes: str) -> Element:
 
 def add_units(root: Element, description: Description) -> None:
     """Define every unit that a variable has."""
-    units = sorted(
-        {variable.unit for variable in description.variables if variable.unit is not None}
-    )
-    if not units:
+    names = {variable.unit for variable in description.variables if variable.unit is not None}
+    if not names:
         return
     definitions = SubElement(root, "UnitDefinitions")
-    for name in units:
-        unit, base = SubElement(definitions, "Unit", name=name), base_unit(name)
+    for name in sorted(names):
+        unit = SubElement(definitions, "Unit", name=name)
+        base = base_unit(name)
         if base is not None:
-            powers = {b: str(power) for b, power in zip(BASE, base.exponents, strict=True) if power}
-            numbers = {"factor": (base.factor, 1.0), "offset": (base.offset, 0.0)}
-            SubElement(
-                unit,
-                "BaseUnit",
-                powers | {name: repr(x) for name, (x, default) in numbers.items() if x != default},
-            )
+            SubElement(unit, "BaseUnit", _base_unit_attributes(base))
+
+
+def _base_unit_attributes(base: BaseUnit) -> dict[str, str]:
+    exponents = zip(BASE, base.exponents, strict=True)
+    attributes = {symbol: str(exponent) for symbol, exponent in exponents if exponent}
+    if base.factor != 1.0:
+        attributes["factor"] = repr(base.factor)
+    if base.offset != 0.0:
+        attributes["offset"] = repr(base.offset)
+    return attributes
 
 
 def add_experiment(root: Element, description: Description) -> None:
@@ -54,38 +58,53 @@ def add_experiment(root: Element, description: Description) -> None:
 
 
 def attributes_of(variable: Variable) -> dict[str, str]:
-    """Give what every variable says of itself."""
-    found = {
+    """Return the attributes that every variable has."""
+    attributes = {
         "name": variable.name,
         "valueReference": str(variable.reference),
         "causality": variable.causality,
         "variability": variable.variability,
     }
     if variable.doc:
-        found["description"] = variable.doc
+        attributes["description"] = variable.doc
     if variable.initial is not None:
-        found["initial"] = variable.initial
-    return found
+        attributes["initial"] = variable.initial
+    return attributes
 
 
-def start_of(variable: Variable) -> str | None:
-    """Give the start values as text."""
-    return None if variable.start is None else " ".join(map(repr, variable.start))
+def set_real_attributes(element: Element, variable: Variable, labels: Mapping[str, str]) -> None:
+    """Set unit, start value and state of a real variable; ``labels``: by which one is named."""
+    if variable.unit is not None:
+        element.set("unit", variable.unit)
+    if variable.start is not None:
+        element.set("start", " ".join(map(repr, variable.start)))
+    if variable.derivative_of is not None:
+        element.set("derivative", labels[variable.derivative_of])
 
 
-def unknowns(description: Description) -> tuple[tuple[str, list[str]], ...]:
-    """Give the sections of ModelStructure: FMI 2.0's names of them, with the names of the unknowns."""
+# --- ModelStructure ---
+
+
+def unknowns(description: Description, labels: Mapping[str, str]) -> dict[str, list[str]]:
+    """Return the sections of ModelStructure, by their names in FMI 2.0: their unknowns in order.
+
+    ``labels``: the numbers by which each variable is named in ModelStructure.
+    """
+
+    def number(name: str) -> int:
+        return int(labels[name])
+
     outputs = [v.name for v in description.variables if v.causality == "output"]
     derivatives = [v.name for v in description.variables if v.derivative_of is not None]
-    return (
-        ("Outputs", outputs),
-        ("Derivatives", derivatives),
-        ("InitialUnknowns", list(description.initial_dependencies)),
-    )
+    return {
+        "Outputs": sorted(outputs, key=number),
+        "Derivatives": sorted(derivatives, key=number),
+        "InitialUnknowns": sorted(description.initial_dependencies, key=number),
+    }
 
 
 def needs_of(description: Description, section: str, name: str) -> tuple[str, ...] | None:
-    """Give what an unknown depends on; None: not said."""
+    """Return what an unknown depends on; None: not declared."""
     if section == "InitialUnknowns":
         return description.initial_dependencies[name]
     if name in description.states and section == "Outputs":  # a state depends on itself
@@ -93,12 +112,27 @@ def needs_of(description: Description, section: str, name: str) -> tuple[str, ..
     return description.dependencies.get(name)
 
 
+def set_dependencies(
+    unknown: Element, needs: Sequence[str] | None, labels: Mapping[str, str], *, constant: bool
+) -> None:
+    """Set what an unknown depends on; None: not declared.
+
+    ``constant``: it is a sum of constants times what it depends on.
+    """
+    if needs is None:
+        return
+    numbers = sorted((labels[name] for name in needs), key=int)
+    unknown.set("dependencies", " ".join(numbers))
+    if needs and constant:
+        unknown.set("dependenciesKind", " ".join(["constant"] * len(needs)))
+
+
 def finish(root: Element) -> str:
-    """Give the document as text."""
+    """Return the document as text."""
     indent(root)
     return f'<?xml version="1.0" encoding="UTF-8"?>\n{tostring(root, encoding="unicode")}\n'
 
 
 def flags(**values: bool) -> dict[str, str]:
-    """Give the flags that are set."""
-    return {name: "true" for name, there in values.items() if there}
+    """Return the flags that are set."""
+    return {name: "true" for name, is_set in values.items() if is_set}

@@ -15,7 +15,8 @@ from cosim.fmi.exporting.writing import (
     finish,
     flags,
     needs_of,
-    start_of,
+    set_dependencies,
+    set_real_attributes,
     unknowns,
 )
 from cosim.fmi.variable import Variable
@@ -24,7 +25,7 @@ from cosim.fmi.variable import Variable
 def write_fmi2(
     description: Description, *, text: str, sources: Sequence[str], constant: bool
 ) -> str:
-    """Write the XML of a unit with Real variables.
+    """Write the XML of an FMU with Real variables.
 
     Parameters
     ----------
@@ -33,7 +34,7 @@ def write_fmi2(
     text : str
         What the model is, for people.
     sources : sequence of str
-        C files under ``sources/`` that make up the unit.
+        C files under ``sources/`` that make up the FMU.
     constant : bool
         Every unknown is a sum of constants times what it depends on.
     """
@@ -50,55 +51,45 @@ def write_fmi2(
     add_units(root, description)
     add_experiment(root, description)
     variables = SubElement(root, "ModelVariables")
-    numbers = {
-        variable.name: str(index + 1) for index, variable in enumerate(description.variables)
+    indices = {
+        variable.name: str(index) for index, variable in enumerate(description.variables, start=1)
     }
     for variable in description.variables:
-        _variable(variables, variable, numbers)
-    _structure(root, description, numbers, constant)
+        _add_variable(variables, variable, indices)
+    _add_structure(root, description, indices, constant=constant)
     return finish(root)
 
 
 def _capabilities(description: Description, interface_type: InterfaceType) -> dict[str, str]:
-    there = description.capabilities[interface_type]
+    able = description.capabilities[interface_type]
     return {
-        "modelIdentifier": there.identifier,
+        "modelIdentifier": able.identifier,
         "canBeInstantiatedOnlyOncePerProcess": "false",
         "canNotUseMemoryManagementFunctions": "true",
     } | flags(
-        canGetAndSetFMUstate=there.saves_state,
-        canSerializeFMUstate=there.serializes_state,
-        providesDirectionalDerivative=there.directional_derivatives,
-        completedIntegratorStepNotNeeded=interface_type == "me" and not there.completed_step,
-        canHandleVariableCommunicationStepSize=interface_type == "cs" and there.variable_step,
-        canInterpolateInputs=interface_type == "cs" and there.interpolates_inputs,
+        canGetAndSetFMUstate=able.saves_state,
+        canSerializeFMUstate=able.serializes_state,
+        providesDirectionalDerivative=able.directional_derivatives,
+        completedIntegratorStepNotNeeded=interface_type == "me" and not able.completed_step,
+        canHandleVariableCommunicationStepSize=interface_type == "cs" and able.variable_step,
+        canInterpolateInputs=interface_type == "cs" and able.interpolates_inputs,
     )
 
 
-def _variable(parent: Element, variable: Variable, numbers: dict[str, str]) -> None:
-    real = SubElement(SubElement(parent, "ScalarVariable", attributes_of(variable)), "Real")
-    if variable.unit is not None:
-        real.set("unit", variable.unit)
-    if (start := start_of(variable)) is not None:
-        real.set("start", start)
-    if variable.derivative_of is not None:
-        real.set("derivative", numbers[variable.derivative_of])
+def _add_variable(parent: Element, variable: Variable, indices: dict[str, str]) -> None:
+    scalar = SubElement(parent, "ScalarVariable", attributes_of(variable))
+    set_real_attributes(SubElement(scalar, "Real"), variable, indices)
 
 
-def _structure(
-    root: Element, description: Description, numbers: dict[str, str], constant: bool
+def _add_structure(
+    root: Element, description: Description, indices: dict[str, str], *, constant: bool
 ) -> None:
     structure = SubElement(root, "ModelStructure")
-    for tag, names in unknowns(description):
-        section = SubElement(structure, tag) if names else structure
-        for name in sorted(names, key=lambda name: int(numbers[name])):
-            unknown, needs = (
-                SubElement(section, "Unknown", index=numbers[name]),
-                needs_of(description, tag, name),
-            )
-            if needs is not None:
-                unknown.set(
-                    "dependencies", " ".join(sorted((numbers[need] for need in needs), key=int))
-                )
-            if needs and constant:
-                unknown.set("dependenciesKind", " ".join(["constant"] * len(needs)))
+    for tag, names in unknowns(description, indices).items():
+        if not names:  # FMI 2.0 has no empty sections
+            continue
+        section = SubElement(structure, tag)
+        for name in names:
+            unknown = SubElement(section, "Unknown", index=indices[name])
+            needs = needs_of(description, tag, name)
+            set_dependencies(unknown, needs, indices, constant=constant)

@@ -1,4 +1,7 @@
-"""Write a description as an FMI 3.0 modelDescription.xml and its buildDescription.xml (FMI 3.0.2 sections 2.4 and 2.5.1.4)."""
+"""Write a description as an FMI 3.0 modelDescription.xml, and its buildDescription.xml.
+
+(FMI 3.0.2 sections 2.4 and 2.5.1.4.)
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,8 @@ from cosim.fmi.exporting.writing import (
     finish,
     flags,
     needs_of,
-    start_of,
+    set_dependencies,
+    set_real_attributes,
     unknowns,
 )
 from cosim.fmi.variable import Variable
@@ -30,7 +34,10 @@ TAGS = {
 def write_fmi3(
     description: Description, *, text: str, sources: Sequence[str], constant: bool
 ) -> str:
-    """Write the XML of a unit with Float64 variables, scalars and arrays; parameters as in ``write_fmi2``."""
+    """Write the XML of an FMU with Float64 variables, scalars and arrays.
+
+    Parameters as in :func:`cosim.fmi.exporting.writing_fmi2.write_fmi2`.
+    """
     root = begin(description, text, fmiVersion="3.0", instantiationToken=description.token)
     for interface_type in description.capabilities:
         SubElement(root, ELEMENTS[interface_type], _capabilities(description, interface_type))
@@ -38,12 +45,11 @@ def write_fmi3(
     add_experiment(root, description)
     variables = SubElement(root, "ModelVariables")
     references = {variable.name: str(variable.reference) for variable in description.variables}
-    updated = (
-        "cs" in description.capabilities and description.capabilities["cs"].interpolates_inputs
-    )
+    co_simulation = description.capabilities.get("cs")
+    interpolates = co_simulation is not None and co_simulation.interpolates_inputs
     for variable in description.variables:
-        _variable(variables, variable, references, updated)
-    add_structure(root, description, references, constant)
+        _add_variable(variables, variable, references, interpolates=interpolates)
+    add_structure(root, description, references, constant=constant)
     return finish(root)
 
 
@@ -61,72 +67,45 @@ def write_build_description(identifier: str, sources: Sequence[str]) -> str:
 
 
 def _capabilities(description: Description, interface_type: InterfaceType) -> dict[str, str]:
-    there = description.capabilities[interface_type]
-    found = {
-        "modelIdentifier": there.identifier,
+    able = description.capabilities[interface_type]
+    attributes = {
+        "modelIdentifier": able.identifier,
         "canBeInstantiatedOnlyOncePerProcess": "false",
     } | flags(
-        canGetAndSetFMUState=there.saves_state,
-        canSerializeFMUState=there.serializes_state,
-        providesDirectionalDerivatives=there.directional_derivatives,
-        providesAdjointDerivatives=there.adjoint_derivatives,
-        canHandleVariableCommunicationStepSize=interface_type == "cs" and there.variable_step,
-        providesIntermediateUpdate=interface_type == "cs" and there.interpolates_inputs,
-        hasEventMode=interface_type == "cs" and there.event_mode,
+        canGetAndSetFMUState=able.saves_state,
+        canSerializeFMUState=able.serializes_state,
+        providesDirectionalDerivatives=able.directional_derivatives,
+        providesAdjointDerivatives=able.adjoint_derivatives,
+        canHandleVariableCommunicationStepSize=interface_type == "cs" and able.variable_step,
+        providesIntermediateUpdate=interface_type == "cs" and able.interpolates_inputs,
+        hasEventMode=interface_type == "cs" and able.event_mode,
     )
     if interface_type == "me":
-        found["needsCompletedIntegratorStep"] = "true" if there.completed_step else "false"
-    if interface_type == "cs" and there.fixed_step is not None:
-        found["fixedInternalStepSize"] = repr(there.fixed_step)
-    return found
+        attributes["needsCompletedIntegratorStep"] = "true" if able.completed_step else "false"
+    if interface_type == "cs" and able.fixed_step is not None:
+        attributes["fixedInternalStepSize"] = repr(able.fixed_step)
+    return attributes
 
 
-def _variable(
-    parent: Element, variable: Variable, references: dict[str, str], updated: bool
+def _add_variable(
+    parent: Element, variable: Variable, references: dict[str, str], *, interpolates: bool
 ) -> None:
     element = SubElement(parent, "Float64", attributes_of(variable))
-    if variable.causality == "input" and variable.variability == "continuous" and updated:
+    if variable.causality == "input" and variable.variability == "continuous" and interpolates:
         element.set("intermediateUpdate", "true")
-    if variable.unit is not None:
-        element.set("unit", variable.unit)
-    if (start := start_of(variable)) is not None:
-        element.set("start", start)
-    if variable.derivative_of is not None:
-        element.set("derivative", references[variable.derivative_of])
+    set_real_attributes(element, variable, references)
     for size in variable.dimensions:
         SubElement(element, "Dimension", start=str(size))
 
 
 def add_structure(
-    root: Element, description: Description, references: dict[str, str], constant: bool
+    root: Element, description: Description, references: dict[str, str], *, constant: bool
 ) -> Element:
-    """Write what depends on what; give the element."""
+    """Write which unknowns depend on what; return the element."""
     structure = SubElement(root, "ModelStructure")
-    for section, names in unknowns(description):
-        for name in sorted(names, key=lambda name: int(references[name])):
-            add_unknown(
-                structure,
-                TAGS[section],
-                name,
-                needs_of(description, section, name),
-                references,
-                constant,
-            )
+    for section, names in unknowns(description, references).items():
+        for name in names:
+            unknown = SubElement(structure, TAGS[section], valueReference=references[name])
+            needs = needs_of(description, section, name)
+            set_dependencies(unknown, needs, references, constant=constant)
     return structure
-
-
-def add_unknown(
-    parent: Element,
-    tag: str,
-    name: str,
-    needs: Sequence[str] | None,
-    references: dict[str, str],
-    constant: bool,
-) -> Element:
-    """Write what one unknown depends on; None: not said."""
-    unknown = SubElement(parent, tag, valueReference=references[name])
-    if needs is not None:
-        unknown.set("dependencies", " ".join(sorted((references[need] for need in needs), key=int)))
-    if needs and constant:
-        unknown.set("dependenciesKind", " ".join(["constant"] * len(needs)))
-    return unknown

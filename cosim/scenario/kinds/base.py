@@ -6,7 +6,7 @@ from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, Protocol
 
 from pydantic import Field
 
@@ -14,7 +14,7 @@ from cosim.arrays import Mask, Matrix
 from cosim.core.clock import whole_steps
 from cosim.core.contracts import Component, Recording
 from cosim.core.linear import Linear, LinearModel
-from cosim.fmi.exporting.kernels import DiscreteModel
+from cosim.fmi.exporting.specifications import Exportable
 from cosim.scenario.schema import Number, TomlTable
 from cosim.theory.descriptor import DescriptorSystem
 
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from cosim.fmi.description import Description, InterfaceType
     from cosim.fmi.linearizing.linearization import Linearization
     from cosim.fmi.options import FmuOptions
-
-Exportable: TypeAlias = LinearModel | DiscreteModel
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,11 +20,11 @@ from cosim.core.linear import LinearModel
 from cosim.errors import AssumptionError, UsageError
 from cosim.fmi.exporting import kernels
 from cosim.fmi.exporting.kernels import DiscreteModel
+from cosim.fmi.exporting.specifications import Exportable
 from cosim.native.expression import Program, compile_expression
 from cosim.native.step import evaluate
 from cosim.scenario.kinds.base import (
     BuildContext,
-    Exportable,
     ExportableKind,
     LinearKind,
     PeriodicKind,
@@ -255,7 +255,7 @@ class IdentifierKind(PeriodicKind, ExportableKind):
             kernel,
             context.step_ns,
             reason,
-            every=every,
+            steps_per_sample=every,
         )
 
     def _start_time(

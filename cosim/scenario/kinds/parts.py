@@ -17,10 +17,10 @@ from cosim.core.linear import Linear, LinearModel
 from cosim.core.signals import Interface
 from cosim.fmi.exporting import kernels
 from cosim.fmi.exporting.kernels import DiscreteModel
+from cosim.fmi.exporting.specifications import Exportable
 from cosim.native.step import first_order_hold
 from cosim.scenario.kinds.base import (
     BuildContext,
-    Exportable,
     ExportableKind,
     LinearKind,
     PeriodicKind,
@@ -166,8 +166,8 @@ class ControllerKind(PeriodicKind, LinearKind):
             kernels.sampled(discretization, C=model.C, D=model.D, X0=model.X0),
             context.step_ns,
             reason,
-            every=every,
-            holds=True,
+            steps_per_sample=every,
+            zero_order_hold=True,
         )
 
 

@@ -1,4 +1,4 @@
-/* Goes through every function of an exported FMI 2.0 unit, with right and with wrong calls. */
+/* Goes through every function of an exported FMI 2.0 FMU, with right and with wrong calls. */
 #include "drive.h"
 #include "fmi2Functions.h"
 

@@ -1,4 +1,4 @@
-/* Goes through every function of an exported FMI 3.0 unit, with right and with wrong calls. */
+/* Goes through every function of an exported FMI 3.0 FMU, with right and with wrong calls. */
 #include "drive.h"
 #include "fmi3Functions.h"
 
@@ -135,9 +135,9 @@ static void values(fmi3Instance c)
 /* Gives algebraic variables: the residual shows it, y and x' follow, and their derivatives by them are told. */
 static void algebraic(fmi3Instance c, int may_be_set)
 {
-    const int32_t n_z = model_form->n_z;
+    const int32_t n_z = model_residual_form->n_z;
     int32_t first = 0;
-    while (model_form->of_output[first] < 0)
+    while (model_residual_form->of_output[first] < 0)
         ++first;
     references z = take(model_m + first, n_z), r = take(model_m + model_p + 2 * model_n + 1, n_z);
     double *given = some(z.elements, 3.0), *back = some(z.elements, 0.0), *rest = some(r.elements, 0.0), *found = some(dx.elements, 0.0);
@@ -173,7 +173,7 @@ static void model_exchange(void)
     fmi3Boolean event = 1, terminate = 1;
     begin(c);
     REFUSED(fmi3SetTime(c, 1.0));
-    if (model_form)
+    if (model_residual_form)
         algebraic(c, 0);
     DONE(fmi3ExitInitializationMode(c));
     DONE(fmi3GetNumberOfContinuousStates(c, &n));
@@ -197,7 +197,7 @@ static void model_exchange(void)
     DONE(fmi3GetEventIndicators(c, NULL, 0));
     REFUSED(fmi3GetEventIndicators(c, x, 1));
     values(c);
-    if (model_form) {
+    if (model_residual_form) {
         algebraic(c, 1);
         values(c);
     }

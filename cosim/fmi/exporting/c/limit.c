@@ -3,24 +3,34 @@
 
 extern const double kernel_lower, kernel_upper;
 
-void kernel_start(double *own, double t, const double *u, double *last) { kernel_outputs(own, t, u, last, last); }
-
-void kernel_outputs(double *own, double t, const double *u, const double *last, double *y)
+void kernel_initialize(double *memory, double t, const double *u, double *last)
 {
-    (void)own, (void)t, (void)last;
-    for (int32_t k = 0; k < model_p; ++k)
-        y[k] = u[k] < kernel_lower ? kernel_lower : u[k] > kernel_upper ? kernel_upper : u[k];
+    kernel_outputs(memory, t, u, last, last);
 }
 
-const char *kernel_step(double *own, double t0, double t1, double h, const double *u0, const double *u1, double *y)
+void kernel_outputs(double *memory, double t, const double *u, const double *last, double *y)
+{
+    (void)memory, (void)t, (void)last;
+    for (int32_t k = 0; k < model_p; ++k) {
+        y[k] = u[k];
+        if (u[k] < kernel_lower)
+            y[k] = kernel_lower;
+        else if (u[k] > kernel_upper)
+            y[k] = kernel_upper;
+    }
+}
+
+const char *kernel_step(double *memory, double t0, double t1, double h, const double *u0,
+                        const double *u1, double *y)
 {
     (void)t0, (void)h, (void)u0;
-    kernel_outputs(own, t1, u1, y, y);
+    kernel_outputs(memory, t1, u1, y, y);
     return NULL;
 }
 
-double kernel_by_input(double *own, double *y, double t, const double *u, int32_t row, int32_t input, int at_start)
+double kernel_by_input(double *memory, double *y, double t, const double *u, int32_t row,
+                       int32_t input, int in_initialization)
 {
-    (void)own, (void)y, (void)t, (void)at_start;
+    (void)memory, (void)y, (void)t, (void)in_initialization;
     return row == input && u[row] >= kernel_lower && u[row] <= kernel_upper ? 1.0 : 0.0;
 }

@@ -3,41 +3,44 @@
 
 extern const cosim_regressor kernel_constants;
 
-static cosim_regressor kernel(double *own)
+static cosim_regressor kernel(double *memory)
 {
     cosim_regressor k = kernel_constants;
-    k.memory = own;
+    k.memory = memory;
     return k;
 }
 
-void kernel_start(double *own, double t, const double *u, double *last)
+void kernel_initialize(double *memory, double t, const double *u, double *last)
 {
     (void)t, (void)u;
     for (int32_t k = 0; k < kernel_memory; ++k)
-        own[k] = 0.0;
+        memory[k] = 0.0;
     for (int32_t k = 0; k < model_p; ++k)
         last[k] = 0.0;
 }
 
-void kernel_outputs(double *own, double t, const double *u, const double *last, double *y)
+void kernel_outputs(double *memory, double t, const double *u, const double *last, double *y)
 {
     (void)last;
-    const cosim_regressor k = kernel(own);
+    const cosim_regressor k = kernel(memory);
     cosim_regressor_outputs(&k, t, u[0], y);
 }
 
-const char *kernel_step(double *own, double t0, double t1, double h, const double *u0, const double *u1, double *y)
+const char *kernel_step(double *memory, double t0, double t1, double h, const double *u0,
+                        const double *u1, double *y)
 {
-    cosim_regressor k = kernel(own);
+    cosim_regressor k = kernel(memory);
     cosim_regressor_step(&k, t0, t1, h, u0, u1, y);
     return NULL;
 }
 
-/* Every product has one factor delta, delayed or not: where it is not, the derivative is the product for delta = 1. */
-double kernel_by_input(double *own, double *y, double t, const double *u, int32_t row, int32_t input, int at_start)
+/* Every product has one factor delta, delayed or not: where it is not, the derivative is the
+ * product for delta = 1. */
+double kernel_by_input(double *memory, double *y, double t, const double *u, int32_t row,
+                       int32_t input, int in_initialization)
 {
-    (void)u, (void)input, (void)at_start;
-    const cosim_regressor k = kernel(own);
+    (void)u, (void)input, (void)in_initialization;
+    const cosim_regressor k = kernel(memory);
     if (k.steps[k.row[row]] != 0)
         return 0.0;
     cosim_regressor_outputs(&k, t, 1.0, y);

@@ -1,4 +1,4 @@
-#include "unit.h"
+#include "instance.h"
 
 #include <float.h>
 #include <math.h>
@@ -13,7 +13,7 @@
 static size_t n(void) { return (size_t)model_n; }
 static size_t m(void) { return (size_t)model_m; }
 static size_t p(void) { return (size_t)model_p; }
-static size_t n_z(void) { return model_form ? (size_t)model_form->n_z : 0; }
+static size_t n_z(void) { return model_residual_form ? (size_t)model_residual_form->n_z : 0; }
 
 static void copy_doubles(double *to, const double *from, size_t count)
 {
@@ -21,20 +21,20 @@ static void copy_doubles(double *to, const double *from, size_t count)
         memcpy(to, from, count * sizeof(double));
 }
 
-/* --- instances ----------------------------------------------------------------------------------------------------------- */
+/* --- instances --- */
 
 static double *take(double **rest, size_t count)
 {
-    double *start = *rest;
+    double *taken = *rest;
     *rest += count;
-    return start;
+    return taken;
 }
 
-unit *unit_new(void)
+instance *instance_new(void)
 {
     const size_t changing = 4 + n() + 2 * m() + (size_t)model_memory + n_z();
     const size_t computed = p() + n() + n_z() + m() + (size_t)model_work;
-    unit *i = calloc(1, sizeof *i);
+    instance *i = calloc(1, sizeof *i);
     double *rest = i ? calloc(changing + computed, sizeof(double)) : NULL;
     if (!rest) {
         free(i);
@@ -42,24 +42,32 @@ unit *unit_new(void)
     }
     i->size = changing;
     i->values = rest;
-    i->stamp = take(&rest, 1), i->mode = take(&rest, 1), i->time = take(&rest, 1);
-    i->x0 = take(&rest, n()), i->u = take(&rest, m()), i->slope = take(&rest, m());
+    i->stamp = take(&rest, 1);
+    i->mode = take(&rest, 1);
+    i->time = take(&rest, 1);
+    i->x0 = take(&rest, n());
+    i->u = take(&rest, m());
+    i->slope = take(&rest, m());
     i->memory = take(&rest, (size_t)model_memory);
-    i->is_given = take(&rest, 1), i->z = take(&rest, n_z());
-    i->y = take(&rest, p()), i->dx = take(&rest, n()), i->r = take(&rest, n_z()), i->before = take(&rest, m());
+    i->z_is_set = take(&rest, 1);
+    i->z = take(&rest, n_z());
+    i->y = take(&rest, p());
+    i->dx = take(&rest, n());
+    i->r = take(&rest, n_z());
+    i->previous_u = take(&rest, m());
     i->work = take(&rest, (size_t)model_work);
-    unit_reset(i);
+    instance_reset(i);
     return i;
 }
 
-void unit_free(unit *i)
+void instance_free(instance *i)
 {
     if (i)
         free(i->values);
     free(i);
 }
 
-void unit_reset(unit *i)
+void instance_reset(instance *i)
 {
     memset(i->values, 0, i->size * sizeof(double));
     *i->stamp = model_stamp;
@@ -68,35 +76,38 @@ void unit_reset(unit *i)
     i->stale = 1;
 }
 
-int unit_is_in(const unit *i, int modes) { return ((int)*i->mode & modes) != 0; }
-void unit_to(unit *i, int mode) { *i->mode = mode; }
+int instance_is_in(const instance *i, int modes) { return ((int)*i->mode & modes) != 0; }
+void instance_enter(instance *i, int mode) { *i->mode = mode; }
 
 /* The algebraic variable that an output is, or -1. */
-static int32_t algebraic_of(size_t output) { return model_form ? model_form->of_output[output] : -1; }
+static int32_t algebraic_of(size_t output)
+{
+    return model_residual_form ? model_residual_form->of_output[output] : -1;
+}
 
-/* Outputs, derivatives, the residual and, before the run, the start. */
-static void update(unit *i)
+/* Outputs, derivatives, the residual and, before the run, the initial states. */
+static void update(instance *i)
 {
     if (!i->stale)
         return;
-    if (unit_is_in(i, INSTANTIATED | INITIALIZATION)) {
-        model_start(i->memory, i->x0, *i->time, i->u);
-        *i->is_given = 0.0;
+    if (instance_is_in(i, INSTANTIATED | INITIALIZATION)) {
+        model_initialize(i->memory, i->x0, *i->time, i->u);
+        *i->z_is_set = 0.0;
     }
-    if (*i->is_given != 0.0) {
-        model_form->follow(i->memory, i->z, i->u, i->dx, i->y);
+    if (*i->z_is_set != 0.0) {
+        model_residual_form->outputs(i->memory, i->z, i->u, i->dx, i->y);
     } else {
         model_outputs(i->memory, *i->time, i->u, i->y, i->dx);
         for (size_t k = 0; k < p(); ++k)
             if (algebraic_of(k) >= 0)
                 i->z[algebraic_of(k)] = i->y[k];
     }
-    if (model_form)
-        model_form->residual(i->memory, i->z, i->u, i->r);
+    if (model_residual_form)
+        model_residual_form->residual(i->memory, i->z, i->u, i->r);
     i->stale = 0;
 }
 
-/* --- variables ----------------------------------------------------------------------------------------------------------- */
+/* --- variables --- */
 
 typedef enum { INPUT, OUTPUT, DERIVATIVE, STATE, TIME, RESIDUAL, UNKNOWN } class_of;
 
@@ -127,7 +138,7 @@ static int32_t state_of(class_of class, size_t index)
     return class == OUTPUT ? model_state_of[index] : -1;
 }
 
-/* NULL where these are variables that together have so many elements. */
+/* NULL where these are variables that together have this many elements. */
 static const char *check_sizes(const uint32_t references[], size_t count, size_t n_values)
 {
     size_t total = 0;
@@ -140,7 +151,7 @@ static const char *check_sizes(const uint32_t references[], size_t count, size_t
     return total == n_values ? NULL : "the number of values is not that of the variables' elements";
 }
 
-static double value_of(const unit *i, uint32_t element)
+static double value_of(const instance *i, uint32_t element)
 {
     size_t index;
     switch (classify(element, &index)) {
@@ -153,11 +164,13 @@ static double value_of(const unit *i, uint32_t element)
     }
 }
 
-const char *unit_get(unit *i, const uint32_t references[], size_t count, double values[], size_t n_values)
+const char *instance_get(instance *i, const uint32_t references[], size_t count, double values[],
+                         size_t n_values)
 {
-    const char *wrong = unit_is_in(i, ANY) ? check_sizes(references, count, n_values) : NOT_ALLOWED;
-    if (wrong)
-        return wrong;
+    const char *error =
+        instance_is_in(i, ANY) ? check_sizes(references, count, n_values) : NOT_ALLOWED;
+    if (error)
+        return error;
     update(i);
     for (size_t k = 0; k < count; ++k)
         for (uint32_t e = 0; e < size_of(references[k]); ++e)
@@ -172,43 +185,44 @@ static int is_algebraic(uint32_t element)
 }
 
 /* Where the value of an element that may be set now is kept, or NULL. */
-static double *place_of(const unit *i, uint32_t element)
+static double *storage_of(const instance *i, uint32_t element)
 {
     size_t index;
     const class_of class = classify(element, &index);
     const int32_t state = state_of(class, index);
     if (class == INPUT)
         return i->u + index;
-    if (state >= 0 && model_is_exact[state] && unit_is_in(i, INSTANTIATED | INITIALIZATION))
+    if (state >= 0 && model_is_exact[state] && instance_is_in(i, INSTANTIATED | INITIALIZATION))
         return i->x0 + state;
-    if (is_algebraic(element) && unit_is_in(i, EVENT | CONTINUOUS))
+    if (is_algebraic(element) && instance_is_in(i, EVENT | CONTINUOUS))
         return i->z + algebraic_of(index);
     return NULL;
 }
 
-const char *unit_set(unit *i, const uint32_t references[], size_t count, const double values[], size_t n_values)
+const char *instance_set(instance *i, const uint32_t references[], size_t count,
+                         const double values[], size_t n_values)
 {
-    const int allowed = unit_is_in(i, INSTANTIATED | INITIALIZATION | RUNNING | INTERMEDIATE);
-    const char *wrong = allowed ? check_sizes(references, count, n_values) : NOT_ALLOWED;
-    if (wrong)
-        return wrong;
+    const int allowed = instance_is_in(i, INSTANTIATED | INITIALIZATION | RUNNING | INTERMEDIATE);
+    const char *error = allowed ? check_sizes(references, count, n_values) : NOT_ALLOWED;
+    if (error)
+        return error;
     for (size_t k = 0; k < count; ++k)
         for (uint32_t e = 0; e < size_of(references[k]); ++e)
-            if (!place_of(i, references[k] + e))
+            if (!storage_of(i, references[k] + e))
                 return "this variable cannot be set in this mode";
     for (size_t k = 0; k < count; ++k)
         for (uint32_t e = 0; e < size_of(references[k]); ++e) {
-            *place_of(i, references[k] + e) = *values++;
+            *storage_of(i, references[k] + e) = *values++;
             if (is_algebraic(references[k] + e))
-                *i->is_given = 1.0;
+                *i->z_is_set = 1.0;
         }
     i->stale = 1;
     return NULL;
 }
 
-const char *unit_set_states(unit *i, const double x[], size_t count)
+const char *instance_set_states(instance *i, const double x[], size_t count)
 {
-    if (!unit_is_in(i, CONTINUOUS))
+    if (!instance_is_in(i, CONTINUOUS))
         return NOT_ALLOWED;
     if (count != n())
         return WRONG_STATES;
@@ -217,9 +231,9 @@ const char *unit_set_states(unit *i, const double x[], size_t count)
     return NULL;
 }
 
-static const char *read_doubles(unit *i, const double *from, double *to, size_t count)
+static const char *read_doubles(instance *i, const double *from, double *to, size_t count)
 {
-    if (!unit_is_in(i, READABLE))
+    if (!instance_is_in(i, READABLE))
         return NOT_ALLOWED;
     if (count != n())
         return WRONG_STATES;
@@ -228,12 +242,18 @@ static const char *read_doubles(unit *i, const double *from, double *to, size_t 
     return NULL;
 }
 
-const char *unit_get_states(unit *i, double x[], size_t count) { return read_doubles(i, i->memory, x, count); }
-const char *unit_get_derivatives(unit *i, double dx[], size_t count) { return read_doubles(i, i->dx, dx, count); }
-
-const char *unit_get_nominals(const unit *i, double nominals[], size_t count)
+const char *instance_get_states(instance *i, double x[], size_t count)
 {
-    if (!unit_is_in(i, ANY))
+    return read_doubles(i, i->memory, x, count);
+}
+const char *instance_get_derivatives(instance *i, double dx[], size_t count)
+{
+    return read_doubles(i, i->dx, dx, count);
+}
+
+const char *instance_get_nominals(const instance *i, double nominals[], size_t count)
+{
+    if (!instance_is_in(i, ANY))
         return NOT_ALLOWED;
     if (count != n())
         return WRONG_STATES;
@@ -242,59 +262,65 @@ const char *unit_get_nominals(const unit *i, double nominals[], size_t count)
     return NULL;
 }
 
-/* --- time and steps ------------------------------------------------------------------------------------------------------ */
+/* --- time and steps --- */
 
-/* Instants here are whole nanoseconds; t0 + h is one of them up to rounding, and is taken for it. */
+/* Instants are whole nanoseconds here: t0 + h is one of them up to rounding, and is taken for it.
+ */
 static double instant(double t)
 {
     const double whole = round(t * 1e9) / 1e9;
     return fabs(whole - t) <= 4.0 * DBL_EPSILON * fabs(t) ? whole : t;
 }
 
-void unit_set_time(unit *i, double t)
+void instance_set_time(instance *i, double t)
 {
     *i->time = instant(t);
     i->stale = 1;
 }
 
-void unit_end_start(unit *i) { update(i); }
+void instance_initialize(instance *i) { update(i); }
 
-const char *unit_begin_step(unit *i, double t, double h)
+const char *instance_begin_step(instance *i, double t, double h)
 {
-    const double needed = (double)model_step_ns / 1e9, room = 1e-6 * h + 1e-12 * fabs(t);
+    const double needed = (double)model_step_ns / 1e9;
+    const double tolerance = 1e-6 * h + 1e-12 * fabs(t);
     if (!(isfinite(t) && isfinite(h) && h > 0.0))
         return "the communication step size must be positive and finite";
-    if (fabs(t - *i->time) > room) {
-        snprintf(i->message, sizeof i->message, "the step begins at %.17g s, but the unit is at %.17g s", t, *i->time);
+    if (fabs(t - *i->time) > tolerance) {
+        snprintf(i->message, sizeof i->message,
+                 "the step begins at %.17g s, but the FMU is at %.17g s", t, *i->time);
         return i->message;
     }
     if (model_step_ns > 0 && fabs(h - needed) > 1e-6 * needed) {
-        snprintf(i->message, sizeof i->message, "a communication step of %.17g s was asked for; needed %.10g s, the step of this unit", h, needed);
+        snprintf(
+            i->message, sizeof i->message,
+            "a communication step of %.17g s was asked for; needed %.10g s, the step of this FMU",
+            h, needed);
         return i->message;
     }
-    update(i); /* the start, if nothing was read before the first step */
-    copy_doubles(i->before, i->u, m());
+    update(i); /* initializes, if nothing was read before the first step */
+    copy_doubles(i->previous_u, i->u, m());
     return NULL;
 }
 
-const char *unit_end_step(unit *i, double t, double h)
+const char *instance_end_step(instance *i, double t, double h)
 {
     const double t0 = instant(t), t1 = instant(t + h);
-    const char *wrong = model_advance(i->memory, i->work, t0, t1, h, i->before, i->u, i->y);
-    if (wrong) {
-        copy_doubles(i->u, i->before, m());
-        return wrong;
+    const char *error = model_advance(i->memory, i->work, t0, t1, h, i->previous_u, i->u, i->y);
+    if (error) {
+        copy_doubles(i->u, i->previous_u, m());
+        return error;
     }
     *i->time = t1;
-    *i->is_given = 0.0;
+    *i->z_is_set = 0.0;
     i->stale = 1;
     return NULL;
 }
 
-const char *unit_set_slope(unit *i, uint32_t reference, double slope)
+const char *instance_set_slope(instance *i, uint32_t reference, double slope)
 {
     size_t index;
-    if (!unit_is_in(i, INITIALIZATION | STEP))
+    if (!instance_is_in(i, INITIALIZATION | STEP))
         return NOT_ALLOWED;
     if (classify(reference, &index) != INPUT)
         return "only inputs have derivatives";
@@ -302,7 +328,7 @@ const char *unit_set_slope(unit *i, uint32_t reference, double slope)
     return NULL;
 }
 
-void unit_move_inputs(unit *i, double h)
+void instance_move_inputs(instance *i, double h)
 {
     for (size_t j = 0; j < m(); ++j) {
         if (i->slope[j] != 0.0)
@@ -311,7 +337,7 @@ void unit_move_inputs(unit *i, double h)
     }
 }
 
-/* --- derivatives: exact ---------------------------------------------------------------------------------------------------- */
+/* --- derivatives: exact --- */
 
 static model_unknown unknown_of(class_of class)
 {
@@ -323,38 +349,51 @@ static model_unknown unknown_of(class_of class)
     }
 }
 
-/* Entries d(row)/d(column) of one pair of elements; 0: they are no unknown and known. While algebraic variables are calculated,
- * they follow the others; for the residual, and by themselves, they are knowns all the same. */
-static int entry(unit *i, uint32_t unknown, uint32_t known, double *value)
+/* Entries d(row)/d(column) of one pair of elements; 0: they are no unknown and known. While
+ * algebraic variables are calculated, they follow the others; for the residual, and by themselves,
+ * they are knowns all the same. */
+static int entry(instance *i, uint32_t unknown, uint32_t known, double *value)
 {
     size_t row, column;
     const class_of of = classify(unknown, &row), by = classify(known, &column);
     const int32_t state = state_of(by, column), z = by == OUTPUT ? algebraic_of(column) : -1;
-    const int at_start = unit_is_in(i, INSTANTIATED | INITIALIZATION);
+    const int in_initialization = instance_is_in(i, INSTANTIATED | INITIALIZATION);
     const model_unknown what = unknown_of(of);
-    const model_known as = by == INPUT ? MODEL_BY_INPUT : z >= 0 ? MODEL_BY_ALGEBRAIC : MODEL_BY_STATE;
-    const int32_t r = (int32_t)row, c = by == INPUT ? (int32_t)column : z >= 0 ? z : state;
-    if ((by != INPUT && state < 0 && z < 0) || (of != OUTPUT && of != DERIVATIVE && of != STATE && of != RESIDUAL))
+    const int32_t r = (int32_t)row;
+    model_known as = MODEL_BY_STATE;
+    int32_t c = state;
+    if (by == INPUT) {
+        as = MODEL_BY_INPUT;
+        c = (int32_t)column;
+    } else if (z >= 0) {
+        as = MODEL_BY_ALGEBRAIC;
+        c = z;
+    }
+    if ((by != INPUT && state < 0 && z < 0) ||
+        (of != OUTPUT && of != DERIVATIVE && of != STATE && of != RESIDUAL))
         return 0;
     if (of == STATE && z >= 0)
         *value = 0.0;
-    else if (of != STATE && (of == RESIDUAL || z >= 0 || *i->is_given != 0.0))
-        *value = model_form->partial(what, r, as, c);
+    else if (of != STATE && (of == RESIDUAL || z >= 0 || *i->z_is_set != 0.0))
+        *value = model_residual_form->partial(what, r, as, c);
+    else if (by == INPUT)
+        *value = model_by_input(i->memory, i->work, *i->time, i->u, what, r, c, in_initialization);
     else
-        *value = by == INPUT ? model_by_input(i->memory, i->work, *i->time, i->u, what, r, c, at_start)
-                             : model_by_state(what, r, c);
+        *value = model_by_state(what, r, c);
     return 1;
 }
 
-const char *unit_derivative(unit *i, int adjoint, const uint32_t unknowns[], size_t n_unknowns, const uint32_t knowns[],
-                            size_t n_knowns, const double seed[], size_t n_seed, double sensitivity[], size_t n_sensitivity)
+const char *instance_derivative(instance *i, int adjoint, const uint32_t unknowns[],
+                                size_t n_unknowns, const uint32_t knowns[], size_t n_knowns,
+                                const double seed[], size_t n_seed, double sensitivity[],
+                                size_t n_sensitivity)
 {
-    if (!unit_is_in(i, READABLE))
+    if (!instance_is_in(i, READABLE))
         return NOT_ALLOWED;
-    const char *wrong = check_sizes(unknowns, n_unknowns, adjoint ? n_seed : n_sensitivity);
-    wrong = wrong ? wrong : check_sizes(knowns, n_knowns, adjoint ? n_sensitivity : n_seed);
-    if (wrong)
-        return wrong;
+    const char *error = check_sizes(unknowns, n_unknowns, adjoint ? n_seed : n_sensitivity);
+    error = error ? error : check_sizes(knowns, n_knowns, adjoint ? n_sensitivity : n_seed);
+    if (error)
+        return error;
     update(i);
     for (size_t k = 0; k < n_sensitivity; ++k)
         sensitivity[k] = 0.0;
@@ -364,49 +403,50 @@ const char *unit_derivative(unit *i, int adjoint, const uint32_t unknowns[], siz
                 for (uint32_t f = 0; f < size_of(knowns[b]); ++f, ++column) {
                     double value;
                     if (!entry(i, unknowns[a] + e, knowns[b] + f, &value))
-                        return "unknowns are outputs, derivatives, states and residuals; knowns are inputs, states and algebraic variables";
+                        return "unknowns are outputs, derivatives, states and residuals; knowns "
+                               "are inputs, states and algebraic variables";
                     sensitivity[adjoint ? column : row] += value * seed[adjoint ? row : column];
                 }
     return NULL;
 }
 
-/* --- copies of the state --------------------------------------------------------------------------------------------------- */
+/* --- copies of the state --- */
 
-size_t unit_copy_size(const unit *i) { return i->size * sizeof(double); }
+size_t instance_copy_size(const instance *i) { return i->size * sizeof(double); }
 
-const char *unit_copy(const unit *i, void **copy)
+const char *instance_copy(const instance *i, void **copy)
 {
-    if (!unit_is_in(i, ANY))
+    if (!instance_is_in(i, ANY))
         return NOT_ALLOWED;
     if (!*copy)
-        *copy = malloc(unit_copy_size(i));
+        *copy = malloc(instance_copy_size(i));
     if (!*copy)
         return NO_MEMORY;
-    memcpy(*copy, i->values, unit_copy_size(i));
+    memcpy(*copy, i->values, instance_copy_size(i));
     return NULL;
 }
 
-const char *unit_restore(unit *i, const void *copy)
+const char *instance_restore(instance *i, const void *copy)
 {
-    if (!copy || !unit_is_in(i, ANY))
+    if (!copy || !instance_is_in(i, ANY))
         return copy ? NOT_ALLOWED : "there is no state";
-    memcpy(i->values, copy, unit_copy_size(i));
+    memcpy(i->values, copy, instance_copy_size(i));
     i->stale = 1;
     return NULL;
 }
 
-const char *unit_write(const unit *i, const void *copy, void *bytes, size_t size)
+const char *instance_write(const instance *i, const void *copy, void *bytes, size_t size)
 {
-    if (!copy || size < unit_copy_size(i))
+    if (!copy || size < instance_copy_size(i))
         return copy ? "the buffer is too small" : "there is no state";
-    memcpy(bytes, copy, unit_copy_size(i));
+    memcpy(bytes, copy, instance_copy_size(i));
     return NULL;
 }
 
-const char *unit_read(const unit *i, const void *bytes, size_t size, void **copy)
+const char *instance_read(const instance *i, const void *bytes, size_t size, void **copy)
 {
     double stamp = 0.0;
-    if (size == unit_copy_size(i))
+    if (size == instance_copy_size(i))
         memcpy(&stamp, bytes, sizeof stamp);
     if (stamp != model_stamp)
         return "not a state of this FMU";
