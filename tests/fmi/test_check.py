@@ -12,7 +12,7 @@ import pytest
 from cosim.errors import FmuError
 from cosim.fmi import child_process
 from cosim.fmi.binary.headers import built_for
-from cosim.fmi.checking.binaries import functions, machine_of
+from cosim.fmi.checking.binaries import machine_of, required_functions
 from cosim.fmi.checking.check import check
 from cosim.fmi.child_process import attempt, find_rollback_problems
 from cosim.fmi.platforms import SUFFIX, folders
@@ -200,7 +200,7 @@ def test_functions_of_every_version():
         description = _described(xml)
         for interface_type in description.capabilities:
             assert [
-                name for name in functions(description, interface_type) if name not in known
+                name for name in required_functions(description, interface_type) if name not in known
             ] == []
 
 
@@ -362,7 +362,7 @@ FINDINGS = [
      "variable 'z': depends on y: neither an input, a parameter, a state nor the time"),
     ('<Unknown index="4" dependencies="1 2"/>', '<Unknown index="3"/>', "warning", "initial unknowns: not listed: z"),
     ('<Unknown index="4" dependencies="1 2"/>', '<Unknown index="4"/><Unknown index="3"/>', "warning",
-     "initial unknowns: listed, and known at the start: k"),
+     "initial unknowns: listed, although known initially: k"),
     ('guid="rogue"', 'guid="rogue" variableNamingConvention="none"', "error",
      "schema: line 2: Element 'fmiModelDescription', attribute"),
     ('name="k"', 'name="a b"', "warning",
@@ -384,7 +384,7 @@ FINDINGS = [
 )
 def test_findings_in_a_description(tmp_path, monkeypatch, before, after, level, text):
     """Each rule of the standard on its own."""
-    monkeypatch.setattr("cosim.fmi.checking.check._trials", lambda *_: [])
+    monkeypatch.setattr("cosim.fmi.checking.check._run_trials", lambda *_: [])
     assert before in XML
     xml = XML.replace(before, after, 1)
     xml = (
@@ -398,7 +398,7 @@ def test_findings_in_a_description(tmp_path, monkeypatch, before, after, level, 
 
 def test_the_pattern_for_findings_has_none(tmp_path, monkeypatch):
     """What the rules above are changed from has only no binary."""
-    monkeypatch.setattr("cosim.fmi.checking.check._trials", lambda *_: [])
+    monkeypatch.setattr("cosim.fmi.checking.check._run_trials", lambda *_: [])
     assert [f.text for f in check(write(tmp_path / "x.fmu", [], xml=XML.encode()))] == [
         "none for this machine (x86_64-linux); there is: none"
     ]

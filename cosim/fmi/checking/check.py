@@ -1,4 +1,7 @@
-"""Everything that is wrong with an FMU, at once: archive, XML, schema, structure, binaries, and trials in child processes."""
+"""Check an FMU and report all problems at once: archive, XML, schema, structure, binaries, trials.
+
+What runs foreign code does so in child processes.
+"""
 
 from __future__ import annotations
 
@@ -7,27 +10,31 @@ from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final
+from xml.etree.ElementTree import Element
 
 from cosim.errors import FmuError
 from cosim.fmi.binary.headers import built_for
-from cosim.fmi.checking.binaries import functions, machine_of
-from cosim.fmi.checking.structure import Finding, Severity, findings
-from cosim.fmi.child_process import MISSING_FUNCTION, TIMEOUT, attempt
+from cosim.fmi.checking.binaries import machine_of, required_functions
+from cosim.fmi.checking.structure import Finding, Severity, check_structure
+from cosim.fmi.child_process import MISSING_FUNCTION, TIMEOUT, TrialTask, attempt
 from cosim.fmi.description import INTERFACE_TYPE_NAMES, Description, InterfaceType
 from cosim.fmi.platforms import ARCHITECTURE, SUFFIX, SYSTEM, folders
+from cosim.fmi.reading.archive import ArchiveContents
 from cosim.fmi.reading.markup import Attributes
 from cosim.fmi.reading.model_description import XML, describe_root, need_file, open_description
 from cosim.fmi.reading.variables import major, read_definitions
 
 __all__ = ["Finding", "Severity", "check"]
 
-MOST: Final = 100  # findings of the schema
-HEAD: Final = 4096  # bytes of a binary that are looked at
+MAX_SCHEMA_FINDINGS: Final = 100
+HEAD_SIZE: Final = 4096  # bytes of a binary that are looked at
+LEVELS: Final[tuple[Severity, ...]] = ("error", "warning", "note")
 SCHEMAS: Final = {
     1: "fmi1/fmiModelDescription.xsd",
     2: "fmi2/fmi2ModelDescription.xsd",
     3: "fmi3/fmi3ModelDescription.xsd",
 }
+SUFFIXES: Final = {"linux": ".so", "darwin": ".dylib", "windows": ".dll"}
 
 
 def check(path: Path | str, *, timeout: float = TIMEOUT) -> tuple[Finding, ...]:
@@ -56,71 +63,77 @@ def check(path: Path | str, *, timeout: float = TIMEOUT) -> tuple[Finding, ...]:
         try:
             root, contents = open_description(path, folder)
         except FmuError as error:
-            return (
-                Finding("error", "archive" if XML not in str(error) else "XML", _bare(path, error)),
-            )
-        problems: list[str] = []
-        description = describe_root(root, contents, path.stem, problems)
-        raw = contents.wanted[XML]
-        found = [Finding("error", "XML", problem) for problem in problems] + _schema(
-            raw, major(root)
-        )
-        found += findings(root, description, read_definitions(root, Attributes([])))
-        if not any(finding.level in ("error", "warning") for finding in found):
-            found += _second_opinion(raw)
-        found += _binaries(folder, description)
-        if not any(
-            finding.level == "error" and finding.where in ("XML", "binary") for finding in found
-        ):
-            found += _trials(path, folder, description, timeout)
-    order = ("error", "warning", "note")
-    return tuple(sorted(dict.fromkeys(found), key=lambda finding: order.index(finding.level)))
+            where = "archive" if XML not in str(error) else "XML"
+            return (Finding("error", where, _without_path(path, error)),)
+        description, findings = _check_description(path, root, contents)
+        findings += _check_binaries(folder, description)
+        if not any(_prevents_trials(finding) for finding in findings):
+            findings += _run_trials(path, folder, description, timeout)
+    unique = dict.fromkeys(findings)
+    return tuple(sorted(unique, key=lambda finding: LEVELS.index(finding.level)))
 
 
-def _bare(path: Path, error: Exception) -> str:
-    """Leave the path out of a message: it is the same in all."""
+def _without_path(path: Path, error: Exception) -> str:
+    """Return a message without the path: it is the same in all."""
     return str(error).removeprefix(f"{path}: ").removeprefix(f"{path} ")
 
 
-# --- what the file says ---
+def _prevents_trials(finding: Finding) -> bool:
+    return finding.level == "error" and finding.where in ("XML", "binary")
 
 
-def _schema(raw: bytes, version: int) -> list[Finding]:
-    """Validate by the schema of the standard, which fmpy brings along."""
+# --- the description ---
+
+
+def _check_description(
+    path: Path, root: Element, contents: ArchiveContents
+) -> tuple[Description, list[Finding]]:
+    problems: list[str] = []
+    description = describe_root(root, contents, path.stem, problems)
+    definitions = read_definitions(root, Attributes([]))  # its problems are known by now
+    xml = contents.wanted[XML]
+    findings = [Finding("error", "XML", problem) for problem in problems]
+    findings += _validate_schema(xml, major(root))
+    findings += check_structure(root, description, definitions)
+    if not any(finding.level in ("error", "warning") for finding in findings):
+        findings += _validate_with_fmpy(xml)
+    return description, findings
+
+
+def _validate_schema(xml: bytes, version: int) -> list[Finding]:
+    """Validate with the schema of the standard, which comes with fmpy."""
     from lxml import etree
 
     package = importlib.util.find_spec("fmpy")
     assert package is not None
     assert package.origin is not None
-    schema = etree.XMLSchema(file=str(Path(package.origin).parent / "schema" / SCHEMAS[version]))
+    schema_path = Path(package.origin).parent / "schema" / SCHEMAS[version]
+    schema = etree.XMLSchema(file=str(schema_path))
+    parser = etree.XMLParser(resolve_entities=False, no_network=True, huge_tree=True)
     try:
-        document = etree.fromstring(
-            raw, etree.XMLParser(resolve_entities=False, no_network=True, huge_tree=True)
-        )
+        document = etree.fromstring(xml, parser)
     except etree.XMLSyntaxError as error:  # stricter than the parser that it passed
         return [Finding("error", "XML", f"not well-formed: {error}")]
     schema.validate(document)
-    found = [
-        Finding("error", "schema", f"line {entry.line}: {entry.message}")
-        for entry in schema.error_log
-    ]
-    more = (
-        [Finding("error", "schema", f"and {len(found) - MOST} more")] if len(found) > MOST else []
-    )
-    return found[:MOST] + more
+    texts = [f"line {entry.line}: {entry.message}" for entry in schema.error_log]
+    if len(texts) > MAX_SCHEMA_FINDINGS:
+        omitted = len(texts) - MAX_SCHEMA_FINDINGS
+        texts = [*texts[:MAX_SCHEMA_FINDINGS], f"and {omitted} more"]
+    return [Finding("error", "schema", text) for text in texts]
 
 
-def _second_opinion(raw: bytes) -> list[Finding]:
-    """Ask fmpy's validator where nothing else was found."""
+def _validate_with_fmpy(xml: bytes) -> list[Finding]:
+    """Validate with fmpy, where nothing else was found."""
     from fmpy.model_description import read_model_description
     from fmpy.validation import validate_model_description
 
     with TemporaryDirectory(prefix="cosim-xml-") as folder:
-        (file := Path(folder) / XML).write_bytes(raw)
+        file = Path(folder) / XML
+        file.write_bytes(xml)
         try:
-            found = read_model_description(str(file), validate=False)
+            description = read_model_description(str(file), validate=False)
             problems = validate_model_description(
-                found, validate_variable_names=False, validate_model_structure=True
+                description, validate_variable_names=False, validate_model_structure=True
             )
         except Exception as error:  # fmpy raises what its parsing happens to raise
             problems = [f"cannot read it: {type(error).__name__}: {error}"]
@@ -130,89 +143,83 @@ def _second_opinion(raw: bytes) -> list[Finding]:
 # --- binaries ---
 
 
-def _binaries(folder: Path, description: Description) -> list[Finding]:
+def _check_binaries(folder: Path, description: Description) -> Iterator[Finding]:
     """Compare every binary with the folder it is in; find the one for this machine."""
-    found = []
-    mine = folders(description.version)
+    native_platforms = folders(description.version)
+    capabilities = description.capabilities.values()
+    identifiers = sorted({can.identifier for can in capabilities})
     for platform in description.platforms:
         machine = machine_of(platform)
         if machine is None:
-            found.append(
-                Finding("warning", "binary", f"binaries/{platform} is no platform of the standard")
-            )
+            text = f"binaries/{platform} is no platform of the standard"
+            yield Finding("warning", "binary", text)
             continue
-        for identifier in sorted({able.identifier for able in description.capabilities.values()}):
-            suffix = {"linux": ".so", "darwin": ".dylib", "windows": ".dll"}[machine[1]]
-            file = folder / "binaries" / platform / f"{identifier}{suffix}"
-            level: Severity = "error" if platform in mine else "warning"
-            found += [
-                Finding(level, "binary", text) for text in _wrong_binary(file, platform, machine)
-            ]
-    there = [name for name in mine if name in description.platforms]
-    if not there:
-        text = f"none for this machine ({ARCHITECTURE}-{SYSTEM}); there is: {', '.join(description.platforms) or 'none'}"
-        found.append(Finding("error", "binary", text))
-    return found
+        level: Severity = "error" if platform in native_platforms else "warning"
+        for identifier in identifiers:
+            file = folder / "binaries" / platform / f"{identifier}{SUFFIXES[machine[1]]}"
+            for problem in _binary_problems(file, platform, machine):
+                yield Finding(level, "binary", problem)
+    if not any(platform in description.platforms for platform in native_platforms):
+        platforms = ", ".join(description.platforms) or "none"
+        text = f"none for this machine ({ARCHITECTURE}-{SYSTEM}); there is: {platforms}"
+        yield Finding("error", "binary", text)
 
 
-def _wrong_binary(file: Path, platform: str, machine: tuple[str, str]) -> Iterator[str]:
+def _binary_problems(file: Path, platform: str, machine: tuple[str, str]) -> Iterator[str]:
     name = f"binaries/{platform}/{file.name}"
     if not file.is_file():
         yield f"{name} is missing"
         return
     with file.open("rb") as opened:
-        built = built_for(opened.read(HEAD))
-    if built is None:
+        found = built_for(opened.read(HEAD_SIZE))
+    if found is None:
         yield f"{name} is no shared library"
-    elif built[1] != machine[1] or built[0] not in (machine[0], "any"):
-        yield f"{name} is for {'-'.join(built)}; needed {'-'.join(machine)}"
+        return
+    architecture, system = machine
+    found_architecture, found_system = found
+    if found_system != system or found_architecture not in (architecture, "any"):
+        yield f"{name} is for {'-'.join(found)}; needed {'-'.join(machine)}"
 
 
 # --- trials ---
 
 
-def _trials(path: Path, folder: Path, description: Description, timeout: float) -> list[Finding]:
-    found = []
-    for interface_type in description.capabilities:
+def _run_trials(
+    path: Path, folder: Path, description: Description, timeout: float
+) -> list[Finding]:
+    findings = []
+    for interface_type, capabilities in description.capabilities.items():
+        name = INTERFACE_TYPE_NAMES[interface_type]
         problems = _try_symbols(folder, description, interface_type, timeout)
-        where = f"binary, {INTERFACE_TYPE_NAMES[interface_type]}"
-        found += [Finding("error", where, problem) for problem in problems]
-        if any(
-            not problem.startswith(MISSING_FUNCTION) for problem in problems
-        ):  # a function that nobody calls may be missing
+        findings += [Finding("error", f"binary, {name}", problem) for problem in problems]
+        # It may run all the same where all that is wrong is a missing function: nobody may call it.
+        if not all(problem.startswith(MISSING_FUNCTION) for problem in problems):
             continue
-        run = attempt("run", str(path.resolve()), interface_type, timeout=timeout)
-        found += [
-            Finding(
-                "error", f"trial run, {INTERFACE_TYPE_NAMES[interface_type]}", _of(path, problem)
-            )
-            for problem in run
-        ]
-        if not run and description.capabilities[interface_type].saves_state:
-            back = attempt("rollback", str(path.resolve()), interface_type, timeout=timeout)
-            found += [
-                Finding(
-                    "error",
-                    f"trial save and restore, {INTERFACE_TYPE_NAMES[interface_type]}",
-                    _of(path, problem),
-                )
-                for problem in back
-            ]
-    return found
-
-
-def _of(path: Path, problem: str) -> str:
-    return problem.replace(f"{path.resolve()}: ", "")
+        problems = _try_fmu("run", path, interface_type, timeout)
+        findings += [Finding("error", f"trial run, {name}", problem) for problem in problems]
+        if capabilities.saves_state and not problems:
+            where = f"trial save and restore, {name}"
+            problems = _try_fmu("rollback", path, interface_type, timeout)
+            findings += [Finding("error", where, problem) for problem in problems]
+    return findings
 
 
 def _try_symbols(
     folder: Path, description: Description, interface_type: InterfaceType, timeout: float
 ) -> tuple[str, ...]:
+    """Look the required functions up in the binary for this machine."""
     library = f"{description.capabilities[interface_type].identifier}{SUFFIX}"
-    places = (folder / "binaries" / name / library for name in folders(description.version))
-    file = next((place for place in places if place.is_file()), None)
-    return (
-        ()
-        if file is None
-        else attempt("symbols", str(file), *functions(description, interface_type), timeout=timeout)
-    )
+    names = required_functions(description, interface_type)
+    for platform in folders(description.version):
+        file = folder / "binaries" / platform / library
+        if file.is_file():
+            return attempt("symbols", str(file), *names, timeout=timeout)
+    return ()
+
+
+def _try_fmu(
+    task: TrialTask, path: Path, interface_type: InterfaceType, timeout: float
+) -> tuple[str, ...]:
+    absolute_path = str(path.resolve())
+    problems = attempt(task, absolute_path, interface_type, timeout=timeout)
+    return tuple(problem.replace(f"{absolute_path}: ", "") for problem in problems)

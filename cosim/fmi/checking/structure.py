@@ -1,14 +1,15 @@
-"""What the standard says of a modelDescription.xml beyond its schema, for FMI 2 and 3; and what is to be known of FMI 1.
+"""Check what the standard requires of a modelDescription.xml beyond its schema.
 
-FMI 2.0.4 sections 2.2.7 and 2.2.8, FMI 3.0 sections 2.4.7 and 2.4.8. An error is what no importer can rely on; a warning what is
-against the standard, and does no harm here.
+For FMI 2 and 3: FMI 2.0.4 sections 2.2.7 and 2.2.8, FMI 3.0 sections 2.4.7 and 2.4.8. Of FMI 1 only
+what a user should know. An error is what no importer can rely on; a warning what is against the
+standard, and does no harm here.
 """
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Final, Literal, NamedTuple, TypeAlias
 from xml.etree.ElementTree import Element
 
@@ -23,8 +24,8 @@ Severity: TypeAlias = Literal["error", "warning", "note"]
 class Finding(NamedTuple):
     """Something that a check found.
 
-    level: "error", "warning" or "note". where: archive, XML, structure, a variable, a binary, a trial. text: what was found, what
-    was needed.
+    level: "error", "warning" or "note". where: archive, XML, structure, a variable, a binary, a
+    trial. text: what was found, what was needed.
     """
 
     level: Severity
@@ -32,325 +33,369 @@ class Finding(NamedTuple):
     text: str
 
 
-_CALCULATED: set[tuple[str, str | None]] = {
-    (v, i) for v in ("fixed", "tunable") for i in ("calculated", "approx")
+VariableProblems: TypeAlias = Iterator[tuple[Severity, str]]
+Combination: TypeAlias = tuple[str, str | None]  # variability, initial
+
+_CALCULATED: Final[set[Combination]] = {
+    ("fixed", "calculated"),
+    ("fixed", "approx"),
+    ("tunable", "calculated"),
+    ("tunable", "approx"),
 }
-_MOVING: set[tuple[str, str | None]] = {
-    (v, i) for v in ("discrete", "continuous") for i in ("calculated", "exact", "approx")
+_SIGNAL: Final[set[Combination]] = {
+    ("discrete", "calculated"),
+    ("discrete", "exact"),
+    ("discrete", "approx"),
+    ("continuous", "calculated"),
+    ("continuous", "exact"),
+    ("continuous", "approx"),
 }
-ALLOWED: Final[Mapping[str, set[tuple[str, str | None]]]] = {
+ALLOWED: Final[Mapping[str, set[Combination]]] = {
     "parameter": {("fixed", "exact"), ("tunable", "exact")},
     "structuralParameter": {("fixed", "exact"), ("tunable", "exact")},
     "calculatedParameter": _CALCULATED,
     "input": {("discrete", "exact"), ("continuous", "exact")},
-    "output": {("constant", "exact")} | _MOVING,
-    "local": {("constant", "exact")} | _CALCULATED | _MOVING,
+    "output": {("constant", "exact")} | _SIGNAL,
+    "local": {("constant", "exact")} | _CALCULATED | _SIGNAL,
     "independent": {("continuous", None)},
 }
+"""By causality."""
+
+SECTIONS: Final[Mapping[str, Mapping[int, str]]] = {
+    "outputs": {2: "Outputs/Unknown", 3: "Output"},
+    "derivatives": {2: "Derivatives/Unknown", 3: "ContinuousStateDerivative"},
+    "initial unknowns": {2: "InitialUnknowns/Unknown", 3: "InitialUnknown"},
+}
+"""Of ModelStructure: the elements by major version."""
+
+ALWAYS_KNOWN: Final = ("input", "independent", "parameter", "structuralParameter")
+NEVER_KNOWN: Final = "neither an input, a parameter, a state nor the time"
+NEVER_KNOWN_INITIALLY: Final = (
+    "neither an input, a parameter, a start value that is exact nor the time"
+)
+
 _IDENTIFIER = r"(?:[A-Za-z_][A-Za-z_0-9]*|'(?:[^'\\]|\\.)+')(?:\[\d+(?:,\d+)*\])?"
 _PATH = rf"{_IDENTIFIER}(?:\.{_IDENTIFIER})*"
-STRUCTURED: Final = re.compile(rf"{_PATH}|der\({_PATH}(?:,\d+)?\)")
+STRUCTURED_NAME: Final = re.compile(rf"{_PATH}|der\({_PATH}(?:,\d+)?\)")
 
 
-def findings(root: Element, description: Description, definitions: Definitions) -> list[Finding]:
-    """Give everything that is wrong or worth knowing."""
-    found = list(_notes(description))
+def check_structure(
+    root: Element, description: Description, definitions: Definitions
+) -> list[Finding]:
+    """Return everything that is wrong or worth knowing."""
+    findings = list(_check_support(description))
     if major(root) == 1:
-        return found + list(_negated(root))
-    elements = _elements(root)
+        findings += _check_negated_aliases(root)
+        return findings
+    elements = _elements_by_name(root)
     for variable in description.variables:
-        where = f"variable {variable.name!r}"
+        where = _where(variable.name)
         element = elements.get(variable.alias_of or variable.name, root)
-        checks = (_roles, _start, _range, _references)
-        found += [
-            Finding(level, where, text)
-            for check in checks
-            for level, text in check(variable, element, definitions)
-        ]
-    found += [Finding(level, where, text) for where, level, text in _structure(root, description)]
-    found += list(_residual_form(description))
-    return found + list(_names(root, description))
+        for level, text in _check_variable(variable, element, definitions):
+            findings.append(Finding(level, where, text))
+    findings += _check_model_structure(root, description)
+    findings += _check_residual_form(description)
+    findings += _check_names(root, description)
+    findings += _check_value_references(root, description)
+    return findings
 
 
-def _elements(root: Element) -> dict[str, Element]:
-    """Give the element with the attributes of each variable's type by name."""
-    elements = root.iterfind("ModelVariables/*")
-    if major(root) == 3:
-        return {element.get("name", ""): element for element in elements}
-    return {
-        e.get("name", ""): _merged(e, next((c for c in e if c.tag != "Annotations"), e))
-        for e in elements
-    }
+def _where(name: str | None) -> str:
+    return f"variable {name!r}"
 
 
-def _merged(outer: Element, inner: Element) -> Element:
-    return Element(inner.tag, dict(outer.attrib) | dict(inner.attrib))
+def _elements_by_name(root: Element) -> dict[str, Element]:
+    """Return the element with the attributes of each variable's type."""
+    elements = {}
+    for element in root.iterfind("ModelVariables/*"):
+        if major(root) == 2:
+            element = _with_type_attributes(element)
+        elements[element.get("name", "")] = element
+    return elements
 
 
-Checked: TypeAlias = Iterator[tuple[Severity, str]]
+def _with_type_attributes(element: Element) -> Element:
+    """Return one element with the attributes of a ScalarVariable and of the Real, ... inside it."""
+    inner = next((child for child in element if child.tag != "Annotations"), element)
+    return Element(inner.tag, element.attrib | inner.attrib)
 
 
-def _roles(variable: Variable, element: Element, definitions: Definitions) -> Checked:
-    here = (variable.variability, variable.initial)
-    if here not in ALLOWED.get(variable.causality, set()):
+# --- variables ---
+
+
+def _check_variable(
+    variable: Variable, element: Element, definitions: Definitions
+) -> VariableProblems:
+    yield from _check_causality(variable, element)
+    yield from _check_start_presence(variable, element)
+    yield from _check_start_values(variable)
+    yield from _check_range(variable)
+    yield from _check_definitions(variable, element, definitions)
+
+
+def _check_causality(variable: Variable, element: Element) -> VariableProblems:
+    causality = variable.causality
+    variability = variable.variability
+    initial = variable.initial
+    if (variability, initial) not in ALLOWED.get(causality, set()):
         yield (
             "error",
-            f"causality {variable.causality}, variability {here[0]} and initial {here[1]} do not go together",
+            f"causality {causality}, variability {variability} and initial {initial} do not go "
+            "together",
         )
     if element.get("variability") == "continuous" and variable.type not in FLOATS:
-        yield (
-            "warning",
-            f"variability continuous, which a variable of type {element.tag} cannot have",
-        )
-    if variable.causality == "structuralParameter" and variable.dimensions:
+        text = f"variability continuous, which a variable of type {element.tag} cannot have"
+        yield "warning", text
+    if causality == "structuralParameter" and variable.dimensions:
         yield "error", "a structural parameter is no array"
 
 
-def _start(variable: Variable, element: Element, definitions: Definitions) -> Checked:
-    given = element.get("start") is not None or element.find("Start") is not None
-    needed = variable.initial in ("exact", "approx") or variable.variability == "constant"
-    if needed and not given and variable.type != "Clock":
-        yield (
-            "error",
-            f"has no start value, which causality {variable.causality} with initial {variable.initial} needs",
-        )
-    if given and (variable.initial == "calculated" or variable.causality == "independent"):
+def _check_start_presence(variable: Variable, element: Element) -> VariableProblems:
+    causality = variable.causality
+    initial = variable.initial
+    has_start = element.get("start") is not None or element.find("Start") is not None
+    needs_start = initial in ("exact", "approx") or variable.variability == "constant"
+    if needs_start and not has_start and variable.type != "Clock":
+        text = f"has no start value, which causality {causality} with initial {initial} needs"
+        yield "error", text
+    if has_start and (initial == "calculated" or causality == "independent"):
         yield "warning", "has a start value, which nothing uses: it is calculated"
+
+
+def _check_start_values(variable: Variable) -> VariableProblems:
     if variable.start is None:
         return
+    low = variable.minimum
+    high = variable.maximum
     if any(math.isnan(value) for value in variable.start):
         yield "error", "start value: found nan, needed a number"
-    outside = [
-        value for value in variable.start if value < variable.minimum or value > variable.maximum
-    ]
+    outside = [value for value in variable.start if value < low or value > high]
     if outside:
-        yield (
-            "error",
-            f"start value: found {outside[0]:g}, needed {variable.minimum:g} to {variable.maximum:g}",
-        )
+        yield "error", f"start value: found {outside[0]:g}, needed {low:g} to {high:g}"
     items = variable.items.values()
     if items and not set(variable.start) <= {float(item) for item in items}:
-        yield (
-            "error",
-            f"start value: found {variable.start[0]:g}, needed one of {', '.join(map(str, items))}",
-        )
+        needed = ", ".join(map(str, items))
+        yield "error", f"start value: found {variable.start[0]:g}, needed one of {needed}"
 
 
-def _range(variable: Variable, element: Element, definitions: Definitions) -> Checked:
-    if not variable.minimum <= variable.maximum:
-        yield "error", f"min {variable.minimum:g} is above max {variable.maximum:g}"
-    if variable.nominal is not None and not (
-        math.isfinite(variable.nominal) and variable.nominal != 0.0
-    ):
-        yield (
-            "warning",
-            f"nominal: found {variable.nominal:g}, needed a finite number that is not 0",
-        )
+def _check_range(variable: Variable) -> VariableProblems:
+    low = variable.minimum
+    high = variable.maximum
+    nominal = variable.nominal
+    if not low <= high:
+        yield "error", f"min {low:g} is above max {high:g}"
+    if nominal is not None and not (math.isfinite(nominal) and nominal != 0.0):
+        yield "warning", f"nominal: found {nominal:g}, needed a finite number that is not 0"
 
 
-def _references(variable: Variable, element: Element, definitions: Definitions) -> Checked:
-    declared = element.get("declaredType")
-    if declared is not None and declared not in definitions.types:
-        yield "error", f"declaredType {declared!r} is not defined"
+def _check_definitions(
+    variable: Variable, element: Element, definitions: Definitions
+) -> VariableProblems:
+    declared_type = element.get("declaredType")
+    if declared_type is not None and declared_type not in definitions.types:
+        yield "error", f"declaredType {declared_type!r} is not defined"
     if element.tag == "Enumeration" and not variable.items:
         yield "error", "is an enumeration without items"
-    if variable.unit is not None and variable.unit not in definitions.units:
+    unit = variable.unit
+    if unit is not None and unit not in definitions.units:
         yield (
             "warning",
-            f"unit {variable.unit!r} is not defined in UnitDefinitions; it is understood by its name",
+            f"unit {unit!r} is not defined in UnitDefinitions; it is understood by its name",
         )
 
 
-def _structure(root: Element, description: Description) -> Iterator[tuple[str, Severity, str]]:
-    """Check ModelStructure: who is listed, and what may be depended on."""
+# --- ModelStructure ---
+
+
+def _check_model_structure(root: Element, description: Description) -> Iterator[Finding]:
+    """Check ModelStructure: which variables are listed, and what they may depend on."""
     version = major(root)
-    sections = {
-        "outputs": ("Outputs/Unknown", "Output"),
-        "derivatives": ("Derivatives/Unknown", "ContinuousStateDerivative"),
-        "initial unknowns": ("InitialUnknowns/Unknown", "InitialUnknown"),
-    }
-    names: Mapping[str, str]
-    if version == 2:
-        names = {str(number): v.name for number, v in enumerate(description.variables, 1)}
-    else:
-        names = {str(v.reference): v.name for v in description.variables if v.alias_of is None}
-    expected = _expected(description, root)
-    for where, paths in sections.items():
-        path = f"ModelStructure/{paths[version - 2]}"
-        unknowns = root.findall(path)
-        listed = [
-            names.get(u.get("index" if version == 2 else "valueReference", "").strip(), "")
-            for u in unknowns
-        ]
-        if len(set(listed)) < len(listed):
-            twice = sorted({name for name in listed if listed.count(name) > 1})
-            yield where, "error", f"listed twice: {', '.join(twice)}"
-        for unknown in unknowns:
-            kinds, known = unknown.get("dependenciesKind"), unknown.get("dependencies")
-            if kinds is not None and (known is None or len(kinds.split()) != len(known.split())):
-                yield where, "error", "dependenciesKind needs as many entries as dependencies"
-        if where in expected:
-            yield from _listing(where, set(listed) - {""}, expected[where])
-    yield from _knowns(description)
+    attribute = "index" if version == 2 else "valueReference"
+    names = _names_by_key(version, description)
+    expected = _expected_unknowns(root, description)
+    for section, paths in SECTIONS.items():
+        unknowns = root.findall(f"ModelStructure/{paths[version]}")
+        listed = [names.get(unknown.get(attribute, "").strip(), "") for unknown in unknowns]
+        duplicates = sorted({name for name in listed if listed.count(name) > 1})
+        if duplicates:
+            yield Finding("error", section, f"listed twice: {', '.join(duplicates)}")
+        yield from _check_dependency_kinds(section, unknowns)
+        if section in expected:
+            yield from _compare_listed(section, set(listed) - {""}, expected[section])
+    yield from _check_dependencies(description)
     for name in description.states:
-        if description[name].type not in FLOATS or description[name].variability != "continuous":
-            yield f"variable {name!r}", "error", "is a state, and so must be real and continuous"
+        state = description[name]
+        if state.type not in FLOATS or state.variability != "continuous":
+            yield Finding("error", _where(name), "is a state, and so must be real and continuous")
 
 
-def _expected(description: Description, root: Element) -> dict[str, set[str]]:
+def _names_by_key(version: int, description: Description) -> Mapping[str, str]:
+    """Return names by what ModelStructure refers with: indices in FMI 2, value references in 3."""
+    if version == 2:
+        return {str(index): v.name for index, v in enumerate(description.variables, 1)}
+    return {str(v.reference): v.name for v in description.variables if v.alias_of is None}
+
+
+def _check_dependency_kinds(section: str, unknowns: Sequence[Element]) -> Iterator[Finding]:
+    for unknown in unknowns:
+        kinds = unknown.get("dependenciesKind")
+        dependencies = unknown.get("dependencies")
+        if kinds is None:
+            continue
+        if dependencies is None or len(kinds.split()) != len(dependencies.split()):
+            text = "dependenciesKind needs as many entries as dependencies"
+            yield Finding("error", section, text)
+
+
+def _expected_unknowns(root: Element, description: Description) -> dict[str, set[str]]:
+    """Return the variables that the standard wants listed, by section."""
     variables = [v for v in description.variables if v.alias_of is None]
-    clocked = {
-        element.get("name")
-        for element in root.iterfind("ModelVariables/*")
-        if element.get("clocks") is not None
-    }
-    derivatives = {
-        name for name in description.dependencies if description[name].derivative_of is not None
-    }
-    start = {*description.states, *derivatives} & {
-        v.name for v in variables if v.initial in ("approx", "calculated")
-    }
-    for v in variables:
-        of_output = (
-            v.causality == "output"
-            and v.initial in ("approx", "calculated")
-            and v.name not in clocked
-        )
-        if of_output or v.causality == "calculatedParameter":
-            start.add(v.name)
-    return {
-        "outputs": {v.name for v in variables if v.causality == "output"},
-        "initial unknowns": start,
-    }
+    elements = root.iterfind("ModelVariables/*")
+    clocked = {element.get("name") for element in elements if element.get("clocks") is not None}
+    outputs = {v.name for v in variables if v.causality == "output"}
+    dynamic = set(description.states)
+    for name in description.dependencies:
+        if description[name].derivative_of is not None:
+            dynamic.add(name)
+    candidates = dynamic | (outputs - clocked)
+    initial_unknowns: set[str] = set()
+    for variable in variables:
+        is_computed = variable.initial in ("approx", "calculated")
+        if is_computed and variable.name in candidates:
+            initial_unknowns.add(variable.name)
+        if variable.causality == "calculatedParameter":
+            initial_unknowns.add(variable.name)
+    return {"outputs": outputs, "initial unknowns": initial_unknowns}
 
 
-def _listing(
-    where: str, listed: set[str], expected: set[str]
-) -> Iterator[tuple[str, Severity, str]]:
-    level: Severity = "error" if where == "outputs" else "warning"
-    if missing := expected - listed:
-        yield where, level, f"not listed: {', '.join(sorted(missing))}"
-    if where == "outputs" and (extra := listed - expected):
-        yield where, level, f"listed, and no output: {', '.join(sorted(extra))}"
-    elif extra := listed - expected:
-        yield where, level, f"listed, and known at the start: {', '.join(sorted(extra))}"
+def _compare_listed(section: str, listed: set[str], expected: set[str]) -> Iterator[Finding]:
+    of_outputs = section == "outputs"
+    level: Severity = "error" if of_outputs else "warning"
+    missing = sorted(expected - listed)
+    if missing:
+        yield Finding(level, section, f"not listed: {', '.join(missing)}")
+    surplus = sorted(listed - expected)
+    if surplus:
+        reason = "and no output" if of_outputs else "although known initially"
+        yield Finding(level, section, f"listed, {reason}: {', '.join(surplus)}")
 
 
-def _knowns(description: Description) -> Iterator[tuple[str, Severity, str]]:
+def _check_dependencies(description: Description) -> Iterator[Finding]:
     """Check what outputs, derivatives and initial unknowns depend on."""
-    always = ("input", "independent", "parameter", "structuralParameter")
-    later = {
-        v.name
-        for v in description.variables
-        if v.causality in always or v.variability == "discrete"
-    } | set(description.states)
-    first = {v.name for v in description.variables if v.causality in always or v.initial == "exact"}
-    for dependencies, known, when in (
-        (description.dependencies, later, "neither an input, a parameter, a state nor the time"),
-        (
-            description.initial_dependencies,
-            first,
-            "neither an input, a parameter, a start value that is exact nor the time",
-        ),
-    ):
-        for name, needs in dependencies.items():
-            wrong = [need for need in needs or () if need not in known and need != name]
-            if wrong:
-                yield f"variable {name!r}", "warning", f"depends on {', '.join(wrong)}: {when}"
+    known = set(description.states)
+    known_initially: set[str] = set()
+    for variable in description.variables:
+        always_known = variable.causality in ALWAYS_KNOWN
+        if always_known or variable.variability == "discrete":
+            known.add(variable.name)
+        if always_known or variable.initial == "exact":
+            known_initially.add(variable.name)
+    yield from _compare_dependencies(description.dependencies, known, NEVER_KNOWN)
+    yield from _compare_dependencies(
+        description.initial_dependencies, known_initially, NEVER_KNOWN_INITIALLY
+    )
 
 
-def _residual_form(description: Description) -> Iterator[Finding]:
-    """Check the manifest of FMI-LS-DAE: the FMU runs without it, but not in the form that it promises."""
+def _compare_dependencies(
+    dependencies: Mapping[str, Sequence[str] | None], known: set[str], reason: str
+) -> Iterator[Finding]:
+    for name, needed in dependencies.items():
+        unknown = [other for other in needed or () if other not in known and other != name]
+        if unknown:
+            text = f"depends on {', '.join(unknown)}: {reason}"
+            yield Finding("warning", _where(name), text)
+
+
+def _check_residual_form(description: Description) -> Iterator[Finding]:
+    """Check the manifest of FMI-LS-DAE.
+
+    The FMU runs without it, but not in the form that the manifest promises.
+    """
     dae = description.dae
     if dae is None:
         return
     for problem in dae.problems:
         yield Finding("error", MANIFEST, problem)
     if not dae.problems and not (dae.algebraic and dae.residuals):
-        yield Finding(
-            "warning",
-            MANIFEST,
-            "lists no AlgebraicVariables or no Residual, so that the residual form is not known",
-        )
+        text = "lists no AlgebraicVariables or no Residual, so that the residual form is not known"
+        yield Finding("warning", MANIFEST, text)
 
 
-def _names(root: Element, description: Description) -> Iterator[Finding]:
+# --- names ---
+
+
+def _check_names(root: Element, description: Description) -> Iterator[Finding]:
     structured = root.get("variableNamingConvention") == "structured"
     for variable in description.variables:
-        where = f"variable {variable.name!r}"
+        where = _where(variable.name)
         if any(letter < " " for letter in variable.name):
             yield Finding("warning", where, "has a control character in its name")
-        elif structured and not STRUCTURED.fullmatch(variable.name):
-            yield Finding(
-                "warning",
-                where,
-                "is no name of the structured naming convention that the file announces",
-            )
+        elif structured and not STRUCTURED_NAME.fullmatch(variable.name):
+            text = "is no name of the structured naming convention that the file announces"
+            yield Finding("warning", where, text)
+
+
+def _check_value_references(root: Element, description: Description) -> Iterator[Finding]:
+    """Check what FMI 3 requires beyond FMI 2: one independent variable, own value references."""
     if major(root) < 3:
         return
-    clocks = sum(v.causality == "independent" for v in description.variables)
-    if clocks != 1:
-        yield Finding(
-            "warning",
-            "structure",
-            f"{clocks} independent variables; FMI 3 needs exactly one, the time",
-        )
+    count = sum(variable.causality == "independent" for variable in description.variables)
+    if count != 1:
+        text = f"{count} independent variables; FMI 3 needs exactly one, the time"
+        yield Finding("warning", "structure", text)
     owners: dict[int, str] = {}
     for variable in description.variables:
-        other = owners.setdefault(variable.reference, variable.name)
-        if variable.alias_of is None and other != variable.name:
-            text = f"has the value reference {variable.reference} of {other!r}; FMI 3 needs one for each"
-            yield Finding("error", f"variable {variable.name!r}", text)
+        reference = variable.reference
+        owner = owners.setdefault(reference, variable.name)
+        if variable.alias_of is None and owner != variable.name:
+            text = f"has the value reference {reference} of {owner!r}; FMI 3 needs one for each"
+            yield Finding("error", _where(variable.name), text)
 
 
-def _notes(description: Description) -> Iterator[Finding]:
-    """Say what is to be known before a run."""
+# --- what to know before a run ---
+
+
+def _check_support(description: Description) -> Iterator[Finding]:
+    """Yield what limits a run of the FMU here."""
     if not description.capabilities:
-        yield Finding(
-            "error", "XML", "neither model exchange nor co-simulation; needed one of them"
-        )
-    outputs = (
-        v.name
-        for v in description.variables
-        if v.causality == "output" and v.is_signal and v.alias_of is None
-    )
-    unknown = [
-        name
-        for name in outputs
-        if name not in description.states and description.dependencies.get(name) is None
-    ]
-    if unknown and any(v.causality == "input" for v in description.variables):
-        yield Finding(
-            "note",
-            "structure",
-            f"the file does not say on which inputs these depend directly: {', '.join(unknown)}",
-        )
+        text = "neither model exchange nor co-simulation; needed one of them"
+        yield Finding("error", "XML", text)
+    undeclared = _undeclared_feedthrough(description)
+    has_inputs = any(variable.causality == "input" for variable in description.variables)
+    if undeclared and has_inputs:
+        names = ", ".join(undeclared)
+        text = f"the file does not say on which inputs these depend directly: {names}"
+        yield Finding("note", "structure", text)
     if description.clocks:
-        yield Finding(
-            "warning",
-            "structure",
-            f"clocks, which are not supported: {', '.join(description.clocks)}",
-        )
-    for interface_type, able in description.capabilities.items():
-        if able.needs_tool:
-            yield Finding(
-                "note",
-                INTERFACE_TYPE_NAMES[interface_type],
-                "needs the tool that made it, or its libraries, to run",
-            )
-        if able.once_per_process:
-            yield Finding(
-                "note",
-                INTERFACE_TYPE_NAMES[interface_type],
-                "can be instantiated only once in a process",
-            )
+        text = f"clocks, which are not supported: {', '.join(description.clocks)}"
+        yield Finding("warning", "structure", text)
+    for interface_type, capabilities in description.capabilities.items():
+        where = INTERFACE_TYPE_NAMES[interface_type]
+        if capabilities.needs_tool:
+            text = "needs the tool that made it, or its libraries, to run"
+            yield Finding("note", where, text)
+        if capabilities.once_per_process:
+            yield Finding("note", where, "can be instantiated only once in a process")
 
 
-def _negated(root: Element) -> Iterator[Finding]:
+def _undeclared_feedthrough(description: Description) -> list[str]:
+    """Return the outputs whose dependencies the file does not list; a state has none."""
+    names = []
+    for variable in description.variables:
+        is_output = variable.causality == "output" and variable.alias_of is None
+        if not is_output or not variable.is_signal or variable.name in description.states:
+            continue
+        if description.dependencies.get(variable.name) is None:
+            names.append(variable.name)
+    return names
+
+
+def _check_negated_aliases(root: Element) -> Iterator[Finding]:
     for element in root.iterfind("ModelVariables/ScalarVariable"):
         if element.get("alias") == "negatedAlias":
-            port = element.get("causality") in ("input", "output")
+            is_port = element.get("causality") in ("input", "output")
+            level: Severity = "warning" if is_port else "note"
             text = (
                 "is another variable negated (negatedAlias); no call gives that, and it is left out"
             )
-            yield Finding("warning" if port else "note", f"variable {element.get('name')!r}", text)
+            yield Finding(level, _where(element.get("name")), text)

@@ -1,7 +1,8 @@
-"""What a child process does with a foreign binary; what crashes, hangs or lies does it there.
+"""What a child process does with a foreign binary, as it may crash or hang there.
 
-``python -m cosim.fmi.checking.trial TASK RESULT ARGUMENT...`` does a task and writes its story to the file RESULT, an object
-a line: where it is, what it found, that it is done. A story without an end tells where the process was lost.
+``python -m cosim.fmi.checking.trial TASK LOG ARGUMENT...`` does a task and writes to the file LOG,
+a JSON object a line: the stages it comes to, the problems it finds, that it is done. A log without
+an end names the last stage before the process was lost.
 """
 
 from __future__ import annotations
@@ -11,136 +12,140 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, TextIO
 
 from cosim.errors import CosimError
 from cosim.fmi.child_process import MISSING_FUNCTION
 
 if TYPE_CHECKING:
     from cosim.arrays import Matrix, Vector
-    from cosim.fmi.component import Fmu
+    from cosim.fmi.component import Fmu, FmuComponent
     from cosim.fmi.description import Description, InterfaceType
 
 STEP: Final = 1e-3  # [s], where the FMU prefers none
 STEPS: Final = 3
 
 
-class _Story:
-    """Writes what happens, so that it is known after a crash."""
+class TrialLog:
+    """Records what happens; each record is flushed, so that it is known after a crash."""
 
-    def __init__(self, path: str) -> None:
-        self._file = open(path, "a", encoding="utf-8", buffering=1)
+    def __init__(self, file: TextIO) -> None:
+        self._file = file
 
-    def tell(self, key: str, text: str) -> None:
-        """Write a line."""
+    def stage(self, text: str) -> None:
+        """Record what begins now."""
+        self._write("stage", text)
+
+    def problem(self, text: str) -> None:
+        """Record a problem."""
+        self._write("problem", text)
+
+    def done(self, task: str) -> None:
+        """Record the end."""
+        self._write("done", task)
+
+    def _write(self, key: str, text: str) -> None:
         self._file.write(json.dumps({key: text}) + "\n")
         self._file.flush()
 
-    def at(self, text: str) -> None:
-        """Say what comes now."""
-        self.tell("stage", text)
 
-    def problem(self, text: str) -> None:
-        """Say what is wrong."""
-        self.tell("problem", text)
-
-
-def symbols(story: _Story, library: str, *names: str) -> None:
+def find_symbols(log: TrialLog, path: str, *names: str) -> None:
     """Load a library and look functions up."""
     import ctypes
 
-    story.at("loading the library")
+    log.stage("loading the library")
     try:
-        found = ctypes.CDLL(library)
+        library = ctypes.CDLL(path)
     except OSError as error:
-        story.problem(f"cannot be loaded: {str(error).replace(library, Path(library).name)}")
+        reason = str(error).replace(path, Path(path).name)
+        log.problem(f"cannot be loaded: {reason}")
         return
     for name in names:
-        if not hasattr(found, name):
-            story.problem(f"{MISSING_FUNCTION} {name}")
+        try:
+            library[name]
+        except AttributeError:
+            log.problem(f"{MISSING_FUNCTION} {name}")
 
 
-def run(story: _Story, path: str, interface_type: InterfaceType) -> None:
+def run(log: TrialLog, path: str, interface_type: InterfaceType) -> None:
     """Go through a short run."""
-    import numpy as np
-
-    with _opened(story, path, interface_type) as fmu:
-        component, h = fmu.component, _step(fmu.description, interface_type)
-        outputs = [
-            (element, signal.optional)
-            for signal in component.interface.outputs
-            for element in signal.elements
-        ]
-        t, u = _times(h, STEPS), _inputs(fmu, STEPS)
-        story.at("initialization")
+    with _opened(log, path, interface_type) as fmu:
+        component = fmu.component
+        h = _step_size(fmu.description, interface_type)
+        t = _times(h, STEPS)
+        u = _initial_inputs(component, STEPS)
+        log.stage("initialization")
         y = component.initialize(0.0, u[0])
-        _check_starts(story, fmu.description, y)
-        story.at(f"steps of {h:g} s")
+        _check_initial_values(log, fmu.description, y)
+        log.stage(f"steps of {h:g} s")
         rows = component.advance(t, h, u)
-        for (name, optional), values in zip(outputs, rows.T, strict=True):
-            wrong = values[~(np.isfinite(values) | (np.isnan(values) & optional))]
-            if len(wrong):
-                story.problem(f"output {name!r} is {wrong[0]} after a step")
-        story.at("terminate and free")
-    story.at("the end of the process")
+        _check_finite(log, component, rows)
+        log.stage("terminate and free")
+    log.stage("the end of the process")
 
 
-def rollback(story: _Story, path: str, interface_type: InterfaceType) -> None:
+def roll_back(log: TrialLog, path: str, interface_type: InterfaceType) -> None:
     """Save, step, restore and step again, also after other inputs: the same bits each time."""
-    with _opened(story, path, interface_type) as fmu:
-        component, h = fmu.component, _step(fmu.description, interface_type)
-        t, u = _times(h, 2 * STEPS), _inputs(fmu, 2 * STEPS)
-        story.at("initialization")
+    with _opened(log, path, interface_type) as fmu:
+        component = fmu.component
+        h = _step_size(fmu.description, interface_type)
+        t = _times(h, 2 * STEPS)
+        u = _initial_inputs(component, 2 * STEPS)
+        log.stage("initialization")
         component.initialize(0.0, u[0])
-        story.at("steps before the state is saved")
+        log.stage("steps before the state is saved")
         component.advance(t[: STEPS + 1], h, u[: STEPS + 1])
-        ahead = (t[STEPS:], h, u[STEPS:])
-        story.at("saving the state")
-        saved = component.save()
-        story.at("steps after the state was saved")
-        first = component.advance(*ahead).tobytes()
+        _compare_repeated_steps(log, component, t[STEPS:], h, u[STEPS:])
+        log.stage("terminate and free")
+    log.stage("the end of the process")
 
-        def other_inputs() -> None:
-            component.restore(saved)
-            with suppress(CosimError):  # they may be more than it bears
-                component.advance(t[STEPS:], h, 2.0 * u[STEPS:] + 1.0)
 
-        detours = {
-            "steps": lambda: None,
-            "steps with other inputs": other_inputs,
-            "saving anew": component.save,
-        }
-        for what, detour in detours.items():
-            story.at(what)
-            detour()
-            story.at(f"going back after {what}")
-            component.restore(saved)
-            if component.advance(*ahead).tobytes() != first:
-                story.problem(f"goes back wrongly: after {what} the same steps give other outputs")
-                break
-        story.at("terminate and free")
-    story.at("the end of the process")
+def _compare_repeated_steps(
+    log: TrialLog, component: FmuComponent, t: Vector, h: float, u: Matrix
+) -> None:
+    """Compare the steps after each way back with the first ones."""
+    log.stage("saving the state")
+    saved = component.save()
+    log.stage("steps after the state was saved")
+    expected = component.advance(t, h, u).tobytes()
+
+    def step_with_other_inputs() -> None:
+        component.restore(saved)
+        with suppress(CosimError):  # they may be more than it bears
+            component.advance(t, h, 2.0 * u + 1.0)
+
+    detours: dict[str, Callable[[], object]] = {
+        "steps": lambda: None,  # those above
+        "steps with other inputs": step_with_other_inputs,
+        "saving anew": component.save,
+    }
+    for name, detour in detours.items():
+        log.stage(name)
+        detour()
+        log.stage(f"going back after {name}")
+        component.restore(saved)
+        if component.advance(t, h, u).tobytes() != expected:
+            log.problem(f"goes back wrongly: after {name} the same steps give other outputs")
+            return
 
 
 @contextmanager
-def _opened(story: _Story, path: str, interface_type: InterfaceType) -> Iterator[Fmu]:
+def _opened(log: TrialLog, path: str, interface_type: InterfaceType) -> Iterator[Fmu]:
     import numpy as np
 
     from cosim.fmi.component import load
     from cosim.fmi.options import FmuOptions
 
-    story.at("loading and instantiating")
+    log.stage("loading and instantiating")
     with load(path, FmuOptions(interface_type=interface_type)) as fmu:
-        story.at("preparing")
-        fmu.component.prepare(
-            _step(fmu.description, interface_type),
-            np.zeros(fmu.component.interface.n_u, np.bool_),
-            {},
-        )
+        log.stage("preparing")
+        h = _step_size(fmu.description, interface_type)
+        held = np.zeros(fmu.component.interface.n_u, np.bool_)
+        fmu.component.prepare(h, held, {})
         yield fmu
 
 
-def _step(description: Description, interface_type: InterfaceType) -> float:
+def _step_size(description: Description, interface_type: InterfaceType) -> float:
     return description.capabilities[interface_type].fixed_step or description.default_step or STEP
 
 
@@ -150,54 +155,69 @@ def _times(h: float, steps: int) -> Vector:
     return np.array([k * h for k in range(steps + 1)], np.float64)
 
 
-def _inputs(fmu: Fmu, steps: int) -> Matrix:
-    """Hold every input at its start value."""
+def _initial_inputs(component: FmuComponent, steps: int) -> Matrix:
+    """Return a row a step in which every input has its initial value."""
     import numpy as np
 
-    starts = [
-        value
-        for signal in fmu.component.interface.inputs
-        for value in (signal.start or (0.0,) * signal.size)
-    ]
-    return np.tile(np.array(starts, np.float64), (steps + 1, 1))
+    values: list[float] = []
+    for signal in component.interface.inputs:
+        values += signal.start or (0.0,) * signal.size
+    return np.tile(np.array(values, np.float64), (steps + 1, 1))
 
 
-def _check_starts(story: _Story, description: Description, y: Vector) -> None:
-    """Compare outputs whose start values are exact with what the unit gives."""
+def _check_initial_values(log: TrialLog, description: Description, y: Vector) -> None:
+    """Compare outputs whose initial values are exact with what the FMU returns."""
     column = 0
     for _, group in description.ports("output"):
         for variable in group:
             values = tuple(y[column : column + variable.size].tolist())
             column += variable.size
             if variable.initial == "exact" and variable.start not in (None, values):
-                said, given = (
-                    ", ".join(f"{v:g}" for v in row) for row in (variable.start or (), values)
-                )
-                story.problem(f"{variable.name!r} starts at {given}; the file says exactly {said}")
+                found = ", ".join(f"{value:g}" for value in values)
+                needed = ", ".join(f"{value:g}" for value in variable.start or ())
+                log.problem(f"{variable.name!r} starts at {found}; the file says exactly {needed}")
+
+
+def _check_finite(log: TrialLog, component: FmuComponent, rows: Matrix) -> None:
+    """Compare the outputs of all steps with what may be recorded: NaN only in an optional one."""
+    import numpy as np
+
+    column = 0
+    for signal in component.interface.outputs:
+        for element in signal.elements:
+            values = rows[:, column]
+            column += 1
+            allowed = np.isfinite(values)
+            if signal.optional:
+                allowed |= np.isnan(values)
+            not_allowed = values[~allowed]
+            if len(not_allowed):
+                log.problem(f"output {element!r} is {not_allowed[0]} after a step")
 
 
 TASKS: Final[dict[str, Callable[..., None]]] = {
-    "symbols": symbols,
+    "symbols": find_symbols,
     "run": run,
-    "rollback": rollback,
+    "rollback": roll_back,
 }
 
 
 def main(arguments: Sequence[str]) -> None:
     """Do a task."""
-    task, result, *rest = arguments
-    story = _Story(result)
+    task, path, *task_arguments = arguments
     with suppress(ImportError):
         import resource
 
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    try:
-        TASKS[task](story, *rest)
-    except CosimError as error:
-        story.problem(str(error))
-    except Exception as error:  # the process is there to find out what a foreign binary makes of it
-        story.problem(f"{type(error).__name__}: {error}")
-    story.tell("done", task)
+    with open(path, "a", encoding="utf-8", buffering=1) as file:
+        log = TrialLog(file)
+        try:
+            TASKS[task](log, *task_arguments)
+        except CosimError as error:
+            log.problem(str(error))
+        except Exception as error:  # a foreign binary may make Python raise anything
+            log.problem(f"{type(error).__name__}: {error}")
+        log.done(task)
 
 
 if __name__ == "__main__":
