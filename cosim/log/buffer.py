@@ -81,12 +81,14 @@ class RowBuffer:
         """
         room = self._capacity - self._count
         stop = min(start + room, block.steps + 1)
-        target = slice(self._count, self._count + stop - start)
+        new_count = self._count + stop - start
+        target = slice(self._count, new_count)
         self._rows[target] = signals[start:stop]
         self._time_ns[target] = block.time_ns[start:stop]
-        self._step[target] = np.arange(block.index + start, block.index + stop)
+        steps = np.arange(start, stop)
+        self._step[target] = block.index + steps
         # Last: an interrupt before this line leaves the buffer as it was.
-        self._count = target.stop
+        self._count = new_count
         return stop
 
     def message_batches(self) -> list[MessageBatch]:
@@ -97,7 +99,8 @@ class RowBuffer:
         recorded = self._recorded_rows()
         batches = []
         for part, records in self._parts:
-            batch = self._message_batch(part, records, recorded[part.channel.period])
+            selected = recorded[part.channel.period]
+            batch = self._message_batch(part, records, selected)
             if len(batch.time_ns):
                 batches.append(batch)
         return batches
@@ -107,8 +110,9 @@ class RowBuffer:
         recorded = self._recorded_rows()
         for channel in self._layout.channels:
             selected = recorded[channel.period]
+            time_ns = self._time_ns[selected]
             rows = self._rows[selected, channel.columns]
-            hashes[channel.name].update(hash_input(self._time_ns[selected], rows))
+            hashes[channel.name].update(hash_input(time_ns, rows))
 
     def clear(self) -> None:
         """Forget the rows."""
@@ -131,24 +135,29 @@ class RowBuffer:
         records["sequence"] = self._step[selected].astype(np.uint32)
         records["log_time"] = time_ns
         records["publish_time"] = time_ns
-        first = part.channel.start + part.columns.start
+        part_start = part.channel.start + part.columns.start
         for group, columns in group_columns(part.size).items():
-            row_columns = slice(first + columns.start, first + columns.stop)
-            records[group]["value"] = self._rows[selected, row_columns]
+            start = part_start + columns.start
+            stop = part_start + columns.stop
+            records[group]["value"] = self._rows[selected, start:stop]
         channel_id = int(blank["channel_id"][0])
-        offsets = np.arange(len(records), dtype=np.int64) * records.itemsize
-        return MessageBatch(channel_id, records.view(np.uint8).data, time_ns, offsets)
+        numbers = np.arange(len(records), dtype=np.int64)
+        offsets = numbers * records.itemsize
+        data = records.view(np.uint8).data
+        return MessageBatch(channel_id, data, time_ns, offsets)
 
 
 def _capacity(layout: Layout, parts: Sequence[Part]) -> int:
     """Return the number of rows that fill a chunk, or the buffer where periods are long."""
     record_bytes_per_step = 0.0
     for part in parts:
-        record_bytes_per_step += record_dtype(part.size).itemsize / part.channel.period
+        record_bytes = record_dtype(part.size).itemsize
+        record_bytes_per_step += record_bytes / part.channel.period
     rows_in_chunk = CHUNK_BYTES // max(record_bytes_per_step, 1.0)
     row_bytes = _DOUBLE_BYTES * max(layout.width, 1)
     rows_in_buffer = _BUFFER_BYTES // row_bytes
-    return max(int(min(rows_in_chunk, rows_in_buffer)), 1)
+    capacity = int(min(rows_in_chunk, rows_in_buffer))
+    return max(capacity, 1)
 
 
 def message_batch(
@@ -156,6 +165,7 @@ def message_batch(
 ) -> MessageBatch:
     """Return the message records of (time [ns], data) pairs of any size."""
     records = []
+    times = []
     offsets = []
     size = 0
     for time_ns, data in messages:
@@ -163,7 +173,9 @@ def message_batch(
         sequence = time_ns // step_ns & _SEQUENCE_MASK
         header = _MESSAGE.pack(Opcode.MESSAGE, length, channel_id, sequence, time_ns, time_ns)
         records.append(header + data)
+        times.append(time_ns)
         offsets.append(size)
         size += len(header) + len(data)
-    times = np.array([time_ns for time_ns, _ in messages], dtype=np.int64)
-    return MessageBatch(channel_id, b"".join(records), times, np.array(offsets, dtype=np.int64))
+    data = b"".join(records)
+    times_ns = np.array(times, dtype=np.int64)
+    return MessageBatch(channel_id, data, times_ns, np.array(offsets, dtype=np.int64))

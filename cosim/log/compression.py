@@ -79,6 +79,7 @@ def _decompress_zstd(data: bytes, size: int) -> bytes:
 def _decompress_lz4(data: bytes, size: int) -> bytes:
     try:
         # One byte more than declared, to notice a longer chunk.
-        return bytes(lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size + 1))
+        decompressor = lz4.frame.LZ4FrameDecompressor()
+        return bytes(decompressor.decompress(data, max_length=size + 1))
     except (RuntimeError, EOFError) as error:
         raise ValueError(f"a chunk cannot be decompressed: {error}") from error

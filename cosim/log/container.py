@@ -39,7 +39,7 @@ _ATTACHMENT_TIMES = 16  # bytes: log time, creation time
 
 @dataclass(frozen=True, slots=True)
 class _ChunkHeader:
-    """What a chunk's record says of its messages, before their data."""
+    """A chunk's record up to its data."""
 
     first_ns: int
     last_ns: int
@@ -70,13 +70,13 @@ class Container:
             with path.open("rb") as stream:
                 self.contents = walk(path, stream)
                 self.summary = self._read_summary(stream)
-                self._chunk_indexes = {
-                    index.chunk_start_offset: index for index in self.summary.chunk_indexes
-                }
+                chunk_indexes = self.summary.chunk_indexes
+                self._chunk_indexes = {index.chunk_start_offset: index for index in chunk_indexes}
                 self._check_summary()
                 self._check_data(stream)
         except OSError as error:
-            raise LogError(f"{path} cannot be read: {error.strerror or error}") from error
+            reason = error.strerror or error
+            raise LogError(f"{path} cannot be read: {reason}") from error
 
     def open(self) -> BinaryIO:
         """Open the file for a pass.
@@ -89,7 +89,8 @@ class Container:
         try:
             stream = self.path.open("rb")
         except OSError as error:
-            raise LogError(f"{self.path} cannot be read: {error.strerror or error}") from error
+            reason = error.strerror or error
+            raise LogError(f"{self.path} cannot be read: {reason}") from error
         if _identity(os.fstat(stream.fileno())) != self._identity:
             stream.close()
             raise LogError(f"{self.path} has changed since it was opened; open it again")
@@ -150,7 +151,7 @@ class Container:
     def expected_messages(self, channel_id: int, message_bytes: int) -> int:
         """Return for how many messages of a channel to make room.
 
-        As many as the summary says, but no more than the chunks can hold: the summary of a damaged
+        As many as the summary counts, but no more than the chunks can hold: the summary of a damaged
         file may ask for any amount of memory.
         """
         statistics = self.summary.statistics
@@ -186,7 +187,7 @@ class Container:
             for span in self.contents.attachments:
                 stream.seek(span.start + HEADER + _ATTACHMENT_TIMES)
                 length = int.from_bytes(stream.read(4), "little")
-                name = stream.read(min(length, span.size))
+                name = stream.read(min(length, span.size))  # no more, if the length is damaged
                 spans[name.decode(errors="replace")] = span
         return spans
 
@@ -200,8 +201,9 @@ class Container:
         """
         with self.open() as stream:
             record = _read(stream, span)
+        checked = record[HEADER:-4]
         crc = int.from_bytes(record[-4:], "little")
-        if crc and zlib.crc32(record[HEADER:-4]) != crc:
+        if crc and zlib.crc32(checked) != crc:
             raise self.damage_error(span.start, "the CRC of an attachment does not fit its content")
         try:
             return bytes(records.Attachment.read(_content(record)).data)
@@ -234,13 +236,13 @@ class Container:
         index = self._chunk_indexes.get(span.start)
         if index is None:
             return
-        same_times = (index.message_start_time, index.message_end_time) == (
-            header.first_ns,
-            header.last_ns,
+        differs = (
+            index.message_start_time != header.first_ns
+            or index.message_end_time != header.last_ns
+            or index.uncompressed_size != header.size
+            or index.compression != header.compression
         )
-        same_size = index.uncompressed_size == header.size
-        same_compression = index.compression == header.compression
-        if not (same_times and same_size and same_compression):
+        if differs:
             raise ValueError("a chunk differs from its index")
 
     def _read_summary(self, stream: BinaryIO) -> Summary:
@@ -255,7 +257,8 @@ class Container:
             stream.seek(footer.summary_start)
             data = stream.read()
             # The CRC covers the summary and the footer up to the CRC itself, its last four bytes.
-            checked = data[: footer_span.stop - footer.summary_start - 4]
+            crc_position = footer_span.stop - 4
+            checked = data[: crc_position - footer.summary_start]
             if footer.summary_crc and zlib.crc32(checked) != footer.summary_crc:
                 raise ValueError("the CRC of the summary does not fit its content")
             for record in StreamReader(BytesIO(data), skip_magic=True).records:
@@ -266,10 +269,11 @@ class Container:
 
     def _check_summary(self) -> None:
         """Compare the pieces of the file with its summary."""
-        chunks = self.contents.chunks
+        contents = self.contents
+        chunks = contents.chunks
         statistics = self.summary.statistics
         if statistics is not None:
-            counts = (len(chunks), len(self.contents.metadata), len(self.contents.attachments))
+            counts = (len(chunks), len(contents.metadata), len(contents.attachments))
             needed = (
                 statistics.chunk_count,
                 statistics.metadata_count,
@@ -280,16 +284,19 @@ class Container:
                     f"{self.path} is damaged: found {counts} chunks, metadata records and"
                     f" attachments, its summary says {needed}"
                 )
-        without_chunk = self._chunk_indexes.keys() - {span.start for span in chunks}
+        chunk_starts = {span.start for span in chunks}
+        without_chunk = self._chunk_indexes.keys() - chunk_starts
         if without_chunk:
             raise self.damage_error(min(without_chunk), "no chunk there, though its index says so")
 
     def _check_data(self, stream: BinaryIO) -> None:
         """Check messages outside chunks, which only the CRC of all data covers."""
         contents = self.contents
-        if len(contents.chunks) == len(contents.data) or not contents.data_crc:
+        is_chunked = len(contents.chunks) == len(contents.data)
+        if is_chunked or not contents.data_crc:
             return
-        if _crc(stream, contents.data_end) != contents.data_crc:
+        crc = _crc(stream, contents.data_end)
+        if crc != contents.data_crc:
             raise self.damage_error(contents.data_end, "the CRC of the data does not fit")
 
 
@@ -302,7 +309,8 @@ def _read_chunk_header(stream: BinaryIO, span: RecordSpan) -> _ChunkHeader:
         If the record is too short.
     """
     stream.seek(span.start + HEADER)
-    first_ns, last_ns, size, crc = _CHUNK_HEADER.unpack(stream.read(_CHUNK_HEADER.size))
+    fixed = stream.read(_CHUNK_HEADER.size)
+    first_ns, last_ns, size, crc = _CHUNK_HEADER.unpack(fixed)
     name_length = int.from_bytes(stream.read(4), "little")
     compression = stream.read(min(name_length, _LONGEST_NAME)).decode()
     (data_length,) = struct.unpack("<Q", stream.read(8))

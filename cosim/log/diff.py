@@ -24,6 +24,8 @@ DifferenceStatus: TypeAlias = Literal[
 # Rows of a and of b at the same instants; None: all, one by one.
 SharedRows: TypeAlias = tuple[NDArray[np.intp], NDArray[np.intp]] | None
 
+_INSTANT = np.dtype([("time", "<i8"), ("count", "<i8")])
+
 
 @dataclass(frozen=True, slots=True)
 class ElementDifference:
@@ -98,7 +100,7 @@ class LogDifference:
 
     @property
     def within(self) -> bool:
-        """Whether all signals are there at the same times, within the tolerance."""
+        """Whether both runs have all signals at the same times, within the tolerance."""
         return all(row.status in {"equal", "within"} for row in self.rows)
 
     @property
@@ -109,15 +111,17 @@ class LogDifference:
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as JSON values."""
-        rows = [{**asdict(row), "ratio": row.ratio} for row in self.rows]
-        first = asdict(self.first) if self.first else None
+        first = self.first
+        signals = []
+        for row in self.rows:
+            signals.append({**asdict(row), "ratio": row.ratio})
         return {
             "equal": self.equal,
             "within": self.within,
             "atol": self.atol,
             "rtol": self.rtol,
-            "first": first,
-            "signals": rows,
+            "first": None if first is None else asdict(first),
+            "signals": signals,
         }
 
 
@@ -127,7 +131,7 @@ def diff(a: Recording, b: Recording, *, atol: float = 0.0, rtol: float = 0.0) ->
     Parameters
     ----------
     a, b : Recording
-        ``a`` is the reference: its signals give the scales.
+        ``a`` is the reference: the scales are those of its signals.
     atol : float
         In the unit of each signal.
     rtol : float
@@ -136,11 +140,12 @@ def diff(a: Recording, b: Recording, *, atol: float = 0.0, rtol: float = 0.0) ->
     signals_a = _signals(a)
     signals_b = _signals(b)
     # Once per component: its signals have the same instants.
-    shared_rows = {
-        component: _shared_rows(a.time_ns(component), b.time_ns(component))
-        for component in a.channels
-        if component in b.channels
-    }
+    shared_rows: dict[str, SharedRows] = {}
+    for component in a.channels:
+        if component in b.channels:
+            times_a = a.time_ns(component)
+            times_b = b.time_ns(component)
+            shared_rows[component] = _shared_rows(times_a, times_b)
     rows = []
     for name in {**signals_a, **signals_b}:
         in_a = signals_a.get(name)
@@ -186,20 +191,21 @@ def _shared_rows(times_a: Nanoseconds, times_b: Nanoseconds) -> SharedRows:
     """Return the rows of a and of b that stand for the same instants."""
     if np.array_equal(times_a, times_b):
         return None
+    instants_a = _instants(times_a)
+    instants_b = _instants(times_b)
     _, rows_a, rows_b = np.intersect1d(
-        _instants(times_a), _instants(times_b), assume_unique=True, return_indices=True
+        instants_a, instants_b, assume_unique=True, return_indices=True
     )
     return rows_a, rows_b
 
 
 def _instants(time_ns: Nanoseconds) -> NDArray[np.void]:
-    """Return the times with the rows of one instant numbered: both limits of a jump.
+    """Return the times, the rows of one instant numbered, so that each limit of a jump is found.
 
-    So each limit pairs with its own. The times are in order, so the first row of an instant is found
-    by bisection.
+    The times are in order: bisection finds the first row of an instant.
     """
     first_rows = np.searchsorted(time_ns, time_ns)
-    instants = np.empty(len(time_ns), dtype=[("time", "<i8"), ("count", "<i8")])
+    instants = np.empty(len(time_ns), dtype=_INSTANT)
     instants["time"] = time_ns
     instants["count"] = np.arange(len(time_ns)) - first_rows
     return instants
@@ -228,20 +234,16 @@ def _compare(
         outside = ~same_bits
     else:
         outside = ~(distance <= tolerance) | np.isinf(distance)
-    return SignalDifference(
-        name,
-        _status(outside, same_bits, same_times=shared is None),
-        (rows_a, rows_b, len(times)),
-        float(distance.max()) if distance.size else 0.0,
-        scale,
-        tolerance,
-        _first_outside(name, outside, times, values_a, values_b),
-    )
+    status = _status(outside, same_bits, same_times=shared is None)
+    largest = float(distance.max(initial=0.0))
+    first = _first_outside(name, outside, times, values_a, values_b)
+    counts = (rows_a, rows_b, len(times))
+    return SignalDifference(name, status, counts, largest, scale, tolerance, first)
 
 
 def _largest_finite(values: Matrix) -> float:
-    finite = np.abs(values[np.isfinite(values)])
-    return float(finite.max()) if finite.size else 0.0
+    finite = values[np.isfinite(values)]
+    return float(np.abs(finite).max(initial=0.0))
 
 
 def _bits(values: Matrix) -> NDArray[np.int64]:
@@ -253,8 +255,8 @@ def _distance(a: Matrix, b: Matrix) -> Matrix:
     with np.errstate(invalid="ignore", over="ignore"):
         distance = np.abs(a - b)
     # Infinity minus itself is NaN, as is everything minus NaN: first what agrees, then the rest.
-    agrees = (a == b) | (np.isnan(a) & np.isnan(b))
-    distance[agrees] = 0.0
+    both_nan = np.isnan(a) & np.isnan(b)
+    distance[(a == b) | both_nan] = 0.0
     distance[np.isnan(distance)] = np.inf
     return distance
 

@@ -62,8 +62,9 @@ class Part:
     @property
     def title(self) -> str:
         """Name of the component, numbered from the second part on."""
+        name = self.channel.name
         number = self.columns.start // MOST_ELEMENTS + 1
-        return self.channel.name if number == 1 else f"{self.channel.name}.{number}"
+        return name if number == 1 else f"{name}.{number}"
 
     @property
     def size(self) -> int:
@@ -119,16 +120,18 @@ def read_part(metadata: Mapping[str, str]) -> Part:
     items = verify_checksum(_CHECKSUM_NAME, metadata)
     step_ns = int(items["cosim.step_ns"])
     period_ns = int(items["cosim.period_ns"])
-    start, stop = (int(edge) for edge in items["cosim.columns"].split(":"))
-    if step_ns < 1 or period_ns % step_ns or not 0 <= stop - start <= MOST_ELEMENTS:
+    start, stop = map(int, items["cosim.columns"].split(":"))
+    is_periodic = step_ns >= 1 and period_ns % step_ns == 0
+    if not is_periodic or not 0 <= stop - start <= MOST_ELEMENTS:
         raise ValueError(
             f"period {period_ns} ns, step {step_ns} ns, columns {start}:{stop} do not fit together"
         )
-    interface = _read_interface(
-        json.loads(items["cosim.signals"]), json.loads(items.get("cosim.initial", "{}"))
-    )
+    signals = json.loads(items["cosim.signals"])
+    initial = json.loads(items.get("cosim.initial", "{}"))
+    interface = _read_interface(signals, initial)
     first_column = int(items["cosim.start"])
-    channel = Channel(items["cosim.component"], interface, first_column, period_ns // step_ns)
+    period = period_ns // step_ns
+    channel = Channel(items["cosim.component"], interface, first_column, period)
     return Part(channel, items["cosim.kind"], step_ns, slice(start, stop))
 
 
@@ -159,23 +162,30 @@ def _signal_entry(signal: Signal, causality: str) -> dict[str, Any]:
 
 
 def _read_interface(entries: list[dict[str, Any]], initial: Mapping[str, Any]) -> Interface:
-    signals: dict[str, list[Signal]] = {"input": [], "output": []}
+    inputs: list[Signal] = []
+    outputs: list[Signal] = []
     feedthrough = {}
     for entry in entries:
         fields = dict(entry)
-        # Causality and feedthrough first: they are of the interface, and no field of a signal.
+        # First: causality and feedthrough belong to the interface, and are no fields of a signal.
         causality = fields.pop("causality")
         if "feedthrough" in fields:
             feedthrough[fields["name"]] = _input_names(fields.pop("feedthrough"))
-        if "base" in fields:
-            base = fields["base"]
-            fields["base"] = BaseUnit(**base | {"exponents": tuple(base["exponents"])})
-        fields["start"] = tuple(fields.get("start", ()))
-        signals[causality].append(Signal(**fields))
+        signals = {"input": inputs, "output": outputs}[causality]
+        signals.append(_read_signal(fields))
     initial_dependencies = {output: _input_names(names) for output, names in initial.items()}
-    return Interface(
-        tuple(signals["input"]), tuple(signals["output"]), feedthrough, initial_dependencies
-    )
+    return Interface(tuple(inputs), tuple(outputs), feedthrough, initial_dependencies)
+
+
+def _read_signal(fields: dict[str, Any]) -> Signal:
+    values = dict(fields)
+    # JSON has no tuples, and a list would make the signal differ from the one recorded.
+    values["start"] = tuple(fields.get("start", ()))
+    if "base" in fields:
+        base = dict(fields["base"])
+        base["exponents"] = tuple(base["exponents"])
+        values["base"] = BaseUnit(**base)
+    return Signal(**values)
 
 
 def _input_names(names: list[str] | None) -> tuple[str, ...] | None:
@@ -194,8 +204,9 @@ def record_dtype(size: int) -> np.dtype[np.void]:
         ("publish_time", "<u8"),
     ]
     for tag_bytes, (name, first, stop) in enumerate(_GROUPS, start=1):
-        count = min(size + 1, stop) - first
-        if count > 0:
+        if size >= first:
+            last = min(size, stop - 1)
+            count = last - first + 1
             element = [("tag", "u1", (tag_bytes,)), ("value", "<f8")]
             fields.append((name, element, (count,)))
     return np.dtype(fields)
@@ -221,9 +232,10 @@ def field_tags(size: int) -> dict[str, NDArray[np.uint8]]:
     """
     tags = {}
     for tag_bytes, (name, first, stop) in enumerate(_GROUPS, start=1):
-        numbers = np.arange(first, min(size + 1, stop), dtype=np.int64)
-        if not len(numbers):
+        if size < first:
             continue
+        last = min(size, stop - 1)
+        numbers = np.arange(first, last + 1, dtype=np.int64)
         keys = (numbers << 3) | _DOUBLE_WIRE_TYPE
         varint = np.empty((len(keys), tag_bytes), dtype=np.uint8)
         for position in range(tag_bytes):
@@ -238,8 +250,8 @@ def group_columns(size: int) -> dict[str, slice]:
     columns = {}
     for name, first, stop in _GROUPS:
         if size >= first:
-            # Field numbers begin at 1, elements at 0.
-            columns[name] = slice(first - 1, min(size + 1, stop) - 1)
+            last = min(size, stop - 1)
+            columns[name] = slice(first - 1, last)  # field numbers begin at 1, elements at 0
     return columns
 
 
@@ -255,8 +267,7 @@ def copy_values(records: Records, target: Matrix) -> None:
     tags = field_tags(size)
     for name, columns in group_columns(size).items():
         # Before the values: the same bytes behind other tags are other fields, or another type.
-        record_tags = records[name]["tag"]
-        if not np.array_equal(record_tags, np.broadcast_to(tags[name], record_tags.shape)):
+        if (records[name]["tag"] != tags[name]).any():
             raise ValueError(
                 "messages with other fields than declared: written or re-encoded by another tool"
             )

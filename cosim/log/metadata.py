@@ -23,7 +23,7 @@ CHECKSUM = "cosim.sha256"
 
 
 def compact(value: Any) -> str:
-    """Write JSON without spaces, in ASCII: equal values give equal text."""
+    """Write JSON without spaces, in ASCII: equal values have equal text."""
     return json.dumps(value, separators=(",", ":"))
 
 
@@ -44,8 +44,9 @@ def verify_checksum(name: str, items: Mapping[str, str]) -> dict[str, str]:
     """
     if CHECKSUM not in items and not name.startswith(PREFIX):
         return dict(items)
-    content = {key: value for key, value in items.items() if key != CHECKSUM}
-    if items.get(CHECKSUM) != _checksum(name, content):
+    content = dict(items)
+    checksum = content.pop(CHECKSUM, None)
+    if checksum != _checksum(name, content):
         raise ValueError(f"metadata {name!r} is damaged: its checksum does not fit its content")
     return content
 
@@ -60,7 +61,8 @@ def encode_design(design: Design) -> str:
     """Write arrays as JSON, bit for bit: shape, and base64 of the doubles in C order."""
     entries = {}
     for name, array in design.items():
-        entries[name] = {"shape": list(np.shape(array)), "data": _encode_doubles(array)}
+        shape = list(np.shape(array))
+        entries[name] = {"shape": shape, "data": _encode_doubles(array)}
     return compact(entries)
 
 
@@ -86,5 +88,6 @@ def decode_design(text: str) -> dict[str, NDArray[np.float64]]:
 
 
 def _decode_doubles(data: str) -> NDArray[np.float64]:
-    little_endian = np.frombuffer(base64.b64decode(data, validate=True), dtype="<f8")
+    decoded = base64.b64decode(data, validate=True)
+    little_endian = np.frombuffer(decoded, dtype="<f8")
     return little_endian.astype(np.float64)

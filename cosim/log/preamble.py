@@ -1,4 +1,4 @@
-"""What stands in a log before the first row: schemas, channels, metadata, attachments."""
+"""The start of a log, before the first row: schemas, channels, metadata, attachments."""
 
 from __future__ import annotations
 
@@ -30,8 +30,9 @@ def write_parts(sink: Sink, parts: Sequence[Part]) -> list[int]:
     messages = identifiers([part.title for part in parts])
     channel_ids = []
     for part, message in zip(parts, messages, strict=True):
+        topic = f"/{part.title}"
         schema = (f"cosim.{message}", component_schema(message, part.elements))
-        channel_id = sink.channel(f"/{part.title}", schema=schema, metadata=part.metadata)
+        channel_id = sink.channel(topic, schema=schema, metadata=part.metadata)
         channel_ids.append(channel_id)
     return channel_ids
 
@@ -64,18 +65,18 @@ def _complete_metadata(
 
 
 def _own_metadata(plan: Plan) -> dict[str, dict[str, str]]:
+    stages = compact(list(plan.schedule))
     records = {
         "cosim.run": {"format": FORMAT},
         "cosim.env": environment(),
-        "cosim.schedule": {
-            "step_ns": str(plan.step_ns),
-            "stages": compact(list(plan.schedule)),
-        },
+        "cosim.schedule": {"step_ns": str(plan.step_ns), "stages": stages},
     }
     for channel in plan.layout.channels:
-        held = [bool(value) for value in plan.held.get(channel.name, ())]
-        records[f"cosim.component.{channel.name}"] = {
-            "cosim.design": encode_design(plan.designs.get(channel.name, {})),
+        name = channel.name
+        design = plan.designs.get(name, {})
+        held = [bool(value) for value in plan.held.get(name, ())]
+        records[f"cosim.component.{name}"] = {
+            "cosim.design": encode_design(design),
             "cosim.held": compact(held),
         }
     return records

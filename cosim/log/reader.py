@@ -162,8 +162,9 @@ class Log:
     def signals(self) -> list[str]:
         """Return the names of all signals, ``component.signal``."""
         names = []
-        for name, channel in self._channels.items():
-            names += [f"{name}.{signal.name}" for signal in channel.signals]
+        for component, channel in self._channels.items():
+            for signal in channel.signals:
+                names.append(f"{component}.{signal.name}")
         return names
 
     def __getitem__(self, signal: str) -> NDArray[np.float64]:
@@ -171,7 +172,8 @@ class Log:
 
         Shape (N,) for size 1, else (N, size).
         """
-        channel, columns = find_signal(self._channels, signal, source=str(self.path))
+        source = str(self.path)
+        channel, columns = find_signal(self._channels, signal, source=source)
         first = columns.start - channel.start
         stop = columns.stop - channel.start
         values = self.rows(channel.name)[:, first:stop]
@@ -192,21 +194,22 @@ class Log:
         """Return the instants of a signal's or component's rows, shape (N,) [s]."""
         component = name
         if "." in name:
-            channel, _ = find_signal(self._channels, name, source=str(self.path))
+            source = str(self.path)
+            channel, _ = find_signal(self._channels, name, source=source)
             component = channel.name
         return self.time_ns(component) / 1e9
 
     def load(self, *components: str) -> None:
         """Read several components in one pass over the file; none named: all."""
-        missing = [name for name in components or self._channels if name not in self._rows]
+        wanted = components or tuple(self._channels)
+        missing = [name for name in wanted if name not in self._rows]
         self._rows.update(self._read_rows(missing))
 
     def attachment(self, name: str) -> bytes:
         """Return the content of an attachment."""
         if name not in self._attachments:
-            raise LogError(
-                f"{self.path} has no attachment {name!r}; {nearest(name, self._attachments)}"
-            )
+            nearest_names = nearest(name, self._attachments)
+            raise LogError(f"{self.path} has no attachment {name!r}; {nearest_names}")
         return self._file.attachment(self._attachments[name])
 
     def messages(self) -> list[LogMessage]:
@@ -220,7 +223,8 @@ class Log:
             for record in self._other_records():
                 if record.opcode == Opcode.MESSAGE and record.channel_id in channel_ids:
                     time_ns = int.from_bytes(record.content[_LOG_TIME], "little")
-                    messages.append(LogMessage(time_ns, *decode_log(record.content[_DATA])))
+                    level, source, text = decode_log(record.content[_DATA])
+                    messages.append(LogMessage(time_ns, level, source, text))
         except MALFORMED as error:
             raise LogError(f"{self.path} is damaged: {error}") from error
         return sorted(messages, key=lambda message: message.time_ns)
@@ -230,12 +234,16 @@ class Log:
         components = []
         for name, channel in self._channels.items():
             # Rows read for the hash are not kept: a log may be larger than the memory.
-            time_ns, rows = self._rows.get(name) or self._read_rows([name])[name]
+            if name in self._rows:
+                time_ns, rows = self._rows[name]
+            else:
+                time_ns, rows = self._read_rows([name])[name]
             digest = hashlib.sha256()
             for start in range(0, len(rows), _HASHED_ROWS):
-                part = slice(start, start + _HASHED_ROWS)
-                digest.update(hash_input(time_ns[part], rows[part]))
-            components.append((name, signals_json(channel.interface), digest.hexdigest()))
+                stop = start + _HASHED_ROWS
+                digest.update(hash_input(time_ns[start:stop], rows[start:stop]))
+            declaration = signals_json(channel.interface)
+            components.append((name, declaration, digest.hexdigest()))
         return combine_hashes(components)
 
     def _times_and_rows(self, component: str) -> tuple[Nanoseconds, Matrix]:
@@ -292,7 +300,8 @@ class Log:
         ValueError
             If it does not.
         """
-        if record.opcode == Opcode.MESSAGE and record.channel_id not in self._declared:
+        is_declared = record.channel_id in self._declared
+        if record.opcode == Opcode.MESSAGE and not is_declared:
             raise ValueError(f"a message of channel {record.channel_id}, which is declared nowhere")
 
     def _check_counts(self, parts: Mapping[int, SignalRows]) -> None:
@@ -329,10 +338,11 @@ class Log:
                     f"{self.path}: channel {channel.topic!r} cannot be understood: {error}"
                 ) from error
         if not parts:
-            topics = ", ".join(channel.topic for channel in self._declared.values())
+            topics = [channel.topic for channel in self._declared.values()]
+            joined = ", ".join(topics) or "no channels at all"
             raise LogError(
                 f"{self.path} has no channels of cosim, which carry 'cosim.component';"
-                f" found: {topics or 'no channels at all'}"
+                f" found: {joined}"
             )
         return parts
 
@@ -354,19 +364,19 @@ class Log:
         Raises
         ------
         LogError
-            If some columns are missing, or there more than once.
+            If some columns are missing, or recorded more than once.
         """
         spans = sorted((span.start, span.stop) for span in columns)
         column = 0
-        contiguous = True
+        is_contiguous = True
         for start, stop in spans:
-            contiguous &= start == column
+            is_contiguous &= start == column
             column = stop
         width = channel.columns.stop - channel.start
-        if not contiguous or column != width:
+        if not is_contiguous or column != width:
             raise LogError(
-                f"{self.path}: component {channel.name!r} is not there once and whole;"
-                f" its channels hold columns {spans}"
+                f"{self.path}: component {channel.name!r} is not complete: its channels hold"
+                f" columns {spans}, needed 0 to {width} once"
             )
 
     def _read_metadata(self) -> dict[str, Mapping[str, str]]:

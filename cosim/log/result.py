@@ -53,4 +53,6 @@ def write_result(
 
 def _to_json(value: object) -> object:
     """Return numpy values as numbers and lists, and all others, such as paths, as text."""
-    return value.tolist() if isinstance(value, (np.ndarray, np.generic)) else str(value)
+    if isinstance(value, (np.ndarray, np.generic)):
+        return value.tolist()
+    return str(value)

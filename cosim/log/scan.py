@@ -85,7 +85,8 @@ def _record_bounds(data: bytes, position: int) -> tuple[int, int]:
         raise ValueError(f"{len(data) - position} bytes too many in a chunk")
     opcode, length = _RECORD_HEADER.unpack_from(data, position)
     stop = position + HEADER + length
-    if stop > len(data) or (opcode == Opcode.MESSAGE and length < _MESSAGE_HEADER):
+    is_cut = stop > len(data)
+    if is_cut or (opcode == Opcode.MESSAGE and length < _MESSAGE_HEADER):
         raise ValueError(f"a record of {length} bytes does not fit into its chunk")
     return opcode, stop
 
@@ -96,8 +97,9 @@ def _consecutive_messages(data: bytes, position: int, dtype: np.dtype[np.void]) 
     room = (len(data) - position) // size
     key = data[position : position + _MESSAGE_KEY]
     second = position + size
+    second_key = data[second : second + _MESSAGE_KEY]
     # Chunks of other tools mix the channels: a single message is the usual case there, and cheap.
-    if room == 1 or data[second : second + _MESSAGE_KEY] != key:
+    if room == 1 or second_key != key:
         return np.frombuffer(data, dtype, 1, position)
     records = np.frombuffer(data, dtype, room, position)
     first = records[0]

@@ -76,9 +76,9 @@ def component_schema(message: str, elements: Sequence[str]) -> bytes:
     )
     descriptor = file.message_type.add(name=message)
     for number, name in enumerate(identifiers(elements), start=1):
-        descriptor.field.add(
-            name=name, number=number, type=_FIELD.TYPE_DOUBLE, label=_FIELD.LABEL_OPTIONAL
-        )
+        field = descriptor.field.add(name=name, number=number)
+        field.type = _FIELD.TYPE_DOUBLE
+        field.label = _FIELD.LABEL_OPTIONAL
     return bytes(descriptor_pb2.FileDescriptorSet(file=[file]).SerializeToString())
 
 
@@ -90,7 +90,8 @@ def log_schema() -> bytes:
 
 def encode_log(time_ns: int, level: MessageLevel, source: str, text: str) -> bytes:
     """Serialize a ``foxglove.Log``."""
-    message = _log_message()(level=LEVELS.index(level) + 1, message=text, name=source)
+    number = LEVELS.index(level) + 1
+    message = _log_message()(level=number, message=text, name=source)
     message.timestamp.FromNanoseconds(time_ns)
     # Deterministic: the files of equal runs have equal bytes.
     return bytes(message.SerializeToString(deterministic=True))

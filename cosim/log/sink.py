@@ -85,7 +85,8 @@ class Sink:
         self._chunks: list[_WrittenChunk] = []
         self._metadata: list[records.MetadataIndex] = []
         self._attachments: list[records.AttachmentIndex] = []
-        self.append(MCAP0_MAGIC + encoded(records.Header(profile="", library=library)))
+        header = encoded(records.Header(profile="", library=library))
+        self.append(MCAP0_MAGIC + header)
 
     def append(self, data: bytes) -> int:
         """Write whole records; return the position they begin at."""
@@ -103,13 +104,10 @@ class Sink:
 
     def mark(self) -> Mark:
         """Return the position reached."""
-        return Mark(
-            position=self._position,
-            crc=self._crc,
-            chunks=len(self._chunks),
-            metadata=len(self._metadata),
-            attachments=len(self._attachments),
-        )
+        chunks = len(self._chunks)
+        metadata = len(self._metadata)
+        attachments = len(self._attachments)
+        return Mark(self._position, self._crc, chunks, metadata, attachments)
 
     def rewind(self, mark: Mark) -> None:
         """Forget, on the disk too, what was written since ``mark``."""
@@ -145,7 +143,8 @@ class Sink:
         """Write a metadata record."""
         data = encoded(records.Metadata(name=name, metadata=items))
         start = self.append(data)
-        self._metadata.append(records.MetadataIndex(offset=start, length=len(data), name=name))
+        index = records.MetadataIndex(offset=start, length=len(data), name=name)
+        self._metadata.append(index)
 
     def attachment(self, name: str, media_type: str, content: bytes) -> None:
         """Write an attachment, at time 0."""
@@ -170,36 +169,40 @@ class Sink:
         content = b"".join(batch.data for batch in batches)
         compressed = compress(content, compression)
         name = "" if compression == "none" else compression
-        first_ns = min(int(batch.time_ns.min()) for batch in batches)
-        last_ns = max(int(batch.time_ns.max()) for batch in batches)
+        first_ns = int(min(batch.time_ns.min() for batch in batches))
+        last_ns = int(max(batch.time_ns.max() for batch in batches))
 
-        header = _CHUNK_HEADER.pack(first_ns, last_ns, len(content), zlib.crc32(content))
-        header += struct.pack("<I", len(name)) + name.encode()
+        crc = zlib.crc32(content)
+        header = _CHUNK_HEADER.pack(first_ns, last_ns, len(content), crc)
+        header += struct.pack("<I", len(name))
+        header += name.encode()
         header += struct.pack("<Q", len(compressed))
         length = len(header) + len(compressed)
         record_header = _RECORD_HEADER.pack(Opcode.CHUNK, length)
         indexes = _message_indexes(batches)
         # One write: chunk and indexes are on the disk together, or rewound together.
-        start = self.append(b"".join([record_header, header, compressed, *indexes]))
+        data = b"".join([record_header, header, compressed, *indexes])
+        start = self.append(data)
 
         chunk_length = _RECORD_HEADER.size + length
         index_offsets: dict[int, int] = {}
-        index_start = start + chunk_length
+        counts: dict[int, int] = {}
+        index_length = 0
         for batch, index in zip(batches, indexes, strict=True):
-            index_offsets[batch.channel_id] = index_start
-            index_start += len(index)
+            index_offsets[batch.channel_id] = start + chunk_length + index_length
+            counts[batch.channel_id] = len(batch.time_ns)
+            index_length += len(index)
         chunk_index = records.ChunkIndex(
             chunk_length=chunk_length,
             chunk_start_offset=start,
             compression=name,
             compressed_size=len(compressed),
             message_end_time=last_ns,
-            message_index_length=sum(len(index) for index in indexes),
+            message_index_length=index_length,
             message_index_offsets=index_offsets,
             message_start_time=first_ns,
             uncompressed_size=len(content),
         )
-        counts = {batch.channel_id: len(batch.time_ns) for batch in batches}
         self._chunks.append(_WrittenChunk(chunk_index, counts))
 
     def close(self) -> None:
@@ -212,14 +215,16 @@ class Sink:
             encoded_group = encoded(*group)
             if encoded_group:
                 group_start = start + len(summary)
-                offsets.append(records.SummaryOffset(opcode, group_start, len(encoded_group)))
+                offset = records.SummaryOffset(opcode, group_start, len(encoded_group))
+                offsets.append(offset)
             summary += encoded_group
         offset_start = start + len(summary)
         summary += encoded(*offsets)
         # The CRC covers the summary and the footer up to the CRC itself.
         footer_head = struct.pack("<BQQQ", Opcode.FOOTER, _FOOTER_LENGTH, start, offset_start)
-        footer = records.Footer(start, offset_start, zlib.crc32(summary + footer_head))
-        self.append(data_end + summary + encoded(footer) + MCAP0_MAGIC)
+        crc = zlib.crc32(summary + footer_head)
+        footer = encoded(records.Footer(start, offset_start, crc))
+        self.append(data_end + summary + footer + MCAP0_MAGIC)
         self._stream.close()
 
     def abandon(self) -> None:
@@ -240,15 +245,16 @@ class Sink:
         for chunk in self._chunks:
             for channel_id, count in chunk.counts.items():
                 counts[channel_id] += count
-        indexes = [chunk.index for chunk in self._chunks]
+        starts = [chunk.index.message_start_time for chunk in self._chunks]
+        ends = [chunk.index.message_end_time for chunk in self._chunks]
         return records.Statistics(
             attachment_count=len(self._attachments),
             channel_count=len(self._channels),
             channel_message_counts=counts,
             chunk_count=len(self._chunks),
             message_count=sum(counts.values()),
-            message_end_time=max((index.message_end_time for index in indexes), default=0),
-            message_start_time=min((index.message_start_time for index in indexes), default=0),
+            message_end_time=max(ends, default=0),
+            message_start_time=min(starts, default=0),
             metadata_count=len(self._metadata),
             schema_count=len(self._schemas),
         )

@@ -52,11 +52,13 @@ class UnfinishedLog:
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             kept_name = self.path.name[:_KEPT_NAME]
-            # Assigned before the file is created: an interrupt between the two must not leave it.
-            self._hidden_path = self.path.with_name(f".{kept_name}.{secrets.token_hex(4)}")
+            hidden_name = f".{kept_name}.{secrets.token_hex(4)}"
+            self._hidden_path = self.path.with_name(hidden_name)
+            # After the path is known: an error or interrupt in here must not leave the file.
             self._stream = create(self._hidden_path)
         except OSError as error:
-            raise LogError(f"{self.path} cannot be created: {error.strerror or error}") from error
+            reason = error.strerror or error
+            raise LogError(f"{self.path} cannot be created: {reason}") from error
         return self._stream
 
     def publish(self) -> None:
@@ -81,7 +83,8 @@ class UnfinishedLog:
                 f"{self.path} exists by now; choose another path, or --force to replace it"
             ) from error
         except OSError as error:
-            raise LogError(f"{self.path} cannot be created: {error.strerror or error}") from error
+            reason = error.strerror or error
+            raise LogError(f"{self.path} cannot be created: {reason}") from error
         self.published = True
 
     def discard(self) -> None:

@@ -71,10 +71,12 @@ class FileContents:
 
     def _add_message(self, message: RecordSpan) -> None:
         """Lengthen the last span of messages by the one behind it, or begin another."""
-        if self.data and self.data[-1].opcode == Opcode.MESSAGE:
+        if self.data:
             last = self.data[-1]
-            if last.stop == message.start and message.stop - last.start <= _SPAN_BYTES:
-                self.data[-1] = RecordSpan(Opcode.MESSAGE, last.start, message.stop)
+            joined = RecordSpan(Opcode.MESSAGE, last.start, message.stop)
+            is_adjacent = last.opcode == Opcode.MESSAGE and last.stop == message.start
+            if is_adjacent and joined.size <= _SPAN_BYTES:
+                self.data[-1] = joined
                 return
         self.data.append(message)
 
@@ -98,7 +100,8 @@ def walk(path: Path, stream: BinaryIO) -> FileContents:
     while opcode != Opcode.FOOTER:
         stream.seek(position)
         header = stream.read(HEADER)
-        stop = position + HEADER + int.from_bytes(header[1:], "little")
+        length = int.from_bytes(header[1:], "little")
+        stop = position + HEADER + length
         if len(header) < HEADER or stop > size:
             raise _incomplete(path, stream, contents, position=position, size=size)
         opcode = header[0]
@@ -135,7 +138,8 @@ def _rescue(stream: BinaryIO, contents: FileContents) -> str:
     chunks = contents.chunks
     if not chunks:
         return "no row is whole: run it again"
-    stream.seek(chunks[-1].start + HEADER + 8)  # behind the time of its first message
+    last = chunks[-1]
+    stream.seek(last.start + HEADER + 8)  # behind the time of its first message
     end_ns = int.from_bytes(stream.read(8), "little")
     return f"it is whole up to t = {end_ns / 1e9} s: run it again, or save that with 'mcap recover'"
 

@@ -132,7 +132,7 @@ class McapRecorder:
                 self._sink = None
 
     def _is_worth_keeping(self, error: BaseException | None) -> bool:
-        """Return whether there are rows, or why there are none belongs in a log."""
+        """Return whether the log has rows, or must record why it has none."""
         return self._file.published or error is None or isinstance(error, RunError)
 
     def begin(self, plan: Plan) -> None:
@@ -155,13 +155,15 @@ class McapRecorder:
                 sink, plan, metadata=self._metadata, attachments=self._attachments
             )
         except OSError as error:
-            raise LogError(f"{self.path} cannot be written: {error.strerror or error}") from error
+            reason = error.strerror or error
+            raise LogError(f"{self.path} cannot be written: {reason}") from error
         self._interfaces: dict[str, Interface] = {}
         self._hashes: dict[str, hashlib._Hash] = {}
         for channel in plan.layout.channels:
             self._interfaces[channel.name] = channel.interface
             self._hashes[channel.name] = hashlib.sha256()
-        self._buffer = RowBuffer(plan.layout, list(zip(channel_ids, parts, strict=True)))
+        numbered_parts = list(zip(channel_ids, parts, strict=True))
+        self._buffer = RowBuffer(plan.layout, numbered_parts)
         self._step_ns = plan.step_ns
         # Last: with a sink the file is completed, and that needs everything above.
         self._sink = sink
@@ -203,7 +205,8 @@ class McapRecorder:
 
         It goes to ``/cosim/log`` with the next chunk.
         """
-        self._messages.append((time_ns, encode_log(time_ns, level, source, text)))
+        data = encode_log(time_ns, level, source, text)
+        self._messages.append((time_ns, data))
 
     def result(self, values: Mapping[str, Any]) -> None:
         """Add values to ``result.json``, which is written at the end.
@@ -211,7 +214,7 @@ class McapRecorder:
         Parameters
         ----------
         values : mapping of str to JSON values, numpy arrays and numbers, or paths
-            A key given before is replaced.
+            A key that was added before is replaced.
         """
         self._result.update(values)
 
@@ -228,11 +231,10 @@ class McapRecorder:
         assert self._sink is not None
         batches = self._buffer.message_batches()
         if self._messages:
-            batches.append(
-                message_batch(
-                    self._messages, channel_id=self._log_channel_id, step_ns=self._step_ns
-                )
+            batch = message_batch(
+                self._messages, channel_id=self._log_channel_id, step_ns=self._step_ns
             )
+            batches.append(batch)
         if batches:
             self._sink.chunk(batches, self._compression)
         # Before the checkpoint: it takes the hashes and the last row of what the file holds now.
@@ -246,8 +248,9 @@ class McapRecorder:
     def _add_checkpoint(self) -> None:
         """Remember what the file holds now, and when."""
         assert self._sink is not None
-        checkpoint = _Checkpoint(self._sink.mark(), _copied(self._hashes), self._last_row)
-        self._checkpoints.append(checkpoint)
+        mark = self._sink.mark()
+        hashes = _copied(self._hashes)  # the originals go on
+        self._checkpoints.append(_Checkpoint(mark, hashes, self._last_row))
         self._flushed = time.monotonic()
 
     def _fail(self, error: OSError) -> None:
