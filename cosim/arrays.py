@@ -1,4 +1,4 @@
-"""Array types and the few facts about floating point that every layer shares."""
+"""Array types and conversions that every layer shares."""
 
 from __future__ import annotations
 
@@ -12,9 +12,8 @@ Matrix: TypeAlias = NDArray[np.float64]  # shape (n, m)
 Mask: TypeAlias = NDArray[np.bool_]  # shape (n,)
 Nanoseconds: TypeAlias = NDArray[np.int64]  # shape (n,)
 
-NAN = float(
-    np.uint64(0x7FF8000000000000).view(np.float64)
-)  # the one NaN: equal runs have equal bits
+# the one NaN: equal runs have equal bits
+NAN = float(np.uint64(0x7FF8000000000000).view(np.float64))
 
 
 def frozen(values: ArrayLike, ndim: int) -> NDArray[np.float64]:
@@ -33,5 +32,8 @@ def frozen(values: ArrayLike, ndim: int) -> NDArray[np.float64]:
 
 
 def as_columns(values: NDArray[np.float64]) -> Matrix:
-    """Give a recorded signal as a matrix with a column an element, shape (N, size), also where its size is 1."""
+    """Return a recorded signal as a matrix with one column per element.
+
+    Its shape is ``(N, size)``, also where the size is 1 and ``values`` has the shape ``(N,)``.
+    """
     return values[:, np.newaxis] if values.ndim == 1 else values

@@ -47,7 +47,7 @@ class GraphError(UsageError):
 
 
 class AlgebraicLoopError(GraphError):
-    """Outputs that feed through to each other in a circle."""
+    """Outputs that feed through to each other in an algebraic loop."""
 
 
 class ClockError(UsageError):
@@ -55,7 +55,7 @@ class ClockError(UsageError):
 
 
 class AssumptionError(UsageError):
-    """An assumption of the method that does not hold for the system given."""
+    """An assumption of the method that does not hold for the given system."""
 
 
 class FmuError(UsageError):
@@ -63,7 +63,7 @@ class FmuError(UsageError):
 
 
 class LogError(UsageError):
-    """A log that cannot be read."""
+    """A log that cannot be read, or written."""
 
 
 class RunError(CosimError):
@@ -84,11 +84,11 @@ class Interrupted(RunError):
     exit_code = 130
 
 
-def nearest(found: str, known: Iterable[str]) -> str:
-    """Say what was probably meant, and what there is: the tail of a message about an unknown name."""
-    names = list(known)
+def nearest(name: str, known_names: Iterable[str]) -> str:
+    """Return the end of a message about an unknown name: the name probably meant, and all names."""
+    names = list(known_names)
     if not names:
         return "there are none"
-    close = get_close_matches(found, names, n=1, cutoff=0.5)
+    close = get_close_matches(name, names, n=1, cutoff=0.5)
     guess = f"did you mean {close[0]!r}? " if close else ""
     return f"{guess}There is: {', '.join(names)}"

@@ -1,14 +1,16 @@
-"""Units: what they are in SI base units, and how a value in one becomes a value in another (FMI 2.0.4 section 2.2.2).
+"""Physical units in SI base units, and the conversion between them (FMI 2.0.4 section 2.2.2).
 
-A value v in a unit is ``factor v + offset`` in its base unit, a product of powers of ``BASE``. Two units can be converted where
-these powers are the same. FMI asks for identical powers of the radian too: an angle does not drive a number, nor rad/s 1/s; only
-the dimensional analysis of equations takes rad as 1 (FMI 3.0 section 2.4.4). A conversion computes, in this order,
+A value v in a unit is ``factor v + offset`` in its base unit, a product of powers of ``BASE``. Two
+units can be converted where these powers are the same. FMI requires identical powers of the radian
+too: an angle does not drive a number, nor rad/s 1/s; only the dimensional analysis of equations
+takes rad as 1 (FMI 3.0 section 2.4.4). A conversion computes, in this order,
 
     v2 = ((v1 * factor1 + offset1) - offset2) / factor2
 
-and copies the bits where both units are the same. What a unit is, its definition says, else its name: ``m/s2``, ``kN.m``,
-``kg.m2/s^2``, ``degC``. A ``/`` divides by the one factor after it. A temperature in degC has an offset; in a product, such as
-W/degC, it is a difference and has none.
+and copies the bits where both units are the same. The meaning of a unit is its definition where
+there is one, else that of its name: ``m/s2``, ``kN.m``, ``kg.m2/s^2``, ``degC``. A ``/`` divides by
+the one factor after it. A temperature in degC has an offset; in a product, such as W/degC, it is a
+difference and has none.
 """
 
 from __future__ import annotations
@@ -63,41 +65,51 @@ _PREFIX: Final = {
     "M": Fraction(10**6),
     "G": Fraction(10**9),
 }
-_PREFIXED: Final[Mapping[str, str]] = {  # only what is in use, and has one reading: no Gs (gauss), no cd (candela), no min
-    "m": "pnumck", "s": "num", "g": "num", "A": "pnumk", "K": "m", "mol": "umk", "rad": "um", "Hz": "mkMG", "N": "umkM",
-    "Pa": "hkMG", "bar": "m", "J": "mkMG", "W": "numkMG", "C": "pnum", "V": "numkM", "Ohm": "mkMG", "S": "um", "F": "pnum",
-    "H": "num", "Wb": "m", "T": "num",
+# only what is in use, and has one reading: no Gs (gauss), no cd (candela), no min
+_PREFIXED: Final[Mapping[str, str]] = {
+    "m": "pnumck", "s": "num", "g": "num", "A": "pnumk", "K": "m", "mol": "umk", "rad": "um",
+    "Hz": "mkMG", "N": "umkM", "Pa": "hkMG", "bar": "m", "J": "mkMG", "W": "numkMG", "C": "pnum",
+    "V": "numkM", "Ohm": "mkMG", "S": "um", "F": "pnum", "H": "num", "Wb": "m", "T": "num",
 }  # fmt: skip
-_ROUNDED: Final = (
-    1e-9  # definitions of one name differ by the digits that were written, not by more
-)
+_ROUNDED: Final = 1e-9  # definitions of one name differ only by the digits that were written
 
 
 @dataclass(frozen=True, slots=True)
 class BaseUnit:
-    """A value in it is ``factor * value + offset`` in a product of powers of ``BASE`` (FMI 2.0.4 section 2.2.2)."""
+    """The meaning of a unit (FMI 2.0.4 section 2.2.2).
+
+    A value in it is ``factor * value + offset`` in the product of powers of ``BASE`` with these
+    ``exponents``.
+
+    Raises
+    ------
+    ValueError
+        If a number is not finite or the factor is 0.
+    """
 
     exponents: tuple[int, ...]
     factor: float = 1.0
     offset: float = 0.0
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.factor) and self.factor and math.isfinite(self.offset)):
+        finite = math.isfinite(self.factor) and math.isfinite(self.offset)
+        if not finite or self.factor == 0.0:
             raise ValueError(
-                f"unit: found factor {self.factor} and offset {self.offset}; needed finite numbers, no factor 0"
+                f"unit: found factor {self.factor} and offset {self.offset}; needed finite "
+                "numbers, no factor 0"
             )
 
 
 @dataclass(frozen=True, slots=True)
 class Unit:
-    """A unit by its name, and by what a definition says it is.
+    """A unit by its name, and its definition where there is one.
 
     Parameters
     ----------
     name : str or None
         None: not declared.
     base : BaseUnit or None
-        None: what its name says.
+        None: the meaning of its name.
     """
 
     name: str | None
@@ -105,8 +117,10 @@ class Unit:
 
     @property
     def si(self) -> BaseUnit | None:
-        """What it is in SI; None: not declared, or not known."""
-        return self.base or (None if self.name is None else base_unit(self.name))
+        """The unit in SI; None: not declared, or not known."""
+        if self.base is not None or self.name is None:
+            return self.base
+        return base_unit(self.name)
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,84 +138,110 @@ class Conversion:
         return self.factor1 == self.factor2 and self.offset1 == self.offset2
 
     def __call__(self, values: Values) -> Values:
-        """Convert."""
-        return (
-            values
-            if self.copies
-            else ((values * self.factor1 + self.offset1) - self.offset2) / self.factor2
-        )
+        """Convert a value or an array of them."""
+        if self.copies:
+            return values
+        base_values = values * self.factor1 + self.offset1
+        return (base_values - self.offset2) / self.factor2
 
     def __str__(self) -> str:
-        return f"((v * {self.factor1!r} + {self.offset1!r}) - {self.offset2!r}) / {self.factor2!r}"
+        base_value = f"(v * {self.factor1!r} + {self.offset1!r})"
+        return f"({base_value} - {self.offset2!r}) / {self.factor2!r}"
 
 
 def conversion(first: Unit, second: Unit) -> Conversion | None:
-    """Say how a value in ``first`` becomes one in ``second``; None where it cannot.
+    """Return the conversion of a value in ``first`` to one in ``second``; None where there is none.
 
-    Where one is not declared there is nothing to compare. One name is one unit where at most one of the two is defined, or both
-    are to within their written digits; other names need a meaning each, and the same powers of the base units.
+    Where one is not declared there is nothing to compare. One name is one unit where at most one of
+    the two is defined, or both are to within their written digits; other names need a meaning each,
+    and the same powers of the base units.
     """
-    if (
-        first.name is None
-        or second.name is None
-        or (first.name == second.name and _agree(first.base, second.base))
-    ):
+    if first.name is None or second.name is None:
         return Conversion()
-    one, other = first.si, second.si
-    if one is None or other is None or one.exponents != other.exponents:
+    if first.name == second.name and _agree(first.base, second.base):
+        return Conversion()
+    source = first.si
+    target = second.si
+    if source is None or target is None or source.exponents != target.exponents:
         return None
-    return Conversion(one.factor, one.offset, other.offset, other.factor)
-
-
-def _agree(one: BaseUnit | None, other: BaseUnit | None) -> bool:
-    if one is None or other is None:
-        return True
-    pairs = ((one.factor, other.factor), (one.offset, other.offset))
-    return one.exponents == other.exponents and all(
-        math.isclose(*pair, rel_tol=_ROUNDED) for pair in pairs
-    )
+    return Conversion(source.factor, source.offset, target.offset, target.factor)
 
 
 def base_unit(unit: str) -> BaseUnit | None:
-    """Read the name of a unit; None where a part of it is not known."""
-    exponents, factor, pi, sign = dict.fromkeys(BASE, 0), _ONE, 0, 1
+    """Return the meaning of the name of a unit; None where a part of it is not known."""
+    exponents = dict.fromkeys(BASE, 0)
+    factor = _ONE
+    pi_power = 0
+    sign = 1
     for part in re.split(r"([./*])", unit):
         if part in (".", "*", "/"):
             sign = -1 if part == "/" else 1
             continue
-        found = re.fullmatch(r"([A-Za-z]+|1)\^?(-?\d)?", part.strip())
-        symbol = _symbol(found[1]) if found else None
-        if not found or symbol is None:
+        parsed = _parse_factor(part)
+        if parsed is None:
             return None
-        name, scale, powers = symbol
-        power = sign * int(found[2] or 1)
-        factor *= scale**power
-        pi += power * (name in _TIMES_PI)
-        for base, exponent in powers.items():
-            exponents[base] += exponent * power
-    size = _float(factor, pi)
-    return (
-        BaseUnit(tuple(exponents.values()), size, _CELSIUS if unit.strip() == "degC" else 0.0)
-        if size
-        else None
-    )
+        symbol, exponent = parsed
+        power = sign * exponent
+        factor *= symbol.factor**power
+        pi_power += power * symbol.times_pi
+        for base, base_exponent in symbol.exponents.items():
+            exponents[base] += base_exponent * power
+    size = _rounded(factor, pi_power)
+    if size is None:
+        return None
+    offset = _CELSIUS if unit.strip() == "degC" else 0.0
+    return BaseUnit(tuple(exponents.values()), size, offset)
 
 
-def _symbol(text: str) -> tuple[str, Fraction, Mapping[str, int]] | None:
-    """Give the symbol without its prefix, its factor but for pi, and its powers."""
-    if text in _DERIVED:
-        return text, *_DERIVED[text]
-    if text in BASE:
-        return text, _ONE, {text: 1}
-    prefix, symbol = text[:1], text[1:]
+@dataclass(frozen=True, slots=True)
+class _Symbol:
+    """A symbol with its prefix: its factor, times pi where ``times_pi``, and its powers of BASE."""
+
+    factor: Fraction
+    times_pi: bool
+    exponents: Mapping[str, int]
+
+
+def _parse_factor(part: str) -> tuple[_Symbol, int] | None:
+    """Read one factor of a unit, like ``mm``, ``s2`` or ``s^-1``: its symbol and its exponent."""
+    match = re.fullmatch(r"([A-Za-z]+|1)\^?(-?\d)?", part.strip())
+    symbol = _parse_symbol(match[1]) if match else None
+    if match is None or symbol is None:
+        return None
+    return symbol, int(match[2] or 1)
+
+
+def _parse_symbol(name: str) -> _Symbol | None:
+    if name in _DERIVED or name in BASE:
+        return _plain_symbol(name)
+    prefix = name[:1]
+    symbol = name[1:]
     if prefix not in _PREFIXED.get(symbol, ""):
         return None
-    scale, powers = _DERIVED.get(symbol, (_ONE, {symbol: 1}))
-    return symbol, _PREFIX[prefix] * scale, powers
+    plain = _plain_symbol(symbol)
+    return _Symbol(_PREFIX[prefix] * plain.factor, plain.times_pi, plain.exponents)
 
 
-def _float(factor: Fraction, pi: int) -> float:
-    """Round once where there is no pi; 0 where it is no number of ordinary size."""
+def _plain_symbol(name: str) -> _Symbol:
+    """Return a symbol without a prefix, derived or of ``BASE``."""
+    factor, exponents = _DERIVED.get(name, (_ONE, {name: 1}))
+    return _Symbol(factor, name in _TIMES_PI, exponents)
+
+
+def _rounded(factor: Fraction, pi_power: int) -> float | None:
+    """Round ``factor * pi**pi_power``, once where there is no pi; None beyond ordinary sizes."""
     if not Fraction(1, 10**100) < factor < 10**100:
-        return 0.0
-    return float(factor) if pi == 0 else math.pi**pi * factor.numerator / factor.denominator
+        return None
+    if pi_power == 0:
+        return float(factor)
+    size = math.pi**pi_power * factor.numerator / factor.denominator
+    return size or None
+
+
+def _agree(first: BaseUnit | None, second: BaseUnit | None) -> bool:
+    """Return whether two definitions, where both are given, mean the same to their digits."""
+    if first is None or second is None:
+        return True
+    same_factor = math.isclose(first.factor, second.factor, rel_tol=_ROUNDED)
+    same_offset = math.isclose(first.offset, second.offset, rel_tol=_ROUNDED)
+    return first.exponents == second.exponents and same_factor and same_offset

@@ -45,7 +45,7 @@ class LeastSquaresIdentifier:
         """Give the numbers of the kernel that counts from ``start`` [s]; ``held``: the rows hold over a step."""
         return LeastSquaresConstants(
             unknowns=self.recovery.n_eta,
-            start=start,
+            start_time=start,
             information=0.0 if self.P0 is None else 1.0 / self.P0,
             recovery=[
                 RecoveryConstants(

@@ -1,7 +1,8 @@
 """Compile the C kernels: a hatchling build hook, and the compiler that FMU export uses too.
 
-``cc`` is used where there is one, else the package ``ziglang``, which the hook then asks for as a build dependency. zig always
-gets a target: without one it emits the instructions of the host, fused multiply-adds among them, and the bits would differ.
+``cc`` is used where there is one, else the package ``ziglang``, which the hook then requests as a
+build dependency. zig always gets a target: without one it emits the instructions of the host, fused
+multiply-adds among them, and the bits would differ.
 """
 
 from __future__ import annotations
@@ -20,24 +21,27 @@ HERE = Path(__file__).resolve().parent
 SOURCES = ("loops.c", "linear.c", "expression.c", "estimate.c", "fmi.c")
 FLAGS = ("-std=c11", "-O2", "-ffp-contract=off", "-fPIC", "-shared")
 LIBRARY = f"_cosim{'.dll' if sys.platform == 'win32' else '.so'}"
+_ZIG_SYSTEMS = {"linux": "linux-gnu", "darwin": "macos", "win32": "windows-gnu"}
+_ZIG_MACHINES = {"AMD64": "x86_64", "arm64": "aarch64"}
 
 
 def compiler() -> list[str]:
-    """Give the command of a C compiler; empty where there is none."""
-    found = shutil.which("cc")
-    if found:
-        return [found]
-    if importlib.util.find_spec("ziglang") is not None:
-        system = {"linux": "linux-gnu", "darwin": "macos", "win32": "windows-gnu"}[sys.platform]
-        machine = {"AMD64": "x86_64", "arm64": "aarch64"}.get(
-            platform.machine(), platform.machine()
-        )
-        return cross_compiler(f"{machine}-{system}")
-    return []
+    """Return the command of a C compiler for this machine; empty where there is none."""
+    cc = shutil.which("cc")
+    if cc:
+        return [cc]
+    if importlib.util.find_spec("ziglang") is None:
+        return []
+    system = _ZIG_SYSTEMS[sys.platform]
+    machine = platform.machine()
+    return cross_compiler(f"{_ZIG_MACHINES.get(machine, machine)}-{system}")
 
 
 def cross_compiler(target: str) -> list[str]:
-    """Give the command of a C compiler for another machine, by zig's name of it; empty where there is none."""
+    """Return the command of a C compiler for another machine; empty where there is none.
+
+    ``target`` is zig's name of the machine, like ``x86_64-linux-gnu``.
+    """
     if importlib.util.find_spec("ziglang") is None:
         return []
     return [sys.executable, "-m", "ziglang", "cc", "-target", target]
@@ -50,39 +54,43 @@ def compile_library(
     *,
     command: Sequence[str] | None = None,
 ) -> None:
-    """Compile C sources to a shared library; ``options`` go to the compiler as they are.
+    """Compile C sources to a shared library.
 
-    Without ``command`` the compiler is the one for this machine.
+    Parameters
+    ----------
+    sources : iterable of Path
+    target : Path
+        The library.
+    options : iterable of str
+        Further options of the compiler.
+    command : sequence of str, optional
+        The compiler; by default that of this machine.
 
     Raises
     ------
     RuntimeError
-        If there is no compiler, or it refuses the sources; with the compiler's own words.
+        If there is no compiler, or it refuses the sources; with the compiler's own message.
     """
     command = compiler() if command is None else command
     if not command:
         raise RuntimeError("no C compiler: install one as 'cc', or 'pip install ziglang'")
     libraries = [] if target.suffix == ".dll" else ["-lm"]
-    result = subprocess.run(
-        [*command, *FLAGS, *options, *map(str, sources), "-o", str(target), *libraries],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    inputs = map(str, sources)
+    arguments = [*command, *FLAGS, *options, *inputs, "-o", str(target), *libraries]
+    result = subprocess.run(arguments, capture_output=True, text=True, check=False)
     if result.returncode:
         raise RuntimeError(f"{' '.join(command)} failed:\n{result.stderr}")
 
 
-if (
-    "hatchling" in sys.modules
-):  # a build; elsewhere only the compiler above is wanted, and importing hatchling costs time
+# only in a build: elsewhere importing hatchling would cost time
+if "hatchling" in sys.modules:
     from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
     class KernelBuildHook(BuildHookInterface):  # type: ignore[type-arg,misc,unused-ignore]
-        """Put the compiled kernels into the wheel, or beside their sources for an editable install."""
+        """Add the compiled kernels to the wheel, or to the sources of an editable install."""
 
         def dependencies(self) -> list[str]:
-            """Ask for a compiler where the machine has none."""
+            """Request a compiler where the machine has none."""
             return [] if shutil.which("cc") else ["ziglang"]
 
         def initialize(self, version: str, build_data: dict[str, Any]) -> None:
@@ -90,6 +98,5 @@ if (
             compile_library((HERE / name for name in SOURCES), HERE / LIBRARY)
             build_data["artifacts"].append(f"cosim/native/{LIBRARY}")
             build_data["pure_python"] = False
-            build_data["tag"] = (
-                f"py3-none-{sysconfig.get_platform().replace('-', '_').replace('.', '_')}"
-            )
+            system = sysconfig.get_platform().replace("-", "_").replace(".", "_")
+            build_data["tag"] = f"py3-none-{system}"

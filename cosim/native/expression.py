@@ -1,7 +1,8 @@
-"""A small safe language for functions of time, compiled to a postfix program that the C kernel runs.
+"""A small safe language for functions of time, compiled to a postfix program for the C kernel.
 
-Numbers, ``t``, ``pi``, ``e``, ``+ - * / **``, parentheses, and the functions listed in ``FUNCTIONS``; ``step(x)`` is 1 where
-x >= 0 and 0 elsewhere. Nothing else is evaluated, imported or called.
+Numbers, ``t``, ``pi``, ``e``, ``+ - * / **``, parentheses, ``min``, ``max`` and the functions
+listed in ``FUNCTIONS``; ``step(x)`` is 1 where x >= 0 and 0 elsewhere. Nothing else is evaluated,
+imported or called.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ OPERATIONS = (
     "max",
     "negate",
     *FUNCTIONS,
-)  # expression.c's order
+)  # in the order of expression.c
 _CODE = {name: code for code, name in enumerate(OPERATIONS)}
 _BINARY = {
     ast.Add: "add",
@@ -53,12 +54,16 @@ _BINARY = {
     ast.Pow: "power",
 }
 _CONSTANTS = {"pi": math.pi, "e": math.e}
+_ALLOWED = "only numbers, t, pi, e, + - * / ** and functions are allowed"
 _STACK = 64  # COSIM_STACK of cosim.h
 
 
 @dataclass(frozen=True, slots=True)
 class Program:
-    """A compiled expression: ``code`` (int32) refers to operations, then to ``constants``."""
+    """A compiled expression.
+
+    ``code`` holds an index into ``OPERATIONS`` or, beyond them, into ``constants``.
+    """
 
     text: str
     code: NDArray[np.int32]
@@ -71,93 +76,104 @@ def compile_expression(text: str) -> Program:
     Raises
     ------
     UsageError
-        If the text is no expression of the language; with the place, what was found and what is there instead.
+        If the text is no expression of the language; with the place, what was found and what is
+        possible instead.
     """
-    try:
-        tree = ast.parse(text.strip(), mode="eval")
-    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-        place = (
-            f" at column {error.offset}" if isinstance(error, SyntaxError) and error.offset else ""
-        )
-        raise UsageError(
-            f"expression {text!r}: not an expression{place}; needed something like '1.35 + 0.25*sin(1.7*t)'"
-        ) from error
+    tree = _parse(text)
     compiler = _Compiler(text)
     try:
-        depth = compiler.emit(tree.body)
+        depth = compiler.emit(tree)
     except RecursionError as error:
         raise UsageError(
             f"expression {text!r}: nested too deep to be read; write it with fewer terms"
         ) from error
     if depth > _STACK:
         raise UsageError(f"expression {text!r}: nested {depth} deep, at most {_STACK}")
-    return Program(
-        text, np.array(compiler.code, np.int32), np.array(compiler.constants or [0.0], np.float64)
-    )
+    code = np.array(compiler.code, np.int32)
+    constants = np.array(
+        compiler.constants or [0.0], np.float64
+    )  # never empty: C takes its address
+    return Program(text, code, constants)
+
+
+def _parse(text: str) -> ast.expr:
+    try:
+        return ast.parse(text.strip(), mode="eval").body
+    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+        column = error.offset if isinstance(error, SyntaxError) else None
+        place = f" at column {column}" if column else ""
+        raise UsageError(
+            f"expression {text!r}: not an expression{place}; needed something like "
+            "'1.35 + 0.25*sin(1.7*t)'"
+        ) from error
 
 
 class _Compiler:
+    """The code and constants of one expression; each method returns the stack depth it needs."""
+
     def __init__(self, text: str) -> None:
         self.text = text
         self.code: list[int] = []
         self.constants: list[float] = []
 
-    def refuse(self, found: str, needed: str) -> UsageError:
-        return UsageError(f"expression {self.text!r}: found {found}; {needed}")
-
     def emit(self, node: ast.expr) -> int:
-        """Append the code of a node; return the stack it needs."""
+        """Append the code of a node."""
         match node:
-            case ast.Constant(value=bool() | str() | bytes() | complex() | None):
-                raise self.refuse(f"{node.value!r}", "needed a real number")
-            case ast.Constant(value=int() | float() as value):
-                return self.constant(value)
-            case ast.Name(id="t"):
-                self.code.append(_CODE["t"])
-                return 1
-            case ast.Name(id=name) if name in _CONSTANTS:
-                return self.constant(_CONSTANTS[name])
+            case ast.Constant(value=value):
+                return self._literal(value)
             case ast.Name(id=name):
-                raise self.refuse(
-                    f"unknown name {name!r}",
-                    nearest(name, ["t", *_CONSTANTS, *FUNCTIONS, "min", "max"]),
-                )
+                return self._name(name)
             case ast.UnaryOp(op=ast.UAdd(), operand=operand):
                 return self.emit(operand)
             case ast.UnaryOp(op=ast.USub(), operand=operand):
-                return self.call("negate", [operand])
+                return self._operation("negate", [operand])
             case ast.BinOp(op=operator, left=left, right=right) if type(operator) in _BINARY:
-                return self.call(_BINARY[type(operator)], [left, right])
+                return self._operation(_BINARY[type(operator)], [left, right])
             case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]):
-                return self.function(name, arguments)
-            case _:
-                raise self.refuse(
-                    f"{ast.unparse(node)!r}",
-                    "only numbers, t, pi, e, + - * / ** and functions are allowed",
-                )
+                return self._call(name, arguments)
+        raise self._refusal(repr(ast.unparse(node)), _ALLOWED)
 
-    def constant(self, value: float) -> int:
+    def _literal(self, value: object) -> int:
+        if value is ...:
+            raise self._refusal("'...'", _ALLOWED)
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            raise self._refusal(repr(value), "needed a real number")
+        return self._constant(value)
+
+    def _name(self, name: str) -> int:
+        if name == "t":
+            self.code.append(_CODE["t"])
+            return 1
+        if name not in _CONSTANTS:
+            nearest_name = nearest(name, ["t", *_CONSTANTS, *FUNCTIONS, "min", "max"])
+            raise self._refusal(f"unknown name {name!r}", nearest_name)
+        return self._constant(_CONSTANTS[name])
+
+    def _constant(self, value: float) -> int:
         try:
             number = float(value)
-        except OverflowError:
+        except OverflowError:  # an integer beyond the largest double
             number = math.inf
         if not math.isfinite(number):
-            raise self.refuse(f"{value}", "needed a finite number")
+            raise self._refusal(f"{value}", "needed a finite number")
         self.code.append(len(OPERATIONS) + len(self.constants))
         self.constants.append(number)
         return 1
 
-    def function(self, name: str, arguments: list[ast.expr]) -> int:
-        count = 2 if name in ("min", "max") else 1
-        if name not in FUNCTIONS and count == 1:
-            raise self.refuse(
-                f"unknown function {name!r}", nearest(name, [*FUNCTIONS, "min", "max"])
-            )
-        if len(arguments) != count:
-            raise self.refuse(f"{name} with {len(arguments)} arguments", f"needed {count}")
-        return self.call(name, arguments)
+    def _call(self, name: str, arguments: list[ast.expr]) -> int:
+        needed = 2 if name in ("min", "max") else 1
+        if name not in FUNCTIONS and needed == 1:
+            nearest_name = nearest(name, [*FUNCTIONS, "min", "max"])
+            raise self._refusal(f"unknown function {name!r}", nearest_name)
+        if len(arguments) != needed:
+            raise self._refusal(f"{name} with {len(arguments)} arguments", f"needed {needed}")
+        return self._operation(name, arguments)
 
-    def call(self, operation: str, arguments: list[ast.expr]) -> int:
-        depth = max(position + self.emit(argument) for position, argument in enumerate(arguments))
+    def _operation(self, operation: str, arguments: list[ast.expr]) -> int:
+        # the values of the earlier arguments stay on the stack while the next one is computed
+        depths = [position + self.emit(argument) for position, argument in enumerate(arguments)]
         self.code.append(_CODE[operation])
-        return depth
+        return max(depths)
+
+    def _refusal(self, found: str, needed: str) -> UsageError:
+        return UsageError(f"expression {self.text!r}: found {found}; {needed}")

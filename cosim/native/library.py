@@ -113,6 +113,55 @@ class InterpolationStruct(ctypes.Structure):
     )
 
 
+_POINTER = c_void_p  # to doubles, or to the state of a step
+_INT = c_int32
+
+# name: (result, arguments), as in cosim.h and fmi.h
+_SIGNATURES: dict[str, tuple[Any, tuple[Any, ...]]] = {
+    "cosim_cascade": (
+        c_int64,
+        (
+            _POINTER,
+            _POINTER,
+            c_int64,
+            _POINTER,
+            c_double,
+            _POINTER,
+            c_int64,
+            _POINTER,
+            c_int64,
+            POINTER(_INT),
+        ),
+    ),
+    "cosim_multiply": (None, (_INT, _INT, _POINTER, _POINTER, _POINTER)),
+    "cosim_multiply_add": (None, (_INT, _INT, _POINTER, _POINTER, _POINTER)),
+    "cosim_exponential": (None, (_INT, _POINTER, _POINTER, _POINTER)),
+    "cosim_first_order_hold": (
+        None,
+        (
+            _INT,
+            _INT,
+            _POINTER,
+            _POINTER,
+            c_double,
+            POINTER(c_uint8),
+            _POINTER,
+            _POINTER,
+            _POINTER,
+            _POINTER,
+        ),
+    ),
+    "cosim_evaluate": (c_double, (POINTER(ProgramStruct), c_double)),
+    "cosim_regressor_outputs": (None, (_POINTER, c_double, c_double, _POINTER)),
+    "cosim_least_squares_start": (None, (_POINTER, _POINTER)),
+    "cosim_messages_open": (None, (POINTER(MessagesStruct),)),
+    "cosim_messages_close": (None, (POINTER(MessagesStruct),)),
+    "cosim_messages_take": (_INT, (POINTER(MessagesStruct), POINTER(MessageStruct))),
+    "cosim_messages_last": (_INT, (POINTER(MessagesStruct), POINTER(MessageStruct))),
+    "cosim_messages_dropped": (c_int64, (POINTER(MessagesStruct),)),
+}
+
+
 def _load() -> Any:
     path = HERE / LIBRARY
     try:
@@ -121,53 +170,10 @@ def _load() -> Any:
         raise UsageError(
             f"the compiled kernels {path} cannot be loaded ({error}); run 'pip install -e .' again"
         ) from error
-    doubles = c_void_p
-    signatures: dict[str, tuple[Any, list[Any]]] = {
-        "cosim_cascade": (
-            c_int64,
-            [
-                c_void_p,
-                c_void_p,
-                c_int64,
-                doubles,
-                c_double,
-                doubles,
-                c_int64,
-                doubles,
-                c_int64,
-                POINTER(c_int32),
-            ],
-        ),
-        "cosim_multiply": (None, [c_int32, c_int32, doubles, doubles, doubles]),
-        "cosim_multiply_add": (None, [c_int32, c_int32, doubles, doubles, doubles]),
-        "cosim_exponential": (None, [c_int32, doubles, doubles, doubles]),
-        "cosim_first_order_hold": (
-            None,
-            [
-                c_int32,
-                c_int32,
-                doubles,
-                doubles,
-                c_double,
-                POINTER(c_uint8),
-                doubles,
-                doubles,
-                doubles,
-                doubles,
-            ],
-        ),
-        "cosim_evaluate": (c_double, [POINTER(ProgramStruct), c_double]),
-        "cosim_regressor_outputs": (None, [c_void_p, c_double, c_double, doubles]),
-        "cosim_least_squares_start": (None, [c_void_p, doubles]),
-        "cosim_messages_open": (None, [POINTER(MessagesStruct)]),
-        "cosim_messages_close": (None, [POINTER(MessagesStruct)]),
-        "cosim_messages_take": (c_int32, [POINTER(MessagesStruct), POINTER(MessageStruct)]),
-        "cosim_messages_last": (c_int32, [POINTER(MessagesStruct), POINTER(MessageStruct)]),
-        "cosim_messages_dropped": (c_int64, [POINTER(MessagesStruct)]),
-    }
-    for name, (result, arguments) in signatures.items():
+    for name, (result, arguments) in _SIGNATURES.items():
         function = getattr(library, name)
-        function.restype, function.argtypes = result, arguments
+        function.restype = result
+        function.argtypes = arguments
     return library
 
 
@@ -175,14 +181,14 @@ library = _load()
 
 
 def address(function: str) -> int:
-    """Give the address of a function of the library, for C."""
+    """Return the address of a function of the library, for C."""
     value = ctypes.cast(getattr(library, function), c_void_p).value
     assert value is not None
     return value
 
 
 def pointer(array: NDArray[Any]) -> int:
-    """Give the address of a contiguous array's data; the array must outlive its use."""
+    """Return the address of a contiguous array's data; the array must outlive its use."""
     assert array.flags.c_contiguous
     return array.ctypes.data
 

@@ -1,4 +1,4 @@
-"""A component's C step function bound to its state, and the kernels that are there."""
+"""A component's C step function bound to its state, and the kernels of the package."""
 
 from __future__ import annotations
 
@@ -28,6 +28,7 @@ from cosim.native.library import (
 )
 
 NO_VALUE = 1  # COSIM_NO_VALUE
+DOUBLE = 8  # bytes
 
 
 class NativeStep:
@@ -38,13 +39,13 @@ class NativeStep:
     function : int
         Address of the step function.
     state : ctypes.Structure
-        What ``self`` points to.
+        The constants and pointers that ``self`` points to.
     n_y : int
-        Number of outputs it writes.
+        Number of outputs that it writes.
     memory : Vector
         All of its changing state.
     keep : sequence of object
-        Arrays that ``state`` points into.
+        Arrays that ``state`` points into; they live as long as the step.
     """
 
     def __init__(
@@ -65,39 +66,52 @@ class NativeStep:
         self._keep = tuple(keep)
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
-        """Advance over the K steps between the K+1 times ``t``; fewer rows than K: stopped there, the reason in ``status``."""
+        """Advance over K communication steps of ``h`` seconds.
+
+        Parameters
+        ----------
+        t : Vector
+            Communication points [s], shape ``(K + 1,)``.
+        h : float
+            Communication step [s].
+        u : Matrix
+            Inputs at these points, shape ``(K + 1, n_u)``.
+
+        Returns
+        -------
+        Matrix
+            Outputs at ``t[1:]``, shape ``(K, n_y)``; fewer rows where it stopped before the end,
+            for the reason in ``status``.
+        """
         steps = len(t) - 1
-        if u.strides[-1] != 8 and u.shape[1] > 1:
+        if u.strides[-1] != DOUBLE and u.shape[1] > 1:
             u = np.ascontiguousarray(u)
         y = np.empty((steps, self.n_y))
         status = c_int32()
-        done: int = library.cosim_cascade(
-            self.function,
-            self._address,
-            steps,
-            t.ctypes.data,
-            h,
-            u.ctypes.data,
-            u.strides[0] // 8,
-            y.ctypes.data,
-            self.n_y,
-            byref(status),
+        points = (steps, t.ctypes.data, h)
+        inputs = (u.ctypes.data, u.strides[0] // DOUBLE)
+        outputs = (y.ctypes.data, self.n_y)
+        completed: int = library.cosim_cascade(
+            self.function, self._address, *points, *inputs, *outputs, byref(status)
         )
         self.status = status.value
-        return y[:done]
+        return y[:completed]
 
     def save(self) -> Vector:
         """Copy the state."""
         return self.memory.copy()
 
     def restore(self, state: Vector) -> None:
-        """Go back to a saved state."""
+        """Return to a saved state."""
         self.memory[:] = state
 
 
 @dataclass(frozen=True, slots=True)
 class DiscretizedDynamics:
-    """x(t+h) = Ad x(t) + B0 u(t) + B1 u(t+h), exact for straight-line (or held) inputs."""
+    """The discretized dynamics `x(t+h) = Ad x(t) + B0 u(t) + B1 u(t+h)`.
+
+    Shapes: ``Ad (n, n)``, ``B0 (n, m)``, ``B1 (n, m)``.
+    """
 
     Ad: Matrix
     B0: Matrix
@@ -105,7 +119,9 @@ class DiscretizedDynamics:
 
 
 def first_order_hold(A: Matrix, B: Matrix, h: float, held: Mask) -> DiscretizedDynamics:
-    """Discretize x' = A x + B u exactly over a step of ``h`` seconds.
+    """Discretize `x' = A x + B u` exactly over a step, for linearly interpolated or held inputs.
+
+    Linear interpolation between both ends of the step is the (triangle) first-order hold.
 
     Parameters
     ----------
@@ -114,97 +130,118 @@ def first_order_hold(A: Matrix, B: Matrix, h: float, held: Mask) -> DiscretizedD
     h : float
         Communication step [s].
     held : Mask, shape (m,)
-        Inputs that keep their value at the start of the step; the others move in straight lines.
+        Inputs with a zero-order hold: they keep their value at the start of the step. The others
+        are interpolated linearly.
     """
     n, m = B.shape
-    A, B = np.ascontiguousarray(A, np.float64), np.ascontiguousarray(B, np.float64)
-    Ad, B0, B1 = np.empty((n, n)), np.empty((n, m)), np.empty((n, m))
+    A = _contiguous(A)
+    B = _contiguous(B)
+    Ad = np.empty((n, n))
+    B0 = np.empty((n, m))
+    B1 = np.empty((n, m))
     work = np.empty(4 * (n + 2 * m) ** 2)
     mask = (ctypes.c_uint8 * max(m, 1))(*map(int, held))
-    library.cosim_first_order_hold(
-        n, m, pointer(A), pointer(B), h, mask, pointer(Ad), pointer(B0), pointer(B1), pointer(work)
-    )
+    inputs = (n, m, pointer(A), pointer(B), h, mask)
+    results = map(pointer, (Ad, B0, B1, work))
+    library.cosim_first_order_hold(*inputs, *results)
     return DiscretizedDynamics(Ad, B0, B1)
 
 
 def matrix_exponential(M: Matrix) -> Matrix:
-    """Matrix exponential in fixed order: the same bits on every processor."""
-    M = np.ascontiguousarray(M, np.float64)
-    E, work = np.empty_like(M), np.empty(2 * M.size)
+    """Compute exp(M), shape ``(n, n)``, in a fixed order: the same bits on every processor."""
+    M = _contiguous(M)
+    E = np.empty_like(M)
+    work = np.empty(2 * M.size)
     library.cosim_exponential(len(M), pointer(M), pointer(E), pointer(work))
     return E
 
 
 def affine(pairs: Sequence[tuple[Matrix, Vector]]) -> Vector:
-    """Sum of matrix-vector products in fixed order, without BLAS."""
-    y = np.zeros(pairs[0][0].shape[0])
-    for M, v in pairs:
-        M, v = np.ascontiguousarray(M, np.float64), np.ascontiguousarray(v, np.float64)
-        library.cosim_multiply_add(M.shape[0], M.shape[1], pointer(M), pointer(v), pointer(y))
+    """Sum the products of matrices ``(n, m_i)`` and vectors ``(m_i,)`` in a fixed order.
+
+    BLAS would give other bits on other processors.
+    """
+    first, _ = pairs[0]
+    y = np.zeros(first.shape[0])
+    for matrix, vector in pairs:
+        M = _contiguous(matrix)
+        v = _contiguous(vector)
+        rows, columns = M.shape
+        library.cosim_multiply_add(rows, columns, pointer(M), pointer(v), pointer(y))
     return y
 
 
 def linear_step(discrete: DiscretizedDynamics, C: Matrix, D: Matrix) -> NativeStep:
-    """Step a discretized linear system; memory: x (n), scratch (n)."""
-    arrays = [
-        np.ascontiguousarray(M, np.float64) for M in (discrete.Ad, discrete.B0, discrete.B1, C, D)
-    ]
-    memory = np.zeros(2 * len(discrete.Ad) + 1)
-    n, m, p = len(discrete.Ad), discrete.B0.shape[1], len(C)
-    state = LinearStruct(n, m, p, *map(pointer, arrays), pointer(memory))
-    return NativeStep(address("cosim_linear_step"), state, n_y=p, memory=memory, keep=arrays)
+    """Build the step of a discretized linear system with the outputs `y = C x + D u`.
+
+    Its memory is x, shape ``(n,)``, and as much scratch.
+    """
+    arrays = [_contiguous(M) for M in (discrete.Ad, discrete.B0, discrete.B1, C, D)]
+    n, m = discrete.B0.shape
+    n_y = len(C)
+    memory = np.zeros(2 * n + 1)
+    pointers = map(pointer, arrays)
+    state = LinearStruct(n, m, n_y, *pointers, pointer(memory))
+    function = address("cosim_linear_step")
+    return NativeStep(function, state, n_y=n_y, memory=memory, keep=arrays)
 
 
 def delay_step(steps: int, width: int) -> NativeStep:
-    """Give the input ``steps`` communication steps later; memory: the row due now, ring of ``steps`` rows."""
+    """Build a delay of the input by ``steps`` communication steps.
+
+    Its memory is the index of the row due now and a ring of ``steps`` rows.
+    """
     memory = np.zeros(1 + steps * width)
-    return NativeStep(
-        address("cosim_delay_step"),
-        DelayStruct(steps, width, pointer(memory)),
-        n_y=width,
-        memory=memory,
-    )
+    state = DelayStruct(steps, width, pointer(memory))
+    return NativeStep(address("cosim_delay_step"), state, n_y=width, memory=memory)
 
 
 def evaluate(program: Program, t: float) -> float:
-    """Evaluate an expression at one instant."""
-    value: float = library.cosim_evaluate(ctypes.byref(_program(program)), t)
+    """Evaluate an expression at the instant ``t`` [s]."""
+    value: float = library.cosim_evaluate(byref(_program_struct(program)), t)
     return value
 
 
-def _program(program: Program) -> ProgramStruct:
+def expression_step(programs: Sequence[Program]) -> NativeStep:
+    """Build the step whose outputs are expressions in t; it has no memory."""
+    array = _program_array(programs)
+    state = ExpressionStruct(len(programs), ctypes.addressof(array))
+    function = address("cosim_expression_step")
+    memory = np.zeros(0)
+    return NativeStep(function, state, n_y=len(programs), memory=memory, keep=(array, *programs))
+
+
+def _contiguous(values: NDArray[Any]) -> NDArray[np.float64]:
+    return np.ascontiguousarray(values, np.float64)
+
+
+def _program_struct(program: Program) -> ProgramStruct:
     return ProgramStruct(len(program.code), pointer(program.code), pointer(program.constants))
 
 
-def _programs(programs: Sequence[Program]) -> ctypes.Array[ProgramStruct]:
-    return (ProgramStruct * max(len(programs), 1))(*map(_program, programs))
-
-
-def expression_step(programs: Sequence[Program]) -> NativeStep:
-    """Give the values of expressions in t; no memory."""
-    array = _programs(programs)
-    state = ExpressionStruct(len(programs), ctypes.addressof(array))
-    return NativeStep(
-        address("cosim_expression_step"),
-        state,
-        n_y=len(programs),
-        memory=np.zeros(0),
-        keep=(array, *programs),
-    )
+def _program_array(programs: Sequence[Program]) -> ctypes.Array[ProgramStruct]:
+    structs = map(_program_struct, programs)
+    return (ProgramStruct * max(len(programs), 1))(*structs)
 
 
 @dataclass(frozen=True, slots=True)
 class RegressorConstants:
-    """What a regressor is made of: the numbers of cosim_regressor.
+    """The numbers of cosim_regressor.
 
     Parameters
     ----------
     alphas : sequence of Program
-        The distinct known functions, one a block.
-    steps, delays : sequence of int, of float
-        The delays in communication steps and in seconds.
-    row, factor, sign : arrays, shapes (terms,), (terms, factors), (terms,)
-        Row of delta; rows of the alphas as ``block * rows + row``; sign.
+        The distinct known functions, one a group.
+    steps : sequence of int
+        The delays in communication steps.
+    delays : sequence of float
+        The delays [s].
+    row : array of int, shape (terms,)
+        Row of delta.
+    factor : array of int, shape (terms, factors)
+        Rows of the alphas as ``group * rows + row``.
+    sign : array of float, shape (terms,)
+        Sign of each term.
     """
 
     alphas: Sequence[Program]
@@ -216,62 +253,62 @@ class RegressorConstants:
 
     @property
     def memory(self) -> int:
-        """Number of doubles that change."""
-        return 1 + max(self.steps) + len(self.alphas) * len(self.steps)
+        """The number of doubles that change."""
+        ring = max(self.steps)
+        scratch = len(self.alphas) * len(self.steps)
+        return 1 + ring + scratch
 
 
 class RegressorStep:
     """The products mu (21)-(25) over a ring of delayed samples."""
 
     def __init__(self, constants: RegressorConstants) -> None:
-        programs = _programs(constants.alphas)
-        arrays: tuple[NDArray[Any], ...] = (
-            int32(constants.steps),
-            np.array(constants.delays, np.float64),
-            int32(constants.row),
-            int32(constants.factor),
-            np.array(constants.sign, np.float64),
-        )
+        programs = _program_array(constants.alphas)
+        steps = int32(constants.steps)
+        delays = np.array(constants.delays, np.float64)
+        row = int32(constants.row)
+        factor = int32(constants.factor)
+        sign = np.array(constants.sign, np.float64)
         memory = np.zeros(constants.memory)
-        terms, factors = np.shape(constants.factor)
-        lags, seconds, rows, table, signs = map(pointer, arrays)
-        state = RegressorStruct(
-            len(constants.steps),
-            len(constants.alphas),
-            terms,
-            factors,
-            lags,
-            seconds,
-            ctypes.addressof(programs),
-            rows,
-            table,
-            signs,
-            pointer(memory),
-        )
-        self.step = NativeStep(
-            address("cosim_regressor_step"),
-            state,
-            n_y=terms,
-            memory=memory,
-            keep=(programs, *constants.alphas, *arrays),
-        )
+        n_terms, n_factors = np.shape(constants.factor)
+        sizes = (len(constants.steps), len(constants.alphas), n_terms, n_factors)
+        timing = (pointer(steps), pointer(delays), ctypes.addressof(programs))
+        products = (pointer(row), pointer(factor), pointer(sign))
+        state = RegressorStruct(*sizes, *timing, *products, pointer(memory))
+        keep = (programs, *constants.alphas, steps, delays, row, factor, sign)
+        function = address("cosim_regressor_step")
+        self.step = NativeStep(function, state, n_y=n_terms, memory=memory, keep=keep)
 
     def reset(self) -> None:
         """Forget the past."""
         self.step.memory[:] = 0.0
 
     def outputs(self, t: float, delta: float) -> Vector:
-        """Give mu at ``t``, the instant reached, where the signal is ``delta``."""
+        """Compute mu at the time reached ``t`` [s], where the signal is ``delta``."""
         y = np.empty(self.step.n_y)
-        library.cosim_regressor_outputs(ctypes.addressof(self.step.state), t, delta, pointer(y))
+        state = ctypes.addressof(self.step.state)
+        library.cosim_regressor_outputs(state, t, delta, pointer(y))
         return y
 
 
 @dataclass(frozen=True, slots=True)
 class RecoveryConstants:
-    """How theta of one block follows from the estimates: sum_k sign_k chi[index_k] f(t - D - k spacing) = 0.
+    """How theta of one group follows from the estimates: the numbers of cosim_recovery.
 
-    ``kind``: 1 one exponential, 2 two exponentials, 3 one sine. ``theta``: where the results belong.
+    The recurrence is `sum_k sign_k chi[index_k] f(t - D - k spacing) = 0`.
+
+    Parameters
+    ----------
+    kind : int
+        1 one exponential, 2 two exponentials, 3 one sine.
+    index : tuple of int
+        Indices into chi.
+    theta : tuple of int
+        Where the results belong.
+    sign : tuple of float
+        Signs of the terms.
+    spacing : float
+        Distance of neighboring delays [s].
     """
 
     kind: int
@@ -283,40 +320,42 @@ class RecoveryConstants:
 
 @dataclass(frozen=True, slots=True)
 class LeastSquaresConstants:
-    """What an identifier is made of: the numbers of cosim_least_squares.
+    """The numbers of cosim_least_squares.
 
     Parameters
     ----------
     unknowns : int
         Number of eta, q.
-    start : float
+    start_time : float
         First instant that counts [s].
     information : float
         1/P0, before the data; 0: none.
     recovery : sequence of RecoveryConstants
+        The formulas of theta.
     held : bool
-        Rows hold over a step (rectangle) instead of moving in straight lines (trapezoid).
+        Rows have a zero-order hold (rectangle rule) instead of linear interpolation (trapezoid
+        rule).
     """
 
     unknowns: int
-    start: float
+    start_time: float
     information: float
     recovery: Sequence[RecoveryConstants]
     held: bool
 
     @property
     def parameters(self) -> int:
-        """Number of theta."""
-        return sum(len(step.theta) for step in self.recovery)
+        """The number of theta."""
+        return sum(len(formula.theta) for formula in self.recovery)
 
     @property
     def prior(self) -> float:
-        """Square root of the information before the data."""
+        """The square root of the information before the data."""
         return float(np.sqrt(self.information))
 
     @property
     def memory(self) -> int:
-        """Number of doubles that change."""
+        """The number of doubles that change."""
         return (self.unknowns + 1) * (self.unknowns + 2)
 
 
@@ -325,30 +364,31 @@ class LeastSquares:
 
     def __init__(self, constants: LeastSquaresConstants) -> None:
         recovery = constants.recovery
-        plans = (RecoveryStruct * max(len(recovery), 1))()
-        for plan, step in zip(plans, recovery, strict=False):
-            plan.kind, plan.spacing = step.kind, step.spacing
-            plan.index[: len(step.index)] = step.index
-            plan.theta[: len(step.theta)] = step.theta
-            plan.sign[: len(step.sign)] = step.sign
+        formulas = (RecoveryStruct * max(len(recovery), 1))()
+        for formula, numbers in zip(formulas, recovery, strict=False):
+            formula.kind = numbers.kind
+            formula.spacing = numbers.spacing
+            formula.index[: len(numbers.index)] = numbers.index
+            formula.theta[: len(numbers.theta)] = numbers.theta
+            formula.sign[: len(numbers.sign)] = numbers.sign
         memory = np.zeros(constants.memory)
         state = LeastSquaresStruct(
             constants.unknowns,
             len(recovery),
             constants.parameters,
             int(constants.held),
-            constants.start,
+            constants.start_time,
             constants.prior,
-            ctypes.addressof(plans),
-            pointer(memory),
         )
+        state.recovery = ctypes.addressof(formulas)
+        state.memory = pointer(memory)
         n_y = constants.parameters + constants.unknowns
-        self.step = NativeStep(
-            address("cosim_least_squares_step"), state, n_y=n_y, memory=memory, keep=(plans,)
-        )
+        function = address("cosim_least_squares_step")
+        self.step = NativeStep(function, state, n_y=n_y, memory=memory, keep=(formulas,))
 
     def initialize(self) -> Vector:
-        """Forget the past; there is no estimate yet."""
+        """Forget the past and return the outputs, which have no value yet."""
         y = np.empty(self.step.n_y)
-        library.cosim_least_squares_start(ctypes.addressof(self.step.state), pointer(y))
+        state = ctypes.addressof(self.step.state)
+        library.cosim_least_squares_start(state, pointer(y))
         return y

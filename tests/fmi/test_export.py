@@ -219,7 +219,7 @@ def regressor():
 def identifier():
     recovery = [RecoveryConstants(1, (0, 1), (0,), (1.0, -1.0), 0.001)]
     constants = LeastSquaresConstants(
-        unknowns=1, start=0.002, information=1e-3, recovery=recovery, held=False
+        unknowns=1, start_time=0.002, information=1e-3, recovery=recovery, held=False
     )
     face = Interface(
         (Signal("mu", 2, role="input", optional=True),),

@@ -165,7 +165,7 @@ def least_squares(constants: LeastSquaresConstants) -> Kernel:
         str(len(constants.recovery)),
         str(constants.parameters),
         str(int(constants.held)),
-        constants.start.hex(),
+        constants.start_time.hex(),
         constants.prior.hex(),
     ]
     lines = (
@@ -173,7 +173,7 @@ def least_squares(constants: LeastSquaresConstants) -> Kernel:
         f"const cosim_least_squares kernel_constants = {{{', '.join(numbers)}, recovery, 0}};",
     )
     equations = (
-        f"Least squares of -mu_0 on mu_1, mu_2, ..., from t = {constants.start} s on: eta, and the "
+        f"Least squares of -mu_0 on mu_1, mu_2, ..., from t = {constants.start_time} s on: eta, and the "
         "parameters theta that follow from it. No value (NaN) before there is one."
     )
     return Kernel(
