@@ -1,13 +1,13 @@
 """Co-simulation of descriptor plants, FMUs, observers and disturbance identifiers.
 
-The names below load what they need when they are first used, so that ``import cosim`` costs nothing.
+The names below load what they need when they are first used: ``import cosim`` costs little.
 """
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from cosim.lazy import lazy_names
 from cosim.version import __version__
 
 if TYPE_CHECKING:
@@ -29,11 +29,7 @@ _HOMES = {
 
 __all__ = ["__version__", "compare", "diff", "linearize", "load", "open_log", "replay", "run"]
 
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
-        raise AttributeError(f"module 'cosim' has no attribute {name!r}")
-    return getattr(import_module(_HOMES[name]), name)
+__getattr__ = lazy_names(__name__, _HOMES)
 
 
 def __dir__() -> list[str]:

@@ -52,7 +52,7 @@ def check_component(
 
     Examples
     --------
-    >>> from cosim.blocks.dynamics import Delay
+    >>> from cosim.blocks import Delay
     >>> check_component(lambda: Delay(3))
     """
     bench = _Bench(make, inputs, h, steps, seed)

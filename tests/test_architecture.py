@@ -1,6 +1,8 @@
 """The layers point one way: who may import whom, proved from the imports of every module."""
 
 import ast
+from collections.abc import Collection
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -8,12 +10,13 @@ import pytest
 import cosim
 
 ROOT = Path(cosim.__file__).parent
-BASE = {"errors", "arrays", "units", "version"}
+BASE = {"errors", "arrays", "units", "version", "lazy"}
 ALLOWED = {
     "errors": set(),
     "arrays": set(),
     "units": set(),
     "version": set(),
+    "lazy": set(),
     "native": BASE,
     "theory": BASE | {"native"},
     "core": BASE | {"native"},
@@ -25,7 +28,7 @@ ALLOWED = {
     "report": BASE | {"theory", "core", "fmi", "log", "scenario"},
     "cli": {"errors", "scenario", "log", "report", "fmi"},
     "__main__": {"cli"},
-    "__init__": {"scenario", "log", "fmi", "report", "version"},
+    "__init__": {"scenario", "log", "fmi", "report", "version", "lazy"},
 }
 OUTSIDE = {
     "fmpy": {"fmi"},
@@ -38,6 +41,24 @@ OUTSIDE = {
     "typer": {"cli", "report"},
     "rich": {"cli", "report"},
 }
+FMI_ROOMS = [
+    "variable",
+    "references",
+    "description",
+    "platforms",
+    "describing",
+    "instance",
+    "generated",
+    "reading",
+    "child_process",
+    "binary",
+    "driving",
+    "options",
+    "component",
+    "exporting",
+    "linearizing",
+    "checking",
+]
 MODULES = sorted(ROOT.rglob("*.py"))
 
 
@@ -48,7 +69,7 @@ def part(path: Path) -> str:
 
 
 def imports(path: Path) -> set[str]:
-    """Give every module that a file imports, anywhere in it."""
+    """Return every module that a file imports, anywhere in it."""
     found = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
@@ -83,6 +104,76 @@ def test_outside_libraries_have_one_home(path):
         assert homes is None or part(path) in homes, (
             f"{path} imports {module}, which belongs to {homes}"
         )
+
+
+def modules() -> dict[str, Path]:
+    """Return every module of the package by its name."""
+    found = {}
+    for path in MODULES:
+        parts = ("cosim", *path.relative_to(ROOT).with_suffix("").parts)
+        found[".".join(parts).removesuffix(".__init__")] = path
+    return found
+
+
+def imported_modules(path: Path, known: Collection[str]) -> set[str]:
+    """Return the modules of the package that a file imports, anywhere in it, for types too."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and str(node.module).startswith("cosim"):
+            names = [f"{node.module}.{alias.name}" for alias in node.names]
+            found |= {name if name in known else str(node.module) for name in names}
+    return found
+
+
+def test_no_import_runs_upwards_between_files():
+    """The files have an order in which every import, lazy or for types only, goes down.
+
+    The public names of a package stand in its ``__init__``, above everything in it: nothing in the
+    package may import them.
+    """
+    known = modules()
+    imports_of = {name: imported_modules(path, known) - {name} for name, path in known.items()}
+    try:
+        TopologicalSorter(imports_of).prepare()
+    except CycleError as error:
+        pytest.fail(f"a cycle of imports: {' <- '.join(error.args[1])}")
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_the_rooms_of_fmi_stand_in_one_order(path):
+    """A folder or file of cosim.fmi imports only those that stand before it."""
+    inside = path.relative_to(ROOT).parts
+    if inside[0] != "fmi" or path.name == "__init__.py":
+        return
+    number = FMI_ROOMS.index(inside[1].removesuffix(".py"))
+    for module in imported_modules(path, modules()):
+        parts = module.split(".")
+        if parts[:2] == ["cosim", "fmi"]:
+            assert FMI_ROOMS.index(parts[2]) <= number, f"{path} imports {module}"
+
+
+def type_names(tree: ast.Module) -> set[str]:
+    """Return the classes and type aliases that a module defines."""
+    found = set()
+    for node in tree.body:
+        if isinstance(node, ast.ClassDef):
+            found.add(node.name)
+        elif isinstance(node, ast.AnnAssign) and "TypeAlias" in ast.dump(node.annotation):
+            found.add(ast.unparse(node.target))
+        elif isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
+            name = node.targets[0].id
+            if name[0].isupper() and not name.isupper():
+                found.add(name)
+    return found
+
+
+def test_a_type_name_has_one_meaning():
+    """No class or type alias is defined twice in the package."""
+    homes: dict[str, list[str]] = {}
+    for name, path in modules().items():
+        for type_name in type_names(ast.parse(path.read_text(encoding="utf-8"))):
+            homes.setdefault(type_name, []).append(name)
+    assert {name: places for name, places in homes.items() if len(places) > 1} == {}
 
 
 def test_theory_and_core_do_not_know_each_other():

@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 from cosim.arrays import Mask, Vector
 from cosim.core.coupling import Member, Wire
 from cosim.core.fixed_point import Candidate, SingularError, iterate, measure, newton, newton_step
-from cosim.core.order import Dependencies, Sources, cycles, find_cycle
+from cosim.core.order import PortDependencies, Sources, cycles, find_cycle
 from cosim.core.port import Port
 from cosim.core.signals import Channel, Interface, Layout, Signal
 from cosim.errors import GraphError
@@ -97,7 +97,7 @@ class InitialValues:
         self.order = self._ordered(_dependencies(layout.channels, sources))
         self.last = self._not_ordered()
 
-    def _ordered(self, dependencies: Dependencies) -> list[Port | AlgebraicLoop]:
+    def _ordered(self, dependencies: PortDependencies) -> list[Port | AlgebraicLoop]:
         """Return ports and algebraic loops in the order in which they can be computed."""
         group_of = cycles(dependencies)
         groups: dict[Port, list[Port]] = {}
@@ -126,7 +126,7 @@ class InitialValues:
                 in_loops.update(step.order)
         return [port for port in self.columns if port not in self.wires and port not in in_loops]
 
-    def _algebraic_loop(self, ports: list[Port], dependencies: Dependencies) -> AlgebraicLoop:
+    def _algebraic_loop(self, ports: list[Port], dependencies: PortDependencies) -> AlgebraicLoop:
         interfaces = {channel.name: channel.interface for channel in self.layout.channels}
         members = set(ports)
         inside = {port: sorted(members.intersection(dependencies[port])) for port in ports}
@@ -293,7 +293,7 @@ def _wires(
             yield Port(channel.name, signal.name), wires_of_input
 
 
-def _dependencies(channels: Iterable[Channel], sources: Sources) -> Dependencies:
+def _dependencies(channels: Iterable[Channel], sources: Sources) -> PortDependencies:
     """Return the ports that each port depends on directly at initialization."""
     dependencies: dict[Port, tuple[Port, ...]] = {}
     for channel in channels:
@@ -306,7 +306,7 @@ def _dependencies(channels: Iterable[Channel], sources: Sources) -> Dependencies
     return dependencies
 
 
-def _inputs_first(dependencies: Dependencies, inputs: Collection[Port]) -> Iterator[Port]:
+def _inputs_first(dependencies: PortDependencies, inputs: Collection[Port]) -> Iterator[Port]:
     """Yield ports after what they depend on, inputs as early as possible.
 
     So components are initialized as seldom as possible: an output waits until all inputs that can

@@ -24,7 +24,7 @@ from cosim.core.port import Port
 from cosim.core.signals import Interface
 from cosim.errors import AlgebraicLoopError
 
-Dependencies: TypeAlias = Mapping[Port, Collection[Port]]  # what each port depends on directly
+PortDependencies: TypeAlias = Mapping[Port, Collection[Port]]  # what each port depends on directly
 Feedthrough: TypeAlias = dict[str, tuple[str, ...]]  # the inputs that feed through to each output
 Sources: TypeAlias = Mapping[str, Mapping[str, tuple[Port, ...]]]  # of each input, by component
 OperationKind: TypeAlias = Literal["advance", "refresh"]
@@ -206,7 +206,7 @@ def _feedthrough(
 
 
 def _unknown_component(
-    cycle: list[Port], dependencies: Dependencies, interfaces: Mapping[str, Interface]
+    cycle: list[Port], dependencies: PortDependencies, interfaces: Mapping[str, Interface]
 ) -> str:
     """Return the first component on a cycle that the cycle passes by unknown feedthrough."""
     for first, second in pairwise(cycle):
@@ -217,7 +217,7 @@ def _unknown_component(
 
 
 def _cut_unknown(
-    name: str, feedthrough: Feedthrough, interface: Interface, dependencies: Dependencies
+    name: str, feedthrough: Feedthrough, interface: Interface, dependencies: PortDependencies
 ) -> UnknownFeedthrough:
     """Take away the unknown feedthrough of a component that lies on any cycle.
 
@@ -238,7 +238,7 @@ def _cut_unknown(
     return UnknownFeedthrough(name, tuple(cut_outputs), tuple(cut_inputs))
 
 
-def _dependencies(feedthrough: Mapping[str, Feedthrough], sources: Sources) -> Dependencies:
+def _dependencies(feedthrough: Mapping[str, Feedthrough], sources: Sources) -> PortDependencies:
     """Return what the ports of a loop depend on directly: by connections, and inside components."""
     dependencies: dict[Port, list[Port]] = {}
     for name, outputs in feedthrough.items():
@@ -250,7 +250,7 @@ def _dependencies(feedthrough: Mapping[str, Feedthrough], sources: Sources) -> D
     return dependencies
 
 
-def find_cycle(dependencies: Dependencies) -> list[Port]:
+def find_cycle(dependencies: PortDependencies) -> list[Port]:
     """Return a cycle of ports, closed, in the direction of the signals; empty: there is none."""
     try:
         TopologicalSorter(dependencies).prepare()
@@ -259,7 +259,7 @@ def find_cycle(dependencies: Dependencies) -> list[Port]:
     return []
 
 
-def cycles(dependencies: Dependencies) -> dict[Port, Port]:
+def cycles(dependencies: PortDependencies) -> dict[Port, Port]:
     """Return for every port the one that stands for its strongly connected component.
 
     R. Tarjan, Depth-first search and linear graph algorithms, SIAM J. Comput. 1 (1972), without

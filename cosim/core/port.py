@@ -20,7 +20,7 @@ from typing import TypeAlias
 from cosim.core.signals import Signal
 from cosim.errors import GraphError
 
-Element: TypeAlias = int | range | None
+ElementIndex: TypeAlias = int | range | None
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -37,7 +37,7 @@ class Port:
 
     component: str
     signal: str
-    element: Element = None
+    element: ElementIndex = None
 
     @classmethod
     def parse(cls, text: str) -> Port:
@@ -110,7 +110,7 @@ class Port:
         return elements
 
 
-def split_element(name: str) -> tuple[str, Element]:
+def split_element(name: str) -> tuple[str, ElementIndex]:
     """Split ``x[1]`` into ``x`` and 1, ``x[0:2]`` into ``x`` and range(0, 2).
 
     Without brackets the element is None.

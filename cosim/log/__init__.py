@@ -1,7 +1,28 @@
 """Logs: runs recorded to MCAP files, read back bit for bit, and compared."""
 
-from cosim.log.preamble import Attachment
-from cosim.log.reader import Log, LogMessage, open_log
-from cosim.log.writer import McapRecorder
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from cosim.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from cosim.log.preamble import Attachment
+    from cosim.log.reader import Log, LogMessage, open_log
+    from cosim.log.writer import McapRecorder
+
+_HOMES = {
+    "Attachment": "cosim.log.preamble",
+    "Log": "cosim.log.reader",
+    "LogMessage": "cosim.log.reader",
+    "McapRecorder": "cosim.log.writer",
+    "open_log": "cosim.log.reader",
+}
 
 __all__ = ["Attachment", "Log", "LogMessage", "McapRecorder", "open_log"]
+
+__getattr__ = lazy_names(__name__, _HOMES)
+
+
+def __dir__() -> list[str]:
+    return list(__all__)

@@ -1,1 +1,1 @@
-"""Scenarios: one TOML file that names components, connections and a clock; the only layer that knows all the others."""
+"""Scenarios: one TOML file that names components, connections and a clock."""

@@ -7,7 +7,7 @@ import pytest
 
 from cosim.arrays import NAN
 from cosim.blocks.arithmetic import Static, gain, limit, sum_of
-from cosim.blocks.controller import controller
+from cosim.blocks.state_space import controller
 from cosim.blocks.dynamics import Delay, lag
 from cosim.blocks.identifier import LeastSquaresIdentifier
 from cosim.blocks.observer import observer_model

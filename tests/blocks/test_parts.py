@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cosim.blocks.arithmetic import gain, limit, sum_of
-from cosim.blocks.controller import controller
+from cosim.blocks.state_space import controller
 from cosim.blocks.dynamics import Delay, lag
 from cosim.blocks.replay import Replay
 from cosim.blocks.source import sine

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cosim.blocks.arithmetic import gain
-from cosim.blocks.controller import controller
+from cosim.blocks.state_space import controller
 from cosim.blocks.dynamics import lag
 from cosim.blocks.sampled import Decimated, Sampled
 from cosim.blocks.source import Table, sine

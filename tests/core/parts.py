@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cosim.blocks.arithmetic import gain
-from cosim.blocks.controller import controller
+from cosim.blocks.state_space import controller
 from cosim.blocks.dynamics import lag
 from cosim.core.contracts import Stopped
 from cosim.core.linear import Linear, LinearModel

@@ -9,7 +9,7 @@ from pydantic import Field
 
 from cosim.arrays import Matrix
 from cosim.blocks import arithmetic, dynamics
-from cosim.blocks.controller import controller
+from cosim.blocks.state_space import controller
 from cosim.blocks.sampled import Sampled
 from cosim.core.clock import NANOSECONDS, whole_steps
 from cosim.core.contracts import Component

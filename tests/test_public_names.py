@@ -1,0 +1,86 @@
+"""The public names of the packages: what they export, and that README and docstrings keep to it."""
+
+import ast
+import re
+import subprocess
+import sys
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+
+import cosim
+
+ROOT = Path(cosim.__file__).parent
+PACKAGES = ["cosim", "cosim.core", "cosim.blocks", "cosim.theory", "cosim.fmi", "cosim.log"]
+TESTING = {"cosim.testing": ["check_component", "check_rollback"]}  # a module of its own
+README = (ROOT.parent / "README.md").read_text(encoding="utf-8")
+
+
+def imported_names(package):
+    """Return the names that a package imports for type checkers."""
+    path = Path(import_module(package).__file__)
+    names = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and node.module.startswith(f"{package}."):
+            names |= {alias.asname or alias.name for alias in node.names}
+    return names - {"__version__", "lazy_names"}
+
+
+def shown_imports(text):
+    """Return (module, name) of every import from this package in Python shown to a reader."""
+    shown = []
+    for module, names in re.findall(r"from (cosim[\w.]*) import ([\w, ]+)", text):
+        shown += [(module, name.strip()) for name in names.split(",")]
+    return shown
+
+
+def docstrings():
+    """Yield every docstring of the package that shows Python."""
+    for path in sorted(ROOT.rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            kinds = ast.Module | ast.ClassDef | ast.FunctionDef
+            text = ast.get_docstring(node) if isinstance(node, kinds) else None
+            if text and ">>>" in text:
+                yield text
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_every_public_name_is_there_and_says_what_it_is(package):
+    """``__all__`` is what type checkers see, every name loads, and has a docstring."""
+    module = import_module(package)
+    names = [name for name in module.__all__ if name != "__version__"]
+    assert set(names) == imported_names(package)
+    assert set(dir(module)) >= set(names)
+    for name in names:
+        found = getattr(module, name)
+        assert found.__doc__, f"{package}.{name}"
+        assert not isinstance(found, type(cosim)), f"{package}.{name} is a module"
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_a_name_that_is_not_there_is_an_error(package):
+    """As of any other module."""
+    with pytest.raises(AttributeError, match=f"module '{package}' has no attribute 'nothing'"):
+        getattr(import_module(package), "nothing")  # noqa: B009
+
+
+def test_importing_the_packages_loads_no_library():
+    """Names load what they need when they are first used."""
+    heavy = "numpy scipy mcap pydantic fmpy rich typer matplotlib"
+    code = f"import sys, {', '.join(PACKAGES)}; print(*set(sys.modules) & set('{heavy}'.split()))"
+    result = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    assert result.stdout.strip() == ""
+
+
+@pytest.mark.parametrize("text", [README, *docstrings()])
+def test_what_is_shown_is_public(text):
+    """README and docstrings import public names from their packages only."""
+    for module, name in shown_imports(text):
+        if module in TESTING:
+            assert name in TESTING[module], f"from {module} import {name}"
+        else:
+            assert module in PACKAGES, f"from {module} import {name}"
+            assert name in import_module(module).__all__, f"from {module} import {name}"
