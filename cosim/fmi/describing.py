@@ -1,8 +1,8 @@
-"""Describe a model of ours as a unit, as the exported FMU describes itself."""
+"""Describe a model of ours, as the exported FMU describes itself."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -10,11 +10,11 @@ import numpy as np
 from cosim.core.linear import LinearModel
 from cosim.core.signals import Interface, Signal
 from cosim.errors import FmuError
-from cosim.fmi.description import NO_VALUE, Description
+from cosim.fmi.description import NO_VALUE, Dependencies, Description
 from cosim.fmi.variable import Initial, Variable
 
 
-class Shape(Protocol):
+class DescribedModel(Protocol):
     """What a description takes from a model."""
 
     @property
@@ -28,84 +28,130 @@ class Shape(Protocol):
         ...
 
 
-def describe(model: Shape, name: str, linear: LinearModel | None) -> Description:
-    """Describe a model of ours as a unit; value references as in ``c/model.h``.
+def describe(model: DescribedModel, name: str, linear: LinearModel | None) -> Description:
+    """Describe a model of ours; value references are those of ``c/model.h``.
 
-    Inputs come first, then outputs, derivatives, and the states that are no outputs. An output that is a state, under the
-    state's name, is one variable.
+    Inputs come first, then outputs, derivatives, and the states that are no outputs. An output that
+    is a state, under the state's name, is one variable.
+
+    Parameters
+    ----------
+    model : DescribedModel
+    name : str
+    linear : LinearModel or None
+        The model, where it is linear.
 
     Raises
     ------
     FmuError
         If a state has the name of another variable.
     """
-    face, m, p, n = model.interface, model.interface.n_u, model.interface.n_y, len(model.states)
-    outputs = [element for signal in face.outputs for element in signal.elements]
-    state_of = states_of_outputs(linear) if linear else [-1] * p
-    exact = [not row.any() for row in linear.Xu] if linear else [False] * n
-    shown = {outputs[i] for i in range(p) if state_of[i] >= 0}
-
-    def state(index: int) -> tuple[Initial, tuple[float, ...] | None]:
-        return (
-            ("exact", (float(linear.X0[index]),))
-            if linear and exact[index]
-            else ("calculated", None)
+    inputs = _inputs(model)
+    outputs = _outputs(model, linear, first_reference=len(inputs))
+    first_reference = len(inputs) + len(outputs)
+    states = _derivatives_and_states(model, linear, outputs, first_reference)
+    variables = [*inputs, *outputs, *states]
+    names = [variable.name for variable in variables]
+    duplicates = [name for name in names if names.count(name) > 1]
+    if duplicates:
+        raise FmuError(
+            f"{name}: {duplicates[0]!r} is a state and another variable; "
+            "give the state a name of its own"
         )
+    dependencies = _dependencies(model, linear)
+    return Description(name, "", "2.0", tuple(variables), model.states, dependencies)
 
-    variables = [
-        Variable(
+
+def _inputs(model: DescribedModel) -> list[Variable]:
+    variables = []
+    for reference, (signal, element) in enumerate(_elements(model.interface.inputs)):
+        variable = Variable(
             element,
-            number,
+            reference,
             "input",
             unit=signal.unit,
             variability=_variability(signal),
             start=(0.0,),
             doc=_doc(signal),
         )
-        for number, (signal, element) in enumerate((s, e) for s in face.inputs for e in s.elements)
-    ]
-    for i, (signal, element) in enumerate((s, e) for s in face.outputs for e in s.elements):
-        initial, start = state(state_of[i]) if state_of[i] >= 0 else ("calculated", None)
-        variables.append(
-            Variable(
-                element,
-                m + i,
-                "output",
-                unit=signal.unit,
-                variability=_variability(signal),
-                initial=initial,
-                start=start,
-                doc=_doc(signal),
-            )
+        variables.append(variable)
+    return variables
+
+
+def _outputs(
+    model: DescribedModel, linear: LinearModel | None, first_reference: int
+) -> list[Variable]:
+    states = states_of_outputs(linear) if linear else [-1] * model.interface.n_y
+    variables: list[Variable] = []
+    elements = _elements(model.interface.outputs)
+    for reference, (signal, element) in enumerate(elements, first_reference):
+        initial, start = _initial_state(linear, states[len(variables)])
+        variable = Variable(
+            element,
+            reference,
+            "output",
+            unit=signal.unit,
+            variability=_variability(signal),
+            initial=initial,
+            start=start,
+            doc=_doc(signal),
         )
-    units = {v.name: v.unit for v in variables}
-    for j, x in enumerate(model.states):
-        unit = units.get(x) if x in shown else None
-        rate = None if unit is None else f"{unit}/s"
-        variables.append(
-            Variable(
-                f"der({x})", m + p + j, "local", unit=rate, initial="calculated", derivative_of=x
-            )
+        variables.append(variable)
+    return variables
+
+
+def _derivatives_and_states(
+    model: DescribedModel,
+    linear: LinearModel | None,
+    outputs: Sequence[Variable],
+    first_reference: int,
+) -> list[Variable]:
+    """Return the derivatives, then the states that are no outputs."""
+    states = states_of_outputs(linear) if linear else [-1] * len(outputs)
+    output_of = {v.name: v for v, state in zip(outputs, states, strict=True) if state >= 0}
+    derivatives = []
+    for reference, state in enumerate(model.states, first_reference):
+        unit = output_of[state].unit if state in output_of else None
+        derivative = Variable(
+            _derivative(state),
+            reference,
+            "local",
+            unit=None if unit is None else f"{unit}/s",
+            initial="calculated",
+            derivative_of=state,
         )
-    for j, x in enumerate(model.states):
-        if x not in shown:
-            initial, start = state(j)
-            variables.append(Variable(x, m + p + n + j, "local", initial=initial, start=start))
-    names = [v.name for v in variables]
-    twice = next((v for v in names if names.count(v) > 1), None)
-    if twice:
-        raise FmuError(
-            f"{name}: {twice!r} is a state and another variable; give the state a name of its own"
-        )
-    return Description(
-        name,
-        "",
-        "2.0",
-        tuple(variables),
-        model.states,
-        _dependencies(model, linear),
-        event_indicators=0,
-    )
+        derivatives.append(derivative)
+    others = []
+    for index, state in enumerate(model.states):
+        if state not in output_of:
+            initial, start = _initial_state(linear, index)
+            # States that are outputs have a value reference here too, which is not used.
+            reference = first_reference + len(model.states) + index
+            others.append(Variable(state, reference, "local", initial=initial, start=start))
+    return derivatives + others
+
+
+def _initial_state(
+    linear: LinearModel | None, index: int
+) -> tuple[Initial, tuple[float, ...] | None]:
+    """Return ``initial`` and ``start`` of a state (index -1: of no state).
+
+    A state can be set at the start unless the inputs decide it.
+    """
+    if linear is None or index < 0 or linear.Xu[index].any():
+        return "calculated", None
+    return "exact", (float(linear.X0[index]),)
+
+
+def _elements(signals: Iterable[Signal]) -> Iterator[tuple[Signal, str]]:
+    """Yield the elements of signals: each with its signal and its name."""
+    for signal in signals:
+        for element in signal.elements:
+            yield signal, element
+
+
+def _derivative(state: str) -> str:
+    return f"der({state})"
 
 
 def _doc(signal: Signal) -> str:
@@ -117,43 +163,50 @@ def _variability(signal: Signal) -> str:
 
 
 def states_of_outputs(model: LinearModel) -> list[int]:
-    """Give for every output element the state that it is, by value and by name, or -1."""
-    names = [element for signal in model.interface.outputs for element in signal.elements]
-    found = []
-    for name, c, d in zip(names, model.C, model.D, strict=True):
-        j = model.states.index(name) if name in model.states else -1
-        is_state = j >= 0 and c[j] == 1.0 and np.count_nonzero(c) == 1 and not d.any()
-        found.append(j if is_state else -1)
-    return found
+    """Return for every output element the index of the state that it is, or -1.
+
+    Both the row of C and the name must be those of the state.
+    """
+    states = []
+    elements = _elements(model.interface.outputs)
+    for (_, name), c, d in zip(elements, model.C, model.D, strict=True):
+        state = -1
+        if name in model.states and np.count_nonzero(c) == 1 and not d.any():
+            index = model.states.index(name)
+            state = index if c[index] == 1.0 else -1
+        states.append(state)
+    return states
 
 
-def _dependencies(model: Shape, linear: LinearModel | None) -> dict[str, tuple[str, ...] | None]:
-    inputs = [element for signal in model.interface.inputs for element in signal.elements]
-    outputs = [element for signal in model.interface.outputs for element in signal.elements]
-    derivatives = [f"der({x})" for x in model.states]
-    if linear is None:
-        return {
-            **{
-                element: tuple(
-                    e
-                    for s in model.interface.inputs
-                    if s.name in model.interface.feeds(signal.name)
-                    for e in s.elements
-                )
-                for signal in model.interface.outputs
-                for element in signal.elements
-            },
-            **dict.fromkeys(derivatives),
-        }
-    rows = zip(
-        [*outputs, *derivatives], [*linear.C, *linear.A], [*linear.D, *linear.B], strict=True
-    )
-    return {
-        name: (*element_dependencies(inputs, of_u), *element_dependencies(model.states, of_x))
-        for name, of_x, of_u in rows
-    }
+def _dependencies(model: DescribedModel, linear: LinearModel | None) -> Dependencies:
+    if linear is not None:
+        return _linear_dependencies(linear)
+    interface = model.interface
+    dependencies: dict[str, tuple[str, ...] | None] = {}
+    for signal, element in _elements(interface.outputs):
+        feeding = interface.feeds(signal.name)
+        names = [name for source, name in _elements(interface.inputs) if source.name in feeding]
+        dependencies[element] = tuple(names)
+    for state in model.states:
+        dependencies[_derivative(state)] = None
+    return dependencies
+
+
+def _linear_dependencies(linear: LinearModel) -> Dependencies:
+    """Return the inputs and states whose entries in the rows of the matrices are not zero."""
+    inputs = [name for _, name in _elements(linear.interface.inputs)]
+    outputs = [name for _, name in _elements(linear.interface.outputs)]
+    unknowns = [*outputs, *(_derivative(state) for state in linear.states)]
+    by_state = [*linear.C, *linear.A]
+    by_input = [*linear.D, *linear.B]
+    dependencies = {}
+    for name, state_row, input_row in zip(unknowns, by_state, by_input, strict=True):
+        of_inputs = element_dependencies(inputs, input_row)
+        of_states = element_dependencies(linear.states, state_row)
+        dependencies[name] = (*of_inputs, *of_states)
+    return dependencies
 
 
 def element_dependencies(names: Sequence[str], row: Iterable[float]) -> tuple[str, ...]:
-    """Give the names whose entries in a row of a matrix are not zero."""
+    """Return the names whose entries in a row of a matrix are not zero."""
     return tuple(name for name, value in zip(names, row, strict=True) if value != 0.0)

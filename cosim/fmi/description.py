@@ -1,40 +1,42 @@
-"""What a unit says about itself: the content of a modelDescription.xml, independent of the FMI version.
+"""The content of a modelDescription.xml, independent of the FMI version.
 
-``describe`` gives it for a model of ours; ``reading/`` takes it from an FMU, ``exporting/`` writes it.
+``describing.py`` builds it for a model of ours; ``reading/`` reads it from an FMU, ``exporting/``
+writes it.
 """
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal, TypeAlias
+from typing import Final, Literal, TypeAlias
 
 from cosim.arrays import Mask
-from cosim.core.signals import Interface, Signal
+from cosim.core.signals import Interface, Role, Signal
 from cosim.errors import FmuError, nearest
 from cosim.fmi.references import ReferenceMap
 from cosim.fmi.variable import Variable
 
 InterfaceType: TypeAlias = Literal["me", "cs"]  # model exchange, co-simulation
+Dependencies: TypeAlias = Mapping[str, tuple[str, ...] | None]  # None: not said
 INTERFACE_TYPES: tuple[InterfaceType, ...] = ("me", "cs")
 INTERFACE_TYPE_NAMES: Mapping[InterfaceType, str] = {"me": "model exchange", "cs": "co-simulation"}
-NO_VALUE = "NaN: no value yet"  # begins the description of a variable that may have none; FMI has no other word for it
+ELEMENT: Final = re.compile(r"(?P<name>.*[^\]])\[(?P<number>\d+)\]")
+# Begins the description of a variable that may have no value; FMI has no other word for it.
+NO_VALUE: Final = "NaN: no value yet"
 
 
 @dataclass(frozen=True, slots=True)
 class Capabilities:
-    """What one kind of a unit can do (FMI 2.0.4 sections 3.3.1 and 4.3.1, FMI 3.0 sections 3.3.1 and 4.3.1)."""
+    """What an FMU can do with one interface type (FMI 2.0.4 and 3.0 sections 3.3.1 and 4.3.1)."""
 
     identifier: str = ""
     directional_derivatives: bool = False
     adjoint_derivatives: bool = False  # FMI 3
     saves_state: bool = False
     serializes_state: bool = False
-    interpolates_inputs: bool = (
-        False  # co-simulation: input derivatives (FMI 1 and 2), Intermediate Update (FMI 3)
-    )
+    # Co-simulation: by input derivatives (FMI 1 and 2), in Intermediate Updates (FMI 3).
+    interpolates_inputs: bool = False
     variable_step: bool = False  # co-simulation
     fixed_step: float | None = None  # co-simulation, FMI 3 [s]
     event_mode: bool = False  # co-simulation, FMI 3
@@ -64,7 +66,13 @@ class Formulation:
 
 @dataclass(frozen=True, slots=True)
 class Dae:
-    """The residual form beside the ordinary one (FMI-LS-DAE, a draft): x' = f(t, x, z, u), 0 = g(t, x, z, u), y = h(t, x, z, u).
+    """The residual form beside the ordinary one (FMI-LS-DAE, a draft).
+
+    ::
+
+        x' = f(t, x, z, u)
+        0  = g(t, x, z, u)
+        y  = h(t, x, z, u)
 
     Parameters
     ----------
@@ -77,19 +85,19 @@ class Dae:
     dependencies : mapping of output or derivative name to variable names, or to None
         As in ``Description``, with z among what may be depended on.
     problems : tuple of str
-        What is wrong with it; it is then not to be used.
+        What is wrong with the form; if there are problems, it is not to be used.
     """
 
     version: str
     algebraic: tuple[str, ...] = ()
     residuals: tuple[tuple[Formulation, ...], ...] = ()
-    dependencies: Mapping[str, tuple[str, ...] | None] = field(default_factory=dict)
+    dependencies: Dependencies = field(default_factory=dict)
     problems: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class Description:
-    """A unit's description.
+    """The description of an FMU or of a generated model.
 
     Parameters
     ----------
@@ -104,11 +112,11 @@ class Description:
     dependencies : mapping of output or derivative name to variable names, or to None
         What each depends on directly; None: not said.
     initial_dependencies : mapping of unknown name to variable names, or to None
-        The same in initialization mode (InitialUnknowns), for the unknowns that are listed there.
+        The same in Initialization Mode (InitialUnknowns), for the unknowns that are listed there.
     unnamed_states : int
         Number of continuous states that have no names: all of FMI 1.
-    capabilities : mapping of Mode to Capabilities
-        The kinds that are there.
+    capabilities : mapping of InterfaceType to Capabilities
+        The interface types that are there.
     event_indicators : int
         Number of their elements.
     indicators : tuple of str
@@ -117,8 +125,9 @@ class Description:
         Names of the variables that are clocks.
     platforms : tuple of str
         Folders under ``binaries/`` that hold something.
-    read : tuple of str
-        Local variables that are read with the outputs: the states of a loaded unit, since a log holds every state.
+    local_states : tuple of str
+        Names of the states of a loaded FMU that are local variables. They are read with the
+        outputs, since a log holds every state.
     default_step, default_tolerance : float or None
         Of DefaultExperiment.
     tool : str
@@ -132,15 +141,15 @@ class Description:
     version: str
     variables: tuple[Variable, ...]
     states: tuple[str, ...] = ()
-    dependencies: Mapping[str, tuple[str, ...] | None] = field(default_factory=dict)
-    initial_dependencies: Mapping[str, tuple[str, ...] | None] = field(default_factory=dict)
+    dependencies: Dependencies = field(default_factory=dict)
+    initial_dependencies: Dependencies = field(default_factory=dict)
     unnamed_states: int = 0
     capabilities: Mapping[InterfaceType, Capabilities] = field(default_factory=dict)
     event_indicators: int = 0
     indicators: tuple[str, ...] = ()
     clocks: tuple[str, ...] = ()
     platforms: tuple[str, ...] = ()
-    read: tuple[str, ...] = ()
+    local_states: tuple[str, ...] = ()
     default_step: float | None = None
     default_tolerance: float | None = None
     tool: str = ""
@@ -148,40 +157,43 @@ class Description:
     _named: dict[str, Variable] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "_named", {variable.name: variable for variable in self.variables})
+        named = {variable.name: variable for variable in self.variables}
+        object.__setattr__(self, "_named", named)
 
     def __contains__(self, name: str) -> bool:
         """Whether there is a variable of that name."""
         return name in self._named
 
     def __getitem__(self, name: str) -> Variable:
-        """Find a variable.
+        """Return a variable by name.
 
         Raises
         ------
         FmuError
             If there is none of that name; with the nearest one.
         """
-        found = self._named.get(name)
-        if found is None:
+        variable = self._named.get(name)
+        if variable is None:
             raise FmuError(f"{self.name}: no variable {name!r}; {nearest(name, self._named)}")
-        return found
+        return variable
 
     def ports(self, causality: str) -> tuple[tuple[Signal, tuple[Variable, ...]], ...]:
-        """Give the signals of one causality with the variables that carry their elements, in order.
+        """Return the signals of one causality, in order, with the variables of their elements.
 
-        What is ``read`` beside the outputs stands behind them. Second names (``alias_of``) are left out.
+        The local states stand behind the outputs. Aliases (``alias_of``) are left out.
         """
-        beside = [self[name] for name in self.read] if causality == "output" else []
-        carried = [
-            v
-            for v in self.variables
-            if v.causality == causality and v.is_signal and v.alias_of is None
-        ] + beside
-        return tuple((self._signal(name, group), group) for name, group in _vectors(carried))
+        variables = []
+        for variable in self.variables:
+            is_alias = variable.alias_of is not None
+            if variable.causality == causality and variable.is_signal and not is_alias:
+                variables.append(variable)
+        if causality == "output":
+            variables += [self[name] for name in self.local_states]
+        groups = _vectors(variables)
+        return tuple((self._signal(name, group), group) for name, group in groups.items())
 
     def references(self, causality: str) -> ReferenceMap:
-        """Return all inputs or outputs with their value references, in the order of the interface."""
+        """Return all inputs or outputs with their value references, in the interface's order."""
         variables: list[Variable] = []
         for _, group in self.ports(causality):
             variables += group
@@ -193,20 +205,24 @@ class Description:
 
     @property
     def discrete_inputs(self) -> Mask:
-        """Which elements of the input vector hold their value between events, shape (n_u,)."""
+        """Which elements of the input vector keep their value between events, shape (n_u,)."""
         return self.references("input").where(lambda v: v.variability != "continuous")
 
     @property
     def undoes_discarded_steps(self) -> bool:
-        """Whether a step that it discards leaves it as it was; else the master must restore a saved state (FMI 1 and 2)."""
+        """Whether a step that the FMU discards leaves it as it was (FMI 3).
+
+        In FMI 1 and 2, the master must restore a saved state.
+        """
         return not self.version.startswith(("1.", "2."))
 
     @property
     def interpolated_inputs(self) -> Mask:
-        """Which elements of the input vector can follow a straight line inside a step, if the unit interpolates, shape (n_u,)."""
-        return self.references("input").where(
-            lambda v: v.variability == "continuous" and v.type == "Float64" and v.inside_steps
-        )
+        """Which elements of the input vector can be interpolated inside a step, shape (n_u,).
+
+        Only an FMU with that capability does so.
+        """
+        return self.references("input").where(_can_be_interpolated)
 
     @property
     def n_states(self) -> int:
@@ -216,29 +232,33 @@ class Description:
     @property
     def interface(self) -> Interface:
         """Inputs, outputs and feedthrough, vectors put together again."""
-        inputs, outputs = self.ports("input"), self.ports("output")
-        port_of = {v.name: signal.name for signal, group in inputs for v in group}
-        states = set(self.states)
-        direct = {
-            v.name: () if v.name in states else self.dependencies.get(v.name)
-            for _, group in outputs
-            for v in group
-        }
-        at_start = direct | dict(self.initial_dependencies)
-        feedthrough = {signal.name: _feeds(group, direct, port_of) for signal, group in outputs}
-        initial = {
-            signal.name: _feeds(group, at_start, port_of)
-            for signal, group in outputs
-            if any(v.name in self.initial_dependencies for v in group)
-        }
-        return Interface(
-            tuple(s for s, _ in inputs), tuple(s for s, _ in outputs), feedthrough, initial
-        )
+        inputs = self.ports("input")
+        outputs = self.ports("output")
+        input_of: dict[str, str] = {}
+        for signal, group in inputs:
+            input_of |= {variable.name: signal.name for variable in group}
+        direct: dict[str, tuple[str, ...] | None] = {}
+        for _, group in outputs:
+            direct |= {variable.name: self._direct(variable) for variable in group}
+        initially = {**direct, **self.initial_dependencies}
+        feedthrough = {}
+        initial_feedthrough = {}
+        for signal, group in outputs:
+            feedthrough[signal.name] = _inputs_behind(group, direct, input_of)
+            if any(variable.name in self.initial_dependencies for variable in group):
+                initial_feedthrough[signal.name] = _inputs_behind(group, initially, input_of)
+        input_signals = tuple(signal for signal, _ in inputs)
+        output_signals = tuple(signal for signal, _ in outputs)
+        return Interface(input_signals, output_signals, feedthrough, initial_feedthrough)
+
+    def _direct(self, variable: Variable) -> tuple[str, ...] | None:
+        """Return what an output depends on directly: a state on nothing; None: not said."""
+        return () if variable.name in self.states else self.dependencies.get(variable.name)
 
     def resized(self, structural: Mapping[str, int]) -> Description:
-        """Give the description with other values of structural parameters (FMI 3.0 section 2.4.7.5.1).
+        """Return the description with other values of structural parameters.
 
-        Arrays whose size changes lose their start values, as the standard says.
+        Arrays whose size changes lose their start values (FMI 3.0 section 2.4.7.5.1).
 
         Raises
         ------
@@ -246,106 +266,138 @@ class Description:
             If there is no such structural parameter, or the value is none that it may have.
         """
         for name, value in structural.items():
-            variable = self[name]
-            if variable.causality != "structuralParameter":
-                raise FmuError(
-                    f"{self.name}: {name!r} is no structural parameter, but of causality {variable.causality}"
-                )
-            if value % 1 != 0 or not max(1, variable.minimum) <= value <= variable.maximum:
-                needed = f"a whole number from {max(1, variable.minimum):g} to {variable.maximum:g}"
-                raise FmuError(
-                    f"{self.name}: structural parameter {name!r}: found {value}, needed {needed}"
-                )
-        variables = tuple(self._sized(variable, structural) for variable in self.variables)
-        sizes = {variable.name: variable.size for variable in variables}
-        indicators = (
-            sum(sizes[name] for name in self.indicators)
-            if self.indicators
-            else self.event_indicators
-        )
-        return replace(self, variables=variables, event_indicators=indicators)
+            self._check_structural(self[name], value)
+        variables = tuple(self._resized(variable, structural) for variable in self.variables)
+        event_indicators = self.event_indicators
+        if self.indicators:
+            sizes = {variable.name: variable.size for variable in variables}
+            event_indicators = sum(sizes[name] for name in self.indicators)
+        return replace(self, variables=variables, event_indicators=event_indicators)
 
-    def _sized(self, variable: Variable, structural: Mapping[str, int]) -> Variable:
+    def _check_structural(self, variable: Variable, value: int) -> None:
+        where = f"{self.name}: structural parameter {variable.name!r}"
+        if variable.causality != "structuralParameter":
+            raise FmuError(
+                f"{self.name}: {variable.name!r} is no structural parameter, "
+                f"but of causality {variable.causality}"
+            )
+        smallest = max(1, variable.minimum)
+        if value % 1 != 0 or not smallest <= value <= variable.maximum:
+            needed = f"a whole number from {smallest:g} to {variable.maximum:g}"
+            raise FmuError(f"{where}: found {value}, needed {needed}")
+
+    def _resized(self, variable: Variable, structural: Mapping[str, int]) -> Variable:
         name = variable.alias_of or variable.name
         if name in structural:
             return replace(variable, start=(float(structural[name]),))
         if not any(dimension in structural for dimension in variable.dimensions):
             return variable
-        lengths = [
-            d
-            if isinstance(d, int)
-            else int(structural[d])
-            if d in structural
-            else int((self[d].start or (1,))[0])
-            for d in variable.dimensions
-        ]
-        size = math.prod(lengths)
-        return (
-            variable
-            if size == variable.size
-            else replace(variable, size=size, start=None, text=None)
-        )
+        size = 1
+        for dimension in variable.dimensions:
+            size *= self._length(dimension, structural)
+        if size == variable.size:
+            return variable
+        return replace(variable, size=size, start=None, text=None)
+
+    def _length(self, dimension: int | str, structural: Mapping[str, int]) -> int:
+        """Return the length of a dimension: a number, or the value of a structural parameter."""
+        if isinstance(dimension, int):
+            return dimension
+        if dimension in structural:
+            return int(structural[dimension])
+        start = self[dimension].start or (1,)
+        return int(start[0])
 
     def _signal(self, name: str, group: Sequence[Variable]) -> Signal:
         first = group[0]
-        is_state = all(v.name in self.states for v in group)
+        role: Role = "output"
+        start: tuple[float, ...] = ()
+        if first.causality == "input":
+            role = "input"
+            start = _start(group)
+        elif all(variable.name in self.states for variable in group):
+            role = "state"
         return Signal(
             name,
-            size=sum(v.size for v in group),
+            size=sum(variable.size for variable in group),
             unit=first.unit,
             variability="continuous" if first.variability == "continuous" else "discrete",
             kind=first.kind,
-            role="input" if first.causality == "input" else "state" if is_state else "output",
-            optional=all(v.doc.startswith(NO_VALUE) for v in group),
+            role=role,
+            optional=all(variable.doc.startswith(NO_VALUE) for variable in group),
             base=first.base,
-            start=_starts(group) if first.causality == "input" else (),
+            start=start,
         )
 
 
-def _feeds(
+def _can_be_interpolated(variable: Variable) -> bool:
+    is_real = variable.type == "Float64"
+    return is_real and variable.variability == "continuous" and variable.inside_steps
+
+
+def _inputs_behind(
     group: Sequence[Variable],
-    dependencies: Mapping[str, tuple[str, ...] | None],
-    port_of: Mapping[str, str],
+    dependencies: Dependencies,
+    input_of: Mapping[str, str],
 ) -> tuple[str, ...] | None:
-    """Give the inputs on which a group of variables depends; None: not said of one of them."""
-    found: set[str] = set()
+    """Return the inputs on which a group of variables depends; None: not said of one of them."""
+    inputs: set[str] = set()
     for variable in group:
         names = dependencies[variable.name]
         if names is None:
             return None
-        found.update(port_of[name] for name in names if name in port_of)
-    return tuple(name for name in dict.fromkeys(port_of.values()) if name in found)
+        inputs.update(input_of[name] for name in names if name in input_of)
+    in_order = dict.fromkeys(input_of.values())
+    return tuple(name for name in in_order if name in inputs)
 
 
-def _starts(group: Sequence[Variable]) -> tuple[float, ...]:
-    """Give the start values of an input's elements, 0 where there is none; empty where all are."""
-    found = tuple(value for v in group for value in (v.start or (0.0,) * v.size))
-    return found if any(found) else ()
+def _start(group: Sequence[Variable]) -> tuple[float, ...]:
+    """Return the start values of an input, 0 where an element has none; empty if all are 0."""
+    values: list[float] = []
+    for variable in group:
+        values += variable.start or (0.0,) * variable.size
+    return tuple(values) if any(values) else ()
 
 
-def _vectors(variables: Sequence[Variable]) -> list[tuple[str, tuple[Variable, ...]]]:
-    """Put scalars ``n[0], n[1], ...`` (or from 1) of equal kind and unit together again; others stand alone."""
+def _vectors(variables: Sequence[Variable]) -> dict[str, tuple[Variable, ...]]:
+    """Put scalars ``n[0], n[1], ...`` (or from 1) together again; others stand alone.
+
+    A vector stands where the first of its elements stands in the file.
+    """
+    vectors: dict[str, tuple[Variable, ...]] = {}
+    vector_of: dict[str, str] = {}
+    for name, family in _families(variables).items():
+        if _is_vector(family):
+            vectors[name] = tuple(family[number] for number in sorted(family))
+            vector_of |= {variable.name: name for variable in vectors[name]}
+    groups: dict[str, tuple[Variable, ...]] = {}
+    for variable in variables:
+        vector = vector_of.get(variable.name)
+        if vector is None:
+            groups[variable.name] = (variable,)
+        else:
+            groups[vector] = vectors[vector]
+    return groups
+
+
+def _families(variables: Sequence[Variable]) -> dict[str, dict[int, Variable]]:
+    """Return the scalars whose names differ only in a number, by name and number.
+
+    The name before the number must be no other variable's.
+    """
+    names = {variable.name for variable in variables}
     families: dict[str, dict[int, Variable]] = {}
     for variable in variables:
-        element = re.fullmatch(r"(.*[^\]])\[(\d+)\]", variable.name)
-        if element and variable.size == 1:
-            families.setdefault(element[1], {})[int(element[2])] = variable
-    names, found, done = {v.name for v in variables}, [], set()
-    for variable in variables:
-        base = variable.name.rpartition("[")[0]
-        family = families.get(base, {})
-        numbers, first = sorted(family), min(family, default=0)
-        alike = len({(v.kind, v.unit, v.base, v.variability) for v in family.values()}) == 1
-        if (
-            variable in family.values()
-            and alike
-            and first in (0, 1)
-            and base not in names
-            and numbers[-1] - first < len(numbers)
-        ):
-            if base not in done:
-                found.append((base, tuple(family[i] for i in numbers)))
-                done.add(base)
-        else:
-            found.append((variable.name, (variable,)))
-    return found
+        element = ELEMENT.fullmatch(variable.name)
+        if element and variable.size == 1 and element["name"] not in names:
+            family = families.setdefault(element["name"], {})
+            family[int(element["number"])] = variable
+    return families
+
+
+def _is_vector(family: Mapping[int, Variable]) -> bool:
+    """Whether scalars, by their numbers, are the elements of one vector."""
+    first = min(family)
+    has_gaps = max(family) - first >= len(family)
+    types = {(v.kind, v.unit, v.base, v.variability) for v in family.values()}
+    return first in (0, 1) and not has_gaps and len(types) == 1

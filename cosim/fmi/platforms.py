@@ -1,4 +1,4 @@
-"""Where an FMU keeps the binary for this machine (FMI 2.0.4 section 2.3, FMI 3.0 section 2.5.1.4.1)."""
+"""Where an FMU has the binary for this machine (FMI 2.0.4 section 2.3, FMI 3.0 section 2.5.1)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SUFFIX: Final = {"linux": ".so", "darwin": ".dylib", "windows": ".dll"}.get(SYST
 
 
 def folders(version: str) -> tuple[str, ...]:
-    """Give the folders under ``binaries/`` to look in, the usual one first."""
+    """Return the folders under ``binaries/`` to look in, the usual one first."""
     exact = f"{ARCHITECTURE}-{SYSTEM}"
     if version.startswith("3.") or ARCHITECTURE != "x86_64":
         return (exact,)

@@ -1,4 +1,4 @@
-"""Variables as the elements of one float64 vector, and their value references as the FMI calls take them."""
+"""Variables as the elements of one float64 vector, with their value references for FMI calls."""
 
 from __future__ import annotations
 
@@ -43,7 +43,8 @@ class Group:
 class ReferenceMap:
     """Variables that are set or read together, as the elements of one float64 vector.
 
-    This class alone knows their order: the variables stand one behind the other, the elements of an array in row-major order.
+    This class alone knows their order: the variables stand one behind the other, the elements of an
+    array in row-major order.
 
     Parameters
     ----------
@@ -53,11 +54,14 @@ class ReferenceMap:
     groups : tuple of Group
         The variables by type, for the calls that set and read values.
     ungrouped : Group
-        All variables in their order, for the calls with derivatives: those are Float64 whatever the variables are.
+        All variables in their order, for the calls with derivatives: those are Float64 whatever the
+        variables are.
     all_float64 : bool
-        Whether every variable is Float64 (and there is one), so that the vector is handed over as it is.
+        Whether every variable is Float64 (and there is one), so that the vector is handed over as
+        it is.
     columns : array of int, shape (size,)
-        Of a selection: where its elements stand in the vector that it was selected from; else 0, 1, ...
+        Of a selection: where its elements stand in the vector that it was selected from; else 0,
+        1, ...
     is_part : bool
         Whether it is a selection that leaves out some of that vector.
     """
@@ -78,32 +82,27 @@ class ReferenceMap:
         columns = np.arange(sum(sizes), dtype=np.intp)
         groups = []
         for variable_type in dict.fromkeys(variable.type for variable in variables):
-            same_type = [variable.type == variable_type for variable in variables]
+            in_group = [variable.type == variable_type for variable in variables]
             references = [v.reference for v in variables if v.type == variable_type]
-            groups.append(Group.of(variable_type, references, columns[np.repeat(same_type, sizes)]))
-        return ReferenceMap(
-            variables=variables,
-            size=len(columns),
-            groups=tuple(groups),
-            ungrouped=Group.of("Float64", [v.reference for v in variables], columns),
-            all_float64=len(groups) == 1 and groups[0].type == "Float64",
-            columns=columns,
-        )
+            group_columns = columns[np.repeat(in_group, sizes)]
+            groups.append(Group.of(variable_type, references, group_columns))
+        ungrouped = Group.of("Float64", [v.reference for v in variables], columns)
+        all_float64 = len(groups) == 1 and groups[0].type == "Float64"
+        return ReferenceMap(variables, len(columns), tuple(groups), ungrouped, all_float64, columns)
 
     @staticmethod
     def of_distinct(variables: Iterable[Variable]) -> ReferenceMap:
-        """Build the map of variables without aliases: each value reference once (FMI 2.0.4 section 2.2.7)."""
+        """Build the map of variables without aliases: each value reference of a type once."""
         distinct = {(variable.type, variable.reference): variable for variable in variables}
         return ReferenceMap.of(distinct.values())
 
     @property
     def elements(self) -> tuple[VectorElement, ...]:
         """What stands at each place of the vector."""
-        return tuple(
-            VectorElement(variable, index)
-            for variable in self.variables
-            for index in range(variable.size)
-        )
+        elements: list[VectorElement] = []
+        for variable in self.variables:
+            elements += [VectorElement(variable, index) for index in range(variable.size)]
+        return tuple(elements)
 
     def where(self, condition: Callable[[Variable], bool]) -> Mask:
         """Return which elements belong to variables that meet a condition, shape (size,)."""
@@ -112,16 +111,26 @@ class ReferenceMap:
         return np.repeat(meets, sizes)
 
     def select(self, mask: Mask) -> ReferenceMap:
-        """Return the map of the variables whose elements a mask of shape (size,) chooses: all elements of each, or none."""
-        first_columns = np.cumsum([0, *(variable.size for variable in self.variables)])
-        chosen = [v for v, first in zip(self.variables, first_columns, strict=False) if mask[first]]
+        """Return the map of the variables whose elements a mask of shape (size,) chooses.
+
+        The mask chooses all elements of a variable or none.
+        """
+        chosen = []
+        column = 0
+        for variable in self.variables:
+            if mask[column]:
+                chosen.append(variable)
+            column += variable.size
         selection = ReferenceMap.of(chosen)
         columns = np.flatnonzero(mask)
         assert len(columns) == selection.size
         return replace(selection, columns=columns, is_part=not mask.all())
 
     def take(self, values: Vector) -> Vector:
-        """Return a selection's elements of the vector that it was selected from; that vector itself where they are all."""
+        """Return a selection's elements of the vector that it was selected from.
+
+        That is the vector itself, not a copy, where the selection leaves nothing out.
+        """
         return values[self.columns] if self.is_part else values
 
     def columns_of(self, elements: Iterable[VectorElement]) -> NDArray[np.intp]:

@@ -12,15 +12,27 @@ from cosim.units import BaseUnit
 
 Initial: TypeAlias = Literal["exact", "approx", "calculated"]
 VariableType: TypeAlias = Literal[
-    "Float64", "Float32", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64", "Boolean",
-    "String", "Binary", "Clock",
-]  # fmt: skip
+    "Float64",
+    "Float32",
+    "Int8",
+    "UInt8",
+    "Int16",
+    "UInt16",
+    "Int32",
+    "UInt32",
+    "Int64",
+    "UInt64",
+    "Boolean",
+    "String",
+    "Binary",
+    "Clock",
+]
 LARGEST_EXACT: Final = 2**53  # integers beyond it are not all float64
 
 
 @dataclass(frozen=True, slots=True)
 class Variable:
-    """A variable of a unit (FMI 2.0.4 section 2.2.7, FMI 3.0 section 2.4.7).
+    """A variable of an FMU or of a generated model (FMI 2.0.4 section 2.2.7, FMI 3.0, 2.4.7).
 
     Parameters
     ----------
@@ -37,19 +49,20 @@ class Variable:
     base : BaseUnit or None
         What the unit is in SI, by its definition (offset 0 for a relative quantity).
     start : tuple of float or None
-        Of numbers and Booleans.
+        The start value of numbers and Booleans.
     text : tuple of str or None
-        Start of a String; of a Binary in hexadecimal.
+        The start value of a String; of a Binary in hexadecimal.
     minimum, maximum : float
     nominal : float or None
     derivative_of : str or None
         The state of which it is the derivative.
     dimensions : tuple of int or str
-        Of an array (FMI 3): numbers, or names of structural parameters; ``size`` is their product at the start.
+        Of an array (FMI 3): numbers, or names of structural parameters; ``size`` is their product.
     items : mapping of str to int
         Names and values of an enumeration.
     inside_steps : bool
-        Whether an input may be set inside a step (FMI 3: intermediateUpdate; FMI 1 and 2: by its derivative).
+        Whether an input may be set inside a step (FMI 3: intermediateUpdate; FMI 1 and 2: by its
+        derivative).
     alias_of : str or None
         The variable whose other name it is (FMI 3); it is no signal of its own.
     doc : str
@@ -79,10 +92,9 @@ class Variable:
 
     @property
     def settable(self) -> bool:
-        """Whether a start value may be given (FMI 2.0.4 section 2.2.7: initial exact or approx, or an input)."""
-        return self.variability != "constant" and (
-            self.causality == "input" or self.initial in ("exact", "approx")
-        )
+        """Whether a start value may be set (FMI 2.0.4 section 2.2.7)."""
+        has_start = self.causality == "input" or self.initial in ("exact", "approx")
+        return has_start and self.variability != "constant"
 
     @property
     def is_signal(self) -> bool:

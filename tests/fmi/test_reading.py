@@ -196,7 +196,7 @@ def test_fmi_2(described):
             "two_cs", interpolates_inputs=True, serializes_state=True, completed_step=False
         ),
     }
-    assert (found.states, found.n_states, found.read) == (("x", "hidden"), 2, ("hidden",))
+    assert (found.states, found.n_states, found.local_states) == (("x", "hidden"), 2, ("hidden",))
     assert (found.event_indicators, found.default_step, found.default_tolerance) == (2, 0.01, 1e-6)
     assert found["u"].base == BaseUnit(KELVIN, 1.0, 273.15)
     assert found["rise"].base == BaseUnit(KELVIN)  # a difference has no offset

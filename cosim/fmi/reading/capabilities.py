@@ -86,9 +86,7 @@ def _capabilities_3(
 ) -> Capabilities:
     step = attributes.number(element, "fixedInternalStepSize", element.tag)
     if step is not None and not 0.0 < step < float("inf"):
-        attributes.problems.append(
-            f"{element.tag}: fixedInternalStepSize: found {step}, needed a positive number"
-        )
+        attributes.report(f"{element.tag}: fixedInternalStepSize", step, "a positive number")
     needs_completed_step = flag(element, "needsCompletedIntegratorStep")
     return Capabilities(
         identifier,

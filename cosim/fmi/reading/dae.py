@@ -47,7 +47,7 @@ def read_dae(raw: bytes, variables: Sequence[Variable]) -> Dae | None:
     residuals = [
         reader.formulations(element, "Formulation") for element in _children(structure, "Residual")
     ]
-    dependencies: dict[str, tuple[str, ...] | None] = {}
+    dependencies = {}
     for tag in UNKNOWNS:
         for unknown in reader.formulations(structure, tag):
             dependencies[unknown.name] = unknown.dependencies
@@ -55,29 +55,23 @@ def read_dae(raw: bytes, variables: Sequence[Variable]) -> Dae | None:
     _check_residuals(structure, residuals, reader)
     if not attributes.problems:
         _check_count(algebraic, residuals, reader)
-    return Dae(
-        version,
-        tuple(algebraic),
-        tuple(residuals),
-        dependencies,
-        tuple(attributes.problems),
-    )
+    problems = tuple(attributes.problems)
+    return Dae(version, tuple(algebraic), tuple(residuals), dependencies, problems)
 
 
 def _read_version(root: Element, attributes: Attributes) -> str:
     """Check which layered standard a manifest belongs to; return its version."""
+    _check_word("the root", _local_name(root), ROOTS, attributes)
     name = _manifest_attribute(root, "name")
+    _check_word("fmi-ls-name", name, (NAME,), attributes)
     version = _manifest_attribute(root, "version")
-    checks: tuple[tuple[str, str, tuple[str, ...]], ...] = (
-        ("the root", _local_name(root), ROOTS),
-        ("fmi-ls-name", name, (NAME,)),
-        ("fmi-ls-version", version, VERSIONS),
-    )
-    for what, found, allowed in checks:
-        if found not in allowed:
-            needed = " or ".join(allowed)
-            attributes.problems.append(f"{what}: found {found!r}, needed {needed}")
+    _check_word("fmi-ls-version", version, VERSIONS, attributes)
     return version
+
+
+def _check_word(what: str, word: str, allowed: Sequence[str], attributes: Attributes) -> None:
+    if word not in allowed:
+        attributes.report(what, repr(word), " or ".join(allowed))
 
 
 def _manifest_attribute(root: Element, key: str) -> str:

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TypeAlias
 from xml.etree.ElementTree import Element
 
+from cosim.fmi.description import Dependencies
 from cosim.fmi.reading.markup import Attributes
 from cosim.fmi.reading.variables import major
 from cosim.fmi.variable import Variable
-
-Dependencies: TypeAlias = dict[str, tuple[str, ...] | None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +38,7 @@ def read_structure(
 
 def _structure_1(root: Element, attributes: Attributes) -> Structure:
     """Read DirectDependency (FMI 1.0 section 3.2), the names of inputs; without it, all of them."""
-    outputs: Dependencies = {}
+    outputs = {}
     for element in root.iterfind("ModelVariables/ScalarVariable"):
         direct = element.find("DirectDependency")
         if direct is not None:
@@ -111,7 +109,7 @@ class _UnknownsReader:
     def unknowns(self, section: str) -> Dependencies:
         """Return the unknowns of a section, and what each depends on."""
         where = f"ModelStructure/{section}"
-        unknowns: Dependencies = {}
+        unknowns = {}
         for element in self._root.iterfind(where):
             number = self._attributes.integer(element, self._key, where)
             if number is None or number not in self._names:

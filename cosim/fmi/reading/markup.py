@@ -64,6 +64,10 @@ class Attributes:
     def __init__(self, problems: list[str]) -> None:
         self.problems = problems
 
+    def report(self, where: str, found: object, needed: str) -> None:
+        """Add a problem: what was found at a place, and what was needed."""
+        self.problems.append(f"{where}: found {found}, needed {needed}")
+
     def text(self, element: Element, name: str, where: str) -> str:
         """Read an attribute that must be there."""
         value = element.get(name)
@@ -84,8 +88,7 @@ class Attributes:
         text = self.text(element, name, where) or None
         reference = self._convert(text, whole, f"{where}: {name}", "an integer") or 0
         if not 0 <= reference < 2**32:
-            needed = f"needed 0 to {2**32 - 1}"
-            self.problems.append(f"{where}: {name}: found {reference}, {needed}")
+            self.report(f"{where}: {name}", reference, f"0 to {2**32 - 1}")
             return 0
         return reference
 
@@ -105,7 +108,7 @@ class Attributes:
         try:
             return convert(text)
         except ValueError:
-            self.problems.append(f"{where}: found {text[:100]!r}, needed {needed}")
+            self.report(where, repr(text[:100]), needed)
             return None
 
 

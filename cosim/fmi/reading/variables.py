@@ -20,6 +20,7 @@ from cosim.fmi.variable import LARGEST_EXACT, Initial, Variable, VariableType
 from cosim.units import BASE, BaseUnit, base_unit
 
 LARGEST_ARRAY: Final = 2**24  # elements
+LENGTH: Final = f"a number or a structural parameter with one, at most {LARGEST_ARRAY} elements"
 FLOATS: Final = ("Float32", "Float64")
 TYPES: Final[Mapping[str, VariableType]] = {  # of FMI 1 and 2, by the name of the element
     "Real": "Float64",
@@ -105,11 +106,10 @@ def _read_unit(unit: Element, attributes: Attributes) -> BaseUnit | None:
     if factor is None:
         factor = 1.0
     elif factor == 0.0 or not math.isfinite(factor):
-        needed = "needed a finite number that is not 0"
-        attributes.problems.append(f"{where}: factor: found {factor}, {needed}")
+        attributes.report(f"{where}: factor", factor, "a finite number that is not 0")
         factor = 1.0
     if offset is not None and not math.isfinite(offset):
-        attributes.problems.append(f"{where}: offset: found {offset}, needed a finite number")
+        attributes.report(f"{where}: offset", offset, "a finite number")
         offset = None
     return BaseUnit(exponents, factor, offset or 0.0)
 
@@ -325,10 +325,7 @@ def _with_size(
     for dimension in element.iterfind("Dimension"):
         length, parameter = _length(dimension, by_reference, f"{where}: Dimension", attributes)
         if length is None or not 0 < size * length <= LARGEST_ARRAY:
-            attributes.problems.append(
-                f"{where}: Dimension: found size {length}, needed a number or a structural "
-                f"parameter with one, at most {LARGEST_ARRAY} elements"
-            )
+            attributes.report(f"{where}: Dimension", f"size {length}", LENGTH)
             length = 1
         dimensions.append(length if parameter is None else parameter)
         size *= length
