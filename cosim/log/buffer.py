@@ -178,4 +178,5 @@ def message_batch(
         size += len(header) + len(data)
     data = b"".join(records)
     times_ns = np.array(times, dtype=np.int64)
-    return MessageBatch(channel_id, data, times_ns, np.array(offsets, dtype=np.int64))
+    data_offsets = np.array(offsets, dtype=np.int64)
+    return MessageBatch(channel_id, data, times_ns, data_offsets)

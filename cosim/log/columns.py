@@ -65,7 +65,8 @@ class SignalRows:
     def _grow(self, needed: int) -> None:
         """Make room for ``needed`` rows, and at least twice as many as before."""
         room = len(self._time_ns)
-        added = max(needed, 2 * room, _FIRST_ROWS) - room
+        new_room = max(needed, 2 * room, _FIRST_ROWS)
+        added = new_room - room
         new_times = np.empty(added, dtype=np.int64)
         new_values = np.empty((added, self.part.size))
         self._time_ns = np.concatenate([self._time_ns, new_times])

@@ -151,8 +151,8 @@ class Container:
     def expected_messages(self, channel_id: int, message_bytes: int) -> int:
         """Return for how many messages of a channel to make room.
 
-        As many as the summary counts, but no more than the chunks can hold: the summary of a damaged
-        file may ask for any amount of memory.
+        As many as the summary counts, but no more than the chunks can hold: the summary of a
+        damaged file may ask for any amount of memory.
         """
         statistics = self.summary.statistics
         if statistics is None:

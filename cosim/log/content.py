@@ -26,8 +26,8 @@ def hash_input(time_ns: Nanoseconds, rows: Matrix) -> memoryview:
     time_ns : Nanoseconds, shape (n,)
     rows : Matrix, shape (n, width)
     """
-    width = rows.shape[1]
-    table = np.empty((len(rows), 1 + width), dtype="<f8")
+    count, width = rows.shape
+    table = np.empty((count, 1 + width), dtype="<f8")
     table.view("<i8")[:, 0] = time_ns
     table[:, 1:] = rows
     return table.view(np.uint8).reshape(-1).data

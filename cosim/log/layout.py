@@ -103,8 +103,8 @@ def split_channel(channel: Channel, *, kind: str, step_ns: int) -> list[Part]:
     width = channel.columns.stop - channel.columns.start
     parts = []
     for start in range(0, max(width, 1), MOST_ELEMENTS):
-        columns = slice(start, min(start + MOST_ELEMENTS, width))
-        parts.append(Part(channel, kind, step_ns, columns))
+        stop = min(start + MOST_ELEMENTS, width)
+        parts.append(Part(channel, kind, step_ns, slice(start, stop)))
     return parts
 
 
@@ -267,8 +267,9 @@ def copy_values(records: Records, target: Matrix) -> None:
     tags = field_tags(size)
     for name, columns in group_columns(size).items():
         # Before the values: the same bytes behind other tags are other fields, or another type.
-        if (records[name]["tag"] != tags[name]).any():
+        group = records[name]
+        if (group["tag"] != tags[name]).any():
             raise ValueError(
                 "messages with other fields than declared: written or re-encoded by another tool"
             )
-        target[:, columns] = records[name]["value"]
+        target[:, columns] = group["value"]

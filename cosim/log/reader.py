@@ -176,7 +176,8 @@ class Log:
         channel, columns = find_signal(self._channels, signal, source=source)
         first = columns.start - channel.start
         stop = columns.stop - channel.start
-        values = self.rows(channel.name)[:, first:stop]
+        rows = self.rows(channel.name)
+        values = rows[:, first:stop]
         return values[:, 0] if values.shape[1] == 1 else values
 
     def rows(self, component: str) -> Matrix:
@@ -400,7 +401,8 @@ class Log:
         self, component: str, key: str, parse: Callable[[str], _Parsed], default: _Parsed
     ) -> _Parsed:
         """Parse a component's metadata; ``default`` where another tool left them out."""
-        text = self._metadata.get(f"cosim.component.{component}", {}).get(key)
+        items = self._metadata.get(f"cosim.component.{component}", {})
+        text = items.get(key)
         try:
             return default if text is None else parse(text)
         except MALFORMED as error:

@@ -268,8 +268,9 @@ def _message_indexes(batches: Sequence[MessageBatch]) -> list[bytes]:
         entries = np.empty(len(batch.time_ns), _INDEX_ENTRY)
         entries["log_time"] = batch.time_ns
         entries["offset"] = batch.offsets + batch_start
-        length = _INDEX_HEADER.size - _RECORD_HEADER.size + entries.nbytes
-        header = _INDEX_HEADER.pack(Opcode.MESSAGE_INDEX, length, batch.channel_id, entries.nbytes)
+        size = entries.nbytes
+        length = _INDEX_HEADER.size - _RECORD_HEADER.size + size
+        header = _INDEX_HEADER.pack(Opcode.MESSAGE_INDEX, length, batch.channel_id, size)
         indexes.append(header + entries.tobytes())
         batch_start += len(batch.data)
     return indexes

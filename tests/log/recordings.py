@@ -11,72 +11,77 @@ from cosim.log import McapRecorder
 STEP_NS = 1_000_000
 
 
+PLANT = Interface(
+    (Signal("u", unit="m/s", role="input"),),
+    (
+        Signal("x_a", 2, role="state"),
+        Signal("der(x)", unit="1"),
+        Signal("n", kind="integer", variability="discrete"),
+    ),
+    {"x_a": (), "der(x)": ("u",)},
+)
+IDENTIFIER = Interface(
+    (Signal("y", 3, role="input"),),
+    (Signal("theta", 2, optional=True, role="estimate"),),
+    {"theta": None},
+)
+
+# NaNs of unusual bits, minus zero, infinity.
+ODD_BITS = [
+    0x7FF8000000000000,
+    0xFFF8000000000123,
+    0x7FF0000000000001,
+    0x8000000000000000,
+    0x7FF0000000000000,
+]
+
+
 def layout(*, period=5, wide=0):
-    """Lay out a plant, a slower identifier with an optional signal, and if asked for a wide component."""
-    plant = Interface(
-        (Signal("u", unit="m/s", role="input"),),
-        (
-            Signal("x_a", 2, role="state"),
-            Signal("der(x)", unit="1"),
-            Signal("n", kind="integer", variability="discrete"),
-        ),
-        {"x_a": (), "der(x)": ("u",)},
-    )
-    identifier = Interface(
-        (Signal("y", 3, role="input"),),
-        (Signal("theta", 2, optional=True, role="estimate"),),
-        {"theta": None},
-    )
-    interfaces = [("plant", plant, 1), ("identifier", identifier, period)]
+    """Return the layout of a plant, a slower identifier and, if asked for, a wide component."""
+    interfaces = [("plant", PLANT, 1), ("identifier", IDENTIFIER, period)]
     if wide:
         interfaces.append(("wide", Interface((), (Signal("y", wide),)), 1))
-    channels, start = [], 0
+    channels = []
+    start = 0
     for name, interface, every in interfaces:
-        channels.append(Channel(name, interface, start, every))
-        start = channels[-1].columns.stop
+        channel = Channel(name, interface, start, every)
+        channels.append(channel)
+        start = channel.columns.stop
     return Layout(tuple(channels))
 
 
 def plan(lay=None):
-    """Plan a run with a design of awkward numbers."""
+    """Return the plan of a run with a design of awkward numbers."""
     design = {
         "M": np.array([[0.1, -0.0], [np.nan, 5e-324]]),
         "empty": np.zeros((0, 3)),
         "scalar": np.array(np.pi),
     }
     held = {"plant": np.array([True]), "identifier": np.array([False, True, False])}
-    return Plan(
-        lay or layout(), STEP_NS, {"plant": design}, held, ("cascade plant", "cascade identifier")
-    )
+    schedule = ("cascade plant", "cascade identifier")
+    return Plan(lay or layout(), STEP_NS, {"plant": design}, held, schedule)
 
 
 def table(lay, steps, seed=1):
-    """Give the rows of a run, shape (steps + 1, width), with NaNs of unusual bits, infinities and both zeros among them."""
-    rows = np.random.default_rng(seed).normal(size=(steps + 1, lay.width))
-    odd = np.array(
-        [
-            0x7FF8000000000000,
-            0xFFF8000000000123,
-            0x7FF0000000000001,
-            0x8000000000000000,
-            0x7FF0000000000000,
-        ],
-        dtype="u8",
-    )
-    rows.reshape(-1)[3 : 3 + 7 * len(odd) : 7] = odd.view(np.float64)
+    """Return the rows of a run, shape (steps + 1, width), with odd values among them."""
+    random = np.random.default_rng(seed)
+    rows = random.normal(size=(steps + 1, lay.width))
+    odd = np.array(ODD_BITS, dtype="u8").view(np.float64)
+    rows.reshape(-1)[3 : 3 + 7 * len(odd) : 7] = odd
     return rows
 
 
 def blocks(rows, size, first=0):
-    """Cut the rows of a run into blocks of at most ``size`` steps."""
+    """Yield the rows of a run in blocks of at most ``size`` steps."""
     for start in range(first, len(rows) - 1, size):
         stop = min(start + size, len(rows) - 1)
         time_ns = np.arange(start, stop + 1, dtype=np.int64) * STEP_NS
-        yield Block(start, time_ns, time_ns / 1e9, STEP_NS / 1e9), rows[start : stop + 1]
+        block = Block(start, time_ns, time_ns / 1e9, STEP_NS / 1e9)
+        yield block, rows[start : stop + 1]
 
 
 def record(path, *, steps=1000, size=100, lay=None, rows=None, messages=(), **options):
-    """Record a run; give its rows."""
+    """Record a run; return its rows."""
     lay = lay or layout()
     rows = table(lay, steps) if rows is None else rows
     with McapRecorder(path, **options) as recorder:
@@ -90,6 +95,7 @@ def record(path, *, steps=1000, size=100, lay=None, rows=None, messages=(), **op
 
 
 def same_bits(a, b):
-    """Say whether two arrays have one shape and the same bits."""
-    a, b = np.ascontiguousarray(a), np.ascontiguousarray(b)
-    return a.shape == b.shape and np.array_equal(a.view(np.int64), b.view(np.int64))
+    """Return whether two arrays have the same shape and the same bits."""
+    bits_a = np.ascontiguousarray(a).view(np.int64)
+    bits_b = np.ascontiguousarray(b).view(np.int64)
+    return np.array_equal(bits_a, bits_b)

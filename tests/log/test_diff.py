@@ -15,20 +15,20 @@ from .recordings import STEP_NS, layout, record
 
 
 class Run:
-    """A recording made by hand."""
-
-    metadata: dict = {}
+    """A recording made by hand, of one component ``c``."""
 
     def __init__(self, values, times=None):
-        signals = {name: np.asarray(array, dtype=float) for name, array in values.items()}
-        count = len(next(iter(signals.values())))
-        self._times = np.arange(count) * STEP_NS if times is None else np.asarray(times) * STEP_NS
-        self._signals = signals
-        declared = tuple(
-            Signal(name, 1 if array.ndim == 1 else array.shape[1])
-            for name, array in signals.items()
-        )
-        self.channels = {"c": Channel("c", Interface((), declared), 0)}
+        self.metadata = {}
+        self._signals = {}
+        declared = []
+        for name, array in values.items():
+            self._signals[name] = np.asarray(array, dtype=float)
+            size = self._signals[name][0].size
+            declared.append(Signal(name, size))
+        if times is None:
+            times = np.arange(len(next(iter(self._signals.values()))))
+        self._times = np.asarray(times) * STEP_NS
+        self.channels = {"c": Channel("c", Interface((), tuple(declared)), 0)}
 
     def __getitem__(self, name):
         return self._signals[name.removeprefix("c.")]
@@ -38,30 +38,53 @@ class Run:
         return self._times
 
 
-def test_a_log_equals_itself_and_the_first_difference_is_found(tmp_path):
-    """One bit of one element of one row is told apart, with its time and both values."""
+def only_row(a, b, **tolerance):
+    """Compare two runs of one signal; return its row."""
+    (row,) = diff(a, b, **tolerance).rows
+    return row
+
+
+@pytest.fixture
+def pair(tmp_path):
+    """Record a run, and another that differs in two elements; return logs and rows."""
     rows = record(tmp_path / "a.mcap", steps=100)
     changed = rows.copy()
     changed[60, 0] += 1.0
-    changed[40, 6] = np.nextafter(changed[40, 6], np.inf)
+    changed[40, 6] = np.nextafter(rows[40, 6], np.inf)
     record(tmp_path / "b.mcap", rows=changed)
-    a, b = open_log(tmp_path / "a.mcap"), open_log(tmp_path / "b.mcap")
+    a = open_log(tmp_path / "a.mcap")
+    b = open_log(tmp_path / "b.mcap")
+    return a, b, rows, changed
+
+
+def test_a_log_equals_itself(pair):
+    """Bit for bit, odd values too."""
+    a, *_ = pair
     assert diff(a, a).equal
     assert diff(a, a).first is None
+
+
+def test_the_first_difference_is_found(pair):
+    """One bit of one element of one row is a difference, with its time and both values."""
+    a, b, rows, changed = pair
     difference = diff(a, b)
     assert not difference.equal
     assert not difference.within
-    assert difference.first == ElementDifference(
-        "identifier.y[1]", 40 * STEP_NS, rows[40, 6], changed[40, 6]
-    )
-    assert {row.signal: row.status for row in difference.rows if row.status != "equal"} == {
-        "plant.u": "outside",
-        "identifier.y": "outside",
-    }
-    assert [row.status for row in diff(a, b, rtol=1e-12).rows if row.signal == "identifier.y"] == [
-        "within"
-    ]
-    assert json.loads(json.dumps(difference.to_dict()))["first"]["time_ns"] == 40 * STEP_NS
+    first = ElementDifference("identifier.y[1]", 40 * STEP_NS, rows[40, 6], changed[40, 6])
+    assert difference.first == first
+    status = {row.signal: row.status for row in difference.rows}
+    changed_signals = {name for name in status if status[name] != "equal"}
+    assert changed_signals == {"plant.u", "identifier.y"}
+    assert {status[name] for name in changed_signals} == {"outside"}
+    as_json = json.loads(json.dumps(difference.to_dict()))
+    assert as_json["first"]["time_ns"] == 40 * STEP_NS
+
+
+def test_a_difference_of_one_bit_is_within_a_tolerance(pair):
+    """A signal is judged for itself."""
+    a, b, *_ = pair
+    status = {row.signal: row.status for row in diff(a, b, rtol=1e-12).rows}
+    assert status["identifier.y"] == "within"
 
 
 @pytest.mark.parametrize(
@@ -85,7 +108,7 @@ def test_tolerances_are_absolute_plus_relative_to_the_signals_scale(
     a, b, tolerance, status, largest
 ):
     """|a - b| <= atol + rtol max|a|, here with max|a| = 4 from another row."""
-    (row,) = diff(Run({"y": [4.0, a]}), Run({"y": [4.0, b]}), **tolerance).rows
+    row = only_row(Run({"y": [4.0, a]}), Run({"y": [4.0, b]}), **tolerance)
     assert (row.status, row.largest, row.scale) == (status, largest, 4.0)
     assert row.ratio == largest / 4
     assert (row.first is not None) == (status == "outside")
@@ -93,26 +116,32 @@ def test_tolerances_are_absolute_plus_relative_to_the_signals_scale(
 
 def test_runs_of_other_length_compare_where_both_have_values():
     """Other times are reported, even if all values agree."""
-    a, b = Run({"y": [1, 2, 3, 4]}), Run({"y": [3, 4, 5]}, times=[2, 3, 4])
-    (row,) = diff(a, b).rows
+    a = Run({"y": [1, 2, 3, 4]})
+    b = Run({"y": [3, 4, 5]}, times=[2, 3, 4])
+    row = only_row(a, b)
     assert (row.status, row.rows, row.largest) == ("other times", (4, 3, 2), 0.0)
     assert not diff(a, b, atol=1.0).within
-    (row,) = diff(a, Run({"y": [3, 9]}, times=[2, 3])).rows
-    assert (row.status, row.first) == ("outside", ElementDifference("c.y", 3 * STEP_NS, 4.0, 9.0))
-    (row,) = diff(a, Run({"y": [3]}, times=[9])).rows
+    row = only_row(a, Run({"y": [3, 9]}, times=[2, 3]))
+    assert row.status == "outside"
+    assert row.first == ElementDifference("c.y", 3 * STEP_NS, 4.0, 9.0)
+    row = only_row(a, Run({"y": [3]}, times=[9]))
     assert (row.status, row.rows) == ("other times", (4, 1, 0))
 
 
 def test_both_limits_of_a_jump_are_compared_with_their_own():
     """Rows of one instant pair up in their order."""
     a = Run({"y": [0, 1, 2, 3]}, times=[0, 1, 1, 2])
-    (row,) = diff(a, Run({"y": [0, 1, 7]}, times=[0, 1, 1])).rows
-    assert (row.rows, row.first) == ((4, 3, 3), ElementDifference("c.y", STEP_NS, 2.0, 7.0))
+    b = Run({"y": [0, 1, 7]}, times=[0, 1, 1])
+    row = only_row(a, b)
+    assert row.rows == (4, 3, 3)
+    assert row.first == ElementDifference("c.y", STEP_NS, 2.0, 7.0)
 
 
-def test_signals_that_only_one_run_has_are_told():
+def test_signals_that_only_one_run_has_are_listed():
     """Also a size that changed."""
-    difference = diff(Run({"x": [1.0], "y": [1.0]}), Run({"y": [[1.0, 2.0]], "z": [1.0]}))
+    a = Run({"x": [1.0], "y": [1.0]})
+    b = Run({"y": [[1.0, 2.0]], "z": [1.0]})
+    difference = diff(a, b)
     assert [(row.signal, row.status) for row in difference.rows] == [
         ("c.x", "only in a"),
         ("c.y", "other size"),
@@ -121,11 +150,11 @@ def test_signals_that_only_one_run_has_are_told():
     assert not difference.within
 
 
-def test_components_that_only_one_run_has_are_told(tmp_path):
+def test_components_that_only_one_run_has_are_listed(tmp_path):
     """A whole component may be missing."""
-    lay = layout()
+    without_identifier = Layout(layout().channels[:1])
     record(tmp_path / "a.mcap", steps=10)
-    record(tmp_path / "b.mcap", steps=10, lay=Layout(lay.channels[:1]), rows=np.zeros((11, 5)))
+    record(tmp_path / "b.mcap", steps=10, lay=without_identifier, rows=np.zeros((11, 5)))
     difference = diff(open_log(tmp_path / "b.mcap"), open_log(tmp_path / "a.mcap"))
     assert [row.status for row in difference.rows[4:]] == ["only in b", "only in b"]
     assert difference.rows[4].rows == (0, 3, 0)
@@ -133,5 +162,5 @@ def test_components_that_only_one_run_has_are_told(tmp_path):
 
 def test_the_ratio_without_a_scale_is_infinite():
     """Any difference is large beside a signal that is zero."""
-    (row,) = diff(Run({"y": [0.0]}), Run({"y": [1.0]})).rows
+    row = only_row(Run({"y": [0.0]}), Run({"y": [1.0]}))
     assert row.ratio == np.inf

@@ -19,29 +19,33 @@ from .recordings import STEP_NS, blocks, layout, plan, same_bits, table
 
 FOLDER = Path(cosim.log.__file__).parent
 BY_BYTECODE = {str(FOLDER / name) for name in ("writer.py", "interrupts.py", "unfinished.py")}
-SEEN = {str(path) for path in FOLDER.glob("*.py")} | {contextlib.__file__}
+TRACED = {str(path) for path in FOLDER.glob("*.py")} | {contextlib.__file__}
 SWITCH = {"_write_chunk", "_flush", "_add_checkpoint", "clear", "uninterrupted"}
 
 
 @pytest.fixture(autouse=True)
 def listening():
-    """Let Ctrl-C interrupt, also where the tests were started in the background and inherit that it is ignored."""
+    """Let Ctrl-C interrupt, also in tests started in the background, where it is ignored."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)
 
 
 class Press:
-    """Press Ctrl-C at the n-th instant of some functions, or all, of the log: a bytecode of the writer, a line of the rest."""
+    """Press Ctrl-C at the n-th instant of some functions, or all, of the log.
+
+    An instant is a bytecode of the writer, a line of the rest.
+    """
 
     def __init__(self, instant, functions):
-        self.left, self._functions = instant, functions
+        self.left = instant
+        self._functions = functions
 
     def __call__(self, frame, event, arg):
         code = frame.f_code
-        if code.co_filename not in SEEN or (
-            self._functions and code.co_name not in self._functions
-        ):
+        if code.co_filename not in TRACED:
+            return None
+        if self._functions and code.co_name not in self._functions:
             return None
         frame.f_trace_opcodes = code.co_filename in BY_BYTECODE
         self.left -= 1
@@ -51,8 +55,9 @@ class Press:
 
 
 def run(path, rows, instant=0, functions=None):
-    """Record chunks of rows and messages, with Ctrl-C at an instant before the end; say whether that came."""
-    press, before = Press(instant, functions), sys.gettrace()
+    """Record rows and messages, with Ctrl-C at an instant; return whether that came."""
+    press = Press(instant, functions)
+    before = sys.gettrace()
     try:
         with McapRecorder(path, compression="none") as recorder:
             sys.settrace(press if instant else before)
@@ -66,18 +71,17 @@ def run(path, rows, instant=0, functions=None):
     return press.left <= 0
 
 
-def is_whole(path, rows):
-    """Say whether a log has each row once, up to the end that it tells, with their hash, and each message once."""
+def assert_whole(path, rows, instant):
+    """Check that a log has each row once up to its end, with their hash, and each message once."""
     log = open_log(path)
     count = len(log.rows("plant"))
-    told = [message.text for message in log.messages()]
-    return (
-        same_bits(log.rows("plant"), rows[:count, :5])
-        and same_bits(log.rows("identifier"), rows[:count:5, 5:])
-        and (log.steps, log.end_ns) == (max(count - 1, 0), max(count - 1, 0) * STEP_NS)
-        and log.content_hash() == log.result["content_hash"]
-        and told == [f"block {number}" for number in range(len(told))]
-    )
+    last_step = max(count - 1, 0)
+    texts = [message.text for message in log.messages()]
+    assert same_bits(log.rows("plant"), rows[:count, :5]), instant
+    assert same_bits(log.rows("identifier"), rows[:count:5, 5:]), instant
+    assert (log.steps, log.end_ns) == (last_step, last_step * STEP_NS), instant
+    assert log.content_hash() == log.result["content_hash"], instant
+    assert texts == [f"block {number}" for number in range(len(texts))], instant
 
 
 @pytest.mark.parametrize(
@@ -85,16 +89,22 @@ def is_whole(path, rows):
     [(SWITCH, 3), (None, 17), pytest.param(SWITCH, 1, marks=pytest.mark.campaign)],
 )
 def test_an_interrupt_at_any_instant_keeps_every_row_once(tmp_path, monkeypatch, functions, stride):
-    """The file is whole or not there, and no other is left: at some instants around the writing of a chunk, and of all others."""
+    """The file is whole or does not exist, and no other is left.
+
+    At some instants around the writing of a chunk, and of all others.
+    """
     monkeypatch.setattr(row_buffer, "CHUNK_BYTES", 700)
-    rows, path = table(layout(), 12), tmp_path / "a.mcap"
-    instant, came, kept = 1, True, 0
-    while came:
+    rows = table(layout(), 12)
+    path = tmp_path / "a.mcap"
+    instant = 1
+    pressed = True
+    kept = 0
+    while pressed:
         with contextlib.suppress(KeyboardInterrupt):
-            came = run(path, rows, instant, functions)
+            pressed = run(path, rows, instant, functions)
         assert set(tmp_path.iterdir()) <= {path}, instant
         if path.exists():
-            assert is_whole(path, rows), instant
+            assert_whole(path, rows, instant)
             kept += 1
             path.unlink()
         instant += stride
@@ -102,7 +112,7 @@ def test_an_interrupt_at_any_instant_keeps_every_row_once(tmp_path, monkeypatch,
 
 
 def test_an_interrupt_within_is_handed_on_at_the_end():
-    """Every press of it, to the handler that was there."""
+    """Every press of it, to the handler from before."""
     pressed = []
     before = signal.signal(signal.SIGINT, lambda number, frame: pressed.append(number))
     try:
@@ -126,10 +136,10 @@ def test_the_block_ends_before_the_interrupt():
             done.append(True)
             raise ValueError
 
-    with pytest.raises(KeyboardInterrupt) as found:
+    with pytest.raises(KeyboardInterrupt) as raised:
         fail()
     assert done
-    assert isinstance(found.value.__context__, ValueError)
+    assert isinstance(raised.value.__context__, ValueError)
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 

@@ -47,11 +47,12 @@ NASTY = [
     "x.y",
     "x y",
 ]
+MESSAGE_HEADER = 31  # bytes before the protobuf message
 names = st.lists(st.one_of(st.sampled_from(NASTY), st.text(max_size=6)), unique=True, max_size=12)
 
 
 def message_class(name, data):
-    """Make the message class that a FileDescriptorSet describes, as a stock decoder does."""
+    """Return the message class that a FileDescriptorSet describes, as a stock decoder does."""
     pool = descriptor_pool.DescriptorPool()
     for file in descriptor_pb2.FileDescriptorSet.FromString(data).file:
         pool.Add(file)
@@ -59,11 +60,12 @@ def message_class(name, data):
 
 
 @given(names)
-def test_identifiers_differ_even_without_underscores_and_case(found):
-    """Every name gets a legal identifier of its own, also in protobuf's JSON."""
-    made = identifiers(found)
+def test_identifiers_differ_even_without_underscores_and_case(signal_names):
+    """Every name has a legal identifier of its own, also in protobuf's JSON."""
+    made = identifiers(signal_names)
     assert all(re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name) for name in made)
-    assert len({name.replace("_", "").lower() for name in made}) == len(found)
+    folded = {name.replace("_", "").lower() for name in made}
+    assert len(folded) == len(signal_names)
 
 
 def test_legal_names_are_kept_and_the_others_stay_readable():
@@ -78,17 +80,18 @@ def test_legal_names_are_kept_and_the_others_stay_readable():
 
 
 @given(names)
-def test_any_names_make_a_schema_that_protobuf_takes(found):
+def test_any_names_make_a_schema_that_protobuf_takes(signal_names):
     """Stock protobuf decodes the records of a channel with any names, and writes them as JSON."""
-    kind = message_class("cosim.m", component_schema("m", found))
-    records = blank_records(1, len(found), 1)
-    for name, columns in group_columns(len(found)).items():
-        records[name]["value"] = np.arange(1.0, len(found) + 1)[columns]
-    message = kind.FromString(records.tobytes()[31:])
-    assert [getattr(message, field.name) for field in kind.DESCRIPTOR.fields] == list(
-        range(1, len(found) + 1)
-    )
-    assert len(json_format.MessageToDict(message)) == len(found)
+    size = len(signal_names)
+    values = np.arange(1.0, size + 1)
+    kind = message_class("cosim.m", component_schema("m", signal_names))
+    records = blank_records(1, size, 1)
+    for group, columns in group_columns(size).items():
+        records[group]["value"] = values[columns]
+    message = kind.FromString(records.tobytes()[MESSAGE_HEADER:])
+    decoded = [getattr(message, field.name) for field in kind.DESCRIPTOR.fields]
+    assert decoded == list(values)
+    assert len(json_format.MessageToDict(message)) == size
 
 
 @pytest.mark.parametrize("size", [0, 1, 15, 16, 2047, 2048, 4096])
@@ -96,16 +99,17 @@ def test_records_are_protobuf_at_every_width_of_tags(size):
     """Stock protobuf finds the values, and they come back from the records bit for bit."""
     values = np.random.default_rng(1).normal(size=(3, size))
     records = blank_records(7, size, 3)
-    for name, columns in group_columns(size).items():
-        records[name]["value"] = values[:, columns]
-    kind = message_class("cosim.m", component_schema("m", [f"v{i}" for i in range(size)]))
+    for group, columns in group_columns(size).items():
+        records[group]["value"] = values[:, columns]
+    fields = [f"v{i}" for i in range(size)]
+    kind = message_class("cosim.m", component_schema("m", fields))
     data = records[1].tobytes()
     assert struct.unpack_from("<BQH", data) == (5, len(data) - 9, 7)
-    message = kind.FromString(data[31:])
-    assert [getattr(message, f"v{i}") for i in range(size)] == list(values[1])
-    back = np.empty_like(values)
-    copy_values(records, back)
-    assert same_bits(back, values)
+    message = kind.FromString(data[MESSAGE_HEADER:])
+    assert [getattr(message, field) for field in fields] == list(values[1])
+    copied = np.empty_like(values)
+    copy_values(records, copied)
+    assert same_bits(copied, values)
 
 
 def test_records_with_other_fields_are_refused():
@@ -141,39 +145,38 @@ signals = plain | st.builds(
 
 @st.composite
 def channels(draw):
-    """Make any component with at least one signal."""
-    found = tuple(
-        draw(st.lists(signals, min_size=1, max_size=5, unique_by=lambda signal: signal.name))
+    """Draw any component with at least one signal."""
+    lists = st.lists(signals, min_size=1, max_size=5, unique_by=lambda signal: signal.name)
+    drawn = tuple(draw(lists))
+    cut = draw(st.integers(0, len(drawn)))
+    inputs = drawn[:cut]
+    outputs = drawn[cut:]
+    input_names = st.just(())
+    if inputs:
+        input_names = st.lists(st.sampled_from([s.name for s in inputs]), unique=True).map(tuple)
+    dependencies = st.fixed_dictionaries(
+        {}, optional={signal.name: st.none() | input_names for signal in outputs}
     )
-    cut = draw(st.integers(0, len(found)))
-    inputs, outputs = found[:cut], found[cut:]
-    feeds = (
-        st.lists(st.sampled_from(inputs), unique=True).map(lambda some: tuple(s.name for s in some))
-        if inputs
-        else st.just(())
-    )
-    known = st.fixed_dictionaries(
-        {}, optional={signal.name: st.none() | feeds for signal in outputs}
-    )
-    interface = Interface(inputs, outputs, draw(known), draw(known))
-    return Channel(
-        draw(st.text(max_size=5)), interface, draw(st.integers(0, 9)), draw(st.integers(1, 1000))
-    )
+    interface = Interface(inputs, outputs, draw(dependencies), draw(dependencies))
+    name = draw(st.text(max_size=5))
+    start = draw(st.integers(0, 9))
+    period = draw(st.integers(1, 1000))
+    return Channel(name, interface, start, period)
 
 
 @given(channels(), st.integers(1, 10**12))
-def test_metadata_gives_the_component_back(channel, step_ns):
+def test_metadata_describe_the_whole_component(channel, step_ns):
     """Every part of a component knows the whole component, and the parts tile its row."""
-    parts = [
-        read_part(part.metadata) for part in split_channel(channel, kind="some", step_ns=step_ns)
-    ]
-    assert all(
-        part.channel == channel and part.kind == "some" and part.step_ns == step_ns
-        for part in parts
-    )
-    elements = [element for part in parts for element in part.elements]
-    assert elements == [element for signal in channel.signals for element in signal.elements]
-    assert all(record_dtype(part.size).itemsize <= 31 + 11 * 4096 for part in parts)
+    elements = []
+    for part in split_channel(channel, kind="some", step_ns=step_ns):
+        back = read_part(part.metadata)
+        assert (back.channel, back.kind, back.step_ns) == (channel, "some", step_ns)
+        assert record_dtype(back.size).itemsize <= MESSAGE_HEADER + 11 * 4096
+        elements += back.elements
+    declared = []
+    for signal in channel.signals:
+        declared += signal.elements
+    assert elements == declared
 
 
 def test_a_changed_channel_is_noticed():
@@ -183,15 +186,15 @@ def test_a_changed_channel_is_noticed():
         read_part({**part.metadata, "cosim.start": "1"})
 
 
-def test_seals_cover_name_keys_and_values_and_leave_others_alone():
+def test_checksums_cover_name_keys_and_values_of_our_maps_only():
     """Whatever changes in a map of ours is noticed; a map of another tool passes."""
-    sealed = add_checksum("cosim.run", {"a": "1"})
-    assert verify_checksum("cosim.run", sealed) == {"a": "1"}
+    checked = add_checksum("cosim.run", {"a": "1"})
+    assert verify_checksum("cosim.run", checked) == {"a": "1"}
     assert verify_checksum("theirs", {"a": "1"}) == {"a": "1"}
     wrong = {
-        "cosim.rum": sealed,
-        "theirs": sealed,
-        "cosim.run": {**sealed, "a": "2"},
+        "cosim.rum": checked,
+        "theirs": checked,
+        "cosim.run": {**checked, "a": "2"},
         "cosim.env": {"a": "1"},
     }
     for name, items in wrong.items():
@@ -204,13 +207,11 @@ def test_designs_keep_every_bit():
     design = plan().designs["plant"]
     back = decode_design(encode_design(design))
     assert list(back) == list(design)
-    assert all(same_bits(back[name], design[name]) for name in design)
+    for name, array in design.items():
+        assert same_bits(back[name], array)
 
 
 def test_log_messages_survive():
-    """A foxglove.Log gives back what was said."""
-    assert decode_log(encode_log(1_500_000_000, "warning", "plant", "hei\nße")) == (
-        "warning",
-        "plant",
-        "hei\nße",
-    )
+    """Level, source and text come back from a foxglove.Log."""
+    message = ("warning", "plant", "hei\nße")
+    assert decode_log(encode_log(1_500_000_000, *message)) == message

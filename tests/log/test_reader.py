@@ -30,48 +30,63 @@ from .recordings import STEP_NS, blocks, layout, plan, record, same_bits, table
 def rewrite(source, target, *, order=lambda messages: messages, **options):
     """Copy a log message by message through mcap's own writer."""
     with source.open("rb") as stream, target.open("wb") as out:
-        reader, copy, ids = make_reader(stream), Writer(out, **options), {}
-        copy.start()
-        for number, channel in reader.get_summary().channels.items():
-            schema = reader.get_summary().schemas[channel.schema_id]
-            copied = copy.register_schema(f"other.{schema.name}", schema.encoding, schema.data)
-            ids[number] = copy.register_channel(
-                channel.topic, channel.message_encoding, copied, channel.metadata
+        reader = make_reader(stream)
+        summary = reader.get_summary()
+        writer = Writer(out, **options)
+        writer.start()
+        ids = {}
+        for number, channel in summary.channels.items():
+            schema = summary.schemas[channel.schema_id]
+            schema_id = writer.register_schema(f"other.{schema.name}", schema.encoding, schema.data)
+            ids[number] = writer.register_channel(
+                channel.topic, channel.message_encoding, schema_id, channel.metadata
             )
         for item in reader.iter_metadata():
-            copy.add_metadata(item.name, item.metadata)
+            writer.add_metadata(item.name, item.metadata)
         for _, channel, message in order(list(reader.iter_messages())):
-            copy.add_message(
-                ids[channel.id],
-                message.log_time,
-                message.data,
-                message.publish_time,
-                message.sequence,
-            )
-        copy.finish()
+            channel_id = ids[channel.id]
+            times = {"log_time": message.log_time, "publish_time": message.publish_time}
+            writer.add_message(channel_id, data=message.data, sequence=message.sequence, **times)
+        writer.finish()
 
 
-def test_a_log_gives_back_all_it_was_given(tmp_path):
-    """Channels, designs, held inputs, metadata, messages and signals."""
-    said = [(3 * STEP_NS, "warning", "plant", "slow"), (0, "info", "run", "begin")]
-    given = {"cosim.component.plant": {"mass": "1.5"}}
-    rows = record(tmp_path / "a.mcap", messages=said, metadata=given, kinds={"plant": "descriptor"})
-    log = open_log(tmp_path / "a.mcap")
+@pytest.fixture
+def path(tmp_path):
+    """Name the log."""
+    return tmp_path / "a.mcap"
+
+
+def test_a_log_returns_what_was_planned(path):
+    """Channels, designs and held inputs."""
+    record(path, kinds={"plant": "descriptor"})
+    log = open_log(path)
     recording: Recording = log
     assert recording.channels == {channel.name: channel for channel in layout().channels}
     assert list(log.channels) == ["plant", "identifier"]
     assert log.kinds == {"plant": "descriptor", "identifier": ""}
     assert log.step_ns == STEP_NS
-    expected = plan()
-    assert all(
-        same_bits(log.designs["plant"][name], array)
-        for name, array in expected.designs["plant"].items()
-    )
+    for name, array in plan().designs["plant"].items():
+        assert same_bits(log.designs["plant"][name], array)
     assert log.designs["identifier"] == {}
-    assert all(np.array_equal(log.held[name], mask) for name, mask in expected.held.items())
-    assert log.metadata["cosim.component.plant"]["mass"] == "1.5"
+    for name, mask in plan().held.items():
+        assert np.array_equal(log.held[name], mask)
     assert log.metadata["cosim.schedule"]["stages"] == '["cascade plant","cascade identifier"]'
-    assert [(m.time_ns, m.level, m.source, m.text) for m in log.messages()] == sorted(said)
+
+
+def test_a_log_returns_metadata_and_messages(path):
+    """Messages in the order of time."""
+    messages = [(3 * STEP_NS, "warning", "plant", "slow"), (0, "info", "run", "begin")]
+    record(path, messages=messages, metadata={"cosim.component.plant": {"mass": "1.5"}})
+    log = open_log(path)
+    assert log.metadata["cosim.component.plant"]["mass"] == "1.5"
+    recorded = [(m.time_ns, m.level, m.source, m.text) for m in log.messages()]
+    assert recorded == sorted(messages)
+
+
+def test_a_log_returns_every_signal(path):
+    """By its name, with its times; nothing can be written to."""
+    rows = record(path)
+    log = open_log(path)
     assert log.signals() == [
         "plant.u",
         "plant.x_a",
@@ -82,8 +97,9 @@ def test_a_log_gives_back_all_it_was_given(tmp_path):
     ]
     assert same_bits(log["plant.der(x)"], rows[:, 3])
     assert same_bits(log["identifier.y"], rows[::5, 5:8])
-    assert np.array_equal(log.time("plant.u"), np.arange(1001) * STEP_NS / 1e9)
-    assert np.array_equal(log.time("identifier"), np.arange(0, 1001, 5) * STEP_NS / 1e9)
+    times = np.arange(1001) * STEP_NS / 1e9
+    assert np.array_equal(log.time("plant.u"), times)
+    assert np.array_equal(log.time("identifier"), times[::5])
     with pytest.raises(ValueError, match="read-only"):
         log["plant.u"][0] = 1.0
 
@@ -126,202 +142,226 @@ def test_a_run_without_rows_is_a_log(tmp_path):
     ],
 )
 @pytest.mark.parametrize("turn", [1, -1])
-def test_logs_rewritten_by_other_tools_read_the_same(tmp_path, options, turn):
-    """Message by message in the order of time, or backwards, in any chunks or none, with or without a summary."""
-    record(tmp_path / "a.mcap", steps=400, messages=[(7, "info", "run", "begin")])
-    rewrite(
-        tmp_path / "a.mcap", tmp_path / "b.mcap", order=lambda messages: messages[::turn], **options
-    )
-    a, b = open_log(tmp_path / "a.mcap"), open_log(tmp_path / "b.mcap")
-    assert all(same_bits(a[name], b[name]) for name in a.signals())
-    assert all(np.array_equal(a.time_ns(name), b.time_ns(name)) for name in a.channels)
-    assert (a.content_hash(), a.messages(), dict(a.metadata)) == (
-        b.content_hash(),
-        b.messages(),
-        dict(b.metadata),
-    )
+def test_logs_rewritten_by_other_tools_read_the_same(tmp_path, path, options, turn):
+    """In the order of time, or backwards, in any chunks or none, with or without a summary."""
+    copy = tmp_path / "b.mcap"
+    record(path, steps=400, messages=[(7, "info", "run", "begin")])
+    rewrite(path, copy, order=lambda messages: messages[::turn], **options)
+    a = open_log(path)
+    b = open_log(copy)
+    for name in a.signals():
+        assert same_bits(a[name], b[name])
+    for name in a.channels:
+        assert np.array_equal(a.time_ns(name), b.time_ns(name))
+    assert a.content_hash() == b.content_hash()
+    assert a.messages() == b.messages()
+    assert dict(a.metadata) == dict(b.metadata)
 
 
 def read_all(path):
-    """Read everything there is; give what must not change."""
+    """Read everything; return what must not change."""
     log = open_log(path)
     log.load()
     assert log.designs
     assert log.held
-    attachments = [log.attachment(name) for name in log.attachments]
-    return (
-        log.content_hash(),
-        log.messages(),
-        dict(log.metadata),
-        attachments,
-        dict(log.channels),
-        log.kinds,
-    )
+    return {
+        "hash": log.content_hash(),
+        "messages": log.messages(),
+        "metadata": dict(log.metadata),
+        "attachments": [log.attachment(name) for name in log.attachments],
+        "channels": dict(log.channels),
+        "kinds": log.kinds,
+    }
+
+
+def read_flipped(path, data, position, mask):
+    """Read a log with some bits flipped; return (error or None, content or None)."""
+    data[position] ^= mask
+    path.write_bytes(data)
+    data[position] ^= mask
+    try:
+        return None, read_all(path)
+    except LogError as error:
+        return error, None
 
 
 @pytest.mark.parametrize("compression", ["zstd", "none"])
-def test_no_flipped_bit_goes_unnoticed(tmp_path, compression):
+def test_no_flipped_bit_goes_unnoticed(path, compression):
     """A flip is refused, or stands where it changes nothing that is read."""
-    path = tmp_path / "a.mcap"
     record(path, steps=50, compression=compression, messages=[(0, "info", "run", "begin")])
     data = bytearray(path.read_bytes())
     before = read_all(path)
-    random, found = np.random.default_rng(4), 0
+    random = np.random.default_rng(4)
+    refused = 0
     for position in random.integers(0, len(data), 400):
         bit = 1 << int(random.integers(8))
-        data[position] ^= bit
-        path.write_bytes(data)
-        try:
-            assert read_all(path) == before
-        except LogError as error:
-            found += 1
+        error, content = read_flipped(path, data, position, bit)
+        if error is None:
+            assert content == before
+        else:
             assert str(path) in str(error)
-        data[position] ^= bit
-    assert found > 200
+            refused += 1
+    assert refused > 200
 
 
-def test_every_bit_of_chunk_and_metadata_is_guarded(tmp_path):
-    """A flip in a chunk, a metadata record or an attachment is refused, or in a length that the reading does not need."""
-    path = tmp_path / "a.mcap"
+def test_every_bit_of_chunk_and_metadata_is_guarded(path):
+    """A flip in a chunk, a metadata record or an attachment is refused.
+
+    Or it is in a length that the reading does not need.
+    """
     record(path, steps=50)
-    before, unneeded = read_all(path), 0
     data = bytearray(path.read_bytes())
+    before = read_all(path)
     with path.open("rb") as stream:
         summary = make_reader(stream).get_summary()
     chunk = summary.chunk_indexes[0]
-    stretches = [(chunk.chunk_start_offset, chunk.chunk_length)]
-    stretches += [
-        (index.offset, index.length)
-        for index in (*summary.metadata_indexes, *summary.attachment_indexes)
-    ]
-    for start, length in stretches:
-        for position in {*range(start, start + 30), *range(start, start + length, 41)}:
-            data[position] ^= 0x20
-            path.write_bytes(data)
-            try:
-                assert read_all(path) == before
+    spans = [(chunk.chunk_start_offset, chunk.chunk_length)]
+    for index in (*summary.metadata_indexes, *summary.attachment_indexes):
+        spans.append((index.offset, index.length))
+    unneeded = 0
+    for start, length in spans:
+        header = range(start, start + 30)
+        sample = range(start, start + length, 41)
+        for position in {*header, *sample}:
+            error, content = read_flipped(path, data, position, 0x20)
+            if error is None:
+                assert content == before
                 unneeded += 1
-            except LogError:
-                pass
-            data[position] ^= 0x20
     assert unneeded <= len(summary.metadata_indexes)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.01, 0.3, 0.9, 0.9999])
-def test_truncated_files_are_refused_with_the_byte(tmp_path, share):
-    """What a crash leaves is told from damage."""
-    path = tmp_path / "a.mcap"
+def test_truncated_files_are_refused_with_the_byte(path, share):
+    """What a crash leaves is not called damaged."""
     record(path)
     os.truncate(path, int(path.stat().st_size * share))
-    told = rf"a\.mcap is truncated at byte {path.stat().st_size}: the run was killed before it could close the log, .*: run it again"
-    with pytest.raises(LogError, match=told if share else "is no MCAP file"):
+    message = "is no MCAP file"
+    if share:
+        message = (
+            rf"a\.mcap is truncated at byte {path.stat().st_size}: the run was killed before it"
+            r" could close the log, .*: run it again"
+        )
+    with pytest.raises(LogError, match=message):
         open_log(path)
 
 
 @pytest.mark.parametrize(("whole", "more"), [(2, 0), (1, -1), (0, -1)])
-def test_a_truncated_file_says_how_much_is_there(tmp_path, monkeypatch, whole, more):
-    """The time up to which its chunks are whole."""
+def test_the_error_of_a_truncated_file_names_the_time_up_to_which_it_is_whole(
+    path, monkeypatch, whole, more
+):
+    """The end of its last whole chunk."""
     monkeypatch.setattr(row_buffer, "CHUNK_BYTES", 5000)
-    path = tmp_path / "a.mcap"
     record(path)
     with path.open("rb") as stream:
         chunks = make_reader(stream).get_summary().chunk_indexes
     last = chunks[1] if whole else chunks[0]
     os.truncate(path, last.chunk_start_offset + last.chunk_length + more)
-    told = (
-        f"it is whole up to t = {chunks[whole - 1].message_end_time / 1e9} s: run it again, or"
-        if whole
-        else "no row is whole: run it"
-    )
-    with pytest.raises(LogError, match=f"no complete summary; {told}"):
+    message = "no row is whole: run it"
+    if whole:
+        end = chunks[whole - 1].message_end_time / 1e9
+        message = f"it is whole up to t = {end} s: run it again, or"
+    with pytest.raises(LogError, match=f"no complete summary; {message}"):
         open_log(path)
 
 
-def test_the_end_of_a_run_is_told_without_reading_rows(tmp_path):
-    """Also of a run whose last step no component kept, and of one without rows; a log without a result has none to tell."""
-    record(tmp_path / "a.mcap", steps=123)
-    log = open_log(tmp_path / "a.mcap")
-    assert (log.steps, log.end_ns, log._rows) == (123, 123 * STEP_NS, {})
+def test_the_end_of_a_run_is_known_without_reading_rows(path):
+    """Also of a run whose last step no component recorded."""
+    record(path, steps=123)
+    log = open_log(path)
+    assert log.steps == 123
+    assert log.end_ns == 123 * STEP_NS
+    assert not log._rows
     assert log.end_ns == log.time_ns("plant")[-1]
-    with McapRecorder(tmp_path / "b.mcap") as recorder:
+
+
+def test_a_run_without_rows_ends_at_its_start(path):
+    """A log without a result does not know its end."""
+    with McapRecorder(path) as recorder:
         recorder.begin(plan())
-    log = open_log(tmp_path / "b.mcap")
+    log = open_log(path)
     assert (log.steps, log.end_ns) == (0, 0)
     log._metadata.pop("cosim.result")
-    with pytest.raises(
-        LogError,
-        match=r"b\.mcap has no 'end_ns': needed a cosim\.result record, which cosim writes",
-    ):
+    message = r"a\.mcap has no 'end_ns': needed a cosim\.result record, which cosim writes"
+    with pytest.raises(LogError, match=message):
         _ = log.end_ns
 
 
-def test_a_log_and_the_memory_keep_the_same_rows(tmp_path):
-    """By the number of the step, whatever its time; also signals whose names have dots, and their refusals."""
-    dotted = Interface((), (Signal("a.b.c", 2), Signal("a")))
-    lay = Layout((Channel("x", dotted, 0, 3), Channel("y", Interface((), (Signal("z"),)), 3, 1)))
+@pytest.fixture
+def dotted(path):
+    """Record signals with dots in their names to a log and to the memory; return both and the rows.
+
+    Periods go by the number of the step, so the times are made odd.
+    """
+    interface = Interface((), (Signal("a.b.c", 2), Signal("a")))
+    other = Interface((), (Signal("z"),))
+    lay = Layout((Channel("x", interface, 0, 3), Channel("y", other, 3, 1)))
     rows = table(lay, 20)
     memory = Memory()
-    with McapRecorder(tmp_path / "a.mcap") as recorder:
-        for each in (memory, recorder):
-            each.begin(plan(lay))
+    with McapRecorder(path) as recorder:
+        for target in (memory, recorder):
+            target.begin(plan(lay))
             for block, signals in blocks(rows, 4):
-                each.write(replace(block, time_ns=block.time_ns * 7 + 5), signals)
-    log = open_log(tmp_path / "a.mcap")
-    for recording in (log, memory):
+                target.write(replace(block, time_ns=block.time_ns * 7 + 5), signals)
+    return (open_log(path), memory), rows
+
+
+def test_a_log_and_the_memory_keep_the_same_rows(dotted):
+    """By the number of the step, whatever its time."""
+    recordings, rows = dotted
+    for recording in recordings:
         assert same_bits(recording["x.a.b.c"], rows[::3, :2])
         assert same_bits(recording["x.a"], rows[::3, 2])
-        assert recording.time_ns("x").tolist() == [7 * k * STEP_NS + 5 for k in range(0, 21, 3)]
+        times = [7 * k * STEP_NS + 5 for k in range(0, 21, 3)]
+        assert recording.time_ns("x").tolist() == times
         assert recording.time("x.a.b.c").tolist() == recording.time("x").tolist()
-        assert (recording.steps, recording.end_ns) == (20, 7 * 20 * STEP_NS + 5)
-        with pytest.raises(
-            LogError,
-            match=r" has no 'x\.a\.b': 'x' has no signal 'a\.b'; did you mean 'a\.b\.c'\? There is: a\.b\.c, a",
-        ):
+        assert recording.steps == 20
+        assert recording.end_ns == 7 * 20 * STEP_NS + 5
+
+
+def test_a_log_and_the_memory_refuse_unknown_names_alike(dotted):
+    """The nearest name, where there is one."""
+    recordings, _ = dotted
+    signal_message = r" has no 'x\.a\.b': 'x' has no signal 'a\.b'; did you mean 'a\.b\.c'\? There is: a\.b\.c, a"
+    for recording in recordings:
+        with pytest.raises(LogError, match=signal_message):
             recording["x.a.b"]
         with pytest.raises(LogError, match=r" has no component 'w'; There is: x, y"):
             recording.time("w.z")
 
 
 def bomb(path, declared, size=2**28):
-    """Replace the only chunk of a log by zeros that expand to ``size`` bytes, with ``declared`` bytes declared."""
+    """Replace a log's only chunk by zeros that expand to ``size`` bytes, ``declared`` declared."""
     data = path.read_bytes()
     with path.open("rb") as stream:
         (index,) = make_reader(stream).get_summary().chunk_indexes
     content = bytes(size)
     packed = zstandard.compress(content)
-    start, stop = (
-        index.chunk_start_offset,
-        index.chunk_start_offset + index.chunk_length + index.message_index_length,
-    )
-    head = (
-        struct.pack("<QQQI", 0, 0, declared, zlib.crc32(content))
-        + b"\x04\0\0\0zstd"
-        + struct.pack("<Q", len(packed))
-    )
-    footer = struct.pack("<BQQQI", 2, 20, 0, 0, 0) + data[:8]
-    end = struct.pack("<BQI", 15, 4, 0)
+    chunk = struct.pack("<QQQI", 0, 0, declared, zlib.crc32(content))
+    chunk += b"\x04\0\0\0zstd"
+    chunk += struct.pack("<Q", len(packed))
+    chunk += packed
+    magic = data[:8]
     path.write_bytes(
-        data[:start]
-        + struct.pack("<BQ", 6, len(head) + len(packed))
-        + head
-        + packed
-        + data[stop:stop]
-        + end
-        + footer
+        data[: index.chunk_start_offset]
+        + struct.pack("<BQ", 6, len(chunk))
+        + chunk
+        + struct.pack("<BQI", 15, 4, 0)  # DataEnd
+        + struct.pack("<BQQQI", 2, 20, 0, 0, 0)  # Footer
+        + magic
     )
 
 
 @pytest.mark.parametrize(
-    ("declared", "found"),
+    ("declared", "message"),
     [(1000, "268435456 bytes, 1000 declared"), (2**28, "268435456 bytes, at most 67108864")],
 )
-def test_a_decompression_bomb_is_refused_before_it_goes_off(tmp_path, declared, found):
+def test_a_decompression_bomb_is_refused_before_it_goes_off(tmp_path, declared, message):
     """The declared size and the frame's are looked at first; the memory is not spent."""
     record(tmp_path / "a.mcap", steps=10)
     bomb(tmp_path / "a.mcap", declared)
     log = open_log(tmp_path / "a.mcap")
     tracemalloc.start()
-    with pytest.raises(LogError, match=found):
+    with pytest.raises(LogError, match=message):
         log.rows("plant")
     assert tracemalloc.get_traced_memory()[1] < 2**23
     tracemalloc.stop()
@@ -338,9 +378,8 @@ def test_reading_a_component_takes_little_more_memory_than_it_has(tmp_path, monk
     tracemalloc.stop()
 
 
-def test_files_that_are_no_logs_are_named(tmp_path):
+def test_files_that_are_no_logs_are_named(path):
     """Missing, foreign and other people's files."""
-    path = tmp_path / "a.mcap"
     with pytest.raises(LogError, match=r"a\.mcap cannot be read: No such file"):
         open_log(path)
     path.write_bytes(b"hello, world")
@@ -362,10 +401,11 @@ def test_unknown_names_are_answered_with_the_nearest(tmp_path):
     """Signals, components and attachments."""
     record(tmp_path / "a.mcap", steps=5)
     log = open_log(tmp_path / "a.mcap")
-    with pytest.raises(
-        LogError,
-        match=r"a\.mcap has no 'plant\.x_b': 'plant' has no signal 'x_b'; did you mean 'x_a'\? There is: u, ",
-    ):
+    message = (
+        r"a\.mcap has no 'plant\.x_b': 'plant' has no signal 'x_b'; did you mean 'x_a'\?"
+        r" There is: u, "
+    )
+    with pytest.raises(LogError, match=message):
         log["plant.x_b"]
     with pytest.raises(LogError, match=r"a\.mcap has no component 'plamt'; did you mean 'plant'\?"):
         log["plamt.u"]
@@ -397,8 +437,8 @@ def test_a_chunk_record_is_what_mcap_says(tmp_path):
     with (tmp_path / "a.mcap").open("rb") as stream:
         (index,) = make_reader(stream).get_summary().chunk_indexes
         stream.seek(index.chunk_start_offset + 9)
-
-        chunk, builder = Chunk.read(ReadDataStream(stream)), RecordBuilder()
+        chunk = Chunk.read(ReadDataStream(stream))
+        builder = RecordBuilder()
         chunk.write(builder)
         stream.seek(index.chunk_start_offset)
         assert stream.read(index.chunk_length) == builder.end()
