@@ -1,4 +1,4 @@
-"""What is wrong with an FMU is found, all of it at once; what runs foreign code does so in a child process."""
+"""All problems of an FMU are found at once; foreign code runs in a child process only."""
 
 import os
 import shutil
@@ -27,19 +27,27 @@ XML = """<?xml version="1.0" encoding="UTF-8"?>
 <CoSimulation modelIdentifier="model" canGetAndSetFMUstate="true"/>
 <UnitDefinitions><Unit name="m"><BaseUnit m="1"/></Unit></UnitDefinitions>
 <TypeDefinitions>
-  <SimpleType name="Mode"><Enumeration><Item name="off" value="1"/><Item name="on" value="3"/></Enumeration></SimpleType>
+  <SimpleType name="Mode">
+    <Enumeration><Item name="off" value="1"/><Item name="on" value="3"/></Enumeration>
+  </SimpleType>
 </TypeDefinitions>
 <ModelVariables>
-  <ScalarVariable name="u" valueReference="0" causality="input"><Real start="0" unit="m"/></ScalarVariable>
-  <ScalarVariable name="y" valueReference="1" causality="output" initial="exact"><Real start="1"/></ScalarVariable>
-  <ScalarVariable name="k" valueReference="2" causality="parameter" variability="fixed"><Real start="2" min="0" max="5"/>
-  </ScalarVariable>
-  <ScalarVariable name="z" valueReference="3" causality="output"><Real nominal="2"/></ScalarVariable>
+  <ScalarVariable name="u" valueReference="0" causality="input">
+    <Real start="0" unit="m"/></ScalarVariable>
+  <ScalarVariable name="y" valueReference="1" causality="output" initial="exact">
+    <Real start="1"/></ScalarVariable>
+  <ScalarVariable name="k" valueReference="2"
+    causality="parameter" variability="fixed"><Real start="2" min="0" max="5"/></ScalarVariable>
+  <ScalarVariable name="z" valueReference="3" causality="output">
+    <Real nominal="2"/></ScalarVariable>
   <ScalarVariable name="mode" valueReference="4" causality="parameter" variability="fixed">
     <Enumeration declaredType="Mode" start="3"/></ScalarVariable>
 </ModelVariables>
 <ModelStructure>
-  <Outputs><Unknown index="2" dependencies=""/><Unknown index="4" dependencies="1" dependenciesKind="dependent"/></Outputs>
+  <Outputs>
+    <Unknown index="2" dependencies=""/>
+    <Unknown index="4" dependencies="1" dependenciesKind="dependent"/>
+  </Outputs>
   <InitialUnknowns><Unknown index="4" dependencies="1 2"/></InitialUnknowns>
 </ModelStructure>
 </fmiModelDescription>"""
@@ -66,7 +74,8 @@ def nothing_left(temporary):
     assert os.getcwd() == home
 
 
-def found(path, level="error", **options):
+def problems_of(path, level="error", **options):
+    """Return the findings of one level as texts."""
     return [
         f"{finding.where}: {finding.text}"
         for finding in check(path, **options)
@@ -77,32 +86,33 @@ def found(path, level="error", **options):
 # --- good ones ---
 
 
-def test_a_good_unit_has_no_findings(rogue, exported):
+def test_a_good_fmu_has_no_findings(rogue, exported):
     """Neither ours, nor the one in C whose every variant is wrong in one way."""
     assert check(exported) == ()
     assert check(rogue("GOOD")) == ()
 
 
-def test_foreign_units_have_no_errors(foreign2, foreign3):
+def test_foreign_fmus_have_no_errors(foreign2, foreign3):
     """pythonfmu lists no initial unknowns: a warning; that dependencies are not known is a note."""
-    assert found(foreign2) == found(foreign3) == []
-    assert found(foreign2, "warning")[0].startswith("initial unknowns: not listed: late, ")
-    assert found(foreign3, "warning") == []
-    assert "structure: the file does not say on which inputs these depend directly: y" in found(
-        foreign3, "note"
+    assert problems_of(foreign2) == problems_of(foreign3) == []
+    assert problems_of(foreign2, "warning")[0].startswith("initial unknowns: not listed: late, ")
+    assert problems_of(foreign3, "warning") == []
+    assert (
+        "structure: the file does not say on which inputs these depend directly: y"
+        in problems_of(foreign3, "note")
     )
-    assert "co-simulation: needs the tool that made it, or its libraries, to run" in found(
+    assert "co-simulation: needs the tool that made it, or its libraries, to run" in problems_of(
         foreign3, "note"
     )
 
 
-def test_what_is_loud_is_not_heard(rogue, capfd):
-    """A hundred thousand lines on stdout are nobody's."""
+def test_what_an_fmu_prints_goes_nowhere(rogue, capfd):
+    """The probe prints a hundred thousand lines on stdout."""
     assert check(rogue("LOUD")) == ()
     assert capfd.readouterr() == ("", "")
 
 
-def test_what_litters_is_cleaned_up(rogue, tmp_path):
+def test_files_that_an_fmu_writes_are_removed(rogue, tmp_path):
     """A trial has a working directory of its own, which goes with it."""
     assert check(rogue("LITTERS")) == ()
     assert not list(tmp_path.rglob("litter"))
@@ -110,7 +120,8 @@ def test_what_litters_is_cleaned_up(rogue, tmp_path):
 
 # --- trials ---
 
-RUN, BACK = "trial run, co-simulation", "trial save and restore, co-simulation"
+RUN = "trial run, co-simulation"
+BACK = "trial save and restore, co-simulation"
 ROGUES = {
     "CRASH": f"{RUN}: crashes: SIGSEGV at: steps of 0.001 s",
     "EXITS": f"{RUN}: ends the process with exit code 3 at: loading and instantiating",
@@ -119,7 +130,8 @@ ROGUES = {
     "OTHER_START": f"{RUN}: 'y' starts at 2; the file says exactly 1",
     "FAILS_STEP": f"{RUN}: fmi2DoStep returned 3 (error)",
     "LIES": f"{BACK}: goes back wrongly: after steps the same steps give other outputs",
-    "FORGETS": f"{BACK}: goes back wrongly: after steps with other inputs the same steps give other outputs",
+    "FORGETS": f"{BACK}: goes back wrongly: after steps with other inputs the same steps give "
+    "other outputs",
     "CRASHES_FREE": f"{BACK}: crashes: SIGSEGV at: terminate and free",
 }
 
@@ -127,37 +139,38 @@ ROGUES = {
 @pytest.mark.parametrize(("what", "text"), ROGUES.items(), ids=ROGUES)
 def test_rogues(rogue, what, text):
     """What crashes, ends the process, refuses or lies is named, and this process lives on."""
-    problems = found(rogue(what))
+    problems = problems_of(rogue(what))
     assert len(problems) == 1 + (what == "NAN_OUTPUT")  # there both outputs are
     assert problems[0].startswith(text)
 
 
 def test_functions_that_nobody_calls(probe1):
-    """A unit of FMI 1 that runs all the same."""
+    """An FMU of FMI 1 that runs all the same."""
     interface_type = next(iter(read(probe1).description.capabilities))
-    assert all(": missing function model_fmi" in problem for problem in found(probe1))
+    assert all(": missing function model_fmi" in problem for problem in problems_of(probe1))
     assert attempt("run", str(probe1), interface_type) == ()
 
 
 def test_what_hangs(rogue):
     """The child is ended after the time it has."""
-    assert found(rogue("HANG"), timeout=3.0) == [
+    assert problems_of(rogue("HANG"), timeout=3.0) == [
         f"{RUN}: hangs: did not end within 3 s, at: steps of 0.001 s"
     ]
     path = rogue("HANGS_BACK")
-    assert found(path, timeout=3.0) == [
+    assert problems_of(path, timeout=3.0) == [
         f"{BACK}: hangs: did not end within 3 s, at: going back after steps"
     ]
 
 
-def test_whether_a_unit_can_go_back(rogue, exported, monkeypatch):
-    """Asked once for each file; inside a trial the answer is yes, or it would never end."""
-    good, bad = read(exported), read(rogue("LIES"))
+def test_whether_an_fmu_can_go_back(rogue, exported, monkeypatch):
+    """Tried once for each file; inside a trial the answer is yes, or it would never end."""
+    good = read(exported)
+    bad = read(rogue("LIES"))
     assert find_rollback_problems(good, "me") == find_rollback_problems(good, "cs") == ()
     assert find_rollback_problems(bad, "cs") == (
         "goes back wrongly: after steps the same steps give other outputs",
     )
-    monkeypatch.setattr(child_process, "attempt", lambda *_, **__: pytest.fail("asked again"))
+    monkeypatch.setattr(child_process, "attempt", lambda *_, **__: pytest.fail("tried again"))
     assert find_rollback_problems(good, "cs") == ()
     assert find_rollback_problems(bad, "cs")
     monkeypatch.setenv(child_process.CHILD_VARIABLE, "1")
@@ -168,9 +181,10 @@ def test_whether_a_unit_can_go_back(rogue, exported, monkeypatch):
 
 
 def test_missing_functions_are_named(rogue):
-    """All of those that the version, the kind and the capabilities need."""
-    serial = 'canGetAndSetFMUstate="true" canSerializeFMUstate="true" providesDirectionalDerivative="true"'
-    path = rogue("GOOD", XML.replace('canGetAndSetFMUstate="true"', serial), "WITHOUT_STEP")
+    """All of those that the version, the interface type and the capabilities need."""
+    state = 'canGetAndSetFMUstate="true"'
+    more = f'{state} canSerializeFMUstate="true" providesDirectionalDerivative="true"'
+    path = rogue("GOOD", XML.replace(state, more), "WITHOUT_STEP")
     names = (
         "DoStep",
         "SerializedFMUstateSize",
@@ -178,7 +192,7 @@ def test_missing_functions_are_named(rogue):
         "DeSerializeFMUstate",
         "GetDirectionalDerivative",
     )
-    problems = found(path)
+    problems = problems_of(path)
     assert problems[:-1] == [
         f"binary, co-simulation: missing function fmi2{name}" for name in names
     ]
@@ -199,9 +213,8 @@ def test_functions_of_every_version():
     ):
         description = _described(xml)
         for interface_type in description.capabilities:
-            assert [
-                name for name in required_functions(description, interface_type) if name not in known
-            ] == []
+            names = required_functions(description, interface_type)
+            assert [name for name in names if name not in known] == []
 
 
 def _described(xml):
@@ -232,26 +245,21 @@ def test_a_library_that_is_missing_is_named(rogue, tmp_path):
         archive.writestr("modelDescription.xml", XML)
         archive.write(library, f"binaries/{folders('2.0')[0]}/model{SUFFIX}")
     shutil.rmtree(needed)
-    assert len(problems := found(path)) == 1
+    problems = problems_of(path)
+    assert len(problems) == 1
     assert problems[0].startswith(
         "binary, co-simulation: cannot be loaded: libneeded.so: cannot open shared object file"
     )
 
 
-def head(kind, machine):
-    """Begin a binary as its format says."""
-    if kind == "elf":
-        return (
-            b"\x7fELF\2\1\1" + bytes(9) + (3).to_bytes(2, "little") + machine.to_bytes(2, "little")
-        )
-    if kind == "pe":
-        return (
-            b"MZ"
-            + bytes(58)
-            + (64).to_bytes(4, "little")
-            + b"PE\0\0"
-            + machine.to_bytes(2, "little")
-        )
+def head(file_format, machine):
+    """Return the first bytes of a shared library."""
+    if file_format == "elf":
+        object_type = (3).to_bytes(2, "little")
+        return b"\x7fELF\2\1\1" + bytes(9) + object_type + machine.to_bytes(2, "little")
+    if file_format == "pe":
+        start = (64).to_bytes(4, "little")
+        return b"MZ" + bytes(58) + start + b"PE\0\0" + machine.to_bytes(2, "little")
     return b"\xcf\xfa\xed\xfe" + machine.to_bytes(4, "little")
 
 
@@ -300,10 +308,10 @@ def test_binaries_in_the_wrong_place(tmp_path):
         [Entry(f"binaries/{k}", v) for k, v in members.items()],
         xml=XML.encode(),
     )
-    assert found(path) == [
+    assert problems_of(path) == [
         f"binary: binaries/{mine}/model{SUFFIX} is for aarch64-linux; needed x86_64-linux"
     ]
-    assert found(path, "warning") == [
+    assert problems_of(path, "warning") == [
         "binary: binaries/darwin64/model.dylib is no shared library",
         "binary: binaries/plan9 is no platform of the standard",
         "binary: binaries/win32/model.dll is missing",
@@ -317,11 +325,11 @@ def test_no_binary_for_this_machine(tmp_path):
         [Entry("binaries/win64/model.dll", head("pe", 0x8664))],
         xml=XML.encode(),
     )
-    assert found(path) == ["binary: none for this machine (x86_64-linux); there is: win64"]
+    assert problems_of(path) == ["binary: none for this machine (x86_64-linux); there is: win64"]
 
 
 def test_a_trial_that_cannot_be(tmp_path):
-    """What Python raises in the child is told."""
+    """What Python raises in the child is a problem."""
     assert attempt("run", str(tmp_path / "no.fmu"), "cs") == (
         f"{tmp_path / 'no.fmu'}: there is no such file",
     )
@@ -331,43 +339,57 @@ def test_a_trial_that_cannot_be(tmp_path):
 # --- the description ---
 
 FINDINGS = [
-    ('start="2" min="0"', 'start="nan" min="0"', "error", "variable 'k': start value: found nan, needed a number"),
-    ('start="2" min="0"', 'start="7" min="0"', "error", "variable 'k': start value: found 7, needed 0 to 5"),
-    ('start="2" min="0" max="5"', 'start="2" min="4" max="1"', "error", "variable 'k': min 4 is above max 1"),
+    ('start="2" min="0"', 'start="nan" min="0"', "error",
+     "variable 'k': start value: found nan, needed a number"),
+    ('start="2" min="0"', 'start="7" min="0"', "error",
+     "variable 'k': start value: found 7, needed 0 to 5"),
+    ('start="2" min="0" max="5"', 'start="2" min="4" max="1"', "error",
+     "variable 'k': min 4 is above max 1"),
     ('<Real start="2" ', "<Real ", "error",
      "variable 'k': has no start value, which causality parameter with initial exact needs"),
-    ('<Real start="0" ', "<Real ", "error", "variable 'u': has no start value, which causality input with initial exact needs"),
-    ('declaredType="Mode"', 'declaredType="None"', "error", "variable 'mode': declaredType 'None' is not defined"),
+    ('<Real start="0" ', "<Real ", "error",
+     "variable 'u': has no start value, which causality input with initial exact needs"),
+    ('declaredType="Mode"', 'declaredType="None"', "error",
+     "variable 'mode': declaredType 'None' is not defined"),
     ('declaredType="Mode" start="3"', 'declaredType="Mode" start="2"', "error",
      "variable 'mode': start value: found 2, needed one of 1, 3"),
     ('initial="exact"', 'initial="calculated"', "warning",
      "variable 'y': has a start value, which nothing uses: it is calculated"),
-    ('causality="parameter" variability="fixed"><Real', 'causality="parameter" variability="discrete"><Real', "error",
-     "variable 'k': causality parameter, variability discrete and initial exact do not go together"),
+    ('causality="parameter" variability="fixed"><Real',
+     'causality="parameter" variability="discrete"><Real', "error",
+     "variable 'k': causality parameter, variability discrete and initial exact do not go "
+     "together"),
     ('causality="input">', 'causality="input" variability="fixed">', "error",
      "variable 'u': causality input, variability fixed and initial exact do not go together"),
     ('variability="fixed">\n', 'variability="continuous">\n', "warning",
      "variable 'mode': variability continuous, which a variable of type Enumeration cannot have"),
-    ('nominal="2"', 'nominal="0"', "warning", "variable 'z': nominal: found 0, needed a finite number that is not 0"),
+    ('nominal="2"', 'nominal="0"', "warning",
+     "variable 'z': nominal: found 0, needed a finite number that is not 0"),
     ('unit="m"', 'unit="km"', "warning",
      "variable 'u': unit 'km' is not defined in UnitDefinitions; it is understood by its name"),
-    ('<Unknown index="2" dependencies=""/>', "", "error", "outputs: not listed: y"),
+    ('<Unknown index="2" dependencies=""/>', "", "error",
+     "outputs: not listed: y"),
     ('<Unknown index="2" dependencies=""/>', '<Unknown index="2"/><Unknown index="3"/>', "error",
      "outputs: listed, and no output: k"),
-    ('<Unknown index="2" dependencies=""/>', '<Unknown index="2"/><Unknown index="2"/>', "error", "outputs: listed twice: y"),
-    ('dependencies="1" ', "", "error", "outputs: dependenciesKind needs as many entries as dependencies"),
+    ('<Unknown index="2" dependencies=""/>', '<Unknown index="2"/><Unknown index="2"/>', "error",
+     "outputs: listed twice: y"),
+    ('dependencies="1" ', "", "error",
+     "outputs: dependenciesKind needs as many entries as dependencies"),
     ('dependenciesKind="dependent"', 'dependenciesKind="dependent fixed"', "error",
      "outputs: dependenciesKind needs as many entries"),
     ('dependencies="1" ', 'dependencies="2" ', "warning",
      "variable 'z': depends on y: neither an input, a parameter, a state nor the time"),
-    ('<Unknown index="4" dependencies="1 2"/>', '<Unknown index="3"/>', "warning", "initial unknowns: not listed: z"),
-    ('<Unknown index="4" dependencies="1 2"/>', '<Unknown index="4"/><Unknown index="3"/>', "warning",
+    ('<Unknown index="4" dependencies="1 2"/>', '<Unknown index="3"/>', "warning",
+     "initial unknowns: not listed: z"),
+    ('<Unknown index="4" dependencies="1 2"/>',
+     '<Unknown index="4"/><Unknown index="3"/>', "warning",
      "initial unknowns: listed, although known initially: k"),
     ('guid="rogue"', 'guid="rogue" variableNamingConvention="none"', "error",
      "schema: line 2: Element 'fmiModelDescription', attribute"),
     ('name="k"', 'name="a b"', "warning",
      "variable 'a b': is no name of the structured naming convention that the file announces"),
-    ('name="k"', 'name="a&#9;b"', "warning", "variable 'a\\tb': has a control character in its name"),
+    ('name="k"', 'name="a&#9;b"', "warning",
+     "variable 'a\\tb': has a control character in its name"),
     ("<CoSimulation", "<ModelExchange modelIdentifier='../x'/><CoSimulation", "error",
      "XML: ModelExchange: modelIdentifier '../x' is no"),
     ('canGet', 'needsExecutionTool="true" canGet', "note",
@@ -392,7 +414,7 @@ def test_findings_in_a_description(tmp_path, monkeypatch, before, after, level, 
         if "'a b'" in text
         else xml
     )
-    problems = found(write(tmp_path / "x.fmu", [], xml=xml.encode()), level)
+    problems = problems_of(write(tmp_path / "x.fmu", [], xml=xml.encode()), level)
     assert [problem for problem in problems if problem.startswith(text)], problems
 
 
@@ -405,13 +427,14 @@ def test_the_pattern_for_findings_has_none(tmp_path, monkeypatch):
 
 
 def test_findings_of_fmi_3(tmp_path):
-    """One independent variable, a reference for each, start values for every element, no clocks here."""
+    """One independent variable, own references, a start value an element, no clocks here."""
     xml = FMI3.replace('causality="independent"', 'causality="local"').replace(
         'start="1 2 3"', 'start="1 2"'
     )
     xml = xml.replace('name="small" valueReference="7"', 'name="small" valueReference="8"')
     path = write(tmp_path / "x.fmu", [], xml=xml.encode())
-    errors, warnings = found(path), found(path, "warning")
+    errors = problems_of(path)
+    warnings = problems_of(path, "warning")
     assert "XML: variable 'x': has 2 start values for 3 elements" in errors
     assert (
         "variable 'large': has the value reference 8 of 'small'; FMI 3 needs one for each" in errors
@@ -424,17 +447,20 @@ def test_findings_of_fmi_1(tmp_path):
     """A port that is another variable negated is left out; inside, that is a note."""
     xml = FMI1.replace("{implementation}", "")
     path = write(tmp_path / "x.fmu", [], xml=xml.encode())
-    text = "variable 'w': is another variable negated (negatedAlias); no call gives that, and it is left out"
-    assert text in found(path, "note")
+    text = (
+        "variable 'w': is another variable negated (negatedAlias); no call gives that, and it is "
+        "left out"
+    )
+    assert text in problems_of(path, "note")
     port = xml.replace(
         'name="w" valueReference="1"', 'name="w" valueReference="1" causality="output"'
     )
-    assert text in found(write(path, [], xml=port.encode()), "warning")
+    assert text in problems_of(write(path, [], xml=port.encode()), "warning")
 
 
-def test_neither_kind(tmp_path):
+def test_neither_interface_type(tmp_path):
     xml = XML.replace("CoSimulation ", "Neither ")
-    errors = found(write(tmp_path / "x.fmu", [], xml=xml.encode()))
+    errors = problems_of(write(tmp_path / "x.fmu", [], xml=xml.encode()))
     assert "XML: neither model exchange nor co-simulation; needed one of them" in errors
 
 
@@ -468,11 +494,13 @@ def test_all_problems_at_once(rogue):
     ],
 )
 def test_what_cannot_be_read_has_one_finding(tmp_path, xml, text):
-    assert found(write(tmp_path / "x.fmu", [], xml=xml.encode()))[0].startswith(text)
+    assert problems_of(write(tmp_path / "x.fmu", [], xml=xml.encode()))[0].startswith(text)
 
 
 def test_no_archive(tmp_path):
     (tmp_path / "x.fmu").write_text("hello")
-    assert found(tmp_path / "x.fmu")[0].startswith("archive: not an FMU, as it is no zip archive")
+    assert problems_of(tmp_path / "x.fmu")[0].startswith(
+        "archive: not an FMU, as it is no zip archive"
+    )
     with pytest.raises(FmuError, match=r"no\.fmu: there is no such file"):
         check(tmp_path / "no.fmu")

@@ -308,7 +308,7 @@ def test_the_wish_to_end_may_come_with_a_completed_step(opened, start):
 @pytest.mark.parametrize("version", ["1", "2", "3"])
 def test_failures_carry_the_last_words(opened, version, status, name):
     with pytest.raises(
-        Stopped, match=rf"fmi{version}?DoStep returned \d \({name}\); it said: error: out of petrol"
+        Stopped, match=rf"fmi{version}?DoStep returned \d \({name}\); its last message: error: out of petrol"
     ) as stop:
         run(opened(version, fail=0.35, status=status))
     assert (stop.value.steps, stop.value.failed) == (3, True)

@@ -21,19 +21,22 @@ from tests.fmi.probes import got, opened, put, xml1, xml2, xml3
 
 
 def mapped():
-    """Give the libraries of FMUs that are in memory; those of pythonfmu stay there for good, as they pin themselves."""
+    """Return the libraries of FMUs that are in memory.
+
+    Those of pythonfmu stay there for good, as they pin themselves.
+    """
     maps = Path("/proc/self/maps")
-    return (
-        {line.split()[5] for line in maps.read_text().splitlines() if "cosim-fmu-" in line}
-        if maps.exists()
-        else set()
-    )
+    if not maps.exists():
+        return set()
+    lines = maps.read_text().splitlines()
+    return {line.split()[5] for line in lines if "cosim-fmu-" in line}
 
 
 @pytest.fixture(autouse=True)
 def nothing_left(temporary, capfd):
     """No temporary folder, no other working directory, no library in memory, nothing printed."""
-    home, before = os.getcwd(), mapped()
+    home = os.getcwd()
+    before = mapped()
     yield
     assert list(temporary.iterdir()) == []
     assert os.getcwd() == home
@@ -66,7 +69,8 @@ def test_a_missing_dependency_is_named(tmp_path):
     aid.unlink()
     refused(
         path,
-        rf"x.fmu: the binary model\S+ cannot be used: .*libaid\{SUFFIX}: cannot open shared object file: No such file",
+        rf"x.fmu: the binary model\S+ cannot be used: .*libaid\{SUFFIX}: "
+        "cannot open shared object file: No such file",
     )
 
 
@@ -80,7 +84,8 @@ def test_a_missing_symbol_is_named(tmp_path):
     path = compile_fmu(tmp_path / "y.fmu", xml2(), "probe2.c", defines=("LACKS_RESET",))
     refused(
         path,
-        r"the binary model\S+ cannot be used: it has no function fmi2Reset, which the standard requires",
+        r"the binary model\S+ cannot be used: it has no function fmi2Reset, "
+        "which the standard requires",
     )
     path = compile_fmu(tmp_path / "z.fmu", xml2(), "probe2.c", defines=("LACKS_STATES",))
     refused(
@@ -96,9 +101,9 @@ def test_a_state_that_cannot_be_freed_leaves_nothing_behind(probe2, monkeypatch)
     def refuse(_):
         raise RunError("fmi2FreeFMUstate returned 3 (error)")
 
-    with opened(probe2, interface_type="cs") as (_, unit):
-        unit.get_fmu_state()
-        monkeypatch.setattr(unit._calls, "free_state", refuse)
+    with opened(probe2, interface_type="cs") as (_, instance):
+        instance.get_fmu_state()
+        monkeypatch.setattr(instance._calls, "free_state", refuse)
 
 
 def test_a_binary_for_another_machine(probe2, tmp_path):
@@ -107,20 +112,25 @@ def test_a_binary_for_another_machine(probe2, tmp_path):
     path = with_binary(probe2, lambda content: content[:18] + bytes([number]) + content[19:])
     refused(
         path,
-        rf"the binary \S+/model\S+ is for {other}, found in the folder for {ARCHITECTURE}; needed one for {ARCHITECTURE}",
+        rf"the binary \S+/model\S+ is for {other}, found in the folder for {ARCHITECTURE}; "
+        f"needed one for {ARCHITECTURE}",
     )
 
 
 def test_an_instance_that_is_refused(tmp_path):
-    """A wrong GUID or token; what the FMU says about it is the reason."""
+    """A wrong GUID or token; what the FMU logs about it is the reason."""
     for xml, source, text in [
         (
             xml2().replace('guid="probe"', 'guid="other"'),
             "probe2.c",
-            "it said: error: wrong guid other",
+            "its last message: error: wrong guid other",
         ),
-        (xml3(token="other"), "probe3.c", "it said: error: wrong token %s"),
-        (xml1().replace('guid="probe"', 'guid="other"'), "probe1.c", "it said: info: hello world"),
+        (xml3(token="other"), "probe3.c", "its last message: error: wrong token %s"),
+        (
+            xml1().replace('guid="probe"', 'guid="other"'),
+            "probe1.c",
+            "its last message: info: hello world",
+        ),
     ]:
         refused(
             compile_fmu(tmp_path / "x.fmu", xml, source),
@@ -129,15 +139,16 @@ def test_an_instance_that_is_refused(tmp_path):
 
 
 def test_after_the_end_no_call_reaches_the_library(probe2):
-    """A function whose address is held is gone with the library; freeing and ending twice does no harm."""
-    with opened(probe2, interface_type="me") as (fmu, unit):
-        state, held = unit.get_fmu_state(), unit.set_time
+    """A bound function is gone with the library; freeing and ending twice does no harm."""
+    with opened(probe2, interface_type="me") as (fmu, instance):
+        state = instance.get_fmu_state()
+        set_time = instance.set_time
     with pytest.raises(RunError, match="fmi2SetTime cannot be called: the instance was freed"):
-        held(1.0)
+        set_time(1.0)
     with pytest.raises(RunError, match="fmi2SetReal cannot be called: the instance was freed"):
-        put(unit, u=1.0)
-    unit.free_fmu_state(state)
-    unit.terminate()
+        put(instance, u=1.0)
+    instance.free_fmu_state(state)
+    instance.terminate()
     fmu.close()
 
 
@@ -145,20 +156,18 @@ def test_after_the_end_no_call_reaches_the_library(probe2):
 def test_two_instances_of_one_fmu(request, slave1, number):
     """Each has its own memory, whatever the order of their ends."""
     path = slave1 if number == 1 else request.getfixturevalue(f"probe{number}")
-    one, two = (
-        load(path, FmuOptions(interface_type="cs")),
-        load(path, FmuOptions(interface_type="cs")),
-    )
-    units = [fmu.component._instance for fmu in (one, two)]
-    for value, unit in enumerate(units):
-        unit.enter_initialization_mode(0.0)
-        put(unit, u=float(value))
-        unit.exit_initialization_mode()
-        unit.do_step(0.0, 1.0)
-    one.close()
-    units[1].do_step(1.0, 1.0)
-    assert got(units[1], "u") == [1.0]
-    two.close()
+    first = load(path, FmuOptions(interface_type="cs"))
+    second = load(path, FmuOptions(interface_type="cs"))
+    instances = [fmu.component._instance for fmu in (first, second)]
+    for value, instance in enumerate(instances):
+        instance.enter_initialization_mode(0.0)
+        put(instance, u=float(value))
+        instance.exit_initialization_mode()
+        instance.do_step(0.0, 1.0)
+    first.close()
+    instances[1].do_step(1.0, 1.0)
+    assert got(instances[1], "u") == [1.0]
+    second.close()
 
 
 @pytest.mark.parametrize(
@@ -188,27 +197,30 @@ def test_an_fmu_that_can_be_here_only_once(tmp_path, xml, source):
 
 
 def clocked(causality, **options):
-    clock = f'<Clock name="tick" valueReference="550" causality="{causality}" intervalVariability="triggered"/>'
+    clock = (
+        f'<Clock name="tick" valueReference="550" causality="{causality}" '
+        'intervalVariability="triggered"/>'
+    )
     return xml3(**options).replace("<ModelVariables>", f"<ModelVariables>{clock}")
 
 
-def test_clocks_are_said_by_name(tmp_path):
-    """A clock that is only shown needs nothing; one that must be ticked is an error in model exchange."""
+def test_clocks_are_named(tmp_path):
+    """An output clock needs nothing; one that must be ticked is an error in model exchange."""
     path = compile_fmu(tmp_path / "x.fmu", clocked("output"), "probe3.c")
     with load(path, FmuOptions(interface_type="me")) as fmu:
         assert fmu.notes[0] == "probe: clocks are not supported: tick"
     path = compile_fmu(tmp_path / "y.fmu", clocked("input", event_mode=True), "probe3.c")
     refused(
         path,
-        'clocks are not supported: tick; in model exchange tick would have to be ticked; use interface_type = "cs"',
+        "clocks are not supported: tick; in model exchange tick would have to be ticked; "
+        'use interface_type = "cs"',
         interface_type="me",
     )
-    with opened(path, interface_type="cs") as (fmu, unit):
-        assert (
-            fmu.notes[0]
-            == "probe: clocks are not supported: tick; the FMU drives them itself, without event mode"
+    with opened(path, interface_type="cs") as (fmu, instance):
+        assert fmu.notes[0] == (
+            "probe: clocks are not supported: tick; the FMU drives them itself, without event mode"
         )
-        assert got(unit, "event_mode") == [0.0]
+        assert got(instance, "event_mode") == [0.0]
 
 
 def test_states_that_lie_are_not_saved(tmp_path):
@@ -223,8 +235,8 @@ def test_states_that_lie_are_not_saved(tmp_path):
             fmu.component.save()
 
 
-def test_states_that_were_let_go_of_are_used_again(probe2):
-    """The probe says when it allocates one."""
+def test_released_states_are_used_again(probe2):
+    """The probe logs when it allocates one."""
     with load(probe2, FmuOptions(interface_type="cs")) as fmu:
         fmu.component.initialize(0.0, np.zeros(1))
         for _ in range(5):
@@ -239,14 +251,14 @@ def test_states_that_were_let_go_of_are_used_again(probe2):
 def cycle(path, interface_type):
     """Load, run a step, free."""
     with load(path, FmuOptions(interface_type=interface_type)) as fmu:
-        unit = fmu.component
-        unit.prepare(0.1, np.zeros(1, np.bool_), {})
-        unit.initialize(0.0, np.zeros(1))
-        unit.advance(np.array([0.0, 0.1]), 0.1, np.zeros((2, 1)))
+        component = fmu.component
+        component.prepare(0.1, np.zeros(1, np.bool_), {})
+        component.initialize(0.0, np.zeros(1))
+        component.advance(np.array([0.0, 0.1]), 0.1, np.zeros((2, 1)))
 
 
 def footprint():
-    """Give open file descriptors, mappings, and resident memory [bytes] of this process."""
+    """Return open file descriptors, mappings, and resident memory [bytes] of this process."""
     gc.collect()
     resident = int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
     return (
@@ -276,7 +288,10 @@ def traced():
     ("number", "interface_type"), [(1, "me"), (1, "cs"), (2, "me"), (2, "cs"), (3, "me"), (3, "cs")]
 )
 def test_cycles_leave_nothing_behind(request, model1, slave1, number, interface_type):
-    """5 MB in 10 000 cycles are 500 bytes in each; CPython keeps up to about 50 kB of small objects for the next ones."""
+    """5 MB in 10 000 cycles are 500 bytes in each.
+
+    CPython keeps up to about 50 kB of small objects for the next ones.
+    """
     path = (
         {"me": model1, "cs": slave1}[interface_type]
         if number == 1

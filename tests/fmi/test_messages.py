@@ -21,9 +21,9 @@ KEY = 4711
 
 @pytest.fixture
 def messages():
-    found = Messages()
-    found.accept(KEY)
-    return found
+    messages = Messages()
+    messages.accept(KEY)
+    return messages
 
 
 def log(status, category, form, *arguments, key=KEY):
@@ -47,7 +47,7 @@ def test_levels_are_those_of_a_log(messages):
     for status in (*range(7), -1):
         log(status, None, b"text %d", c_int(status))
     levels = ["info", "warning", "warning", "error", "fatal", "info", "warning", "warning"]
-    assert messages.last_as_suffix == "; it said: warning: text -1"
+    assert messages.last_as_suffix == "; its last message: warning: text -1"
     assert [message.level for message in messages.drain()] == levels
     assert (messages.drain(), messages.last_as_suffix) == ([], "")
 
@@ -56,8 +56,8 @@ def test_levels_are_those_of_a_log(messages):
 def test_long_messages_end_after_1000_bytes(messages, form):
     """Nothing beyond it is written, of the category neither."""
     log(1, b"c" * 500, form, *[c_char_p(b"x" * 5000)] * 10)
-    (found,) = messages.drain()
-    assert found == Message(None, "warning", "c" * 99, "x" * 1000)
+    (message,) = messages.drain()
+    assert message == Message(None, "warning", "c" * 99, "x" * 1000)
 
 
 def test_what_is_no_text_is_carried_all_the_same(messages):
@@ -74,15 +74,15 @@ def test_what_is_no_text_is_carried_all_the_same(messages):
 def test_the_last_ones_are_kept_and_the_others_counted(messages):
     for i in range(MESSAGES + 3):
         log(0, b"", b"%d", c_int(i))
-    found = messages.drain()
-    assert found[0] == Message(None, "warning", "", "3 earlier messages of the FMU were dropped")
-    assert [message.text for message in found[1:]] == [str(i) for i in range(3, MESSAGES + 3)]
+    drained = messages.drain()
+    assert drained[0] == Message(None, "warning", "", "3 earlier messages of the FMU were dropped")
+    assert [message.text for message in drained[1:]] == [str(i) for i in range(3, MESSAGES + 3)]
     log(0, b"", b"new")
     assert [message.text for message in messages.drain()] == ["new"]
 
 
-def test_messages_reach_the_one_that_listens(messages):
-    """A key that nobody knows belongs to an FMU of FMI 1.0 that is being instantiated, or to nobody."""
+def test_messages_reach_who_accepts_their_key(messages):
+    """An unknown key belongs to an FMU of FMI 1.0 that is being instantiated, or to nobody."""
     other = Messages()
     other.accept(None)
     log(0, b"", b"unknown", key=KEY + 1)
@@ -90,16 +90,14 @@ def test_messages_reach_the_one_that_listens(messages):
     other.accept(KEY + 1)
     for key in (KEY, KEY + 1, KEY + 2):
         log(0, b"", b"%d", c_int(key), key=key)
-    assert ([m.text for m in messages.drain()], [m.text for m in other.drain()]) == (
-        ["4711"],
-        ["4712"],
-    )
+    assert [message.text for message in messages.drain()] == ["4711"]
+    assert [message.text for message in other.drain()] == ["4712"]
     del other
     log(0, b"", b"gone", key=KEY + 1)
 
 
 def test_a_message_has_the_time_at_which_it_came(messages):
-    """None before the start; how many were dropped is said with the first that is left."""
+    """None before the initialization; dropped messages are counted at the first one left."""
     log(0, b"", b"early")
     for k in range(MESSAGES + 2):
         messages.clock.value = 0.5 * k
@@ -111,37 +109,42 @@ def test_a_message_has_the_time_at_which_it_came(messages):
                 (0.5, "1"),
             ]
     log(0, b"", b"again")
-    found = messages.drain()
-    assert found[0] == Message(1.5, "warning", "", "1 earlier messages of the FMU were dropped")
-    assert [(m.time, m.text) for m in found[1:-1]] == [
+    drained = messages.drain()
+    assert drained[0] == Message(1.5, "warning", "", "1 earlier messages of the FMU were dropped")
+    assert [(m.time, m.text) for m in drained[1:-1]] == [
         (0.5 * k, str(k)) for k in range(3, MESSAGES + 2)
     ]
-    assert (found[-1].time, found[-1].text) == (messages.clock.value, "again")
+    assert (drained[-1].time, drained[-1].text) == (messages.clock.value, "again")
 
 
 def test_messages_from_other_threads(messages):
-    """ctypes lets go of Python's lock in the call: the threads do run at once, and every message is kept or counted."""
+    """Every message is kept or counted.
+
+    ctypes releases Python's lock in the call, so the threads do run at once.
+    """
     threads = [
         threading.Thread(target=lambda i=i: [log(0, b"", b"%d", c_int(i)) for _ in range(2000)])
         for i in range(4)
     ]
     for thread in threads:
         thread.start()
-    found = []
+    drained = []
     while any(thread.is_alive() for thread in threads):
-        found += messages.drain()
-    found += messages.drain()
-    dropped = [int(text.split()[0]) for *_, text in found if "dropped" in text]
-    kept = [text for *_, text in found if "dropped" not in text]
+        drained += messages.drain()
+    drained += messages.drain()
+    dropped = [int(text.split()[0]) for *_, text in drained if "dropped" in text]
+    kept = [text for *_, text in drained if "dropped" not in text]
     assert set(kept) <= {"0", "1", "2", "3"}
     assert len(kept) + sum(dropped) == 8000
 
 
 def test_an_fmu_hands_over_its_messages(exported, capfd):
-    """A refused call is said by the FMU; the second time there is nothing new; nothing is printed."""
+    """The FMU logs a refused call; the second time there is nothing new; nothing is printed."""
     with load(exported, FmuOptions(interface_type="cs")) as fmu:
         assert fmu.drain() == []
-        with pytest.raises(RunError, match="it said: error: call not allowed in this mode"):
+        with pytest.raises(
+            RunError, match="its last message: error: call not allowed in this mode"
+        ):
             fmu.component._instance.do_step(0.0, 0.1)
         ((_, level, _, text),) = fmu.drain()
         assert (level, text) == ("error", "call not allowed in this mode")
@@ -149,75 +152,78 @@ def test_an_fmu_hands_over_its_messages(exported, capfd):
     assert capfd.readouterr() == ("", "")
 
 
-def test_two_units_keep_their_messages_apart(probe2, probe3):
+def test_two_instances_keep_their_messages_apart(probe2, probe3):
     with (
-        opened(probe2, interface_type="cs") as (one, first),
-        opened(probe3, interface_type="cs") as (two, second),
+        opened(probe2, interface_type="cs") as (first, first_instance),
+        opened(probe3, interface_type="cs") as (second, second_instance),
     ):
-        first.get_fmu_state()
-        assert two.drain() == []
-        second.get_fmu_state()
+        first_instance.get_fmu_state()
+        assert second.drain() == []
+        second_instance.get_fmu_state()
     expected = [
         Message(None, "info", "probe", "allocated a state"),
         Message(None, "info", "probe", "freed"),
     ]
-    assert (one.drain(), two.drain()) == (expected, expected)
+    assert first.drain() == expected
+    assert second.drain() == expected
 
 
 @pytest.mark.parametrize("probe", ["probe2", "probe3"])
 def test_the_time_is_that_of_the_simulation(probe, request):
-    """That of the start, of ``set_time``, of the begin of the step; the probe says that it allocates a state."""
+    """That of the initialization, of ``set_time``, of the begin of the step.
 
-    def said_at(fmu, unit):
-        unit.get_fmu_state()
+    The probe logs that it allocates a state.
+    """
+
+    def logged_at(fmu, instance):
+        instance.get_fmu_state()
         (message,) = fmu.drain()
         assert message.text == "allocated a state"
         return message.time
 
     path = request.getfixturevalue(probe)
-    with opened(path, interface_type="me") as (fmu, unit):
-        assert said_at(fmu, unit) is None
-        unit.enter_initialization_mode(2.0)
-        assert said_at(fmu, unit) == 2.0
-        unit.exit_initialization_mode()
-        unit.set_time(2.5)
-        assert said_at(fmu, unit) == 2.5
-    with opened(path, interface_type="cs") as (fmu, unit):
-        unit.enter_initialization_mode(2.0)
-        unit.exit_initialization_mode()
-        unit.do_step(2.0, 0.5)
-        assert said_at(fmu, unit) == 2.0
-        unit.do_step(2.5, 0.5)
-        assert said_at(fmu, unit) == 2.5
+    with opened(path, interface_type="me") as (fmu, instance):
+        assert logged_at(fmu, instance) is None
+        instance.enter_initialization_mode(2.0)
+        assert logged_at(fmu, instance) == 2.0
+        instance.exit_initialization_mode()
+        instance.set_time(2.5)
+        assert logged_at(fmu, instance) == 2.5
+    with opened(path, interface_type="cs") as (fmu, instance):
+        instance.enter_initialization_mode(2.0)
+        instance.exit_initialization_mode()
+        instance.do_step(2.0, 0.5)
+        assert logged_at(fmu, instance) == 2.0
+        instance.do_step(2.5, 0.5)
+        assert logged_at(fmu, instance) == 2.5
 
 
 def test_the_time_is_that_of_the_simulation_in_fmi_1(slave1):
-    with opened(slave1) as (fmu, unit):
-        unit.enter_initialization_mode(2.0)
-        unit.exit_initialization_mode()
+    with opened(slave1) as (fmu, instance):
+        instance.enter_initialization_mode(2.0)
+        instance.exit_initialization_mode()
         assert [(message.time, message.text) for message in fmu.drain()] == [
             (None, "hello world"),
             (2.0, "x = 0"),
         ]
-        unit.do_step(2.5, 0.5)
+        instance.do_step(2.5, 0.5)
         log(0, b"", b"in the step", key=fmu._instance.messages._struct.key)
         assert [message.time for message in fmu.drain()] == [2.5]
 
 
 @pytest.mark.parametrize("block", [1000, 7, 1])
-def test_messages_stand_in_the_log_at_the_time_they_were_said(tmp_path, block):
-    """However long the block, and in the order in which they came; the FMU says where each of its steps begins."""
+def test_messages_have_the_time_in_the_log_at_which_they_came(tmp_path, block):
+    """However long the block, and in the order in which they came.
+
+    The FMU logs where each of its steps begins.
+    """
     fmu = compile_fmu(tmp_path / "model.fmu", xml2(), "probe2.c", defines=("SAYS",))
     scenario = write(tmp_path, fmu, stop=0.9)
-    found = [
-        m
-        for m in cosim.run(scenario, out=tmp_path / "one.mcap", block=block).messages()
-        if m.text.startswith("step: ")
-    ]
-    assert [message.time_ns for message in found] == [100_000_000 * k for k in range(9)]
-    assert [float(message.text.removeprefix("step: ")) for message in found] == [
-        k / 10 for k in range(9)
-    ]
+    log = cosim.run(scenario, out=tmp_path / "one.mcap", block=block)
+    recorded = [message for message in log.messages() if message.text.startswith("step: ")]
+    begins = [float(message.text.removeprefix("step: ")) for message in recorded]
+    assert [message.time_ns for message in recorded] == [100_000_000 * k for k in range(9)]
+    assert begins == [k / 10 for k in range(9)]
 
 
 def write(folder, fmu, *, stop=0.1):
@@ -243,11 +249,9 @@ value = 3.0
 
 def test_messages_come_into_the_log_with_their_category(tmp_path, slave1):
     log = cosim.run(write(tmp_path, slave1), out=tmp_path / "one.mcap")
-    found = [
-        (message.time_ns, message.level, message.name, message.text) for message in log.messages()
-    ]
-    assert (0, "info", "plant", "probe: hello world") in found
-    assert (0, "info", "plant", "probe: x = 3") in found
+    recorded = [(m.time_ns, m.level, m.source, m.text) for m in log.messages()]
+    assert (0, "info", "plant", "probe: hello world") in recorded
+    assert (0, "info", "plant", "probe: x = 3") in recorded
 
 
 def test_nothing_is_printed_where_fmpy_has_no_logger():

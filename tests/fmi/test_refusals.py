@@ -92,16 +92,17 @@ def test_encrypted_entry(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("method", "kind"),
+    ("method", "reason"),
     [(zipfile.ZIP_STORED, "BadZipFile: Bad CRC-32"), (zipfile.ZIP_DEFLATED, "error: Error -3")],
 )
-def test_damaged_description(tmp_path, method, kind):
+def test_damaged_description(tmp_path, method, reason):
     """A stored entry fails by its sum, a compressed one by its code."""
-    with zipfile.ZipFile(path := tmp_path / "x.fmu", "w") as target:
+    path = tmp_path / "x.fmu"
+    with zipfile.ZipFile(path, "w") as target:
         target.writestr("modelDescription.xml", "<fmi/>" * 100, method)
     refused(
         overwritten(path, 30 + len("modelDescription.xml"), b"\xff" * 4),
-        f"the archive cannot be unpacked: {kind}",
+        f"the archive cannot be unpacked: {reason}",
     )
 
 
@@ -136,7 +137,8 @@ def test_entries_that_lead_out_of_the_archive(edited, tmp_path, name, text):
 def test_links(tmp_path, edited):
     with zipfile.ZipFile(path := edited(), "a") as target:
         link = zipfile.ZipInfo("resources/link")
-        link.create_system, link.external_attr = 3, 0o120777 << 16
+        link.create_system = 3
+        link.external_attr = 0o120777 << 16
         target.writestr(link, "/etc/passwd")
     refused(
         path, "the archive has a link, where it may have files and folders only: 'resources/link'"
@@ -180,15 +182,17 @@ def test_no_binary_for_this_platform(edited):
     path = edited(without="binaries/", extra={"binaries/riscv64-plan9/academic.so": b""})
     refused(
         path,
-        r"no binary for this platform; found binaries for: riscv64-plan9; needed binaries/\S+/academic\.",
+        r"no binary for this platform; found binaries for: riscv64-plan9; "
+        r"needed binaries/\S+/academic\.",
     )
 
 
-def test_a_kind_that_is_not_there(edited):
+def test_an_interface_type_that_is_not_there(edited):
     path = edited(("<ModelExchange ", "<Unknown "), ("</ModelExchange>", "</Unknown>"))
     refused(
         path,
-        r'not for model exchange \(interface_type = "me"\); it is for co-simulation: interface_type = "cs"',
+        r'not for model exchange \(interface_type = "me"\); '
+        'it is for co-simulation: interface_type = "cs"',
         interface_type="me",
     )
     refused(path, 'interface_type \'both\'; needed "me" or "cs"', interface_type="both")
@@ -215,7 +219,8 @@ def test_binary_that_is_none(edited, exported):
 def test_binary_of_another_model(edited):
     refused(
         edited(('guid="{', 'guid="{0')),
-        "cannot be used: it refuses to instantiate; it said: error: fmi2Instantiate: the GUID",
+        "cannot be used: it refuses to instantiate; "
+        "its last message: error: fmi2Instantiate: the GUID",
     )
 
 
@@ -225,7 +230,8 @@ def test_binary_of_another_model(edited):
         ({"x_a[9]": 1.0}, r"no variable 'x_a\[9\]'; did you mean 'x_a\[\d\]'"),
         (
             {"y": 1.0},
-            "'y' cannot be set at the start .causality output, variability continuous, initial calculated.",
+            "'y' cannot be set at the start .causality output, variability continuous, "
+            "initial calculated.",
         ),
         ({"x_a[0]": float("nan")}, r"start value of 'x_a\[0\]': found nan, needed a finite number"),
     ],
@@ -253,7 +259,8 @@ def test_solvers(exported):
     refused(exported, f"no solver 'euler'; There is: {TAKEN}$", solver="euler")
     refused(
         exported,
-        f"solver 'exact' needs the matrices of a linear model, an FMU does not show them; use one of: {TAKEN}$",
+        "solver 'exact' needs the matrices of a linear model, an FMU does not show them; "
+        f"use one of: {TAKEN}$",
         solver="exact",
     )
     refused(exported, "a co-simulation FMU brings its own", solver="rk4", interface_type="cs")

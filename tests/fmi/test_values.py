@@ -15,26 +15,26 @@ def test_integers_up_to_2_53_are_carried_exactly(value):
 
 
 @pytest.mark.parametrize(
-    ("value", "kind"),
+    ("value", "dtype"),
     [(2**53 + 1, np.int64), (-(2**53) - 1, np.int64), (-(2**63), np.int64), (2**53 + 1, np.uint64)],
 )
-def test_integers_beyond_2_53_are_refused(value, kind):
+def test_integers_beyond_2_53_are_refused(value, dtype):
     """2**53 + 1 is rounded to 2**53 as a float, and the smallest int64 has no absolute value."""
     with pytest.raises(
         RunError, match=rf"m: an integer beyond 2\*\*53 cannot be carried exactly: \[{value}\]"
     ):
-        from_fmu_type("m", np.array([value], kind))
+        from_fmu_type("m", np.array([value], dtype))
 
 
 @pytest.mark.parametrize(
-    ("kind", "value"),
+    ("variable_type", "value"),
     [("Int32", 1e300), ("Int64", 2.0**63), ("UInt8", -1.0), ("Boolean", 2.0), ("Int32", np.nan)],
 )
-def test_numbers_outside_a_type_are_refused(kind, value):
+def test_numbers_outside_a_type_are_refused(variable_type, value):
     """Without a warning of numpy."""
-    own = np.bool_ if kind == "Boolean" else np.dtype(kind.lower())
-    with pytest.raises(RunError, match=f"cannot be set: needed numbers of type {kind}"):
-        to_fmu_type("m", kind, own, np.array([value]))
+    dtype = np.bool_ if variable_type == "Boolean" else np.dtype(variable_type.lower())
+    with pytest.raises(RunError, match=f"cannot be set: needed numbers of type {variable_type}"):
+        to_fmu_type("m", variable_type, dtype, np.array([value]))
 
 
 @pytest.mark.parametrize(
@@ -42,14 +42,18 @@ def test_numbers_outside_a_type_are_refused(kind, value):
     [(3, "error", 1), (4, "fatal", 0), (5, "pending", 1), (9, "no status of the standard", 1)],
 )
 def test_only_a_fatal_status_forbids_freeing(probe2, status, label, freed):
-    """FMI 2.0.4 section 2.1.3: after fmi2Fatal no call is allowed; after any other the instance can be freed."""
-    with opened(probe2, interface_type="cs") as (fmu, unit):
-        unit.set_float64(unit.description.references_of(["answer"]), np.array([float(status)]))
+    """FMI 2.0.4 section 2.1.3: after fmi2Fatal no call is allowed.
+
+    After any other status the instance can be freed.
+    """
+    with opened(probe2, interface_type="cs") as (fmu, instance):
+        references = instance.description.references_of(["answer"])
+        instance.set_float64(references, np.array([float(status)]))
         with pytest.raises(RunError, match=rf"probe2.fmu: fmi2Reset returned {status} \({label}\)"):
-            unit.reset()
+            instance.reset()
         if status == 4:
             with pytest.raises(
                 RunError, match=r"fmi2Reset cannot be called: fmi2Reset returned 4 \(fatal\) before"
             ):
-                unit.reset()
+                instance.reset()
     assert [text for *_, text in fmu.drain()].count("freed") == freed

@@ -77,7 +77,7 @@ class Messages:
         if not library.cosim_messages_last(byref(self._struct), byref(self._out)):
             return ""
         last = Message.of(self._out)
-        return f"; it said: {last.level}: {last.text}"
+        return f"; its last message: {last.level}: {last.text}"
 
     def drain(self) -> list[Message]:
         """Return the messages since the last call, and how many were dropped."""
