@@ -56,8 +56,8 @@ def path(tmp_path):
     return tmp_path / "a.mcap"
 
 
-def test_a_log_returns_what_was_planned(path):
-    """Channels, designs and held inputs."""
+def test_a_log_returns_its_components(path):
+    """With their kinds and the communication step."""
     record(path, kinds={"plant": "descriptor"})
     log = open_log(path)
     recording: Recording = log
@@ -65,6 +65,12 @@ def test_a_log_returns_what_was_planned(path):
     assert list(log.channels) == ["plant", "identifier"]
     assert log.kinds == {"plant": "descriptor", "identifier": ""}
     assert log.step_ns == STEP_NS
+
+
+def test_a_log_returns_what_was_planned(path):
+    """Designs, held inputs and the schedule."""
+    record(path)
+    log = open_log(path)
     for name, array in plan().designs["plant"].items():
         assert same_bits(log.designs["plant"][name], array)
     assert log.designs["identifier"] == {}
@@ -321,7 +327,10 @@ def test_a_log_and_the_memory_keep_the_same_rows(dotted):
 def test_a_log_and_the_memory_refuse_unknown_names_alike(dotted):
     """The nearest name, where there is one."""
     recordings, _ = dotted
-    signal_message = r" has no 'x\.a\.b': 'x' has no signal 'a\.b'; did you mean 'a\.b\.c'\? There is: a\.b\.c, a"
+    signal_message = (
+        r" has no 'x\.a\.b': 'x' has no signal 'a\.b'; did you mean 'a\.b\.c'\?"
+        r" There is: a\.b\.c, a"
+    )
     for recording in recordings:
         with pytest.raises(LogError, match=signal_message):
             recording["x.a.b"]
