@@ -27,54 +27,64 @@ class Static:
         self._function = function
 
     def initialize(self, t: float, u: Vector) -> Vector:
-        """Give y(t)."""
+        """Return y(t)."""
         return self.outputs(t, u)
 
     def outputs(self, t: float, u: Vector) -> Vector:
-        """Give y(t)."""
+        """Return y(t)."""
         y: Vector = self._function(u[np.newaxis])[0]
         return y
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
-        """Give y at ``t[1:]``."""
+        """Return y at ``t[1:]``."""
         return self._function(u[1:])
 
 
-def _through(inputs: Sequence[Signal], size: int, unit: str | None) -> Interface:
+def _with_feedthrough(inputs: Sequence[Signal], size: int, unit: str | None) -> Interface:
+    """Return the interface whose output y feeds through from all inputs."""
     output = Signal("y", size, unit, "inherited")
-    return Interface(tuple(inputs), (output,), {"y": tuple(signal.name for signal in inputs)})
+    names = tuple(signal.name for signal in inputs)
+    return Interface(tuple(inputs), (output,), {"y": names})
 
 
 def sum_of(signs: Sequence[float], *, size: int = 1, unit: str | None = None) -> Static:
-    """``y = sum_i signs_i u_i``: inputs ``u1``, ``u2``, ... of the same size."""
+    """Build ``y = sum_i signs_i u_i``: inputs ``u1``, ``u2``, ... of the same size.
 
-    def function(u: Matrix) -> Matrix:
+    Raises
+    ------
+    UsageError
+        If there are no signs.
+    """
+
+    def signed_sum(u: Matrix) -> Matrix:
         total = np.zeros((len(u), size))
         for i, sign in enumerate(signs):
-            total += sign * u[:, i * size : (i + 1) * size]
+            begin = i * size
+            total += sign * u[:, begin : begin + size]
         return total
 
     if not signs:
         raise UsageError("sum: found no signs, needed one for each input, like [1, -1]")
-    return Static(
-        _through([Signal(f"u{i + 1}", size, unit) for i in range(len(signs))], size, unit), function
-    )
+    names = [f"u{i}" for i in range(1, len(signs) + 1)]
+    inputs = [Signal(name, size, unit) for name in names]
+    return Static(_with_feedthrough(inputs, size, unit), signed_sum)
 
 
 def gain(K: Matrix, *, unit: str | None = None) -> Static:
-    """``y = K u`` for K of shape (n_y, n_u); the sum runs in a fixed order."""
+    """Build ``y = K u`` for K of shape (n_y, n_u); the sum runs in a fixed order."""
 
-    def function(u: Matrix) -> Matrix:
+    def product(u: Matrix) -> Matrix:
         total = np.zeros((len(u), len(K)))
         for j, column in enumerate(K.T):
             total += u[:, j : j + 1] * column
         return total
 
-    return Static(_through([Signal("u", K.shape[1])], len(K), unit), function)
+    n_y, n_u = K.shape
+    return Static(_with_feedthrough([Signal("u", n_u)], n_y, unit), product)
 
 
 def limit(*, lower: float, upper: float, size: int = 1, unit: str | None = None) -> Static:
-    """``y = min(max(u, lower), upper)``.
+    """Build ``y = min(max(u, lower), upper)``.
 
     Raises
     ------
@@ -83,6 +93,5 @@ def limit(*, lower: float, upper: float, size: int = 1, unit: str | None = None)
     """
     if not lower < upper:
         raise UsageError(f"limit: found lower = {lower} and upper = {upper}, needed lower < upper")
-    return Static(
-        _through([Signal("u", size, unit)], size, unit), lambda u: np.clip(u, lower, upper)
-    )
+    interface = _with_feedthrough([Signal("u", size, unit)], size, unit)
+    return Static(interface, lambda u: np.clip(u, lower, upper))

@@ -10,33 +10,45 @@ from cosim.core.signals import Interface, Signal
 from cosim.errors import UsageError
 from cosim.native.step import delay_step
 
+LARGEST = 2**27  # values in a delay line, 1 GiB
+
 
 def lag(
-    *, time_constant: float, start: float | None = None, size: int = 1, unit: str | None = None
+    *, time_constant: float, initial: float | None = None, size: int = 1, unit: str | None = None
 ) -> LinearModel:
-    """First-order lag ``T y' = u - y`` as a model; ``start`` left out: y(0) = u(0), without a transient.
+    """Build a first-order lag ``T y' = u - y``.
+
+    Parameters
+    ----------
+    time_constant : float
+        T [s].
+    initial : float, optional
+        y(0); by default u(0), without a transient.
+    size : int
+        Number of elements of u and y.
+    unit : str, optional
+        The unit of u and y.
 
     Raises
     ------
     UsageError
-        If the time constant [s] is not positive.
+        If the time constant is not positive.
     """
     if not time_constant > 0.0:
         raise UsageError(f"lag: found time_constant = {time_constant} s, needed a positive time")
-    eye, rate = np.eye(size), 1.0 / time_constant
-    follow = eye if start is None else np.zeros((size, size))
-    initial = {"y": ("u",)} if start is None else {}
-    signals = Interface(
-        (Signal("u", size, unit),), (Signal("y", size, unit, role="state"),), initial=initial
-    )
-    states = tuple(signals.outputs[0].elements)
-    X0 = np.full(size, 0.0 if start is None else start)
-    return LinearModel(
-        signals, states, -rate * eye, rate * eye, eye, np.zeros((size, size)), X0, follow
-    )
-
-
-LARGEST = 2**27  # values in a delay line, 1 GiB
+    rate = 1.0 / time_constant
+    u = Signal("u", size, unit)
+    y = Signal("y", size, unit, role="state")
+    states = tuple(y.elements)
+    C = np.eye(size)
+    D = np.zeros((size, size))
+    A = -rate * C
+    B = rate * C
+    if initial is None:
+        follows_u = Interface((u,), (y,), initial={"y": ("u",)})
+        return LinearModel(follows_u, states, A, B, C, D, X0=np.zeros(size), Xu=np.eye(size))
+    X0 = np.full(size, initial)
+    return LinearModel(Interface((u,), (y,)), states, A, B, C, D, X0=X0, Xu=np.zeros_like(D))
 
 
 class Delay:
@@ -46,8 +58,17 @@ class Delay:
     ----------
     steps : int
         Number of communication steps n.
-    initial : float or None
-        y until the first sample arrives; None: u(0).
+    initial : float, optional
+        y until the first sample arrives; by default u(0).
+    size : int
+        Number of elements of u and y.
+    unit : str, optional
+        The unit of u and y.
+
+    Raises
+    ------
+    UsageError
+        If there is no step, or the line is too long.
     """
 
     def __init__(
@@ -57,16 +78,14 @@ class Delay:
             raise UsageError(f"delay: found {steps} communication steps, needed at least 1")
         if steps * size > LARGEST:
             raise UsageError(
-                f"delay: {steps} communication steps of {size} values do not fit; at most {LARGEST} values"
+                f"delay: {steps} communication steps of {size} values do not fit; "
+                f"at most {LARGEST} values"
             )
         self.initial = initial
-        follows = {"y": ("u",)} if initial is None else {}
-        self.interface = Interface(
-            (Signal("u", size, unit),),
-            (Signal("y", size, unit, "inherited"),),
-            initial=follows,
-            rollback=True,
-        )
+        u = Signal("u", size, unit)
+        y = Signal("y", size, unit, "inherited")
+        initial_feedthrough = {"y": ("u",)} if initial is None else {}
+        self.interface = Interface((u,), (y,), initial=initial_feedthrough, rollback=True)
         self._size = size
         self._step = delay_step(steps, size)
 
@@ -77,8 +96,9 @@ class Delay:
         return self.outputs(t, u)
 
     def outputs(self, t: float, u: Vector) -> Vector:
-        """Give the oldest sample; ``u`` does not matter."""
-        y: Vector = self._ring[int(self._step.memory[0])].copy()
+        """Return the oldest sample; ``u`` does not matter."""
+        due = int(self._step.memory[0])
+        y: Vector = self._ring[due].copy()
         return y
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:

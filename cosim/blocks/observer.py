@@ -22,57 +22,64 @@ def observer_model(
     q0: ArrayLike | None = None,
     constant: bool = False,
 ) -> LinearModel:
-    """Write the observer as a model: inputs u and y; outputs x_a, delta, x_b (estimates), z and q (its states).
+    """Write the observer as a model.
 
-    Where there is no u or x_b, there is no such signal.
+    Inputs u and y; outputs the estimates x_a, delta, x_b and the states z, q. Where there is no u
+    or x_b, there is no such signal.
 
     Parameters
     ----------
     reduced : ReducedSystem
-        What the observer believes.
+        The design model.
     design : ObserverDesign
     x_a0 : ArrayLike, shape (n_a,), optional
-        First estimate; left out: consistent with y(0).
+        Initial estimate; by default consistent with y(0).
     q0 : ArrayLike, shape (n_y,), optional
-        Start of the derivative filter; left out: at the signal, without a transient.
+        Initial state of the derivative filter; by default the signal, without a transient.
     constant : bool
-        The last input of ``reduced`` is the constant 1: no input of the model, but a state ``one`` that stays at 1.
+        The last input of ``reduced`` is the constant 1: no input of the model, but a state ``one``
+        that stays at 1.
     """
     system = realize(reduced, design)
     X0, Xu = initial_state_map(reduced, design, x_a0=x_a0, q0=q0)
-    n, n_y, n_d, n_b = len(reduced.A_a), len(reduced.C3), reduced.B_2a.shape[1], len(reduced.Kx)
-    outputs = [Signal("x_a", n, role="estimate"), Signal("delta", n_d, role="estimate")]
+    n_a, n_u = reduced.B_1a.shape
+    n_y, n_d = reduced.C5.shape
+    n_b = len(reduced.Kx)
+    inputs = [Signal("u", n_u, role="input")] if n_u else []
+    inputs.append(Signal("y", n_y, role="input"))
+    outputs = [Signal("x_a", n_a, role="estimate"), Signal("delta", n_d, role="estimate")]
     if n_b:
         outputs.append(Signal("x_b", n_b, role="estimate"))
-    states = [Signal("z", n, role="state"), Signal("q", n_y, role="state")]
-    inputs = [Signal("u", reduced.B_1a.shape[1], role="input")] if reduced.B_1a.size else []
+    z = Signal("z", n_a, role="state")
+    q = Signal("q", n_y, role="state")
+    states = (*z.elements, *q.elements)
+    A = system.A
+    B = system.B
+    C = system.C
+    D = system.D
+    outputs += [z, q]
     model = linear_model(
-        (*inputs, Signal("y", n_y, role="input")),
-        (*outputs, *states),
-        states=tuple(element for signal in states for element in signal.elements),
-        A=system.A,
-        B=system.B,
-        C=system.C,
-        D=system.D,
-        X0=X0,
-        Xu=Xu,
+        tuple(inputs), tuple(outputs), states=states, A=A, B=B, C=C, D=D, X0=X0, Xu=Xu
     )
-    return _with_one(model) if constant else model
+    return _with_constant_state(model) if constant else model
 
 
-def _with_one(model: LinearModel) -> LinearModel:
+def _with_constant_state(model: LinearModel) -> LinearModel:
     """Turn the last element of u into a state that stays at 1."""
     u, y = model.interface.inputs
-    column, n = u.size - 1, len(model.states)
-    one, others = [column], [i for i in range(model.interface.n_u) if i != column]
-    return linear_model(
-        (*([replace(u, size=u.size - 1)] if u.size > 1 else []), y),
-        model.interface.outputs,
-        states=(*model.states, "one"),
-        A=np.block([[model.A, model.B[:, one]], [np.zeros((1, n + 1))]]),
-        B=np.vstack([model.B[:, others], np.zeros((1, len(others)))]),
-        C=np.hstack([model.C, model.D[:, one]]),
-        D=model.D[:, others],
-        X0=np.concatenate([model.X0 + model.Xu[:, column], [1.0]]),
-        Xu=np.vstack([model.Xu[:, others], np.zeros((1, len(others)))]),
-    )
+    column = u.size - 1
+    others = [i for i in range(model.interface.n_u) if i != column]
+    inputs = (y,) if column == 0 else (replace(u, size=column), y)
+    from_one = model.B[:, [column]]
+    to_one = np.zeros((1, len(model.states) + 1))
+    no_input = np.zeros((1, len(others)))
+    A = np.block([[model.A, from_one], [to_one]])
+    B = np.vstack([model.B[:, others], no_input])
+    C = np.hstack([model.C, model.D[:, [column]]])
+    D = model.D[:, others]
+    X0 = model.X0 + model.Xu[:, column]
+    X0 = np.concatenate([X0, [1.0]])
+    Xu = np.vstack([model.Xu[:, others], no_input])
+    states = (*model.states, "one")
+    outputs = model.interface.outputs
+    return linear_model(inputs, outputs, states=states, A=A, B=B, C=C, D=D, X0=X0, Xu=Xu)

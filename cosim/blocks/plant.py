@@ -13,69 +13,69 @@ from cosim.theory.descriptor import DescriptorSystem, reduce
 
 
 def descriptor_model(system: DescriptorSystem, x_a0: ArrayLike) -> LinearModel:
-    """Write a descriptor system as a model: inputs u and delta, outputs y, x_a and x_b (8)-(10), states x_a.
+    """Write a descriptor system as a model (8)-(10).
+
+    Inputs u and delta, outputs y, x_a and x_b, states x_a.
 
     Raises
     ------
     AssumptionError
         If A22 is singular (Assumption 2), or ``x_a0`` has the wrong size.
     """
-    r = reduce(system)
-    n, start = len(r.A_a), np.atleast_1d(np.asarray(x_a0, dtype=np.float64))
-    if start.shape != (n,):
+    reduced = reduce(system)
+    n_a, n_u = reduced.B_1a.shape
+    n_y, n_d = reduced.C5.shape
+    n_b = len(reduced.Kx)
+    initial = np.atleast_1d(np.asarray(x_a0, dtype=np.float64))
+    if initial.shape != (n_a,):
         raise AssumptionError(
-            f"x_a0 has shape {start.shape}; needed ({n},): one number a dynamic state"
+            f"x_a0 has shape {initial.shape}; needed ({n_a},): one number a dynamic state"
         )
-    inputs = (
-        Signal("u", r.B_1a.shape[1], role="input"),
-        Signal("delta", r.B_2a.shape[1], role="input"),
-    )
-    outputs = [Signal("y", len(r.C3)), Signal("x_a", n, role="state")]
-    if len(r.Kx):
-        outputs.append(Signal("x_b", len(r.Kx), role="state"))
-    C = np.vstack([r.C3, np.eye(n), r.Kx])
-    D = np.vstack(
-        [
-            np.hstack([r.C4, r.C5]),
-            np.zeros((n, inputs[0].size + inputs[1].size)),
-            np.hstack([r.Ku, r.Kd]),
-        ]
-    )
-    return linear_model(
-        inputs,
-        tuple(outputs),
-        states=tuple(outputs[1].elements),
-        A=r.A_a,
-        B=np.hstack([r.B_1a, r.B_2a]),
-        C=C,
-        D=D,
-        X0=start,
-    )
+    u = Signal("u", n_u, role="input")
+    delta = Signal("delta", n_d, role="input")
+    x_a = Signal("x_a", n_a, role="state")
+    outputs = [Signal("y", n_y), x_a]
+    if n_b:
+        outputs.append(Signal("x_b", n_b, role="state"))
+    no_feedthrough = np.zeros((n_a, n_u + n_d))
+    D_y = np.hstack([reduced.C4, reduced.C5])
+    D_x_b = np.hstack([reduced.Ku, reduced.Kd])
+    A = reduced.A_a
+    B = np.hstack([reduced.B_1a, reduced.B_2a])
+    C = np.vstack([reduced.C3, np.eye(n_a), reduced.Kx])
+    D = np.vstack([D_y, no_feedthrough, D_x_b])
+    states = tuple(x_a.elements)
+    return linear_model((u, delta), tuple(outputs), states=states, A=A, B=B, C=C, D=D, X0=initial)
 
 
 def descriptor_form(system: DescriptorSystem, x_a0: ArrayLike) -> DescriptorModel:
-    """Write a descriptor system as a model that keeps its equations (2)-(3), with x_b as algebraic variable.
+    """Write a descriptor system as a model that keeps its equations (2)-(3).
+
+    Its algebraic variable is x_b.
 
     Raises
     ------
     AssumptionError
         As for ``descriptor_model``, or if there are no algebraic states.
     """
-    reduced, n_a = descriptor_model(system, x_a0), system.n_a
-    n, n_b, n_y = len(system.A), len(system.A) - n_a, len(system.C)
-    if n_b == 0:
+    reduced = descriptor_model(system, x_a0)
+    n_a = system.n_a
+    n = len(system.A)
+    n_y = len(system.C)
+    if n_a == n:
         raise AssumptionError(
             f"n_a = {n_a} of {n} states: there are no algebraic states, and so no residual form"
         )
     B = np.hstack([system.Bu, system.Bd])
-    by_state = np.vstack(
-        [system.A[:n_a], system.C, np.eye(n), system.A[n_a:]]
-    )  # x_a', y, x_a and x_b, 0
-    by_u = np.vstack([B[:n_a], np.zeros((n_y + n, B.shape[1])), B[n_a:]])
-    by_x, by_z = (
-        np.ascontiguousarray(part, np.float64) for part in (by_state[:, :n_a], by_state[:, n_a:])
-    )
-    return DescriptorModel(reduced, "x_b", by_x, by_z, np.ascontiguousarray(by_u, np.float64))
+    no_feedthrough = np.zeros((n_y + n, B.shape[1]))
+    # rows: x_a', y, x_a and x_b, 0
+    A_dynamic = system.A[:n_a]
+    A_algebraic = system.A[n_a:]
+    by_state = np.vstack([A_dynamic, system.C, np.eye(n), A_algebraic])
+    by_x = _contiguous(by_state[:, :n_a])
+    by_z = _contiguous(by_state[:, n_a:])
+    by_u = _contiguous(np.vstack([B[:n_a], no_feedthrough, B[n_a:]]))
+    return DescriptorModel(reduced, "x_b", by_x, by_z, by_u)
 
 
 def linear_model(
@@ -90,17 +90,16 @@ def linear_model(
     X0: Matrix,
     Xu: Matrix | None = None,
 ) -> LinearModel:
-    """Put matrices and signals together; what depends on what is read off the matrices."""
-    interface, Xu = Interface(inputs, outputs), np.zeros(B.shape) if Xu is None else Xu
-    return LinearModel(
-        Interface(
-            inputs, outputs, feedthrough_of(interface, D), start_dependencies(interface, C, D, Xu)
-        ),
-        states,
-        A=np.ascontiguousarray(A, np.float64),
-        B=np.ascontiguousarray(B, np.float64),
-        C=np.ascontiguousarray(C, np.float64),
-        D=np.ascontiguousarray(D, np.float64),
-        X0=np.ascontiguousarray(X0, np.float64),
-        Xu=np.ascontiguousarray(Xu, np.float64),
-    )
+    """Build a linear model; its feedthrough and initial dependencies follow from the matrices."""
+    if Xu is None:
+        Xu = np.zeros(B.shape)
+    ports = Interface(inputs, outputs)
+    feedthrough = feedthrough_of(ports, D)
+    initial = start_dependencies(ports, C, D, Xu)
+    interface = Interface(inputs, outputs, feedthrough, initial)
+    matrices = [_contiguous(matrix) for matrix in (A, B, C, D, X0, Xu)]
+    return LinearModel(interface, states, *matrices)
+
+
+def _contiguous(values: Matrix) -> Matrix:
+    return np.ascontiguousarray(values, np.float64)

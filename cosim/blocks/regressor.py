@@ -9,22 +9,25 @@ import numpy as np
 from cosim.arrays import Matrix, Vector
 from cosim.core.signals import Interface, Signal
 from cosim.native.expression import Program
-from cosim.native.step import RegressorConstants
-from cosim.native.step import RegressorStep as Kernel
+from cosim.native.step import RegressorConstants, RegressorStep
 from cosim.theory.regression import Term
 
 
 class Regressor:
-    """Delays delta and multiplies: input delta, output mu, without a value until the longest delay has passed.
+    """Delays delta and multiplies: input delta, output mu (25).
+
+    The output has no value (NaN) until the longest delay has passed.
 
     Parameters
     ----------
     terms : sequence of Term
         The expansion of the determinant.
     alphas : sequence of Program
-        The known functions, one a block.
-    steps, delays : sequence of int, of float
-        The delays in communication steps and in seconds.
+        The known functions, one a group.
+    steps : sequence of int
+        The delays in communication steps.
+    delays : sequence of float
+        The delays [s].
     """
 
     def __init__(
@@ -36,24 +39,15 @@ class Regressor:
         delays: Sequence[float],
     ) -> None:
         rows = len(delays)
-        factor = np.array(
-            [[b * rows + i for b, part in enumerate(term.parts) for i in part] for term in terms]
-        )
-        self.constants = RegressorConstants(
-            alphas=alphas,
-            steps=steps,
-            delays=delays,
-            row=np.array([term.row for term in terms]),
-            factor=factor,
-            sign=np.array([term.sign for term in terms], np.float64),
-        )
-        self._kernel = Kernel(self.constants)
-        self.interface = Interface(
-            (Signal("delta", role="input"),),
-            (Signal("mu", len(terms), optional=True),),
-            {"mu": ("delta",)} if 0 in steps else {},
-            rollback=True,
-        )
+        row = np.array([term.row for term in terms])
+        factor = np.array([_alpha_rows(term, rows) for term in terms])
+        sign = np.array([term.sign for term in terms], np.float64)
+        self.constants = RegressorConstants(alphas, steps, delays, row, factor, sign)
+        self._kernel = RegressorStep(self.constants)
+        delta = Signal("delta", role="input")
+        mu = Signal("mu", len(terms), optional=True)
+        feedthrough = {"mu": ("delta",)} if 0 in steps else {}
+        self.interface = Interface((delta,), (mu,), feedthrough, rollback=True)
 
     def initialize(self, t: float, u: Vector) -> Vector:
         """Forget the past."""
@@ -61,7 +55,7 @@ class Regressor:
         return self._kernel.outputs(t, float(u[0]))
 
     def outputs(self, t: float, u: Vector) -> Vector:
-        """Give mu at the instant reached."""
+        """Return mu at the time reached."""
         return self._kernel.outputs(t, float(u[0]))
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
@@ -69,9 +63,17 @@ class Regressor:
         return self._kernel.step.advance(t, h, u)
 
     def save(self) -> Vector:
-        """Copy the line of samples."""
+        """Copy the delayed samples."""
         return self._kernel.step.save()
 
     def restore(self, state: Vector) -> None:
-        """Go back to a saved line."""
+        """Return to saved samples."""
         self._kernel.step.restore(state)
+
+
+def _alpha_rows(term: Term, rows: int) -> list[int]:
+    """Return the indices ``group * rows + row`` of the alphas of a term."""
+    indices: list[int] = []
+    for b, part in enumerate(term.parts):
+        indices.extend(b * rows + row for row in part)
+    return indices

@@ -6,7 +6,7 @@ from typing import cast, final
 
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.blocks.port_map import PortMap
-from cosim.core.contracts import Component, Design, Rollback, Stopped
+from cosim.core.contracts import Component, Design, Rollback, Stopped, prepare
 
 
 @final
@@ -27,7 +27,7 @@ class Renamed:
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Prepare the component; the arrays of its design have no ports."""
-        return self._component.prepare(h, self._ports.component_mask(held), recorded)
+        return prepare(self._component, h, self._ports.component_mask(held), recorded)
 
     def initialize(self, t: float, u: Vector) -> Vector:
         """Initialize the component; return the shown outputs at ``t``."""
@@ -50,8 +50,8 @@ class Renamed:
 
     def save(self) -> object:
         """Copy the state of the component."""
-        return cast(Rollback, self._component).save()
+        return cast(Rollback[object], self._component).save()
 
     def restore(self, state: object) -> None:
         """Go back to a saved state of the component."""
-        cast(Rollback, self._component).restore(state)
+        cast(Rollback[object], self._component).restore(state)

@@ -13,7 +13,7 @@ from cosim.errors import GraphError, LogError
 
 
 class Replay:
-    """Gives the recorded outputs of a component, bit for bit, whatever its inputs are.
+    """Returns the recorded outputs of a component, bit for bit, whatever its inputs are.
 
     Parameters
     ----------
@@ -22,51 +22,65 @@ class Replay:
     component : str
         The recorded component.
     inputs : bool
-        Show the recorded inputs too, so that what fed the component may stay connected; False: a source.
+        Whether it has the recorded inputs too, so that what drives the component may stay
+        connected; else it is a source.
+
+    Raises
+    ------
+    LogError
+        If the recording has no such component, or no row of it.
+    GraphError
+        If the run starts before the recording.
+    Stopped
+        From ``advance``, where the recording ends.
     """
 
     def __init__(self, recording: Recording, component: str, *, inputs: bool = True) -> None:
         channel = recording.channels.get(component)
         if channel is None:
-            raise LogError(
-                f"the log has no component {component!r}; it has: {', '.join(recording.channels)}"
-            )
-        if not len(recording.time_ns(component)):
+            known = ", ".join(recording.channels)
+            raise LogError(f"the log has no component {component!r}; it has: {known}")
+        time_ns = recording.time_ns(component)
+        if not len(time_ns):
             raise LogError(
                 f"the log has no rows of {component!r}; needed at least the one at t = 0"
             )
-        found = channel.interface
-        shown = found if inputs else Interface((), found.outputs, {})
+        recorded = channel.interface
+        shown = recorded if inputs else Interface((), recorded.outputs, {})
         self.interface = replace(shown, prepares=True, rollback=False)
-        columns = [as_columns(recording[f"{component}.{signal.name}"]) for signal in found.outputs]
-        self._rows = (
-            np.hstack(columns) if columns else np.zeros((len(recording.time_ns(component)), 0))
-        )
-        self._time = recording.time_ns(component) / 1e9
+        columns = [np.zeros((len(time_ns), 0))]
+        for signal in recorded.outputs:
+            values = recording[f"{component}.{signal.name}"]
+            columns.append(as_columns(values))
+        self._rows = np.hstack(columns)
+        self._time = time_ns / 1e9
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Pass the recorded design on, so that a replay's log is as complete as the run's."""
         return recorded
 
     def initialize(self, t: float, u: Vector) -> Vector:
-        """Give the first recorded row."""
+        """Return the recorded row at ``t``."""
         return self.outputs(t, u)
 
     def outputs(self, t: float, u: Vector) -> Vector:
-        """Give the recorded row at ``t``."""
-        row: Vector = self._rows[self._index(np.array([t]))[0]].copy()
+        """Return the recorded row at ``t``."""
+        index = self._index(np.array([t]))[0]
+        row: Vector = self._rows[index].copy()
         return row
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
-        """Give the recorded rows at ``t[1:]``; stops at the end of the recording."""
-        inside = t[1:][t[1:] <= self._time[-1]]
+        """Return the recorded rows at ``t[1:]``; stop at the end of the recording."""
+        end = self._time[-1]
+        inside = t[1:][t[1:] <= end]
         rows = self._rows[self._index(inside)]
         if len(inside) < len(t) - 1:
-            raise Stopped(rows, f"the recording ends at {self._time[-1]} s")
+            raise Stopped(rows, f"the recording ends at {end} s")
         return rows
 
     def _index(self, t: Vector) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
         index = np.searchsorted(self._time, t, side="right") - 1
         if (index < 0).any():
-            raise GraphError(f"the recording begins at {self._time[0]} s, was asked for {t[0]} s")
+            begin = self._time[0]
+            raise GraphError(f"the recording begins at {begin} s, was asked for {t[0]} s")
         return index

@@ -1,4 +1,4 @@
-"""Components that answer less often than every communication step."""
+"""Components whose outputs change less often than at every communication step."""
 
 from __future__ import annotations
 
@@ -13,28 +13,11 @@ from cosim.core.signals import Interface
 from cosim.errors import ClockError, RunError
 
 
-def _held_between(interface: Interface, n: int) -> Interface:
-    """Give the interface of a component that answers at every n-th step: its outputs hold between.
-
-    Raises
-    ------
-    ClockError
-        If n is less than 1.
-    """
-    if n < 1:
-        raise ClockError(f"period: found {n} communication steps, needed at least 1")
-    return replace(
-        interface,
-        outputs=tuple(replace(signal, variability="discrete") for signal in interface.outputs),
-        prepares=True,
-        rollback=False,
-    )
-
-
 class Sampled:
-    """Advances a component by steps of n communication steps; its outputs change when such a step has ended, and hold between.
+    """Advances a component by steps of n communication steps.
 
-    What holds are the outputs for the inputs at the end of such a step, also where a loop knew these only afterwards.
+    Its outputs change when such a step has ended, and hold between. They are the outputs for the
+    inputs at the end of such a step, also where a loop first extrapolated these.
 
     Parameters
     ----------
@@ -42,107 +25,149 @@ class Sampled:
     n : int
         Communication steps in one of its own.
     hold : bool
-        It samples its inputs at the start of its own step and holds them, as a digital controller does; else those that are not
-        held anyway move in straight lines from there to the end of its own step.
+        It samples its inputs at the start of its own step and holds them, as a digital controller
+        does; else those without a zero-order hold are interpolated linearly over its own step.
+
+    Raises
+    ------
+    ClockError
+        If n is less than 1.
     """
 
     def __init__(self, component: Component, n: int, *, hold: bool = False) -> None:
         self.interface = _held_between(component.interface, n)
-        self._component, self._n, self._hold = component, n, hold
+        self._component = component
+        self._n = n
+        self._hold = hold
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Prepare the component for its own step."""
-        return prepare(self._component, self._own(h), held | self._hold, recorded)
+        held_inputs = held | self._hold
+        return prepare(self._component, self._own_step(h), held_inputs, recorded)
 
     def initialize(self, t: float, u: Vector) -> Vector:
-        """Start the component; its first own step begins here."""
+        """Initialize the component; its first own step begins here."""
         self._count = 0
         self._y = self._component.initialize(t, u).copy()
         return self._y.copy()
 
     def outputs(self, t: float, u: Vector) -> Vector:
-        """Give the outputs of the last own step; at its instant they follow the inputs."""
-        return self._component.outputs(t, u) if self._count == 0 else self._y.copy()
+        """Return the outputs of the last own step; at its instant they follow the inputs."""
+        if self._count == 0:
+            return self._component.outputs(t, u)
+        return self._y.copy()
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
         """Buffer K rows; advance the component wherever one of its own steps ends."""
-        rows = np.empty((len(t) - 1, len(self._y)))
-        for k in range(len(t) - 1):
+        steps = len(t) - 1
+        rows = np.empty((steps, len(self._y)))
+        for k in range(steps):
             try:
                 rows[k] = self._step(t[k : k + 2], h, u[k : k + 2])
             except Stopped as stop:
-                rows[k : k + stop.steps] = (
-                    stop.outputs
-                )  # it may have completed its step before it ends
-                raise Stopped(rows[: k + stop.steps], str(stop), failed=stop.failed) from stop
+                completed = k + stop.steps  # it may have completed its step before it stopped
+                rows[k:completed] = stop.outputs
+                y = rows[:completed]
+                raise Stopped(y, str(stop), failed=stop.failed) from stop
             except RunError as error:
                 raise Stopped(rows[:k], str(error)) from error
         return rows
 
     def _step(self, t: Vector, h: float, u: Matrix) -> Vector:
+        """Take one communication step, ``t`` (2,) and ``u`` (2, n_u); return the outputs held."""
         if self._count == 0:
-            self._start = float(t[0]), u[0].copy()
-            self._y = self._component.outputs(float(t[0]), u[0])
+            begin = float(t[0])
+            self._begin = begin
+            self._u_begin = u[0].copy()
+            # an input that was extrapolated before is corrected now
+            self._y = self._component.outputs(begin, u[0])
         self._count += 1
         if self._count == self._n:
-            begin, u0 = self._start
-            self._y = self._component.advance(
-                np.array([begin, t[1]]), self._own(h), np.vstack([u0, u[1]])
-            )[0].copy()
+            own_t = np.array([self._begin, t[1]])
+            own_u = np.vstack([self._u_begin, u[1]])
+            y = self._component.advance(own_t, self._own_step(h), own_u)
+            self._y = y[0].copy()
             self._count = 0
         return self._y
 
-    def _own(self, h: float) -> float:
-        """Give its own step [s], from whole nanoseconds."""
+    def _own_step(self, h: float) -> float:
+        """Return its own step [s], computed from whole nanoseconds."""
         return round(h * NANOSECONDS) * self._n / NANOSECONDS
 
 
 class Decimated:
-    """Advances a component at every communication step; its outputs are passed on at every n-th only, and hold between.
+    """Advances a component at every communication step and passes on every n-th of its outputs.
+
+    The outputs hold between.
 
     Parameters
     ----------
     component : Component
     n : int
-        Communication steps between two answers.
+        Communication steps between two samples of the outputs.
+
+    Raises
+    ------
+    ClockError
+        If n is less than 1.
     """
 
     def __init__(self, component: Component, n: int) -> None:
         self.interface = _held_between(component.interface, n)
-        self._component, self._n = component, n
+        self._component = component
+        self._n = n
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Prepare the component."""
         return prepare(self._component, h, held, recorded)
 
     def initialize(self, t: float, u: Vector) -> Vector:
-        """Start the component; the first answer is the one at the start."""
+        """Initialize the component; the first sample is its initial output."""
         self._count = 0
         self._y = self._component.initialize(t, u).copy()
         return self._y.copy()
 
     def outputs(self, t: float, u: Vector) -> Vector:
-        """Give the last answer; at its instant it follows the inputs."""
-        return self._component.outputs(t, u) if self._count == 0 else self._y.copy()
+        """Return the last sample; at its instant it follows the inputs."""
+        if self._count == 0:
+            return self._component.outputs(t, u)
+        return self._y.copy()
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
-        """Advance K steps; pass on the answers that are due."""
+        """Advance K steps; pass on the samples that are due."""
         stopped: Stopped | None = None
         y = np.empty((0, len(self._y)))
         try:
-            if self._count == 0:  # what a loop knew late is known now
+            if self._count == 0:
+                # an input that was extrapolated before is corrected now
                 self._y = self._component.outputs(float(t[0]), u[0])
             y = self._component.advance(t, h, u)
         except Stopped as stop:
-            y, stopped = stop.outputs, stop
+            stopped = stop
+            y = stop.outputs
         except RunError as error:
             stopped = Stopped(y, str(error))
-        known = np.vstack([self._y, y])
-        count = self._count + np.arange(1, len(y) + 1)
-        last_due = np.arange(1, len(y) + 1) - count % self._n
-        rows: Matrix = known[np.maximum(last_due, 0)]
-        if len(y):
-            self._y, self._count = rows[-1].copy(), int(count[-1] % self._n)
+        rows = self._held_samples(y)
         if stopped is not None:
             raise Stopped(rows, str(stopped), failed=stopped.failed) from stopped
         return rows
+
+    def _held_samples(self, y: Matrix) -> Matrix:
+        """Return for each of the rows ``y``, shape (K, n_y), the sample that is held there."""
+        if not len(y):
+            return y
+        known = np.vstack([self._y, y])  # row 0: the sample before these steps
+        row = np.arange(1, len(y) + 1)
+        since_sample = (self._count + row) % self._n
+        rows: Matrix = known[np.maximum(row - since_sample, 0)]
+        self._y = rows[-1].copy()
+        self._count = int(since_sample[-1])
+        return rows
+
+
+def _held_between(interface: Interface, n: int) -> Interface:
+    """Return the interface of a component whose outputs change at every n-th step only."""
+    if n < 1:
+        raise ClockError(f"period: found {n} communication steps, needed at least 1")
+    outputs = tuple(replace(signal, variability="discrete") for signal in interface.outputs)
+    return replace(interface, outputs=outputs, prepares=True, rollback=False)

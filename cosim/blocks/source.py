@@ -36,48 +36,47 @@ class Expression:
         kind: SignalType = "real",
     ) -> None:
         self.programs = tuple(compile_expression(text) for text in texts)
-        self.interface = Interface(outputs=(Signal("y", len(texts), unit, variability, kind=kind),))
+        y = Signal("y", len(texts), unit, variability, kind=kind)
+        self.interface = Interface(outputs=(y,))
         self._step = expression_step(self.programs)
 
     def initialize(self, t: float, u: Vector) -> Vector:
-        """Give y(t)."""
+        """Return y(t)."""
         return self.outputs(t, u)
 
     def outputs(self, t: float, u: Vector) -> Vector:
-        """Give y(t)."""
+        """Return y(t)."""
         return np.array([evaluate(program, t) for program in self.programs])
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
-        """Give y at ``t[1:]``."""
+        """Return y at ``t[1:]``."""
         return self._step.advance(t, h, u)
 
 
 def constant(
     value: Sequence[float], *, unit: str | None = None, kind: SignalType = "real"
 ) -> Expression:
-    """``y = value``."""
-    return Expression([repr(float(v)) for v in value], unit=unit, kind=kind)
+    """Build ``y = value``."""
+    return Expression([_number(element) for element in value], unit=unit, kind=kind)
 
 
 def step(
     *, time: float, before: float = 0.0, after: float = 1.0, unit: str | None = None
 ) -> Expression:
-    """``y = before`` until ``time`` [s], then ``after``: a discrete signal."""
-    past = f"step(t - {float(time)!r})"  # products with 0 and 1: both values to the last bit
-    return Expression(
-        [f"{float(before)!r}*(1 - {past}) + {float(after)!r}*{past}"],
-        variability="discrete",
-        unit=unit,
-    )
+    """Build ``y = before`` until ``time`` [s], then ``after``: a discrete signal."""
+    past = f"step(t - {_number(time)})"
+    # products with 0 and 1: both values to the last bit
+    text = f"{_number(before)}*(1 - {past}) + {_number(after)}*{past}"
+    return Expression([text], variability="discrete", unit=unit)
 
 
 def ramp(
-    *, slope: float, start: float = 0.0, offset: float = 0.0, unit: str | None = None
+    *, slope: float, start_time: float = 0.0, offset: float = 0.0, unit: str | None = None
 ) -> Expression:
-    """``y = offset + slope max(0, t - start)``."""
-    return Expression(
-        [f"{float(offset)!r} + {float(slope)!r}*max(0, t - {float(start)!r})"], unit=unit
-    )
+    """Build ``y = offset + slope max(0, t - start_time)``."""
+    elapsed = f"max(0, t - {_number(start_time)})"
+    text = f"{_number(offset)} + {_number(slope)}*{elapsed}"
+    return Expression([text], unit=unit)
 
 
 def sine(
@@ -88,11 +87,10 @@ def sine(
     offset: float = 0.0,
     unit: str | None = None,
 ) -> Expression:
-    """``y = offset + amplitude sin(rate t + phase)``; rate in rad/s."""
-    return Expression(
-        [f"{float(offset)!r} + {float(amplitude)!r}*sin({float(rate)!r}*t + {float(phase)!r})"],
-        unit=unit,
-    )
+    """Build ``y = offset + amplitude sin(rate t + phase)``; rate in rad/s, phase in rad."""
+    angle = f"{_number(rate)}*t + {_number(phase)}"
+    text = f"{_number(offset)} + {_number(amplitude)}*sin({angle})"
+    return Expression([text], unit=unit)
 
 
 def chirp(
@@ -103,13 +101,22 @@ def chirp(
     offset: float = 0.0,
     unit: str | None = None,
 ) -> Expression:
-    """``y = offset + amplitude sin(rate t + sweep t^2 / 2)``: the rate [rad/s] grows by ``sweep`` [rad/s^2]."""
-    angle = f"({float(rate)!r} + {0.5 * float(sweep)!r}*t)*t"
-    return Expression([f"{float(offset)!r} + {float(amplitude)!r}*sin({angle})"], unit=unit)
+    """Build ``y = offset + amplitude sin(rate t + sweep t^2 / 2)``.
+
+    The rate [rad/s] grows by ``sweep`` [rad/s^2].
+    """
+    half_sweep = _number(0.5 * float(sweep))
+    angle = f"({_number(rate)} + {half_sweep}*t)*t"
+    text = f"{_number(offset)} + {_number(amplitude)}*sin({angle})"
+    return Expression([text], unit=unit)
+
+
+def _number(value: float) -> str:
+    return repr(float(value))
 
 
 class Table:
-    """Straight lines between the points of a table; beyond its ends it refuses.
+    """Linear interpolation between the points of a table; it refuses to extrapolate.
 
     Parameters
     ----------
@@ -117,12 +124,12 @@ class Table:
         Instants [s], increasing.
     y : Matrix, shape (N, n)
     hold : bool
-        Keep each value until the next instant instead (a discrete signal).
+        Zero-order hold instead: each value until the next instant (a discrete signal).
 
     Raises
     ------
     UsageError
-        If the points are no table, or the run starts outside of it.
+        If the points are no table, or the run starts outside it.
     Stopped
         From ``advance``, where the table ends.
     """
@@ -130,48 +137,63 @@ class Table:
     def __init__(
         self, t: Vector, y: Matrix, *, hold: bool = False, unit: str | None = None
     ) -> None:
-        if len(t) < 2 or len(t) != len(y):
-            raise UsageError(
-                f"table: found {len(t)} instants and {len(y)} values, needed the same number of both, at least 2"
-            )
-        if not (np.isfinite(t).all() and np.isfinite(y).all()):
-            raise UsageError("table: found NaN or infinity, needed finite numbers")
-        late = np.flatnonzero(np.diff(t) <= 0.0)
-        if late.size:
-            raise UsageError(
-                f"table: t[{late[0] + 1}] = {t[late[0] + 1]} s does not come after {t[late[0]]} s; needed increasing instants"
-            )
-        self.t, self.y, self.hold = frozen(t, 1), frozen(y, 2), hold
-        self.interface = Interface(
-            outputs=(Signal("y", y.shape[1], unit, "discrete" if hold else "continuous"),)
-        )
+        _check_points(t, y)
+        self.t = frozen(t, 1)
+        self.y = frozen(y, 2)
+        self.hold = hold
+        signal = Signal("y", y.shape[1], unit, "discrete" if hold else "continuous")
+        self.interface = Interface(outputs=(signal,))
 
     def initialize(self, t: float, u: Vector) -> Vector:
-        """Give y(t)."""
+        """Return y(t)."""
         return self.outputs(t, u)
 
     def outputs(self, t: float, u: Vector) -> Vector:
-        """Give y(t)."""
+        """Return y(t)."""
         if not self.t[0] <= t <= self.t[-1]:
             raise UsageError(self._beyond(t))
         y: Vector = self._at(np.array([t]))[0]
         return y
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
-        """Give y at ``t[1:]``."""
-        inside = t[1:][t[1:] <= self.t[-1]]
-        y = self._at(inside)
-        if len(y) < len(t) - 1:
-            raise Stopped(y, self._beyond(float(t[len(y) + 1])))
+        """Return y at ``t[1:]``."""
+        times = t[1:]
+        y = self._at(times[times <= self.t[-1]])
+        completed = len(y)
+        if completed < len(times):
+            raise Stopped(y, self._beyond(float(times[completed])))
         return y
 
     def _beyond(self, t: float) -> str:
-        return f"table: covers {self.t[0]} s to {self.t[-1]} s, was asked for {t} s"
+        begin = self.t[0]
+        end = self.t[-1]
+        return f"table: covers {begin} s to {end} s, was asked for {t} s"
 
     def _at(self, t: Vector) -> Matrix:
         if self.hold:
-            return self.y[np.searchsorted(self.t, t, side="right") - 1]
-        return np.column_stack([np.interp(t, self.t, column) for column in self.y.T])
+            index = np.searchsorted(self.t, t, side="right") - 1
+            return self.y[index]
+        columns = [np.interp(t, self.t, column) for column in self.y.T]
+        return np.column_stack(columns)
+
+
+def _check_points(t: Vector, y: Matrix) -> None:
+    if len(t) < 2 or len(t) != len(y):
+        raise UsageError(
+            f"table: found {len(t)} instants and {len(y)} values, needed the same number of both, "
+            "at least 2"
+        )
+    finite = np.isfinite(t).all() and np.isfinite(y).all()
+    if not finite:
+        raise UsageError("table: found NaN or infinity, needed finite numbers")
+    not_increasing = np.flatnonzero(np.diff(t) <= 0.0)
+    if not_increasing.size:
+        before = not_increasing[0]
+        after = before + 1
+        raise UsageError(
+            f"table: t[{after}] = {t[after]} s does not come after {t[before]} s; "
+            "needed increasing instants"
+        )
 
 
 class Noise:
@@ -183,23 +205,27 @@ class Noise:
         Standard deviation.
     seed : int
     size : int
+        Number of elements of y.
+    unit : str, optional
     """
 
     def __init__(
         self, *, deviation: float, seed: int, size: int = 1, unit: str | None = None
     ) -> None:
-        self.deviation, self.seed, self.size = deviation, seed, size
+        self.deviation = deviation
+        self.seed = seed
+        self.size = size
         self.interface = Interface(outputs=(Signal("y", size, unit, "discrete"),))
         self._last = np.zeros(size)
 
     def initialize(self, t: float, u: Vector) -> Vector:
-        """Begin the sequence anew."""
+        """Start the sequence again."""
         self._generator = np.random.Generator(np.random.PCG64(self.seed))
         self._last = self._draw(1)[0]
         return self._last.copy()
 
     def outputs(self, t: float, u: Vector) -> Vector:
-        """Give the last value."""
+        """Return the last value."""
         return self._last.copy()
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
@@ -210,4 +236,5 @@ class Noise:
         return values
 
     def _draw(self, count: int) -> Matrix:
-        return self.deviation * self._generator.standard_normal((count, self.size))
+        normal = self._generator.standard_normal((count, self.size))
+        return self.deviation * normal

@@ -60,7 +60,7 @@ def regressor(steps=(2, 4, 6)):
 def identifier(**options):
     blocks = group_by_alpha(["a", "b"], [Exponential()] * 2)
     return LeastSquaresIdentifier(
-        plan(expand((1, 1)), blocks, [1.0, 2.0, 3.0]), start=3 * H, **options
+        plan(expand((1, 1)), blocks, [1.0, 2.0, 3.0]), start_time=3 * H, **options
     )
 
 
@@ -83,7 +83,7 @@ def recording():
 COMPONENTS = {
     "constant": lambda: constant([1.5, -2.0]),
     "step": lambda: step(time=0.01, before=1.0, after=-2.0),
-    "ramp": lambda: ramp(slope=2.0, start=0.01, offset=-1.0),
+    "ramp": lambda: ramp(slope=2.0, start_time=0.01, offset=-1.0),
     "sine": lambda: sine(amplitude=2.0, rate=300.0, phase=0.4, offset=1.0),
     "chirp": lambda: chirp(amplitude=2.0, rate=300.0, sweep=1e4, offset=1.0),
     "expression": lambda: Expression(["t**2", "exp(-t)*cos(500*t)"], variability="discrete"),
@@ -98,7 +98,7 @@ COMPONENTS = {
     "gain": lambda: gain(np.array([[1.0, 2.0], [0.0, -1.0], [3.0, 0.5]])),
     "limit": lambda: limit(lower=-0.5, upper=0.7, size=2),
     "lag": lambda: Linear(lag(time_constant=0.01, size=2)),
-    "lag from a given start": lambda: Linear(lag(time_constant=0.01, start=2.0)),
+    "lag from a given start": lambda: Linear(lag(time_constant=0.01, initial=2.0)),
     "delay": lambda: Delay(3, size=2),
     "delay of one step": lambda: Delay(1),
     "delay from a given start": lambda: Delay(4, initial=7.0),

@@ -115,7 +115,7 @@ def test_the_identifier_is_the_least_squares_of_the_theory(name, P0, held):
     """Givens rotations row by row in C give what QR of all rows gives: eta and theta, early and late."""
     example = EXAMPLES[name]
     start = max(example.delays) + 0.5
-    identifier = LeastSquaresIdentifier(example.recovery, start=start, P0=P0)
+    identifier = LeastSquaresIdentifier(example.recovery, start_time=start, P0=P0)
     found = drive(identifier, example.mu, step_ns=STEP_NS, held=held)
     n_theta = example.recovery.n_theta
     first = round(start / H)
@@ -142,7 +142,9 @@ def test_two_exponentials_of_one_alpha_are_those_of_the_reference(case):
             values,
             atol=reference["tol"],
         )
-    found = drive(LeastSquaresIdentifier(example.recovery, start=3.0), example.mu, step_ns=STEP_NS)
+    found = drive(
+        LeastSquaresIdentifier(example.recovery, start_time=3.0), example.mu, step_ns=STEP_NS
+    )
     np.testing.assert_allclose(
         found[-1, :2], reference["expected"]["recovered_theta_sorted"][::-1], rtol=1e-9
     )
@@ -156,7 +158,9 @@ def test_a_sine_is_that_of_the_reference(case):
     np.testing.assert_allclose(
         row, reference["delta_samples"]["values"][0], rtol=0, atol=reference["tol"]
     )
-    found = drive(LeastSquaresIdentifier(example.recovery, start=1.5), example.mu, step_ns=STEP_NS)
+    found = drive(
+        LeastSquaresIdentifier(example.recovery, start_time=1.5), example.mu, step_ns=STEP_NS
+    )
     assert found[-1, 0] == pytest.approx(reference["expected"]["omega"], rel=1e-9)
 
 
@@ -164,12 +168,17 @@ def test_there_is_no_estimate_before_there_is_information():
     """Without a prior: no value until the start, nor while fewer rows than unknowns came in; with one: at once."""
     example = EXAMPLES["two alphas"]
     bare = drive(
-        LeastSquaresIdentifier(example.recovery, start=3.0), example.mu, step_ns=STEP_NS, held=True
+        LeastSquaresIdentifier(example.recovery, start_time=3.0),
+        example.mu,
+        step_ns=STEP_NS,
+        held=True,
     )
     assert np.isnan(bare[: 300 + 5]).all()  # five unknowns: the fifth row arrives at 3.0 s + 5 h
     assert np.isfinite(bare[300 + 30 :]).all()
     prior = drive(
-        LeastSquaresIdentifier(example.recovery, start=3.0, P0=10.0), example.mu, step_ns=STEP_NS
+        LeastSquaresIdentifier(example.recovery, start_time=3.0, P0=10.0),
+        example.mu,
+        step_ns=STEP_NS,
     )
     assert np.isnan(prior[:301]).all()
     assert np.isfinite(prior[301:, 2:]).all()
@@ -180,11 +189,13 @@ def test_a_disturbance_of_nothing_never_gives_an_estimate():
     example = EXAMPLES["two alphas"]
     for scale in (0.0, 1e-180):
         found = drive(
-            LeastSquaresIdentifier(example.recovery, start=3.0), scale * example.mu, step_ns=STEP_NS
+            LeastSquaresIdentifier(example.recovery, start_time=3.0),
+            scale * example.mu,
+            step_ns=STEP_NS,
         )
         assert np.isnan(found).all()
     tiny = np.where(np.arange(len(example.mu))[:, None] < 500, 1e-180, 1.0) * example.mu
-    found = drive(LeastSquaresIdentifier(example.recovery, start=3.0), tiny, step_ns=STEP_NS)
+    found = drive(LeastSquaresIdentifier(example.recovery, start_time=3.0), tiny, step_ns=STEP_NS)
     np.testing.assert_allclose(found[-1, :2], example.thetas, rtol=1e-9)
 
 
@@ -192,7 +203,9 @@ def test_no_theta_where_eta_belongs_to_none():
     """A regression with the opposite sign has no logarithm: eta has a value, theta has none."""
     example = EXAMPLES["two alphas"]
     flipped = example.mu * np.array([-1.0, 1, 1, 1, 1, 1])
-    found = drive(LeastSquaresIdentifier(example.recovery, start=3.0), flipped, step_ns=STEP_NS)
+    found = drive(
+        LeastSquaresIdentifier(example.recovery, start_time=3.0), flipped, step_ns=STEP_NS
+    )
     assert np.isnan(found[-1, :2]).all()
     np.testing.assert_allclose(found[-1, 2:], -example.exact_eta(), rtol=1e-9)
 
@@ -200,7 +213,7 @@ def test_no_theta_where_eta_belongs_to_none():
 def test_a_start_before_the_longest_delay_stops_the_run():
     """With the reason, and every row up to there."""
     example = EXAMPLES["two alphas"]
-    identifier = LeastSquaresIdentifier(example.recovery, start=2.5)
+    identifier = LeastSquaresIdentifier(example.recovery, start_time=2.5)
     text = r"the regressor has no value at the start time 2\.5 s; start after the longest delay"
     with pytest.raises(Stopped, match=text) as stop:
         drive(identifier, example.mu, step_ns=STEP_NS)
@@ -212,7 +225,7 @@ def test_a_start_before_the_longest_delay_stops_the_run():
 def test_a_recorded_start_time_is_used():
     """A replay starts where the run did, whatever the design would give now."""
     example = EXAMPLES["two alphas"]
-    identifier = LeastSquaresIdentifier(example.recovery, start=3.0)
+    identifier = LeastSquaresIdentifier(example.recovery, start_time=3.0)
     identifier.prepare(H, np.zeros(6, np.bool_), {"start": np.array([5.0])})
     identifier.initialize(0.0, example.mu[0])
     found = identifier.advance(example.t, H, example.mu)
@@ -227,7 +240,7 @@ def test_a_prior_that_is_none_is_refused(P0):
         UsageError,
         match=r"P0: found .*, needed a positive finite number; leave it out for no prior",
     ):
-        LeastSquaresIdentifier(EXAMPLES["a sine"].recovery, start=2.0, P0=P0)
+        LeastSquaresIdentifier(EXAMPLES["a sine"].recovery, start_time=2.0, P0=P0)
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
@@ -237,7 +250,7 @@ def test_the_identifier_keeps_the_contract_on_data_it_can_use(name):
     last = max(example.steps) + 30
     start = last * H - 0.2
     check_component(
-        lambda: LeastSquaresIdentifier(example.recovery, start=start),
+        lambda: LeastSquaresIdentifier(example.recovery, start_time=start),
         inputs=example.mu[: last + 1],
         h=H,
     )

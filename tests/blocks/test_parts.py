@@ -49,7 +49,7 @@ def test_a_lag_answers_a_held_step_exactly():
     """After a step of u that is held, y = 1 - exp(-t/T) at every communication point."""
     u = np.ones((201, 1))
     t = times(200)
-    found = drive(Linear(lag(time_constant=0.05, start=0.0)), u, held=True)[:, 0]
+    found = drive(Linear(lag(time_constant=0.05, initial=0.0)), u, held=True)[:, 0]
     # the factor exp(-h/T) carries an error of one unit in the last place, 1.1e-16, which 200 steps add up
     np.testing.assert_allclose(found, -np.expm1(-t / 0.05), rtol=0, atol=200 * 1.2e-16)
 
@@ -75,7 +75,7 @@ def test_a_lag_starts_without_a_transient_unless_told():
     np.testing.assert_allclose(
         drive(Linear(lag(time_constant=0.01, size=2)), u), u, rtol=0, atol=30 * 3 * 2.3e-16
     )
-    assert (drive(Linear(lag(time_constant=0.01, start=-1.0, size=2)), u)[0] == -1.0).all()
+    assert (drive(Linear(lag(time_constant=0.01, initial=-1.0, size=2)), u)[0] == -1.0).all()
     with pytest.raises(
         UsageError, match=r"lag: found time_constant = 0.0 s, needed a positive time"
     ):

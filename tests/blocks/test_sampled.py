@@ -42,7 +42,9 @@ def test_sampled_is_the_component_on_its_own_grid(held):
 def test_sampled_agrees_with_the_exact_step_response():
     """Take x' = -20 (x - u) from 0 with u held at 1: 1 - exp(-20 t) at the ends of the slow steps."""
     found = drive(
-        Sampled(Linear(lag(time_constant=0.05, start=0.0)), N), np.ones((10 * N + 1, 1)), held=True
+        Sampled(Linear(lag(time_constant=0.05, initial=0.0)), N),
+        np.ones((10 * N + 1, 1)),
+        held=True,
     )[:, 0]
     t = (np.arange(10 * N + 1) // N) * N * 1e-3
     np.testing.assert_allclose(
@@ -112,7 +114,7 @@ def test_a_slow_component_with_feedthrough_works_in_a_loop(kind, coupling):
         components = {
             "r": sine(amplitude=1.0, rate=40.0, phase=0.3, offset=0.0),
             "slow": kind(gain(np.array([[2.0]])), 5),
-            "lag": Linear(lag(time_constant=0.02, start=1.0)),
+            "lag": Linear(lag(time_constant=0.02, initial=1.0)),
         }
         graph = Graph(components, {"slow.u": "lag.y", "lag.u": "slow.y"}, coupling=coupling)
         run(graph, Clock(0.1, 1e-3, block), memory)

@@ -33,7 +33,7 @@ def test_a_step_gives_both_values_to_the_last_bit(before, after):
 
 def test_a_ramp_begins_at_its_start():
     """Gives offset + slope max(0, t - start), each operation rounded once, as numpy's."""
-    found = rows(ramp(slope=2.5, start=0.7, offset=-1.0))[:, 0]
+    found = rows(ramp(slope=2.5, start_time=0.7, offset=-1.0))[:, 0]
     assert (found == -1.0 + 2.5 * np.maximum(0.0, T - 0.7)).all()
 
 

@@ -14,7 +14,7 @@ from cosim.core.signals import Interface, Signal
 
 def integrator(rate: float = 1.0, start: float = 0.0) -> Linear:
     """Return x' = rate (u - x), y = x: no feedthrough."""
-    return Linear(lag(time_constant=1.0 / rate, start=start))
+    return Linear(lag(time_constant=1.0 / rate, initial=start))
 
 
 def through(D: float = 0.5) -> Linear:

@@ -240,13 +240,13 @@ class IdentifierKind(PeriodicKind, ExportableKind):
             "notes": _recovery_notes(recovery),
         }
         context.add_metadata(name, metadata)
-        return LeastSquaresIdentifier(recovery, start=start_time, P0=self.P0)
+        return LeastSquaresIdentifier(recovery, start_time=start_time, P0=self.P0)
 
     def exportable(self, name: str, context: BuildContext, wiring: Wiring) -> Exportable:
         component = self.build(name, context)
         every = self.period_steps(name, context.step_ns)
         held = bool(wiring.held.any())
-        kernel = kernels.least_squares(component.constants(component.start, held=held))
+        kernel = kernels.least_squares(component.constants(component.start_time, held=held))
         reason = (
             "the identifier takes one row at every communication point, so it has no derivatives"
         )

@@ -95,7 +95,7 @@ class LagKind(LinearKind):
 
     def linear_model(self, name: str, context: BuildContext) -> LinearModel:
         return dynamics.lag(
-            time_constant=self.time_constant, start=self.start, size=self.size, unit=self.unit
+            time_constant=self.time_constant, initial=self.start, size=self.size, unit=self.unit
         )
 
 

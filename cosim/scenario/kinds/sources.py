@@ -64,7 +64,9 @@ class RampKind(Kind):
     unit: str | None = None
 
     def build(self, name: str, context: BuildContext) -> Component:
-        return source.ramp(slope=self.slope, start=self.start, offset=self.offset, unit=self.unit)
+        return source.ramp(
+            slope=self.slope, start_time=self.start, offset=self.offset, unit=self.unit
+        )
 
 
 class SineKind(Kind):
