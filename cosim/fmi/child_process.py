@@ -94,7 +94,7 @@ def attempt(task: TrialTask, *arguments: str, timeout: float = TIMEOUT) -> tuple
 
 
 def _environment(folder: str) -> dict[str, str]:
-    """Let the child find this package, and keep its temporary files where they are removed."""
+    """Return one in which the child finds this package, and keeps temporary files in ``folder``."""
     inherited = os.environ.get("PYTHONPATH", "").split(os.pathsep)
     import_paths = [str(ROOT), *filter(None, inherited)]
     added = {"PYTHONPATH": os.pathsep.join(import_paths), CHILD_VARIABLE: "1"}

@@ -1,4 +1,4 @@
-"""The FMUs of ``c/probe*.c``: their descriptions, and a unit of one, opened without a driver."""
+"""The FMUs of ``c/probe*.c``: their descriptions, and an instance of one, opened without a driver."""
 
 from contextlib import contextmanager
 
@@ -50,7 +50,7 @@ NUMBERS = (
 
 
 def _numbers3() -> str:
-    """Give a scalar and an array of three of every type; references from 100."""
+    """Return a scalar and an array of three of every type; references from 100."""
     found = []
     for k, kind in enumerate(NUMBERS, start=10):
         start, varies = (
@@ -123,16 +123,16 @@ def xml1(*, interface_type: str = "cs", once: bool = False) -> str:
 
 @contextmanager
 def opened(path, **options):
-    """Give the opened FMU and its unit."""
+    """Yield the opened FMU and its instance."""
     with load(path, FmuOptions(**options)) as fmu:
         yield fmu, fmu.component._instance
 
 
-def put(unit, **values):
-    unit.set_float64(
-        unit.description.references_of(values), np.array(list(values.values()), np.float64)
+def put(instance, **values):
+    instance.set_float64(
+        instance.description.references_of(values), np.array(list(values.values()), np.float64)
     )
 
 
-def got(unit, *names):
-    return unit.get_float64(unit.description.references_of(names)).tolist()
+def got(instance, *names):
+    return instance.get_float64(instance.description.references_of(names)).tolist()

@@ -77,7 +77,7 @@ def test_a_state_is_copied_into_the_memory_of_an_earlier_one(probe2):
         assert [text for *_, text in fmu.drain()] == ["allocated a state"]
 
 
-def test_without_a_state_there_is_no_way_back(tmp_path):
+def test_without_a_state_there_is_no_rollback(tmp_path):
     """noSetFMUStatePriorToCurrentPoint is true only then; the state calls raise with the reason."""
     path = compile_fmu(tmp_path / "x.fmu", xml2(state=False), "probe2.c")
     with opened(path, interface_type="me") as (_, instance):

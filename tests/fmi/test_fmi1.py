@@ -102,7 +102,7 @@ def test_what_fmi_1_does_not_have(slave1):
         y = instance.description.references_of(["y"])
         u = instance.description.references_of(["u"])
         with pytest.raises(
-            RunError, match=r"slave1.fmu: FMI 1.0 has no FMU state, so there is no way back"
+            RunError, match=r"slave1.fmu: FMI 1.0 has no FMU state, so it cannot be rolled back"
         ):
             instance.get_fmu_state()
         with pytest.raises(RunError, match=r"FMI 1.0 has no directional derivatives"):

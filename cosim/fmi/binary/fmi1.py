@@ -81,7 +81,7 @@ class Fmi1:
         self._get_string = call("GetString", *_VALUES)
         unavailable = self.library.unavailable
         self._directional = unavailable("FMI 1.0 has no directional derivatives")
-        no_state = unavailable("FMI 1.0 has no FMU state, so there is no way back")
+        no_state = unavailable("FMI 1.0 has no FMU state, so it cannot be rolled back")
         self.get_state = no_state
         self.set_state = no_state
         self.free_state = no_state
@@ -298,7 +298,7 @@ class Fmi1:
         self._set_slopes(group.address, group.count, pointer(self._orders), pointer(slopes))
 
     def do_step(self, t: float, h: float) -> StepEnd:
-        """Advance from ``t`` by ``h`` seconds: always a new step, as there is no way back."""
+        """Advance from ``t`` by ``h`` seconds: always a new step, as it cannot be rolled back."""
         self._clock.value = t
         if self._step(t, h, 1) <= WARNING:
             return StepEnd(completed=True, terminate=False, last_successful_time=t + h)

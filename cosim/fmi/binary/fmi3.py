@@ -61,7 +61,7 @@ class Fmi3:
         self._clock = specification.messages.clock
         capabilities = specification.capabilities
         self._free = library.function("FreeInstance", None, c_void_p)
-        self._no_way_back = not capabilities.saves_state  # noSetFMUStatePriorToCurrentPoint
+        self._no_rollback = not capabilities.saves_state  # noSetFMUStatePriorToCurrentPoint
         self._interpolation = InterpolationStruct()
         self._interpolated: Group | None = None  # the inputs that it sets
         self._flags = [c_bool() for _ in range(5)]  # results of the calls below
@@ -120,7 +120,7 @@ class Fmi3:
         self._create = function("InstantiateModelExchange", c_void_p, *types)
         self.enter_continuous_time_mode = call("EnterContinuousTimeMode")
         completed = call("CompletedIntegratorStep", c_bool, c_void_p, c_void_p)
-        self._completed = partial(completed, self._no_way_back, *self._flag_pointers[:2])
+        self._completed = partial(completed, self._no_rollback, *self._flag_pointers[:2])
 
     def _bind_co_simulation(self) -> None:
         call = self.library.call
@@ -133,7 +133,7 @@ class Fmi3:
         results = [c_void_p] * 4
         self._step = self.library.status_call("DoStep", c_double, c_double, c_bool, *results)
         result_pointers = (*self._flag_pointers[:3], byref(self._time))
-        self._step_arguments = (self._no_way_back, *result_pointers)
+        self._step_arguments = (self._no_rollback, *result_pointers)
 
     def instantiate(self) -> None:
         """Create the instance."""
@@ -238,7 +238,7 @@ class Fmi3:
         self._interpolation.size = len(slopes)  # not 0: switched on for one step
 
     def _prepare_interpolation(self, group: Group, size: int) -> None:
-        """Give C the memory to interpolate in, and which inputs to set."""
+        """Point C to the memory to interpolate in, and to the inputs to set."""
         interpolation = self._interpolation
         self._interpolated = group
         self._start = np.empty(size)

@@ -103,7 +103,7 @@ def roll_back(log: TrialLog, path: str, interface_type: InterfaceType) -> None:
 def _compare_repeated_steps(
     log: TrialLog, component: FmuComponent, t: Vector, h: float, u: Matrix
 ) -> None:
-    """Compare the steps after each way back with the first ones."""
+    """Compare the steps after each rollback with the first ones."""
     log.stage("saving the state")
     saved = component.save()
     log.stage("steps after the state was saved")
