@@ -1,7 +1,8 @@
-"""The command line: a thin shell over :mod:`cosim.scenario` and :mod:`cosim.log`.
+"""The command line: a thin shell over :mod:`cosim.scenario` and :mod:`cosim.report`.
 
-Data goes to stdout, messages to stderr. Exit codes: 0 fine, 1 a check or the run failed, 2 wrong use, 130 interrupted.
-What a command needs is imported when it runs: ``cosim --help`` needs neither numpy nor fmpy.
+Data goes to stdout, messages to stderr.
+Exit codes: 0 fine, 1 a check or the run failed, 2 wrong use, 130 interrupted.
+Imports of a command are in its function: ``cosim --help`` imports neither numpy nor fmpy.
 """
 
 from __future__ import annotations
@@ -28,7 +29,8 @@ app = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
-    help="Co-simulation of descriptor plants, FMUs, observers and disturbance identifiers, with logs that replay bit for bit.",
+    help="Co-simulation of descriptor plants, FMUs, observers and disturbance identifiers, "
+    "with logs that replay bit for bit.",
 )
 
 ScenarioArgument = Annotated[
@@ -53,7 +55,8 @@ SwapOption = Annotated[
     typer.Option(
         "--swap",
         metavar="COMPONENT=PATH",
-        help="Put an FMU (x.fmu, x.fmu#me, x.fmu#cs) or a recorded component (.mcap) in its place. Repeatable.",
+        help="Replace a component by an FMU (x.fmu, x.fmu#me, x.fmu#cs) or a recorded component "
+        "(.mcap). Repeatable.",
     ),
 ]
 MapOption = Annotated[
@@ -61,12 +64,12 @@ MapOption = Annotated[
     typer.Option(
         "--map",
         metavar="PORT=NAME",
-        help="What a swapped component calls a port, such as observer.y=out1. Repeatable.",
+        help="Name of a port in the replacing component, such as observer.y=out1. Repeatable.",
     ),
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
-QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
-ForceOption = Annotated[bool, typer.Option("--force", help="Replace a log that exists.")]
+QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")]
+ForceOption = Annotated[bool, typer.Option("--force", help="Replace an existing log.")]
 OutOption = Annotated[
     Path | None, typer.Option("--out", "-o", metavar="PATH", help="Log to write (.mcap).")
 ]
@@ -74,59 +77,68 @@ StopOption = Annotated[
     float | None, typer.Option(help="End of the run [s]; the same as --set scenario.stop=...")
 ]
 PlotOption = Annotated[
-    Path | None, typer.Option(metavar="FILE", help="Draw the estimates and their truth.")
+    Path | None,
+    typer.Option(
+        metavar="FILE", help="Plot the estimates with their truth to a file (.png, .svg, .pdf)."
+    ),
+]
+RunOutOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--out",
+        "-o",
+        metavar="PATH",
+        help="Log to write (.mcap); default: logs/<scenario>.mcap, -2, -3, ...",
+    ),
+]
+StepOption = Annotated[
+    float | None,
+    typer.Option(help="Communication step [s]; the same as --set scenario.step=..."),
+]
+ProfileOption = Annotated[
+    bool, typer.Option("--profile", help="Show the wall time of each component.")
+]
+DryRunOption = Annotated[
+    bool,
+    typer.Option(
+        "--dry-run",
+        help="Check the scenario and compare swapped components with the replaced; do not run.",
+    ),
 ]
 
 
 @app.command()
 def run(
     scenario: ScenarioArgument,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            "--out",
-            "-o",
-            metavar="PATH",
-            help="Log to write (.mcap); else logs/<scenario>.mcap, -2, -3, ...",
-        ),
-    ] = None,
+    out: RunOutOption = None,
     force: ForceOption = False,
     changes: SetOption = None,
     swaps: SwapOption = None,
     maps: MapOption = None,
     stop: StopOption = None,
-    step: Annotated[
-        float | None,
-        typer.Option(help="Communication step [s]; the same as --set scenario.step=..."),
-    ] = None,
+    step: StepOption = None,
     plot: PlotOption = None,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
-    profile: Annotated[
-        bool, typer.Option("--profile", help="Show where the time went, by component.")
-    ] = False,
-    dry_run: Annotated[
-        bool,
-        typer.Option(
-            "--dry-run", help="Check and compare the ports of swapped components; run nothing."
-        ),
-    ] = False,
+    profile: ProfileOption = False,
+    dry_run: DryRunOption = False,
 ) -> None:
     """Run a scenario and record every signal to an MCAP log."""
-    from cosim.report import tables
+    from cosim.report.tables.comparison import print_dry_run
+    from cosim.report.tables.run import print_summary
     from cosim.scenario.execution import default_log, load
     from cosim.scenario.execution import run as run_scenario
 
     imported = perf_counter()
-    edits = _edits(changes) | {
-        f"scenario.{key}": value
-        for key, value in (("stop", stop), ("step", step))
-        if value is not None
-    }
+    edits = _edits(changes)
+    if stop is not None:
+        edits["scenario.stop"] = stop
+    if step is not None:
+        edits["scenario.step"] = step
     loaded = load(scenario)
     edited = loaded.edit(swap=_once(swaps, "--swap"), map=_once(maps, "--map"), set=edits)
     if dry_run:
-        tables.comparison(edited, as_json=as_json)
+        print_dry_run(edited, as_json=as_json)
         return
     path = out or default_log(edited.name)
     _need_plot(plot, edited.file.truth)
@@ -138,7 +150,7 @@ def run(
         from cosim.report.plots import plot_run
 
         plot_run(log, plot)
-    tables.summary(log, path=path, wall=wall, profile=seconds, as_json=as_json, quiet=quiet)
+    print_summary(log, path=path, wall=wall, profile=seconds, as_json=as_json, quiet=quiet)
 
 
 @app.command()
@@ -148,7 +160,7 @@ def replay(
         bool,
         typer.Option(
             "--verify",
-            help="Compare every signal bit for bit with the log; exit 1 at a difference.",
+            help="Compare every signal bit for bit with the log; exit 1 if one differs.",
         ),
     ] = False,
     out: OutOption = None,
@@ -161,29 +173,31 @@ def replay(
 ) -> None:
     """Run a log's scenario again on its recorded plant.
 
-    Nothing is needed but the log.
+    The log is all that is needed.
     """
-    from cosim.report import tables
     from cosim.log import open_log
     from cosim.report.plots import plot_run
-    from cosim.report.summary import truth_of
+    from cosim.report.recorded import truth_of
+    from cosim.report.tables.run import print_summary, print_verification
     from cosim.scenario.execution import replay as replay_log
 
     imported = perf_counter()
     source = open_log(log)
     if verify and stop is not None:
         raise UsageError("--verify compares the whole log; leave out --stop")
-    edits = _edits(changes) | ({} if stop is None else {"scenario.stop": stop})
+    edits = _edits(changes)
+    if stop is not None:
+        edits["scenario.stop"] = stop
     _need_plot(plot, truth_of(source))
     with _progress(quiet or as_json) as progress:
         again = replay_log(source, out=out, force=force, set=edits, progress=progress)
     if plot is not None:
         plot_run(again, plot)
     if verify:
-        tables.verification(source, again, path=log, as_json=as_json, quiet=quiet)
+        print_verification(source, again, path=log, as_json=as_json, quiet=quiet)
     else:
         wall = {"imports": imported - BEGAN, "replay": perf_counter() - imported}
-        tables.summary(again, path=out, wall=wall, profile=None, as_json=as_json, quiet=quiet)
+        print_summary(again, path=out, wall=wall, profile=None, as_json=as_json, quiet=quiet)
 
 
 @app.command()
@@ -200,42 +214,49 @@ def diff(
 
     Exit 1 outside the tolerance.
     """
-    from cosim.report import tables
     from cosim.log import open_log
-    from cosim.log.diff import diff as compare
+    from cosim.log.diff import diff as compare_logs
+    from cosim.report.tables.comparison import print_difference
 
-    difference = compare(open_log(a), open_log(b), atol=atol, rtol=rtol)
-    tables.difference(difference, as_json=as_json)
+    difference = compare_logs(open_log(a), open_log(b), atol=atol, rtol=rtol)
+    print_difference(difference, as_json=as_json)
     if not difference.within:
         raise typer.Exit(1)
+
+
+AlternativesOption = Annotated[
+    list[str],
+    typer.Option(
+        "--swap",
+        metavar="COMPONENT=PATH",
+        help="An alternative for a component: x.fmu, x.fmu#me, x.fmu#cs or a recorded log "
+        "(.mcap). Once for each.",
+    ),
+]
+BaseOption = Annotated[
+    bool,
+    typer.Option(
+        "--base/--no-base", help="Run the scenario's own component too, as the reference."
+    ),
+]
+ComparisonPlotOption = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="Plot the estimates on all plants, and their differences."),
+]
+FolderOption = Annotated[
+    Path | None, typer.Option("--out", "-o", metavar="DIR", help="Folder to write the logs to.")
+]
 
 
 @app.command()
 def compare(
     scenario: ScenarioArgument,
-    swaps: Annotated[
-        list[str],
-        typer.Option(
-            "--swap",
-            metavar="COMPONENT=PATH",
-            help="An alternative for a component: x.fmu, x.fmu#me, x.fmu#cs or a recorded log (.mcap). Once for each.",
-        ),
-    ],
+    swaps: AlternativesOption,
     maps: MapOption = None,
     changes: SetOption = None,
-    base: Annotated[
-        bool,
-        typer.Option(
-            "--base/--no-base", help="Run the scenario's own component too, as the first."
-        ),
-    ] = True,
-    plot: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Draw the estimates of all, and their differences."),
-    ] = None,
-    out: Annotated[
-        Path | None, typer.Option("--out", "-o", metavar="DIR", help="Folder to write the logs to.")
-    ] = None,
+    base: BaseOption = True,
+    plot: ComparisonPlotOption = None,
+    out: FolderOption = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -243,8 +264,8 @@ def compare(
 
     Exit 1 where one of them fails.
     """
-    from cosim.report import tables
     from cosim.report.comparing import compare as compare_plants
+    from cosim.report.tables.comparison import print_plants
     from cosim.scenario.execution import load
 
     alternatives: dict[str, list[str]] = {}
@@ -253,28 +274,27 @@ def compare(
         alternatives.setdefault(name, []).append(path)
     loaded = load(scenario)
     _need_plot(plot, loaded.file.truth)
-    edits = _edits(changes)
-    found = compare_plants(
+    comparison = compare_plants(
         loaded,
         swap=alternatives,
         map=_once(maps, "--map"),
-        set=edits,
+        set=_edits(changes),
         base=base,
         out=out,
         force=force,
     )
-    if plot is not None and found.recordings:
+    if plot is not None and comparison.recordings:
         from cosim.report.plots import plot_comparison
 
-        plot_comparison(found, plot)
-    tables.plants(found, as_json=as_json)
-    if any(outcome.error for outcome in found.outcomes):
+        plot_comparison(comparison, plot)
+    print_plants(comparison, as_json=as_json)
+    if any(outcome.error for outcome in comparison.outcomes):
         raise typer.Exit(1)
 
 
 @app.command()
 def info(
-    what: Annotated[
+    source: Annotated[
         str,
         typer.Argument(
             metavar="LOG|FMU|SCENARIO", help="A log (.mcap), an FMU (.fmu) or a scenario."
@@ -283,9 +303,9 @@ def info(
     as_json: JsonOption = False,
 ) -> None:
     """Show what a log, an FMU or a scenario contains."""
-    from cosim.report import tables
+    from cosim.report.tables.contents import print_contents
 
-    tables.info(what, as_json=as_json)
+    print_contents(source, as_json=as_json)
 
 
 @app.command()
@@ -293,27 +313,31 @@ def check(
     fmu: Annotated[Path, typer.Argument(metavar="FMU", help="An FMU (.fmu).")],
     as_json: JsonOption = False,
 ) -> None:
-    """Find everything that is wrong with an FMU.
+    """Report every problem of an FMU.
 
-    Archive, schema, structure, binaries and trial runs; exit 1 at an error.
+    Archive, schema, structure, binaries and trial runs; exit 1 if there is an error.
     """
-    from cosim.report import tables
+    from cosim.report.tables.fmu import print_check
 
-    tables.check(str(fmu), as_json=as_json)
+    print_check(str(fmu), as_json=as_json)
 
 
 @app.command()
 def plot(
     log: LogArgument,
     signals: Annotated[
-        list[str], typer.Argument(metavar="SIGNAL...", help="Signals, such as observer.delta.")
+        list[str],
+        typer.Argument(
+            metavar="SIGNAL...",
+            help="Signals or their elements, such as observer.delta, plant.x_a[0], plant.x_a[0:2].",
+        ),
     ],
     out: Annotated[
         Path,
         typer.Option("--out", "-o", metavar="FILE", help="Picture to write (.png, .svg, .pdf)."),
     ],
 ) -> None:
-    """Draw signals of a log over time."""
+    """Plot signals of a log over time."""
     from cosim.log import open_log
     from cosim.report.plots import plot_signals
 
@@ -325,16 +349,16 @@ def plot(
 def list_(as_json: JsonOption = False) -> None:
     """List the shipped scenarios and the component kinds.
 
-    Each kind with its parameters.
+    Each kind with its parameters and their defaults.
     """
-    from cosim.report import tables
+    from cosim.report.tables.contents import print_catalogue
 
-    tables.catalogue(as_json=as_json)
+    print_catalogue(as_json=as_json)
 
 
 @app.command()
 def show(scenario: ScenarioArgument) -> None:
-    """Print a scenario's text: the start of one of your own."""
+    """Print the text of a scenario, to start your own from."""
     from cosim.scenario.document import find
 
     typer.echo(find(scenario).text, nl=False)
@@ -350,22 +374,23 @@ def export(
         str | None,
         typer.Option(
             metavar="NAME,...",
-            help="Cross-compile: x86_64-linux, aarch64-linux, x86_64-windows, x86_64-darwin, aarch64-darwin.",
+            help="Cross-compile: x86_64-linux, aarch64-linux, x86_64-windows, x86_64-darwin, "
+            "aarch64-darwin.",
         ),
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace a file that exists.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
     dae: Annotated[
         bool,
         typer.Option(
             "--dae",
-            help="Of a descriptor plant, with FMI 3: its algebraic equations too (FMI-LS-DAE, a draft).",
+            help="Include the algebraic equations of a descriptor plant (FMI 3, draft FMI-LS-DAE).",
         ),
     ] = False,
     changes: SetOption = None,
 ) -> None:
     """Export a component as an FMU, C source and binary.
 
-    For model exchange and co-simulation; what is discrete, for co-simulation only.
+    For model exchange and co-simulation; a discrete component for co-simulation only.
     """
     from cosim.scenario.exporting import export_component
 
@@ -377,69 +402,85 @@ def export(
         typer.echo(line)
 
 
+TimeOption = Annotated[
+    float,
+    typer.Option(
+        metavar="T", help="Time of the operating point, reached with constant inputs [s]."
+    ),
+]
+StartOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="NAME=VALUE",
+        help="Start value of an input, a parameter or a state. Repeatable.",
+    ),
+]
+InputsOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--input", metavar="NAME", help="Use these inputs only, in this order. Repeatable."
+    ),
+]
+OutputsOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--output", metavar="NAME", help="Use these outputs only, in this order. Repeatable."
+    ),
+]
+DisturbancesOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--disturbance", metavar="NAME", help="With --toml: an unknown input. Repeatable."
+    ),
+]
+DifferencesOption = Annotated[
+    bool,
+    typer.Option(
+        "--differences",
+        help="Use central differences even where the FMU has directional derivatives.",
+    ),
+]
+TomlOption = Annotated[
+    bool, typer.Option("--toml", help="Print a table for [models] of a scenario.")
+]
+
+
 @app.command()
 def linearize(
     fmu: Annotated[Path, typer.Argument(metavar="FMU", help="An FMU for model exchange (.fmu).")],
-    at: Annotated[
-        float,
-        typer.Option(
-            metavar="T", help="Linearize where it arrives at this time with constant inputs [s]."
-        ),
-    ] = 0.0,
-    values: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="NAME=VALUE",
-            help="Start value of an input, a parameter or a state. Repeatable.",
-        ),
-    ] = None,
-    inputs: Annotated[
-        list[str] | None,
-        typer.Option("--input", metavar="NAME", help="Only these, in this order. Repeatable."),
-    ] = None,
-    outputs: Annotated[
-        list[str] | None,
-        typer.Option("--output", metavar="NAME", help="Only these, in this order. Repeatable."),
-    ] = None,
-    disturbances: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--disturbance",
-            metavar="NAME",
-            help="With --toml: an input that is unknown. Repeatable.",
-        ),
-    ] = None,
-    differences: Annotated[
-        bool, typer.Option("--differences", help="Central differences, whatever the FMU has.")
-    ] = False,
-    as_toml: Annotated[
-        bool, typer.Option("--toml", help="Print a table for [models] of a scenario.")
-    ] = False,
+    at: TimeOption = 0.0,
+    values: StartOption = None,
+    inputs: InputsOption = None,
+    outputs: OutputsOption = None,
+    disturbances: DisturbancesOption = None,
+    differences: DifferencesOption = False,
+    as_toml: TomlOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Linearize an FMU at an operating point.
 
     Print A, B, C and D, the poles and the static gain.
     """
-    from cosim.report import tables
+    from cosim.report.tables.fmu import print_linearization
     from cosim.scenario.linearizing import linearize_file, model_table
 
     if as_toml and as_json:
         raise UsageError("--toml and --json: give one of them")
     if bool(disturbances) != as_toml:
         raise UsageError(
-            "--toml and --disturbance NAME go together: a table of [models] tells known inputs from unknown ones"
+            "--toml and --disturbance NAME go together: "
+            "a table of [models] separates known inputs from unknown ones"
         )
-    found = linearize_file(
+    linearization = linearize_file(
         fmu, at=at, start=_edits(values), inputs=inputs, outputs=outputs, differences=differences
     )
     if disturbances:
-        for note in found.notes:
+        for note in linearization.notes:
             typer.echo(f"note: {note}", err=True)
-        typer.echo(model_table(found, disturbances), nl=False)
+        typer.echo(model_table(linearization, disturbances), nl=False)
     else:
-        tables.linearization(found, as_json=as_json)
+        print_linearization(linearization, as_json=as_json)
 
 
 def _need_plot(out: Path | None, truth: Collection[str]) -> None:
@@ -461,13 +502,14 @@ def _pairs(options: list[str] | None, option: str) -> dict[str, str]:
 
 def _once(options: list[str] | None, option: str) -> dict[str, str]:
     """Read pairs of which each name may be given once."""
-    found = _pairs(options, option)
-    if len(found) < len(options or []):
-        names = [text.partition("=")[0].strip() for text in options or []]
-        twice = next(name for name in names if names.count(name) > 1)
-        way = "; 'cosim compare' runs several plants" if option == "--swap" else ""
-        raise UsageError(f"{option} {twice}: given {names.count(twice)} times, needed once{way}")
-    return found
+    pairs = _pairs(options, option)
+    names = [text.partition("=")[0].strip() for text in options or []]
+    for name in names:
+        count = names.count(name)
+        if count > 1:
+            remedy = "; 'cosim compare' runs several plants" if option == "--swap" else ""
+            raise UsageError(f"{option} {name}: given {count} times, needed once{remedy}")
+    return pairs
 
 
 def _edits(options: list[str] | None) -> dict[str, Any]:
@@ -478,7 +520,10 @@ def _edits(options: list[str] | None) -> dict[str, Any]:
 
 @contextmanager
 def _progress(hidden: bool) -> Iterator[Progress | None]:
-    """Show simulated time, speed relative to real time and time left on stderr, where that is a terminal."""
+    """Show simulated time, speed relative to real time and remaining time on stderr.
+
+    Nothing is shown where stderr is no terminal.
+    """
     if hidden or not sys.stderr.isatty():
         yield None
         return
@@ -495,23 +540,23 @@ def _progress(hidden: bool) -> Iterator[Progress | None]:
         task = bar.add_task("", total=None, clock="", speed="")
         began = perf_counter()
 
-        def reached(time: float, end: float) -> None:
-            speed = time / max(perf_counter() - began, 1e-9)
-            bar.update(
-                task,
-                completed=time,
-                total=end,
-                clock=f"t = {time:.2f} of {end:g} s",
-                speed=f"{speed:.3g} x real time",
-            )
+        def update(time: float, end: float) -> None:
+            elapsed = max(perf_counter() - began, 1e-9)
+            clock = f"t = {time:.2f} of {end:g} s"
+            speed = f"{time / elapsed:.3g} x real time"
+            bar.update(task, completed=time, total=end, clock=clock, speed=speed)
 
-        yield reached
+        yield update
 
 
 def _keep_stdout() -> TextIO | None:
-    """Keep stdout for data: what C code prints to descriptor 1, also at its end, goes to stderr from here on.
+    """Keep stdout for data: from here on, what C code prints to descriptor 1 goes to stderr.
 
-    Gives the stream that is stdout now; None where Python's stdout is not descriptor 1, or stdout or stderr is closed.
+    Returns
+    -------
+    TextIO or None
+        The stream that is stdout now; None where Python's stdout is not descriptor 1, or stdout or
+        stderr is closed.
     """
     try:
         if sys.stdout.fileno() != 1:
@@ -519,9 +564,9 @@ def _keep_stdout() -> TextIO | None:
         sys.stdout.flush()
         data = os.dup(1)
         os.dup2(sys.stderr.fileno(), 1)
-    except (AttributeError, OSError, ValueError):  # no stream, no descriptor, none that is open
+    except (AttributeError, OSError, ValueError):  # no stream, no descriptor, or a closed one
         return None
-    sys.stdout = open(
+    sys.stdout = open(  # noqa: SIM115  stays open as stdout until the end
         data, "w", encoding=sys.stdout.encoding, errors=sys.stdout.errors, closefd=False
     )
     return sys.stdout
@@ -538,7 +583,7 @@ def main(arguments: list[str] | None = None) -> None:
         sys.exit(error.exit_code)
     except OSError as error:  # stdout on a full disk, a folder that is gone
         sys.stderr.write(f"cosim: {error.filename or 'output'}: {error.strerror or error}\n")
-        if stdout is not None:  # what is left in its buffer has nowhere to go
+        if stdout is not None:  # the rest of its buffer cannot be written either
             with suppress(OSError):
                 stdout.close()
         sys.exit(1)

@@ -1,10 +1,9 @@
-"""The same scenario on several plants: runs, errors against the truth, and how far the estimates are from each other."""
+"""The same scenario on several plants: errors against the truth, differences of the estimates."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +11,13 @@ import numpy as np
 
 from cosim.arrays import Vector
 from cosim.core.contracts import Recording
+from cosim.core.port import split_element
 from cosim.core.recorders import Memory
 from cosim.core.signals import Interface
 from cosim.errors import CosimError, Interrupted, UsageError, nearest
 from cosim.log import Log
-from cosim.report.summary import Summary, difference, has_signal, summarize, truth_of
+from cosim.report.recorded import difference, has_signal, truth_of
+from cosim.report.summary import Summary, summarize
 from cosim.scenario.build import Scenario
 from cosim.scenario.execution import load, run
 from cosim.scenario.swap import component_table
@@ -24,12 +25,12 @@ from cosim.scenario.swap import component_table
 
 @dataclass(frozen=True)
 class PlantRun:
-    """What came of one plant.
+    """The run of one plant.
 
     Parameters
     ----------
     label : str
-        What it is called in tables and pictures, and its log.
+        Its name in tables and pictures, and of its log.
     recording : Log, Memory or None
         None: the run failed.
     error : str
@@ -43,18 +44,23 @@ class PlantRun:
 
 @dataclass(frozen=True)
 class EstimateDifference:
-    """An estimate of one plant against that of the first."""
+    """An estimate of one plant against that of the first.
+
+    Parameters
+    ----------
+    estimate, label : str
+    largest : tuple of float or None
+        Largest |difference| of each element where both have a value; None: one never has.
+    """
 
     estimate: str
     label: str
-    largest: tuple[
-        float | None, ...
-    ]  # |difference| by element where both have a value; None: one never has
+    largest: tuple[float | None, ...]
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Several plants in one scenario; those that failed stay in it."""
+    """Several plants in one scenario, the failed ones included."""
 
     scenario: str
     component: str
@@ -62,60 +68,70 @@ class Comparison:
 
     @property
     def recordings(self) -> dict[str, Recording]:
-        """The runs that came to an end, by label."""
-        return {
-            outcome.label: outcome.recording
-            for outcome in self.outcomes
-            if outcome.recording is not None
-        }
+        """The runs that did not fail, by label."""
+        recordings: dict[str, Recording] = {}
+        for outcome in self.outcomes:
+            if outcome.recording is not None:
+                recordings[outcome.label] = outcome.recording
+        return recordings
 
     @property
     def estimates(self) -> dict[str, Any]:
-        """What the runs estimate with its truth, in the order of the scenario's."""
-        found: dict[str, Any] = {}
+        """The estimates with their truth, in the order of the scenario."""
+        estimates: dict[str, Any] = {}
         for recording in self.recordings.values():
-            found = found | truth_of(recording) | found  # the names of the first that has it
-        return found
+            for estimate, truth in truth_of(recording).items():
+                estimates.setdefault(estimate, truth)  # the names of the first plant that has it
+        return estimates
 
     @property
     def summaries(self) -> dict[str, Summary]:
-        """What each run found, by label."""
+        """The summary of each run, by label."""
         return {label: summarize(recording) for label, recording in self.recordings.items()}
 
     @property
     def differences(self) -> list[EstimateDifference]:
-        """How far every estimate is from that of the first run, at the instants that both have."""
-        found: list[EstimateDifference] = []
-        labels = list(self.recordings)
-        for estimate in self.estimates if labels else ():
-            reference = self.recordings[labels[0]]
-            for label in labels[1:]:
-                recording = self.recordings[label]
-                if not (has_signal(reference, estimate) and has_signal(recording, estimate)):
-                    continue
-                _, values = difference(reference, recording, estimate)
-                found.append(EstimateDifference(estimate, label, tuple(map(_largest, values.T))))
-        return found
+        """The distance of every estimate from that of the first run, at their shared instants."""
+        if not self.recordings:
+            return []
+        (_, reference), *others = self.recordings.items()
+        differences: list[EstimateDifference] = []
+        for estimate in self.estimates:
+            for label, recording in others:
+                if has_signal(reference, estimate) and has_signal(recording, estimate):
+                    _, values = difference(reference, recording, estimate)
+                    largest = tuple(_largest(element) for element in values.T)
+                    differences.append(EstimateDifference(estimate, label, largest))
+        return differences
 
     def to_dict(self) -> dict[str, Any]:
-        """Give plain values for JSON."""
+        """Return plain values for JSON."""
         summaries = self.summaries
-        plants = [
-            {
-                "plant": one.label,
-                "error": one.error or None,
-                "log": str(one.recording.path) if isinstance(one.recording, Log) else None,
-                "summary": summaries[one.label].to_dict() if one.label in summaries else None,
-            }
-            for one in self.outcomes
-        ]
-        differences = [asdict(one) for one in self.differences]
+        plants = []
+        for outcome in self.outcomes:
+            plant: dict[str, Any] = {"plant": outcome.label, "error": outcome.error or None}
+            plant["log"] = plant["summary"] = None
+            if isinstance(outcome.recording, Log):
+                plant["log"] = str(outcome.recording.path)
+            if outcome.label in summaries:
+                plant["summary"] = summaries[outcome.label].to_dict()
+            plants.append(plant)
         return {
             "scenario": self.scenario,
             "component": self.component,
             "plants": plants,
-            "differences": differences,
+            "differences": [asdict(row) for row in self.differences],
         }
+
+
+@dataclass(frozen=True)
+class _Alternative:
+    """A plant to run, and what is changed for it."""
+
+    label: str
+    path: str | None  # None: the component of the scenario itself
+    map: Mapping[str, str] = field(default_factory=dict)
+    changes: Mapping[str, Any] = field(default_factory=dict)
 
 
 def compare(
@@ -133,11 +149,12 @@ def compare(
     Parameters
     ----------
     scenario : str, Path or Scenario
-        A shipped name, a path, or what :func:`load` gave.
+        A shipped name, a path, or what :func:`load` returned.
     swap : mapping of one component to the paths of its alternatives
         Each an FMU (``x.fmu``, ``x.fmu#me``, ``x.fmu#cs``) or a recorded log.
     map : mapping of port to name, optional
-        As for :func:`run`. An entry is for every alternative that has a port of that name; the others keep the scenario's.
+        As for :func:`run`. An entry is for every alternative that has a port of that name; the
+        others keep the scenario's.
     set : mapping of dotted key to value, optional
         For all of them, but what is set for the component itself is for its alternatives only.
     base : bool
@@ -150,119 +167,138 @@ def compare(
     Raises
     ------
     UsageError
-        If there is not one component, fewer than two plants, or an entry of ``map`` that none of them can use. What is wrong with
-        a single plant is its outcome.
+        If there is not one component, fewer than two plants, or an entry of ``map`` that none of
+        them can use. The problems of a single plant are its outcome.
     """
     loaded = scenario if isinstance(scenario, Scenario) else load(scenario)
-    component, paths = _alternatives(loaded, swap, base=base)
-    maps = _maps(component, paths, map or {})
+    component, paths = _paths(loaded, swap, base=base)
+    maps = _maps_by_path(component, paths, map or {})
     changes = dict(set or {})
-    kept = {
-        key: value
-        for key, value in changes.items()
-        if not key.removeprefix("components.").startswith(f"{component}.")
-    }
-    runs: list[tuple[str, str | None, dict[str, Any]]] = (
-        [(loaded.specs[component].kind, None, kept)] if base else []
-    )
-    runs += [
-        (
-            Path(path).stem + Path(path).suffix.removeprefix(".fmu").removeprefix(".mcap"),
-            path,
-            changes,
-        )
-        for path in paths
-    ]
-    loaded.edit(set=kept)  # what is wrong for all of them is told once
+    common = _changes_of_others(changes, component)
+    alternatives = []
+    if base:
+        alternatives.append(_Alternative(loaded.specs[component].kind, None, changes=common))
+    for path in paths:
+        alternatives.append(_Alternative(_label(path), path, maps[path], changes))
+    loaded.edit(set=common)  # a problem of all plants is raised once, before anything runs
+    labels = _distinct([alternative.label for alternative in alternatives])
     outcomes = []
-    for label, (_, path, chosen) in zip(
-        _distinct([label for label, _, _ in runs]), runs, strict=True
-    ):
+    for label, alternative in zip(labels, alternatives, strict=True):
         log = None if out is None else Path(out) / f"{label.replace('#', '-')}.mcap"
-        swapped: dict[str, str | Path] = {} if path is None else {component: path}
-        try:
-            recording = run(
-                loaded, swap=swapped, map=maps.get(path), set=chosen, out=log, force=force
-            )
-            outcomes.append(PlantRun(label, recording))
-        except Interrupted:
-            raise
-        except CosimError as error:  # one plant's, whatever it is: the others go on
-            outcomes.append(PlantRun(label, None, str(error)))
+        outcomes.append(_run(loaded, component, label, alternative, log=log, force=force))
     return Comparison(loaded.name, component, tuple(outcomes))
 
 
+def _changes_of_others(changes: Mapping[str, Any], component: str) -> dict[str, Any]:
+    """Return the changes without those of the component."""
+    others = {}
+    for key, value in changes.items():
+        if not key.removeprefix("components.").startswith(f"{component}."):
+            others[key] = value
+    return others
+
+
+def _label(path: str) -> str:
+    """Return ``x`` for x.fmu and x.mcap, ``x#cs`` for x.fmu#cs."""
+    suffix = Path(path).suffix.removeprefix(".fmu").removeprefix(".mcap")
+    return Path(path).stem + suffix
+
+
+def _run(
+    loaded: Scenario,
+    component: str,
+    label: str,
+    alternative: _Alternative,
+    *,
+    log: Path | None,
+    force: bool,
+) -> PlantRun:
+    path = alternative.path
+    swap: dict[str, str | Path] = {} if path is None else {component: path}
+    maps = alternative.map
+    changes = alternative.changes
+    try:
+        recording = run(loaded, swap=swap, map=maps, set=changes, out=log, force=force)
+    except Interrupted:
+        raise
+    except CosimError as error:  # of one plant, whatever it is: the others go on
+        return PlantRun(label, None, str(error))
+    return PlantRun(label, recording)
+
+
 def _largest(values: Vector) -> float | None:
-    found = np.abs(values[np.isfinite(values)])
-    return float(found.max()) if found.size else None
+    finite = np.abs(values[np.isfinite(values)])
+    return float(finite.max()) if finite.size else None
 
 
-def _alternatives(
+def _paths(
     loaded: Scenario, swap: Mapping[str, Sequence[str | Path]], *, base: bool
 ) -> tuple[str, list[str]]:
+    """Return the component that is swapped, and the paths of its alternatives."""
     if len(swap) != 1:
-        found = ", ".join(swap) or "none"
+        names = ", ".join(swap) or "none"
         raise UsageError(
-            f"--swap: found alternatives of {found}; needed those of one component, such as plant=a.fmu plant=b.fmu"
+            f"--swap: found alternatives of {names}; "
+            "needed those of one component, such as plant=a.fmu plant=b.fmu"
         )
     (component, paths), *_ = swap.items()
     if component not in loaded.specs:
-        raise UsageError(
-            f"--swap {component}: there is no component {component!r}; {nearest(component, loaded.specs)}"
-        )
+        suggestion = nearest(component, loaded.specs)
+        raise UsageError(f"--swap {component}: there is no component {component!r}; {suggestion}")
     if len(paths) + base < 2:
         raise UsageError(
-            f"--swap {component}: found one plant, needed two to compare; give another, or leave out --no-base"
+            f"--swap {component}: found one plant, needed two to compare; "
+            "give another, or leave out --no-base"
         )
     return component, [str(path) for path in paths]
 
 
 def _distinct(labels: Sequence[str]) -> list[str]:
-    """Give a number to labels that are there already."""
-    found: list[str] = []
+    """Append a number to labels that occur before."""
+    distinct: list[str] = []
     for label in labels:
+        name = label
         number = 1
-        while (name := label if number == 1 else f"{label}-{number}") in found:
+        while name in distinct:
             number += 1
-        found.append(name)
-    return found
+            name = f"{label}-{number}"
+        distinct.append(name)
+    return distinct
 
 
-def _maps(
+def _maps_by_path(
     component: str, paths: Sequence[str], maps: Mapping[str, str]
-) -> dict[str | None, dict[str, str]]:
-    """Give each alternative the entries whose name is one of its ports."""
-    ports = {path: _ports(component, path) for path in paths}
-    unused = [
-        port
-        for port, name in maps.items()
-        if not any(_has(names, name) for names in ports.values())
-    ]
-    if unused:
-        known = dict.fromkeys(name for names in ports.values() for name in names)
-        raise UsageError(
-            "\n".join(
-                f"--map {port}: no alternative has a port {maps[port]!r}; {nearest(maps[port], known)}"
-                for port in unused
-            )
-        )
-    return {
-        path: {port: name for port, name in maps.items() if _has(names, name)}
-        for path, names in ports.items()
-    }
+) -> dict[str, dict[str, str]]:
+    """Return for each alternative the entries whose name is one of its ports."""
+    maps_by_path: dict[str, dict[str, str]] = {}
+    known: dict[str, None] = {}
+    for path in paths:
+        names = _port_names(component, path)
+        known |= dict.fromkeys(names)
+        used = [port for port, name in maps.items() if _has_port(names, name)]
+        maps_by_path[path] = {port: maps[port] for port in used}
+    problems = []
+    for port, name in maps.items():
+        if not _has_port(known, name):
+            suggestion = nearest(name, known)
+            problems.append(f"--map {port}: no alternative has a port {name!r}; {suggestion}")
+    if problems:
+        raise UsageError("\n".join(problems))
+    return maps_by_path
 
 
-def _has(ports: Sequence[str], name: str) -> bool:
-    return name in ports or re.sub(r"\[\d+\]$", "", name) in ports
+def _has_port(names: Collection[str], name: str) -> bool:
+    signal, _ = split_element(name)
+    return name in names or signal in names
 
 
-def _ports(component: str, path: str) -> list[str]:
-    """Give the ports of an alternative; none where it cannot be read: its run says why."""
+def _port_names(component: str, path: str) -> list[str]:
+    """Return the ports of an alternative; none where it cannot be read: its run says why."""
     try:
-        face = _interface(component, path)
+        interface = _interface(component, path)
     except CosimError:
         return []
-    return [signal.name for signal in (*face.inputs, *face.outputs)]
+    return [signal.name for signal in (*interface.inputs, *interface.outputs)]
 
 
 def _interface(component: str, path: str) -> Interface:

@@ -203,7 +203,7 @@ def test_a_run_with_a_swap_says_what_differs_on_stderr(folder, tmp_path, capsys)
     assert capsys.readouterr().err == warned
     with pytest.raises(SystemExit):
         main(["info", str(tmp_path / "a.mcap")])
-    assert "plant: unlike what it replaced" in capsys.readouterr().out
+    assert "plant: differences from the replaced component" in capsys.readouterr().out
 
 
 def test_what_cannot_be_linearized_is_unknown(folder, tmp_path):

@@ -1,0 +1,102 @@
+"""Signals and metadata of a recording, by their written names."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+
+from cosim.arrays import Matrix, Nanoseconds, as_columns
+from cosim.core.contracts import Recording
+from cosim.core.port import Port
+from cosim.core.recorders import find_channel
+from cosim.core.signals import Signal
+from cosim.errors import GraphError
+from cosim.units import conversion
+
+
+def run_metadata(recording: Recording) -> dict[str, str]:
+    """Return the metadata of the run as it was recorded: texts, of which some are JSON."""
+    return dict(recording.metadata.get("cosim.run", {}))
+
+
+def component_metadata(recording: Recording, component: str) -> dict[str, Any]:
+    """Return what a component recorded about itself."""
+    record = recording.metadata.get(f"cosim.component.{component}", {})
+    metadata: dict[str, Any] = json.loads(record.get("metadata", "{}"))
+    return metadata
+
+
+def truth_of(recording: Recording) -> dict[str, Any]:
+    """Return what each estimate of a run should equal: the name of a signal, or values."""
+    truth: dict[str, Any] = json.loads(run_metadata(recording).get("truth", "{}"))
+    return truth
+
+
+def signal_of(recording: Recording, port: str) -> Signal:
+    """Return the signal of a recorded port, which may name some of its elements."""
+    parsed = Port.parse(port)
+    channel = find_channel(recording.channels, parsed.component, source="the recording")
+    match = parsed.find(channel.signals)
+    assert match is not None, f"{port} is recorded"
+    signal, _ = match
+    return signal
+
+
+def has_signal(recording: Recording, port: str) -> bool:
+    """Return whether a port was recorded."""
+    parsed = Port.parse(port)
+    channel = recording.channels.get(parsed.component)
+    if channel is None:
+        return False
+    try:
+        return parsed.find(channel.signals) is not None
+    except GraphError:  # the signal has no such element
+        return False
+
+
+def time_ns_of(recording: Recording, port: str) -> Nanoseconds:
+    """Return the instants of the rows of a port, shape (N,) [ns]."""
+    return recording.time_ns(Port.parse(port).component)
+
+
+def rows_of(recording: Recording, port: str, *, like: str | None = None) -> Matrix:
+    """Return a port at every recorded row, shape (N, size).
+
+    Parameters
+    ----------
+    recording : Recording
+    port : str
+        ``component.signal``, ``component.signal[1]`` or ``component.signal[0:2]``.
+    like : str, optional
+        Another port, in whose unit the rows are returned.
+
+    Raises
+    ------
+    LogError
+        If there is no such component, signal or element.
+    """
+    rows = as_columns(recording[port])
+    if like is None:
+        return rows
+    unit = signal_of(recording, port).measure
+    wanted_unit = signal_of(recording, like).measure
+    convert = conversion(unit, wanted_unit)
+    assert convert is not None, "units of [truth] are checked before the run"
+    return convert(rows)
+
+
+def difference(first: Recording, other: Recording, port: str) -> tuple[Matrix, Matrix]:
+    """Compare a port of two recordings at the instants that they share.
+
+    Returns
+    -------
+    tuple
+        The instants [s], shape (N,), and ``other - first`` there, shape (N, size).
+    """
+    times, first_rows, other_rows = np.intersect1d(
+        time_ns_of(first, port), time_ns_of(other, port), return_indices=True
+    )
+    values = rows_of(other, port)[other_rows] - rows_of(first, port)[first_rows]
+    return times / 1e9, values

@@ -1,0 +1,135 @@
+"""Comparisons: two logs, several plants, a swapped component and the one that it replaces."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING
+
+import typer
+
+from cosim.errors import UsageError
+from cosim.report.tables.console import new_table, print_json, print_section, print_table
+
+if TYPE_CHECKING:
+    from cosim.log.diff import LogDifference
+    from cosim.report.comparing import Comparison, EstimateDifference
+    from cosim.report.summary import Summary
+    from cosim.scenario.build import Scenario
+
+PlantRow = tuple[str, str, str, str, str, str]  # estimate, truth, plant, value, error, difference
+LargestDifferences = Mapping[tuple[str, str], float]  # by estimate or element, and plant
+
+
+def print_difference(difference: LogDifference, *, as_json: bool) -> None:
+    """Print how far two logs are apart."""
+    if as_json:
+        print_json(difference.to_dict())
+        return
+    columns = ("signal", "", "largest |a - b|", "largest |a|", "ratio", "first outside")
+    table = new_table("", columns)
+    for row in difference.rows:
+        outside = ""
+        if row.first is not None:
+            time = row.first.time_ns / 1e9
+            values = f"{row.first.a!r}, {row.first.b!r}"
+            outside = f"{row.first.signal} at {time} s: {values}"
+        numbers = [f"{value:.3g}" for value in (row.largest, row.scale, row.ratio)]
+        table.add_row(row.signal, row.status, *numbers, outside)
+    print_table(table)
+    if any(row.largest > 0.0 and row.signal.endswith(".delta") for row in difference.rows):
+        typer.echo(
+            "note: a reconstructed disturbance multiplies the last bit of y by filter_rate; "
+            "give it a tolerance of its own"
+        )
+
+
+def print_dry_run(scenario: Scenario, *, as_json: bool) -> None:
+    """Compare swapped components with those they replace.
+
+    Raises
+    ------
+    UsageError
+        If the scenario cannot run with them.
+    """
+    from cosim.scenario.swap_report import examine
+
+    contract = examine(scenario.document)
+    problems = list(contract.problems)
+    if contract.failure:
+        problems.append(contract.failure)
+    if as_json:
+        swaps = {name: report.to_dict() for name, report in contract.reports.items()}
+        print_json({"swaps": swaps, "problems": problems})
+    else:
+        for report in contract.reports.values():
+            print_section(report.component, report.lines)
+        if not problems:
+            typer.echo("dry run: the scenario can run")
+    if problems:
+        raise UsageError("\n".join([*problems, *contract.hints]))
+
+
+def print_plants(comparison: Comparison, *, as_json: bool) -> None:
+    """Print what a scenario estimates on several plants, and how far from the first plant's."""
+    if as_json:
+        print_json(comparison.to_dict())
+        return
+    first = next(iter(comparison.recordings), "")
+    title = f"{comparison.scenario}: {comparison.component}"
+    table = new_table(title, ("estimate", "truth", "plant", "value", "error", f"from {first}"))
+    failures = [outcome for outcome in comparison.outcomes if outcome.error]
+    for rows in _rows_by_estimate(comparison).values():
+        for row in rows:
+            table.add_row(*row)
+        table.add_section()
+    for outcome in failures:
+        table.add_row("", "", outcome.label, "failed", outcome.error.splitlines()[0], "")
+    print_table(table)
+    for outcome in failures:
+        for line in outcome.error.splitlines():
+            typer.echo(f"{outcome.label}: failed: {line}", err=True)
+
+
+def _rows_by_estimate(comparison: Comparison) -> dict[str, list[PlantRow]]:
+    """Return the rows of all plants, those of the same estimate together."""
+    differences: dict[tuple[str, str], float] = {}
+    for difference in comparison.differences:
+        differences |= _largest_differences(difference)
+    rows: dict[str, list[PlantRow]] = {}
+    for label, summary in comparison.summaries.items():
+        for row in _plant_rows(label, summary, differences):
+            rows.setdefault(row[0], []).append(row)
+    return rows
+
+
+def _largest_differences(difference: EstimateDifference) -> dict[tuple[str, str], float]:
+    """Return the differences of a plant's estimate by the names of its elements, and its largest.
+
+    Elements without a value are left out.
+    """
+    elements: dict[tuple[str, str], float] = {}
+    for i, largest in enumerate(difference.largest):
+        if largest is not None:
+            elements[f"{difference.estimate}[{i}]", difference.label] = largest
+    if not elements:
+        return {}
+    return elements | {(difference.estimate, difference.label): max(elements.values())}
+
+
+def _plant_rows(
+    label: str, summary: Summary, differences: LargestDifferences
+) -> Iterator[PlantRow]:
+    """Yield the rows of one plant."""
+    for signal in summary.signals:
+        error = f"{signal.largest:.3g} for t >= {signal.since:g} s"
+        apart = _number(differences.get((signal.estimate, label)))
+        yield signal.estimate, signal.truth, label, "", error, apart
+    for outcome in summary.values:
+        value = "no value" if outcome.value is None else f"{outcome.value:+.6f}"
+        error = _number(outcome.error)
+        apart = _number(differences.get((outcome.estimate, label)))
+        yield outcome.estimate, f"{outcome.truth:+g}", label, value, error, apart
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else f"{value:.3g}"

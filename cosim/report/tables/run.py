@@ -1,0 +1,170 @@
+"""The table after a run, and the result of a verification."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import typer
+from rich.table import Table
+
+from cosim.core.contracts import Recording
+from cosim.report.recorded import run_metadata, signal_of
+from cosim.report.summary import Identification, Summary, summarize
+from cosim.report.tables.console import new_table, print_json, print_table
+
+
+def print_summary(
+    recording: Recording,
+    *,
+    path: Path | None,
+    wall: Mapping[str, float],
+    profile: Mapping[str, float] | None,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    """Print the summary of a run.
+
+    Parameters
+    ----------
+    recording : Recording
+    path : Path or None
+        The log that was written.
+    wall : mapping of name to float
+        Wall times [s].
+    profile : mapping of component name to float, or None
+        Wall time of each component [s].
+    as_json, quiet : bool
+    """
+    summary = summarize(recording)
+    if as_json:
+        content: dict[str, Any] = summary.to_dict()
+        content["wall"] = dict(wall)
+        content["log"] = None if path is None else str(path)
+        if profile is not None:
+            content["profile"] = dict(profile)
+        print_json(content)
+        return
+    if quiet:
+        return
+    for component, text in json.loads(run_metadata(recording).get("warnings", "[]")):
+        typer.echo(f"warning: {component}: {text}", err=True)
+    table = _summary_table(summary, recording)
+    table.add_section()
+    _add_wall_time(table, wall, simulated=summary.end)
+    if path is not None:
+        table.add_row("log", "", "", str(path))
+    print_table(table)
+    if profile is not None:
+        print_table(_profile_table(profile))
+
+
+def _summary_table(summary: Summary, recording: Recording) -> Table:
+    title = f"{summary.scenario}: {summary.end:g} s in {summary.steps} steps"
+    if summary.signals or summary.values:
+        table = _error_table(title, summary)
+    else:
+        table = _last_value_table(title, summary, recording)
+    if summary.reason:
+        table.add_row("stop reason", "", "", summary.reason)
+    for identification in summary.identifications:
+        _add_identification(table, identification, single=len(summary.identifications) == 1)
+    for loop in summary.loops:
+        text = "step by step, so with an error of first order in the step; compare with --step"
+        table.add_row("loop", "", "", f"{loop}: {text}")
+    return table
+
+
+def _error_table(title: str, summary: Summary) -> Table:
+    table = new_table(title, ("", "estimate", "truth", "error"))
+    for signal in summary.signals:
+        window = f"largest for t >= {signal.since:g} s; at the end {signal.last:.3g}"
+        table.add_row(signal.estimate, "", signal.truth, f"{signal.largest:.3g}  ({window})")
+    for outcome in summary.values:
+        value = "no value" if outcome.value is None else f"{outcome.value:+.6f}"
+        error = "" if outcome.error is None else f"{outcome.error:.3g}"
+        table.add_row(outcome.estimate, value, f"{outcome.truth:+g}", error)
+    return table
+
+
+def _last_value_table(title: str, summary: Summary, recording: Recording) -> Table:
+    """Return the last values of the outputs, for a run without a truth to compare with."""
+    table = new_table(title, ("", "last value", "", ""))
+    for name, last in summary.last.items():
+        values = last if isinstance(last, list) else [last]
+        text = " ".join(f"{value:.6g}" for value in values)
+        table.add_row(name, text, "", signal_of(recording, name).unit or "")
+    return table
+
+
+def _add_identification(table: Table, identification: Identification, *, single: bool) -> None:
+    table.add_section()
+    label = "identification start time T_id"
+    if not single:
+        label += f" of {identification.component}"
+    times = identification.times
+    origin = "given"
+    if "T_id" in times:
+        terms = f"T_obs {times['T_obs']:.4f} + T_f {times['T_f']:.4f} + D_max {times['D_max']:g}"
+        origin = f"{terms} = {times['T_id']:.4f} s (36)"
+    table.add_row(label, f"{identification.start_time:g} s", "", origin)
+    if identification.eigenvalues:
+        eigenvalues = ", ".join(f"{value:.3g}" for value in identification.eigenvalues)
+        table.add_row("information matrix", "", "", f"eigenvalues {eigenvalues}")
+    for text in (identification.verdict, *identification.notes):
+        table.add_row("", "", "", text)
+
+
+def _add_wall_time(table: Table, wall: Mapping[str, float], *, simulated: float) -> None:
+    total = sum(wall.values())
+    parts = ", ".join(f"{part} {seconds:.2f} s" for part, seconds in wall.items())
+    speed = f"{simulated / total:.3g} x real time"
+    table.add_row("wall time", f"{total:.2f} s", "", f"{parts}: {speed}")
+
+
+def _profile_table(profile: Mapping[str, float]) -> Table:
+    table = new_table("wall time by component", ("", "s", "%"))
+    total = sum(profile.values())
+    largest_first = sorted(profile.items(), key=lambda item: -item[1])
+    for name, seconds in largest_first:
+        percent = f"{100 * seconds / total:.1f}" if total else ""
+        table.add_row(name, f"{seconds:.4f}", percent)
+    return table
+
+
+def print_verification(
+    source: Recording, again: Recording, *, path: Path, as_json: bool, quiet: bool
+) -> None:
+    """Print whether a replay equals its log bit for bit; exit 1 if it does not."""
+    from cosim.log.diff import diff
+
+    difference = diff(source, again)
+    if as_json:
+        print_json(difference.to_dict())
+    elif difference.equal and not quiet:
+        count = len(difference.rows)
+        typer.echo(f"{path}: the replay equals the log bit for bit: {count} signals")
+    if difference.equal:
+        return
+    if not as_json:
+        where = "the logs do not have the same signals and times"
+        first = difference.first
+        if first is not None:
+            time = first.time_ns / 1e9
+            where = f"{first.signal} at t = {time} s: log {first.a!r}, replay {first.b!r}"
+        typer.echo(f"{path}: the replay differs from the log; first: {where}", err=True)
+        _warn_of_environment(source)
+    raise typer.Exit(1)
+
+
+def _warn_of_environment(source: Recording) -> None:
+    from cosim.log.environment import environment_changes
+
+    for key, (recorded, current) in environment_changes(source).items():
+        typer.echo(
+            f"note: {key} was {recorded}, is {current}; "
+            "sin, exp and log may differ in their last bit",
+            err=True,
+        )
