@@ -251,7 +251,7 @@ path = "{build("BALL")}"
     cosim.run(str(scenario), out=tmp_path / "ball.mcap", block=1000)
     found = open_log(tmp_path / "ball.mcap").messages()
     (bounce,) = [
-        message for message in found if (message.level, message.name) == ("debug", "plant")
+        message for message in found if (message.level, message.source) == ("debug", "plant")
     ]
     assert bounce.text.startswith("event: state event at t = 0.45152364098573")
     assert bounce.time_ns == 451_523_641

@@ -209,7 +209,7 @@ def test_a_loop_through_an_fmu_without_dependencies_runs_with_a_warning(
     assert f"warning: plant: {text}" in capsys.readouterr().err
     log = cosim.open_log(path)
     assert any(
-        message.name == "plant" and message.level == "warning" and text in message.text
+        message.source == "plant" and message.level == "warning" and text in message.text
         for message in log.messages()
     )
     assert abs(log["plant.y"][0] - 2.0 / 3.0) <= 1e-15

@@ -389,7 +389,7 @@ def test_messages_of_the_run_are_in_the_log(tmp_path):
     with pytest.raises(NonFiniteError):
         cosim.run("academic", out=path, set=changes)
     found = [
-        (message.time_ns, message.level, message.name) for message in open_log(path).messages()
+        (message.time_ns, message.level, message.source) for message in open_log(path).messages()
     ]
     assert found == [(0, "warning", "observer"), (49_000_000, "error", "run")]
 
@@ -473,7 +473,7 @@ def test_what_a_run_shows_about_an_fmu_is_in_the_log(tmp_path):
     """An inner step of 10 ms under steps of 1 ms is told by the 10th spell of equal outputs, within a block of the run."""
     cosim.run(lagging(tmp_path, "{ inner = 0.01 }"), out=(out := tmp_path / "a.mcap"), block=1000)
     (told,) = [m for m in open_log(out).messages() if "inner step" in m.text]
-    assert (told.time_ns, told.level, told.name) == (100_000_000, "warning", "lag")
+    assert (told.time_ns, told.level, told.source) == (100_000_000, "warning", "lag")
     assert told.text.startswith("lag: its outputs change at every 10th communication step only")
 
 
@@ -486,6 +486,8 @@ def test_what_an_fmu_says_of_its_failure_has_the_time_of_the_step_that_failed(tm
             block=1000,
         )
     found = [
-        (m.time_ns, m.level, m.name) for m in open_log(out).messages() if "out of petrol" in m.text
+        (m.time_ns, m.level, m.source)
+        for m in open_log(out).messages()
+        if "out of petrol" in m.text
     ]
     assert found == [(155_000_000, "error", "lag"), (155_000_000, "error", "run")]
