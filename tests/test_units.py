@@ -12,15 +12,17 @@ from hypothesis import strategies as st
 from cosim.units import BASE, BaseUnit, Conversion, Unit, base_unit, conversion
 
 TABLE = {  # factor to the base unit, and the base unit itself
-    "mm": (si.milli, "m"), "km": (si.kilo, "m"), "um": (si.micro, "m"), "cm": (si.centi, "m"), "nm": (si.nano, "m"),
-    "ms": (si.milli, "s"), "us": (si.micro, "s"), "min": (si.minute, "s"), "h": (si.hour, "s"), "km/h": (si.kmh, "m/s"),
-    "g": (si.gram, "kg"), "mg": (1e-6, "kg"), "kN": (si.kilo, "kg.m/s2"), "kN.m": (si.kilo, "J"), "bar": (si.bar, "Pa"),
-    "mbar": (100.0, "Pa"), "hPa": (100.0, "Pa"), "MPa": (si.mega, "N/m2"), "kW.h": (si.kilo * si.hour, "J"),
-    "GHz": (si.giga, "1/s"),
-    "deg": (si.degree, "rad"), "rpm": (2.0 * si.pi / si.minute, "rad/s"), "deg/s": (si.degree, "rad/s"), "mV": (si.milli, "W/A"),
-    "uF": (si.micro, "C/V"), "MOhm": (si.mega, "V/A"), "mmol": (si.milli, "mol"), "mH": (si.milli, "V.s/A"),
-    "mT": (1e-3, "Wb/m2"),
-    "S": (1.0, "A/V"), "mm2": (1e-6, "m2"), "mm3": (1e-9, "m^3"), "1/ms": (1e3, "Hz"), "W/degC": (1.0, "W/K"), "mK": (1e-3, "K"),
+    "mm": (si.milli, "m"), "km": (si.kilo, "m"), "um": (si.micro, "m"), "cm": (si.centi, "m"),
+    "nm": (si.nano, "m"), "ms": (si.milli, "s"), "us": (si.micro, "s"), "min": (si.minute, "s"),
+    "h": (si.hour, "s"), "km/h": (si.kmh, "m/s"), "g": (si.gram, "kg"), "mg": (1e-6, "kg"),
+    "kN": (si.kilo, "kg.m/s2"), "kN.m": (si.kilo, "J"), "bar": (si.bar, "Pa"),
+    "mbar": (100.0, "Pa"), "hPa": (100.0, "Pa"), "MPa": (si.mega, "N/m2"),
+    "kW.h": (si.kilo * si.hour, "J"), "GHz": (si.giga, "1/s"), "deg": (si.degree, "rad"),
+    "rpm": (2.0 * si.pi / si.minute, "rad/s"), "deg/s": (si.degree, "rad/s"),
+    "mV": (si.milli, "W/A"), "uF": (si.micro, "C/V"), "MOhm": (si.mega, "V/A"),
+    "mmol": (si.milli, "mol"), "mH": (si.milli, "V.s/A"), "mT": (1e-3, "Wb/m2"),
+    "S": (1.0, "A/V"), "mm2": (1e-6, "m2"), "mm3": (1e-9, "m^3"), "1/ms": (1e3, "Hz"),
+    "W/degC": (1.0, "W/K"), "mK": (1e-3, "K"),
 }  # fmt: skip
 
 
@@ -28,8 +30,8 @@ TABLE = {  # factor to the base unit, and the base unit itself
 def test_names_are_exact(name):
     """The factor is the double nearest to the definition; the powers are those of the base unit."""
     factor, base = TABLE[name]
-    found, plain = base_unit(name), base_unit(base)
-    assert (found.factor, found.exponents, found.offset) == (factor, plain.exponents, 0.0)
+    computed, plain = base_unit(name), base_unit(base)
+    assert (computed.factor, computed.exponents, computed.offset) == (factor, plain.exponents, 0.0)
     assert plain.factor == 1.0
 
 
@@ -41,7 +43,7 @@ def test_powers_of_prefixes_are_rounded_once():
 
 
 def test_what_has_more_than_one_reading_is_not_read():
-    """Prefixes stand only before symbols with which they are in use; names that are something else stay that."""
+    """Prefixes stand only before symbols with which they are in use; ``min`` is no milli-inch."""
     for name in (
         "Gs",
         "furlong",
@@ -74,7 +76,7 @@ def between(first, second):
 
 
 def test_values_are_converted_by_definition():
-    """Closed forms: the boiling point, a right angle, a flow of heat through a difference of temperatures."""
+    """Closed forms: the boiling point, a right angle, a heat flow by a temperature difference."""
     assert between("degC", "K")(100.0) == 373.15
     assert between("K", "degC")(273.15) == 0.0
     assert between("bar", "Pa")(1.5) == 150_000.0
@@ -102,7 +104,7 @@ LENGTH = tuple(int(base == "m") for base in BASE)
 
 
 def test_a_definition_counts_more_than_a_name():
-    """Two definitions of one name are one unit to within their digits; one definition speaks for both."""
+    """Two definitions of one name are one unit to within their digits; one of them is enough."""
     furlong = Unit("furlong", BaseUnit(LENGTH, 201.168))
     assert conversion(furlong, Unit("m"))(2.0) == 402.336
     assert conversion(furlong, Unit("furlong")).copies
@@ -123,7 +125,8 @@ def test_a_unit_that_cannot_be_converted_back_is_refused(factor, offset):
     """Its factor is finite and not 0."""
     with pytest.raises(
         ValueError,
-        match=rf"unit: found factor {factor} and offset {offset}; needed finite numbers, no factor 0",
+        match=rf"unit: found factor {factor} and offset {offset}; needed finite numbers, "
+        "no factor 0",
     ):
         BaseUnit(LENGTH, factor, offset)
 
@@ -138,13 +141,17 @@ units = st.builds(
 
 
 @given(units, units, st.floats(-1e9, 1e9))
-def test_there_and_back_is_the_same_but_for_rounding(one, other, value):
-    """Each of the four operations rounds by half a unit in the last place of its result; offsets are the largest of them."""
-    there, back = conversion(one, other), conversion(other, one)
-    largest = max(abs(value * one.si.factor), abs(one.si.offset), abs(other.si.offset))
-    assert abs(back(there(value)) - value) <= 8 * np.finfo(float).eps * (
-        abs(value) + largest / one.si.factor
-    )
+def test_there_and_back_is_the_same_but_for_rounding(first, second, value):
+    """Each of the four operations rounds by half a unit in the last place of its result.
+
+    The offsets are the largest of these.
+    """
+    forward = conversion(first, second)
+    backward = conversion(second, first)
+    base_value = abs(value * first.si.factor)
+    largest = max(base_value, abs(first.si.offset), abs(second.si.offset))
+    tolerance = 8 * np.finfo(float).eps * (abs(value) + largest / first.si.factor)
+    assert abs(backward(forward(value)) - value) <= tolerance
 
 
 @given(units, st.floats(allow_nan=True), units)
@@ -157,7 +164,7 @@ def test_a_unit_to_itself_copies_every_bit(unit, value, other):
 
 
 @given(units, units, st.floats(-1e9, 1e9))
-def test_arrays_and_numbers_are_converted_alike(one, other, value):
+def test_arrays_and_numbers_are_converted_alike(first, second, value):
     """The same four operations in the same order."""
-    found = conversion(one, other)
-    assert found(np.array([value]))[0] == found(value)
+    convert = conversion(first, second)
+    assert convert(np.array([value]))[0] == convert(value)

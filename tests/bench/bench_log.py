@@ -1,6 +1,7 @@
-"""Rates of writing and reading a log, beside mcap's own writer and reader on the same messages, in one run.
+"""Rates of writing and reading a log, beside mcap's own writer and reader, in one run.
 
-Run with ``python tests/bench/bench_log.py``; every number is the median of three.
+Both take the same messages. Run with ``python tests/bench/bench_log.py``; every number is the
+median of three.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ def layout() -> Layout:
 
 
 def table() -> np.ndarray:
-    """Give smooth signals with a little noise, shape (STEPS + 1, width)."""
+    """Return smooth signals with a little noise, shape (STEPS + 1, width)."""
     t = np.arange(STEPS + 1)[:, None] * 1e-3
     rates = np.linspace(0.5, 3.0, layout().width)
     return np.sin(rates * t) + 1e-9 * np.random.default_rng(1).normal(size=(STEPS + 1, len(rates)))
@@ -95,7 +96,7 @@ def read_stock(path: Path) -> None:
 
 
 def timed(task, *arguments, repeat: int = 3) -> float:
-    """Give the median time of ``task`` [s]."""
+    """Return the median time of ``task`` [s]."""
     times = []
     for _ in range(repeat):
         begin = time.perf_counter()
@@ -111,7 +112,8 @@ def main() -> None:
         mine, theirs = Path(folder) / "ours.mcap", Path(folder) / "stock.mcap"
         floor = timed(raw, mine, rows)
         out(
-            f"{count} messages of 8 doubles on average; bare bytes to a file: {floor * 1e9 / count:.0f} ns a message\n"
+            f"{count} messages of 8 doubles on average; "
+            f"bare bytes to a file: {floor * 1e9 / count:.0f} ns a message\n"
         )
         for compression in ("none", "zstd"):
             fast, slow = (
@@ -120,15 +122,16 @@ def main() -> None:
             )
             single = timed(ours, mine, rows, compression, 1, repeat=1)
             out(
-                f"write, {compression}: {slow / fast:.1f}x stock, {fast / floor:.1f}x the time of bare bytes; "
+                f"write, {compression}: {slow / fast:.1f}x stock, "
+                f"{fast / floor:.1f}x the time of bare bytes; "
             )
             out(f"in blocks of one step {slow / single:.1f}x stock; ")
-            out(
-                f"{fast * 1e9 / count:.0f} ns a message, size {mine.stat().st_size / theirs.stat().st_size:.2f} of stock\n"
-            )
+            size = mine.stat().st_size / theirs.stat().st_size
+            out(f"{fast * 1e9 / count:.0f} ns a message, size {size:.2f} of stock\n")
             fast, slow = timed(read_ours, mine), timed(read_stock, mine, repeat=1)
             out(
-                f"read, {compression}: {slow / fast:.1f}x stock, {fast * 1e9 / count:.0f} ns a message\n"
+                f"read, {compression}: {slow / fast:.1f}x stock, "
+                f"{fast * 1e9 / count:.0f} ns a message\n"
             )
 
 

@@ -1,6 +1,7 @@
-"""What ``cosim run academic`` takes, beside what cannot be saved: starting Python and importing the libraries it rests on.
+"""The time of ``cosim run academic``, beside that of starting Python and importing the libraries.
 
-Run: ``python tests/bench/bench_run.py``. Whole processes, in turn, median of several; the accuracy stands beside the time.
+Run with ``python tests/bench/bench_run.py``. Whole processes, in turn, median of several; the
+accuracy stands beside the time.
 """
 
 import json
@@ -12,7 +13,10 @@ import time
 from pathlib import Path
 
 RUNS = 5
-LIBRARIES = "import numpy, scipy.linalg, pydantic, typer, rich.console, rich.table, mcap.records, zstandard, google.protobuf"
+LIBRARIES = (
+    "import numpy, scipy.linalg, pydantic, typer, rich.console, rich.table, mcap.records, "
+    "zstandard, google.protobuf"
+)
 
 
 def seconds(command: list[str]) -> float:
@@ -48,17 +52,22 @@ def main() -> None:
         for _ in range(RUNS):
             for name, command in commands.items():
                 times[name].append(seconds(command))
-        medians = {name: statistics.median(found) for name, found in times.items()}
+        medians = {name: statistics.median(samples) for name, samples in times.items()}
         base = medians["import of the libraries"]
         for name, median in medians.items():
             print(f"{name:28s} {median:6.3f} s   {median / base:5.2f} x the imports")
-        found = json.loads(subprocess.run(run, check=True, capture_output=True, text=True).stdout)
-        print("of it:", ", ".join(f"{part} {value:.3f} s" for part, value in found["wall"].items()))
+        result = subprocess.run(run, check=True, capture_output=True, text=True)
+        summary = json.loads(result.stdout)
+        print(
+            "of it:", ", ".join(f"{part} {value:.3f} s" for part, value in summary["wall"].items())
+        )
         print(
             "in the run:",
-            ", ".join(f"{part} {value:.4f} s" for part, value in found["profile"].items()),
+            ", ".join(f"{part} {value:.4f} s" for part, value in summary["profile"].items()),
         )
-        errors = ", ".join(f"{value['estimate']} {value['error']:.2g}" for value in found["values"])
+        errors = ", ".join(
+            f"{value['estimate']} {value['error']:.2g}" for value in summary["values"]
+        )
         print(f"accuracy: {errors}; log of {log.stat().st_size / 1e6:.1f} MB")
 
 

@@ -7,7 +7,6 @@ import pytest
 
 from cosim.arrays import NAN
 from cosim.blocks.arithmetic import Static, gain, limit, sum_of
-from cosim.blocks.state_space import controller
 from cosim.blocks.dynamics import Delay, lag
 from cosim.blocks.identifier import LeastSquaresIdentifier
 from cosim.blocks.observer import observer_model
@@ -16,6 +15,7 @@ from cosim.blocks.regressor import Regressor
 from cosim.blocks.replay import Replay
 from cosim.blocks.sampled import Decimated, Sampled
 from cosim.blocks.source import Expression, Noise, Table, chirp, constant, ramp, sine, step
+from cosim.blocks.state_space import controller
 from cosim.core.clock import Clock
 from cosim.core.graph import Graph
 from cosim.core.linear import Linear
@@ -58,9 +58,9 @@ def regressor(steps=(2, 4, 6)):
 
 
 def identifier(**options):
-    blocks = group_by_alpha(["a", "b"], [Exponential()] * 2)
+    groups = group_by_alpha(["a", "b"], [Exponential()] * 2)
     return LeastSquaresIdentifier(
-        plan(expand((1, 1)), blocks, [1.0, 2.0, 3.0]), start_time=3 * H, **options
+        plan(expand((1, 1)), groups, [1.0, 2.0, 3.0]), start_time=3 * H, **options
     )
 
 
@@ -98,7 +98,7 @@ COMPONENTS = {
     "gain": lambda: gain(np.array([[1.0, 2.0], [0.0, -1.0], [3.0, 0.5]])),
     "limit": lambda: limit(lower=-0.5, upper=0.7, size=2),
     "lag": lambda: Linear(lag(time_constant=0.01, size=2)),
-    "lag from a given start": lambda: Linear(lag(time_constant=0.01, initial=2.0)),
+    "lag from an initial value": lambda: Linear(lag(time_constant=0.01, initial=2.0)),
     "delay": lambda: Delay(3, size=2),
     "delay of one step": lambda: Delay(1),
     "delay from a given start": lambda: Delay(4, initial=7.0),
@@ -118,13 +118,27 @@ COMPONENTS = {
     "decimated least squares": lambda: Decimated(identifier(), 4),
     "decimated with feedthrough": lambda: Decimated(through(), 4),
 }
-ROLLBACK = ["lag", "lag from a given start", "delay", "delay of one step", "controller", "plant", "observer", "regressor",
-            "regressor without delay", "least squares", "least squares with a prior"]  # fmt: skip
+ROLLBACK = [
+    "lag",
+    "lag from an initial value",
+    "delay",
+    "delay of one step",
+    "controller",
+    "plant",
+    "observer",
+    "regressor",
+    "regressor without delay",
+    "least squares",
+    "least squares with a prior",
+]
 
 
 @pytest.mark.parametrize("name", COMPONENTS)
 def test_every_block_keeps_the_contract(name):
-    """Blocks of any size, outputs that change nothing, a start that forgets, declared feedthrough, late inputs: bit for bit."""
+    """Blocks of any size, outputs that change nothing, an initialization that forgets.
+
+    Declared feedthrough, extrapolated inputs: bit for bit.
+    """
     check_component(COMPONENTS[name], h=H)
 
 
@@ -215,8 +229,10 @@ FAULTS = {
     "keeps its inputs": "arguments and results of earlier calls are no part of the state",
     "shape": r"advance returns float64 of shape \(30, 2\): found float64 of shape \(30,\)",
     "type": r"advance returns float64 of shape \(30, 2\): found float32",
-    "nan": r"a value is finite, or cosim.arrays.NAN in an optional output: 'y' at t = 0.0 s: found nan",
-    "infinite": "a value is finite, or cosim.arrays.NAN in an optional output: 'y' at t = 0.0 s: found inf",
+    "nan": "a value is finite, or cosim.arrays.NAN in an optional output: "
+    "'y' at t = 0.0 s: found nan",
+    "infinite": "a value is finite, or cosim.arrays.NAN in an optional output: "
+    "'y' at t = 0.0 s: found inf",
     "by chance": "a second component repeats the run: 'y'",
 }
 
@@ -254,13 +270,14 @@ def test_an_undeclared_feedthrough_is_named():
     """The order of a loop rests on what is declared."""
     with pytest.raises(
         AssertionError,
-        match=r"outputs ignores 'u', which is not declared to feed through: 'y' at t = 0.0 s: found",
+        match=r"outputs ignores 'u', which is not declared to feed through: "
+        r"'y' at t = 0.0 s: found",
     ):
         check_component(lambda: Broken(feedthrough={}))
 
 
 def test_an_undeclared_dependency_at_the_start_is_named():
-    """The order of the start rests on what is declared; a lag that follows its input must say so."""
+    """Initialization is ordered by what is declared; a lag that follows its input declares it."""
     check_component(lambda: Linear(lag(time_constant=1.0)))
     silent = lag(time_constant=1.0)
     silent = replace(silent, interface=replace(silent.interface, initial={}))

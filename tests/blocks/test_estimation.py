@@ -36,9 +36,9 @@ class Example:
 
     def __init__(self, alphas, families, thetas, delays, stop):
         self.delays, self.thetas = delays, thetas
-        self.blocks = group_by_alpha(alphas, families)
-        self.terms = expand(tuple(block.size for block in self.blocks))
-        self.recovery = plan(self.terms, self.blocks, delays)
+        self.groups = group_by_alpha(alphas, families)
+        self.terms = expand(tuple(group.size for group in self.groups))
+        self.recovery = plan(self.terms, self.groups, delays)
         self.t = times(round(stop / H), STEP_NS)
         self.steps = [round(D / H) for D in delays]
         self.delta = sum(
@@ -53,18 +53,18 @@ class Example:
         first = max(self.steps)
         late = np.stack([self.delta[first - n : len(self.t) - n] for n in self.steps], axis=1)
         moments = np.stack([self.t[first:] - D for D in delays], axis=1)
-        self.alpha = np.stack([amplitude(block.alpha, moments) for block in self.blocks], axis=-1)
+        self.alpha = np.stack([amplitude(group.alpha, moments) for group in self.groups], axis=-1)
         self.mu = np.full((len(self.t), len(self.terms)), np.nan)
         self.mu[first:] = mu(self.terms, late, self.alpha)
 
     def regressor(self):
-        programs = [compile_expression(block.alpha) for block in self.blocks]
+        programs = [compile_expression(group.alpha) for group in self.groups]
         return Regressor(self.terms, alphas=programs, steps=self.steps, delays=self.delays)
 
     def exact_eta(self):
         K = [
-            coefficients(block.families, [self.thetas[i] for i in block.components], self.delays)
-            for block in self.blocks
+            coefficients(group.families, [self.thetas[i] for i in group.components], self.delays)
+            for group in self.groups
         ]
         return eta(self.terms, K)
 
@@ -72,12 +72,12 @@ class Example:
         """Estimate at row ``end`` from the data since ``start`` [s], by the theory."""
         first = round(start / H)
         if held:
-            found = least_squares(self.mu[first:end], np.full(end - first, H), prior)
+            computed = least_squares(self.mu[first:end], np.full(end - first, H), prior)
         else:
-            found = least_squares(
+            computed = least_squares(
                 self.mu[first : end + 1], trapezoid_weights(self.t[first : end + 1]), prior
             )
-        return np.concatenate([recover(self.recovery, found), found])
+        return np.concatenate([recover(self.recovery, computed), computed])
 
 
 EXAMPLES = {
@@ -94,12 +94,16 @@ EXAMPLES = {
 
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_mu_is_that_of_the_theory(name):
-    """The kernel's products over its ring of samples are `theory.regression.mu` on delayed samples; no value before."""
+    """The kernel's products over its ring are `theory.regression.mu` on delayed samples.
+
+    There is no value before the longest delay.
+    """
     example = EXAMPLES[name]
-    found = drive(example.regressor(), example.delta[:, None], step_ns=STEP_NS)
-    assert (np.isnan(found) == np.isnan(example.mu)).all()
-    # l factors, each of two functions of t rounded within one last bit by C and numpy, and the products
-    np.testing.assert_allclose(found, example.mu, rtol=1e-15)
+    computed = drive(example.regressor(), example.delta[:, None], step_ns=STEP_NS)
+    assert (np.isnan(computed) == np.isnan(example.mu)).all()
+    # l factors, each of two functions of t rounded within one last bit by C and numpy, and the
+    # products
+    np.testing.assert_allclose(computed, example.mu, rtol=1e-15)
 
 
 def test_mu_without_delay_follows_its_input():
@@ -112,22 +116,27 @@ def test_mu_without_delay_follows_its_input():
 @pytest.mark.parametrize("P0", [None, 1e3, 1.0], ids=["no prior", "P0 = 1e3", "P0 = 1"])
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_the_identifier_is_the_least_squares_of_the_theory(name, P0, held):
-    """Givens rotations row by row in C give what QR of all rows gives: eta and theta, early and late."""
+    """Givens rotations row by row in C give the eta and theta of QR of all rows, at any time."""
     example = EXAMPLES[name]
     start = max(example.delays) + 0.5
     identifier = LeastSquaresIdentifier(example.recovery, start_time=start, P0=P0)
-    found = drive(identifier, example.mu, step_ns=STEP_NS, held=held)
+    computed = drive(identifier, example.mu, step_ns=STEP_NS, held=held)
     n_theta = example.recovery.n_theta
     first = round(start / H)
-    assert np.isnan(found[: first + 1]).all()
-    for end in (first + 300, len(found) - 1):
+    assert np.isnan(computed[: first + 1]).all()
+    for end in (first + 300, len(computed) - 1):
         expected = example.expected(start, end, None if P0 is None else 1.0 / P0, held=held)
-        # both solve the factor of the data to rounding times its condition, about 2e2 for the root of 3e4: 1e-13; theta likewise
-        np.testing.assert_allclose(found[end, n_theta:], expected[n_theta:], rtol=1e-9, atol=1e-9)
-        np.testing.assert_allclose(found[end, :n_theta], expected[:n_theta], rtol=1e-9, atol=1e-9)
+        # both solve the factor of the data to rounding times its condition, about 2e2 for the root
+        # of 3e4: 1e-13; theta likewise
+        np.testing.assert_allclose(
+            computed[end, n_theta:], expected[n_theta:], rtol=1e-9, atol=1e-9
+        )
+        np.testing.assert_allclose(
+            computed[end, :n_theta], expected[:n_theta], rtol=1e-9, atol=1e-9
+        )
     if P0 is None:
-        np.testing.assert_allclose(found[-1, n_theta:], example.exact_eta(), rtol=1e-9)
-        np.testing.assert_allclose(found[-1, :n_theta], example.thetas, rtol=1e-9)
+        np.testing.assert_allclose(computed[-1, n_theta:], example.exact_eta(), rtol=1e-9)
+        np.testing.assert_allclose(computed[-1, :n_theta], example.thetas, rtol=1e-9)
 
 
 def test_two_exponentials_of_one_alpha_are_those_of_the_reference(case):
@@ -142,11 +151,11 @@ def test_two_exponentials_of_one_alpha_are_those_of_the_reference(case):
             values,
             atol=reference["tol"],
         )
-    found = drive(
+    computed = drive(
         LeastSquaresIdentifier(example.recovery, start_time=3.0), example.mu, step_ns=STEP_NS
     )
     np.testing.assert_allclose(
-        found[-1, :2], reference["expected"]["recovered_theta_sorted"][::-1], rtol=1e-9
+        computed[-1, :2], reference["expected"]["recovered_theta_sorted"][::-1], rtol=1e-9
     )
 
 
@@ -158,14 +167,17 @@ def test_a_sine_is_that_of_the_reference(case):
     np.testing.assert_allclose(
         row, reference["delta_samples"]["values"][0], rtol=0, atol=reference["tol"]
     )
-    found = drive(
+    computed = drive(
         LeastSquaresIdentifier(example.recovery, start_time=1.5), example.mu, step_ns=STEP_NS
     )
-    assert found[-1, 0] == pytest.approx(reference["expected"]["omega"], rel=1e-9)
+    assert computed[-1, 0] == pytest.approx(reference["expected"]["omega"], rel=1e-9)
 
 
 def test_there_is_no_estimate_before_there_is_information():
-    """Without a prior: no value until the start, nor while fewer rows than unknowns came in; with one: at once."""
+    """With a prior there is a value from the start time on.
+
+    Without one there is none before as many rows as unknowns came in.
+    """
     example = EXAMPLES["two alphas"]
     bare = drive(
         LeastSquaresIdentifier(example.recovery, start_time=3.0),
@@ -188,26 +200,28 @@ def test_a_disturbance_of_nothing_never_gives_an_estimate():
     """Zero, or so small that its square vanishes: no information, and no 0/0."""
     example = EXAMPLES["two alphas"]
     for scale in (0.0, 1e-180):
-        found = drive(
+        computed = drive(
             LeastSquaresIdentifier(example.recovery, start_time=3.0),
             scale * example.mu,
             step_ns=STEP_NS,
         )
-        assert np.isnan(found).all()
+        assert np.isnan(computed).all()
     tiny = np.where(np.arange(len(example.mu))[:, None] < 500, 1e-180, 1.0) * example.mu
-    found = drive(LeastSquaresIdentifier(example.recovery, start_time=3.0), tiny, step_ns=STEP_NS)
-    np.testing.assert_allclose(found[-1, :2], example.thetas, rtol=1e-9)
+    computed = drive(
+        LeastSquaresIdentifier(example.recovery, start_time=3.0), tiny, step_ns=STEP_NS
+    )
+    np.testing.assert_allclose(computed[-1, :2], example.thetas, rtol=1e-9)
 
 
 def test_no_theta_where_eta_belongs_to_none():
     """A regression with the opposite sign has no logarithm: eta has a value, theta has none."""
     example = EXAMPLES["two alphas"]
     flipped = example.mu * np.array([-1.0, 1, 1, 1, 1, 1])
-    found = drive(
+    computed = drive(
         LeastSquaresIdentifier(example.recovery, start_time=3.0), flipped, step_ns=STEP_NS
     )
-    assert np.isnan(found[-1, :2]).all()
-    np.testing.assert_allclose(found[-1, 2:], -example.exact_eta(), rtol=1e-9)
+    assert np.isnan(computed[-1, :2]).all()
+    np.testing.assert_allclose(computed[-1, 2:], -example.exact_eta(), rtol=1e-9)
 
 
 def test_a_start_before_the_longest_delay_stops_the_run():
@@ -228,9 +242,9 @@ def test_a_recorded_start_time_is_used():
     identifier = LeastSquaresIdentifier(example.recovery, start_time=3.0)
     identifier.prepare(H, np.zeros(6, np.bool_), {"start": np.array([5.0])})
     identifier.initialize(0.0, example.mu[0])
-    found = identifier.advance(example.t, H, example.mu)
-    np.testing.assert_allclose(found[-1], example.expected(5.0, len(example.t) - 1), rtol=1e-9)
-    assert np.isnan(found[499]).all()
+    computed = identifier.advance(example.t, H, example.mu)
+    np.testing.assert_allclose(computed[-1], example.expected(5.0, len(example.t) - 1), rtol=1e-9)
+    assert np.isnan(computed[499]).all()
 
 
 @pytest.mark.parametrize("P0", [0.0, -1.0, math.inf, math.nan])

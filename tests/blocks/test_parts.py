@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from cosim.blocks.arithmetic import gain, limit, sum_of
-from cosim.blocks.state_space import controller
 from cosim.blocks.dynamics import Delay, lag
 from cosim.blocks.replay import Replay
 from cosim.blocks.source import sine
+from cosim.blocks.state_space import controller
 from cosim.core.clock import Clock
 from cosim.core.contracts import Stopped
 from cosim.core.graph import Graph
@@ -22,8 +22,8 @@ RANDOM = np.random.default_rng(11).standard_normal((60, 2))
 
 def test_sum_adds_with_signs():
     """Gives y = u1 - u2 on vectors, exactly."""
-    found = drive(sum_of([1.0, -1.0]), RANDOM)
-    assert (found[:, 0] == RANDOM[:, 0] - RANDOM[:, 1]).all()
+    computed = drive(sum_of([1.0, -1.0]), RANDOM)
+    assert (computed[:, 0] == RANDOM[:, 0] - RANDOM[:, 1]).all()
     with pytest.raises(UsageError, match=r"sum: found no signs, needed one for each input"):
         sum_of([])
 
@@ -37,8 +37,8 @@ def test_gain_multiplies_in_a_fixed_order():
 
 def test_limit_cuts_off():
     """Values inside pass unchanged."""
-    found = drive(limit(lower=-0.5, upper=0.25, size=2), RANDOM)
-    assert (found == np.minimum(np.maximum(RANDOM, -0.5), 0.25)).all()
+    computed = drive(limit(lower=-0.5, upper=0.25, size=2), RANDOM)
+    assert (computed == np.minimum(np.maximum(RANDOM, -0.5), 0.25)).all()
     with pytest.raises(
         UsageError, match=r"limit: found lower = 1.0 and upper = 1.0, needed lower < upper"
     ):
@@ -49,21 +49,25 @@ def test_a_lag_answers_a_held_step_exactly():
     """After a step of u that is held, y = 1 - exp(-t/T) at every communication point."""
     u = np.ones((201, 1))
     t = times(200)
-    found = drive(Linear(lag(time_constant=0.05, initial=0.0)), u, held=True)[:, 0]
-    # the factor exp(-h/T) carries an error of one unit in the last place, 1.1e-16, which 200 steps add up
-    np.testing.assert_allclose(found, -np.expm1(-t / 0.05), rtol=0, atol=200 * 1.2e-16)
+    computed = drive(Linear(lag(time_constant=0.05, initial=0.0)), u, held=True)[:, 0]
+    # the factor exp(-h/T) carries an error of one unit in the last place, 1.1e-16, which 200 steps
+    # add up
+    np.testing.assert_allclose(computed, -np.expm1(-t / 0.05), rtol=0, atol=200 * 1.2e-16)
 
 
-def test_a_lag_answers_a_ramp_on_straight_lines_exactly():
-    """For u = t: y = t - T (1 - exp(-t/T)): no error of the step size; held inputs lag by half a step more."""
+def test_a_lag_follows_a_linearly_interpolated_ramp_exactly():
+    """For u = t: y = t - T (1 - exp(-t/T)): no error of the step size.
+
+    A zero-order hold of the input lags by half a step more.
+    """
     t = times(200)
     exact = t - 0.05 * -np.expm1(-t / 0.05)
-    lines, held = (
+    linear, zero_order = (
         drive(Linear(lag(time_constant=0.05)), t[:, None], held=held)[:, 0]
         for held in (False, True)
     )
-    np.testing.assert_allclose(lines, exact, rtol=0, atol=200 * 1.2e-16)
-    assert held[-1] - exact[-1] == pytest.approx(
+    np.testing.assert_allclose(linear, exact, rtol=0, atol=200 * 1.2e-16)
+    assert zero_order[-1] - exact[-1] == pytest.approx(
         -0.5e-3, rel=0.03
     )  # 1 - exp(-4) of it is settled; next term h/(12 T)
 
@@ -102,10 +106,10 @@ def test_a_controller_shows_its_state_and_declares_its_feedthrough():
     model = controller(A=np.array([[-2.0]]), B=np.eye(1), C=np.array([[3.0]]), D=np.array([[0.5]]))
     assert model.interface.feeds("y") == ("u",)
     assert model.interface.feeds("x") == ()
-    found = drive(Linear(model), np.ones((101, 1)), held=True)
+    computed = drive(Linear(model), np.ones((101, 1)), held=True)
     x = -np.expm1(-2.0 * times(100)) / 2.0
     np.testing.assert_allclose(
-        found, np.column_stack([3.0 * x + 0.5, x]), rtol=0, atol=100 * 3 * 1.2e-16
+        computed, np.column_stack([3.0 * x + 0.5, x]), rtol=0, atol=100 * 3 * 1.2e-16
     )
     assert controller(A=np.eye(1), B=np.eye(1), C=np.eye(1)).interface.feeds("y") == ()
 

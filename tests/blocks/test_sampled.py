@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from cosim.blocks.arithmetic import gain
-from cosim.blocks.state_space import controller
 from cosim.blocks.dynamics import lag
 from cosim.blocks.sampled import Decimated, Sampled
 from cosim.blocks.source import Table, sine
+from cosim.blocks.state_space import controller
 from cosim.core.clock import Clock
 from cosim.core.contracts import Stopped
 from cosim.core.graph import Graph
@@ -30,30 +30,33 @@ def through():
 
 @pytest.mark.parametrize("held", [False, True])
 def test_sampled_is_the_component_on_its_own_grid(held):
-    """Every n-th row has the bits of the component alone with the step n h; between, the last row holds."""
-    found = drive(Sampled(through(), N), U, held=held)
-    alone = drive(through(), U[::N], step_ns=N * 1_000_000, held=held)
-    assert (found == np.repeat(alone, N, axis=0)[: len(found)]).all()
+    """Every n-th row has the bits of the component with the step n h; the last row holds between."""
+    computed = drive(Sampled(through(), N), U, held=held)
+    reference = drive(through(), U[::N], step_ns=N * 1_000_000, held=held)
+    assert (computed == np.repeat(reference, N, axis=0)[: len(computed)]).all()
     assert all(
         signal.variability == "discrete" for signal in Sampled(through(), N).interface.outputs
     )
 
 
 def test_sampled_agrees_with_the_exact_step_response():
-    """Take x' = -20 (x - u) from 0 with u held at 1: 1 - exp(-20 t) at the ends of the slow steps."""
-    found = drive(
+    """x' = -20 (x - u) from 0 with u held at 1: 1 - exp(-20 t) at the ends of the slow steps."""
+    computed = drive(
         Sampled(Linear(lag(time_constant=0.05, initial=0.0)), N),
         np.ones((10 * N + 1, 1)),
         held=True,
     )[:, 0]
     t = (np.arange(10 * N + 1) // N) * N * 1e-3
     np.testing.assert_allclose(
-        found, -np.expm1(-20.0 * t), rtol=0, atol=10 * 2.3e-16
+        computed, -np.expm1(-20.0 * t), rtol=0, atol=10 * 2.3e-16
     )  # ten steps, one last bit each
 
 
-def test_what_a_sampled_component_holds_follows_an_input_that_was_known_late():
-    """A loop evaluates the outputs again with the right input; that is what holds until the next sample, not the first guess."""
+def test_what_a_sampled_component_holds_follows_an_input_that_was_extrapolated():
+    """A loop evaluates the outputs again with the right input; these hold until the next sample.
+
+    The extrapolated input leaves no trace.
+    """
     sampled, right = Sampled(through(), 3), drive(Sampled(through(), 3), U[:13], held=True)
     sampled.prepare(1e-3, np.array([True]), {})
     sampled.initialize(0.0, U[0])
@@ -107,7 +110,10 @@ def test_a_period_of_nothing_is_refused(kind):
 @pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
 @pytest.mark.parametrize("kind", [Sampled, Decimated])
 def test_a_slow_component_with_feedthrough_works_in_a_loop(kind, coupling):
-    """The output of the slow component is 2 u of the sample instant, also where u is known late, for every size of the blocks."""
+    """The output of the slow component is 2 u of the sample instant, for every size of the blocks.
+
+    Also where u is extrapolated first.
+    """
     tables = []
     for block in (1, 1000):
         memory = Memory()

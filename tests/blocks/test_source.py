@@ -24,7 +24,7 @@ def test_a_constant_is_its_value_to_the_last_bit():
 
 @pytest.mark.parametrize(("before", "after"), [(0.1, 0.3), (1e20, 1.0), (-0.7, 0.0), (0.0, -2.0)])
 def test_a_step_gives_both_values_to_the_last_bit(before, after):
-    """`before` until `time`, at `time` and later `after`; no rounding of their difference; a discrete signal."""
+    """`before` until `time`, at `time` and later `after`, without rounding; a discrete signal."""
     source = step(time=0.3, before=before, after=after)
     assert source.interface.outputs[0].variability == "discrete"
     expected = np.where(np.arange(STEPS + 1) < 300, before, after)
@@ -33,22 +33,23 @@ def test_a_step_gives_both_values_to_the_last_bit(before, after):
 
 def test_a_ramp_begins_at_its_start():
     """Gives offset + slope max(0, t - start), each operation rounded once, as numpy's."""
-    found = rows(ramp(slope=2.5, start_time=0.7, offset=-1.0))[:, 0]
-    assert (found == -1.0 + 2.5 * np.maximum(0.0, T - 0.7)).all()
+    computed = rows(ramp(slope=2.5, start_time=0.7, offset=-1.0))[:, 0]
+    assert (computed == -1.0 + 2.5 * np.maximum(0.0, T - 0.7)).all()
 
 
 def test_a_sine_is_the_closed_form():
     """Gives offset + amplitude sin(rate t + phase)."""
-    found = rows(sine(amplitude=2.0, rate=30.0, phase=0.4, offset=1.0))[:, 0]
-    # the argument is below 61: its last bit is 7e-15, times the amplitude; libm and numpy differ by one more bit of 3
-    np.testing.assert_allclose(found, 1.0 + 2.0 * np.sin(30.0 * T + 0.4), rtol=0, atol=2e-14)
+    computed = rows(sine(amplitude=2.0, rate=30.0, phase=0.4, offset=1.0))[:, 0]
+    # the argument is below 61: its last bit is 7e-15, times the amplitude; libm and numpy differ by
+    # one more bit of 3
+    np.testing.assert_allclose(computed, 1.0 + 2.0 * np.sin(30.0 * T + 0.4), rtol=0, atol=2e-14)
 
 
 def test_the_rate_of_a_chirp_grows_by_the_sweep():
     """The phase is the integral of rate + sweep t."""
-    found = rows(chirp(amplitude=1.5, rate=3.0, sweep=4.0, offset=-0.5))[:, 0]
+    computed = rows(chirp(amplitude=1.5, rate=3.0, sweep=4.0, offset=-0.5))[:, 0]
     np.testing.assert_allclose(
-        found, -0.5 + 1.5 * np.sin(3.0 * T + 2.0 * T**2), rtol=0, atol=1e-14
+        computed, -0.5 + 1.5 * np.sin(3.0 * T + 2.0 * T**2), rtol=0, atol=1e-14
     )  # argument below 14
     assert rows(chirp(amplitude=1.0, rate=0.0, sweep=math.pi, offset=0.0))[
         1000, 0
@@ -87,16 +88,16 @@ def test_a_held_table_keeps_each_value():
     """A discrete signal that changes at the instants of the table."""
     source = table(hold=True)
     assert source.interface.outputs[0].variability == "discrete"
-    found = drive(source, np.zeros((1001, 0)))
+    computed = drive(source, np.zeros((1001, 0)))
     k = np.arange(1001)[:, np.newaxis]
     assert (
-        found == np.where(k < 500, [0.0, 1.0], np.where(k < 1000, [2.0, 0.0], [2.0, 5.0]))
+        computed == np.where(k < 500, [0.0, 1.0], np.where(k < 1000, [2.0, 0.0], [2.0, 5.0]))
     ).all()
 
 
 @pytest.mark.parametrize("hold", [False, True])
 def test_a_table_refuses_beyond_its_ends(hold):
-    """It does not extrapolate: no start outside; at its end it stops and gives every row up to there."""
+    """It does not extrapolate: no start outside it; at its end it stops with all rows before."""
     source = table(hold=hold)
     for t in (-0.001, 1.001):
         with pytest.raises(UsageError, match=rf"table: covers 0.0 s to 1.0 s, was asked for {t} s"):
@@ -143,7 +144,10 @@ def test_a_table_that_is_none_is_refused(t, y, text):
 
 
 def test_noise_repeats_with_its_seed_and_has_its_deviation():
-    """The same seed gives the same bits, another seed another sequence; mean and deviation within five standard errors."""
+    """The same seed gives the same bits, another seed another sequence.
+
+    Mean and deviation are within five standard errors.
+    """
     n = 100_000
     u = np.zeros((n + 1, 0))
     first, again, other = (drive(Noise(deviation=0.3, seed=seed, size=2), u) for seed in (5, 5, 6))

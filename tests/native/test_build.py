@@ -1,4 +1,4 @@
-"""The kernels compile without a warning, run without undefined behavior, and say what is missing."""
+"""The kernels compile without a warning and run without undefined behavior."""
 
 import importlib.util
 import shutil
@@ -51,12 +51,13 @@ MAIN = r"""
 #include <math.h>
 #include <stdlib.h>
 
-/* Every array is a heap block of exactly the documented size, so that one element too many is found. */
+/* Every array is a heap block of exactly the documented size: one element too many is found. */
 static double *doubles(size_t n) { return calloc(n ? n : 1, n ? sizeof(double) : 1); }
 
 static int32_t drive(cosim_step step, void *self, int n_u, int n_y, int steps)
 {
-    double *t = doubles((size_t)steps + 1), *u = doubles((size_t)((steps + 1) * n_u)), *y = doubles((size_t)(steps * n_y));
+    double *t = doubles((size_t)steps + 1), *u = doubles((size_t)((steps + 1) * n_u));
+    double *y = doubles((size_t)(steps * n_y));
     int32_t status;
     for (int k = 0; k <= steps; ++k) {
         t[k] = 0.1 * k;
@@ -71,9 +72,10 @@ static int32_t drive(cosim_step step, void *self, int n_u, int n_y, int steps)
 static void linear(int n, int m, int p)
 {
     const int N = n + 2 * m;
-    double *A = doubles((size_t)(n * n)), *B = doubles((size_t)(n * m)), *C = doubles((size_t)(p * n));
-    double *D = doubles((size_t)(p * m));
-    double *Ad = doubles((size_t)(n * n)), *B0 = doubles((size_t)(n * m)), *B1 = doubles((size_t)(n * m));
+    double *A = doubles((size_t)(n * n)), *B = doubles((size_t)(n * m));
+    double *C = doubles((size_t)(p * n)), *D = doubles((size_t)(p * m));
+    double *Ad = doubles((size_t)(n * n));
+    double *B0 = doubles((size_t)(n * m)), *B1 = doubles((size_t)(n * m));
     double *work = doubles((size_t)(4 * N * N)), *memory = doubles((size_t)(2 * n));
     uint8_t *held = calloc((size_t)m + 1, 1);
     for (int i = 0; i < n * n; ++i) A[i] = sin(i);
@@ -82,13 +84,16 @@ static void linear(int n, int m, int p)
     cosim_first_order_hold(n, m, A, B, 0.1, held, Ad, B0, B1, work);
     cosim_linear self = {n, m, p, Ad, B0, B1, C, D, memory};
     drive(cosim_linear_step, &self, m, p, 20);
-    free(A), free(B), free(C), free(D), free(Ad), free(B0), free(B1), free(work), free(memory), free(held);
+    free(A), free(B), free(C), free(D);
+    free(Ad), free(B0), free(B1), free(work), free(memory), free(held);
 }
 
-static void least_squares(const cosim_recovery *recovery, int blocks, int unknowns, int parameters, int held, double prior)
+static void least_squares(const cosim_recovery *recovery, int groups, int unknowns, int parameters,
+                          int held, double prior)
 {
-    double *memory = doubles((size_t)((unknowns + 1) * (unknowns + 3))), *y = doubles((size_t)(parameters + unknowns));
-    cosim_least_squares self = {unknowns, blocks, parameters, held, 0.3, prior, recovery, memory};
+    double *memory = doubles((size_t)((unknowns + 1) * (unknowns + 3)));
+    double *y = doubles((size_t)(parameters + unknowns));
+    cosim_least_squares self = {unknowns, groups, parameters, held, 0.3, prior, recovery, memory};
     cosim_least_squares_start(&self, y);
     drive(cosim_least_squares_step, &self, unknowns + 1, parameters + unknowns, 40);
     free(memory), free(y);
@@ -111,7 +116,8 @@ int main(void)
     cosim_expression expression = {2, programs};
     drive(cosim_expression_step, &expression, 0, 2, 20);
 
-    const int32_t steps[] = {0, 4, 2}, row[] = {2, 0, 1, 1, 0, 2}, factor[] = {0, 4, 1, 5, 0, 5, 2, 3, 2, 4, 1, 3};
+    const int32_t steps[] = {0, 4, 2}, row[] = {2, 0, 1, 1, 0, 2};
+    const int32_t factor[] = {0, 4, 1, 5, 0, 5, 2, 3, 2, 4, 1, 3};
     const double delays[] = {0.0, 0.4, 0.2}, sign[] = {1, -1, 1, -1, 1, -1};
     double *samples = doubles(1 + 4 + 2 * 3);
     cosim_regressor regressor = {3, 2, 6, 2, steps, delays, programs, row, factor, sign, samples};
@@ -134,7 +140,7 @@ int main(void)
 
 @needs_cc
 def test_the_kernels_run_clean_under_the_sanitizers(tmp_path):
-    """No access outside the documented sizes, no leak into undefined behavior, for every kernel and for empty systems."""
+    """No access outside the documented sizes and no undefined behavior, also for empty systems."""
     sanitizers = "-fsanitize=address,undefined"
     (tmp_path / "probe.c").write_text("int main(void) { return 0; }\n")
     probe = subprocess.run(

@@ -40,8 +40,11 @@ def extend(inner):
 
 @given(st.recursive(leaves, extend, max_leaves=12), st.floats(-10.0, 10.0))
 def test_every_expression_is_what_python_makes_of_it(text, t):
-    """Bit for bit: both use the C library's functions. Where Python raises or leaves the real numbers, NaN or infinity."""
-    found = evaluate(compile_expression(text), t)
+    """Bit for bit: both use the C library's functions.
+
+    Where Python raises or leaves the real numbers, the kernel gives NaN or infinity.
+    """
+    computed = evaluate(compile_expression(text), t)
     try:
         expected = eval(text, {"__builtins__": {}}, {**NAMES, "t": t})
         expected = float(expected) if not isinstance(expected, complex) else math.nan
@@ -49,13 +52,13 @@ def test_every_expression_is_what_python_makes_of_it(text, t):
         return  # an infinity inside may vanish again outside: 1/(1/0) is 0 in C
     except TypeError:  # a complex number inside
         return
-    if all(map(math.isfinite, (expected, found))):
+    if all(map(math.isfinite, (expected, computed))):
         assert (
-            np.float64(found).view(np.uint64) == np.float64(expected).view(np.uint64)
-            or found == expected
+            np.float64(computed).view(np.uint64) == np.float64(expected).view(np.uint64)
+            or computed == expected
         )
     else:
-        assert math.isnan(expected) == math.isnan(found) or "**" in text
+        assert math.isnan(expected) == math.isnan(computed) or "**" in text
 
 
 def test_powers_bind_as_in_python():
@@ -131,7 +134,7 @@ def test_whatever_is_not_in_the_language_is_refused(text):
 
 
 def nested(depth):
-    """Give a sum that needs a stack of ``depth``."""
+    """Return a sum that needs a stack of ``depth``."""
     return "t + (" * (depth - 1) + "t" + ")" * (depth - 1)
 
 

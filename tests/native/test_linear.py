@@ -22,7 +22,10 @@ squares = st.integers(1, 6).flatmap(lambda n: arrays(np.float64, (n, n), element
 
 
 def exact_exponential(M):
-    """Sum the series in integers of 400 bits: terms of at most 24^k / k!, so that 150 of them leave less than 1e-55."""
+    """Sum the series in integers of 400 bits.
+
+    Its terms are at most 24^k / k!, so that 150 of them leave less than 1e-55.
+    """
     one = 1 << 400
     P = np.array([[int(Fraction(float(x)) * one) for x in row] for row in M], dtype=object)
     E = term = np.array(
@@ -40,7 +43,8 @@ def test_exponential_agrees_with_exact_arithmetic(M):
     """Any matrix of norm up to 24."""
     norm = np.linalg.norm(M, np.inf)
     scale = np.linalg.norm(exact_exponential(np.abs(M)), np.inf)  # bounds every partial sum
-    # a product rounds n times; each squaring doubles the errors before it, which makes n norm of the first
+    # a product rounds n times; each squaring doubles the errors before it, which makes n norm of
+    # the first
     np.testing.assert_allclose(
         matrix_exponential(M),
         exact_exponential(M),
@@ -50,21 +54,24 @@ def test_exponential_agrees_with_exact_arithmetic(M):
 
 
 def test_exponential_agrees_with_scipy():
-    """A symmetric matrix with the eigenvalues 0 and 4: also the closed form, (e^4 + 1)/2 and (e^4 - 1)/2."""
-    found, e4 = matrix_exponential(np.full((2, 2), 2.0)), math.exp(4.0)
+    """A symmetric matrix with the eigenvalues 0 and 4: (e^4 + 1)/2 and (e^4 - 1)/2, too."""
+    computed, e4 = matrix_exponential(np.full((2, 2), 2.0)), math.exp(4.0)
     expected = [[(e4 + 1) / 2, (e4 - 1) / 2], [(e4 - 1) / 2, (e4 + 1) / 2]]
-    np.testing.assert_allclose(found, expected, rtol=32 * EPS)  # norm 4: three squarings
+    np.testing.assert_allclose(computed, expected, rtol=32 * EPS)  # norm 4: three squarings
     np.testing.assert_allclose(
-        found, scipy.linalg.expm(np.full((2, 2), 2.0)), rtol=1e-12
+        computed, scipy.linalg.expm(np.full((2, 2), 2.0)), rtol=1e-12
     )  # scipy's own error here: 5e-13
 
 
 @given(st.floats(-50.0, 50.0))
 def test_exponential_of_a_rotation_is_a_rotation(angle):
-    """Cosine and sine; the angle's own last bit, and one rounding in each squaring, which doubles the errors before."""
-    found = matrix_exponential(np.array([[0.0, -angle], [angle, 0.0]]))
+    """Cosine and sine.
+
+    The angle's own last bit, and one rounding in each squaring, which doubles the errors before.
+    """
+    computed = matrix_exponential(np.array([[0.0, -angle], [angle, 0.0]]))
     expected = [[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]]
-    np.testing.assert_allclose(found, expected, rtol=0, atol=8 * EPS * max(abs(angle), 1.0))
+    np.testing.assert_allclose(computed, expected, rtol=0, atol=8 * EPS * max(abs(angle), 1.0))
 
 
 def test_exponential_of_a_nilpotent_matrix_is_its_series():
@@ -86,12 +93,12 @@ def test_exponential_of_zero_is_the_identity():
 
 def test_a_slow_mode_beside_a_fast_one_keeps_its_digits():
     """Twenty squarings for the fast mode cost the slow one a few last bits, not a million."""
-    found = matrix_exponential(np.diag([-1e6, -1.0, -1e-6, 0.0]))
+    computed = matrix_exponential(np.diag([-1e6, -1.0, -1e-6, 0.0]))
     np.testing.assert_allclose(
-        np.diag(found)[1:], np.exp([-1.0, -1e-6, 0.0]), rtol=24 * EPS
+        np.diag(computed)[1:], np.exp([-1.0, -1e-6, 0.0]), rtol=24 * EPS
     )  # one rounding a squaring
-    assert abs(found[0, 0]) < 24 * EPS
-    assert (found[~np.eye(4, dtype=bool)] == 0.0).all()
+    assert abs(computed[0, 0]) < 24 * EPS
+    assert (computed[~np.eye(4, dtype=bool)] == 0.0).all()
 
 
 def test_matrices_of_integers_are_taken_as_numbers():
@@ -107,10 +114,13 @@ def test_matrices_of_integers_are_taken_as_numbers():
 
 @pytest.mark.parametrize("rate", [1e-3, 1.0, 50.0, 1000.0])
 def test_first_order_hold_is_the_closed_form(rate):
-    """x' = -a x + u: held, B0 = (1 - e^-z)/a; a line, B1 = (z - 1 + e^-z)/(a z), with z = a h; both columns side by side."""
+    """x' = -a x + u with z = a h, both columns side by side.
+
+    Zero-order hold: B0 = (1 - e^-z)/a; linear interpolation: B1 = (z - 1 + e^-z)/(a z).
+    """
     h, n = 0.01, 2
     z = rate * h
-    found = first_order_hold(np.array([[-rate]]), np.ones((1, n)), h, np.array([False, True]))
+    computed = first_order_hold(np.array([[-rate]]), np.ones((1, n)), h, np.array([False, True]))
     whole = -math.expm1(-z) / rate
     end = (
         (0.5 * z - z**2 / 6 + z**3 / 24 - z**4 / 120) / rate
@@ -119,30 +129,33 @@ def test_first_order_hold_is_the_closed_form(rate):
     )
     # one rounding of numbers of size h in each of a few squarings
     atol = 32 * EPS * h
-    np.testing.assert_allclose(found.Ad, math.exp(-z), rtol=0, atol=32 * EPS)
-    np.testing.assert_allclose(found.B0, [[whole - end, whole]], rtol=0, atol=atol)
-    np.testing.assert_allclose(found.B1, [[end, 0.0]], rtol=0, atol=atol)
-    assert found.B1[0, 1] == 0.0
+    np.testing.assert_allclose(computed.Ad, math.exp(-z), rtol=0, atol=32 * EPS)
+    np.testing.assert_allclose(computed.B0, [[whole - end, whole]], rtol=0, atol=atol)
+    np.testing.assert_allclose(computed.B1, [[end, 0.0]], rtol=0, atol=atol)
+    assert computed.B1[0, 1] == 0.0
 
 
-def test_a_double_integrator_is_discretised_exactly():
-    """x1' = x2, x2' = u on a line: h^2/3 u0 + h^2/6 u1 and h/2 (u0 + u1)."""
+def test_a_double_integrator_is_discretized_exactly():
+    """x1' = x2, x2' = u interpolated linearly: h^2/3 u0 + h^2/6 u1 and h/2 (u0 + u1)."""
     h = 0.5
-    found = first_order_hold(
+    computed = first_order_hold(
         np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]]), h, np.array([False])
     )
-    np.testing.assert_allclose(found.Ad, [[1.0, h], [0.0, 1.0]], rtol=2 * EPS)
-    np.testing.assert_allclose(found.B0, [[h**2 / 3], [h / 2]], rtol=4 * EPS)
-    np.testing.assert_allclose(found.B1, [[h**2 / 6], [h / 2]], rtol=4 * EPS)
+    np.testing.assert_allclose(computed.Ad, [[1.0, h], [0.0, 1.0]], rtol=2 * EPS)
+    np.testing.assert_allclose(computed.B0, [[h**2 / 3], [h / 2]], rtol=4 * EPS)
+    np.testing.assert_allclose(computed.B1, [[h**2 / 6], [h / 2]], rtol=4 * EPS)
 
 
 @settings(max_examples=20, deadline=None)
 @given(squares, st.data())
 def test_first_order_hold_agrees_with_quadrature(A, data):
-    """Ad = e^(hA), B0 + B1 = int e^(As) ds B and B1 = int e^(As) (1 - s/h) ds B, by Gauss-Legendre, for any matrix."""
+    """Any matrix: Ad = e^(hA), B0 + B1 = int e^(As) ds B and B1 = int e^(As) (1 - s/h) ds B.
+
+    The integrals are computed by Gauss-Legendre.
+    """
     n, h = len(A), 0.25
     B = data.draw(arrays(np.float64, (n, 2), elements=finite))
-    found = first_order_hold(A, B, h, np.array([False, True]))
+    computed = first_order_hold(A, B, h, np.array([False, True]))
     x, w = np.polynomial.legendre.leggauss(
         20
     )  # 20 points are exact to degree 39: (norm h)^40 / 40! < 1e-16
@@ -155,17 +168,17 @@ def test_first_order_hold_agrees_with_quadrature(A, data):
         * np.linalg.norm(exact_exponential(np.abs(A) * h), np.inf)
         * (1 + h * np.abs(B).sum())
     )
-    np.testing.assert_allclose(found.Ad, exact_exponential(A * h), rtol=0, atol=atol)
+    np.testing.assert_allclose(computed.Ad, exact_exponential(A * h), rtol=0, atol=atol)
     np.testing.assert_allclose(
-        found.B0, np.column_stack([(whole - end)[:, 0], whole[:, 1]]), rtol=0, atol=atol
+        computed.B0, np.column_stack([(whole - end)[:, 0], whole[:, 1]]), rtol=0, atol=atol
     )
     np.testing.assert_allclose(
-        found.B1, np.column_stack([end[:, 0], np.zeros(n)]), rtol=0, atol=atol
+        computed.B1, np.column_stack([end[:, 0], np.zeros(n)]), rtol=0, atol=atol
     )
 
 
 def dirty_derivative(rate):
-    """Give q' = rate (u - q) with the outputs rate (u - q), fresh, and q (19)."""
+    """Return q' = rate (u - q) with the outputs rate (u - q), fresh, and q (19)."""
     return Linear(
         linear_model(
             (Signal("u"),),
@@ -189,21 +202,24 @@ def dirty_derivative(rate):
         "lambda_f=100,H=0.01",
     ],
 )
-def test_the_dirty_derivative_of_a_ramp_is_one_only_on_straight_lines(case, key):
-    """C06: held inputs over-read a ramp by z/(1 - e^-z), or under-read it where the output is stale; lines give 1."""
+def test_the_dirty_derivative_of_a_ramp_is_one_only_with_linear_interpolation(case, key):
+    """C06: a zero-order hold over-reads a ramp by z/(1 - e^-z), or under-reads it with old outputs.
+
+    Linear interpolation gives 1.
+    """
     reference = case("C06")
     rate, h = (float(part.split("=")[1]) for part in key.split(","))
     steps = max(40, math.ceil(40.0 / (rate * h)))  # e^-40 of the transient is left
     u = (np.arange(steps + 1) * h)[:, None]
     expected = reference["expected_gain"][key]
-    held, lines = (
+    zero_order, linear = (
         drive(dirty_derivative(rate), u, step_ns=round(h * 1e9), held=held)
         for held in (True, False)
     )
-    stale = rate * (u[-2, 0] - held[-1, 1])
-    assert abs(held[-1, 0] - expected["zoh_fresh_output"]) <= reference["tol"]
+    stale = rate * (u[-2, 0] - zero_order[-1, 1])
+    assert abs(zero_order[-1, 0] - expected["zoh_fresh_output"]) <= reference["tol"]
     assert abs(stale - expected["zoh_stale_output"]) <= reference["tol"]
-    assert abs(lines[-1, 0] - expected["foh"]) <= reference["tol"]
+    assert abs(linear[-1, 0] - expected["foh"]) <= reference["tol"]
 
 
 @given(st.integers(1, 5), st.integers(1, 5), st.integers(0, 3), st.data())

@@ -21,13 +21,13 @@ def academic():
     return cosim.run("academic")
 
 
-def test_straight_lines_keep_the_disturbance_error_near_the_methods_own(academic):
-    """The method's own error is 5.0e-4; straight-line inputs add no more than 0.5e-4."""
+def test_linear_interpolation_keeps_the_disturbance_error_near_the_methods_own(academic):
+    """The method's own error is 5.0e-4; linear interpolation adds no more than 0.5e-4."""
     assert error_of_delta(academic) <= 5.5e-4
 
 
-def test_held_inputs_spoil_the_disturbance():
-    """Held inputs make the dirty derivative read ramps 58 % too high: an error of 0.35."""
+def test_a_zero_order_hold_spoils_the_disturbance():
+    """A zero-order hold makes the dirty derivative read ramps 58 % too high: an error of 0.35."""
     held = cosim.run("academic", set={"scenario.input_interpolation": "zero-order"})
     assert error_of_delta(held) == pytest.approx(0.353, abs=5e-3)
 
@@ -45,15 +45,18 @@ def test_held_inputs_spoil_the_disturbance():
         ("closed-loop", {"controller.period": 0.01}, "zero-order hold of u over"),
     ],
 )
-def test_held_inputs_are_warned_of(scenario, changes, which):
-    """Held from the start, discrete, late in a loop, sampled: with filter_rate x step = 1 the warning says what it costs."""
+def test_a_zero_order_hold_is_warned_of(scenario, changes, which):
+    """Held by choice, discrete, extrapolated in a loop, sampled: the warning states the cost.
+
+    Here filter_rate x step is 1.
+    """
     run = cosim.run(scenario, set={**changes, "scenario.stop": 0.1})
     warnings = dict(json.loads(run.metadata["cosim.run"]["warnings"]))
     assert which in warnings["observer"]
     assert "58% too high" in warnings["observer"]
 
 
-def test_straight_lines_are_not_warned_of(academic):
+def test_linear_interpolation_is_not_warned_of(academic):
     """No warning without a reason."""
     assert json.loads(academic.metadata["cosim.run"]["warnings"]) == []
 
@@ -70,17 +73,18 @@ def test_what_a_sine_cannot_tell_apart_is_said():
         "scenario.stop": 10.0,
     }
     run = cosim.run("academic", set=changes)
-    (found,) = summarize(run).identifications
-    assert found.notes == (
+    (identification,) = summarize(run).identifications
+    assert identification.notes == (
         "theta[0]: a rate above 6.283 rad/s is taken for a slower one (delays 0.5 s apart)",
     )
     assert run["identifier.theta"][-1] == pytest.approx(2 * np.pi / 0.5 - 7.0, abs=1e-3)
 
 
 def test_coupling_error_is_of_second_order():
-    """Halving the communication step divides the coupling error of the plant and of the reconstruction by four.
+    """Halving the communication step quarters the coupling errors of plant and reconstruction.
 
-    The reference is the same scenario at an eighth of the finer step: its own error is 1/64 of it, inside the margin.
+    The reference is the same scenario at an eighth of the finer step: its own error is 1/64 of it,
+    inside the margin.
     """
     runs = {
         h: cosim.run("academic", set={"scenario.step": h, "scenario.stop": 10.0})
@@ -111,7 +115,7 @@ def test_as_printed_the_identifier_does_not_converge():
 
 
 def test_closed_loop_identifies_the_disturbance():
-    """The loop changes the plant's input, not the disturbance: the estimates stay as good as in the open loop."""
+    """The loop changes the plant's input, not the disturbance: as good as in the open loop."""
     run = cosim.run("closed-loop")
     error = abs(run["identifier.theta"][-1] - [-0.1, -0.3])
     assert error[0] <= 5e-4
@@ -119,7 +123,7 @@ def test_closed_loop_identifies_the_disturbance():
 
 
 def test_there_is_no_estimate_before_there_is_information(academic):
-    """theta is NaN up to the start of the identification, and never after it has begun to be known."""
+    """theta is NaN up to the identification start time, and never after its first value."""
     time = academic.time("identifier.theta")
     theta = academic["identifier.theta"]
     assert np.isnan(theta[time <= 6.461]).all()

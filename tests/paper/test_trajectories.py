@@ -1,4 +1,7 @@
-"""The paper's example through the whole program, against exact exponential sums in 40-digit arithmetic (C02, C04, C05)."""
+"""The paper's example through the whole program, against exact exponential sums (C02, C04, C05).
+
+The sums were computed in 40-digit arithmetic.
+"""
 
 import numpy as np
 import pytest
@@ -26,11 +29,11 @@ def at(run, signal, times):
 def test_states_and_estimates_follow_the_exact_solution(fine, case):
     """C02: states to 1e-8.
 
-    Straight lines for u and delta err by max|u''| h^2 / 8 = 8 (0.25 ms)^2 / 8 = 6e-8 at the input at worst, and that only near
-    t = 0; the plant averages it to below 1e-8.
+    Linear interpolation of u and delta errs by max|u''| h^2 / 8 = 8 (0.25 ms)^2 / 8 = 6e-8 at the
+    input at worst, and that only near t = 0; the plant averages it to below 1e-8.
     """
-    found = case("C02")
-    times = np.array(found["t"])
+    reference = case("C02")
+    times = np.array(reference["t"])
     columns = {
         "plant.x_a": ("x1", "x2"),
         "observer.x_a": ("xhat1", "xhat2"),
@@ -39,17 +42,17 @@ def test_states_and_estimates_follow_the_exact_solution(fine, case):
         "delta.y": ("delta",),
     }
     for signal, names in columns.items():
-        exact = np.array([found["expected"][name] for name in names]).T
-        assert abs(at(fine, signal, times) - exact).max() <= found["tol"]["states"], signal
+        exact = np.array([reference["expected"][name] for name in names]).T
+        assert abs(at(fine, signal, times) - exact).max() <= reference["tol"]["states"], signal
 
 
 def test_reconstructed_disturbance_follows_the_exact_filter(fine, case):
     """C02: delta_hat of the paper's filter, its own O(1/lambda_f) error included, to 1e-5."""
-    found = case("C02")
-    exact = np.array(found["expected"]["delta_hat"])
+    reference = case("C02")
+    exact = np.array(reference["expected"]["delta_hat"])
     assert (
-        abs(at(fine, "observer.delta", np.array(found["t"]))[:, 0] - exact).max()
-        <= found["tol"]["delta_hat"]
+        abs(at(fine, "observer.delta", np.array(reference["t"]))[:, 0] - exact).max()
+        <= reference["tol"]["delta_hat"]
     )
 
 
@@ -68,8 +71,9 @@ def test_rms_error_of_the_reconstruction_is_the_methods_own(fine, case):
     )
 
 
-# The derivative filter reads a straight line for a curve, filter_rate h^2 / 12 y'' = 8e-7 y'' at 0.1 ms, and at t = 10 s theta2
-# still answers to that with 4e-5, twice the tolerance; a quarter of the error at half the step is within it.
+# The derivative filter reads y by linear interpolation, filter_rate h^2 / 12 y'' = 8e-7 y'' off at
+# 0.1 ms, and at t = 10 s theta2 still answers to that with 4e-5, twice the tolerance; a quarter of
+# the error at half the step is within it.
 @pytest.mark.parametrize(
     ("name", "key", "P0", "step", "times"),
     [
@@ -81,8 +85,8 @@ def test_rms_error_of_the_reconstruction_is_the_methods_own(fine, case):
 )
 def test_least_squares_as_printed_gives_the_exact_estimates(name, key, P0, step, times, case):
     """C04, C05: theta of (33)-(35) from delta_hat to 2e-5, with filters started at zero."""
-    found = case(name)
-    expected = found["expected"]
+    reference = case(name)
+    expected = reference["expected"]
     for part in key:
         expected = expected[part]
     changes = {
@@ -95,15 +99,18 @@ def test_least_squares_as_printed_gives_the_exact_estimates(name, key, P0, step,
     rows = {row["t"]: row["theta"] for row in expected["delta_hat"]}
     for time in times:
         theta = at(run, "identifier.theta", np.array([time]))[0]
-        assert abs(theta - rows[time]).max() <= found["tol_theta"], time
+        assert abs(theta - rows[time]).max() <= reference["tol_theta"], time
 
 
 def test_errors_at_one_millisecond_stay_what_they_are(case):
-    """At 1 ms the straight lines err by up to 16 times what they do at 0.25 ms: states to 16e-8, delta_hat to 16e-5."""
-    found = case("C02")
+    """At 1 ms linear interpolation errs by up to 16 times its error at 0.25 ms.
+
+    States to 16e-8, delta_hat to 16e-5.
+    """
+    reference = case("C02")
     run = cosim.run("academic", set={"observer.q0": [0.0]})
-    times = np.array(found["t"])
-    states = np.array([found["expected"][name] for name in ("x1", "x2")]).T
-    assert abs(at(run, "plant.x_a", times) - states).max() <= 16 * found["tol"]["states"]
-    error = abs(at(run, "observer.delta", times)[:, 0] - found["expected"]["delta_hat"]).max()
-    assert error <= 16 * found["tol"]["delta_hat"]
+    times = np.array(reference["t"])
+    states = np.array([reference["expected"][name] for name in ("x1", "x2")]).T
+    assert abs(at(run, "plant.x_a", times) - states).max() <= 16 * reference["tol"]["states"]
+    error = abs(at(run, "observer.delta", times)[:, 0] - reference["expected"]["delta_hat"]).max()
+    assert error <= 16 * reference["tol"]["delta_hat"]

@@ -12,7 +12,7 @@ THETA = (-0.1, -0.3)
 
 
 def academic() -> DescriptorSystem:
-    """Give the system of the example."""
+    """Return the system of the example."""
     return DescriptorSystem(
         A=np.array([[0, 1, 1], [0, -2, 1], [1, 0, 1]]),
         Bu=np.array([[0], [2], [1]]),
@@ -23,7 +23,7 @@ def academic() -> DescriptorSystem:
 
 
 def ordinary(A, B, C) -> DescriptorSystem:
-    """Give a system without algebraic states and inputs: `x' = A x + B delta, y = C x`."""
+    """Return a system without algebraic states and inputs: `x' = A x + B delta, y = C x`."""
     A = np.array(A)
     return DescriptorSystem(
         A=A, Bu=np.zeros((len(A), 0)), Bd=np.array(B), C=np.array(C), n_a=len(A)
@@ -31,16 +31,16 @@ def ordinary(A, B, C) -> DescriptorSystem:
 
 
 def alpha(t: Vector) -> Matrix:
-    """Give (alpha_1, alpha_2) of (31) at the times t, last axis 2."""
+    """Return (alpha_1, alpha_2) of (31) at the times t, last axis 2."""
     return np.stack([1.35 + 0.25 * np.sin(1.7 * t), 1.1 + 0.2 * np.cos(2.3 * t)], axis=-1)
 
 
 def delta(t: Vector) -> Vector:
-    """Give the disturbance (31) at the times t."""
+    """Return the disturbance (31) at the times t."""
     return (alpha(t) * np.exp(np.multiply.outer(t, THETA))).sum(axis=-1)
 
 
 def delayed(t: Vector) -> tuple[Matrix, Matrix]:
-    """Give `delta(t - D_j)`, shape (N, 3), and `alpha(t - D_j)`, shape (N, 3, 2)."""
+    """Return `delta(t - D_j)`, shape (N, 3), and `alpha(t - D_j)`, shape (N, 3, 2)."""
     times = np.subtract.outer(np.atleast_1d(t), DELAYS)
     return delta(times), alpha(times)

@@ -16,7 +16,8 @@ from cosim.theory.descriptor import (
 )
 from tests.theory.academic import academic, ordinary
 
-# Small integers (and halves) are exact in float64 and their solves have condition below 1e4 here, so 1e-12 is 1e4 roundings.
+# Small integers (and halves) are exact in float64 and their solves have condition below 1e4 here,
+# so 1e-12 is 1e4 roundings.
 TOLERANCE = 1e-12
 
 
@@ -24,9 +25,9 @@ def test_the_reduction_is_the_papers(case):
     """(8)-(12) give the matrices of (28)."""
     expected, reduced = case("C01")["expected"], reduce(academic())
     for name in ("A_a", "B_1a", "B_2a", "C3", "C4", "C5"):
-        found = getattr(reduced, name)
+        computed = getattr(reduced, name)
         np.testing.assert_allclose(
-            found, np.reshape(expected[name], found.shape), rtol=0, atol=case("C01")["tol"]
+            computed, np.reshape(expected[name], computed.shape), rtol=0, atol=case("C01")["tol"]
         )
 
 
@@ -44,7 +45,7 @@ def test_the_structure_is_the_papers(case):
     assert abs(disturbance_transfer(reduced, 1j)[0, 0] - complex(*expected["G_d_at_1j"])) <= tol
 
 
-def test_the_start_is_consistent(case):
+def test_the_initial_state_is_consistent(case):
     """x_b(0) of (27) follows from x_a(0) and u(0) by (8)."""
     system = case("C01")["system"]
     x_b = algebraic_state(
@@ -83,7 +84,7 @@ def test_the_reduced_system_satisfies_the_descriptor_equations(A, B, C):
 
 
 def test_rounding_in_C5_is_zero_and_a_real_C5_is_kept():
-    """C2 A22^-1 B22 = 0 in exact arithmetic gives C5 = 0; a small value that is not rounding stays."""
+    """C2 A22^-1 B22 = 0 in exact arithmetic gives C5 = 0; a small value beyond rounding stays."""
 
     def C5(b):
         A = np.block(
@@ -102,12 +103,10 @@ def test_rounding_in_C5_is_zero_and_a_real_C5_is_kept():
 
 
 def test_zeros_of_tall_and_wide_systems():
-    """A zero stays one when an output is added that sees the same; the transposed system has the same zeros."""
-    A, B, C = (
-        np.array([[0.0, 1, 0], [0, 0, 1], [-6, -11, -6]]),
-        np.array([[0.0], [0], [1]]),
-        np.array([[3.0, 1, 0]]),
-    )
+    """A zero stays one with a proportional second output; the transposed system has the same."""
+    A = np.array([[0.0, 1, 0], [0, 0, 1], [-6, -11, -6]])
+    B = np.array([[0.0], [0], [1]])
+    C = np.array([[3.0, 1, 0]])
     tall = reduce(ordinary(A, B, np.vstack([C, 2 * C])))
     wide = reduce(ordinary(A.T, np.vstack([C, 2 * C]).T, B.T))
     # (s + 3) / ((s + 1)(s + 2)(s + 3)); simple zero, condition of the basis below 1e2
@@ -125,7 +124,7 @@ def test_zeros_do_not_exist_without_full_rank():
 
 
 def test_the_index_is_counted():
-    """0 without algebraic states, 1 with regular A22, 2 and 3 for chains of integrators read backwards."""
+    """0 without algebraic states, 1 with regular A22, 2 and 3 for inverted integrator chains."""
     assert pencil_index(ordinary([[-1.0]], [[1]], [[1]])) == 0
     assert pencil_index(academic()) == 1
     for index, A in ((2, [[0.0, 1], [1, 0]]), (3, [[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])):
@@ -147,7 +146,8 @@ def test_a_singular_A22_is_refused_with_its_evidence():
     )
     with pytest.raises(
         AssumptionError,
-        match=r"Assumption 2 \(3\): A22 is singular \(rank 0 of 1, condition inf\).*INDEX_2: .* index 2, needed 1",
+        match=r"Assumption 2 \(3\): A22 is singular \(rank 0 of 1, condition inf\).*"
+        r"INDEX_2: .* index 2, needed 1",
     ):
         reduce(system)
 

@@ -36,7 +36,8 @@ def test_a_delayed_component_is_K_times_the_basis(name, theta, D, a, b):
             a * math.cos(theta * t) - b * math.sin(theta * t),
         ]
         delayed = a * math.sin(theta * (t - D)) + b * math.cos(theta * (t - D))
-    # expm leaves norms up to 5.4 unscaled, where terms of size e^5 cancel, and squares twice: 1e-16 * 150 * 4, times a few
+    # expm leaves norms up to 5.4 unscaled, where terms of size e^5 cancel, and squares twice:
+    # 1e-16 * 150 * 4, times a few
     bound = 1e-12 * max(1.0, float(np.abs(K(family, theta, D)) @ np.abs(beta)))
     assert abs(K(family, theta, D) @ beta - delayed) <= bound
 
@@ -44,9 +45,9 @@ def test_a_delayed_component_is_K_times_the_basis(name, theta, D, a, b):
 @given(st.floats(-3, 3), st.floats(0.1, 2))
 def test_an_exponential_follows_from_its_root(theta, spacing):
     """theta_from_roots inverts z = exp(theta spacing)."""
-    found = Exponential().theta_from_roots([math.exp(theta * spacing)], spacing)
+    computed = Exponential().theta_from_roots([math.exp(theta * spacing)], spacing)
     np.testing.assert_allclose(
-        found, [theta], rtol=0, atol=1e-15 / spacing + 1e-15
+        computed, [theta], rtol=0, atol=1e-15 / spacing + 1e-15
     )  # rounding of z, relative, over the spacing
 
 
@@ -54,10 +55,10 @@ def test_an_exponential_follows_from_its_root(theta, spacing):
 def test_a_sine_follows_from_its_roots(rate, spacing):
     """theta_from_roots inverts z = exp(+-j w spacing) below pi / spacing."""
     z = complex(math.cos(rate * spacing), math.sin(rate * spacing))
-    found = Sine().theta_from_roots([z, z.conjugate()], spacing)
+    computed = Sine().theta_from_roots([z, z.conjugate()], spacing)
     # acos magnifies the rounding of the cosine by 1 / sin
     np.testing.assert_allclose(
-        found, [rate], rtol=0, atol=1e-15 / (spacing * math.sin(rate * spacing))
+        computed, [rate], rtol=0, atol=1e-15 / (spacing * math.sin(rate * spacing))
     )
 
 
@@ -90,7 +91,7 @@ def test_a_theta_of_the_wrong_size_is_refused():
 
 
 def test_components_are_grouped_by_alpha():
-    """Equal alpha, one block; blocks in the order of their first component, sizes by basis functions."""
+    """Equal alpha, one group; in the order of their first component, sized by basis functions."""
     families: list[Family] = [Exponential(), Sine(), Exponential()]
     first, second = group_by_alpha(["a", "b", "a"], families)
     assert (first.alpha, first.components, first.families, first.size) == (
@@ -107,7 +108,7 @@ def test_components_are_grouped_by_alpha():
     )
 
 
-def test_coefficients_stack_the_components_of_a_block():
+def test_coefficients_stack_the_components_of_a_group():
     """One row per delay, the columns of the components side by side."""
     stacked = coefficients([Exponential(), Sine()], [-0.1, 1.3], [0.0, 2.0])
     assert stacked.shape == (2, 3)

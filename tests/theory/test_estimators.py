@@ -13,7 +13,7 @@ from tests.theory.academic import DELAYS, THETA, delayed
 
 
 def gauss(a, b, pieces):
-    """Give times and weights of Gauss-Legendre's rule with 10 points on each piece of [a, b]."""
+    """Return times and weights of Gauss-Legendre's rule with 10 points on each piece of [a, b]."""
     x, w = np.polynomial.legendre.leggauss(10)
     edges = np.linspace(a, b, pieces + 1)
     half = np.diff(edges)[:, None] / 2.0
@@ -21,56 +21,56 @@ def gauss(a, b, pieces):
 
 
 def recovery(alphas, families, delays):
-    blocks = group_by_alpha(alphas, families)
-    terms = expand(tuple(block.size for block in blocks))
-    return terms, blocks, plan(terms, blocks, delays)
+    groups = group_by_alpha(alphas, families)
+    terms = expand(tuple(group.size for group in groups))
+    return terms, groups, plan(terms, groups, delays)
 
 
-def exact_eta(terms, blocks, thetas, delays):
+def exact_eta(terms, groups, thetas, delays):
     return eta(
         terms,
         [
-            coefficients(block.families, [thetas[i] for i in block.components], delays)
-            for block in blocks
+            coefficients(group.families, [thetas[i] for i in group.components], delays)
+            for group in groups
         ],
     )
 
 
 def test_the_papers_formula_is_reproduced_to_the_last_bit(case):
     """(35): theta_1 = ln(eta_3) / (D_1 - D_3), theta_2 = ln(eta_6) / (D_2 - D_3)."""
-    _, _, the_plan = recovery(["a", "b"], [Exponential()] * 2, DELAYS)
-    assert [block.terms for block in the_plan.groups] == [(2, 0), (5, 0)]
-    assert [block.signs for block in the_plan.groups] == [(-1, 1), (-1, 1)]
+    _, _, planned = recovery(["a", "b"], [Exponential()] * 2, DELAYS)
+    assert [group.terms for group in planned.groups] == [(2, 0), (5, 0)]
+    assert [group.signs for group in planned.groups] == [(-1, 1), (-1, 1)]
     eta_2_to_6 = np.array(case("C03")["expected"]["eta_2_to_6"])
-    found = recover(the_plan, eta_2_to_6)
-    assert found[0] == math.log(eta_2_to_6[1]) / (1.0 - 3.0)
-    assert found[1] == math.log(eta_2_to_6[4]) / (2.0 - 3.0)
-    np.testing.assert_allclose(found, THETA, rtol=0, atol=1e-15)
+    computed = recover(planned, eta_2_to_6)
+    assert computed[0] == math.log(eta_2_to_6[1]) / (1.0 - 3.0)
+    assert computed[1] == math.log(eta_2_to_6[4]) / (2.0 - 3.0)
+    np.testing.assert_allclose(computed, THETA, rtol=0, atol=1e-15)
 
 
 def test_a_sine_is_recovered_from_two_cosines(case):
     """C08: eta of equal spacing is 2 cos(w spacing)."""
     reference = case("C08")
-    terms, blocks, the_plan = recovery(["a"], [Sine()], reference["D"])
-    constants = exact_eta(terms, blocks, reference["theta"], reference["D"])
+    terms, groups, planned = recovery(["a"], [Sine()], reference["D"])
+    constants = exact_eta(terms, groups, reference["theta"], reference["D"])
     expected = reference["expected"]
     assert (
         abs(constants[[term.row for term in terms[1:]].index(1)] - expected["value"])
         <= reference["tol"]
     )
     np.testing.assert_allclose(
-        recover(the_plan, constants), [expected["omega"]], rtol=0, atol=reference["tol"]
+        recover(planned, constants), [expected["omega"]], rtol=0, atol=reference["tol"]
     )
-    assert the_plan.groups[0].kind is RecoveryKind.SINE
-    assert the_plan.groups[0].limit == math.pi / 0.5
+    assert planned.groups[0].kind is RecoveryKind.SINE
+    assert planned.groups[0].limit == math.pi / 0.5
 
 
 def test_two_exponentials_of_one_alpha_are_recovered_from_a_quadratic(case):
     """C09: the recurrence d(t) - s1 d(t - 1) + s2 d(t - 2), theta sorted descending."""
     reference = case("C09")
-    terms, blocks, the_plan = recovery(["one", "one"], [Exponential()] * 2, reference["D"])
-    constants = exact_eta(terms, blocks, reference["theta"], reference["D"])
-    chosen = the_plan.groups[0]
+    terms, groups, planned = recovery(["one", "one"], [Exponential()] * 2, reference["D"])
+    constants = exact_eta(terms, groups, reference["theta"], reference["D"])
+    chosen = planned.groups[0]
     c = [
         sign * np.append(1.0, constants)[term]
         for term, sign in zip(chosen.terms, chosen.signs, strict=True)
@@ -78,9 +78,7 @@ def test_two_exponentials_of_one_alpha_are_recovered_from_a_quadratic(case):
     assert abs(-c[1] / c[0] - reference["expected"]["s1"]) <= reference["tol"]
     assert abs(c[2] / c[0] - reference["expected"]["s2"]) <= reference["tol"]
     expected = reference["expected"]["recovered_theta_sorted"][::-1]
-    np.testing.assert_allclose(
-        recover(the_plan, constants), expected, rtol=0, atol=reference["tol"]
-    )
+    np.testing.assert_allclose(recover(planned, constants), expected, rtol=0, atol=reference["tol"])
 
 
 rates = st.floats(0.3, 2.5)  # sines below pi / spacing, away from its ends
@@ -99,7 +97,10 @@ COMPONENTS = {
 
 @given(st.sampled_from(sorted(COMPONENTS)), st.data())
 def test_recovery_inverts_the_expansion(name, data):
-    """From theta to chi to eta and back is the identity, also where the delays of the first term are not equally spaced."""
+    """From theta to chi to eta and back is the identity.
+
+    Also where the delays of the first term are not equally spaced.
+    """
     alphas, kinds = COMPONENTS[name]
     thetas = [data.draw(rates if kind == "s" else decays) for kind in kinds]
     paired = [
@@ -107,25 +108,25 @@ def test_recovery_inverts_the_expansion(name, data):
     ]
     assume(not paired or paired[0] - paired[1] > 0.1)
     delays = [1.0 + j for j in range(sum(1 + (kind == "s") for kind in kinds) + 1)]
-    terms, blocks, the_plan = recovery(
+    terms, groups, planned = recovery(
         alphas, [Sine() if kind == "s" else Exponential() for kind in kinds], delays
     )
     chi_0_scale = [
         abs(math.sin(theta)) for theta, kind in zip(thetas, kinds, strict=True) if kind == "s"
     ]
     assume(all(value > 0.1 for value in chi_0_scale))
-    found = recover(the_plan, exact_eta(terms, blocks, thetas, delays))
+    computed = recover(planned, exact_eta(terms, groups, thetas, delays))
     # minors of numbers up to e^5 divided by gaps of 0.1 in two places: 1e-16 * 150 / 0.1^2 * some
-    np.testing.assert_allclose(found, thetas, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(computed, thetas, rtol=0, atol=1e-10)
 
 
 def test_delays_may_come_in_any_order():
     """Only their values count: a sine and an exponential with D = (1, 2, 1.5, 3)."""
     delays = [1.0, 2.0, 1.5, 3.0]
-    terms, blocks, the_plan = recovery(["a", "b"], [Sine(), Exponential()], delays)
-    assert the_plan.groups[0].spacing == 1.0
+    terms, groups, planned = recovery(["a", "b"], [Sine(), Exponential()], delays)
+    assert planned.groups[0].spacing == 1.0
     np.testing.assert_allclose(
-        recover(the_plan, exact_eta(terms, blocks, [1.3, -0.2], delays)),
+        recover(planned, exact_eta(terms, groups, [1.3, -0.2], delays)),
         [1.3, -0.2],
         rtol=0,
         atol=1e-12,
@@ -133,11 +134,14 @@ def test_delays_may_come_in_any_order():
 
 
 def test_an_eta_that_belongs_to_no_theta_gives_nan():
-    """Logarithm of a non-positive number, complex roots, a cosine beyond one, NaN: no value, block by block."""
+    """Logarithm of a non-positive number, complex roots, a cosine beyond one, NaN: no value.
+
+    Group by group.
+    """
     _, _, two = recovery(["a", "b"], [Exponential()] * 2, DELAYS)
-    found = recover(two, np.array([1.0, -1.0, 1.0, 1.0, math.exp(0.3)]))
-    assert np.isnan(found[0])
-    assert found[1] == math.log(math.exp(0.3)) / (2.0 - 3.0)
+    computed = recover(two, np.array([1.0, -1.0, 1.0, 1.0, math.exp(0.3)]))
+    assert np.isnan(computed[0])
+    assert computed[1] == math.log(math.exp(0.3)) / (2.0 - 3.0)
     assert np.isnan(recover(two, np.full(5, np.nan))).all()
     assert np.isnan(recover(two, np.zeros(5))).all()
     terms, _, pair = recovery(["a", "a"], [Exponential()] * 2, DELAYS)
@@ -159,7 +163,8 @@ def test_an_eta_that_belongs_to_no_theta_gives_nan():
             ["a"] * 3,
             [Exponential()] * 3,
             (1, 2, 3, 4),
-            r"no formula .* components \[0, 1, 2\] that share alpha 'a' \(exponential, .*\); possible",
+            r"no formula .* components \[0, 1, 2\] that share alpha 'a' "
+            r"\(exponential, .*\); possible",
         ),
         (
             ["a"] * 2,
@@ -184,24 +189,24 @@ def test_a_recovery_that_does_not_exist_is_refused(alphas, families, delays, mes
 
 @pytest.mark.parametrize(("name", "prior"), [("C04", 1e-3), ("C05", 1e-9)])
 def test_least_squares_is_the_solution_of_the_papers_equations(case, name, prior):
-    """(33)-(34) from exact delta: with P(0) = 1e3 I theta_2 is wrong in sign, with 1e9 I it is right."""
+    """(33)-(34) from exact delta: theta_2 has the wrong sign with P(0) = 1e3 I, not with 1e9 I."""
     reference = case(name)
     expected = reference["expected"] if name == "C04" else reference["expected"]["P0_1e9"]
-    _, _, the_plan = recovery(["a", "b"], [Exponential()] * 2, DELAYS)
+    _, _, planned = recovery(["a", "b"], [Exponential()] * 2, DELAYS)
     for sample in expected["oracle_delta"]:
         t, weights = gauss(
             reference["T_id"], sample["t"], 100
         )  # pieces below 0.4 s: the rule is exact to rounding
-        found = least_squares(mu(expand((1, 1)), *delayed(t)), weights, prior)
-        np.testing.assert_allclose(found, sample["eta"], rtol=0, atol=1e-9)
-        np.testing.assert_allclose(recover(the_plan, found), sample["theta"], rtol=0, atol=1e-9)
+        computed = least_squares(mu(expand((1, 1)), *delayed(t)), weights, prior)
+        np.testing.assert_allclose(computed, sample["eta"], rtol=0, atol=1e-9)
+        np.testing.assert_allclose(recover(planned, computed), sample["theta"], rtol=0, atol=1e-9)
 
 
 def test_least_squares_without_a_prior_is_exact(case):
     """Exact delta, no prior: eta itself. Condition of the rows is sqrt(3.2e4) = 180."""
     t = np.linspace(case("C03")["expected"]["T_id"], 40.0, 2000)
-    found = least_squares(mu(expand((1, 1)), *delayed(t)), trapezoid_weights(t))
-    np.testing.assert_allclose(found, case("C03")["expected"]["eta_2_to_6"], rtol=0, atol=1e-11)
+    computed = least_squares(mu(expand((1, 1)), *delayed(t)), trapezoid_weights(t))
+    np.testing.assert_allclose(computed, case("C03")["expected"]["eta_2_to_6"], rtol=0, atol=1e-11)
 
 
 def test_least_squares_says_when_there_is_no_answer():
@@ -213,8 +218,8 @@ def test_least_squares_says_when_there_is_no_answer():
     np.testing.assert_allclose(least_squares(rows, np.ones(3), 1.0), [-6 / 7, -6 / 7], rtol=1e-14)
 
 
-def test_trapezoid_weights_integrate_straight_lines():
-    """The sum of weight times a straight line is its integral, on any grid."""
+def test_trapezoid_weights_integrate_linear_functions():
+    """The weighted sum of a linear function is its integral, on any grid."""
     t = np.array([0.0, 0.5, 2.0, 2.25])
     np.testing.assert_allclose(
         trapezoid_weights(t) @ (3.0 * t + 1.0), 1.5 * 2.25**2 + 2.25, rtol=1e-15

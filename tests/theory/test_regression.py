@@ -59,18 +59,18 @@ def test_the_papers_signals_and_constants_are_reproduced(case):
 @pytest.mark.parametrize(
     ("name", "families", "factor"), [("C08", [Sine()], "a"), ("C09", [Exponential()] * 2, "one")]
 )
-def test_one_block_of_two_gives_the_reference_terms(case, name, families, factor):
+def test_one_group_of_two_gives_the_reference_terms(case, name, families, factor):
     """Rows, signs and chi as computed elsewhere, and the reference signal satisfies (25)."""
     reference = case(name)
     terms = expand((2,))
     constants = chi(terms, [coefficients(families, reference["theta"], reference["D"])])
-    found = {
+    computed = {
         (term.row + 1, tuple(row + 1 for row in term.parts[0])): (term.sign, value)
         for term, value in zip(terms, constants, strict=True)
     }
-    assert len(found) == reference["q"] + 1
+    assert len(computed) == reference["q"] + 1
     for term in reference["terms_chi"]:
-        sign, value = found[term["row"], tuple(term["parts"][0])]
+        sign, value = computed[term["row"], tuple(term["parts"][0])]
         assert sign == term["sign"]
         assert abs(value - term["chi"]) <= reference["tol"]
     times = np.array(reference["delta_samples"]["t_minus_D"])
@@ -99,19 +99,19 @@ def test_the_columns_of_two_exponentials_collapse_when_alpha_is_shared(case):
 
 @st.composite
 def disturbances(draw):
-    """Draw blocks of components with their alphas, parameters, delays and basis values at one instant."""
-    blocks = draw(
+    """Draw groups of components with their alphas, parameters, delays and values of the basis."""
+    groups = draw(
         st.lists(
             st.lists(st.sampled_from(sorted(FAMILIES)), min_size=1, max_size=2),
             min_size=1,
             max_size=2,
         )
     )
-    families = [[FAMILIES[name] for name in block] for block in blocks]
-    sizes = tuple(sum(family.v for family in block) for block in families)
-    thetas = [[draw(st.floats(-1.0, 1.0)) for _ in block] for block in families]
+    families = [[FAMILIES[name] for name in group] for group in groups]
+    sizes = tuple(sum(family.v for family in group) for group in families)
+    thetas = [[draw(st.floats(-1.0, 1.0)) for _ in group] for group in families]
     delays = [j + draw(st.floats(0.1, 0.9)) for j in range(sum(sizes) + 1)]
-    K = [coefficients(block, theta, delays) for block, theta in zip(families, thetas, strict=True)]
+    K = [coefficients(group, theta, delays) for group, theta in zip(families, thetas, strict=True)]
     values = st.floats(0.1, 2.0)
     alphas = np.array([[draw(values) for _ in sizes] for _ in delays])
     Q = [np.array([draw(st.floats(-2.0, 2.0)) for _ in range(size)]) for size in sizes]
@@ -126,7 +126,8 @@ def test_the_regression_holds_for_every_signal_of_the_class(disturbance):
     delta = np.sum(parts, axis=0)
     terms = expand(sizes)
     products = mu(terms, delta[None], alphas[None])[0] * chi(terms, K)
-    # minors lose what cancels inside them: measure against the sums of absolute values, Hadamard's bound of the minors
+    # minors lose what cancels inside them: measure against the sums of absolute values, Hadamard's
+    # bound of the minors
     bound = [
         math.prod(
             float(np.prod(np.linalg.norm(K[b][list(part)], axis=1)))
@@ -158,14 +159,14 @@ def test_the_expansion_is_the_determinant(sizes, random):
         [normal(rows, size) for size in sizes],
     )
     terms = expand(tuple(sizes))
-    found = float(mu(terms, delta[None], alphas[None])[0] @ chi(terms, K))
+    computed = float(mu(terms, delta[None], alphas[None])[0] @ chi(terms, K))
     matrix = np.column_stack([delta, *(alphas[:, [b]] * K[b] for b in range(len(sizes)))])
     # at most 60 terms below 1, rounded at 1e-16 each
-    assert abs(found - np.linalg.det(matrix)) <= 1e-13
+    assert abs(computed - np.linalg.det(matrix)) <= 1e-13
 
 
 def test_an_empty_expansion_is_refused():
-    """No blocks, or a block without basis functions."""
+    """No groups, or a group without basis functions."""
     for sizes in ((), (1, 0)):
         with pytest.raises(AssumptionError, match=r"group sizes \[.*\]; needed at least one group"):
             expand(sizes)
@@ -227,17 +228,18 @@ def test_the_papers_alphas_are_independent():
     ],
 )
 def test_dependent_alpha_products_are_refused(alphas, message):
-    """Proportional alphas name the blocks to merge; alphas that a delay scales or repeats are found too."""
+    """The message names proportional alphas; alphas that a delay scales or repeats are refused."""
     with pytest.raises(AssumptionError, match=message):
         check_alpha_products(expand((1, 1)), alphas, ["a", "b"])
 
 
-def test_the_limits_of_the_linear_route_are_said():
+def test_the_limits_of_the_linear_route_are_warned_of():
     """Nothing to say for l = 2 or one alpha; marginal at l = 3; unusable from l = 4."""
     assert linear_route_warning((1, 1)) == linear_route_warning((4,)) == ""
     assert linear_route_warning((2, 1)).startswith(
         "the linear route is marginal: l = 3 with different alphas makes 11 unknowns"
     )
     assert linear_route_warning((2, 2)).startswith(
-        "the linear route is unusable: l = 4 with different alphas makes 29 unknowns, with a condition of 4e12"
+        "the linear route is unusable: l = 4 with different alphas makes 29 unknowns, "
+        "with a condition of 4e12"
     )
