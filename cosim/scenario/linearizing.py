@@ -1,4 +1,4 @@
-"""A linearized FMU as what an observer believes, and as a table of a scenario."""
+"""A linearized FMU as the design model of an observer, and as a table of a scenario."""
 
 from __future__ import annotations
 
@@ -7,15 +7,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from cosim.arrays import Matrix
 from cosim.core.linear import LinearModel
+from cosim.core.signals import Signal
 from cosim.errors import UsageError, nearest
 from cosim.theory.descriptor import ReducedSystem
-from cosim.units import BaseUnit
+from cosim.units import Unit
 
 if TYPE_CHECKING:
     from cosim.fmi.linearizing.linearization import Linearization, Method
@@ -37,14 +38,16 @@ def linearize_file(
     return linearize(path, at=at, start=start, inputs=inputs, outputs=outputs, method=method)
 
 
-Unit: TypeAlias = tuple[str | None, BaseUnit | None]  # its name, and what it is in SI
-
-
 class DesignModel(NamedTuple):
-    """What an observer believes.
+    """The model that an observer is designed on.
 
-    ``constant``: the last input of ``reduced`` is the constant 1. ``units``: those that are declared of the observer's signals
-    u, y, x_a and delta.
+    Parameters
+    ----------
+    reduced : ReducedSystem
+    constant : bool
+        Whether the last input of ``reduced`` is the constant 1.
+    units : mapping of signal name to Unit
+        Those that are declared of the observer's signals u, y, x_a and delta.
     """
 
     reduced: ReducedSystem
@@ -53,142 +56,169 @@ class DesignModel(NamedTuple):
 
     def declare(self, model: LinearModel) -> LinearModel:
         """Declare the units of the signals of an observer."""
-        face = model.interface
-        inputs, outputs = (
-            tuple(
-                replace(s, unit=unit, base=base)
-                for s in signals
-                for unit, base in [self.units.get(s.name, (None, None))]
-            )
-            for signals in (face.inputs, face.outputs)
+        interface = model.interface
+        declared = replace(
+            interface,
+            inputs=tuple(self._with_unit(signal) for signal in interface.inputs),
+            outputs=tuple(self._with_unit(signal) for signal in interface.outputs),
         )
-        return replace(model, interface=replace(face, inputs=inputs, outputs=outputs))
+        return replace(model, interface=declared)
+
+    def _with_unit(self, signal: Signal) -> Signal:
+        unit = self.units.get(signal.name, Unit(None))
+        return replace(signal, unit=unit.name, base=unit.base)
 
 
-def design_model(found: Linearization, disturbances: Sequence[str]) -> DesignModel:
-    """Write a linearization as ``x' = A x + B_1 u + B_2 delta + c``, ``y = C x + C_4 u + C_5 delta + d``: (9)-(10) without x_b.
+def design_model(linearization: Linearization, disturbances: Sequence[str]) -> DesignModel:
+    """Return the design model of an observer of a linearized FMU.
 
-    c and d are what an operating point away from an equilibrium at zero leaves: they act through one more input, the constant 1.
+    It is (9)-(10) without x_b: ``x' = A x + B_1 u + B_2 delta + c``,
+    ``y = C x + C_4 u + C_5 delta + d``, where c and d are not zero at an operating point away from
+    an equilibrium at zero. They act through one more input, the constant 1.
 
     Raises
     ------
     UsageError
         If a disturbance is none of the inputs, or is named twice.
     """
-    known, unknown = split(found, disturbances)
-    c, d = (column[:, np.newaxis] for column in found.constants)
+    known, unknown = split(linearization, disturbances)
+    n = len(linearization.states)
+    B_1 = linearization.B[:, known]
+    C_4 = linearization.D[:, known]
+    c, d = (column[:, np.newaxis] for column in linearization.constants)
     constant = bool(c.any() or d.any())
-    B_1, C_4 = found.B[:, known], found.D[:, known]
-    n, m = len(found.states), len(known) + constant
+    if constant:
+        B_1 = np.hstack([B_1, c])
+        C_4 = np.hstack([C_4, d])
     reduced = ReducedSystem(
-        A_a=found.A,
-        B_1a=np.hstack([B_1, c]) if constant else B_1,
-        B_2a=found.B[:, unknown],
-        C3=found.C,
-        C4=np.hstack([C_4, d]) if constant else C_4,
-        C5=found.D[:, unknown],
+        A_a=linearization.A,
+        B_1a=B_1,
+        B_2a=linearization.B[:, unknown],
+        C3=linearization.C,
+        C4=C_4,
+        C5=linearization.D[:, unknown],
         Kx=np.zeros((0, n)),
-        Ku=np.zeros((0, m)),
+        Ku=np.zeros((0, len(known) + constant)),
         Kd=np.zeros((0, len(unknown))),
     )
-    ports = {
-        "u": [found.inputs[i] for i in known],
-        "delta": [found.inputs[i] for i in unknown],
-        "y": found.outputs,
-        "x_a": found.states,
+    inputs = linearization.inputs
+    units = {
+        "u": _common_unit(linearization, [inputs[i] for i in known]),
+        "delta": _common_unit(linearization, [inputs[i] for i in unknown]),
+        "y": _common_unit(linearization, linearization.outputs),
+        "x_a": _common_unit(linearization, linearization.states),
     }
-    return DesignModel(
-        reduced, constant, {port: _unit(found, names) for port, names in ports.items()}
-    )
+    return DesignModel(reduced, constant, units)
 
 
-def _unit(found: Linearization, names: Sequence[str]) -> Unit:
-    """Give the unit that all elements of a signal have; else none is declared."""
-    units = {(found.units.get(name), found.bases.get(name)) for name in names}
-    return units.pop() if len(units) == 1 else (None, None)
+def _common_unit(linearization: Linearization, names: Sequence[str]) -> Unit:
+    """Return the unit that all elements of a signal have; else none is declared."""
+    units = {Unit(linearization.units.get(name), linearization.bases.get(name)) for name in names}
+    return units.pop() if len(units) == 1 else Unit(None)
 
 
-def split(found: Linearization, disturbances: Sequence[str]) -> tuple[list[int], list[int]]:
-    """Give the columns of the known inputs and those of the disturbances, which may be named by port or by element.
+def split(linearization: Linearization, disturbances: Sequence[str]) -> tuple[list[int], list[int]]:
+    """Return the columns of the known inputs and those of the disturbances.
+
+    A disturbance may be named by port or by element.
 
     Raises
     ------
     UsageError
         If a disturbance is none of the inputs, or is named twice.
     """
+    inputs = linearization.inputs
     unknown: list[int] = []
     for name in disturbances:
-        mine = [
-            i
-            for i, element in enumerate(found.inputs)
-            if name in (element, element.rpartition("[")[0])
-        ]
-        if not mine:
+        columns = []
+        for i, element in enumerate(inputs):
+            if name in (element, element.rpartition("[")[0]):
+                columns.append(i)
+        if not columns:
             raise UsageError(
-                f"disturbance {name!r} is no input of {found.name}; {nearest(name, found.inputs)}"
+                f"disturbance {name!r} is no input of {linearization.name}; {nearest(name, inputs)}"
             )
-        if set(mine) & set(unknown):
+        if set(columns) & set(unknown):
             raise UsageError(f"disturbance {name!r} is named twice; needed each once")
-        unknown += mine
-    return [i for i in range(len(found.inputs)) if i not in unknown], unknown
+        unknown += columns
+    known = [i for i in range(len(inputs)) if i not in unknown]
+    return known, unknown
 
 
-def model_table(found: Linearization, disturbances: Sequence[str]) -> str:
-    """Write a linearization as a table of [models]; what feeds through to y goes by way of algebraic states.
+def model_table(linearization: Linearization, disturbances: Sequence[str]) -> str:
+    """Write a linearization as a table of [models].
+
+    Direct feedthrough to y goes by way of algebraic states.
 
     Raises
     ------
     UsageError
-        If a disturbance is none of the inputs, or no states, outputs, known inputs or disturbances are there.
+        If a disturbance is none of the inputs, or there are no states, outputs, known inputs or
+        disturbances.
     """
-    known, unknown = split(found, disturbances)
-    for what, there in (
-        ("state", found.states),
-        ("output", found.outputs),
-        ("known input", known),
-        ("disturbance", unknown),
-    ):
-        if not there:
-            raise UsageError(
-                f"{found.name}: a table of [models] needs a {what}; inputs: {', '.join(found.inputs) or 'none'}"
-            )
-    through = np.flatnonzero(found.D.any(axis=1))  # y = C x + x_b there, 0 = -x_b + D (u, delta)
-    n, n_b = len(found.states), len(through)
-    A = np.block([[found.A, np.zeros((n, n_b))], [np.zeros((n_b, n)), -np.eye(n_b)]])
-    B = np.vstack([found.B, found.D[through]])
-    C = np.hstack([found.C, np.eye(len(found.outputs))[:, through]])
+    known, unknown = split(linearization, disturbances)
+    _check_model_table(linearization, known, unknown)
+    # Where D has a row that is not zero: y = C x + x_b and 0 = -x_b + D (u, delta).
+    through = np.flatnonzero(linearization.D.any(axis=1))
+    n = len(linearization.states)
+    n_b = len(through)
+    A = np.block([[linearization.A, np.zeros((n, n_b))], [np.zeros((n_b, n)), -np.eye(n_b)]])
+    B = np.vstack([linearization.B, linearization.D[through]])
+    C = np.hstack([linearization.C, np.eye(len(linearization.outputs))[:, through]])
+    name = linearization.name
+    identifier = re.sub(r"[^A-Za-z0-9_-]", "_", name)
+    states = ", ".join(linearization.states)
+    outputs = ", ".join(linearization.outputs)
     lines = [
-        f"[models.{re.sub(r'[^A-Za-z0-9_-]', '_', found.name)}]",
-        f"# {found.name} linearized at t = {found.t} s, {_at(found)}",
-        f"# x: {', '.join(found.states)}; u: {_names(found, known)}; "
-        f"delta: {_names(found, unknown)}; y: {', '.join(found.outputs)}",
-        f"n_a = {n}",
-        *(
-            f"{name} = {_rows(matrix)}"
-            for name, matrix in (("A", A), ("Bu", B[:, known]), ("Bd", B[:, unknown]), ("C", C))
-        ),
+        f"[models.{identifier}]",
+        f"# {name} linearized at t = {linearization.t} s, {_operating_point(linearization)}",
     ]
-    c, d = (vector.tolist() for vector in found.constants)
+    c, d = (vector.tolist() for vector in linearization.constants)
     if any((*c, *d)):
-        lines.insert(
-            2,
-            f"# for deviations from this point: it lacks c = {c} of x' = ... + c and d = {d} of y = ... + d",
+        lines.append(
+            f"# for deviations from this point: it lacks c = {c} of x' = ... + c "
+            f"and d = {d} of y = ... + d"
         )
+    lines += [
+        f"# x: {states}; u: {_input_names(linearization, known)}; "
+        f"delta: {_input_names(linearization, unknown)}; y: {outputs}",
+        f"n_a = {n}",
+        f"A = {_rows(A)}",
+        f"Bu = {_rows(B[:, known])}",
+        f"Bd = {_rows(B[:, unknown])}",
+        f"C = {_rows(C)}",
+    ]
     return "\n".join(lines) + "\n"
 
 
-def _at(found: Linearization) -> str:
-    pairs = (*zip(found.states, found.x, strict=True), *zip(found.inputs, found.u, strict=True))
-    return ", ".join(f"{name} = {value!r}" for name, value in ((n, float(v)) for n, v in pairs))
+def _check_model_table(
+    linearization: Linearization, known: Sequence[int], unknown: Sequence[int]
+) -> None:
+    parts: dict[str, Sequence[Any]] = {
+        "state": linearization.states,
+        "output": linearization.outputs,
+        "known input": known,
+        "disturbance": unknown,
+    }
+    inputs = ", ".join(linearization.inputs) or "none"
+    for part, members in parts.items():
+        if not members:
+            raise UsageError(
+                f"{linearization.name}: a table of [models] needs a {part}; inputs: {inputs}"
+            )
 
 
-def _names(found: Linearization, columns: Sequence[int]) -> str:
-    return ", ".join(found.inputs[i] for i in columns)
+def _operating_point(linearization: Linearization) -> str:
+    states = zip(linearization.states, linearization.x, strict=True)
+    inputs = zip(linearization.inputs, linearization.u, strict=True)
+    return ", ".join(f"{name} = {float(value)!r}" for name, value in (*states, *inputs))
+
+
+def _input_names(linearization: Linearization, columns: Sequence[int]) -> str:
+    return ", ".join(linearization.inputs[i] for i in columns)
 
 
 def _rows(matrix: Matrix) -> str:
-    return (
-        "["
-        + ", ".join("[" + ", ".join(map(repr, row)) + "]" for row in (matrix + 0.0).tolist())
-        + "]"
-    )
+    rows = (matrix + 0.0).tolist()  # + 0.0: no -0.0 in the file
+    texts = [f"[{', '.join(map(repr, row))}]" for row in rows]
+    return f"[{', '.join(texts)}]"

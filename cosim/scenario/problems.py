@@ -1,4 +1,4 @@
-"""What pydantic finds wrong with a table, in our words: the key, what was found, what was needed, the nearest name."""
+"""Validation errors of pydantic as problems: the key, what was found, what was needed."""
 
 from __future__ import annotations
 
@@ -27,23 +27,25 @@ def problems_of(
     error: ValidationError, table: type[BaseModel], data: Any, prefix: Key
 ) -> list[tuple[Key, str]]:
     """Translate a validation error of ``data``, which stands under the key ``prefix``."""
-    found = [(_path(one["loc"], data), dict(one)) for one in error.errors(include_url=False)]
     problems: dict[Key, list[str]] = {}
     needed: dict[Key, list[str]] = {}
-    for path, one in found:
-        if one["type"] in TYPES:
-            needed.setdefault(path, []).append(TYPES[one["type"]])
+    for details in error.errors(include_url=False):
+        path = _path(details["loc"], data)
+        if details["type"] in TYPES:
+            needed.setdefault(path, []).append(TYPES[details["type"]])
         else:
-            problems.setdefault(path, []).append(_text(one, path, table))
-    for (
-        path,
-        types,
-    ) in needed.items():  # of the alternatives of a value, the one that went deepest says most
-        whole = _whole(path) if len(types) > 1 or "a list" in types else path
-        if not any(other[: len(whole)] == whole for other in problems):
-            value = _value(data, path)
-            problems[path] = [f"found {_short(value)}; needed {' or '.join(dict.fromkeys(types))}"]
-    return [((*prefix, *path), text) for path, texts in problems.items() for text in texts]
+            problems.setdefault(path, []).append(_message(dict(details), path, table))
+    for path, types in needed.items():
+        # pydantic reports every alternative of a value; a problem deeper inside it says most.
+        value_path = _without_elements(path) if len(types) > 1 or "a list" in types else path
+        if not any(other[: len(value_path)] == value_path for other in problems):
+            alternatives = " or ".join(dict.fromkeys(types))
+            value = _value(data, value_path)
+            problems[value_path] = [f"found {_shortened(value)}; needed {alternatives}"]
+    messages: list[tuple[Key, str]] = []
+    for path, texts in problems.items():
+        messages += [((*prefix, *path), text) for text in texts]
+    return messages
 
 
 def _children(data: Any) -> Mapping[Any, Any]:
@@ -53,7 +55,7 @@ def _children(data: Any) -> Mapping[Any, Any]:
 
 
 def _path(loc: tuple[int | str, ...], data: Any) -> Key:
-    """Keep of pydantic's location what is a key of the data; the rest are names of types."""
+    """Return the keys of the data in pydantic's location; the rest are names of types."""
     path: list[int | str] = []
     for part in loc:
         children = _children(data)
@@ -63,8 +65,8 @@ def _path(loc: tuple[int | str, ...], data: Any) -> Key:
     return tuple(path)
 
 
-def _whole(path: Key) -> Key:
-    """Give the list that an element stands in, also one of several dimensions: only as a whole it has a type."""
+def _without_elements(path: Key) -> Key:
+    """Return the path of the list, of whatever dimensions, that an element stands in."""
     while path and isinstance(path[-1], int):
         path = path[:-1]
     return path
@@ -76,46 +78,53 @@ def _value(data: Any, path: Key) -> Any:
     return data
 
 
-def _text(found: Mapping[str, Any], path: Key, table: type[BaseModel]) -> str:
-    kind, value, last = found["type"], found.get("input"), str(found["loc"][-1])
-    if kind == "extra_forbidden":
-        return f"unknown key {last!r}; {nearest(last, sorted(_fields(table, path[:-1])))}"
-    if kind == "missing":
-        field = _fields(table, path).get(last)
-        return f"{last!r} is missing; needed {(field.description if field is not None else None) or 'a value'}"
-    if kind == "finite_number":
-        return f"found {value}; needed a finite number"
-    if kind == "string_pattern_mismatch":
-        return f"found {value!r}; needed a name of letters, digits, '_' and '-' that begins with a letter"
-    if kind == "literal_error":
-        expected = str(found["ctx"]["expected"]).replace(" or ", ", ").split(",")
-        return f"found {value!r}; {nearest(str(value), [choice.strip().strip(chr(39)) for choice in expected])}"
-    return f"found {_short(value)}; {found['msg'][0].lower()}{found['msg'][1:]}"
+def _message(details: Mapping[str, Any], path: Key, table: type[BaseModel]) -> str:
+    value = details.get("input")
+    name = str(details["loc"][-1])
+    match details["type"]:
+        case "extra_forbidden":
+            known = sorted(_fields(table, path[:-1]))
+            return f"unknown key {name!r}; {nearest(name, known)}"
+        case "missing":
+            field = _fields(table, path).get(name)
+            description = None if field is None else field.description
+            return f"{name!r} is missing; needed {description or 'a value'}"
+        case "finite_number":
+            return f"found {value}; needed a finite number"
+        case "string_pattern_mismatch":
+            return (
+                f"found {value!r}; needed a name of letters, digits, '_' and '-' "
+                "that begins with a letter"
+            )
+        case "literal_error":
+            expected = str(details["ctx"]["expected"]).replace(" or ", ", ")
+            choices = [choice.strip().strip("'") for choice in expected.split(",")]
+            return f"found {value!r}; {nearest(str(value), choices)}"
+        case _:
+            message = str(details["msg"])
+            return f"found {_shortened(value)}; {message[0].lower()}{message[1:]}"
 
 
-def _short(value: Any) -> str:
+def _shortened(value: Any) -> str:
     text = repr(value)
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
 def _fields(table: type[BaseModel], path: Key) -> dict[str, FieldInfo]:
-    """Follow a path of keys to the table it ends in; give its fields by the names that a file uses."""
-    here = table
+    """Return the fields of the table at a path of keys, by the names that a file uses."""
     for part in path:
-        field = here.model_fields.get(str(part))
+        field = table.model_fields.get(str(part))
         if field is not None:
-            here = _table_in(field.annotation) or here
-    return {field.alias or name: field for name, field in here.model_fields.items()}
+            table = _table_in(field.annotation) or table
+    return {field.alias or name: field for name, field in table.model_fields.items()}
 
 
 def _table_in(annotation: Any) -> type[BaseModel] | None:
+    """Return the first table among the alternatives of a type."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
-    return next(
-        (
-            found
-            for inner in getattr(annotation, "__args__", ())
-            if (found := _table_in(inner)) is not None
-        ),
-        None,
-    )
+    for inner in getattr(annotation, "__args__", ()):
+        table = _table_in(inner)
+        if table is not None:
+            return table
+    return None

@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from cosim.fmi.linearizing.linearization import Linearization
 
 Row = dict[str, Any]
-Dependencies = Mapping[str, list[str] | None]  # None: unknown
 
 
 def print_fmu(content: Row) -> None:
@@ -95,7 +94,9 @@ def _residual_form_rows(dae: Row) -> Row:
     return rows
 
 
-def _variable_row(variable: Row, states: Sequence[str], dependencies: Dependencies) -> Row:
+def _variable_row(
+    variable: Row, states: Sequence[str], dependencies: Mapping[str, list[str] | None]
+) -> Row:
     dimensions = "".join(f"[{dimension}]" for dimension in variable["dimensions"])
     items = [f"{value} {name}" for name, value in variable["items"].items()]
     relation = None
@@ -145,7 +146,7 @@ def _start(variable: Row) -> str | None:
     return f"approx {text}" if variable["initial"] == "approx" else text
 
 
-def _depends_on(variable: Row, dependencies: Dependencies) -> str | None:
+def _depends_on(variable: Row, dependencies: Mapping[str, list[str] | None]) -> str | None:
     if variable["causality"] != "output" and variable["derivative_of"] is None:
         return None
     return _names(dependencies.get(variable["name"]))
