@@ -152,9 +152,9 @@ class Conversion:
 def conversion(first: Unit, second: Unit) -> Conversion | None:
     """Return the conversion of a value in ``first`` to one in ``second``; None where there is none.
 
-    Where one is not declared there is nothing to compare. One name is one unit where at most one of
-    the two is defined, or both are to within their written digits; other names need a meaning each,
-    and the same powers of the base units.
+    Where a unit is not declared there is nothing to compare. One name is one unit where at most one
+    of the two is defined, or both are, equal to their written digits. Different names need a
+    meaning each, and the same powers of the base units.
     """
     if first.name is None or second.name is None:
         return Conversion()

@@ -77,8 +77,8 @@ def _with_constant_state(model: LinearModel) -> LinearModel:
     B = np.vstack([model.B[:, others], no_input])
     C = np.hstack([model.C, model.D[:, [column]]])
     D = model.D[:, others]
-    X0 = model.X0 + model.Xu[:, column]
-    X0 = np.concatenate([X0, [1.0]])
+    x0 = model.X0 + model.Xu[:, column]
+    X0 = np.concatenate([x0, [1.0]])
     Xu = np.vstack([model.Xu[:, others], no_input])
     states = (*model.states, "one")
     outputs = model.interface.outputs

@@ -66,14 +66,16 @@ def expand(sizes: tuple[int, ...]) -> tuple[Term, ...]:
             f"(21): group sizes {list(sizes)}; needed at least one group, each with at least one "
             "basis function"
         )
-    rows = tuple(range(sum(sizes) + 1))
-    last = rows[-1]
-    choices: list[tuple[int, tuple[tuple[int, ...], ...]]] = []
+    length = sum(sizes)
+    rows = tuple(range(length + 1))
+    terms = []
     for row in rows:
         others = rows[:row] + rows[row + 1 :]
-        choices.extend((row, parts) for parts in _partitions(others, sizes))
-    choices.sort(key=lambda choice: (_column_of(last, *choice), choice))
-    return tuple(Term(row, parts, _sign(row, parts)) for row, parts in choices)
+        for parts in _partitions(others, sizes):
+            sign = _sign(row, parts)
+            terms.append(Term(row, parts, sign))
+    terms.sort(key=lambda term: (_column_of(length, term), term.row, term.parts))
+    return tuple(terms)
 
 
 def mu(terms: Sequence[Term], delta: Matrix, alpha: Matrix) -> Matrix:
@@ -257,12 +259,12 @@ def _partitions(
             yield (part, *others)
 
 
-def _column_of(last: int, row: int, parts: tuple[tuple[int, ...], ...]) -> int:
-    """Return the column that holds the last row: 0 for delta, 1.. for the groups."""
-    if row == last:
+def _column_of(row: int, term: Term) -> int:
+    """Return the column that holds a row: 0 for delta, 1.. for the groups."""
+    if row == term.row:
         return 0
-    holds_last = [last in part for part in parts]
-    return 1 + holds_last.index(True)
+    holds_row = [row in part for part in term.parts]
+    return 1 + holds_row.index(True)
 
 
 def _sign(row: int, parts: tuple[tuple[int, ...], ...]) -> int:

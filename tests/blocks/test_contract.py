@@ -1,4 +1,4 @@
-"""Every block keeps the contract; a component that breaks a law is told which."""
+"""Every block keeps the contract; the check names the law that a component breaks."""
 
 from dataclasses import replace
 
@@ -143,7 +143,7 @@ def test_every_block_keeps_the_contract(name):
 
 
 @pytest.mark.parametrize("name", ROLLBACK)
-def test_every_block_that_can_go_back_does(name):
+def test_every_block_that_declares_rollback_goes_back(name):
     """Restoring what was saved is the identity."""
     check_rollback(COMPONENTS[name], h=H)
 
@@ -250,7 +250,7 @@ def test_a_broken_law_is_named(fault):
 
 
 def test_stale_outputs_are_noticed_where_inputs_feed_through():
-    """Outputs that do not follow a late input cannot repair a loop."""
+    """Outputs that do not follow a corrected input cannot repair a loop."""
     with pytest.raises(
         AssertionError, match="the state ignores a held input at the end of the step: 'y'"
     ):
@@ -276,7 +276,7 @@ def test_an_undeclared_feedthrough_is_named():
         check_component(lambda: Broken(feedthrough={}))
 
 
-def test_an_undeclared_dependency_at_the_start_is_named():
+def test_an_undeclared_initial_dependency_is_named():
     """Initialization is ordered by what is declared; a lag that follows its input declares it."""
     check_component(lambda: Linear(lag(time_constant=1.0)))
     silent = lag(time_constant=1.0)
@@ -297,7 +297,7 @@ def test_inputs_of_the_wrong_shape_are_refused():
         check_component(lambda: Delay(1), inputs=np.zeros((5, 3)))
 
 
-def test_integers_and_booleans_are_given_what_they_take():
+def test_integers_and_booleans_get_values_of_their_type():
     """Random inputs respect the kind of the signal."""
     seen = []
 

@@ -51,11 +51,11 @@ class Example:
             for alpha, family, theta in zip(alphas, families, thetas, strict=True)
         )
         first = max(self.steps)
-        late = np.stack([self.delta[first - n : len(self.t) - n] for n in self.steps], axis=1)
+        delayed = np.stack([self.delta[first - n : len(self.t) - n] for n in self.steps], axis=1)
         moments = np.stack([self.t[first:] - D for D in delays], axis=1)
         self.alpha = np.stack([amplitude(group.alpha, moments) for group in self.groups], axis=-1)
         self.mu = np.full((len(self.t), len(self.terms)), np.nan)
-        self.mu[first:] = mu(self.terms, late, self.alpha)
+        self.mu[first:] = mu(self.terms, delayed, self.alpha)
 
     def regressor(self):
         programs = [compile_expression(group.alpha) for group in self.groups]
@@ -224,7 +224,7 @@ def test_no_theta_where_eta_belongs_to_none():
     np.testing.assert_allclose(computed[-1, 2:], -example.exact_eta(), rtol=1e-9)
 
 
-def test_a_start_before_the_longest_delay_stops_the_run():
+def test_a_start_time_before_the_longest_delay_stops_the_run():
     """With the reason, and every row up to there."""
     example = EXAMPLES["two alphas"]
     identifier = LeastSquaresIdentifier(example.recovery, start_time=2.5)
@@ -249,7 +249,7 @@ def test_a_recorded_start_time_is_used():
 
 @pytest.mark.parametrize("P0", [0.0, -1.0, math.inf, math.nan])
 def test_a_prior_that_is_none_is_refused(P0):
-    """P0 is positive and finite, or left out."""
+    """P0 is positive and finite, or None."""
     with pytest.raises(
         UsageError,
         match=r"P0: found .*, needed a positive finite number; leave it out for no prior",

@@ -45,7 +45,7 @@ def test_limit_cuts_off():
         limit(lower=1.0, upper=1.0)
 
 
-def test_a_lag_answers_a_held_step_exactly():
+def test_the_step_response_of_a_lag_is_exact():
     """After a step of u that is held, y = 1 - exp(-t/T) at every communication point."""
     u = np.ones((201, 1))
     t = times(200)
@@ -72,8 +72,8 @@ def test_a_lag_follows_a_linearly_interpolated_ramp_exactly():
     )  # 1 - exp(-4) of it is settled; next term h/(12 T)
 
 
-def test_a_lag_starts_without_a_transient_unless_told():
-    """`start` left out: y(0) = u(0) and stays there; given: y(0) = start, whatever the input."""
+def test_a_lag_starts_without_a_transient_by_default():
+    """By default y(0) = u(0) and stays there; else y(0) = `initial`, whatever the input."""
     u = np.full((30, 2), 3.0)
     # Ad + B0 + B1 = 1 up to rounding, added up over 30 steps of a value of 3
     np.testing.assert_allclose(

@@ -30,7 +30,7 @@ def through():
 
 @pytest.mark.parametrize("held", [False, True])
 def test_sampled_is_the_component_on_its_own_grid(held):
-    """Every n-th row has the bits of the component with the step n h; the last row holds between."""
+    """Every n-th row has the bits of the component with the step n h, and holds between."""
     computed = drive(Sampled(through(), N), U, held=held)
     reference = drive(through(), U[::N], step_ns=N * 1_000_000, held=held)
     assert (computed == np.repeat(reference, N, axis=0)[: len(computed)]).all()
@@ -76,8 +76,8 @@ def test_sampled_passes_a_stop_on():
 
 
 @pytest.mark.parametrize("held", [False, True])
-def test_decimated_keeps_its_answer_between(held):
-    """The component sees every row; every n-th of its answers is passed on and holds."""
+def test_decimated_holds_its_sample_between(held):
+    """The component sees every row; every n-th of its outputs is passed on and holds."""
     every = drive(through(), U, held=held)
     assert (
         drive(Decimated(through(), N), U, held=held) == np.repeat(every[::N], N, axis=0)[: len(U)]

@@ -31,7 +31,7 @@ def test_a_step_gives_both_values_to_the_last_bit(before, after):
     assert (rows(source)[:, 0] == expected).all()
 
 
-def test_a_ramp_begins_at_its_start():
+def test_a_ramp_begins_at_its_start_time():
     """Gives offset + slope max(0, t - start), each operation rounded once, as numpy's."""
     computed = rows(ramp(slope=2.5, start_time=0.7, offset=-1.0))[:, 0]
     assert (computed == -1.0 + 2.5 * np.maximum(0.0, T - 0.7)).all()
@@ -70,7 +70,7 @@ def table(**options):
     )
 
 
-def test_a_table_draws_straight_lines():
+def test_a_table_interpolates_linearly():
     """Between the points, element by element."""
     source = table()
     assert source.interface.outputs[0].variability == "continuous"

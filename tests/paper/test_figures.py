@@ -61,7 +61,7 @@ def test_linear_interpolation_is_not_warned_of(academic):
     assert json.loads(academic.metadata["cosim.run"]["warnings"]) == []
 
 
-def test_what_a_sine_cannot_tell_apart_is_said():
+def test_the_unique_range_of_a_rate_is_noted():
     """C08: a rate is unique only below pi / spacing of the delays."""
     terms = [{"alpha": "1.35 + 0.25*sin(1.7*t)", "family": "sine"}]
     truth = [{**terms[0], "theta": 7.0}]

@@ -209,7 +209,7 @@ def test_least_squares_without_a_prior_is_exact(case):
     np.testing.assert_allclose(computed, case("C03")["expected"]["eta_2_to_6"], rtol=0, atol=1e-11)
 
 
-def test_least_squares_says_when_there_is_no_answer():
+def test_least_squares_without_enough_data_has_no_value():
     """Fewer rows than unknowns, or dependent columns: NaN, and a prior makes it finite."""
     rows = np.array([[1.0, 1.0, 1.0], [2.0, 1.0, 1.0], [3.0, 1.0, 1.0]])
     assert np.isnan(least_squares(rows[:1], np.ones(1))).all()
