@@ -13,8 +13,9 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Final, Self, TypeAlias, final
+from typing import Any, Final, Protocol, Self, final
 
+from cosim.core.contracts import Component, Preparable, Rollback
 from cosim.errors import FmuError, RunError
 from cosim.fmi.binary.headers import built_for
 from cosim.fmi.binary.loaded import LoadedInstance
@@ -32,7 +33,19 @@ from cosim.fmi.reading.model_description import Archive, read
 __all__ = ["CoSimulation", "Fmu", "ModelExchange", "load"]
 
 OUR_TOOL: Final = "cosim"  # the tests prove that its FMUs do what their descriptions say
-FmuComponent: TypeAlias = ModelExchange | CoSimulation
+
+
+class FmuComponent(Component, Preparable, Rollback[Any], Protocol):
+    """What ``ModelExchange`` and ``CoSimulation`` have in common."""
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is to be known about the results."""
+        ...
+
+    def drain(self) -> list[Message]:
+        """Return the events and warnings since the last call."""
+        ...
 
 
 @final

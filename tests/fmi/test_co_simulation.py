@@ -103,7 +103,7 @@ def test_feedthrough_without_D_is_first_order_and_said_to_be(opened, version):
         assert error[:, Y] - error[:, X] == pytest.approx(-SLOPE * h / 2, abs=ROUNDING)
     assert opened(version).component.notes == (
         "lag: y depends directly on inputs; what is read belongs to the inputs inside the step, not at its end (first order in "
-        "the step), as the unit has no directional derivatives",
+        "the step), as the FMU has no directional derivatives",
     )
 
 
@@ -439,7 +439,7 @@ def test_an_event_without_end_stops_the_run(opened):
     fmu.component.prepare(0.1, HELD, {})
     fmu.component.initialize(0.0, np.zeros(2))
     with pytest.raises(
-        Stopped, match=r"lag: discrete states do not settle at t = 0\.0 s after 100 iterations"
+        Stopped, match=r"lag: the event iteration at t = 0\.0 s does not converge in 100 iterations"
     ):
         fmu.component.advance(times(), 0.1, line(times()))
     assert run(opened("3", "events", "any step", event=0.25, iterations=100.0))[-1, CALLS] == 12
@@ -492,7 +492,7 @@ def test_a_step_that_no_inner_step_divides_is_refused_where_steps_cannot_vary(op
     if can:
         fmu.component.prepare(0.1, HELD, {})
         return
-    text = r"lag: the communication step 0\.1 s is not a whole number of the unit's inner steps of 0\.03 s; nearest: 0\.09 s"
+    text = r"lag: the communication step 0\.1 s is not a whole number of the FMU's inner steps of 0\.03 s; nearest: 0\.09 s"
     with pytest.raises(FmuError, match=text):
         fmu.component.prepare(0.1, HELD, {})
     fmu.component.prepare(0.09, HELD, {})

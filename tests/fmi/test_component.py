@@ -132,7 +132,7 @@ def test_co_simulation_with_mean_inputs_and_unknown_D_is_first_order_where_it_fe
     assert coarse[0] == pytest.approx(SLOPE[0] * 0.01, rel=0.1)
     assert notes == (
         "academic: y, x_b depend directly on inputs; what is read belongs to the inputs inside the step, not at its end "
-        "(first order in the step), as the unit has no directional derivatives",
+        "(first order in the step), as the FMU has no directional derivatives",
     )
 
 
@@ -144,7 +144,7 @@ def test_an_interpolating_unit_without_D_warns_of_held_inputs_whenever_it_is_ask
         assert fmu.component.notes == before
     assert before == (
         "academic: y, x_b depend directly on inputs; where inputs are held, what is read belongs to their value inside the step, "
-        "not at its end (first order in the step), as the unit has no directional derivatives",
+        "not at its end (first order in the step), as the FMU has no directional derivatives",
     )
 
 
@@ -321,7 +321,7 @@ def test_integers_and_booleans_are_never_rounded(foreign2):
         pytest.raises(RunError, match=r"\[2.0\] cannot be set: needed numbers of type Boolean"),
     ):
         fmu.component.initialize(0.0, np.array([0.0, 0.0, 1.0, 2.0]))
-    with load(foreign2) as fmu, pytest.raises(FmuError, match="the unit cannot save its state"):
+    with load(foreign2) as fmu, pytest.raises(FmuError, match="the FMU cannot save its state"):
         fmu.component.save()
 
 
@@ -341,7 +341,10 @@ def test_start_values_are_set_and_survive_a_second_run(exported):
 def test_components_keep_the_contract_of_the_interface(exported):
     """What is exported is read back as it was: names, sizes, feedthrough; x_a is a state."""
     with load(exported) as fmu:
-        assert fmu.component.interface == replace(FACE, initial={"y": ("u",), "x_b": ("u",)})
+        expected = replace(
+            FACE, initial={"y": ("u",), "x_b": ("u",)}, prepares=True, rollback=True
+        )
+        assert fmu.component.interface == expected
         assert isinstance(fmu.component, ModelExchange)
     with load(exported, FmuOptions(interface_type="cs")) as fmu:
         assert isinstance(fmu.component, CoSimulation)

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from cosim.fmi.description import Description
-from cosim.fmi.driving.direct import Direct
+from cosim.fmi.driving.direct import DirectFeedthrough
 from cosim.fmi.variable import Variable
 
 
@@ -39,7 +39,7 @@ def test_only_double_precision_is_corrected():
     unit = SimpleNamespace(
         description=description, interface=description.interface, get_directional_derivative=answer
     )
-    direct = Direct(unit, frozenset())
-    assert np.array_equal(direct.add(np.zeros(3), np.array([5.0, 1.0])), [2.0, 3.0, 0.0])
+    feedthrough = DirectFeedthrough(unit, frozenset())
+    assert np.array_equal(feedthrough.add(np.zeros(3), np.array([5.0, 1.0])), [2.0, 3.0, 0.0])
     assert asked == [[("Float64", [2, 3]), ("Float64", [1])]]
-    assert direct.corrected == {"z"}
+    assert feedthrough.corrected == {"z"}

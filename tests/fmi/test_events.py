@@ -204,7 +204,7 @@ def test_discrete_states_that_never_settle_are_an_error():
     with Run("ENDLESS", p=0.325) as run:
         with pytest.raises(
             Stopped,
-            match=r"ENDLESS: discrete states do not settle at t = 0.325\d* s after 100 iterations",
+            match=r"ENDLESS: the event iteration at t = 0.325\d* s does not converge in 100 iterations",
         ) as stop:
             run(1.0, 0.1)
         assert (stop.value.failed, stop.value.steps) == (True, 3)

@@ -185,7 +185,7 @@ def test_events_that_units_ask_for():
         run(ModelExchange(Eventful({"next_event_time": 0.5}), "rk4"), step=0.1)
     assert (stop.value.failed, stop.value.steps) == (True, 5)
     with pytest.raises(
-        Stopped, match=r"discrete states do not settle at t = 0.0 s after 100 iterations"
+        Stopped, match=r"the event iteration at t = 0.0 s does not converge in 100 iterations"
     ):
         run(ModelExchange(Eventful({"need_update": True}), "rk4"), step=0.1)
     with pytest.raises(Stopped, match="the FMU requests the end of the run") as stop:

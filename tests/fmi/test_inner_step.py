@@ -12,7 +12,7 @@ def look(outputs, inputs, watch=None):
     """Give (number of the step, n) of what is found."""
     watch = watch or InnerStep(np.array([0]))
     found = [
-        (k, watch.see(np.array([y]), np.array([u])))
+        (k, watch.observe(np.array([y]), np.array([u])))
         for k, (y, u) in enumerate(zip(outputs, inputs, strict=True))
     ]
     return [(k, n) for k, n in found if n]
@@ -61,9 +61,9 @@ def test_what_was_seen_can_be_put_back():
     outputs = np.exp(-0.1 * (STEPS // 10))
     watch = InnerStep(np.array([0]))
     look(outputs[:55], MOVING[:55], watch)
-    seen = watch.seen
+    history = watch.history
     first = look(outputs[55:], MOVING[55:], watch)
-    watch.seen = seen
+    watch.history = history
     assert look(outputs[55:], MOVING[55:], watch) == first != []
     watch.reset()
     assert look(outputs, MOVING, watch) != []

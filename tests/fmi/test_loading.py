@@ -231,7 +231,7 @@ def test_states_that_lie_are_not_saved(tmp_path):
             "probe: its state is not saved, although it says that it can be: goes back wrongly"
         )
         assert not fmu.description.capabilities["cs"].saves_state
-        with pytest.raises(FmuError, match="the unit cannot save its state"):
+        with pytest.raises(FmuError, match="the FMU cannot save its state"):
             fmu.component.save()
 
 

@@ -1,1 +1,1 @@
-"""Units driven over communication steps: initialization, model exchange with solvers and events, co-simulation."""
+"""FMUs driven over communication steps: initialization, model exchange, co-simulation."""

@@ -1,13 +1,13 @@
-"""A co-simulation unit as a component.
+"""A co-simulation FMU as a component.
 
-``stepping.py`` says what happens in a communication step. The end of the run that a unit asks for is remembered, and comes with
-the next ``advance`` at the latest.
+``stepping.py`` shows what happens in a communication step. The end of the run that an FMU requests
+is remembered, and comes with the next ``advance`` at the latest.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import final
+from typing import NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,24 +18,32 @@ from cosim.errors import FmuError, RunError
 from cosim.fmi.binary.messages import Message
 from cosim.fmi.description import Description
 from cosim.fmi.driving.diagnostics import Diagnostics
-from cosim.fmi.driving.direct import Direct
+from cosim.fmi.driving.direct import DirectFeedthrough
 from cosim.fmi.driving.initialization import Initialization, Starts
-from cosim.fmi.driving.inner_step import InnerStep
+from cosim.fmi.driving.inner_step import InnerStep, StepHistory
 from cosim.fmi.driving.saved import SavedState, save
-from cosim.fmi.driving.stepping import Stepper
+from cosim.fmi.driving.stepping import Stepper, StepperState
 from cosim.fmi.instance import TERMINATED, CoSimulationInstance
+
+
+class CoSimulationState(NamedTuple):
+    """What a ``CoSimulation`` keeps beside the FMU's own state."""
+
+    initialization_time: float | None  # of its initialization mode
+    stepper: StepperState
+    step_history: StepHistory | None
 
 
 @final
 class CoSimulation:
-    """A co-simulation unit.
+    """A co-simulation FMU.
 
     Parameters
     ----------
-    unit : CoSimulationInstance
+    instance : CoSimulationInstance
         Just instantiated.
     starts : mapping of variable name to StartValue
-        Start values to set instead of the unit's own.
+        Start values to set instead of the FMU's own.
 
     Raises
     ------
@@ -45,112 +53,113 @@ class CoSimulation:
 
     def __init__(self, instance: CoSimulationInstance, *, starts: Starts | None = None) -> None:
         description = instance.description
-        self._instance, self._name = instance, description.name
+        self._instance = instance
+        self._name = description.name
+        self._initialization = Initialization(instance, starts or {})
+        self._capabilities = description.capabilities["cs"]
         self.interface = replace(
-            instance.interface,
-            prepares=True,
-            rollback=instance.description.capabilities["cs"].saves_state,
+            instance.interface, prepares=True, rollback=self._capabilities.saves_state
         )
-        self._start = Initialization(instance, starts or {})
-        self._can = description.capabilities["cs"]
-        self._in_events = frozenset(
-            s.name
-            for s in self.interface.inputs
-            if self._can.event_mode and s.variability == "discrete"
-        )
-        self._direct = (
-            Direct(instance, self._in_events) if self._can.directional_derivatives else None
-        )
-        self._copy: object | None = (
-            None  # of the unit's state before an event that is only shown; its memory is used again
-        )
+        self._in_events: frozenset[str] = frozenset()
+        if self._capabilities.event_mode:
+            inputs = self.interface.inputs
+            self._in_events = frozenset(s.name for s in inputs if s.variability == "discrete")
+        self._feedthrough: DirectFeedthrough | None = None
+        if self._capabilities.directional_derivatives:
+            self._feedthrough = DirectFeedthrough(instance, self._in_events)
+        # Of the FMU before an event that is only shown; its memory is used again.
+        self._fmu_state: object | None = None
         self._inner_step = InnerStep(_watched(description))
-        self._remarks = Diagnostics(self._name)
-        self._stepping = Stepper(instance, self._remarks)
+        self._diagnostics = Diagnostics(self._name)
+        self._stepper = Stepper(instance, self._diagnostics)
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
-        """Learn which inputs are held; nothing is designed.
+        """Take which inputs are held; nothing is designed.
 
         Raises
         ------
         FmuError
-            If the unit has a fixed inner step and ``h`` is not a whole number of them.
+            If the FMU has a fixed inner step and ``h`` is not a whole number of them.
         """
-        fixed = self._can.fixed_step
-        if fixed and not self._can.variable_step and abs(round(h / fixed) * fixed - h) > 1e-9 * h:
-            raise FmuError(
-                f"{self._name}: the communication step {h} s is not a whole number of the unit's inner steps of {fixed} s; "
-                f"nearest: {max(1, round(h / fixed)) * fixed} s"
-            )
-        self._stepping.hold(held)
+        fixed = self._capabilities.fixed_step
+        if fixed and not self._capabilities.variable_step:
+            whole = round(h / fixed)
+            nearest_step = max(1, whole) * fixed
+            if abs(whole * fixed - h) > 1e-9 * h:
+                raise FmuError(
+                    f"{self._name}: the communication step {h} s is not a whole number of the "
+                    f"FMU's inner steps of {fixed} s; nearest: {nearest_step} s"
+                )
+        self._stepper.hold(held)
         return {}
 
     @property
     def notes(self) -> tuple[str, ...]:
         """What is to be known about the results."""
-        face = self.interface
-        corrected = self._direct.corrected if self._direct else ()
-        fed = [
-            o.name
-            for o in face.outputs
-            if o.name not in corrected and not self._in_events.issuperset(face.feeds(o.name))
-        ]
-        if not fed:
+        names = self._uncorrected_outputs()
+        if not names:
             return ()
-        verb = (
-            "may depend"
-            if not all(face.knows(name) for name in fed)
-            else "depend"
-            if len(fed) > 1
-            else "depends"
-        )
-        where = (
-            "where inputs are held, what is read belongs to their value"
-            if self._stepping.now.interpolates
-            else "what is read belongs to the inputs"
-        )
-        why = (
-            "directional derivatives are for real variables"
-            if self._direct
-            else "the unit has no directional derivatives"
-        )
+        verb = "depend" if len(names) > 1 else "depends"
+        if not all(self.interface.knows(name) for name in names):
+            verb = "may depend"
+        where = "what is read belongs to the inputs"
+        if self._stepper.state.interpolates:
+            where = "where inputs are held, what is read belongs to their value"
+        why = "the FMU has no directional derivatives"
+        if self._feedthrough:
+            why = "directional derivatives are for real variables"
         return (
-            f"{self._name}: {', '.join(fed)} {verb} directly on inputs; {where} inside the step, not at its end (first order in "
-            f"the step), as {why}",
+            f"{self._name}: {', '.join(names)} {verb} directly on inputs; {where} inside the step, "
+            f"not at its end (first order in the step), as {why}",
         )
+
+    def _uncorrected_outputs(self) -> list[str]:
+        """Return the outputs that depend on inputs directly, and do not follow all of them."""
+        corrected = self._feedthrough.corrected if self._feedthrough else ()
+        names = []
+        for output in self.interface.outputs:
+            feeding = self.interface.feeds(output.name)
+            if output.name not in corrected and not self._in_events.issuperset(feeding):
+                names.append(output.name)
+        return names
 
     def initialize(self, t: float, u: Vector) -> Vector:
         """Start at ``t``; stays in initialization mode until the first advance."""
         u = np.array(u, np.float64)
-        y = self._start.enter(t, u)
-        self._stepping.begin(u, y)
+        y = self._initialization.enter(t, u)
+        self._stepper.begin(u, y)
         self._inner_step.reset()
         return y.copy()
 
     def outputs(self, t: float, u: Vector) -> Vector:
-        """Give the outputs last read, corrected to the inputs ``u`` where D is known; after an event where one is due."""
+        """Return the outputs last read, after an event where one is due.
+
+        They are corrected to the inputs ``u`` where D is known.
+        """
         self._leave_initialization(t)
-        return self._look(t, np.array(u, np.float64)).copy()
+        return self._outputs_at(t, np.array(u, np.float64)).copy()
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
         """Step K times; see :class:`cosim.core.contracts.Component`."""
-        rows, instants, stepping, k = (
-            list(np.array(u, np.float64, order="C")),
-            t.tolist(),
-            self._stepping,
-            0,
-        )
-        y = np.empty((len(rows) - 1, self.interface.n_y))
+        stepper = self._stepper
+        inputs = list(np.array(u, np.float64, order="C"))
+        times = t.tolist()
+        steps = len(inputs) - 1
+        y = np.empty((steps, self.interface.n_y))
+        k = 0
         try:
-            self._leave_initialization(instants[0])
-            for k, t1 in enumerate(instants[1:]):
-                completed = stepping.step(instants[k], h, rows[k], rows[k + 1])
+            self._leave_initialization(times[0])
+            for k, t1 in enumerate(times[1:]):
+                u1 = inputs[k + 1]
+                completed = stepper.step(times[k], h, inputs[k], u1)
                 if completed:
-                    self._look_for_an_inner_step(t1, h)
-                    if k < len(y) - 1:
-                        stepping.jump(t1, rows[k + 1])
-                    y[k] = self._look(t1, rows[k + 1])
-                if stepping.now.ended:
+                    self._look_for_inner_step(t1, h)
+                    # An event at the end of the block is left to the next advance: a loop may still
+                    # correct the inputs that it happens with.
+                    if k < steps - 1:
+                        stepper.handle_input_event(t1, u1)
+                    y[k] = self._outputs_at(t1, u1)
+                if stepper.state.ended:
                     raise Stopped(y[: k + completed].copy(), TERMINATED, failed=False)
         except Stopped:
             raise
@@ -159,88 +168,93 @@ class CoSimulation:
         return y
 
     def _leave_initialization(self, t: float) -> None:
-        if self._start.leave():
-            self._stepping.leave_initialization(t)
+        if self._initialization.leave():
+            self._stepper.leave_initialization(t)
 
-    def _look(self, t: float, u: Vector) -> Vector:
-        """Give the outputs at ``t``, the time reached, for inputs ``u``; goes back before an event, if the unit can."""
-        stepping = self._stepping
-        if not (self._can.saves_state and stepping.jumps(u)):
-            stepping.jump(t, u)
-            return self._outputs_for(u)
-        self._copy, before = self._instance.get_fmu_state(self._copy), stepping.save()
-        stepping.jump(t, u)
-        y = self._outputs_for(u)
-        if not stepping.now.ended:
-            self._instance.set_fmu_state(self._copy)
-            stepping.restore(before)
+    def _outputs_at(self, t: float, u: Vector) -> Vector:
+        """Return the outputs at ``t``, the time reached, for inputs ``u``.
+
+        Where an event is due for them, they are those after it; then the FMU goes back, if it can.
+        """
+        stepper = self._stepper
+        if not (self._capabilities.saves_state and stepper.has_input_event(u)):
+            stepper.handle_input_event(t, u)
+            return self._corrected_outputs(u)
+        # The copy holds the mode too: with it the FMU is back in step mode.
+        self._fmu_state = self._instance.get_fmu_state(self._fmu_state)
+        before = stepper.save()
+        stepper.handle_input_event(t, u)
+        y = self._corrected_outputs(u)
+        if not stepper.state.ended:
+            self._instance.set_fmu_state(self._fmu_state)
+            stepper.restore(before)
         return y
 
-    def _outputs_for(self, u: Vector) -> Vector:
-        """Give y + D (u - u_end)."""
-        now = self._stepping.now
-        return (
-            now.read
-            if self._direct is None or u is now.end
-            else self._direct.add(now.read, u - now.end)
-        )
+    def _corrected_outputs(self, u: Vector) -> Vector:
+        """Return y + D (u - u_end)."""
+        state = self._stepper.state
+        if self._feedthrough is None or u is state.inputs:
+            return state.outputs
+        return self._feedthrough.add(state.outputs, u - state.inputs)
 
     # --- messages, states ---
 
-    def _look_for_an_inner_step(self, t: float, h: float) -> None:
-        n = self._inner_step.see(self._stepping.now.read, self._stepping.now.end)
+    def _look_for_inner_step(self, t: float, h: float) -> None:
+        state = self._stepper.state
+        n = self._inner_step.observe(state.outputs, state.inputs)
         if n:
-            self._remarks.add(
+            inner_step = f"{n * h:.12g} s"
+            self._diagnostics.add(
                 t,
                 "inner step",
-                f"its outputs change at every {_ordinal(n)} communication step only: it seems to keep an inner step of "
-                f"{n * h:.12g} s and to ignore the communication step of {h} s",
+                f"its outputs change at every {_ordinal(n)} communication step only: it seems to "
+                f"keep an inner step of {inner_step} and to ignore the communication step of {h} s",
             )
 
     def drain(self) -> list[Message]:
-        """Give what the run showed about the unit since the last call; each kind is said once."""
-        return self._remarks.drain()
+        """Return what the run showed about the FMU since the last call, each topic once."""
+        return self._diagnostics.drain()
 
-    def save(self) -> SavedState:
+    def save(self) -> SavedState[CoSimulationState]:
         """Copy the state.
 
         Raises
         ------
         FmuError
-            If the unit cannot.
+            If the FMU cannot save its state.
         """
-        return save(
-            self._instance, self._can, (self._start.t, self._stepping.save(), self._inner_step.seen)
+        state = CoSimulationState(
+            self._initialization.mode_time, self._stepper.save(), self._inner_step.history
         )
+        return save(self._instance, self._capabilities, state)
 
-    def restore(self, state: SavedState) -> None:
+    def restore(self, state: SavedState[CoSimulationState]) -> None:
         """Go back to a saved state."""
-        self._instance.set_fmu_state(state.instance)
-        self._start.t, stepping, self._inner_step.seen = state.own  # type: ignore[assignment]
-        self._stepping.restore(stepping)  # type: ignore[arg-type]
+        self._instance.set_fmu_state(state.fmu)
+        self._initialization.mode_time = state.component.initialization_time
+        self._stepper.restore(state.component.stepper)
+        self._inner_step.history = state.component.step_history
 
 
 def _watched(description: Description) -> NDArray[np.intp]:
-    """Give the outputs that show whether time moves in the unit: real, continuous, if possible not fed directly by inputs."""
-    face = description.interface
-    moving = [
-        output
-        for output in face.outputs
-        if output.kind == "real" and output.variability == "continuous"
-    ]
-    chosen = {o.name for o in moving if not face.feeds(o.name)} or {o.name for o in moving}
-    columns = face.output_columns()
-    return np.array(
-        [
-            i
-            for name in columns
-            if name in chosen
-            for i in range(columns[name].start, columns[name].stop)
-        ],
-        np.intp,
-    )
+    """Return the columns of the outputs that show whether time advances in the FMU.
+
+    Real and continuous ones, if possible without direct feedthrough.
+    """
+    interface = description.interface
+    real = [output for output in interface.outputs if output.kind == "real"]
+    moving = [output.name for output in real if output.variability == "continuous"]
+    not_fed = [name for name in moving if not interface.feeds(name)]
+    slices = interface.output_columns()
+    columns: list[int] = []
+    for name in not_fed or moving:
+        columns_of_output = slices[name]
+        columns += range(columns_of_output.start, columns_of_output.stop)
+    return np.array(columns, np.intp)
 
 
 def _ordinal(n: int) -> str:
-    ending = "th" if 10 <= n % 100 <= 20 else {1: "st", 2: "nd", 3: "rd"}.get(n % 10, "th")
-    return f"{n}{ending}"
+    if 10 <= n % 100 <= 20:
+        return f"{n}th"
+    endings = {1: "st", 2: "nd", 3: "rd"}
+    return f"{n}{endings.get(n % 10, 'th')}"

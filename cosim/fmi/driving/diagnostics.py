@@ -1,4 +1,4 @@
-"""What a run shows about a unit that its user should know."""
+"""What a run shows about an FMU that its user should know."""
 
 from __future__ import annotations
 
@@ -9,20 +9,21 @@ from cosim.fmi.binary.messages import Message
 
 @final
 class Diagnostics:
-    """Warnings of a unit, kept until they are fetched; each kind is said once."""
+    """Warnings about an FMU, at most one on each topic, kept until they are fetched."""
 
     def __init__(self, name: str) -> None:
         self._name = name
-        self._said: set[str] = set()  # what they were about
-        self._news: list[Message] = []
+        self._topics: set[str] = set()  # of all warnings so far
+        self._messages: list[Message] = []
 
-    def add(self, t: float, about: str, text: str) -> None:
-        """Say it at ``t`` [s], unless something was said about that before."""
-        if about not in self._said:
-            self._said.add(about)
-            self._news.append(Message(t, "warning", "", f"{self._name}: {text}"))
+    def add(self, t: float, topic: str, warning: str) -> None:
+        """Add a warning at ``t`` [s], unless there was one on that topic before."""
+        if topic not in self._topics:
+            self._topics.add(topic)
+            self._messages.append(Message(t, "warning", "", f"{self._name}: {warning}"))
 
     def drain(self) -> list[Message]:
-        """Give the warnings since the last call."""
-        news, self._news = self._news, []
-        return news
+        """Return the warnings since the last call."""
+        messages = self._messages
+        self._messages = []
+        return messages

@@ -1,4 +1,4 @@
-"""The direct way from inputs to outputs of a co-simulation unit."""
+"""The direct feedthrough from inputs to outputs of a co-simulation FMU."""
 
 from __future__ import annotations
 
@@ -14,14 +14,18 @@ from cosim.fmi.references import ReferenceMap
 
 
 @final
-class Direct:
-    """D times a change of the inputs, by directional derivatives: from real inputs to continuous outputs, both Float64.
+class DirectFeedthrough:
+    """D times a change of the inputs, by directional derivatives.
+
+    From real inputs to continuous outputs, all of them Float64, which directional derivatives are
+    for.
 
     Parameters
     ----------
-    unit : CoSimulationInstance
+    instance : CoSimulationInstance
     in_events : set of str
-        Names of the inputs that change in events only, so that outputs are always read for their last values.
+        Names of the inputs that change in events only, so that outputs are always read for their
+        last values.
 
     Attributes
     ----------
@@ -30,46 +34,45 @@ class Direct:
     """
 
     def __init__(self, instance: CoSimulationInstance, in_events: frozenset[str]) -> None:
-        face = instance.interface
-        real = set(_doubles(instance.description, "input")) - in_events
-        doubles = set(_doubles(instance.description, "output"))
-        moving = [
-            signal.name
-            for signal in face.outputs
-            if signal.name in doubles and signal.variability == "continuous"
-        ]
-        fed = {name: face.feeds(name) for name in moving if real.intersection(face.feeds(name))}
-        feeding = [
-            signal.name
-            for signal in face.inputs
-            if any(signal.name in names for names in fed.values())
-        ]
+        description = instance.description
+        interface = instance.interface
+        real_inputs = _float64_signals(description, "input") - in_events
+        float64_outputs = _float64_signals(description, "output")
+        # By output: the inputs that feed through to it, where a real one is among them.
+        feeds: dict[str, tuple[str, ...]] = {}
+        feeding: set[str] = set()
+        for output in interface.outputs:
+            if output.name not in float64_outputs or output.variability != "continuous":
+                continue
+            inputs = interface.feeds(output.name)
+            if not real_inputs.isdisjoint(inputs):
+                feeds[output.name] = inputs
+                feeding |= real_inputs.intersection(inputs)
+        followed = real_inputs | in_events
         self.corrected = frozenset(
-            name for name, names in fed.items() if (real | in_events).issuperset(names)
+            name for name, inputs in feeds.items() if followed.issuperset(inputs)
         )
         self._instance = instance
-        self._unknowns = _select(instance.description, "output", face.output_columns(), fed)
-        self._knowns = _select(
-            instance.description, "input", face.input_columns(), real.intersection(feeding)
-        )
+        self._unknowns = _select(description, "output", interface.output_columns(), feeds)
+        self._knowns = _select(description, "input", interface.input_columns(), feeding)
 
     def add(self, y: Vector, du: Vector) -> Vector:
-        """Give y + D du, shape (n_y,)."""
-        seed, y = self._knowns.take(du), y.copy()
+        """Return y + D du, shape (n_y,)."""
+        seed = self._knowns.take(du)
+        corrected = y.copy()
         if self._unknowns.size and any(seed.tolist()):  # quicker than seed.any() for a few
-            y[self._unknowns.columns] += self._instance.get_directional_derivative(
-                self._unknowns, self._knowns, seed
-            )
-        return y
+            changes = self._instance.get_directional_derivative(self._unknowns, self._knowns, seed)
+            corrected[self._unknowns.columns] += changes
+        return corrected
 
 
-def _doubles(description: Description, causality: str) -> list[str]:
-    """Give the signals that directional derivatives are for."""
-    return [
-        signal.name
-        for signal, group in description.ports(causality)
-        if all(v.type == "Float64" for v in group)
-    ]
+def _float64_signals(description: Description, causality: str) -> set[str]:
+    """Return the names of the signals all of whose variables are Float64."""
+    names = set()
+    for signal, variables in description.ports(causality):
+        if all(variable.type == "Float64" for variable in variables):
+            names.add(signal.name)
+    return names
 
 
 def _select(

@@ -1,7 +1,7 @@
-"""Events: where those of model exchange are, the iteration that settles them in every kind, and the list of what happened.
+"""Locate the state events of model exchange, iterate any event, and list what happened.
 
-A state event is where an event indicator changes its domain, z > 0 or z <= 0 (FMI 2.0.4 section 3.1.1, FMI 3.0 section 3.1.1).
-Times that differ by a few roundings are one time: ``close``.
+A state event is where an event indicator changes its domain, z > 0 or z <= 0 (FMI 2.0.4 section
+3.1, FMI 3.0 section 3.1.1). Times that differ by a few roundings are one time: ``close``.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable
-from typing import Final, Literal, TypeAlias, final
+from typing import Final, Literal, NamedTuple, TypeAlias, final
 
 import numpy as np
 
@@ -26,23 +26,26 @@ KEPT: Final = 100  # events in the list until they are fetched
 
 
 def close(t: float) -> float:
-    """Give the distance [s] below which two times near ``t`` are one."""
+    """Return the distance [s] below which two times near ``t`` are one."""
     return 4.0 * math.ulp(t)
 
 
 def crosses(before: Vector, after: Vector) -> bool:
-    """Whether an indicator has changed its domain."""
+    """Return whether an indicator has changed its domain."""
     return bool(((before > 0.0) != (after > 0.0)).any())
 
 
 def locate(
     indicators: Callable[[float], Vector], a: float, za: Vector, b: float, zb: Vector
 ) -> float:
-    """Give the time in (a, b] at which the domains of ``za`` are left for the first time.
+    """Return the time in (a, b] at which the domains of ``za`` are left for the first time.
 
-    The ITP method (Oliveira and Takahashi, ACM Trans. Math. Softw. 47(1), 2020): secants, in no more steps than bisection plus
-    one. Whichever indicator changes first bounds the search, so of several it finds the earliest, as far as the domains at both
-    ends tell. What is given is the far end of a bracket ``close`` to its near end: there the unit sees the domain changed.
+    The ITP method (Oliveira and Takahashi, ACM Trans. Math. Softw. 47(1), 2020): secants, in no
+    more steps than bisection plus one. Whichever indicator changes first bounds the search, so of
+    several it finds the earliest, as far as the domains at both ends tell.
+
+    Returned is the far end of a bracket ``close`` to its near end: there the FMU sees the domain
+    changed. At the near end it would not, and would handle an event that it does not know of.
 
     Parameters
     ----------
@@ -54,89 +57,124 @@ def locate(
         Indicators there; some domain differs.
     """
     resolution = close(max(abs(a), abs(b)))
-    spare = resolution * 2.0 ** (math.ceil(math.log2(max((b - a) / resolution, 1.0))) + 1)
+    ratio = max((b - a) / resolution, 1.0)
+    bisections = math.ceil(math.log2(ratio))
+    # Largest bracket from which the bisections that are left still end within the resolution.
+    largest = resolution * 2.0 ** (bisections + 1)
     scale = 0.2 / (b - a)
     while b - a > resolution:
-        width, middle = b - a, 0.5 * (a + b)
-        change = np.flatnonzero((za > 0.0) != (zb > 0.0))
-        secant = min(
-            (a + width * _root(float(za[j]), float(zb[j])) for j in change.tolist()), default=middle
-        )
+        width = b - a
+        middle = 0.5 * (a + b)
+        # Interpolation: where a straight line first crosses zero.
+        secant = _first_root(a, za, zb, width, default=middle)
+        # Truncation: a little towards the middle, so that both ends of the bracket move.
         truncation = max(scale * width * width, 0.5 * resolution)
         toward = math.copysign(1.0, middle - secant)
-        t = secant + toward * truncation if truncation <= abs(middle - secant) else middle
-        radius = max(0.5 * (spare - width), 0.0)
+        t = middle
+        if truncation <= abs(middle - secant):
+            t = secant + toward * truncation
+        # Projection: as near to the middle as the bound on the number of steps demands.
+        radius = max(0.5 * (largest - width), 0.0)
         if abs(t - middle) > radius:
             t = middle - toward * radius
-        spare *= 0.5
+        largest *= 0.5
         z = indicators(t)
         if crosses(za, z):
-            b, zb = t, z
+            b = t
+            zb = z
         else:
-            a, za = t, z
+            a = t
+            za = z
     return b
 
 
+def _first_root(a: float, za: Vector, zb: Vector, width: float, *, default: float) -> float:
+    """Return where the first of the changing indicators is zero by linear interpolation."""
+    changed = np.flatnonzero((za > 0.0) != (zb > 0.0)).tolist()
+    roots = []
+    for j in changed:
+        fraction = _root(float(za[j]), float(zb[j]))
+        roots.append(a + width * fraction)
+    return min(roots, default=default)
+
+
 def _root(za: float, zb: float) -> float:
-    """Where a straight line from za to zb is zero, 0 to 1."""
-    return min(max(za / (za - zb), 0.0), 1.0) if math.isfinite(za - zb) else 0.5
+    """Return where a straight line from ``za`` to ``zb`` is zero, 0 to 1."""
+    if not math.isfinite(za - zb):
+        return 0.5
+    return min(max(za / (za - zb), 0.0), 1.0)
 
 
-def settle(instance: ModelExchangeInstance | CoSimulationInstance, t: float) -> DiscreteStates:
-    """Iterate the discrete states (FMI 2.0.4 section 3.2.2, FMI 3.0 sections 3.2.1 and 4.2.2); give what came of it all together.
+def iterate_event(
+    instance: ModelExchangeInstance | CoSimulationInstance, t: float
+) -> DiscreteStates:
+    """Iterate the discrete states in event mode, until the FMU needs no further update.
+
+    FMI 2.0.4 section 3.2.2 (fmi2NewDiscreteStates), FMI 3.0 section 2.3.5
+    (fmi3UpdateDiscreteStates).
+
+    Returns
+    -------
+    DiscreteStates
+        Of the last iteration; the changes are those of all iterations together.
 
     Raises
     ------
     RunError
-        If they do not settle.
+        If the event iteration does not converge.
     """
-    values, nominals = False, False
+    values_changed = False
+    nominals_changed = False
     for _ in range(ITERATIONS):
-        found = instance.update_discrete_states()
-        values, nominals = values or found.values_changed, nominals or found.nominals_changed
-        if found.terminate or not found.need_update:
-            return found._replace(values_changed=values, nominals_changed=nominals)
+        states = instance.update_discrete_states()
+        # Each call reports its own changes only: those of an earlier one would be lost.
+        values_changed = values_changed or states.values_changed
+        nominals_changed = nominals_changed or states.nominals_changed
+        if states.terminate or not states.need_update:
+            return states._replace(values_changed=values_changed, nominals_changed=nominals_changed)
     raise RunError(
-        f"{instance.description.name}: discrete states do not settle at t = {t} s after {ITERATIONS} iterations"
+        f"{instance.description.name}: the event iteration at t = {t} s does not converge in "
+        f"{ITERATIONS} iterations"
     )
+
+
+class EventListState(NamedTuple):
+    """A copy of an ``EventList``."""
+
+    events: tuple[tuple[EventKind, float], ...]
+    dropped: int
 
 
 @final
 class EventList:
-    """What happened since it was asked last: the latest ``KEPT`` events, and how many there were before."""
+    """The latest ``KEPT`` events since they were fetched, and how many there were before."""
 
     def __init__(self) -> None:
-        self._kept: deque[tuple[EventKind, float]] = deque(maxlen=KEPT)
+        self._events: deque[tuple[EventKind, float]] = deque(maxlen=KEPT)
         self._dropped = 0
 
     def add(self, kind: EventKind, t: float) -> None:
-        """Note an event at ``t`` [s]."""
-        self._dropped += len(self._kept) == KEPT
-        self._kept.append((kind, t))
+        """Add an event at ``t`` [s]."""
+        self._dropped += len(self._events) == KEPT
+        self._events.append((kind, t))
 
     def drain(self) -> list[Message]:
-        """Give the events since the last call."""
-        found = [Message(t, "debug", "event", f"{kind} at t = {t!r} s") for kind, t in self._kept]
+        """Return the events since the last call."""
+        messages = []
+        for kind, t in self._events:
+            messages.append(Message(t, "debug", "event", f"{kind} at t = {t!r} s"))
         if self._dropped:
-            found.insert(
-                0,
-                Message(
-                    found[0].time,
-                    "debug",
-                    "event",
-                    f"{self._dropped} earlier events are not listed",
-                ),
-            )
-        self._kept.clear()
+            notice = f"{self._dropped} earlier events are not listed"
+            messages.insert(0, Message(messages[0].time, "debug", "event", notice))
+        self._events.clear()
         self._dropped = 0
-        return found
+        return messages
 
-    def save(self) -> object:
+    def save(self) -> EventListState:
         """Copy the list."""
-        return tuple(self._kept), self._dropped
+        return EventListState(tuple(self._events), self._dropped)
 
-    def restore(self, state: object) -> None:
+    def restore(self, state: EventListState) -> None:
         """Go back to a saved list."""
-        kept: tuple[tuple[EventKind, float], ...]
-        kept, self._dropped = state  # type: ignore[misc]
-        self._kept = deque(kept, maxlen=KEPT)
+        self._events = deque(state.events, maxlen=KEPT)
+        self._dropped = state.dropped

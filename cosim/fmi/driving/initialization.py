@@ -1,7 +1,10 @@
-"""Start values, and the way of a unit through initialization mode (FMI 2.0.4 sections 3.2.3 and 4.2.4, FMI 3.0 section 2.3).
+"""Start values, and initialization mode.
 
-A start value is a number, a Boolean, the name or number of an enumeration's item, a text, hexadecimal digits for a Binary, or a
-list of those for an array: flat in row-major order, or nested as its dimensions are.
+FMI 2.0.4 sections 3.2.3 and 4.2.4, FMI 3.0 sections 2.3.2 and 2.3.3.
+
+A start value is a number, a Boolean, the name or number of an enumeration's item, a string,
+hexadecimal digits for a Binary, or a list of those for an array: flat in row-major order, or nested
+as its dimensions are.
 """
 
 from __future__ import annotations
@@ -25,14 +28,20 @@ Starts: TypeAlias = Mapping[str, StartValue]  # by variable name
 
 
 class Initialization:
-    """Keeps a unit in initialization mode as long as its inputs may still change.
+    """Keeps an instance in initialization mode as long as its inputs may still change.
 
     Parameters
     ----------
-    unit : Unit
-        Just instantiated; where there are structural parameters, with the description that ``resized`` gives for them.
+    instance : Instance
+        Just instantiated; where there are structural parameters, with the description that
+        ``resized`` returns for them.
     values : mapping of variable name to StartValue
-        Start values to set instead of the unit's own.
+        Start values to set instead of the FMU's own.
+
+    Attributes
+    ----------
+    mode_time : float or None
+        Time [s] at which the instance is in initialization mode; None: it is not.
 
     Raises
     ------
@@ -41,44 +50,61 @@ class Initialization:
     """
 
     def __init__(self, instance: Instance, values: Starts) -> None:
-        self._instance, self._values = instance, check_start(instance.description, values)
+        self._instance = instance
+        self._values = check_start(instance.description, values)
         self._inputs = instance.description.references("input")
         self._outputs = instance.description.references("output")
-        self._fresh = True
-        self.t: float | None = None  # not None: in initialization mode at that time
+        self._instantiated = True  # and no more than that
+        self.mode_time: float | None = None
 
     def enter(self, t: float, u: Vector) -> Vector:
-        """Start at ``t`` with inputs ``u``, from the beginning unless still there; give the outputs."""
-        if self.t != t:
-            if not self._fresh:
+        """Enter initialization mode at ``t`` with inputs ``u``; return the outputs.
+
+        Where the instance is in that mode at ``t`` already, only the inputs are set.
+        """
+        if self.mode_time != t:
+            if not self._instantiated:
+                # Start values can be set in the state Instantiated only, and reset is the one way
+                # back to it (FMI 2.0.4 section 2.1.6, FMI 3.0 section 2.3.1). It also takes the
+                # start values back that were set before.
                 self._instance.reset()
-            self._fresh = False
-            self._set()
+            self._instantiated = False
+            # Before initialization mode: in it, those of variables with initial = "approx" must not
+            # be set any more (FMI 2.0.4 section 3.2.3, FMI 3.0 section 2.3.3).
+            self._set_start_values()
             self._instance.enter_initialization_mode(t)
-            self.t = t
+            self.mode_time = t
+        # Inputs have no attribute initial, so their place is the initialization mode itself. Here
+        # they may be set and outputs read in turns, which algebraic loops need.
         self._instance.set_float64(self._inputs, np.array(u, np.float64))
         return self._instance.get_float64(self._outputs)
 
-    def _set(self) -> None:
-        given = self._values
-        if given.structural:
+    def _set_start_values(self) -> None:
+        values = self._values
+        if values.structural:
+            # First of all: structural parameters decide how many elements other variables have
+            # (FMI 3.0 section 2.3.6).
             self._instance.enter_configuration_mode()
-            self._set_numbers(given.structural)
+            self._set_numbers(values.structural)
             self._instance.exit_configuration_mode()
-        self._set_numbers(given.numbers)
-        for name, texts in given.texts.items():
+        self._set_numbers(values.numbers)
+        for name, texts in values.texts.items():
             self._instance.set_text(self._instance.description[name], texts)
 
     def _set_numbers(self, numbers: Mapping[str, tuple[float, ...]]) -> None:
-        if numbers:
-            values = np.array([value for found in numbers.values() for value in found], np.float64)
-            self._instance.set_float64(self._instance.description.references_of(numbers), values)
+        if not numbers:
+            return
+        elements: list[float] = []
+        for values in numbers.values():
+            elements += values
+        references = self._instance.description.references_of(numbers)
+        self._instance.set_float64(references, np.array(elements, np.float64))
 
     def leave(self) -> bool:
-        """Exit initialization mode; False: it had been left before."""
-        if self.t is None:
+        """Exit initialization mode; return False where it had been left before."""
+        if self.mode_time is None:
             return False
-        self.t = None
+        self.mode_time = None
         self._instance.exit_initialization_mode()
         return True
 
@@ -101,24 +127,22 @@ class StartValues:
 
 
 def resized(description: Description, values: Starts) -> Description:
-    """Give the description with the structural parameters that are among start values.
+    """Return the description with the structural parameters that are among start values.
 
     Raises
     ------
     FmuError
-        If one of those is not one.
+        If the value of one of those is wrong.
     """
-    structural = {
-        n: v
-        for n, v in values.items()
-        if n in description and description[n].causality == "structuralParameter"
-    }
+    structural: dict[str, StartValue] = {}
+    for name, value in values.items():
+        if name in description and description[name].causality == "structuralParameter":
+            structural[name] = value
+    if not structural:
+        return description
     checked = check_start(description, structural).structural
-    return (
-        description.resized({name: int(value) for name, (value,) in checked.items()})
-        if checked
-        else description
-    )
+    sizes = {name: int(value) for name, (value,) in checked.items()}
+    return description.resized(sizes)
 
 
 def check_start(description: Description, values: Starts) -> StartValues:
@@ -127,8 +151,8 @@ def check_start(description: Description, values: Starts) -> StartValues:
     Raises
     ------
     FmuError
-        All problems together: unknown variable, one that cannot be set, two names of one, another type, NaN or infinity, outside
-        the range, too many or too few elements.
+        All problems together: unknown variable, one that cannot be set, two names of one, another
+        type, NaN or infinity, outside the range, too many or too few elements.
     """
     problems: list[str] = []
     structural: dict[str, tuple[float, ...]] = {}
@@ -137,10 +161,7 @@ def check_start(description: Description, values: Starts) -> StartValues:
     set_by: dict[str, str] = {}
     for name, value in values.items():
         try:
-            variable = description[name]
-            if not variable.settable or variable.type == "Clock":
-                how = f"causality {variable.causality}, variability {variable.variability}, initial {variable.initial}"
-                raise FmuError(f"{description.name}: {name!r} cannot be set at the start ({how})")
+            variable = _settable(description, name)
             _check_name(variable, set_by)
             scalars = _elements(variable, value)
             if variable.type in ("String", "Binary"):
@@ -157,62 +178,88 @@ def check_start(description: Description, values: Starts) -> StartValues:
     return StartValues(structural, numbers, texts)
 
 
+def _settable(description: Description, name: str) -> Variable:
+    """Return the variable of that name; refuse one that cannot be set."""
+    variable = description[name]
+    if not variable.settable or variable.type == "Clock":
+        attributes = (
+            f"causality {variable.causality}, variability {variable.variability}, "
+            f"initial {variable.initial}"
+        )
+        raise FmuError(f"{description.name}: {name!r} cannot be set at the start ({attributes})")
+    return variable
+
+
 def _check_name(variable: Variable, set_by: dict[str, str]) -> None:
-    first = variable.alias_of or variable.name
-    if set_by.setdefault(first, variable.name) != variable.name:
-        raise ValueError(f"it is another name of {set_by[first]!r}, which is given too")
+    """Refuse a second name of a variable that was set; ``set_by`` notes under which name."""
+    first_name = variable.alias_of or variable.name
+    if set_by.setdefault(first_name, variable.name) != variable.name:
+        raise ValueError(f"it is another name of {set_by[first_name]!r}, which is given too")
 
 
 def _elements(variable: Variable, value: StartValue) -> list[StartScalar]:
-    """Give the elements of a value in row-major order."""
+    """Return the elements of a value in row-major order."""
     if not variable.dimensions:
         if isinstance(value, Sequence) and not isinstance(value, str):
             raise ValueError(f"found a list, needed one value of type {variable.type}")
         return [value]
-    found, shape = _flattened(value)
-    if math.prod(shape) != variable.size or len(shape) not in (1, len(variable.dimensions)):
-        raise ValueError(f"found {_size(shape)}, needed a list of {variable.size} values")
-    return found
+    scalars, shape = _flattened(value)
+    flat_or_nested = len(shape) in (1, len(variable.dimensions))
+    if math.prod(shape) != variable.size or not flat_or_nested:
+        raise ValueError(f"found {_counted(shape)}, needed a list of {variable.size} values")
+    return scalars
 
 
 def _flattened(value: StartValue) -> tuple[list[StartScalar], tuple[int, ...]]:
+    """Return the scalars of a nested list in row-major order, and its shape."""
     if isinstance(value, str) or not isinstance(value, Sequence):
         return [value], ()
-    parts = [_flattened(part) for part in value]
-    shapes = {shape for _, shape in parts}
+    scalars: list[StartScalar] = []
+    shapes: set[tuple[int, ...]] = set()
+    for part in value:
+        part_scalars, part_shape = _flattened(part)
+        scalars += part_scalars
+        shapes.add(part_shape)
     if len(shapes) > 1:
         raise ValueError("found lists of different lengths, needed equal ones")
-    return [scalar for found, _ in parts for scalar in found], (len(parts), *next(iter(shapes), ()))
+    part_shape = next(iter(shapes), ())
+    return scalars, (len(value), *part_shape)
 
 
-def _size(shape: tuple[int, ...]) -> str:
-    return (
-        f"lists of shape {' x '.join(map(str, shape))}"
-        if len(shape) > 1
-        else f"{shape[0]} values"
-        if shape
-        else "one value"
-    )
+def _counted(shape: tuple[int, ...]) -> str:
+    """Return how many values a value of that shape has, in words."""
+    if not shape:
+        return "one value"
+    if len(shape) == 1:
+        return f"{shape[0]} values"
+    return f"lists of shape {' x '.join(map(str, shape))}"
 
 
 def _text(variable: Variable, scalar: StartScalar) -> str:
-    if not isinstance(scalar, str):
-        raise ValueError(
-            f"found {scalar!r}, needed a text{' of hexadecimal digits' * (variable.type == 'Binary')}"
-        )
+    """Return the value of a String or, in hexadecimal, of a Binary."""
     if variable.type == "Binary":
-        try:
-            bytes.fromhex(scalar)
-        except ValueError:
-            raise ValueError(
-                f"found {scalar!r}, needed hexadecimal digits, two for every byte"
-            ) from None
-    elif "\0" in scalar:
+        return _hexadecimal(scalar)
+    if not isinstance(scalar, str):
+        raise ValueError(f"found {scalar!r}, needed a text")
+    if "\0" in scalar:
         raise ValueError(f"found {scalar!r}, needed a text without the character 0, which ends it")
     return scalar
 
 
+def _hexadecimal(scalar: StartScalar) -> str:
+    if not isinstance(scalar, str):
+        raise ValueError(f"found {scalar!r}, needed a text of hexadecimal digits")
+    try:
+        bytes.fromhex(scalar)
+    except ValueError:
+        raise ValueError(
+            f"found {scalar!r}, needed hexadecimal digits, two for every byte"
+        ) from None
+    return scalar
+
+
 def _number(variable: Variable, scalar: StartScalar) -> float:
+    """Return the value of a variable that is carried as a number."""
     if isinstance(scalar, str):
         return float(_item(variable, scalar))
     if variable.type == "Boolean":
@@ -231,24 +278,26 @@ def _number(variable: Variable, scalar: StartScalar) -> float:
 
 
 def _item(variable: Variable, name: str) -> int:
+    """Return the number of an enumeration's item."""
     if not variable.items:
-        raise ValueError(
-            f"found {name!r}, needed {'true or false' if variable.type == 'Boolean' else 'a number'}"
-        )
+        needed = "true or false" if variable.type == "Boolean" else "a number"
+        raise ValueError(f"found {name!r}, needed {needed}")
     if name not in variable.items:
         raise ValueError(f"no item {name!r}; {nearest(name, variable.items)}")
     return variable.items[name]
 
 
 def _check_integer(variable: Variable, scalar: float) -> None:
+    """Refuse what a variable of an integer type cannot take, or float64 cannot carry."""
     if scalar != int(scalar):
         raise ValueError(f"found {scalar}, needed a whole number")
     limits = np.iinfo(variable.type.lower())
-    low, high = max(limits.min, -LARGEST_EXACT), min(limits.max, LARGEST_EXACT)
+    low = max(limits.min, -LARGEST_EXACT)
+    high = min(limits.max, LARGEST_EXACT)
     if not low <= scalar <= high:
         raise ValueError(
             f"found {scalar}, needed {low} to {high} ({variable.type}, carried exactly)"
         )
     if variable.items and scalar not in variable.items.values():
-        known = ", ".join(f"{number} ({name})" for name, number in variable.items.items())
-        raise ValueError(f"found {scalar}, needed one of: {known}")
+        items = [f"{number} ({name})" for name, number in variable.items.items()]
+        raise ValueError(f"found {scalar}, needed one of: {', '.join(items)}")

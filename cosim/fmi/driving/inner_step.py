@@ -1,16 +1,18 @@
-"""Find out that a unit keeps an inner step of its own and ignores the communication step it is given.
+"""Detect an inner step: that an FMU ignores the communication step and keeps one of its own.
 
-Such a unit's outputs keep their bits over most communication steps and change at every n-th one only, n > 1. What looks alike is
-told apart thus:
+The outputs of such an FMU keep their bits over most communication steps and change at every n-th
+one only, n > 1. What looks alike is told apart thus:
 
 * at rest: nothing ever changes;
-* it follows an input that itself changes at every n-th step only, directly or late: only spells count in which the inputs move in
-  every step, or in none;
+* it follows an input that itself changes at every n-th step only, directly or with a delay: only
+  spells count in which the inputs move in every step, or in none;
 * rounding, creeping towards a rest: a change counts from ``RELATIVE`` of the value on;
-* a switch between two values (a pulse): a change back to the value before the last one does not count.
+* a switch between two values (a pulse): a change back to the value before the last one does not
+  count.
 
-``REPEATS`` spells in a row that equal the one before are needed, as chance gives a few; ``LIVELY`` changes in successive steps
-show that there is nothing to find. A quantized output that moves steadily looks the same: what is found is a suspicion.
+``REPEATS`` spells in a row that equal the one before are needed, as chance gives a few; ``LIVELY``
+changes in successive steps show that there is no inner step. A quantized output that moves steadily
+looks the same: what is detected is a suspicion.
 """
 
 from __future__ import annotations
@@ -27,26 +29,31 @@ LIVELY: Final = 20
 RELATIVE: Final = 1e-9
 
 
-class _Seen(NamedTuple):
+class StepHistory(NamedTuple):
     """What the last steps showed."""
 
     outputs: Vector | None = None
     inputs: Vector | None = None
-    older: Vector | None = None  # the outputs before their last change
+    outputs_before: Vector | None = None  # their last change
     steps: int = 0  # since the last change
     moves: int = 0  # how many of them had other inputs than the step before
-    period: int = 0
-    repeats: int = 0
+    period: int = 0  # steps between the last two changes
+    repeats: int = 0  # how often in a row that period came again
 
 
 @final
 class InnerStep:
-    """Watches the outputs of a unit.
+    """Watches the outputs of an FMU.
 
     Parameters
     ----------
     columns : array of int
         Which elements of the outputs to watch.
+
+    Attributes
+    ----------
+    history : StepHistory or None
+        None: nothing to watch, or the question is settled.
     """
 
     def __init__(self, columns: NDArray[np.intp]) -> None:
@@ -54,42 +61,48 @@ class InnerStep:
         self.reset()
 
     def reset(self) -> None:
-        """Forget what was seen."""
-        self.seen: _Seen | None = (
-            _Seen() if len(self._columns) else None
-        )  # None: nothing to find, or found
+        """Forget the history."""
+        self.history: StepHistory | None = StepHistory() if len(self._columns) else None
 
-    def see(self, outputs: Vector, inputs: Vector) -> int:
-        """Look at a step: the outputs after it and the inputs it had. Gives n, once, where the outputs keep to every n-th step.
+    def observe(self, outputs: Vector, inputs: Vector) -> int:
+        """Return n, once, where the outputs change at every n-th step only; else 0.
 
-        The vectors must not be written to afterwards.
+        Parameters
+        ----------
+        outputs : Vector, shape (n_y,)
+            After a step; must not be written to afterwards.
+        inputs : Vector, shape (n_u,)
+            Of that step; must not be written to afterwards.
         """
-        if self.seen is None:
+        past = self.history
+        if past is None:
             return 0
-        outputs, (last, before, older, steps, moves, period, repeats) = (
-            outputs[self._columns],
-            self.seen,
+        watched = outputs[self._columns]
+        if past.outputs is None or past.inputs is None:
+            self.history = StepHistory(watched, inputs)
+            return 0
+        steps = past.steps + 1
+        moves = past.moves + (inputs.tobytes() != past.inputs.tobytes())
+        if watched.tobytes() == past.outputs.tobytes():
+            self.history = past._replace(inputs=inputs, steps=steps, moves=moves)
+            return 0
+        repeats = 0
+        if steps == past.period and moves in (0, steps):
+            significant = _is_significant(watched, past.outputs, past.outputs_before)
+            repeats = past.repeats + significant
+        self.history = StepHistory(
+            watched, inputs, outputs_before=past.outputs, period=steps, repeats=repeats
         )
-        if last is None or before is None:
-            self.seen = _Seen(outputs, inputs)
-            return 0
-        steps, moves = steps + 1, moves + (inputs.tobytes() != before.tobytes())
-        if outputs.tobytes() == last.tobytes():
-            self.seen = _Seen(outputs, inputs, older, steps, moves, period, repeats)
-            return 0
-        repeats = (
-            repeats + 1
-            if steps == period and _counts(outputs, last, older) and moves in (0, steps)
-            else 0
-        )
-        self.seen = _Seen(outputs, inputs, last, period=steps, repeats=repeats)
         if repeats < (LIVELY if steps == 1 else REPEATS):
             return 0
-        self.seen = None
+        self.history = None
         return steps if steps > 1 else 0
 
 
-def _counts(now: Vector, last: Vector, older: Vector | None) -> bool:
+def _is_significant(outputs: Vector, last: Vector, before_last: Vector | None) -> bool:
+    """Return whether a change is more than rounding, and no switch back."""
     with np.errstate(all="ignore"):  # what is not finite stops the run elsewhere
-        moved = np.abs(now - last) > RELATIVE * np.maximum(np.abs(now), np.abs(last))
-    return bool(moved.any()) and (older is None or now.tobytes() != older.tobytes())
+        scale = np.maximum(np.abs(outputs), np.abs(last))
+        moved = np.abs(outputs - last) > RELATIVE * scale
+    switched_back = before_last is not None and outputs.tobytes() == before_last.tobytes()
+    return bool(moved.any()) and not switched_back

@@ -1,40 +1,57 @@
-"""A model exchange unit moving through time: its solver, its inputs, its events.
+"""Integrate a model exchange FMU over communication steps: its solver, its inputs, its events.
 
-One communication step from t0 to t1 (inputs in straight lines, held and discrete ones at u0)::
+One communication step from t0 to t1 (inputs by linear interpolation, held and discrete ones at
+u0)::
 
-    arrive at t0: what is due there happens with the inputs u0; so does a held or discrete input that is not as before
-    repeat until t1:
+    handle_events: what is due at t0 happens with the inputs u0;
+                   so does a change of a held or discrete input
+    integrate, until t1:
         the solver steps on, to t1 or the next time event at most
-        where an event indicator changed its domain: back to the first such time, just behind the change
-        set_time, set_continuous_states, set continuous inputs; completed_integrator_step
+        where an event indicator changed its domain:
+            back to the first such time, just behind the change
+        set_time, set_continuous_states, set continuous inputs
+        completed_integrator_step
         a state, time or step event before t1: happens; the solver starts anew.  At t1: is due
-    look: y <- outputs after what is due at t1, with the inputs u1
+    outputs: y <- outputs after what is due at t1, with the inputs u1
 
-    (event:  enter_event_mode, set inputs, update_discrete_states until settled, enter_continuous_time_mode, read states)
+    (event: enter_event_mode, set inputs, update_discrete_states until no update is needed,
+            enter_continuous_time_mode, read states)
 
-In the residual form x has z behind it. Where inputs or discrete states change without time, z is solved for; see ``residual.py``.
+In the residual form x has z behind it. Where inputs or discrete states change without time, z is
+solved for; see ``residual.py``.
 
-The solver runs on over communication points, and starts anew after an event or where a continuous input jumps.
+The solver runs on over communication points, and starts anew after an event or where a continuous
+input jumps.
 
-An event at t1 belongs to the inputs there, which a loop may still correct. A unit that can go back shows its outputs after the
-event and goes back; the event happens when the next step arrives. One that cannot is left behind the event: what its discrete
-states make of inputs that are corrected later, they keep.
+An event at t1 belongs to the inputs there, which a loop may still correct. An FMU that can go back
+shows its outputs after the event and goes back; the event happens when the next step begins. One
+that cannot is left behind the event: what its discrete states make of inputs that are corrected
+later, they keep.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import Final, final
+from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
 from cosim.errors import RunError
-from cosim.fmi.driving.events import EVENTS, EventKind, EventList, close, crosses, locate, settle
+from cosim.fmi.driving.events import (
+    EVENTS,
+    EventKind,
+    EventList,
+    EventListState,
+    close,
+    crosses,
+    iterate_event,
+    locate,
+)
 from cosim.fmi.driving.residual import RADAU, RadauIIA, ResidualForm
-from cosim.fmi.driving.solvers import Adaptive, RungeKutta, Slope, Solver, Stateless
+from cosim.fmi.driving.solvers import Adaptive, RightHandSide, RungeKutta, Solver, Stateless
 from cosim.fmi.instance import ModelExchangeInstance
 
 NONE: Final = np.empty(0)
@@ -42,297 +59,387 @@ NONE: Final = np.empty(0)
 
 @dataclass(slots=True)
 class IntegratorState:
-    """Where a unit is. Arrays are replaced, never written to, so that a shallow copy keeps the state."""
+    """The state of an FMU at one time.
+
+    Arrays are replaced, never written to, so that a shallow copy keeps the state.
+    """
 
     t: float = 0.0
     x: Vector = field(default_factory=lambda: NONE)  # in the residual form with z behind
-    given: Vector = field(default_factory=lambda: NONE)  # all inputs, as the unit has them
+    inputs: Vector = field(default_factory=lambda: NONE)  # as the FMU has them
     indicators: Vector = field(default_factory=lambda: NONE)
     nominals: Vector = field(default_factory=lambda: NONE)
     next_event: float = math.inf
-    due: tuple[EventKind, ...] = ()  # events at t that did not happen yet
-    ended: bool = False  # the unit asked for the end of the run
+    due: tuple[EventKind, ...] = ()  # events at t that were not handled yet
+    ended: bool = False  # the FMU requested the end of the run
 
 
-class Line:
-    """Inputs in a straight line from u0 at t0 to u1 at t1."""
+class IntegratorSnapshot(NamedTuple):
+    """A copy of an ``Integrator``, without the FMU's own state."""
+
+    state: IntegratorState
+    solver: Any  # what the solver's ``save`` returned
+    events: EventListState
+
+
+class LinearInputs:
+    """Inputs by linear interpolation from u0 at t0 to u1 at t1."""
 
     def __init__(self, t0: float, t1: float, u0: Vector, u1: Vector) -> None:
-        self.t0, self.t1, self.u0, self.u1 = t0, t1, u0, u1
+        self.t0 = t0
+        self.t1 = t1
+        self.u0 = u0
+        self.u1 = u1
 
     def __call__(self, t: float) -> Vector:
-        """Give the inputs at ``t``."""
+        """Return the inputs at ``t``; the values at the ends are exact."""
         if t >= self.t1:
             return self.u1
         if t <= self.t0:
             return self.u0
-        return self.u0 + (t - self.t0) / (self.t1 - self.t0) * (self.u1 - self.u0)
+        fraction = (t - self.t0) / (self.t1 - self.t0)
+        return self.u0 + fraction * (self.u1 - self.u0)
 
 
 @final
 class Integrator:
-    """Where a unit is, and what moves it on.
+    """Integrates an FMU and handles its events.
 
     Parameters
     ----------
-    unit : ModelExchangeInstance
+    instance : ModelExchangeInstance
     solver : str
-        One of ``cosim.fmi.driving.solvers.SOLVERS``, or ``RADAU`` for the residual form; ``exact``: its owner moves it.
+        One of ``cosim.fmi.driving.solvers.SOLVERS``, or ``RADAU`` for the residual form. With
+        ``exact`` the owner of the integrator advances the state.
     rtol : float
         Relative tolerance of the states.
 
     Attributes
     ----------
-    now : Reached
-    jumping : array of int
-        Which inputs go through events: held and discrete ones; its owner says so.
+    state : IntegratorState
+    event_inputs : array of int
+        Which inputs change in events only: held and discrete ones; set by the owner.
     events : EventList
     """
 
     def __init__(self, instance: ModelExchangeInstance, solver: str, *, rtol: float) -> None:
-        self._instance, self._name, description = (
-            instance,
-            instance.description.name,
-            instance.description,
-        )
-        self._outputs, self._inputs = (
-            description.references("output"),
-            description.references("input"),
-        )
+        description = instance.description
+        self._instance = instance
+        self._name = description.name
         self._capabilities = description.capabilities["me"]
-        self._moving = self._inputs.select(~description.discrete_inputs)
-        self._n, self._n_z = description.n_states, description.event_indicators
+        self._outputs = description.references("output")
+        self._inputs = description.references("input")
+        self._continuous_inputs = self._inputs.select(~description.discrete_inputs)
+        self._n_x = description.n_states
+        self._n_z = description.event_indicators
         self._form = ResidualForm(instance) if solver == RADAU else None
-        self._solver = (
-            _solver(solver, self._derivative, self._n, rtol)
-            if self._form is None
-            else RadauIIA(self._name, self._equations, self._jacobian, self._n)
-        )
-        self._scaled = (
-            solver not in ("exact", "rk4") and self._n > 0
-        )  # the solver wants nominal values
-        self._goes_back = (
-            self._capabilities.saves_state and solver != "exact"
-        )  # a linear model has nothing to undo
-        self._copy: object | None = None  # of the unit's state; its memory is used again
-        self._line = Line(0.0, 0.0, NONE, NONE)
-        self._set = math.nan  # the time whose inputs, on the line, the unit has
-        self.now = IntegratorState()
-        self.jumping: NDArray[np.intp] = np.flatnonzero(description.discrete_inputs)
+        self._solver: Solver[Any]  # each restores what it saved itself
+        if self._form is None:
+            self._solver = _build_solver(solver, self._derivatives, self._n_x, rtol)
+        else:
+            self._solver = RadauIIA(self._name, self._equations, self._jacobian, self._n_x)
+        self._uses_nominals = solver not in ("exact", "rk4") and self._n_x > 0
+        # With the exact solver the model is linear: an event changes nothing but its inputs.
+        self._rolls_back = self._capabilities.saves_state and solver != "exact"
+        self._fmu_state: object | None = None  # before an event; its memory is used again
+        self._step_inputs = LinearInputs(0.0, 0.0, NONE, NONE)
+        # The time whose inputs of this step the FMU has; NaN: it has others.
+        self._inputs_time = math.nan
+        self.state = IntegratorState()
+        self.event_inputs: NDArray[np.intp] = np.flatnonzero(description.discrete_inputs)
         self.events = EventList()
 
     def begin(self) -> None:
-        """Settle what the initialization left; from here on time may move."""
-        self._settle()
-        self._restart()
+        """Handle the event that the initialization ends with; from here on time may advance.
 
-    def save(self) -> object:
-        """Copy everything but the unit's own state."""
-        return replace(self.now), self._solver.save(), self.events.save()
+        No call of enter_event_mode: exit_initialization_mode leads to event mode (FMI 2.0.4 section
+        3.2.3, FMI 3.0 section 2.3.3).
+        """
+        self._iterate_event()
+        self._restart_solver()
 
-    def restore(self, state: object) -> None:
-        """Go back to a saved state, after the unit."""
-        now, solver, events = state  # type: ignore[misc]
-        self.now, self._set = replace(now), math.nan  # type: ignore[has-type]
-        self._solver.restore(solver)  # type: ignore[has-type]
-        self.events.restore(events)  # type: ignore[has-type]
+    def save(self) -> IntegratorSnapshot:
+        """Copy everything but the FMU's own state."""
+        state = replace(self.state)
+        return IntegratorSnapshot(state, self._solver.save(), self.events.save())
 
-    def move(self, line: Line) -> bool:
-        """Integrate over a communication step, with the events before its end; False: the unit asked for the end on the way.
+    def restore(self, snapshot: IntegratorSnapshot) -> None:
+        """Go back to a saved state, after the FMU."""
+        self.state = replace(snapshot.state)
+        self._inputs_time = math.nan
+        self._solver.restore(snapshot.solver)
+        self.events.restore(snapshot.events)
+
+    def integrate(self, inputs: LinearInputs) -> bool:
+        """Integrate over a communication step and handle the events before its end.
+
+        Returns
+        -------
+        bool
+            False where the FMU requested the end of the run on the way.
 
         Raises
         ------
         RunError
             If the events do not end.
         """
-        self._line = line
+        self._step_inputs = inputs
         for _ in range(EVENTS):
-            kinds, now = self._to_event(line.t1), self.now
-            if now.t >= line.t1:
-                now.due, now.given = kinds, line.u1
+            due = self._integrate_to_event(inputs.t1)
+            state = self.state
+            if state.t >= inputs.t1:
+                state.due = due
+                state.inputs = inputs.u1
                 return True
-            if now.ended:
+            if state.ended:
                 return False
-            now.due = kinds
-            self.arrive(line(now.t))
-            if self.now.ended:
+            state.due = due
+            self.handle_events(inputs(state.t))
+            if self.state.ended:
                 return False
         raise RunError(
-            f"{self._name}: {EVENTS} events between t = {line.t0} s and {line.t1} s, the last at {self.now.t} s; they do not end"
+            f"{self._name}: {EVENTS} events between t = {inputs.t0} s and {inputs.t1} s, "
+            f"the last at {self.state.t} s; they do not end"
         )
 
-    def _to_event(self, t1: float) -> tuple[EventKind, ...]:
-        """Integrate to the next event, or to ``t1`` at most; give what is due there."""
-        now, solver = self.now, self._solver
+    def _integrate_to_event(self, t1: float) -> tuple[EventKind, ...]:
+        """Integrate to the next event, or to ``t1`` at most; return what is due there."""
+        state = self.state
         while True:
-            if now.next_event - now.t <= close(now.t):
+            if state.next_event - state.t <= close(state.t):
                 return self._with_time_event(())
-            stop = now.next_event if t1 - now.next_event > close(t1) else t1
-            begin, t = now.t, solver.step(stop)
-            x = solver.at(t)
-            t = stop if stop - t <= close(stop) else t
-            self._put(t, x)
-            kinds: tuple[EventKind, ...] = ()
-            if self._n_z:
-                z = self._instance.get_event_indicators()
-                if crosses(now.indicators, z):
-                    t = locate(self._indicators, begin, now.indicators, t, z)
-                    x, t = solver.at(t), stop if stop - t <= close(stop) else t
-                    self._put(t, x)
-                    kinds = ("state event",)
-                now.indicators = z
-            now.t, now.x = t, x
+            # Never beyond the next time event: there x' may jump (FMI 2.0.4 section 3.2.2).
+            event_comes_first = t1 - state.next_event > close(t1)
+            due = self._step(state.next_event if event_comes_first else t1)
             if self._capabilities.completed_step:
-                wanted, now.ended = self._instance.completed_integrator_step()
-                kinds += ("step event",) if wanted else ()
-            kinds = self._with_time_event(kinds)
-            if kinds or now.ended or now.t >= t1:
-                return kinds
+                # After state events are located and with time, inputs and states set to accepted
+                # values: time must not go back over this call (FMI 2.0.4 section 3.2.2, FMI 3.0
+                # section 3.2.1).
+                step_event, state.ended = self._instance.completed_integrator_step()
+                if step_event:
+                    due = (*due, "step event")
+            due = self._with_time_event(due)
+            if due or state.ended or state.t >= t1:
+                return due
 
-    def _with_time_event(self, kinds: tuple[EventKind, ...]) -> tuple[EventKind, ...]:
-        """Add the time event, if it is here; the unit then sees no time before it."""
-        now = self.now
-        if now.next_event - now.t > close(now.t):
-            return kinds
-        if now.next_event > now.t:
-            now.t = now.next_event
-            self._put(now.t, now.x)
-        return *kinds, "time event"
+    def _step(self, stop: float) -> tuple[EventKind, ...]:
+        """Take a step of the solver, to the first state event in it at most."""
+        state = self.state
+        begin = state.t
+        t, x = self._set_solution(self._solver.step(stop), stop)
+        due: tuple[EventKind, ...] = ()
+        if self._n_z:
+            indicators = self._instance.get_event_indicators()
+            if crosses(state.indicators, indicators):
+                event_time = locate(self._indicators_at, begin, state.indicators, t, indicators)
+                t, x = self._set_solution(event_time, stop)
+                due = ("state event",)
+            state.indicators = indicators
+        state.t = t
+        state.x = x
+        return due
 
-    def _derivative(self, t: float, x: Vector) -> Vector:
-        self._put(t, x)
+    def _set_solution(self, t: float, stop: float) -> tuple[float, Vector]:
+        """Set the FMU to the solution at ``t``, or at ``stop`` where that is one time."""
+        x = self._solver.at(t)
+        if stop - t <= close(stop):
+            t = stop
+        self._set_point(t, x)
+        return t, x
+
+    def _with_time_event(self, due: tuple[EventKind, ...]) -> tuple[EventKind, ...]:
+        """Add the time event where it is due; the FMU then has a time not before it."""
+        state = self.state
+        if state.next_event - state.t > close(state.t):
+            return due
+        if state.next_event > state.t:
+            # At or after nextEventTime (FMI 3.0 section 2.3.5): a rounding before it an FMU that
+            # compares times would not handle its event.
+            state.t = state.next_event
+            self._set_point(state.t, state.x)
+        return (*due, "time event")
+
+    # --- what the solver and the location of events evaluate ---
+
+    def _set_point(self, t: float, x: Vector) -> None:
+        """Set time, inputs and states, before anything that depends on them is read.
+
+        FMI 2.0.4 section 3.2.2: the arguments of an evaluation are set before it. Time and inputs
+        are set where they change only, as each call makes an FMU forget what it has computed.
+        """
+        if t != self._inputs_time:
+            self._instance.set_time(t)
+            self.set_continuous_inputs(self._step_inputs(t))
+            self._inputs_time = t
+        if self._form is not None:
+            self._form.set_variables(x)
+        elif self._n_x:
+            self._instance.set_continuous_states(x)
+
+    def _derivatives(self, t: float, x: Vector) -> Vector:
+        self._set_point(t, x)
         return self._instance.get_derivatives()
 
-    def _indicators(self, t: float) -> Vector:
-        self._put(t, self._solver.at(t))
+    def _indicators_at(self, t: float) -> Vector:
+        self._set_point(t, self._solver.at(t))
         return self._instance.get_event_indicators()
-
-    def _put(self, t: float, x: Vector) -> None:
-        """Set time, states, and the continuous inputs on the line."""
-        if t != self._set:
-            self._instance.set_time(t)
-            self.set_continuous(self._line(t))
-            self._set = t
-        if self._form is not None:
-            self._form.put(x)
-        elif self._n:
-            self._instance.set_continuous_states(x)
 
     def _equations(self, t: float, w: Vector) -> Vector:
         assert self._form is not None
-        self._put(t, w)
-        return self._form.values()
+        self._set_point(t, w)
+        return self._form.evaluate()
 
     def _jacobian(self, t: float, w: Vector, scale: Vector) -> Matrix:
         assert self._form is not None
-        self._put(t, w)
+        self._set_point(t, w)
         return self._form.jacobian(w, lambda w: self._equations(t, w), scale)
 
     # --- inputs and events ---
 
-    def set_continuous(self, u: Vector) -> None:
-        """Set what may change while time moves."""
-        if self._moving.size or not self._moving.is_part:
-            self._instance.set_float64(self._moving, self._moving.take(u))
+    def set_continuous_inputs(self, u: Vector) -> None:
+        """Set the inputs that may change while time advances."""
+        if self._continuous_inputs.size or not self._continuous_inputs.is_part:
+            self._instance.set_float64(self._continuous_inputs, self._continuous_inputs.take(u))
 
     def _jumps(self, u: Vector) -> bool:
-        """Whether a held or discrete input is not what the unit was given last."""
-        return self.jumping.size > 0 and bool(
-            (u[self.jumping] != self.now.given[self.jumping]).any()
-        )
+        """Return whether a held or discrete input differs from what the FMU has."""
+        columns = self.event_inputs
+        if not columns.size:
+            return False
+        return bool((u[columns] != self.state.inputs[columns]).any())
 
-    def look(self, u: Vector) -> Vector:
-        """Give the outputs for inputs ``u``, after what is due; then go back, if the unit can."""
-        now = self.now
-        if now.ended:
+    def outputs(self, u: Vector) -> Vector:
+        """Return the outputs for inputs ``u``, after what is due; then go back, if the FMU can."""
+        state = self.state
+        if state.ended:
             return self._instance.get_float64(self._outputs)
-        if not (now.due or self._jumps(u)):
-            moved = u.tobytes() != now.given.tobytes()
-            if moved or math.isnan(self._set):
-                self.set_continuous(u)
-                self._set = math.nan
-                if self._form is not None:
-                    self._form.put(self._form.solved(now.t, now.x) if moved else now.x)
-        elif self._goes_back:
-            return self._look_ahead(u)
+        if not (state.due or self._jumps(u)):
+            self._correct_inputs(u)
+        elif self._rolls_back:
+            return self._outputs_after_event(u)
         else:
-            self.arrive(u)
+            self.handle_events(u)
         return self._instance.get_float64(self._outputs)
 
-    def _look_ahead(self, u: Vector) -> Vector:
-        instance, before = self._instance, replace(self.now)
-        self._copy = instance.get_fmu_state(self._copy)
-        self._event(u)
+    def _correct_inputs(self, u: Vector) -> None:
+        """Set continuous inputs for the outputs alone; the state stays what it is."""
+        state = self.state
+        corrected = u.tobytes() != state.inputs.tobytes()
+        if not corrected and not math.isnan(self._inputs_time):
+            return
+        self.set_continuous_inputs(u)
+        self._inputs_time = math.nan
+        if self._form is not None:
+            x = self._form.solve(state.t, state.x) if corrected else state.x
+            self._form.set_variables(x)
+
+    def _outputs_after_event(self, u: Vector) -> Vector:
+        instance = self._instance
+        before = replace(self.state)
+        # The copy holds the mode too: with it the FMU is back in continuous-time mode.
+        self._fmu_state = instance.get_fmu_state(self._fmu_state)
+        self._handle_event(u)
         y = instance.get_float64(self._outputs)
-        if not self.now.ended:
-            instance.set_fmu_state(self._copy)
-            self.now = before
+        if not self.state.ended:
+            instance.set_fmu_state(self._fmu_state)
+            self.state = before
         return y
 
-    def arrive(self, u: Vector) -> None:
-        """Let happen what is due at the time reached, with the inputs from here on; the solver starts anew if need be."""
-        now = self.now
-        if now.due or self._jumps(u):
-            for kind in now.due or ("input event",):
-                self.events.add(kind, now.t)
-            self._event(u)
-            self._restart()
-        elif u.tobytes() != now.given.tobytes():
-            self.set_continuous(u)
-            self._set, now.given = math.nan, u
-            if self._form is not None:
-                now.x = self._form.solved(now.t, now.x)
-            self._restart()
-            if self._n_z:
-                before, now.indicators = now.indicators, self._instance.get_event_indicators()
-                if crosses(before, now.indicators):
-                    now.due = ("state event",)
-                    self.arrive(u)
+    def handle_events(self, u: Vector) -> None:
+        """Handle what is due at the time reached, with ``u``, the inputs from here on.
 
-    def _event(self, u: Vector) -> None:
-        """Let the discrete states settle, with all inputs."""
+        Where an event happens or a continuous input jumps, the solver starts anew.
+        """
+        state = self.state
+        if state.due or self._jumps(u):
+            for kind in state.due or ("input event",):
+                self.events.add(kind, state.t)
+            self._handle_event(u)
+            self._restart_solver()
+        elif u.tobytes() != state.inputs.tobytes():
+            self._set_jumped_inputs(u)
+
+    def _set_jumped_inputs(self, u: Vector) -> None:
+        """Set continuous inputs that are not what they were a moment ago; that may be an event."""
+        state = self.state
+        self.set_continuous_inputs(u)
+        self._inputs_time = math.nan
+        state.inputs = u
+        if self._form is not None:
+            state.x = self._form.solve(state.t, state.x)
+        self._restart_solver()
+        if self._n_z:
+            indicators_before = state.indicators
+            state.indicators = self._instance.get_event_indicators()
+            if crosses(indicators_before, state.indicators):
+                state.due = ("state event",)
+                self.handle_events(u)
+
+    def _handle_event(self, u: Vector) -> None:
+        """Do one event, with all inputs."""
+        # Event mode first: discrete inputs must not be set in continuous-time mode (FMI 2.0.4
+        # section 3.2.3, FMI 3.0 section 3.2.1).
         self._instance.enter_event_mode()
         self._instance.set_float64(self._inputs, u)
-        self.now.given = u
+        self.state.inputs = u
         if self._form is not None:
-            self._form.solved(self.now.t, self.now.x)
-        self._settle()
+            self._form.solve(self.state.t, self.state.x)
+        self._iterate_event()
 
-    def _settle(self) -> None:
-        """Iterate the discrete states, hear whether it is the end of the run; if not, let time move again."""
-        instance, now = self._instance, self.now
-        found = settle(instance, now.t)
-        now.due, self._set = (), math.nan
-        now.ended |= found.terminate
-        if now.ended:
+    def _iterate_event(self) -> None:
+        """Iterate the event; unless the run is to end, leave event mode and read what changed."""
+        instance = self._instance
+        state = self.state
+        discrete = iterate_event(instance, state.t)
+        state.due = ()
+        self._inputs_time = math.nan
+        state.ended |= discrete.terminate
+        if state.ended:
+            # Only terminate may follow (FMI 2.0.4 section 3.2.2).
             return
-        now.next_event = math.inf if found.next_event_time is None else found.next_event_time
-        if not now.next_event >= now.t - close(now.t):
-            text = f"at t = {now.t} s it announces a time event at {now.next_event} s; needed a time that is not over"
-            raise RunError(f"{self._name}: {text}")
+        next_event = discrete.next_event_time
+        state.next_event = math.inf if next_event is None else next_event
+        if not state.next_event >= state.t - close(state.t):
+            raise RunError(
+                f"{self._name}: at t = {state.t} s it announces a time event at "
+                f"{state.next_event} s; needed a time that is not over"
+            )
+        # States and nominals are read behind this call, as an FMU may select other states in it
+        # (FMI 2.0.4 section 3.2.2).
         instance.enter_continuous_time_mode()
         if self._form is not None:
-            now.x = self._form.solved(now.t, now.x)
-        elif self._n:
-            now.x = instance.get_continuous_states()
+            state.x = self._form.solve(state.t, state.x)
+        elif self._n_x:
+            state.x = instance.get_continuous_states()
         if self._n_z:
-            now.indicators = instance.get_event_indicators()
-        if found.nominals_changed or not now.nominals.size:
-            now.nominals = self._nominals()
+            state.indicators = instance.get_event_indicators()
+        if discrete.nominals_changed or not state.nominals.size:
+            state.nominals = self._read_nominals()
 
-    def _nominals(self) -> Vector:
-        nominals = np.abs(self._instance.get_nominals()) if self._scaled else np.ones(self._n)
-        for i in np.flatnonzero(~((nominals > 0.0) & (nominals < math.inf))).tolist():
+    def _read_nominals(self) -> Vector:
+        """Return the nominal values that the solver scales its tolerances with."""
+        if self._uses_nominals:
+            nominals = np.abs(self._instance.get_nominals())
+        else:
+            nominals = np.ones(self._n_x)
+        valid = (nominals > 0.0) & (nominals < math.inf)
+        invalid = np.flatnonzero(~valid)
+        if invalid.size:
+            i = int(invalid[0])
             raise RunError(
-                f"{self._name}: nominal value of state {i}: found {nominals[i]}, needed a number other than zero"
+                f"{self._name}: nominal value of state {i}: found {nominals[i]}, "
+                "needed a number other than zero"
             )
-        return nominals if self._form is None else np.concatenate([nominals, self._form.nominals])
+        if self._form is None:
+            return nominals
+        return np.concatenate([nominals, self._form.nominals])
 
-    def _restart(self) -> None:
-        self._solver.start(self.now.t, self.now.x, self.now.nominals)
+    def _restart_solver(self) -> None:
+        state = self.state
+        self._solver.start(state.t, state.x, state.nominals)
 
 
-def _solver(name: str, f: Slope, n: int, rtol: float) -> Solver:
+def _build_solver(name: str, f: RightHandSide, n: int, rtol: float) -> Solver[Any]:
     if name == "exact" or n == 0:
         return Stateless()
     if name == "rk4":

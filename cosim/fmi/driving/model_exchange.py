@@ -1,13 +1,13 @@
-"""A model exchange unit, generated or loaded, with a solver: a component.
+"""A model exchange FMU, generated or loaded, with a solver: a component.
 
-``motion.py`` says what happens in a communication step. The end of the run that a unit asks for is remembered, and comes with the
-next ``advance`` at the latest.
+``integrator.py`` shows what happens in a communication step. The end of the run that an FMU
+requests is remembered, and comes with the next ``advance`` at the latest.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Final, final
+from typing import Final, NamedTuple, final
 
 import numpy as np
 
@@ -17,7 +17,12 @@ from cosim.core.linear import Linear, LinearModel
 from cosim.errors import FmuError, RunError, nearest
 from cosim.fmi.binary.messages import Message
 from cosim.fmi.driving.initialization import Initialization, Starts
-from cosim.fmi.driving.integrator import Integrator, IntegratorState, Line
+from cosim.fmi.driving.integrator import (
+    Integrator,
+    IntegratorSnapshot,
+    IntegratorState,
+    LinearInputs,
+)
 from cosim.fmi.driving.residual import FORMS, RADAU, DaeForm
 from cosim.fmi.driving.saved import SavedState, save
 from cosim.fmi.driving.solvers import SOLVERS, STEPPING, TOLERANT
@@ -27,29 +32,45 @@ RTOL: Final = 1e-9
 CLOSEST: Final = 1e-13  # what rounding leaves of a relative tolerance
 
 
+class ModelExchangeState(NamedTuple):
+    """What a ``ModelExchange`` keeps beside the FMU's own state."""
+
+    initialization_time: float | None  # of its initialization mode
+    integrator: IntegratorSnapshot
+
+
 @final
 class ModelExchange:
-    """A model exchange unit with a solver.
+    """A model exchange FMU with a solver.
 
     Parameters
     ----------
-    unit : ModelExchangeInstance
+    instance : ModelExchangeInstance
         Just instantiated.
     solver : str or None
-        One of ``cosim.fmi.driving.solvers.SOLVERS``; None: ``exact`` where the unit's model is known to be linear, else ``RK45``.
+        One of ``cosim.fmi.driving.solvers.SOLVERS``; None: ``exact`` where the model is known to be
+        linear, else ``RK45``.
     starts : mapping of variable name to StartValue
-        Start values to set instead of the unit's own.
+        Start values to set instead of the FMU's own.
     rtol : float or None
-        Relative tolerance of the states, for the solvers that keep one (``TOLERANT``), else None; None there: ``RTOL``. The
-        absolute one is ``rtol`` times their nominal values.
+        Relative tolerance of the states, for the solvers that keep one (``TOLERANT``), else None;
+        None there: ``RTOL``. The absolute one is ``rtol`` times their nominal values.
     dae : {"ode", "residual"}
-        Whether the unit calculates its algebraic variables, or they are solved for here; see ``residual.py``.
+        Whether the FMU calculates its algebraic variables, or they are solved for here; see
+        ``residual.py``.
+
+    Attributes
+    ----------
+    solver : str
+        The one that is used.
+    rtol : float or None
+        The relative tolerance that is kept; None: the solver keeps none.
 
     Raises
     ------
     FmuError
-        If there is no such solver or residual form, it needs what the unit or the machine does not have, the tolerance is not
-        one or for a solver that keeps none, or a start value is wrong.
+        If there is no such solver or residual form, it needs what the FMU or the machine does not
+        have, the tolerance is not one or for a solver that keeps none, or a start value is wrong.
     """
 
     def __init__(
@@ -61,64 +82,35 @@ class ModelExchange:
         rtol: float | None = None,
         dae: DaeForm = "ode",
     ) -> None:
-        self._instance, self._name = instance, instance.description.name
-        if dae not in FORMS:
-            raise FmuError(f"{self._name}: dae = {dae!r}; {nearest(dae, FORMS)}")
-        if dae == "residual" and solver is not None:
-            raise FmuError(
-                f"{self._name}: solver {solver!r}: the residual form has its own, {RADAU}; leave one of both out"
-            )
-        self.solver = (
-            RADAU
-            if dae == "residual"
-            else solver or ("RK45" if instance.linear is None else "exact")
-        )
-        if self.solver not in (*SOLVERS, RADAU) or solver == RADAU:
-            raise FmuError(
-                f"{self._name}: no solver {solver!r}; {nearest(self.solver, STEPPING if instance.linear is None else SOLVERS)}"
-            )
-        if self.solver == "exact" and instance.linear is None:
-            raise FmuError(
-                f"{self._name}: solver 'exact' needs the matrices of a linear model, an FMU does not show them; "
-                f"use one of: {', '.join(STEPPING)}"
-            )
-        if rtol is not None and self.solver not in TOLERANT:
-            raise FmuError(
-                f"{self._name}: relative tolerance {rtol}: solver {self.solver!r} takes the steps it is given; leave it out or "
-                f"use one of: {', '.join(TOLERANT)}"
-            )
-        rtol = RTOL if rtol is None else rtol
-        if not CLOSEST <= rtol < 1.0:
-            raise FmuError(
-                f"{self._name}: relative tolerance {rtol}; needed at least {CLOSEST} and less than 1"
-            )
-        self.rtol = rtol if self.solver in TOLERANT else None
-        self.interface = replace(
-            instance.interface,
-            prepares=True,
-            rollback=instance.description.capabilities["me"].saves_state,
-        )
+        self.solver = _choose_solver(instance, solver, dae)
+        tolerance = _choose_tolerance(instance.description.name, self.solver, rtol)
+        self.rtol = tolerance if self.solver in TOLERANT else None
         self.notes: tuple[str, ...] = ()
-        self._start = Initialization(instance, starts or {})
-        self._discrete, self._capabilities = (
-            instance.description.discrete_inputs,
-            instance.description.capabilities["me"],
+        self._instance = instance
+        self._initialization = Initialization(instance, starts or {})
+        self._discrete = instance.description.discrete_inputs
+        self._capabilities = instance.description.capabilities["me"]
+        self.interface = replace(
+            instance.interface, prepares=True, rollback=self._capabilities.saves_state
         )
-        self._motion = Integrator(instance, self.solver, rtol=rtol)
+        self._integrator = Integrator(instance, self.solver, rtol=tolerance)
         self._exact: Linear | None = None
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
-        """Discretize for the exact solver; a known model's numbers are recorded, and taken from the record."""
+        """Discretize for the exact solver.
+
+        The numbers of a known model are recorded, and taken from the record.
+        """
         held = held | self._discrete
-        jumping = (
-            self._discrete if self.solver == "exact" else held
-        )  # exact: a jump of a held input is in the matrices
-        self._motion.jumping = np.flatnonzero(jumping)
+        # With the exact solver the jump of a held input is in the matrices.
+        in_events = self._discrete if self.solver == "exact" else held
+        self._integrator.event_inputs = np.flatnonzero(in_events)
         model = self._instance.linear
         if model is None:
             return {}
         if recorded:
-            model = self._instance.linear = _with_numbers(model, recorded)
+            model = _with_numbers(model, recorded)
+            self._instance.linear = model
         if self.solver != "exact":
             return model.arrays
         self._exact = Linear(model)
@@ -126,31 +118,34 @@ class ModelExchange:
 
     def initialize(self, t: float, u: Vector) -> Vector:
         """Start at ``t``; stays in initialization mode until the first advance."""
-        self._motion.now = IntegratorState(t, given=np.array(u, np.float64))
-        return self._start.enter(t, u)
+        self._integrator.state = IntegratorState(t, inputs=np.array(u, np.float64))
+        return self._initialization.enter(t, u)
 
     def outputs(self, t: float, u: Vector) -> Vector:
-        """Give the outputs at ``t``, the time reached, for inputs ``u``, after what is due there."""
+        """Return the outputs at ``t``, the time reached, after what is due there."""
         self._leave_initialization()
-        return self._motion.look(np.array(u, np.float64, order="C"))
+        return self._integrator.outputs(np.array(u, np.float64, order="C"))
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
         """Step K times; see :class:`cosim.core.contracts.Component`."""
+        no_rows = np.empty((0, self.interface.n_y))
         try:
             self._leave_initialization()
-            if not self._motion.now.ended:
-                self._motion.arrive(np.array(u[0], np.float64))
+            if not self._integrator.state.ended:
+                self._integrator.handle_events(np.array(u[0], np.float64))
         except RunError as error:
-            raise Stopped(np.empty((0, self.interface.n_y)), str(error)) from error
-        if self._motion.now.ended:
-            raise Stopped(np.empty((0, self.interface.n_y)), TERMINATED, failed=False)
-        return self._advance_exactly(self._exact, t, h, u) if self._exact else self._integrate(t, u)
+            raise Stopped(no_rows, str(error)) from error
+        if self._integrator.state.ended:
+            raise Stopped(no_rows, TERMINATED, failed=False)
+        if self._exact:
+            return self._advance_exactly(self._exact, t, h, u)
+        return self._integrate(t, u)
 
     def drain(self) -> list[Message]:
-        """Give the events since the last call, at level debug."""
-        return self._motion.events.drain()
+        """Return the events since the last call, at level debug."""
+        return self._integrator.events.drain()
 
-    def save(self) -> SavedState:
+    def save(self) -> SavedState[ModelExchangeState]:
         """Copy the state, the solver's included.
 
         CVode and LSODA cannot be copied: they start anew here, so that both branches begin alike.
@@ -158,60 +153,123 @@ class ModelExchange:
         Raises
         ------
         FmuError
-            If the unit cannot.
+            If the FMU cannot save its state.
         """
-        return save(self._instance, self._capabilities, (self._start.t, self._motion.save()))
+        state = ModelExchangeState(self._initialization.mode_time, self._integrator.save())
+        return save(self._instance, self._capabilities, state)
 
-    def restore(self, state: SavedState) -> None:
+    def restore(self, state: SavedState[ModelExchangeState]) -> None:
         """Go back to a saved state."""
-        self._instance.set_fmu_state(state.instance)
-        self._start.t, motion = state.own  # type: ignore[assignment]
-        self._motion.restore(motion)
-        if self._exact and self._start.t is None:
-            self._exact.state[:] = self._motion.now.x
+        self._instance.set_fmu_state(state.fmu)
+        self._initialization.mode_time = state.component.initialization_time
+        self._integrator.restore(state.component.integrator)
+        if self._exact and self._initialization.mode_time is None:
+            self._exact.state[:] = self._integrator.state.x
 
     def _leave_initialization(self) -> None:
-        if not self._start.leave():
+        if not self._initialization.leave():
             return
-        self._motion.begin()
-        if self._exact and not self._motion.now.ended:
-            self._exact.state[:] = self._motion.now.x
+        self._integrator.begin()
+        if self._exact and not self._integrator.state.ended:
+            self._exact.state[:] = self._integrator.state.x
 
     # --- the exact solver ---
 
     def _advance_exactly(self, exact: Linear, t: Vector, h: float, u: Matrix) -> Matrix:
         y = exact.advance(t, h, u)
-        now, end = self._motion.now, u[-1].copy()
-        now.t, now.x = float(t[-1]), exact.state.copy()
-        end[self._motion.jumping] = now.given[self._motion.jumping]
-        self._instance.set_time(now.t)
-        self._instance.set_continuous_states(now.x)
-        self._motion.set_continuous(end)
+        state = self._integrator.state
+        state.t = float(t[-1])
+        state.x = exact.state.copy()
+        # Inputs that change in events only keep their value to the end of the step.
+        end_inputs = u[-1].copy()
+        in_events = self._integrator.event_inputs
+        end_inputs[in_events] = state.inputs[in_events]
+        # All arguments are set before the step is accepted (FMI 2.0.4 section 3.2.2).
+        self._instance.set_time(state.t)
+        self._instance.set_continuous_states(state.x)
+        self._integrator.set_continuous_inputs(end_inputs)
         self._instance.completed_integrator_step()
-        now.given = end
+        state.inputs = end_inputs
         return y
 
     # --- solvers in steps ---
 
     def _integrate(self, t: Vector, u: Matrix) -> Matrix:
-        times, u = t.tolist(), np.array(u, np.float64, order="C")
-        ends = u[1:].copy()
-        ends[:, self._motion.jumping] = u[:-1, self._motion.jumping]
-        y = np.empty((len(ends), self.interface.n_y))
+        times = t.tolist()
+        inputs = np.array(u, np.float64, order="C")
+        # Inputs that change in events only keep their value to the end of the step.
+        end_inputs = inputs[1:].copy()
+        in_events = self._integrator.event_inputs
+        end_inputs[:, in_events] = inputs[:-1, in_events]
+        steps = len(end_inputs)
+        y = np.empty((steps, self.interface.n_y))
         for k, t1 in enumerate(times[1:]):
             try:
-                arrived = self._motion.move(Line(times[k], t1, u[k], ends[k]))
-                if arrived and k < len(ends) - 1:
-                    self._motion.arrive(u[k + 1])
-                if arrived:
-                    y[k] = self._motion.look(u[k + 1])
+                step_inputs = LinearInputs(times[k], t1, inputs[k], end_inputs[k])
+                completed = self._integrator.integrate(step_inputs)
+                # An event at the end of the block is left to the next advance: a loop may still
+                # correct the inputs that it happens with.
+                if completed and k < steps - 1:
+                    self._integrator.handle_events(inputs[k + 1])
+                if completed:
+                    y[k] = self._integrator.outputs(inputs[k + 1])
             except RunError as error:
                 raise Stopped(y[:k].copy(), str(error)) from error
-            if self._motion.now.ended:
-                raise Stopped(y[: k + arrived].copy(), TERMINATED, failed=False)
+            if self._integrator.state.ended:
+                raise Stopped(y[: k + completed].copy(), TERMINATED, failed=False)
         return y
 
 
+def _choose_solver(instance: ModelExchangeInstance, solver: str | None, dae: DaeForm) -> str:
+    """Return the solver to use; refuse one that does not exist or fit."""
+    name = instance.description.name
+    if dae not in FORMS:
+        raise FmuError(f"{name}: dae = {dae!r}; {nearest(dae, FORMS)}")
+    if dae == "residual":
+        if solver is not None:
+            raise FmuError(
+                f"{name}: solver {solver!r}: the residual form has its own, {RADAU}; "
+                "leave one of both out"
+            )
+        return RADAU
+    is_linear = instance.linear is not None
+    if not solver:
+        return "exact" if is_linear else "RK45"
+    if solver not in SOLVERS:
+        available = SOLVERS if is_linear else STEPPING
+        raise FmuError(f"{name}: no solver {solver!r}; {nearest(solver, available)}")
+    if solver == "exact" and not is_linear:
+        raise FmuError(
+            f"{name}: solver 'exact' needs the matrices of a linear model, an FMU does not show "
+            f"them; use one of: {', '.join(STEPPING)}"
+        )
+    return solver
+
+
+def _choose_tolerance(name: str, solver: str, rtol: float | None) -> float:
+    """Return the relative tolerance to use; refuse one that cannot be kept."""
+    if rtol is None:
+        return RTOL
+    if solver not in TOLERANT:
+        raise FmuError(
+            f"{name}: relative tolerance {rtol}: solver {solver!r} takes the steps it is given; "
+            f"leave it out or use one of: {', '.join(TOLERANT)}"
+        )
+    if not CLOSEST <= rtol < 1.0:
+        raise FmuError(
+            f"{name}: relative tolerance {rtol}; needed at least {CLOSEST} and less than 1"
+        )
+    return rtol
+
+
 def _with_numbers(model: LinearModel, numbers: Design) -> LinearModel:
-    A, B, C, D, X0, Xu = (numbers[name] for name in ("A", "B", "C", "D", "X0", "Xu"))
-    return replace(model, A=A, B=B, C=C, D=D, X0=X0, Xu=Xu)
+    """Return the model with recorded numbers in the place of its own."""
+    return replace(
+        model,
+        A=numbers["A"],
+        B=numbers["B"],
+        C=numbers["C"],
+        D=numbers["D"],
+        X0=numbers["X0"],
+        Xu=numbers["Xu"],
+    )

@@ -1,35 +1,50 @@
-"""Saved states of units, for components that can go back."""
+"""Saved states of FMUs, for components that can go back."""
 
 from __future__ import annotations
 
 import weakref
 from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 from cosim.errors import FmuError
 from cosim.fmi.description import Capabilities
 from cosim.fmi.instance import Instance
 
+ComponentState = TypeVar("ComponentState")
+
 
 @dataclass(frozen=True, eq=False)
-class SavedState:
-    """A unit's state and what its component keeps beside it; the unit's copy is freed with this object."""
+class SavedState(Generic[ComponentState]):
+    """An FMU state and what the component keeps beside it.
 
-    instance: object
-    own: tuple[object, ...]
+    The FMU state is freed with this object.
+
+    Parameters
+    ----------
+    fmu : object
+        Copy of the instance's state, as ``get_fmu_state`` returned it.
+    component : ComponentState
+    """
+
+    fmu: object
+    component: ComponentState
 
 
-def save(instance: Instance, capabilities: Capabilities, own: tuple[object, ...]) -> SavedState:
-    """Copy a unit's state.
+def save(
+    instance: Instance, capabilities: Capabilities, component: ComponentState
+) -> SavedState[ComponentState]:
+    """Copy the state of an instance.
 
     Raises
     ------
     FmuError
-        If the unit cannot.
+        If the FMU cannot save its state.
     """
     if not capabilities.saves_state:
         raise FmuError(
-            f"{instance.description.name}: the unit cannot save its state (canGetAndSetFMUstate is false)"
+            f"{instance.description.name}: the FMU cannot save its state "
+            "(canGetAndSetFMUstate is false)"
         )
-    saved = SavedState(instance.get_fmu_state(), own)
-    weakref.finalize(saved, instance.free_fmu_state, saved.instance)
+    saved = SavedState(instance.get_fmu_state(), component)
+    weakref.finalize(saved, instance.free_fmu_state, saved.fmu)
     return saved

@@ -1,9 +1,9 @@
-"""Solvers of models: integrate any model, and run on over communication points; see :class:`Solver`."""
+"""Solvers of models: integrate any model across communication points; see :class:`Solver`."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Final, Protocol, TypeAlias, final
+from typing import Any, Final, NamedTuple, Protocol, TypeAlias, TypeVar, final
 
 import numpy as np
 
@@ -15,56 +15,67 @@ TOLERANT: Final = (*ADAPTIVE, "CVode")  # what keeps to a relative tolerance
 STEPPING: Final = ("rk4", *TOLERANT)  # for any model
 SOLVERS: Final = ("exact", *STEPPING)
 
-Slope: TypeAlias = Callable[[float, Vector], Vector]  # (t, x) -> x'
+RightHandSide: TypeAlias = Callable[[float, Vector], Vector]  # (t, x) -> x'
+SolutionPoint: TypeAlias = tuple[float, Vector]  # (t, x)
+SolverState = TypeVar("SolverState")
 
 
-class Solver(Protocol):
-    """Moves ``x' = f(t, x)`` on step by step, and runs on: what it learnt of the solution it keeps until it is started anew.
+class Solver(Protocol[SolverState]):
+    """Integrates ``x' = f(t, x)`` step by step.
 
-    ``f`` is asked for no time beyond the ``t_end`` of a step. It may change its slope there, but not its value: then the solver
-    is to be started anew.
+    What a solver learned of the solution it keeps over communication points, until it is started
+    anew. ``f`` is evaluated at no time beyond the ``t_end`` of a step, where it may have a kink. If
+    it jumps there, the solver must be started anew.
     """
 
     def start(self, t: float, x: Vector, nominals: Vector) -> None:
-        """Begin at ``t`` [s] with ``x``; the absolute tolerance of a state is ``rtol`` times its nominal value."""
+        """Begin at ``t`` [s] with ``x``.
+
+        The absolute tolerance of a state is ``rtol`` times its nominal value.
+        """
         ...
 
     def step(self, t_end: float) -> float:
-        """Take one step of the solver's own length, to ``t_end`` at most; give the time reached.
+        """Take one step of the solver's own length, to ``t_end`` at most; return the time reached.
 
         Raises
         ------
         RunError
-            Where the solver fails; with its own words.
+            If the solver fails; with its own words.
         """
         ...
 
     def at(self, t: float) -> Vector:
-        """Give the state at a time within the last step, shape (n_x,)."""
+        """Return the state at a time within the last step, shape (n_x,)."""
         ...
 
-    def save(self) -> object:
-        """Copy the state; a solver whose state cannot be copied starts anew here, as it will after ``restore``."""
+    def save(self) -> SolverState:
+        """Copy the state.
+
+        A solver whose state cannot be copied starts anew here, as it will after ``restore``.
+        """
         ...
 
-    def restore(self, state: object) -> None:
+    def restore(self, state: SolverState) -> None:
         """Go back to a saved state."""
         ...
 
 
-def rk4(f: Slope, t0: float, t1: float, x: Vector) -> Vector:
+def rk4(f: RightHandSide, t0: float, t1: float, x: Vector) -> Vector:
     """Integrate over one step with the classical Runge-Kutta method of order 4 (Kutta, 1901)."""
-    h, t = t1 - t0, 0.5 * (t0 + t1)
+    h = t1 - t0
+    middle = 0.5 * (t0 + t1)
     k1 = f(t0, x)
-    k2 = f(t, x + 0.5 * h * k1)
-    k3 = f(t, x + 0.5 * h * k2)
+    k2 = f(middle, x + 0.5 * h * k1)
+    k3 = f(middle, x + 0.5 * h * k2)
     k4 = f(t1, x + h * k3)
-    return x + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+    slope = k1 + 2.0 * k2 + 2.0 * k3 + k4
+    return x + h / 6.0 * slope
 
 
 @final
 class RungeKutta:
-    """``rk4``: one step to wherever the step may end; the state within it is that of a shorter step.
+    """``rk4``: one step to wherever the step may end; a state within it is that of a shorter step.
 
     Parameters
     ----------
@@ -72,41 +83,57 @@ class RungeKutta:
         x' at t and x.
     """
 
-    def __init__(self, f: Slope) -> None:
+    def __init__(self, f: RightHandSide) -> None:
         self._f = f
         self.start(0.0, np.empty(0), np.empty(0))
 
     def start(self, t: float, x: Vector, nominals: Vector) -> None:
         """Begin at ``t``; there are no tolerances to keep."""
-        self._begin = self._end = (t, x)
+        self._begin: SolutionPoint = (t, x)
+        self._end: SolutionPoint = (t, x)
 
     def step(self, t_end: float) -> float:
         """Take one step to ``t_end``."""
         self._begin = self._end
-        self._end = t_end, rk4(self._f, self._begin[0], t_end, self._begin[1])
+        self._end = (t_end, self._integrate_to(t_end))
         return t_end
 
     def at(self, t: float) -> Vector:
-        """Give the state at a time within the last step."""
-        return (
-            self._end[1] if t == self._end[0] else rk4(self._f, self._begin[0], t, self._begin[1])
-        )
+        """Return the state at a time within the last step."""
+        t_end, x_end = self._end
+        return x_end if t == t_end else self._integrate_to(t)
 
-    def save(self) -> object:
-        """Copy the state: where it is."""
+    def save(self) -> SolutionPoint:
+        """Return where it is: it remembers nothing else."""
         return self._end
 
-    def restore(self, state: object) -> None:
+    def restore(self, state: SolutionPoint) -> None:
         """Go back to a saved state."""
-        self._begin = self._end = state  # type: ignore[assignment]
+        self._begin = state
+        self._end = state
+
+    def _integrate_to(self, t: float) -> Vector:
+        """Return the state after one step from where the last one began."""
+        t_begin, x_begin = self._begin
+        return rk4(self._f, t_begin, t, x_begin)
+
+
+class AdaptiveState(NamedTuple):
+    """A copy of an ``Adaptive``."""
+
+    start: SolutionPoint
+    nominals: Vector
+    solver: Any  # scipy's object itself; None: not made yet
+    attributes: dict[str, Any]  # of that object, its arrays copied
 
 
 @final
 class Adaptive:
     """One of scipy's error-controlled solvers.
 
-    scipy's object is kept, and its bound moved on from step to step. LSODA starts anew at every bound: before scipy 1.17 all
-    LSODA solvers of a process share one memory, so that two of them cannot run on in turns.
+    scipy's object is kept, and its bound moved on from step to step. LSODA starts anew at every
+    bound: before scipy 1.17 all LSODA solvers of a process share one memory, so that two of them
+    cannot run on in turns.
 
     Parameters
     ----------
@@ -118,88 +145,86 @@ class Adaptive:
         Relative tolerance of the state.
     """
 
-    def __init__(self, method: str, f: Slope, *, rtol: float) -> None:
+    def __init__(self, method: str, f: RightHandSide, *, rtol: float) -> None:
         import scipy.integrate
 
-        self._class, self._method, self._f, self._rtol = (
-            getattr(scipy.integrate, method),
-            method,
-            f,
-            rtol,
-        )
+        self._class = getattr(scipy.integrate, method)
+        self._method = method
+        self._f = f
+        self._rtol = rtol
         self._runs_on = method != "LSODA"
         self.start(0.0, np.empty(0), np.empty(0))
 
     def start(self, t: float, x: Vector, nominals: Vector) -> None:
         """Begin at ``t`` with ``x``."""
-        self._first, self._nominals = (t, x), nominals
-        self._solver: Any = None
+        self._start = (t, x)
+        self._nominals = nominals
+        self._solver: Any = None  # made at the first step, whose bound it wants
 
     def step(self, t_end: float) -> float:
         """Take one step, to ``t_end`` at most."""
         try:
             solver = self._bounded(t_end)
             message = solver.step()
-        except (
-            ValueError,
-            np.linalg.LinAlgError,
-        ) as error:  # scipy's linear algebra refuses what is not finite
+        except (ValueError, np.linalg.LinAlgError) as error:
+            # scipy's linear algebra refuses what is not finite
             raise RunError(f"solver {self._method}: {error}") from error
         if solver.status == "failed":
             raise RunError(f"solver {self._method}: {message}")
-        self._dense: Any = None
+        self._dense_output: Any = None
         return float(solver.t)
 
     def _bounded(self, t_end: float) -> Any:
+        """Return scipy's object with ``t_end`` as its bound."""
         solver = self._solver
         if solver is not None and solver.status == "finished" and not self._runs_on:
-            self._first, solver = (solver.t, solver.y), None
+            self._start = (solver.t, solver.y)
+            solver = None
         if solver is None:
+            t, x = self._start
             atol = self._rtol * self._nominals
-            self._solver = solver = self._class(
-                self._f, *self._first, t_end, rtol=self._rtol, atol=atol
-            )
+            solver = self._class(self._f, t, x, t_end, rtol=self._rtol, atol=atol)
+            self._solver = solver
         elif self._runs_on:
-            solver.t_bound, solver.status = t_end, "running"
+            # At its bound scipy's object calls itself finished and would refuse the next step.
+            solver.t_bound = t_end
+            solver.status = "running"
         return solver
 
     def at(self, t: float) -> Vector:
-        """Give the state at a time within the last step."""
+        """Return the state at a time within the last step."""
         solver = self._solver
         if t == solver.t:
             return np.array(solver.y)
-        if self._dense is None:
-            self._dense = solver.dense_output()
-        return np.array(self._dense(t))
+        if self._dense_output is None:
+            self._dense_output = solver.dense_output()
+        return np.array(self._dense_output(t))
 
-    def save(self) -> object:
+    def save(self) -> AdaptiveState:
         """Copy the state: every array of scipy's object, the rest of which is never written to."""
         solver = self._solver
         if solver is not None and not self._runs_on:
             self.start(float(solver.t), np.array(solver.y), self._nominals)
-        return (
-            self._first,
-            self._nominals,
-            self._solver,
-            None if self._solver is None else _copied(vars(self._solver)),
-        )
+        attributes = {} if self._solver is None else _copied(vars(self._solver))
+        return AdaptiveState(self._start, self._nominals, self._solver, attributes)
 
-    def restore(self, state: object) -> None:
+    def restore(self, state: AdaptiveState) -> None:
         """Go back to a saved state."""
-        kept: dict[str, Any]
-        self._first, self._nominals, self._solver, kept = state  # type: ignore[misc]
+        self._start = state.start
+        self._nominals = state.nominals
+        self._solver = state.solver
         if self._solver is not None:
-            vars(self._solver).update(_copied(kept))
+            # Copied again: the solver writes to its arrays, and a state may be restored twice.
+            vars(self._solver).update(_copied(state.attributes))
 
 
 def _copied(attributes: dict[str, Any]) -> dict[str, Any]:
-    copies = {
-        name: value.copy() if isinstance(value, np.ndarray) else value
-        for name, value in attributes.items()
-    }
-    if (
-        "K_extended" in copies
-    ):  # DOP853 writes its stages to K, the beginning of K_extended, and interpolates from that
+    copies = {}
+    for name, value in attributes.items():
+        copies[name] = value.copy() if isinstance(value, np.ndarray) else value
+    if "K_extended" in copies:
+        # DOP853 writes its stages to K and interpolates from K_extended, whose beginning K is:
+        # two copies would come apart.
         copies["K"] = copies["K_extended"][: len(copies["K"])]
     return copies
 
@@ -216,12 +241,11 @@ class Stateless:
         return t_end
 
     def at(self, t: float) -> Vector:
-        """Give no states."""
+        """Return no states."""
         return np.empty(0)
 
-    def save(self) -> object:
+    def save(self) -> None:
         """Copy nothing."""
-        return None
 
-    def restore(self, state: object) -> None:
+    def restore(self, state: None) -> None:
         """Go back to nothing."""
