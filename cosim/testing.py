@@ -7,7 +7,6 @@ keeps them can be put anywhere in a graph. Everything is compared bit for bit.
 from __future__ import annotations
 
 from collections.abc import Callable
-from itertools import pairwise
 from typing import Protocol, cast
 
 import numpy as np
@@ -57,14 +56,14 @@ def check_component(
     """
     bench = _Bench(make, inputs, h, steps, seed)
     for held in bench.masks():
-        component, first = bench.start(held)
-        expected = np.vstack([first, bench.advance(component, 0, bench.steps)])
+        expected = bench.run(bench.prepared(held))
         _check_values(bench, expected)
         _check_repeatable(bench, held, expected)
         _check_blocks(bench, held, expected)
+        _check_outputs(bench, held, expected)
         _check_ownership(bench, held, expected)
         _check_feedthrough(bench, held, expected)
-        _check_initialization(bench, held, expected[0])
+        _check_initialization(bench, held, expected)
         if held.any():
             _check_held_inputs(bench, held, expected)
     if bench.interface.rollback:
@@ -94,17 +93,17 @@ def check_rollback(
     for k in (0, bench.steps // 2):
         component = make()
         prepare(component, bench.h, bench.masks()[0], {})
-        component.initialize(float(bench.t[0]), bench.u[0].copy())
+        bench.initialize(component)
         bench.advance(component, 0, k)
         state = component.save()
-        outputs = bench.outputs(component, k, bench.u[k])
+        outputs = bench.outputs(component, k)
         component.save()
-        saved_twice = bench.outputs(component, k, bench.u[k])
+        saved_twice = bench.outputs(component, k)
         bench.compare("save changes nothing", saved_twice, outputs, k)
         expected = bench.advance(component, k, bench.steps)
         for _ in range(2):
             component.restore(state)
-            restored = bench.outputs(component, k, bench.u[k])
+            restored = bench.outputs(component, k)
             bench.compare("restore goes back to the outputs at save", restored, outputs, k)
             rows = bench.advance(component, k, bench.steps)
             law = "a restored component goes on as it did after save"
@@ -116,8 +115,10 @@ def _check_values(bench: _Bench, rows: Matrix) -> None:
     optional: list[bool] = []
     for signal in bench.interface.outputs:
         optional += [signal.optional] * signal.size
-    is_nan = rows.view(np.uint64) == np.array(NAN).view(np.uint64)
-    allowed = np.isfinite(rows) | (is_nan & np.array(optional, np.bool_))
+    nan_bits = np.array(NAN).view(np.uint64)
+    is_nan = rows.view(np.uint64) == nan_bits
+    no_value = is_nan & np.array(optional, np.bool_)
+    allowed = np.isfinite(rows) | no_value
     law = "a value is finite, or cosim.arrays.NAN in an optional output"
     bench.compare(law, rows, np.where(allowed, rows, 0.0))
 
@@ -126,34 +127,38 @@ def _check_repeatable(bench: _Bench, held: Mask, expected: Matrix) -> None:
     """Require the same run of a second component, with a recorded design, after a second start."""
     component = bench.make()
     design = prepare(component, bench.h, held, {})
+    rows = bench.run(component)
+    bench.compare("a second component repeats the run", rows, expected)
     replayed = bench.make()
     copies = {name: np.array(array) for name, array in design.items()}
     prepare(replayed, bench.h, held, copies)
-    laws = {
-        "a second component repeats the run": component,
-        "a component takes its recorded design": replayed,
-    }
-    for law, other in laws.items():
-        bench.compare(law, bench.run(other), expected)
-    component.initialize(float(bench.t[0]), bench.perturbed[0].copy())
+    rows = bench.run(replayed)
+    bench.compare("a component takes its recorded design", rows, expected)
+    component.initialize(bench.start, bench.perturbed[0].copy())
+    rows = bench.run(component)
     law = "initialize forgets the past, and an earlier initialize with other inputs"
-    bench.compare(law, bench.run(component), expected)
+    bench.compare(law, rows, expected)
 
 
 def _check_blocks(bench: _Bench, held: Mask, expected: Matrix) -> None:
-    """Require that neither the size of the blocks nor calls of outputs change the run."""
+    """Require that the size of the blocks does not change the run."""
     for size in (1, 7):
-        component, first = bench.start(held)
-        edges = [*range(0, bench.steps, size), bench.steps]
-        blocks = [first]
-        for begin, end in pairwise(edges):
+        component = bench.prepared(held)
+        blocks = [bench.initialize(component)[np.newaxis]]
+        for begin in range(0, bench.steps, size):
+            end = min(begin + size, bench.steps)
             blocks.append(bench.advance(component, begin, end))
         rows = np.vstack(blocks)
         bench.compare(f"blocks of {size} give the bits of one block", rows, expected)
-    component, row = bench.start(held)
+
+
+def _check_outputs(bench: _Bench, held: Mask, expected: Matrix) -> None:
+    """Require that calls of outputs change nothing, whatever their inputs."""
+    component = bench.prepared(held)
+    row = bench.initialize(component)
     for k in range(bench.steps + 1):
         bench.outputs(component, k, bench.perturbed[k])
-        again = bench.outputs(component, k, bench.u[k])
+        again = bench.outputs(component, k)
         bench.compare("outputs gives the last row again", again, row, k)
         if k < bench.steps:
             row = bench.advance(component, k, k + 1)
@@ -165,22 +170,23 @@ def _check_ownership(bench: _Bench, held: Mask, expected: Matrix) -> None:
 
     Rows of inputs may be strided: they are columns of a larger array here.
     """
-    component, _ = bench.start(held)
+    component = bench.prepared(held)
+    bench.initialize(component)
     wide = np.zeros((bench.steps + 1, bench.n_u + 3))
+    strided = wide[:, 2 : 2 + bench.n_u]
     for begin in range(0, bench.steps, 3):
         end = min(begin + 3, bench.steps)
-        inputs = bench.u[begin : end + 1]
-        times = bench.t[begin : end + 1]
-        u = wide[begin : end + 1, 2 : 2 + bench.n_u]
-        u[:] = inputs
-        t = times.copy()
+        block = slice(begin, end + 1)
+        u = strided[block]
+        u[:] = bench.u[block]
+        t = bench.t[block].copy()
         outputs = component.outputs(float(t[0]), u[0])
         rows = component.advance(t, bench.h, u)
-        unchanged = np.array_equal(u, inputs, equal_nan=True) and np.array_equal(t, times)
-        if not unchanged:
+        unchanged = np.array_equal(u, bench.u[block], equal_nan=True)
+        if not unchanged or not np.array_equal(t, bench.t[block]):
             raise AssertionError(
                 "advance does not write to its arguments: they changed in the block "
-                f"from t = {t[0]} s"
+                f"from t = {bench.t[begin]} s"
             )
         law = (
             "arguments and results of earlier calls are no part of the state, "
@@ -195,27 +201,27 @@ def _check_ownership(bench: _Bench, held: Mask, expected: Matrix) -> None:
 
 def _check_feedthrough(bench: _Bench, held: Mask, expected: Matrix) -> None:
     """Require that outputs ignore what is not declared to feed through."""
-    component, _ = bench.start(held)
+    component = bench.prepared(held)
+    bench.initialize(component)
     for k in range(bench.steps + 1):
-        bench.advance(component, max(k - 1, 0), k)
-        for name, columns in bench.interface.input_columns().items():
-            u = bench.u[k].copy()
-            u[columns] = bench.perturbed[k, columns]
-            y = bench.outputs(component, k, u)
+        if k:
+            bench.advance(component, k - 1, k)
+        for name in bench.input_names:
+            y = bench.outputs(component, k, bench.perturbed_in(name, k))
+            ignoring = np.where(bench.fed_by(name), expected[k], y)
             law = f"outputs ignores {name!r}, which is not declared to feed through"
-            bench.compare(law, np.where(bench.fed_by(name), expected[k], y), expected[k], k)
+            bench.compare(law, ignoring, expected[k], k)
 
 
-def _check_initialization(bench: _Bench, held: Mask, first: Vector) -> None:
+def _check_initialization(bench: _Bench, held: Mask, expected: Matrix) -> None:
     """Require that initial outputs ignore what they are not declared to depend on."""
-    for name, columns in bench.interface.input_columns().items():
-        component = bench.make()
-        prepare(component, bench.h, held, {})
-        u = bench.u[0].copy()
-        u[columns] = bench.perturbed[0, columns]
-        y = component.initialize(float(bench.t[0]), u)
+    first = expected[0]
+    for name in bench.input_names:
+        component = bench.prepared(held)
+        y = component.initialize(bench.start, bench.perturbed_in(name, 0))
+        ignoring = np.where(bench.fed_at_start(name), first, y)
         law = f"initialize ignores {name!r}, which is not declared to count there"
-        bench.compare(law, np.where(bench.fed_at_start(name), first, y), first)
+        bench.compare(law, ignoring, first)
 
 
 def _check_held_inputs(bench: _Bench, held: Mask, expected: Matrix) -> None:
@@ -224,20 +230,24 @@ def _check_held_inputs(bench: _Bench, held: Mask, expected: Matrix) -> None:
     In a loop it is known there only after the step: the state must ignore it, and ``outputs``
     corrects what feeds through.
     """
-    component, _ = bench.start(held)
+    component = bench.prepared(held)
+    bench.initialize(component)
     fed = np.zeros(bench.n_y, np.bool_)
     for name, columns in bench.interface.input_columns().items():
-        fed |= bench.fed_by(name) & held[columns].any()
+        if held[columns].any():
+            fed |= bench.fed_by(name)
     for k in range(1, bench.steps + 1):
         end = np.where(held, bench.perturbed[k], bench.u[k])
         inputs = np.vstack([bench.u[k - 1], end])
-        rows = component.advance(bench.t[k - 1 : k + 1], bench.h, inputs)
+        times = bench.t[k - 1 : k + 1]
+        row = component.advance(times, bench.h, inputs)[0]
+        ignoring = np.where(fed, expected[k], row)
         law = (
             "advance ignores a held input at the end of the step "
             "where it is not declared to feed through"
         )
-        bench.compare(law, np.where(fed, expected[k], rows[0]), expected[k], k)
-        corrected = bench.outputs(component, k, bench.u[k])
+        bench.compare(law, ignoring, expected[k], k)
+        corrected = bench.outputs(component, k)
         law = "the state ignores a held input at the end of the step"
         bench.compare(law, corrected, expected[k], k)
 
@@ -250,20 +260,27 @@ class _Bench:
     ) -> None:
         self.make = make
         self.interface = make().interface
+        self.input_names = [signal.name for signal in self.interface.inputs]
         self.n_u = self.interface.n_u
         self.n_y = self.interface.n_y
-        if inputs is not None and (inputs.shape[1:] != (self.n_u,) or len(inputs) < 2):
+        if inputs is not None:
+            self._check_inputs(inputs)
+            steps = len(inputs) - 1
+        self.steps = steps
+        step_ns = nanoseconds(h)
+        self.h = step_ns / 1e9
+        self.t = seconds(np.arange(steps + 1, dtype=np.int64) * step_ns)
+        self.start = float(self.t[0])
+        noise = np.random.default_rng(seed).standard_normal((steps + 1, self.n_u))
+        self.u = self._of_its_type(noise) if inputs is None else np.array(inputs, np.float64)
+        self.perturbed = self._other_values(noise)
+
+    def _check_inputs(self, inputs: Matrix) -> None:
+        if inputs.shape[1:] != (self.n_u,) or len(inputs) < 2:
             raise AssertionError(
                 f"inputs have shape {inputs.shape}, needed (steps + 1, {self.n_u}) "
                 "with at least one step"
             )
-        self.steps = steps if inputs is None else len(inputs) - 1
-        step_ns = nanoseconds(h)
-        self.h = step_ns / 1e9
-        self.t = seconds(np.arange(self.steps + 1, dtype=np.int64) * step_ns)
-        noise = np.random.default_rng(seed).standard_normal((self.steps + 1, self.n_u))
-        self.u = self._of_its_type(noise) if inputs is None else np.array(inputs, np.float64)
-        self.perturbed = self._other_values(noise)
 
     def _types(self) -> list[str]:
         """Return the type of every input element."""
@@ -276,73 +293,85 @@ class _Bench:
         """Return values that each input can have."""
         values = noise.copy()
         for column, signal_type in enumerate(self._types()):
+            drawn = noise[:, column]
             if signal_type == "boolean":
-                values[:, column] = noise[:, column] > 0.0
+                values[:, column] = drawn > 0.0
             elif signal_type == "integer":
-                values[:, column] = np.round(5.0 * noise[:, column])
+                values[:, column] = np.round(5.0 * drawn)
         return values
 
     def _other_values(self, noise: Matrix) -> Matrix:
         """Return values that each input can have, all of them other than its own."""
         values = self.u + 1.0 + noise**2
         for column, signal_type in enumerate(self._types()):
+            own = self.u[:, column]
             if signal_type == "boolean":
-                values[:, column] = 1.0 - self.u[:, column]
+                values[:, column] = 1.0 - own
             elif signal_type == "integer":
-                values[:, column] = self.u[:, column] + 1.0
+                values[:, column] = own + 1.0
         return values
+
+    def perturbed_in(self, name: str, k: int) -> Vector:
+        """Return the inputs at row ``k`` with other values of one of them."""
+        columns = self.interface.input_columns()[name]
+        u: Vector = self.u[k].copy()
+        u[columns] = self.perturbed[k, columns]
+        return u
 
     def masks(self) -> list[Mask]:
         """Return masks of inputs with a zero-order hold: none, all, every other signal."""
         sizes = [signal.size for signal in self.interface.inputs]
         count = len(sizes)
-        masks = [
-            np.zeros(count, np.bool_),
-            np.ones(count, np.bool_),
-            np.arange(count) % 2 == 0,
-        ]
+        every_other = np.arange(count) % 2 == 0
+        masks = [np.zeros(count, np.bool_), np.ones(count, np.bool_), every_other]
         different = masks[: 1 + min(count, 2)]
         return [np.repeat(mask, sizes) for mask in different]
 
-    def start(self, held: Mask) -> tuple[Component, Vector]:
-        """Return an initialized component, and its initial outputs."""
+    def prepared(self, held: Mask) -> Component:
+        """Return a new component, prepared."""
         component = self.make()
         prepare(component, self.h, held, {})
-        return component, self._initialize(component)
+        return component
 
     def run(self, component: Component) -> Matrix:
-        """Return all rows of a prepared component."""
-        first = self._initialize(component)
-        return np.vstack([first, self.advance(component, 0, self.steps)])
+        """Return all rows of a prepared component, computed in one block."""
+        first = self.initialize(component)
+        rows = self.advance(component, 0, self.steps)
+        return np.vstack([first, rows])
 
-    def _initialize(self, component: Component) -> Vector:
-        first = component.initialize(float(self.t[0]), self.u[0].copy())
+    def initialize(self, component: Component) -> Vector:
+        """Return the initial outputs."""
+        first = component.initialize(self.start, self.u[0].copy())
         return self._checked("initialize", first, (self.n_y,))
 
     def advance(self, component: Component, begin: int, end: int) -> Matrix:
         """Advance from row ``begin`` to row ``end`` in one call."""
         if begin == end:
             return np.empty((0, self.n_y))
-        rows = component.advance(self.t[begin : end + 1], self.h, self.u[begin : end + 1].copy())
+        block = slice(begin, end + 1)
+        rows = component.advance(self.t[block], self.h, self.u[block].copy())
         return self._checked("advance", rows, (end - begin, self.n_y))
 
-    def outputs(self, component: Component, k: int, u: Vector) -> Vector:
-        """Return the outputs at row ``k`` for inputs ``u``."""
-        y = component.outputs(float(self.t[k]), u.copy())
+    def outputs(self, component: Component, k: int, u: Vector | None = None) -> Vector:
+        """Return the outputs at row ``k``, for other inputs ``u`` where they are given."""
+        inputs = self.u[k] if u is None else u
+        y = component.outputs(float(self.t[k]), inputs.copy())
         return self._checked("outputs", y, (self.n_y,))
 
     def fed_by(self, name: str) -> Mask:
         """Return which output elements an input is declared to feed through to."""
         fed: list[bool] = []
         for output in self.interface.outputs:
-            fed += [name in self.interface.feeds(output.name)] * output.size
+            feeds = name in self.interface.feeds(output.name)
+            fed += [feeds] * output.size
         return np.array(fed, np.bool_)
 
     def fed_at_start(self, name: str) -> Mask:
         """Return which initial output elements are declared to depend on an input."""
         fed: list[bool] = []
         for output in self.interface.outputs:
-            fed += [name in self.interface.feeds_at_start(output.name)] * output.size
+            feeds = name in self.interface.feeds_at_start(output.name)
+            fed += [feeds] * output.size
         return np.array(fed, np.bool_)
 
     def compare(self, law: str, rows: Matrix, expected: Matrix, first: int = 0) -> None:
@@ -353,12 +382,19 @@ class _Bench:
         if not len(wrong):
             return
         row, column = wrong[0]
+        label = self._labels()[column]
+        time = self.t[first + row]
+        value = float(rows[row, column])
+        needed = float(expected[row, column])
+        raise AssertionError(
+            f"{law}: {label!r} at t = {time} s: found {value!r}, needed {needed!r}"
+        )
+
+    def _labels(self) -> list[str]:
         labels: list[str] = []
         for signal in self.interface.outputs:
             labels += signal.elements
-        values = f"found {float(rows[row, column])!r}, needed {float(expected[row, column])!r}"
-        time = self.t[first + row]
-        raise AssertionError(f"{law}: {labels[column]!r} at t = {time} s: {values}")
+        return labels
 
     @staticmethod
     def _checked(call: str, values: Vector, shape: tuple[int, ...]) -> Vector:
