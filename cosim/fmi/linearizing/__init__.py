@@ -1,1 +1,1 @@
-"""Units linearized at an operating point."""
+"""Instances of FMUs linearized at an operating point."""

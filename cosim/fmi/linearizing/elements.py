@@ -1,10 +1,13 @@
-"""The numbers that a unit is linearized for: elements of its states, inputs and outputs, found by the names that users give."""
+"""The numbers that an instance is linearized for: elements of its states, inputs and outputs.
+
+They are found by the names that users give.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -16,7 +19,7 @@ from cosim.fmi.driving.initialization import StartValue
 from cosim.fmi.references import ReferenceMap, VectorElement
 from cosim.fmi.variable import Variable
 
-NOWHERE: Final = -1  # the value reference of what has none: the states of FMI 1
+NO_REFERENCE: Final = -1  # the value reference of what has none: the states of FMI 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,38 +37,44 @@ class Element:
         return self.variable.type, self.variable.reference, self.index
 
     @property
-    def moves(self) -> bool:
+    def is_continuous(self) -> bool:
         """Whether it is real and continuous."""
-        return self.variable.kind == "real" and self.variable.variability == "continuous"
+        variable = self.variable
+        return variable.kind == "real" and variable.variability == "continuous"
 
     @property
-    def whole(self) -> bool:
+    def is_variable(self) -> bool:
         """Whether it is all of a variable that has a name."""
-        return self.variable.size == 1 and self.variable.reference != NOWHERE
+        return self.variable.size == 1 and self.variable.reference != NO_REFERENCE
 
-    def checked(self, label: str, value: StartValue) -> float:
-        """Refuse what is no finite number, or outside the range."""
-        low, high = self.variable.minimum, self.variable.maximum
-        if not (isinstance(value, int | float) and math.isfinite(value) and low <= value <= high):
-            needed = (
-                "a finite number" if math.isinf(low) and math.isinf(high) else f"{low} to {high}"
-            )
-            raise FmuError(
-                f"{label}: start value of {self.name!r}: found {value!r}, needed {needed}"
-            )
-        return value
+    def check_start(self, label: str, value: StartValue) -> float:
+        """Return a start value of this element.
+
+        Raises
+        ------
+        FmuError
+            If it is no finite number, or outside the range.
+        """
+        low = self.variable.minimum
+        high = self.variable.maximum
+        if isinstance(value, int | float) and math.isfinite(value) and low <= value <= high:
+            return value
+        needed = f"{low} to {high}"
+        if math.isinf(low) and math.isinf(high):
+            needed = "a finite number"
+        raise FmuError(f"{label}: start value of {self.name!r}: found {value!r}, needed {needed}")
 
 
 def elements_of(port: str, variable: Variable) -> Iterator[Element]:
-    """Take a variable of a port apart; an element of several has its number behind the name."""
-    alone = variable.size == 1 and variable.reference != NOWHERE
+    """Yield the elements of a variable of a port; one of several has its number behind the name."""
     for i in range(variable.size):
-        yield Element(variable.name if alone else f"{variable.name}[{i}]", port, variable, i)
+        element = Element(f"{variable.name}[{i}]", port, variable, i)
+        yield replace(element, name=variable.name) if element.is_variable else element
 
 
 @dataclass(frozen=True, slots=True)
-class Chosen:
-    """What a unit is linearized for, among all its states and inputs."""
+class Selection:
+    """What an instance is linearized for, among all its states and inputs."""
 
     all_states: tuple[Element, ...]
     all_inputs: tuple[Element, ...]
@@ -80,32 +89,24 @@ class Chosen:
         states: Sequence[str] | None,
         inputs: Sequence[str] | None,
         outputs: Sequence[str] | None,
-    ) -> Chosen:
-        """Find what is named."""
+    ) -> Selection:
+        """Select what is named; None: all that are real and continuous."""
         label = description.name
-        unnamed = Variable("state", NOWHERE, "local", size=description.unnamed_states)
-        variables = [
-            *map(description.__getitem__, description.states),
-            *([unnamed] if unnamed.size else []),
-        ]
-        all_states = tuple(e for v in variables for e in elements_of(v.name.rpartition("[")[0], v))
-        all_inputs, all_outputs = (
-            tuple(
-                e
-                for signal, group in description.ports(causality)
-                for v in group
-                for e in elements_of(signal.name, v)
-            )
-            for causality in ("input", "output")
-        )
-        shown = [e for e in all_outputs if e.moves and e.variable.causality == "output"]
-        return Chosen(
-            all_states,
-            all_inputs,
-            states=_select(label, "state", all_states, states, all_states),
-            inputs=_select(label, "input", all_inputs, inputs, [e for e in all_inputs if e.moves]),
-            outputs=_select(label, "output", all_outputs, outputs, shown),
-        )
+        all_states = _all_states(description)
+        all_inputs = _all_ports(description, "input")
+        all_outputs = _all_ports(description, "output")
+        # among the outputs are states that are read with them; these are selected by name only
+        own_outputs = [e for e in all_outputs if e.variable.causality == "output"]
+        selected_states = all_states
+        selected_inputs = _continuous(all_inputs)
+        selected_outputs = _continuous(own_outputs)
+        if states is not None:
+            selected_states = _find(label, "state", all_states, states)
+        if inputs is not None:
+            selected_inputs = _find(label, "input", all_inputs, inputs)
+        if outputs is not None:
+            selected_outputs = _find(label, "output", all_outputs, outputs)
+        return Selection(all_states, all_inputs, selected_states, selected_inputs, selected_outputs)
 
     @property
     def columns(self) -> tuple[Element, ...]:
@@ -114,58 +115,96 @@ class Chosen:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What does not move although it might."""
-        still = [e.name for e in self.all_inputs if not e.moves]
-        held = [e.name for e in self.all_states if e not in self.states]
-        notes = {
-            "held constant: only inputs that are real and continuous can be linearized for": still,
-            "held at the operating point: not among the states that were named": held,
-        }
-        return tuple(f"{', '.join(names)} {why}" for why, names in notes.items() if names)
+        """What is constant although it might vary."""
+        notes = []
+        discrete = ", ".join(e.name for e in self.all_inputs if not e.is_continuous)
+        if discrete:
+            reason = "only inputs that are real and continuous can be linearized for"
+            notes.append(f"{discrete} held constant: {reason}")
+        held = ", ".join(e.name for e in self.all_states if e not in self.states)
+        if held:
+            reason = "not among the states that were named"
+            notes.append(f"{held} held at the operating point: {reason}")
+        return tuple(notes)
 
 
-def _select(
-    label: str,
-    what: str,
-    there: Sequence[Element],
-    wanted: Sequence[str] | None,
-    default: Sequence[Element],
+def _all_states(description: Description) -> tuple[Element, ...]:
+    variables = [description[name] for name in description.states]
+    if description.unnamed_states:
+        variables.append(Variable("state", NO_REFERENCE, "local", size=description.unnamed_states))
+    elements: list[Element] = []
+    for variable in variables:
+        elements += elements_of(variable.name.rpartition("[")[0], variable)
+    return tuple(elements)
+
+
+def _all_ports(description: Description, causality: str) -> tuple[Element, ...]:
+    elements: list[Element] = []
+    for signal, group in description.ports(causality):
+        for variable in group:
+            elements += elements_of(signal.name, variable)
+    return tuple(elements)
+
+
+def _continuous(elements: Sequence[Element]) -> tuple[Element, ...]:
+    return tuple(element for element in elements if element.is_continuous)
+
+
+def _find(
+    label: str, what: str, elements: Sequence[Element], names: Sequence[str]
 ) -> tuple[Element, ...]:
-    if wanted is None:
-        return tuple(default)
-    found: list[Element] = []
-    for name in wanted:
-        own = [e for e in there if name in (e.name, e.variable.name)] or [
-            e for e in there if name == e.port
-        ]
-        still = next((e for e in own if not e.moves), None)
-        if not own:
-            raise FmuError(f"{label}: no {what} {name!r}; {nearest(name, [e.name for e in there])}")
-        if still is not None:
-            how = f"type {still.variable.type}, variability {still.variable.variability}"
-            raise FmuError(
-                f"{label}: {what} {name!r} cannot be linearized for: found {how}, needed a real and continuous one"
-            )
-        if any(e.name == other.name for e in own for other in found):
+    """Return the elements that are named by element, variable or port."""
+    selected: list[Element] = []
+    for name in names:
+        matches = [e for e in elements if name in (e.name, e.variable.name)]
+        if not matches:
+            matches = [e for e in elements if name == e.port]
+        if not matches:
+            advice = nearest(name, [e.name for e in elements])
+            raise FmuError(f"{label}: no {what} {name!r}; {advice}")
+        _check_continuous(label, what, name, matches)
+        names_before = {e.name for e in selected}
+        if any(e.name in names_before for e in matches):
             raise FmuError(f"{label}: {what} {name!r} is named twice; needed each once")
-        found += own
-    return tuple(found)
+        selected += matches
+    return tuple(selected)
+
+
+def _check_continuous(label: str, what: str, name: str, elements: Sequence[Element]) -> None:
+    for element in elements:
+        if element.is_continuous:
+            continue
+        variable = element.variable
+        properties = f"type {variable.type}, variability {variable.variability}"
+        raise FmuError(
+            f"{label}: {what} {name!r} cannot be linearized for: found {properties}, "
+            "needed a real and continuous one"
+        )
 
 
 def derivative_of(description: Description, state: Element) -> Element:
-    """Find the derivative of a state element."""
-    mine = [v for v in description.variables if v.derivative_of == state.variable.name]
-    mine.sort(
-        key=lambda v: v.name not in description.dependencies
-    )  # the one that ModelStructure names
-    if not mine:
+    """Return the derivative of a state element.
+
+    Raises
+    ------
+    FmuError
+        If no variable is its derivative.
+    """
+    state_name = state.variable.name
+    derivatives = [v for v in description.variables if v.derivative_of == state_name]
+    if not derivatives:
         raise FmuError(
-            f"{description.name}: no variable is the derivative of {state.name!r}; use central differences"
+            f"{description.name}: no variable is the derivative of {state.name!r}; "
+            "use central differences"
         )
-    return Element(f"der({state.name})", "", mine[0], state.index)
+    # the one that ModelStructure names, where several are
+    declared = [v for v in derivatives if v.name in description.dependencies]
+    variable = (declared or derivatives)[0]
+    return Element(f"der({state.name})", "", variable, state.index)
 
 
 def references_of(elements: Sequence[Element]) -> tuple[ReferenceMap, NDArray[np.intp]]:
-    """Return the variables of some elements, each once, and where the elements stand in their values."""
-    references = ReferenceMap.of_distinct(e.variable for e in elements)
-    return references, references.columns_of(VectorElement(e.variable, e.index) for e in elements)
+    """Return the distinct variables of some elements, and where these stand in their values."""
+    references = ReferenceMap.of_distinct(element.variable for element in elements)
+    columns = references.columns_of(VectorElement(e.variable, e.index) for e in elements)
+    return references, columns

@@ -1,4 +1,4 @@
-"""What is known of a unit near its operating point: matrices, and what follows from them."""
+"""What is known of an instance near its operating point: matrices, and what follows from them."""
 
 from __future__ import annotations
 
@@ -16,25 +16,32 @@ Method: TypeAlias = Literal["directional derivatives", "central differences"]
 METHODS: Final[tuple[Method, ...]] = ("directional derivatives", "central differences")
 
 SINGULAR: Final = 1e-12  # reciprocal condition of A below which there is no static gain
+EPSILON: Final = np.finfo(np.float64).eps
+NAMES: Final = ("states", "inputs", "outputs", "notes")
 
 
 def poles(A: Matrix) -> NDArray[np.complex128]:
-    """Give the eigenvalues of A [1/s], shape (n_x,), sorted by real part."""
+    """Return the eigenvalues of A [1/s], shape (n_x,), sorted by real part."""
     return np.sort_complex(np.linalg.eigvals(A).astype(np.complex128))
 
 
 def static_gain(A: Matrix, B: Matrix, C: Matrix, D: Matrix, *, error: float) -> Matrix | None:
-    """Give D - C A^-1 B, shape (n_y, n_u); None where A, whose entries are known up to ``error``, may be singular."""
-    values = np.linalg.svd(A, compute_uv=False)
-    if values.size and values[-1] <= max(SINGULAR * values[0], len(A) * error):
-        return None
+    """Return D - C A^-1 B, shape (n_y, n_u).
+
+    None where A, whose entries are known up to ``error``, may be singular.
+    """
+    singular_values = np.linalg.svd(A, compute_uv=False)
+    if singular_values.size:
+        rounding = SINGULAR * singular_values[0]
+        if singular_values[-1] <= max(rounding, len(A) * error):
+            return None
     gain: Matrix = D - C @ np.linalg.solve(A, B)
     return gain
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Linearization:
-    """A unit near its operating point.
+    """An instance near its operating point.
 
     Parameters
     ----------
@@ -50,13 +57,14 @@ class Linearization:
     made : mapping of state or input name to Method
         Where its column comes from.
     errors : mapping of matrix name to float or None
-        Estimate of the largest error of an entry; None: all are the unit's own derivatives, taken at their word.
+        Estimate of the largest error of an entry; None: all are the FMU's own derivatives, taken to
+        be exact.
     notes : tuple of str
         What is to be known about the result.
     units : mapping of element name to str
         Where one is declared.
     bases : mapping of element name to BaseUnit
-        What such a unit is in SI, where the unit defines it.
+        What such a unit is in SI, where the FMU defines it.
     """
 
     name: str
@@ -85,57 +93,67 @@ class Linearization:
 
     @property
     def static_gain(self) -> Matrix | None:
-        """D - C A^-1 B, shape (n_y, n_u): what constant inputs move the outputs to; None where A is singular."""
-        return static_gain(self.A, self.B, self.C, self.D, error=self.errors["A"] or 0.0)
+        """D - C A^-1 B, shape (n_y, n_u): the change of the outputs with constant inputs.
+
+        None where A is singular.
+        """
+        error = self.errors["A"] or 0.0
+        return static_gain(self.A, self.B, self.C, self.D, error=error)
 
     @property
     def constants(self) -> tuple[Vector, Vector]:
-        """What ``x' = A x + B u + c``, ``y = C x + D u + d`` need beside the matrices, c and d; zero where it is rounding."""
-        z = np.concatenate([self.x, self.u])
-        parts = (
-            (self.dx, "A", "B", np.hstack([self.A, self.B])),
-            (self.y, "C", "D", np.hstack([self.C, self.D])),
-        )
-        return tuple(
-            self._constant(value, first, second, matrix, z)
-            for value, first, second, matrix in parts
-        )  # type: ignore[return-value]
+        """The c and d of ``x' = A x + B u + c``, ``y = C x + D u + d``; rounding is zero."""
+        AB = np.hstack([self.A, self.B])
+        CD = np.hstack([self.C, self.D])
+        c = self._constant(self.dx, AB, self._largest_error("AB"))
+        d = self._constant(self.y, CD, self._largest_error("CD"))
+        return c, d
 
-    def _constant(
-        self, value: Vector, first: str, second: str, matrix: Matrix, z: Vector
-    ) -> Vector:
-        terms = np.abs(value) + np.abs(matrix) @ np.abs(z)
-        error = max(self.errors[first] or 0.0, self.errors[second] or 0.0) * np.abs(z).sum()
-        rest = value - matrix @ z
-        return np.where(np.abs(rest) > 8.0 * np.finfo(np.float64).eps * terms + error, rest, 0.0)
+    def _largest_error(self, letters: str) -> float:
+        return max(self.errors[letter] or 0.0 for letter in letters)
+
+    def _constant(self, value: Vector, matrix: Matrix, entry_error: float) -> Vector:
+        z = np.concatenate([self.x, self.u])
+        sizes = np.abs(z)
+        terms = np.abs(value) + np.abs(matrix) @ sizes
+        rounding = 8.0 * EPSILON * terms
+        error = entry_error * sizes.sum()
+        constant = value - matrix @ z
+        is_known = np.abs(constant) > rounding + error
+        return np.where(is_known, constant, 0.0)
 
     def to_dict(self) -> dict[str, Any]:
-        """Give plain values, from which :meth:`of` builds the same bits again."""
-        return {
-            name: value.tolist() if isinstance(value, np.ndarray) else value
-            for name, value in asdict(self).items()
-        }
+        """Return plain values, from which :meth:`of` builds the same bits again."""
+        plain = asdict(self)
+        for name, value in plain.items():
+            if isinstance(value, np.ndarray):
+                plain[name] = value.tolist()
+        return plain
 
     @classmethod
     def of(cls, plain: Mapping[str, Any]) -> Self:
-        """Build it from what :meth:`to_dict` gave, also by way of JSON."""
-        n_x, n_u, n_y = (len(plain[name]) for name in ("states", "inputs", "outputs"))
-        shapes = {
+        """Build it from the result of :meth:`to_dict`, also by way of JSON."""
+        n_x = len(plain["states"])
+        n_u = len(plain["inputs"])
+        n_y = len(plain["outputs"])
+        shapes: dict[str, tuple[int, ...]] = {
             "A": (n_x, n_x),
             "B": (n_x, n_u),
             "C": (n_y, n_x),
             "D": (n_y, n_u),
-            **dict.fromkeys(("x", "u", "y", "dx"), -1),
+            "x": (n_x,),
+            "u": (n_u,),
+            "y": (n_y,),
+            "dx": (n_x,),
         }
-        found = {entry.name: plain[entry.name] for entry in fields(cls)}
-        found["bases"] = {
-            name: BaseUnit(**base | {"exponents": tuple(base["exponents"])})
-            for name, base in plain["bases"].items()
-        }
-        found |= {
-            name: np.array(plain[name], np.float64).reshape(shape) for name, shape in shapes.items()
-        }
-        return cls(
-            **found
-            | {name: tuple(plain[name]) for name in ("states", "inputs", "outputs", "notes")}
-        )
+        values = {entry.name: plain[entry.name] for entry in fields(cls)}
+        for name in NAMES:
+            values[name] = tuple(plain[name])
+        for name, shape in shapes.items():
+            array = np.array(plain[name], np.float64)
+            values[name] = array.reshape(shape)  # which an empty list has lost
+        values["bases"] = bases = {}
+        for name, base in plain["bases"].items():
+            exponents = tuple(base["exponents"])
+            bases[name] = BaseUnit(**{**base, "exponents": exponents})
+        return cls(**values)

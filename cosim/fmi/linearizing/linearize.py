@@ -1,42 +1,44 @@
-"""A model exchange unit linearized at an operating point.
+"""An instance for model exchange, linearized at an operating point.
 
 ::
 
     x' = dx + A (x - x0) + B (u - u0),    y = y0 + C (x - x0) + D (u - u0)
 
-The unit starts at t = 0 with constant inputs and, where asked for, runs to the operating point. There, in continuous-time mode,
-the columns of A, B, C and D come from its directional derivatives by unit seeds (FMI 2.0.4 section 2.1.9, FMI 3.0 section 2.2.11:
-known are states and continuous inputs, unknown are derivatives and outputs), or from central differences where it has none. An
+It is initialized at t = 0 with constant inputs and, where asked for, runs to the operating point.
+There, in continuous-time mode, the columns of A, B, C and D come from its directional derivatives
+by unit seeds (FMI 2.0.4 section 2.1.9, FMI 3.0 section 2.2.11: known are states and continuous
+inputs, unknown are derivatives and outputs), or from central differences where it has none. An
 output that is a state is known, not unknown: its row is completed from the structure.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, suppress
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from cosim.arrays import Matrix
 from cosim.errors import FmuError, RunError, nearest
-from cosim.fmi.component import load
+from cosim.fmi.component import Fmu, load
 from cosim.fmi.description import Description
 from cosim.fmi.driving.initialization import Starts
 from cosim.fmi.instance import ModelExchangeInstance
-from cosim.fmi.linearizing.elements import Chosen
+from cosim.fmi.linearizing.elements import Element, Selection
 from cosim.fmi.linearizing.linearization import METHODS, Linearization, Method
 from cosim.fmi.linearizing.operating_point import OperatingPoint
 from cosim.fmi.options import FmuOptions
 from cosim.fmi.reading.model_description import read
+from cosim.units import BaseUnit
 
-GOOD: Final = 1e-7  # relative error from which central differences are told to be poor
+GOOD: Final = 1e-7  # relative error from which on central differences are noted as poor
 
 
 def linearize(
-    unit: str | Path | ModelExchangeInstance,
+    fmu: str | Path | ModelExchangeInstance,
     *,
     at: float = 0.0,
     start: Starts | None = None,
@@ -45,45 +47,54 @@ def linearize(
     states: Sequence[str] | None = None,
     method: Method | None = None,
 ) -> Linearization:
-    """Linearize an .fmu, or a unit for model exchange; see :func:`linearize`.
+    """Linearize an .fmu, or an instance for model exchange; see :func:`linearize_instance`.
 
     Parameters
     ----------
-    unit : str, Path or ModelExchangeInstance
-        The path of an .fmu; or a unit: of an opened FMU its ``unit``.
+    fmu : str, Path or ModelExchangeInstance
+        The path of an .fmu; or an instance: of an opened FMU its ``instance``.
     at, start, inputs, outputs, states, method
-        As in :func:`linearize`.
+        As in :func:`linearize_instance`.
 
     Raises
     ------
     FmuError
-        As :func:`linearize`, or if the file cannot be used; co-simulation alone does not show the states.
+        As :func:`linearize_instance`, or if the file cannot be used; co-simulation alone does not
+        show the states.
+    RunError
+        As :func:`linearize_instance`.
     """
-    wanted: dict[str, Any] = {
-        "at": at,
-        "start": start,
-        "inputs": inputs,
-        "outputs": outputs,
-        "states": states,
-        "method": method,
-    }
-    if not isinstance(unit, str | Path):
-        return linearize_instance(unit, **wanted)
-    description = read(unit).description
+    with ExitStack() as resources:
+        if isinstance(fmu, str | Path):
+            opened = resources.enter_context(_open(fmu, start or {}))
+            instance = opened.instance
+        else:
+            instance = fmu
+        return linearize_instance(
+            instance,
+            at=at,
+            start=start,
+            inputs=inputs,
+            outputs=outputs,
+            states=states,
+            method=method,
+        )
+
+
+def _open(path: str | Path, start: Starts) -> Fmu:
+    """Open an FMU for model exchange with its structural parameters, which size its arrays."""
+    description = read(path).description
     if "me" not in description.capabilities:
         raise FmuError(
-            f"{unit}: is for co-simulation only, which does not show the states; linearizing needs model exchange: export it for "
-            "that too"
+            f"{path}: is for co-simulation only, which does not show the states; linearizing needs "
+            "model exchange: export it for that too"
         )
-    structural = {
-        n: v
-        for n, v in (start or {}).items()
-        if n in description and description[n].causality == "structuralParameter"
-    }
-    with load(
-        unit, FmuOptions(interface_type="me", start=structural)
-    ) as fmu:  # they decide the sizes of arrays
-        return linearize_instance(fmu.instance, **wanted)
+    structural = {}
+    for name, value in start.items():
+        if name in description and description[name].causality == "structuralParameter":
+            structural[name] = value
+    options = FmuOptions(interface_type="me", start=structural)
+    return load(path, options)
 
 
 def linearize_instance(
@@ -96,54 +107,64 @@ def linearize_instance(
     states: Sequence[str] | None = None,
     method: Method | None = None,
 ) -> Linearization:
-    """Linearize a unit for model exchange; it is reset before and after.
+    """Linearize an instance for model exchange; it is reset before and after.
 
     Parameters
     ----------
     instance : ModelExchangeInstance
     at : float
-        The operating point is where the unit arrives at this time [s], from t = 0 with constant inputs.
+        The operating point is where the instance is at this time [s], from t = 0 with constant
+        inputs.
     start : mapping of variable name to StartValue
-        Values at t = 0 instead of the unit's own: inputs, parameters, states, with ``at`` 0 any state; see ``start.py``. Elements
-        of inputs and of such states may be named too.
+        Values at t = 0 instead of the FMU's own: inputs, parameters, states, with ``at`` 0 any
+        state; see ``cosim.fmi.driving.initialization``. Elements of inputs and of such states may
+        be named too.
     inputs, outputs : sequence of str, optional
-        Names of ports, variables or their elements, in this order; left out: all that are real and continuous.
+        Names of ports, variables or their elements, in this order; None: all that are real and
+        continuous.
     states : sequence of str, optional
-        The same for states; those left out are held.
+        The same for states; those that are not named are constant.
     method : Method, optional
-        Left out: directional derivatives where the unit has them, else central differences.
+        None: directional derivatives where the FMU has them, else central differences.
 
     Raises
     ------
     FmuError
-        If a name or a value is wrong, the method is not there, or something is not finite at the operating point.
+        If a name or a value is wrong, there is no such method, or something is not finite at the
+        operating point.
     RunError
-        If the unit cannot go on.
+        If the instance cannot go on.
     """
     description = instance.description
     if not (math.isfinite(at) and at >= 0.0):
         raise FmuError(f"{description.name}: linearized at t = {at} s; needed a time from 0 on")
-    method = _method(description, method)
-    chosen = Chosen.of(description, states=states, inputs=inputs, outputs=outputs)
+    method = _choose_method(description, method)
+    selection = Selection.of(description, states=states, inputs=inputs, outputs=outputs)
     instance.reset()
     try:
-        point = OperatingPoint(instance, chosen, at, start or {})
-        jacobian, error = point.directional() if method == METHODS[0] else point.differences()
+        point = OperatingPoint(instance, selection, at, start or {})
+        if method == METHODS[0]:
+            jacobian = point.directional()
+            error = None
+        else:
+            jacobian, error = point.differences()
     finally:
-        with suppress(RunError):  # a unit that is lost cannot be reset either
+        with suppress(RunError):  # an instance that has failed for good cannot be reset either
             instance.reset()
     return _result(point, jacobian, error, method)
 
 
-def _method(description: Description, method: Method | None) -> Method:
-    able = description.capabilities["me"].directional_derivatives
+def _choose_method(description: Description, method: Method | None) -> Method:
+    directional, differences = METHODS
+    has_derivatives = description.capabilities["me"].directional_derivatives
     if method is None:
-        return METHODS[0] if able else METHODS[1]
+        return directional if has_derivatives else differences
     if method not in METHODS:
         raise FmuError(f"{description.name}: no method {method!r}; {nearest(method, METHODS)}")
-    if method == METHODS[0] and not able:
+    if method == directional and not has_derivatives:
         raise FmuError(
-            f"{description.name}: has no directional derivatives; leave the method out, or use {METHODS[1]!r}"
+            f"{description.name}: has no directional derivatives; leave the method out, "
+            f"or use {differences!r}"
         )
     return method
 
@@ -151,40 +172,78 @@ def _method(description: Description, method: Method | None) -> Method:
 def _result(
     point: OperatingPoint, jacobian: Matrix, error: Matrix | None, method: Method
 ) -> Linearization:
-    chosen, description = point.chosen, point.unit.description
-    n = len(chosen.states)
-    top, bottom = slice(n), slice(n, None)
-    parts = {"A": (top, top), "B": (top, bottom), "C": (bottom, top), "D": (bottom, bottom)}
-    matrices = {letter: np.ascontiguousarray(jacobian[part]) for letter, part in parts.items()}
-    errors = {
-        letter: None if error is None else float(error[part].max(initial=0.0))
-        for letter, part in parts.items()
-    }
-    sizes = {
-        letter: float(np.linalg.norm(jacobian[rows])) for letter, (rows, _) in parts.items()
-    }  # of A and B, of C and D
-    poor = [
-        f"{letter} by central differences: error up to {wrong:.1g}"
-        for letter, wrong in errors.items()
-        if wrong is not None and wrong > GOOD * sizes[letter] > 0.0
-    ]
-    shown = (*chosen.columns, *chosen.outputs)
-    count = description.event_indicators
-    events = f"event indicators ({count}): linearized within the mode it is in" if count else ""
+    selection = point.selection
+    matrices = _matrices(jacobian, len(selection.states))
+    errors: dict[str, float | None] = dict.fromkeys(matrices)
+    if error is not None:
+        for letter, part in _matrices(error, len(selection.states)).items():
+            errors[letter] = float(part.max(initial=0.0))
     return Linearization(
-        name=description.name,
-        states=tuple(e.name for e in chosen.states),
-        inputs=tuple(e.name for e in chosen.inputs),
-        outputs=tuple(e.name for e in chosen.outputs),
+        name=point.instance.description.name,
+        states=_names(selection.states),
+        inputs=_names(selection.inputs),
+        outputs=_names(selection.outputs),
         **matrices,
         t=point.t,
         x=point.x,
         u=point.u,
         y=point.y,
         dx=point.dx,
-        made={e.name: method for e in chosen.columns},
+        made=dict.fromkeys(_names(selection.columns), method),
         errors=errors,
-        units={e.name: e.variable.unit for e in shown if e.variable.unit is not None},
-        bases={e.name: e.variable.base for e in shown if e.variable.base is not None},
-        notes=(*([events] if events else []), *chosen.notes, *poor),
+        units=_units(selection),
+        bases=_bases(selection),
+        notes=(*_notes(point), *_notes_on_errors(matrices, errors)),
     )
+
+
+def _names(elements: Sequence[Element]) -> tuple[str, ...]:
+    return tuple(element.name for element in elements)
+
+
+def _matrices(jacobian: Matrix, n: int) -> dict[str, Matrix]:
+    """Split a matrix of the Jacobian's shape into the parts of A, B, C and D."""
+    parts = {
+        "A": jacobian[:n, :n],
+        "B": jacobian[:n, n:],
+        "C": jacobian[n:, :n],
+        "D": jacobian[n:, n:],
+    }
+    return {letter: np.ascontiguousarray(part) for letter, part in parts.items()}
+
+
+def _units(selection: Selection) -> dict[str, str]:
+    units = {}
+    for element in (*selection.columns, *selection.outputs):
+        unit = element.variable.unit
+        if unit is not None:
+            units[element.name] = unit
+    return units
+
+
+def _bases(selection: Selection) -> dict[str, BaseUnit]:
+    bases = {}
+    for element in (*selection.columns, *selection.outputs):
+        base = element.variable.base
+        if base is not None:
+            bases[element.name] = base
+    return bases
+
+
+def _notes(point: OperatingPoint) -> Iterator[str]:
+    count = point.instance.description.event_indicators
+    if count:
+        yield f"event indicators ({count}): linearized within the mode it is in"
+    yield from point.selection.notes
+
+
+def _notes_on_errors(
+    matrices: Mapping[str, Matrix], errors: Mapping[str, float | None]
+) -> Iterator[str]:
+    """Yield a note on each matrix whose error is large beside the derivatives or outputs."""
+    derivatives = float(np.linalg.norm(np.hstack([matrices["A"], matrices["B"]])))
+    outputs = float(np.linalg.norm(np.hstack([matrices["C"], matrices["D"]])))
+    sizes = {"A": derivatives, "B": derivatives, "C": outputs, "D": outputs}
+    for letter, error in errors.items():
+        if error is not None and error > GOOD * sizes[letter] > 0.0:
+            yield f"{letter} by central differences: error up to {error:.1g}"
