@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import cached_property
@@ -14,7 +14,7 @@ from cosim.arrays import Mask
 from cosim.core.graph import Graph
 from cosim.core.linear import DescriptorModel
 from cosim.core.port import Port
-from cosim.core.signals import Interface
+from cosim.core.signals import Signal
 from cosim.errors import UsageError, nearest
 from cosim.fmi.exporting.export import export
 from cosim.fmi.exporting.specifications import Exportable
@@ -22,9 +22,9 @@ from cosim.scenario.build import Scenario, build_context, draft, upstream
 from cosim.scenario.execution import load
 from cosim.scenario.kinds import EXPORTABLE, DescriptorKind, ExportableKind
 
-HOLDS = (
-    "its inputs hold over a step here, so its outputs do too; co-simulation in FMI 2.0 has no events to say so, and they are "
-    "declared continuous: FMI 3.0 declares them discrete"
+HELD_OUTPUTS = (
+    "its inputs are held over a step here, so its outputs are too; co-simulation in FMI 2.0 has no "
+    "events to say so, and they are declared continuous: FMI 3.0 declares them discrete"
 )
 
 
@@ -39,76 +39,99 @@ def export_component(
     dae: bool = False,
     set: Mapping[str, Any] | None = None,
 ) -> list[str]:
-    """Write a component as an FMU; give lines that say what was written.
+    """Write a component as an FMU; return lines that describe what was written.
 
-    Only what the component rests on is built: an identifier treats its rows as they come from what drives it. ``dae``: with its
-    algebraic equations beside the ordinary ones.
+    Only what the component rests on is built: an identifier treats its rows as they come from what
+    drives it. ``dae``: with its algebraic equations beside the ordinary ones.
 
     Raises
     ------
     UsageError
-        If there is no such component, it cannot be exported, or the file exists or cannot be written.
+        If there is no such component, it cannot be exported, or the file exists or cannot be
+        written.
     FmuError
         If the version or a platform is not known.
     ScenarioError
         If the file is wrong, or what the component rests on cannot be built.
     """
+    _check_path(out, force=force)
+    loaded = load(scenario).set(set or {})
+    if component not in loaded.specs:
+        raise UsageError(f"there is no component {component!r}; {nearest(component, loaded.specs)}")
+    name = _identifier(f"{loaded.name}_{component}")
+    description = f"{component} of scenario {loaded.name}"
+    model: DescriptorModel | Exportable
+    has_held_outputs = False
+    with ExitStack() as resources:
+        if dae:
+            model = _descriptor_model(loaded, component, resources)
+        else:
+            ordinary, has_held_outputs = _model(loaded, component, resources)
+            model = _discrete(ordinary) if has_held_outputs and fmi == "3" else ordinary
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        exported = export(
+            model, out, name=name, fmi=fmi, platforms=platforms, description=description
+        )
+    except OSError as error:
+        raise UsageError(f"{out} cannot be written: {error.strerror or error}") from error
+    if has_held_outputs and fmi == "2":
+        return [*exported.lines, HELD_OUTPUTS]
+    return exported.lines
+
+
+def _check_path(out: Path, *, force: bool) -> None:
     if out.suffix != ".fmu":
         raise UsageError(f"{out}: needed a path that ends in .fmu")
     if out.exists() and not force:
         raise UsageError(f"{out} exists; choose another path, or --force to replace it")
-    loaded = load(scenario).set(set or {})
-    if component not in loaded.specs:
-        raise UsageError(f"there is no component {component!r}; {nearest(component, loaded.specs)}")
-    with ExitStack() as resources:
-        place, spec, context = (
-            _Wiring(loaded, component, resources),
-            loaded.specs[component],
-            build_context(loaded, resources),
+
+
+def _identifier(name: str) -> str:
+    """Make an identifier of C of a name, which begins with a letter."""
+    return re.sub(r"[^A-Za-z0-9_]", "_", name)
+
+
+# --- what is exported of a component ---
+
+
+def _descriptor_model(scenario: Scenario, component: str, resources: ExitStack) -> DescriptorModel:
+    spec = scenario.specs[component]
+    if not isinstance(spec, DescriptorKind):
+        raise UsageError(
+            f"{component!r} is of kind {spec.kind!r}, which has no algebraic equations; "
+            "what has: descriptor"
         )
-        model: DescriptorModel | Exportable
-        if dae:
-            if not isinstance(spec, DescriptorKind):
-                raise UsageError(
-                    f"{component!r} is of kind {spec.kind!r}, which has no algebraic equations; "
-                    f"what has: descriptor"
-                )
-            model, holds = spec.descriptor_form(context), False
-        else:
-            if not isinstance(spec, ExportableKind):
-                raise UsageError(
-                    f"{component!r} is of kind {spec.kind!r}, which cannot be exported; "
-                    f"what can be: {', '.join(EXPORTABLE)}"
-                )
-            ours = spec.exportable(component, context, place)
-            holds = _inherits(ours.interface) and place.is_discrete
-            model = (
-                replace(ours, interface=_discrete(ours.interface)) if holds and fmi == "3" else ours
-            )
-    name, description = (
-        _identifier(f"{loaded.name}_{component}"),
-        f"{component} of scenario {loaded.name}",
-    )
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        lines = export(
-            model, out, name=name, fmi=fmi, platforms=platforms, description=description
-        ).lines
-    except OSError as error:
-        raise UsageError(f"{out} cannot be written: {error.strerror or error}") from error
-    return [*lines, HOLDS] if holds and fmi == "2" else lines
+    return spec.descriptor_form(build_context(scenario, resources))
+
+
+def _model(scenario: Scenario, component: str, resources: ExitStack) -> tuple[Exportable, bool]:
+    """Return the model of a component, and whether its outputs are held as its inputs are."""
+    spec = scenario.specs[component]
+    if not isinstance(spec, ExportableKind):
+        raise UsageError(
+            f"{component!r} is of kind {spec.kind!r}, which cannot be exported; "
+            f"what can be: {', '.join(EXPORTABLE)}"
+        )
+    wiring = _Wiring(scenario, component, resources)
+    model = spec.exportable(component, build_context(scenario, resources), wiring)
+    inherits = any(signal.variability == "inherited" for signal in model.interface.outputs)
+    return model, inherits and wiring.is_discrete
 
 
 @final
 class _Wiring:
-    """Where a component stands; what drives it is built when that is asked for, and nothing else."""
+    """How a component is connected; what drives it is built when that is needed, nothing else."""
 
     def __init__(self, scenario: Scenario, component: str, resources: ExitStack) -> None:
-        self._scenario, self._component, self._resources = scenario, component, resources
+        self._scenario = scenario
+        self._component = component
+        self._resources = resources
 
     @cached_property
     def _graph(self) -> Graph:
-        return upstream(draft(self._scenario.document, self._resources), self._component)
+        graph = draft(self._scenario.document, self._resources)
+        return upstream(graph, self._component)
 
     @property
     def held(self) -> Mask:
@@ -118,26 +141,20 @@ class _Wiring:
     @property
     def is_discrete(self) -> bool:
         """Whether outputs that inherit their variability are discrete."""
-        face = self._graph.components[self._component].interface
-        return all(
-            self._graph.variability(Port(self._component, signal.name)) == "discrete"
-            for signal in face.outputs
-        )
+        for signal in self._graph.components[self._component].interface.outputs:
+            port = Port(self._component, signal.name)
+            if self._graph.variability(port) != "discrete":
+                return False
+        return True
 
 
-def _inherits(face: Interface) -> bool:
-    return any(signal.variability == "inherited" for signal in face.outputs)
+def _discrete(model: Exportable) -> Exportable:
+    """Return the model with discrete signals only: all are held over a step."""
+    inputs = _discrete_signals(model.interface.inputs)
+    outputs = _discrete_signals(model.interface.outputs)
+    interface = replace(model.interface, inputs=inputs, outputs=outputs)
+    return replace(model, interface=interface)
 
 
-def _discrete(face: Interface) -> Interface:
-    """Give an interface all of whose signals hold over a step."""
-    inputs, outputs = (
-        tuple(replace(signal, variability="discrete") for signal in part)
-        for part in (face.inputs, face.outputs)
-    )
-    return replace(face, inputs=inputs, outputs=outputs)
-
-
-def _identifier(name: str) -> str:
-    """Make an identifier of C of a name, which begins with a letter."""
-    return re.sub(r"[^A-Za-z0-9_]", "_", name)
+def _discrete_signals(signals: Iterable[Signal]) -> tuple[Signal, ...]:
+    return tuple(replace(signal, variability="discrete") for signal in signals)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
@@ -57,24 +57,24 @@ class DesignModel(NamedTuple):
     def declare(self, model: LinearModel) -> LinearModel:
         """Declare the units of the signals of an observer."""
         interface = model.interface
-        declared = replace(
-            interface,
-            inputs=tuple(self._with_unit(signal) for signal in interface.inputs),
-            outputs=tuple(self._with_unit(signal) for signal in interface.outputs),
-        )
-        return replace(model, interface=declared)
+        inputs = self._with_units(interface.inputs)
+        outputs = self._with_units(interface.outputs)
+        return replace(model, interface=replace(interface, inputs=inputs, outputs=outputs))
 
-    def _with_unit(self, signal: Signal) -> Signal:
-        unit = self.units.get(signal.name, Unit(None))
-        return replace(signal, unit=unit.name, base=unit.base)
+    def _with_units(self, signals: Iterable[Signal]) -> tuple[Signal, ...]:
+        declared = []
+        for signal in signals:
+            unit = self.units.get(signal.name, Unit(None))
+            declared.append(replace(signal, unit=unit.name, base=unit.base))
+        return tuple(declared)
 
 
 def design_model(linearization: Linearization, disturbances: Sequence[str]) -> DesignModel:
-    """Return the design model of an observer of a linearized FMU.
+    """Build the design model of a linearization: (9)-(10) without x_b.
 
-    It is (9)-(10) without x_b: ``x' = A x + B_1 u + B_2 delta + c``,
-    ``y = C x + C_4 u + C_5 delta + d``, where c and d are not zero at an operating point away from
-    an equilibrium at zero. They act through one more input, the constant 1.
+    It is ``x' = A x + B_1 u + B_2 delta + c``, ``y = C x + C_4 u + C_5 delta + d``. c and d are
+    what an operating point away from an equilibrium at zero leaves: they act through one more
+    input, the constant 1.
 
     Raises
     ------
@@ -82,14 +82,14 @@ def design_model(linearization: Linearization, disturbances: Sequence[str]) -> D
         If a disturbance is none of the inputs, or is named twice.
     """
     known, unknown = split(linearization, disturbances)
-    n = len(linearization.states)
+    c, d = linearization.constants
+    constant = bool(c.any() or d.any())
     B_1 = linearization.B[:, known]
     C_4 = linearization.D[:, known]
-    c, d = (column[:, np.newaxis] for column in linearization.constants)
-    constant = bool(c.any() or d.any())
     if constant:
-        B_1 = np.hstack([B_1, c])
-        C_4 = np.hstack([C_4, d])
+        B_1 = np.hstack([B_1, c[:, np.newaxis]])
+        C_4 = np.hstack([C_4, d[:, np.newaxis]])
+    n = len(linearization.states)
     reduced = ReducedSystem(
         A_a=linearization.A,
         B_1a=B_1,
@@ -101,48 +101,53 @@ def design_model(linearization: Linearization, disturbances: Sequence[str]) -> D
         Ku=np.zeros((0, len(known) + constant)),
         Kd=np.zeros((0, len(unknown))),
     )
-    inputs = linearization.inputs
     units = {
-        "u": _common_unit(linearization, [inputs[i] for i in known]),
-        "delta": _common_unit(linearization, [inputs[i] for i in unknown]),
-        "y": _common_unit(linearization, linearization.outputs),
-        "x_a": _common_unit(linearization, linearization.states),
+        "u": _unit(linearization, [linearization.inputs[i] for i in known]),
+        "delta": _unit(linearization, [linearization.inputs[i] for i in unknown]),
+        "y": _unit(linearization, linearization.outputs),
+        "x_a": _unit(linearization, linearization.states),
     }
     return DesignModel(reduced, constant, units)
 
 
-def _common_unit(linearization: Linearization, names: Sequence[str]) -> Unit:
+def _unit(linearization: Linearization, names: Sequence[str]) -> Unit:
     """Return the unit that all elements of a signal have; else none is declared."""
-    units = {Unit(linearization.units.get(name), linearization.bases.get(name)) for name in names}
+    units = set()
+    for name in names:
+        units.add(Unit(linearization.units.get(name), linearization.bases.get(name)))
     return units.pop() if len(units) == 1 else Unit(None)
 
 
 def split(linearization: Linearization, disturbances: Sequence[str]) -> tuple[list[int], list[int]]:
     """Return the columns of the known inputs and those of the disturbances.
 
-    A disturbance may be named by port or by element.
+    Disturbances may be named by port or by element.
 
     Raises
     ------
     UsageError
         If a disturbance is none of the inputs, or is named twice.
     """
-    inputs = linearization.inputs
     unknown: list[int] = []
     for name in disturbances:
-        columns = []
-        for i, element in enumerate(inputs):
-            if name in (element, element.rpartition("[")[0]):
-                columns.append(i)
+        columns = _columns(linearization.inputs, name)
         if not columns:
-            raise UsageError(
-                f"disturbance {name!r} is no input of {linearization.name}; {nearest(name, inputs)}"
-            )
+            advice = nearest(name, linearization.inputs)
+            raise UsageError(f"disturbance {name!r} is no input of {linearization.name}; {advice}")
         if set(columns) & set(unknown):
             raise UsageError(f"disturbance {name!r} is named twice; needed each once")
         unknown += columns
-    known = [i for i in range(len(inputs)) if i not in unknown]
+    known = [i for i in range(len(linearization.inputs)) if i not in unknown]
     return known, unknown
+
+
+def _columns(inputs: Sequence[str], name: str) -> list[int]:
+    columns = []
+    for i, element in enumerate(inputs):
+        port = element.rpartition("[")[0]
+        if name in (element, port):
+            columns.append(i)
+    return columns
 
 
 def model_table(linearization: Linearization, disturbances: Sequence[str]) -> str:
@@ -153,72 +158,80 @@ def model_table(linearization: Linearization, disturbances: Sequence[str]) -> st
     Raises
     ------
     UsageError
-        If a disturbance is none of the inputs, or there are no states, outputs, known inputs or
-        disturbances.
+        If a disturbance is none of the inputs, or no states, outputs, known inputs or disturbances
+        are there.
     """
     known, unknown = split(linearization, disturbances)
-    _check_model_table(linearization, known, unknown)
-    # Where D has a row that is not zero: y = C x + x_b and 0 = -x_b + D (u, delta).
-    through = np.flatnonzero(linearization.D.any(axis=1))
-    n = len(linearization.states)
-    n_b = len(through)
-    A = np.block([[linearization.A, np.zeros((n, n_b))], [np.zeros((n_b, n)), -np.eye(n_b)]])
-    B = np.vstack([linearization.B, linearization.D[through]])
-    C = np.hstack([linearization.C, np.eye(len(linearization.outputs))[:, through]])
-    name = linearization.name
-    identifier = re.sub(r"[^A-Za-z0-9_-]", "_", name)
-    states = ", ".join(linearization.states)
-    outputs = ", ".join(linearization.outputs)
-    lines = [
-        f"[models.{identifier}]",
-        f"# {name} linearized at t = {linearization.t} s, {_operating_point(linearization)}",
-    ]
-    c, d = (vector.tolist() for vector in linearization.constants)
-    if any((*c, *d)):
-        lines.append(
-            f"# for deviations from this point: it lacks c = {c} of x' = ... + c "
-            f"and d = {d} of y = ... + d"
-        )
-    lines += [
-        f"# x: {states}; u: {_input_names(linearization, known)}; "
-        f"delta: {_input_names(linearization, unknown)}; y: {outputs}",
-        f"n_a = {n}",
-        f"A = {_rows(A)}",
-        f"Bu = {_rows(B[:, known])}",
-        f"Bd = {_rows(B[:, unknown])}",
-        f"C = {_rows(C)}",
-    ]
+    _check_not_empty(linearization, "state", linearization.states)
+    _check_not_empty(linearization, "output", linearization.outputs)
+    _check_not_empty(linearization, "known input", known)
+    _check_not_empty(linearization, "disturbance", unknown)
+    A, B, C = _with_algebraic_states(linearization)
+    matrices = {"A": A, "Bu": B[:, known], "Bd": B[:, unknown], "C": C}
+    lines = [*_header(linearization, known, unknown), f"n_a = {len(linearization.states)}"]
+    lines += [f"{name} = {_rows(matrix)}" for name, matrix in matrices.items()]
     return "\n".join(lines) + "\n"
 
 
-def _check_model_table(
+def _check_not_empty(linearization: Linearization, what: str, columns: Sequence[object]) -> None:
+    if not columns:
+        inputs = ", ".join(linearization.inputs) or "none"
+        raise UsageError(
+            f"{linearization.name}: a table of [models] needs a {what}; inputs: {inputs}"
+        )
+
+
+def _with_algebraic_states(linearization: Linearization) -> tuple[Matrix, Matrix, Matrix]:
+    """Return A, B and C with states x_b = D (u, delta) of the outputs with feedthrough.
+
+    There ``y = C x + x_b``, ``0 = -x_b + D (u, delta)``.
+    """
+    D = linearization.D
+    feedthrough = np.flatnonzero(D.any(axis=1))
+    n = len(linearization.states)
+    n_b = len(feedthrough)
+    top = np.hstack([linearization.A, np.zeros((n, n_b))])
+    bottom = np.hstack([np.zeros((n_b, n)), -np.eye(n_b)])
+    selected = np.eye(len(linearization.outputs))[:, feedthrough]
+    A = np.vstack([top, bottom])
+    B = np.vstack([linearization.B, D[feedthrough]])
+    C = np.hstack([linearization.C, selected])
+    return A, B, C
+
+
+def _header(
     linearization: Linearization, known: Sequence[int], unknown: Sequence[int]
-) -> None:
-    parts: dict[str, Sequence[Any]] = {
-        "state": linearization.states,
-        "output": linearization.outputs,
-        "known input": known,
-        "disturbance": unknown,
-    }
-    inputs = ", ".join(linearization.inputs) or "none"
-    for part, members in parts.items():
-        if not members:
-            raise UsageError(
-                f"{linearization.name}: a table of [models] needs a {part}; inputs: {inputs}"
-            )
+) -> list[str]:
+    name = linearization.name
+    u = ", ".join(linearization.inputs[i] for i in known)
+    delta = ", ".join(linearization.inputs[i] for i in unknown)
+    x = ", ".join(linearization.states)
+    y = ", ".join(linearization.outputs)
+    lines = [
+        f"[models.{re.sub(r'[^A-Za-z0-9_-]', '_', name)}]",
+        f"# {name} linearized at t = {linearization.t} s, {_operating_point(linearization)}",
+    ]
+    c, d = linearization.constants
+    if c.any() or d.any():
+        lines.append(
+            f"# for deviations from this point: it lacks c = {c.tolist()} of x' = ... + c "
+            f"and d = {d.tolist()} of y = ... + d"
+        )
+    lines.append(f"# x: {x}; u: {u}; delta: {delta}; y: {y}")
+    return lines
 
 
 def _operating_point(linearization: Linearization) -> str:
-    states = zip(linearization.states, linearization.x, strict=True)
-    inputs = zip(linearization.inputs, linearization.u, strict=True)
-    return ", ".join(f"{name} = {float(value)!r}" for name, value in (*states, *inputs))
-
-
-def _input_names(linearization: Linearization, columns: Sequence[int]) -> str:
-    return ", ".join(linearization.inputs[i] for i in columns)
+    names = [*linearization.states, *linearization.inputs]
+    values = [*linearization.x.tolist(), *linearization.u.tolist()]
+    pairs = zip(names, values, strict=True)
+    return ", ".join(f"{name} = {value!r}" for name, value in pairs)
 
 
 def _rows(matrix: Matrix) -> str:
-    rows = (matrix + 0.0).tolist()  # + 0.0: no -0.0 in the file
-    texts = [f"[{', '.join(map(repr, row))}]" for row in rows]
-    return f"[{', '.join(texts)}]"
+    """Write a matrix in TOML."""
+    rows = []
+    for row in (matrix + 0.0).tolist():  # + 0.0: no -0.0 in the file
+        numbers = ", ".join(map(repr, row))
+        rows.append(f"[{numbers}]")
+    return f"[{', '.join(rows)}]"

@@ -46,7 +46,7 @@ def perform(unit, call):
         "set_float64": (inputs, np.zeros(2)),
         "get_float64": (outputs,),
         "get_directional_derivative": (outputs, inputs, np.ones(2)),
-        "set_fmu_state": (("instantiated", 0.0, np.zeros(2), np.zeros(2), {}),),
+        "set_fmu_state": (GeneratedInstance.of(model()).get_fmu_state(),),
         "free_fmu_state": (None,),
     }
     return getattr(unit, call)(*arguments.get(call, ()))

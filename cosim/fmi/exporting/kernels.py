@@ -173,8 +173,8 @@ def least_squares(constants: LeastSquaresConstants) -> Kernel:
         f"const cosim_least_squares kernel_constants = {{{', '.join(numbers)}, recovery, 0}};",
     )
     equations = (
-        f"Least squares of -mu_0 on mu_1, mu_2, ..., from t = {constants.start_time} s on: eta, and the "
-        "parameters theta that follow from it. No value (NaN) before there is one."
+        f"Least squares of -mu_0 on mu_1, mu_2, ..., from t = {constants.start_time} s on: eta, "
+        "and the parameters theta that follow from it. No value (NaN) before there is one."
     )
     return Kernel(
         "identifier.c", ("estimate.c", "expression.c"), constants.memory, lines, equations
