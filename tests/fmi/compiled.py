@@ -51,11 +51,8 @@ def compile_fmu(
     """
     library = path.with_suffix(SUFFIX)
     version = xml.split('fmiVersion="')[1].split('"')[0]
-    build.compile_library(
-        [HERE / source for source in sources],
-        library,
-        [f"-I{HEADERS}", *(f"-D{d}" for d in defines)],
-    )
+    flags = [f"-I{HEADERS}", *(f"-D{define}" for define in defines)]
+    build.compile_library([HERE / source for source in sources], library, flags)
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("modelDescription.xml", xml)
         for member, content in extra.items():

@@ -14,7 +14,8 @@ from tests.fmi.probes import xml1, xml2, xml3
 
 @pytest.fixture(scope="session")
 def exported(tmp_path_factory) -> Path:
-    return export(model(), tmp_path_factory.mktemp("export") / "academic.fmu", name="academic").path
+    path = tmp_path_factory.mktemp("export") / "academic.fmu"
+    return export(model(), path, name="academic").path
 
 
 @pytest.fixture
@@ -45,7 +46,7 @@ def edited(exported, tmp_path):
 
 @pytest.fixture
 def temporary(tmp_path, monkeypatch) -> Path:
-    """Give the folder where temporary folders are made; it must be empty again at the end."""
+    """Return the folder where temporary folders are made; it must be empty again at the end."""
     folder = tmp_path / "temporary"
     folder.mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(folder))

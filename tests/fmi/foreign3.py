@@ -10,17 +10,20 @@ from pythonfmu3 import (
 
 
 class Foreign3(Fmi3SlaveBase, ModelExchange, CoSimulation):
-    """The plant (28) as pythonfmu3 sees it: model exchange, and co-simulation by Heun's method with held inputs."""
+    """The plant (28) as pythonfmu3 sees it: model exchange and co-simulation.
+
+    Co-simulation is Heun's method with a zero-order hold of the inputs.
+    """
 
     def __init__(self, **kwargs):
         super().__init__(**kwargs)
         self.time = self.u = self.delta = 0.0
-        self.x1, self.x2, self.der1, self.der2 = 1.0, -1.0, 0.0, 0.0
+        self.x1 = 1.0
+        self.x2 = -1.0
+        self.der1 = self.der2 = 0.0
         moving = {"variability": Fmi3Variability.continuous}
-        output, local = (
-            {"causality": Fmi3Causality.output, **moving},
-            {"causality": Fmi3Causality.local, **moving},
-        )
+        output = {"causality": Fmi3Causality.output, **moving}
+        local = {"causality": Fmi3Causality.local, **moving}
         self.register_variable(Float64("time", causality=Fmi3Causality.independent, **moving))
         self.register_variable(Float64("u", causality=Fmi3Causality.input, **moving))
         self.register_variable(Float64("delta", causality=Fmi3Causality.input, **moving))
@@ -36,9 +39,12 @@ class Foreign3(Fmi3SlaveBase, ModelExchange, CoSimulation):
         return [self.der1, self.der2]
 
     def do_step(self, t, h):
-        x1, x2 = self.x1, self.x2
-        a = self.get_continuous_state_derivatives()
-        self.x1, self.x2 = x1 + h * a[0], x2 + h * a[1]
-        b = self.get_continuous_state_derivatives()
-        self.x1, self.x2 = x1 + 0.5 * h * (a[0] + b[0]), x2 + 0.5 * h * (a[1] + b[1])
+        x1 = self.x1
+        x2 = self.x2
+        a1, a2 = self.get_continuous_state_derivatives()
+        self.x1 = x1 + h * a1
+        self.x2 = x2 + h * a2
+        b1, b2 = self.get_continuous_state_derivatives()
+        self.x1 = x1 + 0.5 * h * (a1 + b1)
+        self.x2 = x2 + 0.5 * h * (a2 + b2)
         return True

@@ -1,4 +1,4 @@
-"""The paper's reduced plant (28), and its solution in closed form for inputs that are straight lines."""
+"""The paper's reduced plant (28), and its solution in closed form for inputs linear in time."""
 
 import numpy as np
 
@@ -10,53 +10,71 @@ B = np.array([[-1.0, 1.0], [1.0, 0.0]])
 C = np.array([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]])
 D = np.array([[-1.0, 0.0], [0.0, 0.0], [0.0, 0.0], [-1.0, 0.0]])
 START = np.array([1.0, -1.0])
-FACE = Interface(
+INTERFACE = Interface(
     (Signal("u", role="input"), Signal("delta", role="input")),
     (Signal("y"), Signal("x_a", 2, role="state"), Signal("x_b")),
     {"y": ("u",), "x_a": (), "x_b": ("u",)},
 )
-U0, SLOPE = np.array([0.5, -1.0]), np.array([0.7, 1.5])  # u = U0 + SLOPE t
+# u = U0 + SLOPE t
+U0 = np.array([0.5, -1.0])
+SLOPE = np.array([0.7, 1.5])
 FREE = np.zeros(2, np.bool_)
 
 
 def model() -> LinearModel:
-    return LinearModel(FACE, ("x_a[0]", "x_a[1]"), A, B, C, D, START, np.zeros((2, 2)))
+    states = ("x_a[0]", "x_a[1]")
+    return LinearModel(INTERFACE, states, A, B, C, D, START, np.zeros((2, 2)))
 
 
 def inputs(t, slope=SLOPE):
-    """Straight lines, so that a communication step hides nothing."""
+    """Return inputs linear in time, so that a communication step hides nothing."""
     return U0 + np.multiply.outer(t, slope)
 
 
 def transition(t: float):
-    """exp(A t): A + 1.5 I squares to -3/4 I, so exp(A t) = exp(-1.5 t) (cos(w t) I + sin(w t)/w (A + 1.5 I)), w = sqrt(3)/2."""
+    """Return exp(A t).
+
+    A + 1.5 I squares to -3/4 I. So, with w = sqrt(3)/2,
+    exp(A t) = exp(-1.5 t) (cos(w t) I + sin(w t)/w (A + 1.5 I)).
+    """
     w = np.sqrt(3.0) / 2.0
-    return np.exp(-1.5 * t) * (
-        np.cos(w * t) * np.eye(2) + np.sin(w * t) / w * (A + 1.5 * np.eye(2))
-    )
+    shifted = A + 1.5 * np.eye(2)
+    oscillation = np.cos(w * t) * np.eye(2) + np.sin(w * t) / w * shifted
+    return np.exp(-1.5 * t) * oscillation
 
 
 def solution(t, slope=SLOPE):
-    """Give the outputs (y, x_a, x_b) at the times t: a straight line plus the free motion; shape (len(t), 4)."""
+    """Return the outputs (y, x_a, x_b) at the times t, shape (len(t), 4).
+
+    The state is p0 + p1 t, which follows the inputs, plus the free motion.
+    """
     p1 = -np.linalg.solve(A, B @ slope)
     p0 = np.linalg.solve(A, p1 - B @ U0)
-    x = np.array([p0 + p1 * s + transition(s) @ (START - p0) for s in t])
+    free = START - p0
+    x = np.array([p0 + p1 * s + transition(s) @ free for s in t])
     return x @ C.T + inputs(t, slope) @ D.T
 
 
 def run(
     component, *, step: float, stop: float = 2.0, blocks: int | None = None, held=FREE, u=inputs
 ):
-    """Run a component from 0; outputs at every communication point, shape (steps + 1, n_y)."""
+    """Run a component from 0.
+
+    Returns
+    -------
+    array, shape (steps + 1, n_y)
+        The outputs at every communication point.
+    """
     steps = round(stop / step)
     t = np.arange(steps + 1) * round(step * 1e9) / 1e9
     rows = u(t)
     component.prepare(step, held, {})
-    found = [component.initialize(0.0, rows[0])[np.newaxis]]
+    outputs = [component.initialize(0.0, rows[0])[np.newaxis]]
     size = blocks or steps
     for k in range(0, steps, size):
-        found.append(component.advance(t[k : k + size + 1], step, rows[k : k + size + 1]))
-    return np.concatenate(found)
+        block = slice(k, k + size + 1)
+        outputs.append(component.advance(t[block], step, rows[block]))
+    return np.concatenate(outputs)
 
 
 def grid(step: float, stop: float = 2.0):

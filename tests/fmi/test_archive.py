@@ -119,13 +119,13 @@ def test_names_that_clash(place, names, text):
 
 
 KINDS = {
-    "link": (Entry("a", b"/etc/passwd", interface_type=stat.S_IFLNK | 0o777), "a link, where it may have files and folders only: 'a'"),
-    "link to a folder": (Entry("a/", b"", interface_type=stat.S_IFLNK | 0o777), "a link, where it may have files and folders only: 'a/'"),
-    "device": (Entry("a", b"", interface_type=stat.S_IFBLK | 0o600), "a special file"),
-    "pipe": (Entry("a", b"", interface_type=stat.S_IFIFO | 0o600), "a special file"),
-    "socket": (Entry("a", b"", interface_type=stat.S_IFSOCK | 0o600), "a special file"),
-    "folder without a slash": (Entry("a", b"", interface_type=stat.S_IFDIR | 0o700), "a special file"),
-    "folder with content": (Entry("a/", b"x", interface_type=stat.S_IFDIR | 0o700), "a folder with content of its own: 'a/'"),
+    "link": (Entry("a", b"/etc/passwd", unix_mode=stat.S_IFLNK | 0o777), "a link, where it may have files and folders only: 'a'"),
+    "link to a folder": (Entry("a/", b"", unix_mode=stat.S_IFLNK | 0o777), "a link, where it may have files and folders only: 'a/'"),
+    "device": (Entry("a", b"", unix_mode=stat.S_IFBLK | 0o600), "a special file"),
+    "pipe": (Entry("a", b"", unix_mode=stat.S_IFIFO | 0o600), "a special file"),
+    "socket": (Entry("a", b"", unix_mode=stat.S_IFSOCK | 0o600), "a special file"),
+    "folder without a slash": (Entry("a", b"", unix_mode=stat.S_IFDIR | 0o700), "a special file"),
+    "folder with content": (Entry("a/", b"x", unix_mode=stat.S_IFDIR | 0o700), "a folder with content of its own: 'a/'"),
     "encrypted": (Entry("a", b"x", flags=1), "an encrypted entry: 'a'"),
     "strongly encrypted": (Entry("a", b"x", flags=0x41), "an encrypted entry: 'a'"),
     "deflate64": (Entry("a", b"x", method=9), r"an entry with compression method 9 \(needed 0, stored, or 8, deflated\): 'a'"),
@@ -422,7 +422,7 @@ def test_a_good_archive_comes_out_whole(tmp_path):
     names = {"resources/a.txt": b"a" * 1000, "documentation/ü/b.txt": b"b", "empty": b""}
     entries = [Entry(name, content, method=len(content) % 2 * 8) for name, content in names.items()]
     path = write(
-        tmp_path / "x.fmu", [*entries, Entry("extra/", interface_type=stat.S_IFDIR | 0o755)]
+        tmp_path / "x.fmu", [*entries, Entry("extra/", unix_mode=stat.S_IFDIR | 0o755)]
     )
     folder = tmp_path / "folder"
     folder.mkdir()

@@ -14,7 +14,7 @@ from cosim.errors import FmuError, RunError
 from cosim.fmi.component import CoSimulation, ModelExchange, load
 from cosim.fmi.generated import GeneratedInstance
 from cosim.fmi.options import FmuOptions
-from tests.fmi.plant import FACE, SLOPE, A, B, C, D, grid, inputs, model, run, solution
+from tests.fmi.plant import INTERFACE, SLOPE, A, B, C, D, grid, inputs, model, run, solution
 
 # At 1 ms and 2 s: 2000 steps, each rounding a few numbers of size 1: well below 2000 * 8 * 2^-53 = 1.8e-12.
 ROUNDING = 2e-12
@@ -342,7 +342,7 @@ def test_components_keep_the_contract_of_the_interface(exported):
     """What is exported is read back as it was: names, sizes, feedthrough; x_a is a state."""
     with load(exported) as fmu:
         expected = replace(
-            FACE, initial={"y": ("u",), "x_b": ("u",)}, prepares=True, rollback=True
+            INTERFACE, initial={"y": ("u",), "x_b": ("u",)}, prepares=True, rollback=True
         )
         assert fmu.component.interface == expected
         assert isinstance(fmu.component, ModelExchange)

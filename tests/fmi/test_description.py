@@ -3,22 +3,29 @@
 import hashlib
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from cosim.errors import FmuError
 from cosim.fmi.description import Description
 from cosim.fmi.reading.model_description import read
+from cosim.fmi.references import ReferenceMap, VectorElement
 from cosim.fmi.variable import Variable
-from tests.fmi.plant import FACE
+from tests.fmi.plant import INTERFACE
 
 
 def outputs(*names, **changes):
-    variables = tuple(Variable(name, i, "output", **changes) for i, name in enumerate(names))
-    return [(s.name, s.size) for s in Description("m", "", "2.0", variables).interface.outputs]
+    """Return name and size of the output signals of some output variables."""
+    variables = [Variable(name, i, "output", **changes) for i, name in enumerate(names)]
+    description = Description("m", "", "2.0", tuple(variables))
+    return [(signal.name, signal.size) for signal in description.interface.outputs]
 
 
 def test_vectors_are_put_together_again():
-    """Consecutive numbers from 0 or 1, whatever the order in the file; gaps, other starts and taken names stand alone."""
+    """Consecutive numbers from 0 or 1, whatever the order in the file.
+
+    Gaps, other first numbers and names that are taken stand alone.
+    """
     assert outputs("x[0]", "x[1]", "y") == [("x", 2), ("y", 1)]
     assert outputs("x[2]", "x[1]") == [("x", 2)]
     assert outputs("x[0]", "x[2]") == [("x[0]", 1), ("x[2]", 1)]
@@ -33,9 +40,10 @@ def test_arrays_of_fmi_3_are_vectors():
 
 
 def test_feedthrough_is_unknown_where_nothing_is_said():
-    """An output that says nothing may depend on every input, also beside others that say what they depend on."""
+    """An output may depend on every input unless its dependencies are listed."""
     variables = (Variable("u", 0, "input"), Variable("y", 1, "output"), Variable("z", 2, "output"))
-    assert Description("m", "", "2.0", variables).interface.feedthrough == {"y": None, "z": None}
+    unknown = Description("m", "", "2.0", variables).interface
+    assert unknown.feedthrough == {"y": None, "z": None}
     mixed = Description("m", "", "2.0", variables, dependencies={"y": ()}).interface
     assert mixed.feedthrough == {"y": (), "z": None}
     assert mixed.feeds("z") == ("u",)
@@ -43,11 +51,40 @@ def test_feedthrough_is_unknown_where_nothing_is_said():
 
 
 def test_a_file_is_read_without_unpacking_it(exported):
-    """Both kinds with what they can do, the sum of the file, and the nearest name for one that is not there."""
-    found = read(exported)
-    assert found.sha256 == hashlib.sha256(exported.read_bytes()).hexdigest()
-    assert found.description.capabilities["cs"].interpolates_inputs
-    assert not found.description.capabilities["me"].completed_step
-    assert found.description.interface == replace(FACE, initial={"y": ("u",), "x_b": ("u",)})
+    """Both interface types with their capabilities, the file's hash, the nearest name."""
+    archive = read(exported)
+    assert archive.sha256 == hashlib.sha256(exported.read_bytes()).hexdigest()
+    description = archive.description
+    assert description.capabilities["cs"].interpolates_inputs
+    assert not description.capabilities["me"].completed_step
+    initial = {"y": ("u",), "x_b": ("u",)}
+    assert description.interface == replace(INTERFACE, initial=initial)
     with pytest.raises(FmuError, match="no variable 'yy'; did you mean 'y'"):
-        found.description["yy"]
+        description["yy"]
+
+
+def test_a_reference_map_knows_where_elements_stand():
+    """Columns follow the order of the variables, groups their types."""
+    variables = (
+        Variable("a", 7, "input", size=2),
+        Variable("n", 8, "input", "Int32"),
+        Variable("b", 9, "input"),
+        Variable("again", 7, "local", size=2),
+    )
+    inputs = Description("m", "", "3.0", variables).references("input")
+    elements = [f"{element.variable.name}[{element.index}]" for element in inputs.elements]
+    assert elements == ["a[0]", "a[1]", "n[0]", "b[0]"]
+    float64, int32 = inputs.groups
+    assert (float64.type, float64.references.tolist()) == ("Float64", [7, 9])
+    assert (int32.type, int32.references.tolist()) == ("Int32", [8])
+    assert float64.columns.tolist() == [0, 1, 3]
+    assert int32.columns.tolist() == [2]
+    assert inputs.ungrouped.references.tolist() == [7, 8, 9]
+    reals = inputs.select(inputs.where(lambda variable: variable.type == "Float64"))
+    assert (reals.size, reals.all_float64) == (3, True)
+    values = np.array([1.0, 2.0, 3.0, 4.0])
+    assert reals.take(values).tolist() == [1.0, 2.0, 4.0]
+    everything = inputs.select(np.ones(4, np.bool_))
+    assert everything.take(values) is values
+    alias = VectorElement(variables[3], 1)
+    assert ReferenceMap.of_distinct(variables).columns_of([alias]).tolist() == [1]

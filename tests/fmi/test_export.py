@@ -30,7 +30,7 @@ from cosim.native.step import (
     first_order_hold,
 )
 from tests.fmi.dae import descriptor
-from tests.fmi.plant import FACE, A, B, C, D, grid, inputs, model, run, solution
+from tests.fmi.plant import INTERFACE, A, B, C, D, grid, inputs, model, run, solution
 
 NAMES = ("y", "x_a[0]", "x_a[1]", "x_b")
 
@@ -83,7 +83,7 @@ def test_export_is_deterministic(exported, tmp_path):
     again = export(model(), tmp_path / "again.fmu", name="academic").path
     assert again.read_bytes() == exported.read_bytes()
     export(
-        LinearModel(FACE, model().states, 2.0 * A, B, C, D, np.zeros(2), np.zeros((2, 2))),
+        LinearModel(INTERFACE, model().states, 2.0 * A, B, C, D, np.zeros(2), np.zeros((2, 2))),
         tmp_path / "other.fmu",
         name="academic",
     )
@@ -153,7 +153,7 @@ def test_what_cannot_be_exported_is_refused(tmp_path):
     """Numbers that are not finite, names that are no identifiers, missing folders."""
     with pytest.raises(FmuError, match="matrix A holds NaN or infinity"):
         export(
-            LinearModel(FACE, model().states, A * np.nan, B, C, D, np.zeros(2), np.zeros((2, 2))),
+            LinearModel(INTERFACE, model().states, A * np.nan, B, C, D, np.zeros(2), np.zeros((2, 2))),
             tmp_path / "x.fmu",
             name="x",
         )

@@ -14,7 +14,7 @@ from cosim.errors import FmuError
 from cosim.fmi.component import ModelExchange
 from cosim.fmi.generated import ALLOWED, GeneratedInstance
 from cosim.fmi.instance import DiscreteStates
-from tests.fmi.plant import FACE, A, B, C, D, model, run
+from tests.fmi.plant import INTERFACE, A, B, C, D, model, run
 
 PATHS = {
     "instantiated": (),
@@ -93,7 +93,7 @@ def test_a_start_that_depends_on_inputs_follows_them_until_the_start():
     """x(0) = X0 + Xu u: calculated, not settable, and its derivative in initialization mode is C Xu + D."""
     Xu = np.array([[2.0, 0.0], [0.0, 0.0]])
     unit = GeneratedInstance.of(
-        LinearModel(FACE, ("x_a[0]", "x_a[1]"), A, B, C, D, np.array([1.0, -1.0]), Xu), "plant"
+        LinearModel(INTERFACE, ("x_a[0]", "x_a[1]"), A, B, C, D, np.array([1.0, -1.0]), Xu), "plant"
     )
     inputs, outputs = unit.description.references("input"), unit.description.references("output")
     assert [unit.description[name].initial for name in ("x_a[0]", "x_a[1]")] == [
@@ -117,7 +117,7 @@ def test_a_start_that_depends_on_inputs_follows_them_until_the_start():
 
 def test_a_state_needs_a_name_of_its_own():
     """A state named like an output that is something else is refused."""
-    other = LinearModel(FACE, ("y", "x_a[1]"), A, B, C, D, np.zeros(2), np.zeros((2, 2)))
+    other = LinearModel(INTERFACE, ("y", "x_a[1]"), A, B, C, D, np.zeros(2), np.zeros((2, 2)))
     with pytest.raises(FmuError, match="'y' is a state and another variable"):
         GeneratedInstance.of(other)
 
