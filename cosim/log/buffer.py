@@ -85,8 +85,8 @@ class RowBuffer:
         target = slice(self._count, new_count)
         self._rows[target] = signals[start:stop]
         self._time_ns[target] = block.time_ns[start:stop]
-        steps = np.arange(start, stop)
-        self._step[target] = block.index + steps
+        first_step = block.index + start
+        self._step[target] = np.arange(first_step, block.index + stop)
         # Last: an interrupt before this line leaves the buffer as it was.
         self._count = new_count
         return stop
