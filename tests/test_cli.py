@@ -1,4 +1,4 @@
-"""The command line: exit codes, what goes where, and what it costs to ask for help."""
+"""The command line: exit codes, stdout and stderr, and the cost of its help."""
 
 import contextlib
 import dataclasses
@@ -124,7 +124,8 @@ def test_an_existing_log_is_refused_with_exit_2(call):
 def test_a_failed_run_is_exit_1_and_leaves_a_valid_log(call, tmp_path):
     """A value that is not finite ends the run; the log keeps everything before and says so."""
     (tmp_path / "bad.toml").write_text(
-        '[scenario]\nname = "bad"\nstop = 1.0\nstep = 0.01\n[components.u]\nkind = "expression"\ny = "log(0.5 - t)"\n'
+        '[scenario]\nname = "bad"\nstop = 1.0\nstep = 0.01\n'
+        '[components.u]\nkind = "expression"\ny = "log(0.5 - t)"\n'
     )
     code, _, err = call("run", "bad.toml", "--out", "bad.mcap")
     assert code == 1
@@ -134,7 +135,7 @@ def test_a_failed_run_is_exit_1_and_leaves_a_valid_log(call, tmp_path):
 
 
 def test_verify_finds_the_first_difference(call):
-    """A log that was not written by this scenario fails the check, naming signal, time and both values."""
+    """A log of another scenario fails the check, which names signal, time and both values."""
     call("run", "academic", *SHORT, "--out", "a.mcap")
     assert call("replay", "a.mcap", "--verify")[0] == 0
     code, out, err = call("replay", "a.mcap", "--verify", "--set", "observer.x_a0=[0.5, 0.0]")
@@ -172,20 +173,46 @@ def test_info_of_a_log_a_scenario_and_an_fmu(call):
 
 
 def test_info_of_fmus_of_every_version(call, tmp_path):
-    """Units in SI, ranges, items, sizes, states and dependencies, in lines of at most 118 columns; JSON has every field."""
+    """Units in SI, ranges, items, sizes, states and dependencies, in lines of 118 columns at most.
+
+    JSON has every field.
+    """
     for number, xml in enumerate((FMI1.replace("{implementation}", ""), FMI2, FMI3), 1):
         write(tmp_path / f"{number}.fmu", [], xml=xml.encode())
     texts = [call("info", f"{number}.fmu")[1] for number in (1, 2, 3)]
     assert max(len(line) for text in texts for line in text.splitlines()) <= 118
     one, two, three = (" ".join(text.split()) for text in texts)
-    for text in ("N 1.0 kg.m.s-2", "u input continuous Float64 N 1 -1..2", "z output continuous Float64 unknown",
-                 "v output continuous Float64 nothing", "1 off, 2 on", "n states 2", "exchange identifier one"):  # fmt: skip
+    for text in (
+        "N 1.0 kg.m.s-2",
+        "u input continuous Float64 N 1 -1..2",
+        "z output continuous Float64 unknown",
+        "v output continuous Float64 nothing",
+        "1 off, 2 on",
+        "n states 2",
+        "exchange identifier one",
+    ):
         assert text in one
-    for text in ("degC 1.0 K + 273.15", "kN 1000.0 kg.m.s-2", "approx 1.5 state", "-3 off, 7 on", "0..50 u, x", "der x u, x",
-                 "rise unknown", "x u", "default step 0.01"):  # fmt: skip
+    for text in (
+        "degC 1.0 K + 273.15",
+        "kN 1000.0 kg.m.s-2",
+        "approx 1.5 state",
+        "-3 off, 7 on",
+        "0..50 u, x",
+        "der x u, x",
+        "initial dependencies",
+        "rise unknown",
+        "x u",
+        "default step 0.01",
+    ):
         assert text in two
-    for text in ("Float64[n][2] mm 6 x 0.5", "second input continuous Float64[n][2] mm 6 x 0.5 alias u", "Float32[n] u, x",
-                 "clocks tick", "fixed step 0.5, event mode, early return", "String[2] a b c"):  # fmt: skip
+    for text in (
+        "Float64[n][2] mm 6 x 0.5",
+        "second input continuous Float64[n][2] mm 6 x 0.5 alias u",
+        "Float32[n] u, x",
+        "clocks tick",
+        "fixed step 0.5, event mode, early return",
+        "String[2] a b c",
+    ):
         assert text in three
     found = json.loads(call("info", "3.fmu", "--json")[1])
     variables = {variable["name"]: variable for variable in found["variables"]}
@@ -200,7 +227,7 @@ def test_info_of_fmus_of_every_version(call, tmp_path):
     assert found["capabilities"]["cs"]["interpolates_inputs"]
 
 
-def test_check_tells_all_and_exits_1_at_an_error(call, tmp_path):
+def test_check_reports_every_problem_and_exits_1_at_an_error(call, tmp_path):
     """A good FMU, one with warnings, one with errors, no file; JSON says the same."""
     call("export", "academic", "--component", "plant", "--out", "plant.fmu")
     assert call("check", "plant.fmu") == (0, "plant.fmu: no problems found\n", "")
@@ -264,8 +291,9 @@ def test_export_refuses_what_cannot_be_an_fmu(call):
     code, _, err = call("export", "academic", "--component", "delta", "--out", "i.fmu")
     assert code == 2
     assert (
-        "'delta' is of kind 'disturbance', which cannot be exported; what can be: sum, gain, limit, "
-        "lag, delay, controller, descriptor, unknown-input-observer, regressor, identifier\n"
+        "'delta' is of kind 'disturbance', which cannot be exported; what can be: "
+        "sum, gain, limit, lag, delay, controller, descriptor, unknown-input-observer, "
+        "regressor, identifier\n"
     ) in err
     code, _, err = call("export", "academic", "--component", "plnt", "--out", "i.fmu")
     assert "there is no component 'plnt'; did you mean 'plant'?" in err
@@ -307,8 +335,10 @@ def run_python(code, *arguments):
 def test_help_imports_neither_numpy_nor_fmpy():
     """Asking for help costs no scientific stack."""
     code = (
-        "import sys\nfrom cosim.cli import main\ntry:\n    main(['--help'])\nexcept SystemExit:\n    pass\n"
-        "print([name for name in ('numpy', 'fmpy', 'scipy', 'mcap', 'pydantic') if name in sys.modules], file=sys.stderr)\n"
+        "import sys\nfrom cosim.cli import main\n"
+        "try:\n    main(['--help'])\nexcept SystemExit:\n    pass\n"
+        "names = ('numpy', 'fmpy', 'scipy', 'mcap', 'pydantic')\n"
+        "print([name for name in names if name in sys.modules], file=sys.stderr)\n"
     )
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60
@@ -321,7 +351,8 @@ def test_a_run_without_fmus_does_not_import_fmpy(tmp_path):
     """An FMU library is paid for where there is an FMU."""
     code = (
         "import sys, cosim\ncosim.run('academic', set={'scenario.stop': 0.01}, out=sys.argv[1])\n"
-        "print([name for name in ('fmpy', 'matplotlib', 'scipy.signal', 'scipy.integrate') if name in sys.modules])\n"
+        "names = ('fmpy', 'matplotlib', 'scipy.signal', 'scipy.integrate')\n"
+        "print([name for name in names if name in sys.modules])\n"
     )
     assert run_python(code, str(tmp_path / "a.mcap")).strip() == "[]"
 
@@ -331,7 +362,10 @@ def test_a_run_without_fmus_does_not_import_fmpy(tmp_path):
     [(signal.SIGINT, "interrupted by the user"), (signal.SIGTERM, "terminated from outside")],
 )
 def test_an_interrupt_ends_the_run_cleanly_with_exit_130(tmp_path, number, reason):
-    """Ctrl-C, and a request to terminate, leave a valid log with everything up to that moment; its status says so."""
+    """Ctrl-C and a request to terminate leave a valid log with everything up to that moment.
+
+    Its status says so.
+    """
     path = tmp_path / "long.mcap"
     command = [
         sys.executable,
@@ -434,7 +468,8 @@ def test_replay_stops_and_plots_like_run(call, tmp_path):
 def test_without_truth_the_last_values_are_shown(call, tmp_path):
     """A scenario without [truth] ends with what its outputs ended with."""
     (tmp_path / "u.toml").write_text(
-        '[scenario]\nname = "u"\nstop = 1.0\nstep = 0.1\n[components.u]\nkind = "ramp"\nslope = 2.0\n'
+        '[scenario]\nname = "u"\nstop = 1.0\nstep = 0.1\n'
+        '[components.u]\nkind = "ramp"\nslope = 2.0\n'
     )
     _, out, _ = call("run", "u.toml", "--out", "u.mcap")
     assert re.search(r"u\.y +2\b", out)
@@ -443,10 +478,15 @@ def test_without_truth_the_last_values_are_shown(call, tmp_path):
 
 
 def test_a_run_that_an_fmu_ends_says_why(call, tmp_path):
-    """Asked for at 0.325 s: the last row is that of 0.3 s. In the table, as JSON, in the log and of a run in memory."""
-    components = f'[components.plant]\nkind = "fmu"\npath = "{build("ENDS")}"\nstart = {{ p = 0.325 }}\n[components.zero]\n'
-    wires = 'kind = "constant"\nvalue = 0.0\n[connections]\n"plant.u" = "zero.y"\n"plant.d" = "zero.y"\n'
-    (tmp_path / "x.toml").write_text(HEAD.replace("0.2", "1.0") + components + wires)
+    """Requested at 0.325 s: the last row is that of 0.3 s.
+
+    The reason is in the table, in JSON, in the log and in a run in memory.
+    """
+    plant = f'[components.plant]\nkind = "fmu"\npath = "{build("ENDS")}"\nstart = {{ p = 0.325 }}\n'
+    zero = '[components.zero]\nkind = "constant"\nvalue = 0.0\n'
+    connections = '[connections]\n"plant.u" = "zero.y"\n"plant.d" = "zero.y"\n'
+    head = HEAD.replace("0.2", "1.0")
+    (tmp_path / "x.toml").write_text(head + plant + zero + connections)
     reason = "'plant' stopped at t = 0.3 s: the FMU requests the end of the run"
     code, out, err = call("run", "x.toml", "--out", "x.mcap")
     assert (code, err.count("\n")) == (0, 1)  # its warning
@@ -466,7 +506,10 @@ def test_a_run_that_an_fmu_ends_says_why(call, tmp_path):
 def printing(tmp_path):
     """Write a scenario of three steps with an FMU that prints a line in each."""
     compile_fmu(tmp_path / "rogue.fmu", XML, "rogue2.c", defines=("ROGUE=PRINTS",))
-    components = '[components.p]\nkind = "fmu"\npath = "rogue.fmu"\n[components.one]\nkind = "constant"\nvalue = 1.0\n'
+    components = (
+        '[components.p]\nkind = "fmu"\npath = "rogue.fmu"\n'
+        '[components.one]\nkind = "constant"\nvalue = 1.0\n'
+    )
     path = tmp_path / "x.toml"
     path.write_text(f'{HEAD.replace("0.2", "0.3")}{components}[connections]\n"p.u" = "one.y"\n')
     return [
@@ -484,7 +527,7 @@ def printing(tmp_path):
 NOISE = "a line that nobody asked for\n" * 3
 
 
-def test_what_an_fmu_prints_does_not_reach_the_data(printing, tmp_path):
+def test_the_output_of_an_fmu_does_not_reach_the_data(printing, tmp_path):
     """It goes to stderr; stdout is ours, as a pipe and as a file."""
     piped = subprocess.run([*printing, "--json"], capture_output=True, text=True, check=True)
     with open(tmp_path / "out.json", "w+") as stream:
@@ -532,7 +575,7 @@ def test_a_constant_may_be_true(call, tmp_path):
     assert log.channels["x"].interface.outputs[0].kind == "boolean"
 
 
-def test_what_cannot_be_written_is_one_line(call, tmp_path):
+def test_an_output_that_cannot_be_written_is_one_line(call, tmp_path):
     """A folder where a file should be, and a disk that is full: no traceback."""
     (tmp_path / "folder.fmu").mkdir()
     code, _, err = call(
@@ -551,7 +594,7 @@ def test_what_cannot_be_written_is_one_line(call, tmp_path):
 
 
 def test_a_sampled_controller_is_exported_for_co_simulation_only(call):
-    """What lives in discrete time would be something else as a continuous FMU; the answer says so."""
+    """A discrete component would be another one as a continuous FMU; the answer says so."""
     code, out, _ = call(
         "export",
         "closed-loop",
@@ -584,7 +627,10 @@ def test_a_refused_run_leaves_the_old_log_as_it_was(call, tmp_path):
     before = (tmp_path / "a.mcap").read_bytes()
     head = '[scenario]\nname = "x"\nstop = 1.0\nstep = 0.1\n'
     loop = '[components.x]\nkind = "gain"\nK = 2.0\n[connections]\n"x.u" = "x.y"\n'
-    chase = '[components.x]\nkind = "lag"\ntime_constant = 1.0\n[connections]\n"x.u" = { from = "x.y", offset = 1.0 }\n'
+    chase = (
+        '[components.x]\nkind = "lag"\ntime_constant = 1.0\n'
+        '[connections]\n"x.u" = { from = "x.y", offset = 1.0 }\n'
+    )
     (tmp_path / "loop.toml").write_text(head + loop)
     (tmp_path / "chase.toml").write_text(head + chase)
     no_truth = ["chase.toml", "--set", "x.start=0.0", "--plot", "x.png"]
@@ -595,7 +641,10 @@ def test_a_refused_run_leaves_the_old_log_as_it_was(call, tmp_path):
 
 
 def test_linearize_prints_matrices_poles_and_gain(call, tmp_path):
-    """The reduced plant (28): A, its poles -1.5 +- 0.866i, the gain D - C A^-1 B = -4/3 and 2/3, in words and as JSON."""
+    """The reduced plant (28): A, its poles -1.5 +- 0.866i, the static gain -4/3 and 2/3.
+
+    As tables and as JSON.
+    """
     call("export", "academic", "--component", "plant", "--out", "plant.fmu")
     code, out, err = call("linearize", "plant.fmu", "--output", "y", "--set", "x_a[0]=0.5")
     assert (code, err) == (0, "")
@@ -630,8 +679,10 @@ def test_linearize_prints_matrices_poles_and_gain(call, tmp_path):
 def test_linearize_says_where_there_is_no_gain(call, tmp_path):
     """An integrator."""
     (tmp_path / "i.toml").write_text(
-        '[scenario]\nname = "i"\nstop = 0.1\nstep = 0.01\n[components.u]\nkind = "constant"\nvalue = 1.0\n'
-        '[components.c]\nkind = "controller"\nA = [[0.0]]\nB = [[1.0]]\nC = [[2.0]]\n[connections]\n"c.u" = "u.y"\n'
+        '[scenario]\nname = "i"\nstop = 0.1\nstep = 0.01\n'
+        '[components.u]\nkind = "constant"\nvalue = 1.0\n'
+        '[components.c]\nkind = "controller"\nA = [[0.0]]\nB = [[1.0]]\nC = [[2.0]]\n'
+        '[connections]\n"c.u" = "u.y"\n'
     )
     call("export", "i.toml", "--component", "c", "--out", "i.fmu")
     assert "static gain none, as A is singular" in " ".join(call("linearize", "i.fmu")[1].split())
@@ -668,7 +719,7 @@ def test_linearize_refuses_what_it_cannot_do(call, options, text):
 
 
 def test_the_overview_cuts_no_sentence_short(call):
-    """On a terminal of 80 columns each command is told in one line."""
+    """On a terminal of 80 columns each command is described in one line."""
     code, out, _ = call("--help")
     assert code == 0
     assert "export     Export a component as an FMU, C source and binary." in out

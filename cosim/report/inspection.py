@@ -32,13 +32,14 @@ def describe_log(path: str) -> Section:
     result = log.result
     end = int(result["end_ns"]) / 1e9
     step = log.step_ns / 1e9
+    stages = json.loads(log.metadata["cosim.schedule"]["stages"])
     about = {
         "scenario": run_metadata(log).get("scenario", ""),
         "status": log.status,
         "reason": result.get("reason") or None,
         "end": f"{end} s in {result['steps']} steps of {step} s",
         "content hash": result["content_hash"],
-        "schedule": ", ".join(json.loads(log.metadata["cosim.schedule"]["stages"])),
+        "schedule": ", ".join(stages),
         "attachments": ", ".join(log.attachments),
     }
     signals: list[Section] = []
@@ -80,11 +81,13 @@ def describe_scenario(name: str) -> Section:
         experiment = build(loaded.document, resources)
         graph = experiment.graph
         settings = loaded.file.scenario
+        steps = experiment.clock.steps
+        stages = [stage.description for stage in graph.stages]
         about = {
             "name": settings.name,
             "description": settings.description or None,
-            "clock": f"{settings.stop} s in {experiment.clock.steps} steps of {settings.step} s",
-            "schedule": ", ".join(stage.description for stage in graph.stages),
+            "clock": f"{settings.stop} s in {steps} steps of {settings.step} s",
+            "schedule": ", ".join(stages),
         }
         signals: list[Section] = []
         for channel in graph.layout.channels:
@@ -156,15 +159,12 @@ def describe_fmu(path: str) -> Section:
     capabilities = {}
     for interface_type, values in description.capabilities.items():
         capabilities[interface_type] = asdict(values)
-    return {
-        "fmu": about,
-        "capabilities": capabilities,
-        "units": _units(description),
-        "variables": [_variable_row(variable) for variable in description.variables],
-        "dependencies": _lists(description.dependencies),
-        "initial_dependencies": _lists(description.initial_dependencies),
-        "residual_form": description.dae and asdict(description.dae),
-    }
+    content: Section = {"fmu": about, "capabilities": capabilities, "units": _units(description)}
+    content["variables"] = [_variable_row(variable) for variable in description.variables]
+    content["dependencies"] = _lists(description.dependencies)
+    content["initial_dependencies"] = _lists(description.initial_dependencies)
+    content["residual_form"] = description.dae and asdict(description.dae)
+    return content
 
 
 def _units(description: Description) -> Section:

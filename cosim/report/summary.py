@@ -116,7 +116,8 @@ def summarize(recording: Recording) -> Summary:
         if "unknowns" in entry:
             identifications.append(_identification(recording, name, entry))
     stages = json.loads(run.get("schedule", "[]"))
-    loops = [stage for stage in stages if not stage.startswith("cascade ")]
+    loops = tuple(stage for stage in stages if not stage.startswith("cascade "))
+    last = {} if truth else _last_values(recording)
     return Summary(
         scenario=run.get("scenario", ""),
         end=recording.end_ns / 1e9,
@@ -126,8 +127,8 @@ def summarize(recording: Recording) -> Summary:
         signals=tuple(signals),
         values=tuple(values),
         identifications=tuple(identifications),
-        last={} if truth else _last_values(recording),
-        loops=tuple(loops),
+        last=last,
+        loops=loops,
     )
 
 
@@ -135,9 +136,10 @@ def _last_values(recording: Recording) -> dict[str, float | list[float]]:
     last: dict[str, float | list[float]] = {}
     for name, channel in recording.channels.items():
         for signal in channel.interface.outputs:
-            rows = recording[f"{name}.{signal.name}"]
+            output = f"{name}.{signal.name}"
+            rows = recording[output]
             if len(rows):
-                last[f"{name}.{signal.name}"] = rows[-1].tolist()
+                last[output] = rows[-1].tolist()
     return last
 
 
@@ -191,11 +193,7 @@ def _identification(
         prior = None if metadata["P0"] is None else 1.0 / metadata["P0"]
         eigenvalues = tuple(map(float, values))
         sentence = verdict(values, prior)
-    return Identification(
-        component,
-        start_time,
-        times={key: metadata[key] for key in ("T_obs", "T_f", "D_max", "T_id") if key in metadata},
-        eigenvalues=eigenvalues,
-        verdict=sentence,
-        notes=tuple(metadata.get("notes", ())),
-    )
+    keys = [key for key in ("T_obs", "T_f", "D_max", "T_id") if key in metadata]
+    times = {key: metadata[key] for key in keys}
+    notes = tuple(metadata.get("notes", ()))
+    return Identification(component, start_time, times, eigenvalues, sentence, notes)

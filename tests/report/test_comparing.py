@@ -1,4 +1,4 @@
-"""One scenario on several plants: what each estimates, how far they are apart, and one that fails."""
+"""One scenario on several plants: their estimates, the differences, and one that fails."""
 
 import json
 
@@ -34,17 +34,23 @@ def four(folder):
 
 
 def test_four_plants_are_one_scenario(four):
-    """The co-simulation FMU and the log have the bits of the generated plant; model exchange differs by rk4's error.
+    """The co-simulation FMU and the log have the bits of the generated plant.
 
-    That is (3 h)^4 / 120 = 7e-13 h a step, relative; over 7 s less than 1e-11 in x_a, and delta_hat takes y times 1000.
+    Model exchange differs by rk4's error. That is (3 h)^4 / 120 = 7e-13 h a step, relative; over
+    7 s less than 1e-11 in x_a, and delta_hat takes y times 1000.
     """
-    assert [one.label for one in four.outcomes] == ["descriptor", "plant", "plant#cs", "log"]
+    assert [outcome.label for outcome in four.outcomes] == [
+        "descriptor",
+        "plant",
+        "plant#cs",
+        "log",
+    ]
     assert four.estimates == {
         "observer.x_a": "plant.x_a",
         "observer.delta": "delta.y",
         "identifier.theta": [-0.1, -0.3],
     }
-    apart = {(one.estimate, one.label): max(one.largest) for one in four.differences}
+    apart = {(row.estimate, row.label): max(row.largest) for row in four.differences}
     assert set(apart) == {
         (estimate, label) for estimate in four.estimates for label in ("plant", "plant#cs", "log")
     }
@@ -76,7 +82,7 @@ def test_a_failed_plant_does_not_lose_the_others(folder, tmp_path, capsys):
         )
     assert left.value.code == 1
     found = json.loads(capsys.readouterr().out)
-    plants = {one["plant"]: one for one in found["plants"]}
+    plants = {plant["plant"]: plant for plant in found["plants"]}
     assert list(plants) == ["descriptor", "plant#cs", "other", "nix"]
     assert "--map plant.y=out1" in plants["other"]["error"]
     assert "there is no such file" in plants["nix"]["error"]
@@ -85,7 +91,7 @@ def test_a_failed_plant_does_not_lose_the_others(folder, tmp_path, capsys):
         "plant-cs.mcap",
     ]
     assert plants["plant#cs"]["summary"]["values"][0]["estimate"] == "identifier.theta[0]"
-    assert {one["label"] for one in found["differences"]} == {"plant#cs"}
+    assert {row["label"] for row in found["differences"]} == {"plant#cs"}
     with pytest.raises(SystemExit) as left:
         main(["compare", "academic", *swaps, "--set", "scenario.stop=7.0"])
     assert left.value.code == 1
@@ -104,7 +110,7 @@ def test_a_map_is_for_those_that_have_its_names(folder):
         set={"scenario.stop": 0.1},
         base=False,
     )
-    assert [one.error for one in found.outcomes] == ["", ""]
+    assert [outcome.error for outcome in found.outcomes] == ["", ""]
     assert found.estimates["observer.x_a"] == "plant.x_a"
     with pytest.raises(
         UsageError,
@@ -126,7 +132,7 @@ def test_a_picture_shows_all_of_them(four, tmp_path):
     assert (tmp_path / "c.png").stat().st_size > 20_000
 
 
-def test_what_is_wrong_for_all_is_told_once(folder):
+def test_problems_of_all_plants_are_raised_once(folder):
     """Before anything runs."""
     plant = folder / "plant.fmu"
     with pytest.raises(ScenarioError, match=r"--set observer\.filter_rat: "):

@@ -109,17 +109,16 @@ def _variable_row(
         relation = "state"
     elif not variable["alias_of"]:
         depends_on = _depends_on(variable, dependencies)
-    return {
-        "variable": variable["name"],
-        "causality": variable["causality"],
-        "variability": variable["variability"],
-        "type": f"{variable['type']}{dimensions}",
-        "unit": variable["unit"],
-        "start": _start(variable),
-        "range": ", ".join(items) or _range(variable["minimum"], variable["maximum"]),
-        "relation": relation,
-        "depends on": depends_on,
-    }
+    row = {"variable": variable["name"]}
+    row["causality"] = variable["causality"]
+    row["variability"] = variable["variability"]
+    row["type"] = variable["type"] + dimensions
+    row["unit"] = variable["unit"]
+    row["start"] = _start(variable)
+    row["range"] = ", ".join(items) or _range(variable["minimum"], variable["maximum"])
+    row["relation"] = relation
+    row["depends on"] = depends_on
+    return row
 
 
 def _range(minimum: float | None, maximum: float | None) -> str | None:
@@ -190,12 +189,8 @@ def print_linearization(linearization: Linearization, *, as_json: bool) -> None:
     _print_operating_point(linearization)
     _print_matrices(linearization)
     if gain is not None:
-        _print_matrix(
-            "static gain D - C A^-1 B",
-            gain,
-            rows=linearization.outputs,
-            columns=linearization.inputs,
-        )
+        outputs = linearization.outputs
+        _print_matrix("static gain D - C A^-1 B", gain, outputs, linearization.inputs)
     table = new_table("", ("", ""))
     poles = [_pole(pole) for pole in linearization.poles.tolist()]
     table.add_row("poles", ", ".join(poles) or "none")
@@ -230,23 +225,24 @@ def _print_matrices(linearization: Linearization) -> None:
     inputs = linearization.inputs
     outputs = linearization.outputs
     derivatives = tuple(f"der({name})" for name in states)
-    matrices = {
-        "A": (linearization.A, derivatives, states),
-        "B": (linearization.B, derivatives, inputs),
-        "C": (linearization.C, outputs, states),
-        "D": (linearization.D, outputs, inputs),
-    }
-    for letter, (matrix, rows, columns) in matrices.items():
-        error = linearization.errors[letter]
-        title = letter if error is None else f"{letter}, error up to {error:.1g}"
-        _print_matrix(title, matrix, rows=rows, columns=columns)
+    _print_matrix("A", linearization.A, derivatives, states, error=linearization.errors["A"])
+    _print_matrix("B", linearization.B, derivatives, inputs, error=linearization.errors["B"])
+    _print_matrix("C", linearization.C, outputs, states, error=linearization.errors["C"])
+    _print_matrix("D", linearization.D, outputs, inputs, error=linearization.errors["D"])
 
 
 def _print_matrix(
-    title: str, matrix: Matrix, *, rows: Sequence[str], columns: Sequence[str]
+    title: str,
+    matrix: Matrix,
+    rows: Sequence[str],
+    columns: Sequence[str],
+    *,
+    error: float | None = None,
 ) -> None:
     if not matrix.size:
         return
+    if error is not None:
+        title = f"{title}, error up to {error:.1g}"
     table = new_table(title, ("", *columns))
     for name, values in zip(rows, matrix.tolist(), strict=True):
         cells = [f"{value:.6g}" for value in values]

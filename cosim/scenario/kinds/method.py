@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -108,12 +109,12 @@ class UnknownInputObserverKind(LinearKind):
 
     def advice(self, held: Mapping[str, bool], h: float) -> list[str]:
         product = self.filter_rate * h
-        names = [name for name, is_held in held.items() if is_held]
+        names = " and ".join(name for name, is_held in held.items() if is_held)
         if not names or product <= HOLD_LIMIT:
             return []
         gain = product / -math.expm1(-product) - 1.0
         return [
-            f"zero-order hold of {' and '.join(names)} over the step (discrete, extrapolated in a "
+            f"zero-order hold of {names} over the step (discrete, extrapolated in a "
             f"loop, or by input_interpolation), filter_rate x step = {product:g}: the derivative "
             f"filter reads a ramp {gain:.0%} too high and a jump filter_rate times; "
             "do not trust delta"
@@ -295,20 +296,15 @@ class IdentifierKind(PeriodicKind, ExportableKind):
                 "start: (36)-(38) need an observer that drives the regressor; "
                 "give start as a time in s instead"
             )
+        designed = spec.design(observer_name, context)
         times = observer.identification_start_time(
-            lambda_obs=spec.design(observer_name, context).design.lambda_obs,
+            lambda_obs=designed.design.lambda_obs,
             filter_rate=spec.filter_rate,
             delays=regressor.delays,
             epsilon_observer=start.epsilon_observer,
             epsilon_filter=start.epsilon_filter,
         )
-        metadata = {
-            "T_obs": times.T_obs,
-            "T_f": times.T_f,
-            "D_max": times.D_max,
-            "T_id": times.T_id,
-        }
-        context.add_metadata(name, metadata)
+        context.add_metadata(name, asdict(times))
         return times.T_id
 
 

@@ -9,8 +9,8 @@ from pydantic import Field
 
 from cosim.arrays import Matrix
 from cosim.blocks import arithmetic, dynamics
-from cosim.blocks.state_space import controller
 from cosim.blocks.sampled import Sampled
+from cosim.blocks.state_space import controller
 from cosim.core.clock import NANOSECONDS, whole_steps
 from cosim.core.contracts import Component
 from cosim.core.linear import Linear, LinearModel
@@ -140,14 +140,10 @@ class ControllerKind(PeriodicKind, LinearKind):
     def linear_model(self, name: str, context: BuildContext) -> LinearModel:
         D = None if self.D is None else matrix(self.D, "D")
         x0 = None if self.x0 is None else np.array(self.x0)
-        return controller(
-            A=matrix(self.A, "A"),
-            B=matrix(self.B, "B"),
-            C=matrix(self.C, "C"),
-            D=D,
-            x0=x0,
-            unit=self.unit,
-        )
+        A = matrix(self.A, "A")
+        B = matrix(self.B, "B")
+        C = matrix(self.C, "C")
+        return controller(A=A, B=B, C=C, D=D, x0=x0, unit=self.unit)
 
     def exportable(self, name: str, context: BuildContext, wiring: Wiring) -> Exportable:
         model = self.linear_model(name, context)
@@ -157,13 +153,15 @@ class ControllerKind(PeriodicKind, LinearKind):
         period = context.step_ns * every / NANOSECONDS
         all_held = np.ones(model.interface.n_u, np.bool_)
         discretization = first_order_hold(model.A, model.B, period, all_held)
+        kernel = kernels.sampled(discretization, C=model.C, D=model.D, X0=model.X0)
+        component = self.with_period(Linear(model), every)
         reason = (
             "with a period the controller samples and holds, so it lives at the communication "
             "points and has no derivatives"
         )
         return DiscreteModel(
-            self.with_period(Linear(model), every).interface,
-            kernels.sampled(discretization, C=model.C, D=model.D, X0=model.X0),
+            component.interface,
+            kernel,
             context.step_ns,
             reason,
             steps_per_sample=every,
@@ -174,13 +172,9 @@ class ControllerKind(PeriodicKind, LinearKind):
 def _static_model(interface: Interface, D: Matrix) -> LinearModel:
     """Return y = D u as a linear model without states."""
     n_y, n_u = D.shape
-    return LinearModel(
-        interface,
-        states=(),
-        A=np.zeros((0, 0)),
-        B=np.zeros((0, n_u)),
-        C=np.zeros((n_y, 0)),
-        D=D,
-        X0=np.zeros(0),
-        Xu=np.zeros((0, n_u)),
-    )
+    A = np.zeros((0, 0))
+    B = np.zeros((0, n_u))
+    C = np.zeros((n_y, 0))
+    X0 = np.zeros(0)
+    Xu = np.zeros((0, n_u))
+    return LinearModel(interface, (), A=A, B=B, C=C, D=D, X0=X0, Xu=Xu)

@@ -165,6 +165,7 @@ class TableKind(Kind):
         return np.array(self.t), matrix(rows, "y")
 
     def _read(self, path: Path) -> tuple[Vector, Matrix]:
+        file = repr(str(path))
         header, values = _read_csv(path)
         if self.columns is not None:
             value_columns = list(self.columns)
@@ -172,13 +173,13 @@ class TableKind(Kind):
             value_columns = [column for column in header if column != self.time]
         for column in (self.time, *value_columns):
             if column not in header:
-                raise UsageError(
-                    f"file {str(path)!r} has no column {column!r}; {nearest(column, header)}"
-                )
-        if values.shape[1] != len(header):
+                suggestion = nearest(column, header)
+                raise UsageError(f"file {file} has no column {column!r}; {suggestion}")
+        names = len(header)
+        columns = values.shape[1]
+        if columns != names:
             raise UsageError(
-                f"file {str(path)!r} has {len(header)} names and {values.shape[1]} columns; "
-                "needed as many of both"
+                f"file {file} has {names} names and {columns} columns; needed as many of both"
             )
         t = values[:, header.index(self.time)]
         y = values[:, [header.index(column) for column in value_columns]]
@@ -187,28 +188,27 @@ class TableKind(Kind):
 
 def _read_csv(path: Path) -> tuple[list[str], Matrix]:
     """Read the names of the columns and the rows of numbers of a CSV file."""
+    file = repr(str(path))
     try:
         with path.open(encoding="utf-8-sig") as stream:  # Excel writes a byte order mark
             first_row = next(csv.reader([stream.readline()]), [])
             lines = [line for line in stream if line.strip()]
         if not lines:
             raise UsageError(
-                f"file {str(path)!r} has no rows of numbers; "
-                "needed a line of names and at least two rows"
+                f"file {file} has no rows of numbers; needed a line of names and at least two rows"
             )
         values: Matrix = np.loadtxt(lines, delimiter=",", ndmin=2)
     except OSError as error:
-        raise UsageError(f"file {str(path)!r} cannot be read: {error.strerror}") from error
+        raise UsageError(f"file {file} cannot be read: {error.strerror}") from error
     except ValueError as error:
         raise UsageError(
-            f"file {str(path)!r} is no table of numbers separated by commas: {error}"
+            f"file {file} is no table of numbers separated by commas: {error}"
         ) from error
     header = [cell.strip() for cell in first_row]
     duplicates = sorted({name for name in header if header.count(name) > 1})
     if duplicates:
         raise UsageError(
-            f"file {str(path)!r} has two columns {duplicates[0]!r}; "
-            "needed a name of its own for each"
+            f"file {file} has two columns {duplicates[0]!r}; needed a name of its own for each"
         )
     return header, values
 
