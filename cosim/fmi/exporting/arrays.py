@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
-from cosim.fmi.description import Dae, Description, Formulation
+from cosim.fmi.description import Dae, Dependencies, Description, Formulation
 from cosim.fmi.variable import Variable
 
 
@@ -15,9 +15,9 @@ def with_arrays(description: Description) -> Description:
 
     It has the reference of the first. The derivatives of an array of states are an array too.
     """
-    not_derivatives = [v for v in description.variables if v.derivative_of is None]
-    groups = _groups(not_derivatives, _derivative_references(description))
-    group_of = {variable.name: group for group in groups for variable in group}
+    group_of: dict[str, list[Variable]] = {}  # by name of a scalar that is no derivative
+    for group in _groups(description):
+        group_of |= dict.fromkeys([variable.name for variable in group], group)
     array_of = {name: _array_name(group) for name, group in group_of.items()}
     names = dict(array_of)  # of scalars, derivatives included: their arrays
     variables: list[Variable] = []
@@ -28,18 +28,28 @@ def with_arrays(description: Description) -> Description:
                 variables.append(_join(group, array_of))
             continue
         states = group_of[variable.derivative_of]
-        name = f"der({_array_name(states)})" if len(states) > 1 else variable.name
+        name = variable.name
+        if len(states) > 1:
+            name = f"der({_array_name(states)})"
         names[variable.name] = name
         derivatives = _derivatives(description, states)
         if variable is derivatives[0]:
-            variables.append(replace(_join(derivatives, array_of), name=name))
+            array = _join(derivatives, array_of)
+            variables.append(replace(array, name=name))
+    arranged = _with_names_of_arrays(description, names)
+    dependencies = _without_calculated(arranged.initial_dependencies, variables)
+    return replace(arranged, variables=tuple(variables), initial_dependencies=dependencies)
+
+
+def _with_names_of_arrays(description: Description, names: Mapping[str, str]) -> Description:
+    """Return the description with states and dependencies by the names of their arrays."""
+    dae = description.dae
     return replace(
         description,
-        variables=tuple(variables),
         states=_array_names(description.states, names),
         dependencies=_array_dependencies(description.dependencies, names),
-        initial_dependencies=_initial_dependencies(description, variables, names),
-        dae=None if description.dae is None else _residual_form(description.dae, names),
+        initial_dependencies=_array_dependencies(description.initial_dependencies, names),
+        dae=None if dae is None else _residual_form(dae, names),
     )
 
 
@@ -60,10 +70,13 @@ def _derivatives(description: Description, states: Sequence[Variable]) -> list[V
 # --- which scalars are one array ---
 
 
-def _groups(variables: Sequence[Variable], derivatives: Mapping[str, int]) -> list[list[Variable]]:
-    """Split into elements 0, 1, ... of one array each, all of them states or none."""
+def _groups(description: Description) -> list[list[Variable]]:
+    """Split all but derivatives into the elements 0, 1, ... of one array each."""
+    derivatives = _derivative_references(description)
     groups: list[list[Variable]] = []
-    for variable in variables:
+    for variable in description.variables:
+        if variable.derivative_of is not None:
+            continue
         if groups and _continues(groups[-1], variable, derivatives):
             groups[-1].append(variable)
         else:
@@ -76,14 +89,16 @@ def _continues(
 ) -> bool:
     """Check whether a variable is the next element of an array."""
     first = re.fullmatch(r"(.+)\[0\]", group[0].name)
-    if first is None or variable.name != f"{first[1]}[{len(group)}]":
+    if first is None:
+        return False
+    if variable.name != f"{first[1]}[{len(group)}]":
         return False
     last = group[-1]
     if variable.reference != last.reference + 1:
         return False
-    return _attributes(last) == _attributes(variable) and _derivatives_continue(
-        last, variable, derivatives
-    )
+    if _attributes(last) != _attributes(variable):
+        return False
+    return _derivatives_continue(last, variable, derivatives)
 
 
 def _attributes(variable: Variable) -> tuple[str, str | None, str]:
@@ -94,9 +109,11 @@ def _derivatives_continue(
     last: Variable, variable: Variable, derivatives: Mapping[str, int]
 ) -> bool:
     """Check that neither is a state, or both are and their derivatives follow each other too."""
-    if last.name not in derivatives or variable.name not in derivatives:
-        return last.name not in derivatives and variable.name not in derivatives
-    return derivatives[variable.name] == derivatives[last.name] + 1
+    last_derivative = derivatives.get(last.name)
+    derivative = derivatives.get(variable.name)
+    if last_derivative is None or derivative is None:
+        return last_derivative == derivative
+    return derivative == last_derivative + 1
 
 
 # --- arrays in the place of scalars ---
@@ -109,20 +126,17 @@ def _array_name(group: Sequence[Variable]) -> str:
 
 def _join(group: Sequence[Variable], array_of: Mapping[str, str]) -> Variable:
     first = group[0]
-    state = None if first.derivative_of is None else array_of[first.derivative_of]
+    state = None
+    if first.derivative_of is not None:
+        state = array_of[first.derivative_of]
     if len(group) == 1:
         return replace(first, derivative_of=state)
     initials = {variable.initial for variable in group}
     initial = first.initial if len(initials) == 1 else "calculated"
-    return replace(
-        first,
-        name=_array_name(group),
-        size=len(group),
-        dimensions=(len(group),),
-        initial=initial,
-        start=None if initial == "calculated" else _start(group),
-        derivative_of=state,
-    )
+    start = None if initial == "calculated" else _start(group)
+    size = len(group)
+    array = replace(first, name=_array_name(group), size=size, dimensions=(size,))
+    return replace(array, initial=initial, start=start, derivative_of=state)
 
 
 def _start(group: Sequence[Variable]) -> tuple[float, ...] | None:
@@ -139,9 +153,7 @@ def _array_names(scalars: Iterable[str], names: Mapping[str, str]) -> tuple[str,
     return tuple(dict.fromkeys(names[scalar] for scalar in scalars))
 
 
-def _array_dependencies(
-    dependencies: Mapping[str, tuple[str, ...] | None], names: Mapping[str, str]
-) -> dict[str, tuple[str, ...] | None]:
+def _array_dependencies(dependencies: Dependencies, names: Mapping[str, str]) -> Dependencies:
     """Return what arrays depend on: what any of their elements does; None: one does not say."""
     merged: dict[str, tuple[str, ...] | None] = {}
     for scalar, needs in dependencies.items():
@@ -150,30 +162,35 @@ def _array_dependencies(
         if needs is None or known is None:
             merged[array] = None
         else:
-            merged[array] = tuple(dict.fromkeys((*known, *_array_names(needs, names))))
+            arrays = _array_names(needs, names)
+            merged[array] = tuple(dict.fromkeys((*known, *arrays)))
     return merged
 
 
-def _initial_dependencies(
-    description: Description, variables: Sequence[Variable], names: Mapping[str, str]
-) -> dict[str, tuple[str, ...] | None]:
-    # a calculated array is no known: its elements cannot be set, not even those that were exact
+def _without_calculated(dependencies: Dependencies, variables: Iterable[Variable]) -> Dependencies:
+    """Return initial dependencies on what can be set.
+
+    A calculated array cannot: not even those of its elements that could be set as scalars.
+    """
     calculated = {variable.name for variable in variables if variable.initial == "calculated"}
-    dependencies = _array_dependencies(description.initial_dependencies, names)
+    settable: dict[str, tuple[str, ...] | None] = {}
     for name, needs in dependencies.items():
+        settable[name] = needs
         if needs is not None:
-            dependencies[name] = tuple(need for need in needs if need not in calculated)
-    return dependencies
+            settable[name] = tuple(need for need in needs if need not in calculated)
+    return settable
 
 
 def _residual_form(dae: Dae, names: Mapping[str, str]) -> Dae:
     needs: dict[str, tuple[str, ...] | None] = {}
     for formulations in dae.residuals:
         needs |= {formulation.name: formulation.dependencies for formulation in formulations}
-    residuals = _array_dependencies(needs, names)
+    residuals = []
+    for name, known in _array_dependencies(needs, names).items():
+        residuals.append((Formulation(name, known),))
     return replace(
         dae,
         algebraic=_array_names(dae.algebraic, names),
-        residuals=tuple((Formulation(name, known),) for name, known in residuals.items()),
+        residuals=tuple(residuals),
         dependencies=_array_dependencies(dae.dependencies, names),
     )

@@ -139,15 +139,18 @@ def _cross_compile(
     files: Sequence[Path], folder: Path, name: str, version: str, platform: str
 ) -> Binary:
     machine = PLATFORMS[platform]
-    library = folder / f"{name}-{platform}" / f"{name}{machine.suffix}"
-    library.parent.mkdir()
+    own_folder = folder / f"{name}-{platform}"
+    own_folder.mkdir()
+    library = own_folder / f"{name}{machine.suffix}"
     # without these, debug information or the library itself would name the temporary folder
     options = ["-s"]
     if machine.suffix == ".dylib":
         options.append(f"-Wl,-install_name,@rpath/{library.name}")
-    build.compile_library(files, library, options, command=build.cross_compiler(machine.target))
+    command = build.cross_compiler(machine.target)
+    build.compile_library(files, library, options, command=command)
     short = machine.short if version == "2.0" else None
-    return Binary(short or platform, library.name, library.read_bytes(), _note(version, platform))
+    note = _note(version, platform)
+    return Binary(short or platform, library.name, library.read_bytes(), note)
 
 
 def _note(version: str, platform: str) -> str:

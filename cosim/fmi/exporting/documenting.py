@@ -23,7 +23,8 @@ def document(description: Description, equations: str, *, text: str, main: Seque
     )
     heading = _row("th", ["name", "causality", "elements", "unit", "start", ""])
     rows = "".join(_row("td", _cells(variable)) for variable in description.variables)
-    command = f"cc {' '.join(build.FLAGS)} {' '.join(main)} -o {name}.so -lm"
+    flags = " ".join(build.FLAGS)
+    command = f"cc {flags} {' '.join(main)} -o {name}.so -lm"
     return (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
         f"<title>{name}</title><style>{STYLE}</style></head><body>\n"
@@ -39,11 +40,13 @@ def document(description: Description, equations: str, *, text: str, main: Seque
 
 
 def _cells(variable: Variable) -> list[str]:
-    start = "" if variable.start is None else str(list(variable.start))
-    unit = variable.unit or ""
-    return [variable.name, variable.causality, str(variable.size), unit, start, variable.doc]
+    start = ""
+    if variable.start is not None:
+        start = str(list(variable.start))
+    size = str(variable.size)
+    return [variable.name, variable.causality, size, variable.unit or "", start, variable.doc]
 
 
 def _row(tag: str, cells: Sequence[str]) -> str:
-    content = "".join(f"<{tag}>{escape(cell)}</{tag}>" for cell in cells)
-    return f"<tr>{content}</tr>\n"
+    elements = [f"<{tag}>{escape(cell)}</{tag}>" for cell in cells]
+    return f"<tr>{''.join(elements)}</tr>\n"

@@ -147,9 +147,12 @@ class Exported:
     def lines(self) -> list[str]:
         """What was written, for people."""
         interface_types = " and ".join(INTERFACE_TYPE_NAMES[name] for name in self.interface_types)
-        binary = "binary" if len(self.platforms) == 1 else "binaries"
-        built = f"{binary} for {', '.join(self.platforms)}" if self.platforms else "sources only"
-        return [f"{self.path}: FMI {self.version}, {interface_types}, {built}", *self.notes]
+        content = "sources only"
+        if self.platforms:
+            binary = "binary" if len(self.platforms) == 1 else "binaries"
+            content = f"{binary} for {', '.join(self.platforms)}"
+        first = f"{self.path}: FMI {self.version}, {interface_types}, {content}"
+        return [first, *self.notes]
 
 
 def export(
@@ -193,17 +196,14 @@ def export(
     specification = specify(model, name)
     _check_specification(specification, VERSIONS[fmi])
     fmu = _assemble(specification, VERSIONS[fmi], text=description)
+    version = fmu.version.number
     binaries = compile_sources(
-        fmu.sources, fmu.main, name=name, version=fmu.version.number, platforms=platforms
+        fmu.sources, fmu.main, name=name, version=version, platforms=platforms
     )
-    _write(path, fmu.files(binaries) | dict(extra or {}))
-    return Exported(
-        path,
-        fmu.version.number,
-        tuple(fmu.description.capabilities),
-        tuple(binary.folder for binary in binaries),
-        fmu.notes(binaries),
-    )
+    _write(path, {**fmu.files(binaries), **(extra or {})})
+    interface_types = tuple(fmu.description.capabilities)
+    folders = tuple(binary.folder for binary in binaries)
+    return Exported(path, version, interface_types, folders, fmu.notes(binaries))
 
 
 def _check_names(path: Path, name: str, fmi: str) -> None:
@@ -303,18 +303,18 @@ def _assemble(specification: ExportSpecification, version: Version, *, text: str
     constants = _constants(specification, description, stamp=0)
     content = [constants.encode(), draft.xml.encode(), *sources.values()]
     digest = hashlib.sha256(b"\0".join(content)).digest()
-    identified = replace(description, token=f"{{{UUID(bytes=digest[:16], version=5)}}}")
-    constants = _constants(specification, identified, stamp=int.from_bytes(digest[:6]))
-    return replace(
-        draft, description=identified, sources={**sources, "model.c": constants.encode()}
-    )
+    token = UUID(bytes=digest[:16], version=5)
+    stamp = int.from_bytes(digest[:6])
+    identified = replace(description, token=f"{{{token}}}")
+    constants = _constants(specification, identified, stamp)
+    sources["model.c"] = constants.encode()
+    return replace(draft, description=identified, sources=sources)
 
 
 def _with_identifier(description: Description, version: Version) -> Description:
-    capabilities = {
-        interface_type: replace(able, identifier=description.name)
-        for interface_type, able in description.capabilities.items()
-    }
+    capabilities = dict(description.capabilities)
+    for interface_type, able in capabilities.items():
+        capabilities[interface_type] = replace(able, identifier=description.name)
     return replace(description, version=version.number, capabilities=capabilities)
 
 
@@ -336,21 +336,20 @@ def _constants(specification: ExportSpecification, description: Description, sta
     n, m, p = specification.size
     memory = specification.memory
     work = specification.work
-    size_of = {variable.reference: variable.size for variable in description.variables}
     n_references = m + p + 2 * n + 1 + specification.n_residuals
-    sizes = [size_of.get(reference, 0) for reference in range(n_references)]
-    lines = [
-        f'#include "{specification.headers[0]}"',
-        "",
-        f'const char *const model_token = "{description.token}";',
-        f"const double model_stamp = {float(stamp).hex()};",
-        f"const int32_t model_n = {n}, model_m = {m}, model_p = {p};",
-        f"const int64_t model_step_ns = INT64_C({specification.step_ns});",
-        integer("model_has_derivatives", int("me" in description.capabilities)),
-        f"const int32_t model_memory = {memory}, model_work = {work};",
-        integers("model_size", sizes),
-    ]
-    return "\n".join([*lines, *specification.constants, ""])
+    sizes = [0] * n_references
+    for variable in description.variables:
+        sizes[variable.reference] = variable.size
+    lines = [f'#include "{specification.headers[0]}"', ""]
+    lines.append(f'const char *const model_token = "{description.token}";')
+    lines.append(f"const double model_stamp = {float(stamp).hex()};")
+    lines.append(f"const int32_t model_n = {n}, model_m = {m}, model_p = {p};")
+    lines.append(f"const int64_t model_step_ns = INT64_C({specification.step_ns});")
+    lines.append(integer("model_has_derivatives", int("me" in description.capabilities)))
+    lines.append(f"const int32_t model_memory = {memory}, model_work = {work};")
+    lines.append(integers("model_size", sizes))
+    lines += specification.constants
+    return "\n".join(lines) + "\n"
 
 
 def _write(path: Path, files: Mapping[str, bytes]) -> None:

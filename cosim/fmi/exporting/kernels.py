@@ -123,20 +123,20 @@ def regressor(constants: RegressorConstants) -> Kernel:
         lines += _program(f"alpha{b}", program)
         programs.append(f"{{{len(program.code)}, alpha{b}_code, alpha{b}_constants}}")
         alphas.append(f"alpha_{b} = {program.text}")
+    lines.append(f"static const cosim_program alphas[] = {{{', '.join(programs)}}};")
+    lines.append("static " + integers("steps", constants.steps))
+    lines.append("static " + doubles("delays", constants.delays))
+    lines.append("static " + integers("row", constants.row))
+    lines.append("static " + integers("factor", constants.factor))
+    lines.append("static " + doubles("sign", constants.sign))
     n_steps = len(constants.steps)
     n_alphas = len(constants.alphas)
     terms, factors = np.shape(constants.factor)
-    lines += [
-        f"static const cosim_program alphas[] = {{{', '.join(programs)}}};",
-        "static " + integers("steps", constants.steps),
-        "static " + doubles("delays", constants.delays),
-        "static " + integers("row", constants.row),
-        "static " + integers("factor", constants.factor),
-        "static " + doubles("sign", constants.sign),
+    lines.append(
         "const cosim_regressor kernel_constants = "
         f"{{{n_steps}, {n_alphas}, {terms}, {factors}, "
-        "steps, delays, alphas, row, factor, sign, 0};",
-    ]
+        "steps, delays, alphas, row, factor, sign, 0};"
+    )
     equations = (
         "mu_c(t) = sign_c delta(t - D_row) product of alpha_b(t - D_i); "
         f"delays D = {list(constants.delays)} s; {'; '.join(alphas)}. "
@@ -160,17 +160,16 @@ def _program(name: str, program: Program) -> tuple[str, str]:
 def least_squares(constants: LeastSquaresConstants) -> Kernel:
     """Write the identifier (33)-(35)."""
     recovery = ", ".join(_recovery(block) for block in constants.recovery)
-    numbers = [
-        str(constants.unknowns),
-        str(len(constants.recovery)),
-        str(constants.parameters),
-        str(int(constants.held)),
-        constants.start_time.hex(),
-        constants.prior.hex(),
-    ]
+    unknowns = constants.unknowns
+    blocks = len(constants.recovery)
+    parameters = constants.parameters
+    held = int(constants.held)
+    start_time = constants.start_time.hex()
+    prior = constants.prior.hex()
     lines = (
         f"static const cosim_recovery recovery[] = {{{recovery}}};",
-        f"const cosim_least_squares kernel_constants = {{{', '.join(numbers)}, recovery, 0}};",
+        "const cosim_least_squares kernel_constants = "
+        f"{{{unknowns}, {blocks}, {parameters}, {held}, {start_time}, {prior}, recovery, 0}};",
     )
     equations = (
         f"Least squares of -mu_0 on mu_1, mu_2, ..., from t = {constants.start_time} s on: eta, "
@@ -182,32 +181,26 @@ def least_squares(constants: LeastSquaresConstants) -> Kernel:
 
 
 def _recovery(block: RecoveryConstants) -> str:
-    members = [
-        str(int(block.kind)),
-        f"{{{_decimal(block.index)}}}",
-        f"{{{_decimal(block.theta)}}}",
-        f"{{{_hexadecimal(block.sign)}}}",
-        float(block.spacing).hex(),
-    ]
-    return f"{{{', '.join(members)}}}"
+    index = _decimal(block.index)
+    theta = _decimal(block.theta)
+    sign = _hexadecimal(block.sign)
+    spacing = float(block.spacing).hex()
+    return f"{{{int(block.kind)}, {{{index}}}, {{{theta}}}, {{{sign}}}, {spacing}}}"
 
 
 def delay(steps: int, width: int, initial: float | None) -> Kernel:
     """Write a delay line; ``initial`` None: initially the output is the input."""
+    follows = initial is None
+    value = float(initial or 0.0)
     lines = (
         f"const cosim_delay kernel_constants = {{{steps}, {width}, 0}};",
-        f"const int32_t kernel_follows = {int(initial is None)};",
-        f"const double kernel_initial = {float(initial or 0.0).hex()};",
+        integer("kernel_follows", int(follows)),
+        f"const double kernel_initial = {value.hex()};",
     )
-    before = "the initial u" if initial is None else initial
-    return Kernel(
-        "delay.c",
-        ("linear.c",),
-        1 + steps * width,
-        lines,
-        f"y(t) = u(t - {steps} communication steps); before that {before}.",
-        linear=True,
-    )
+    before = "the initial u" if follows else initial
+    equations = f"y(t) = u(t - {steps} communication steps); before that {before}."
+    memory = 1 + steps * width
+    return Kernel("delay.c", ("linear.c",), memory, lines, equations, linear=True)
 
 
 def sampled(discrete: DiscretizedDynamics, *, C: Matrix, D: Matrix, X0: Vector) -> Kernel:
@@ -216,12 +209,14 @@ def sampled(discrete: DiscretizedDynamics, *, C: Matrix, D: Matrix, X0: Vector) 
     m = discrete.B0.shape[1]
     p = len(C)
     arrays = {"Ad": discrete.Ad, "B0": discrete.B0, "B1": discrete.B1, "C": C, "D": D}
-    lines = [f"static {doubles(letter, array)}" for letter, array in arrays.items()]
-    lines += [
-        doubles("kernel_X0", X0),
-        f"const cosim_linear kernel_constants = {{{n}, {m}, {p}, Ad, B0, B1, C, D, 0}};",
-    ]
-    matrices = [f"{letter} = {arrays[letter].tolist()}" for letter in ("Ad", "B0", "C", "D")]
+    lines = []
+    matrices = []
+    for letter, array in arrays.items():
+        lines.append(f"static {doubles(letter, array)}")
+        if letter != "B1":  # zero, with held inputs
+            matrices.append(f"{letter} = {array.tolist()}")
+    lines.append(doubles("kernel_X0", X0))
+    lines.append(f"const cosim_linear kernel_constants = {{{n}, {m}, {p}, Ad, B0, B1, C, D, 0}};")
     equations = (
         "x_next = Ad x + B0 u, y = C x + D u, with u sampled at the start of its own step and y "
         f"held over it; {'; '.join(matrices)}"

@@ -21,6 +21,7 @@ from cosim.fmi.describing import describe, element_dependencies, states_of_outpu
 from cosim.fmi.description import (
     Capabilities,
     Dae,
+    Dependencies,
     Description,
     Formulation,
     InterfaceType,
@@ -115,13 +116,14 @@ def _specify_linear(model: LinearModel, name: str) -> ExportSpecification:
         capabilities=capabilities,
         initial_dependencies=_initial_dependencies(description, model),
     )
+    is_exact = [not row.any() for row in model.Xu]
     not_held = ", ".join(["0"] * max(1, m))
-    constants = [
-        integers("model_is_exact", [not row.any() for row in model.Xu]),
-        integers("model_state_of", states_of_outputs(model)),
-    ]
-    constants += [doubles(f"model_{letter}", array) for letter, array in model.arrays.items()]
-    constants += [f"const uint8_t model_free[] = {{{not_held}}};", NO_RESIDUAL_FORM]
+    constants = [integers("model_is_exact", is_exact)]
+    constants.append(integers("model_state_of", states_of_outputs(model)))
+    for letter, array in model.arrays.items():
+        constants.append(doubles(f"model_{letter}", array))
+    constants.append(f"const uint8_t model_free[] = {{{not_held}}};")
+    constants.append(NO_RESIDUAL_FORM)
     discretization = 1 + n * n + 2 * n * m
     scratch = 4 * (n + 2 * m) ** 2
     return ExportSpecification(
@@ -138,16 +140,13 @@ def _specify_linear(model: LinearModel, name: str) -> ExportSpecification:
     )
 
 
-def _initial_dependencies(
-    description: Description, model: LinearModel
-) -> dict[str, tuple[str, ...] | None]:
+def _initial_dependencies(description: Description, model: LinearModel) -> Dependencies:
     """Return what initial unknowns depend on: inputs, and states whose start value can be set."""
     inputs = [v.name for v in description.variables if v.causality == "input"]
-    inputs_of = {
-        state: element_dependencies(inputs, row)
-        for state, row in zip(model.states, model.Xu, strict=True)
-    }
-    dependencies: dict[str, tuple[str, ...] | None] = {}
+    inputs_of = {}
+    for state, row in zip(model.states, model.Xu, strict=True):
+        inputs_of[state] = element_dependencies(inputs, row)
+    dependencies = {}
     for variable in description.variables:
         if variable.initial != "calculated":
             continue
@@ -189,26 +188,23 @@ def _specify_descriptor(model: DescriptorModel, name: str) -> ExportSpecificatio
     n, m, p = reduced.size
     columns = model.reduced.interface.output_columns()[model.algebraic]
     n_z = columns.stop - columns.start
-    residuals = _residual_variables(model, n_z, first_reference=m + p + 2 * n + 1)
-    description = replace(
-        reduced.description,
-        variables=(*reduced.description.variables, *residuals),
-        dae=_residual_form(model, [variable.name for variable in residuals]),
-    )
+    first_reference = m + p + 2 * n + 1
+    residuals = _residual_variables(model, n_z, first_reference)
+    dae = _residual_form(model, [variable.name for variable in residuals])
+    variables = (*reduced.description.variables, *residuals)
     of_output = [-1] * p
     of_output[columns] = range(n_z)
     functions = "residual_outputs, residual_values, residual_partial"
     constants = [line for line in reduced.constants if line != NO_RESIDUAL_FORM]
     constants.append('#include "residual.h"')
-    constants += [doubles(f"residual_{letter}", array) for letter, array in model.arrays.items()]
-    constants += [
-        "static " + integers("of_output", of_output),
-        f"static const residual_form form = {{{n_z}, of_output, {functions}}};",
-        "const residual_form *const model_residual_form = &form;",
-    ]
+    for letter, array in model.arrays.items():
+        constants.append(doubles(f"residual_{letter}", array))
+    constants.append("static " + integers("of_output", of_output))
+    constants.append(f"static const residual_form form = {{{n_z}, of_output, {functions}}};")
+    constants.append("const residual_form *const model_residual_form = &form;")
     return replace(
         reduced,
-        description=description,
+        description=replace(reduced.description, variables=variables, dae=dae),
         sources=(*reduced.sources, "residual.c"),
         headers=(*reduced.headers, "residual.h"),
         constants=tuple(constants),
@@ -218,15 +214,14 @@ def _specify_descriptor(model: DescriptorModel, name: str) -> ExportSpecificatio
     )
 
 
-def _residual_variables(
-    model: DescriptorModel, n_z: int, *, first_reference: int
-) -> list[Variable]:
-    names = [RESIDUAL] if n_z == 1 else [f"{RESIDUAL}[{k}]" for k in range(n_z)]
+def _residual_variables(model: DescriptorModel, n_z: int, first_reference: int) -> list[Variable]:
     doc = f"zero where {model.algebraic} is the solution"
-    return [
-        Variable(name, reference, "local", initial="calculated", doc=doc)
-        for reference, name in enumerate(names, first_reference)
-    ]
+    variables = []
+    for k in range(n_z):
+        name = RESIDUAL if n_z == 1 else f"{RESIDUAL}[{k}]"
+        reference = first_reference + k
+        variables.append(Variable(name, reference, "local", initial="calculated", doc=doc))
+    return variables
 
 
 def _residual_form(model: DescriptorModel, residuals: Sequence[str]) -> Dae:
@@ -235,12 +230,13 @@ def _residual_form(model: DescriptorModel, residuals: Sequence[str]) -> Dae:
     inputs = _elements(interface.inputs)
     outputs = _elements(interface.outputs)
     algebraic = outputs[interface.output_columns()[model.algebraic]]
+    derivatives = [f"der({x})" for x in states]
     knowns = [*states, *algebraic, *inputs]
-    unknowns = [*(f"der({x})" for x in states), *outputs, *residuals]
+    unknowns = [*derivatives, *outputs, *residuals]
     rows = np.hstack([model.by_x, model.by_z, model.by_u])
-    needs = {
-        name: element_dependencies(knowns, row) for name, row in zip(unknowns, rows, strict=True)
-    }
+    needs = {}
+    for name, row in zip(unknowns, rows, strict=True):
+        needs[name] = element_dependencies(knowns, row)
     equations = tuple((Formulation(name, needs.pop(name)),) for name in residuals)
     return Dae("", tuple(algebraic), equations, needs)
 
@@ -270,37 +266,35 @@ def _specify_discrete(model: DiscreteModel, name: str) -> ExportSpecification:
         initial_dependencies=_discrete_initial_dependencies(model),
         default_step=step,
     )
-    constants = (
-        NO_RESIDUAL_FORM,
-        integers("model_is_exact", []),
-        integers("model_state_of", [-1] * p),
-        doubles("model_X0", []),
-        integer("model_steps_per_sample", model.steps_per_sample),
-        integer("model_is_zero_order_hold", int(model.zero_order_hold)),
-        integer("kernel_memory", model.kernel.memory),
-        *model.kernel.constants,
-    )
+    kernel = model.kernel
+    constants = [NO_RESIDUAL_FORM, integers("model_is_exact", [])]
+    constants.append(integers("model_state_of", [-1] * p))
+    constants.append(doubles("model_X0", []))
+    constants.append(integer("model_steps_per_sample", model.steps_per_sample))
+    constants.append(integer("model_is_zero_order_hold", int(model.zero_order_hold)))
+    constants.append(integer("kernel_memory", kernel.memory))
+    constants += kernel.constants
     return ExportSpecification(
         description,
-        sources=("discrete.c", model.kernel.source),
+        sources=("discrete.c", kernel.source),
         headers=("discrete.h",),
-        natives=model.kernel.natives,
+        natives=kernel.natives,
         size=(0, m, p),
-        memory=2 + m + p + model.kernel.memory,
+        memory=2 + m + p + kernel.memory,
         work=p,
-        constants=constants,
+        constants=tuple(constants),
         numbers={},
         equations=_discrete_equations(model),
         step_ns=model.step_ns,
-        constant=model.kernel.linear,
+        constant=kernel.linear,
         reason=model.reason,
     )
 
 
-def _discrete_initial_dependencies(model: DiscreteModel) -> dict[str, tuple[str, ...] | None]:
+def _discrete_initial_dependencies(model: DiscreteModel) -> Dependencies:
     interface = model.interface
     elements_of = {signal.name: signal.elements for signal in interface.inputs}
-    dependencies: dict[str, tuple[str, ...] | None] = {}
+    dependencies: dict[str, tuple[str, ...]] = {}
     for output in interface.outputs:
         needs: list[str] = []
         for name in interface.feeds_at_start(output.name):

@@ -94,8 +94,13 @@ def unknowns(description: Description, labels: Mapping[str, str]) -> dict[str, l
     def number(name: str) -> int:
         return int(labels[name])
 
-    outputs = [v.name for v in description.variables if v.causality == "output"]
-    derivatives = [v.name for v in description.variables if v.derivative_of is not None]
+    outputs = []
+    derivatives = []
+    for variable in description.variables:
+        if variable.causality == "output":
+            outputs.append(variable.name)
+        if variable.derivative_of is not None:
+            derivatives.append(variable.name)
     return {
         "Outputs": sorted(outputs, key=number),
         "Derivatives": sorted(derivatives, key=number),

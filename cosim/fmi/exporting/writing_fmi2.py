@@ -62,17 +62,21 @@ def write_fmi2(
 
 def _capabilities(description: Description, interface_type: InterfaceType) -> dict[str, str]:
     able = description.capabilities[interface_type]
-    return {
+    attributes = {
         "modelIdentifier": able.identifier,
         "canBeInstantiatedOnlyOncePerProcess": "false",
         "canNotUseMemoryManagementFunctions": "true",
-    } | flags(
+    }
+    attributes |= flags(
         canGetAndSetFMUstate=able.saves_state,
         canSerializeFMUstate=able.serializes_state,
         providesDirectionalDerivative=able.directional_derivatives,
-        completedIntegratorStepNotNeeded=interface_type == "me" and not able.completed_step,
-        canHandleVariableCommunicationStepSize=interface_type == "cs" and able.variable_step,
-        canInterpolateInputs=interface_type == "cs" and able.interpolates_inputs,
+    )
+    if interface_type == "me":
+        return attributes | flags(completedIntegratorStepNotNeeded=not able.completed_step)
+    return attributes | flags(
+        canHandleVariableCommunicationStepSize=able.variable_step,
+        canInterpolateInputs=able.interpolates_inputs,
     )
 
 

@@ -71,18 +71,22 @@ def _capabilities(description: Description, interface_type: InterfaceType) -> di
     attributes = {
         "modelIdentifier": able.identifier,
         "canBeInstantiatedOnlyOncePerProcess": "false",
-    } | flags(
+    }
+    attributes |= flags(
         canGetAndSetFMUState=able.saves_state,
         canSerializeFMUState=able.serializes_state,
         providesDirectionalDerivatives=able.directional_derivatives,
         providesAdjointDerivatives=able.adjoint_derivatives,
-        canHandleVariableCommunicationStepSize=interface_type == "cs" and able.variable_step,
-        providesIntermediateUpdate=interface_type == "cs" and able.interpolates_inputs,
-        hasEventMode=interface_type == "cs" and able.event_mode,
     )
     if interface_type == "me":
         attributes["needsCompletedIntegratorStep"] = "true" if able.completed_step else "false"
-    if interface_type == "cs" and able.fixed_step is not None:
+        return attributes
+    attributes |= flags(
+        canHandleVariableCommunicationStepSize=able.variable_step,
+        providesIntermediateUpdate=able.interpolates_inputs,
+        hasEventMode=able.event_mode,
+    )
+    if able.fixed_step is not None:
         attributes["fixedInternalStepSize"] = repr(able.fixed_step)
     return attributes
 
