@@ -1,4 +1,7 @@
-"""Descriptions of FMI 1, 2 and 3 are read as the file says; what contradicts itself is refused, all of it in one report."""
+"""Descriptions of FMI 1, 2 and 3 are read as the file says.
+
+What contradicts itself is refused, all problems in one report.
+"""
 
 import math
 import re
@@ -13,95 +16,122 @@ from cosim.fmi.reading.model_description import read
 from cosim.units import BaseUnit
 from tests.fmi.archives import write
 
-METRE, KELVIN, NEWTON = (
-    (0, 1, 0, 0, 0, 0, 0, 0),
-    (0, 0, 0, 0, 1, 0, 0, 0),
-    (1, 1, -2, 0, 0, 0, 0, 0),
-)
+METER = (0, 1, 0, 0, 0, 0, 0, 0)
+KELVIN = (0, 0, 0, 0, 1, 0, 0, 0)
+NEWTON = (1, 1, -2, 0, 0, 0, 0, 0)
 
 FMI1 = """<?xml version="1.0"?>
-<fmiModelDescription fmiVersion="1.0" modelName="one" modelIdentifier="one" guid="{1}" generationTool="tool 1"
-  numberOfContinuousStates="2" numberOfEventIndicators="3">
-<UnitDefinitions><BaseUnit unit="N"><DisplayUnitDefinition displayUnit="kN" gain="0.001"/></BaseUnit></UnitDefinitions>
+<fmiModelDescription fmiVersion="1.0" modelName="one" modelIdentifier="one" guid="{1}"
+  generationTool="tool 1" numberOfContinuousStates="2" numberOfEventIndicators="3">
+<UnitDefinitions><BaseUnit unit="N">
+  <DisplayUnitDefinition displayUnit="kN" gain="0.001"/></BaseUnit></UnitDefinitions>
 <TypeDefinitions>
   <Type name="Force"><RealType unit="N" min="-1" max="2" nominal="10"/></Type>
   <Type name="Mode"><EnumerationType><Item name="off"/><Item name="on"/></EnumerationType></Type>
 </TypeDefinitions>
 <DefaultExperiment startTime="0" tolerance="1e-5"/>
 <ModelVariables>
-  <ScalarVariable name="u" valueReference="0" causality="input" description="force"><Real declaredType="Force" start="1"/>
+  <ScalarVariable name="u" valueReference="0" causality="input" description="force">
+    <Real declaredType="Force" start="1"/>
   </ScalarVariable>
-  <ScalarVariable name="y" valueReference="1" causality="output"><Real/><DirectDependency><Name>u</Name></DirectDependency>
+  <ScalarVariable name="y" valueReference="1" causality="output"><Real/><DirectDependency>
+    <Name>u</Name></DirectDependency>
   </ScalarVariable>
-  <ScalarVariable name="z" valueReference="1" causality="output" alias="alias"><Real/></ScalarVariable>
+  <ScalarVariable name="z" valueReference="1" causality="output" alias="alias">
+    <Real/></ScalarVariable>
   <ScalarVariable name="w" valueReference="1" alias="negatedAlias"><Real/></ScalarVariable>
-  <ScalarVariable name="v" valueReference="2" causality="output"><Real/><DirectDependency/></ScalarVariable>
-  <ScalarVariable name="k" valueReference="3" variability="parameter"><Real start="2"/></ScalarVariable>
+  <ScalarVariable name="v" valueReference="2" causality="output"><Real/>
+    <DirectDependency/></ScalarVariable>
+  <ScalarVariable name="k" valueReference="3" variability="parameter">
+    <Real start="2"/></ScalarVariable>
   <ScalarVariable name="guess" valueReference="4"><Real start="2" fixed="false"/></ScalarVariable>
-  <ScalarVariable name="mode" valueReference="5" variability="constant"><Enumeration declaredType="Mode" start="2"/>
+  <ScalarVariable name="mode" valueReference="5" variability="constant">
+    <Enumeration declaredType="Mode" start="2"/>
   </ScalarVariable>
-  <ScalarVariable name="text" valueReference="6" causality="none"><String start="a b"/></ScalarVariable>
+  <ScalarVariable name="text" valueReference="6" causality="none">
+    <String start="a b"/></ScalarVariable>
   <ScalarVariable name="n" valueReference="7" causality="output"><Integer/></ScalarVariable>
 </ModelVariables>{implementation}
 </fmiModelDescription>"""
-CO_SIMULATION = """<Implementation><CoSimulation_{what}><Capabilities canInterpolateInputs="true"
-  canHandleVariableCommunicationStepSize="true" canBeInstantiatedOnlyOncePerProcess="true"/>{model}</CoSimulation_{what}>
+CO_SIMULATION = """<Implementation><CoSimulation_{what}>
+  <Capabilities canInterpolateInputs="true" canHandleVariableCommunicationStepSize="true"
+    canBeInstantiatedOnlyOncePerProcess="true"/></CoSimulation_{what}>
 </Implementation>"""
 
 FMI2 = """<?xml version="1.0"?>
-<fmiModelDescription fmiVersion="2.0" modelName="two" guid="{2}" generationTool="tool 2" numberOfEventIndicators="2">
-<ModelExchange modelIdentifier="two" providesDirectionalDerivative="true" canGetAndSetFMUstate="1" needsExecutionTool="true"/>
+<fmiModelDescription fmiVersion="2.0" modelName="two" guid="{2}" generationTool="tool 2"
+  numberOfEventIndicators="2">
+<ModelExchange modelIdentifier="two" providesDirectionalDerivative="true"
+  canGetAndSetFMUstate="1" needsExecutionTool="true"/>
 <CoSimulation modelIdentifier="two_cs" canInterpolateInputs="true" canSerializeFMUstate="true"/>
 <UnitDefinitions>
-  <Unit name="degC"><BaseUnit K="1" offset="273.15"/><DisplayUnit name="degF" factor="1.8" offset="32"/></Unit>
+  <Unit name="degC"><BaseUnit K="1" offset="273.15"/>
+    <DisplayUnit name="degF" factor="1.8" offset="32"/></Unit>
   <Unit name="kN"><BaseUnit kg="1" m="1" s="-2" factor="1000"/></Unit>
   <Unit name="item"/>
 </UnitDefinitions>
 <TypeDefinitions>
-  <SimpleType name="Rise"><Real unit="degC" relativeQuantity="true" min="0" nominal="5"/></SimpleType>
-  <SimpleType name="Mode"><Enumeration><Item name="off" value="-3"/><Item name="on" value="7"/></Enumeration></SimpleType>
+  <SimpleType name="Rise">
+    <Real unit="degC" relativeQuantity="true" min="0" nominal="5"/></SimpleType>
+  <SimpleType name="Mode"><Enumeration><Item name="off" value="-3"/>
+    <Item name="on" value="7"/></Enumeration></SimpleType>
 </TypeDefinitions>
 <DefaultExperiment stepSize="0.01" tolerance="1e-6"/>
 <ModelVariables>
-  <ScalarVariable name="u" valueReference="0" causality="input" description="temperature"><Real unit="degC" start="20"/>
+  <ScalarVariable name="u" valueReference="0" causality="input" description="temperature">
+    <Real unit="degC" start="20"/>
   </ScalarVariable>
-  <ScalarVariable name="rise" valueReference="1" causality="output"><Real declaredType="Rise" max="50" displayUnit="degF"/>
+  <ScalarVariable name="rise" valueReference="1" causality="output">
+    <Real declaredType="Rise" max="50" displayUnit="degF"/>
   </ScalarVariable>
-  <ScalarVariable name="x" valueReference="2" causality="output" initial="approx"><Real start="1.5"/></ScalarVariable>
+  <ScalarVariable name="x" valueReference="2" causality="output" initial="approx">
+    <Real start="1.5"/></ScalarVariable>
   <ScalarVariable name="der(x)" valueReference="3"><Real derivative="3"/></ScalarVariable>
   <ScalarVariable name="mode" valueReference="4" causality="parameter" variability="fixed">
     <Enumeration declaredType="Mode" start="7"/></ScalarVariable>
-  <ScalarVariable name="path" valueReference="5" causality="parameter" variability="fixed"><String start="a b"/></ScalarVariable>
+  <ScalarVariable name="path" valueReference="5" causality="parameter" variability="fixed">
+    <String start="a b"/></ScalarVariable>
   <ScalarVariable name="h" valueReference="6"><Real derivative="8"/></ScalarVariable>
-  <ScalarVariable name="hidden" valueReference="7" initial="exact"><Real start="4" unit="kN"/></ScalarVariable>
+  <ScalarVariable name="hidden" valueReference="7" initial="exact">
+    <Real start="4" unit="kN"/></ScalarVariable>
   <ScalarVariable name="late" valueReference="8" causality="output"><Boolean/></ScalarVariable>
-  <ScalarVariable name="i[1]" valueReference="9" causality="input"><Integer start="3"/></ScalarVariable>
-  <ScalarVariable name="i[2]" valueReference="10" causality="input"><Integer start="4"/></ScalarVariable>
+  <ScalarVariable name="i[1]" valueReference="9" causality="input">
+    <Integer start="3"/></ScalarVariable>
+  <ScalarVariable name="i[2]" valueReference="10" causality="input">
+    <Integer start="4"/></ScalarVariable>
 </ModelVariables>
 <ModelStructure>
-  <Outputs><Unknown index="2" dependencies="1 3"/><Unknown index="3"/><Unknown index="9" dependencies=""/></Outputs>
+  <Outputs><Unknown index="2" dependencies="1 3"/><Unknown index="3"/>
+    <Unknown index="9" dependencies=""/></Outputs>
   <Derivatives><Unknown index="4" dependencies="1 3"/><Unknown index="7"/></Derivatives>
-  <InitialUnknowns><Unknown index="3" dependencies="1"/><Unknown index="2"/><Unknown index="4" dependencies=""/></InitialUnknowns>
+  <InitialUnknowns><Unknown index="3" dependencies="1"/><Unknown index="2"/>
+    <Unknown index="4" dependencies=""/></InitialUnknowns>
 </ModelStructure>
 </fmiModelDescription>"""
 
 FMI3 = """<?xml version="1.0"?>
 <fmiModelDescription fmiVersion="3.0" modelName="three" instantiationToken="{3}">
-<ModelExchange modelIdentifier="three" providesDirectionalDerivatives="true" providesAdjointDerivatives="true"
-  canGetAndSetFMUState="true" canSerializeFMUState="true" needsCompletedIntegratorStep="true"/>
-<CoSimulation modelIdentifier="three" providesIntermediateUpdate="true" mightReturnEarlyFromDoStep="true" hasEventMode="true"
-  canHandleVariableCommunicationStepSize="true" fixedInternalStepSize="0.5" canBeInstantiatedOnlyOncePerProcess="true"/>
+<ModelExchange modelIdentifier="three" providesDirectionalDerivatives="true"
+  providesAdjointDerivatives="true" canGetAndSetFMUState="true" canSerializeFMUState="true"
+  needsCompletedIntegratorStep="true"/>
+<CoSimulation modelIdentifier="three" providesIntermediateUpdate="true"
+  mightReturnEarlyFromDoStep="true" hasEventMode="true"
+  canHandleVariableCommunicationStepSize="true" fixedInternalStepSize="0.5"
+  canBeInstantiatedOnlyOncePerProcess="true"/>
 <UnitDefinitions><Unit name="mm"><BaseUnit m="1" factor="0.001"/></Unit></UnitDefinitions>
 <TypeDefinitions>
-  <EnumerationType name="Mode"><Item name="off" value="0"/><Item name="on" value="9007199254740993"/></EnumerationType>
+  <EnumerationType name="Mode"><Item name="off" value="0"/>
+    <Item name="on" value="9007199254740993"/></EnumerationType>
   <UInt8Type name="Small" max="9"/></TypeDefinitions>
 <ModelVariables>
   <Float64 name="time" valueReference="0" causality="independent"/>
   <UInt64 name="n" valueReference="1" causality="structuralParameter" start="3" min="1" max="5"/>
-  <Float64 name="u" valueReference="2" causality="input" start="0.5" unit="mm"><Dimension valueReference="1"/>
+  <Float64 name="u" valueReference="2" causality="input" start="0.5" unit="mm">
+    <Dimension valueReference="1"/>
     <Dimension start="2"/><Alias name="second" description="the same"/></Float64>
   <Float32 name="y" valueReference="3" causality="output"><Dimension valueReference="1"/></Float32>
-  <Float64 name="x" valueReference="4" start="1 2 3" initial="exact"><Dimension valueReference="1"/></Float64>
+  <Float64 name="x" valueReference="4" start="1 2 3" initial="exact">
+    <Dimension valueReference="1"/></Float64>
   <Float64 name="dx" valueReference="5" derivative="4"><Dimension valueReference="1"/></Float64>
   <Float64 name="z" valueReference="6"><Dimension valueReference="1"/></Float64>
   <UInt8 name="small" valueReference="7" causality="parameter" declaredType="Small" start="4"/>
@@ -110,7 +140,8 @@ FMI3 = """<?xml version="1.0"?>
     <Start value="a b"/><Start value="c"/></String>
   <Binary name="bytes" valueReference="10" causality="parameter"><Start value="00ff"/></Binary>
   <Enumeration name="mode" valueReference="11" declaredType="Mode" causality="output"/>
-  <Boolean name="on" valueReference="12" causality="parameter" start="true false"><Dimension start="2"/></Boolean>
+  <Boolean name="on" valueReference="12" causality="parameter" start="true false">
+    <Dimension start="2"/></Boolean>
   <Clock name="tick" valueReference="13" causality="input" intervalVariability="triggered"/>
 </ModelVariables>
 <ModelStructure>
@@ -128,183 +159,195 @@ def described(tmp_path):
     return lambda xml: read(write(tmp_path / "x.fmu", [], xml=xml.encode())).description
 
 
-def one(implementation=""):
+def fmi1(implementation=""):
     return FMI1.replace("{implementation}", implementation)
 
 
+def attributes(variable, *names):
+    """Return some attributes of a variable, to compare them at once."""
+    return tuple(getattr(variable, name) for name in names)
+
+
 def test_fmi_1(described):
-    """Words of FMI 2 for what FMI 1 says in its own: states have a number and no names."""
-    found = described(one())
-    assert (found.version, found.name, found.token, found.tool, found.default_tolerance) == (
-        "1.0",
-        "one",
-        "{1}",
-        "tool 1",
-        1e-5,
-    )
-    assert (found.states, found.n_states, found.event_indicators) == ((), 2, 3)
-    assert found.capabilities == {"me": Capabilities("one")}
-    assert found["u"].base == BaseUnit(NEWTON)
-    assert (found["u"].minimum, found["u"].maximum, found["u"].nominal, found["u"].doc) == (
-        -1.0,
-        2.0,
-        10.0,
-        "force",
-    )
-    roles = {v.name: (v.causality, v.variability, v.initial) for v in found.variables}
+    """FMI 1 in words of FMI 2: states have a number and no names."""
+    description = described(fmi1())
+    assert description.version == "1.0"
+    assert (description.name, description.token) == ("one", "{1}")
+    assert (description.tool, description.default_tolerance) == ("tool 1", 1e-5)
+    assert (description.states, description.n_states) == ((), 2)
+    assert description.event_indicators == 3
+    assert description.capabilities == {"me": Capabilities("one")}
+
+
+def test_variables_of_fmi_1(described):
+    """Units, ranges, enumerations, texts."""
+    description = described(fmi1())
+    u = description["u"]
+    assert u.base == BaseUnit(NEWTON)
+    assert (u.minimum, u.maximum, u.nominal, u.doc) == (-1.0, 2.0, 10.0, "force")
+    assert description["mode"].items == {"off": 1, "on": 2}
+    assert attributes(description["text"], "text", "start") == (("a b",), None)
+
+
+def test_roles_of_fmi_1(described):
+    """Causality, variability and initial in words of FMI 2."""
+    roles = {}
+    for variable in described(fmi1()).variables:
+        roles[variable.name] = attributes(variable, "causality", "variability", "initial")
     assert roles == {
-        "u": ("input", "continuous", "exact"), "y": ("output", "continuous", "calculated"),
-        "z": ("output", "continuous", "calculated"), "v": ("output", "continuous", "calculated"),
-        "k": ("parameter", "fixed", "exact"), "guess": ("local", "continuous", "approx"), "mode": ("local", "constant", "exact"),
-        "text": ("local", "discrete", "exact"), "n": ("output", "discrete", "calculated"),
-    }  # fmt: skip
-    assert found["mode"].items == {"off": 1, "on": 2}
-    assert (found["text"].text, found["text"].start) == (("a b",), None)
+        "u": ("input", "continuous", "exact"),
+        "y": ("output", "continuous", "calculated"),
+        "z": ("output", "continuous", "calculated"),
+        "v": ("output", "continuous", "calculated"),
+        "k": ("parameter", "fixed", "exact"),
+        "guess": ("local", "continuous", "approx"),
+        "mode": ("local", "constant", "exact"),
+        "text": ("local", "discrete", "exact"),
+        "n": ("output", "discrete", "calculated"),
+    }
 
 
 def test_aliases_of_fmi_1(described):
-    """An alias is a variable that shares a reference; a negated one has no value of its own, and is left out."""
-    found = described(one())
-    assert found["z"].reference == found["y"].reference
-    assert "w" not in [v.name for v in found.variables]
-    assert [signal.name for signal in found.interface.outputs] == ["y", "z", "v", "n"]
+    """An alias shares a reference; a negated one has no value of its own, and is left out."""
+    description = described(fmi1())
+    assert description["z"].reference == description["y"].reference
+    assert "w" not in [variable.name for variable in description.variables]
+    assert [signal.name for signal in description.interface.outputs] == ["y", "z", "v", "n"]
 
 
 def test_feedthrough_of_fmi_1(described):
     """Without DirectDependency an output may depend on every input."""
-    assert described(one()).interface.feedthrough == {"y": ("u",), "z": None, "v": (), "n": None}
+    feedthrough = described(fmi1()).interface.feedthrough
+    assert feedthrough == {"y": ("u",), "z": None, "v": (), "n": None}
 
 
 @pytest.mark.parametrize(("what", "tool"), [("StandAlone", False), ("Tool", True)])
 def test_co_simulation_of_fmi_1(described, what, tool):
-    """An FMU of FMI 1 is for one kind."""
-    found = described(
-        one(CO_SIMULATION.replace("{what}", what).replace("{model}", ""))
-    ).capabilities
-    able = Capabilities(
+    """An FMU of FMI 1 has one interface type."""
+    capabilities = described(fmi1(CO_SIMULATION.replace("{what}", what))).capabilities
+    expected = Capabilities(
         "one", interpolates_inputs=True, variable_step=True, once_per_process=True, needs_tool=tool
     )
-    assert found == {"cs": able}
+    assert capabilities == {"cs": expected}
+
+
+def test_capabilities_of_fmi_2(described):
+    me = Capabilities("two", directional_derivatives=True, saves_state=True, needs_tool=True)
+    cs = Capabilities(
+        "two_cs", interpolates_inputs=True, serializes_state=True, completed_step=False
+    )
+    assert described(FMI2).capabilities == {"me": me, "cs": cs}
 
 
 def test_fmi_2(described):
-    """Kinds, units, types, states, start values."""
-    found = described(FMI2)
-    assert found.capabilities == {
-        "me": Capabilities("two", directional_derivatives=True, saves_state=True, needs_tool=True),
-        "cs": Capabilities(
-            "two_cs", interpolates_inputs=True, serializes_state=True, completed_step=False
-        ),
-    }
-    assert (found.states, found.n_states, found.local_states) == (("x", "hidden"), 2, ("hidden",))
-    assert (found.event_indicators, found.default_step, found.default_tolerance) == (2, 0.01, 1e-6)
-    assert found["u"].base == BaseUnit(KELVIN, 1.0, 273.15)
-    assert found["rise"].base == BaseUnit(KELVIN)  # a difference has no offset
-    assert found["hidden"].base == BaseUnit(NEWTON, 1000.0)
-    assert (
-        found["rise"].unit,
-        found["rise"].minimum,
-        found["rise"].maximum,
-        found["rise"].nominal,
-    ) == ("degC", 0.0, 50.0, 5.0)
-    assert (found["mode"].items, found["mode"].start, found["path"].text) == (
-        {"off": -3, "on": 7},
-        (7.0,),
-        ("a b",),
-    )
-    assert (found["late"].variability, found["der(x)"].derivative_of, found["h"].derivative_of) == (
-        "discrete",
-        "x",
-        "hidden",
-    )
-    assert (found["x"].initial, found["u"].initial, found["mode"].initial, found["late"].initial) == (
-        "approx", "exact", "exact", "calculated",
-    )  # fmt: skip
+    """States, event indicators, default experiment, initial."""
+    description = described(FMI2)
+    assert (description.states, description.n_states) == (("x", "hidden"), 2)
+    assert description.local_states == ("hidden",)
+    assert description.event_indicators == 2
+    assert (description.default_step, description.default_tolerance) == (0.01, 1e-6)
+    assert description["der(x)"].derivative_of == "x"
+    assert description["h"].derivative_of == "hidden"
+    initial = [description[name].initial for name in ("x", "u", "mode", "late")]
+    assert initial == ["approx", "exact", "exact", "calculated"]
+
+
+def test_variables_of_fmi_2(described):
+    """Units, types, ranges, start values."""
+    description = described(FMI2)
+    assert description["u"].base == BaseUnit(KELVIN, 1.0, 273.15)
+    rise = description["rise"]
+    assert rise.base == BaseUnit(KELVIN)  # a difference has no offset
+    assert (rise.unit, rise.minimum, rise.maximum, rise.nominal) == ("degC", 0.0, 50.0, 5.0)
+    assert description["hidden"].base == BaseUnit(NEWTON, 1000.0)
+    assert attributes(description["mode"], "items", "start") == ({"off": -3, "on": 7}, (7.0,))
+    assert description["path"].text == ("a b",)
+    assert description["late"].variability == "discrete"
 
 
 def test_the_interface_of_fmi_2(described):
-    """Units and start values of the ports; what depends on what during the run, and at the start where it is said."""
-    found = described(FMI2)
-    face = found.interface
-    inputs = {signal.name: signal for signal in face.inputs}
-    assert (inputs["u"].base, inputs["u"].start, inputs["i"].start) == (
-        BaseUnit(KELVIN, 1.0, 273.15),
-        (20.0,),
-        (3.0, 4.0),
-    )
-    assert face.feedthrough == {"rise": ("u",), "x": (), "late": (), "hidden": ()}
-    assert found.initial_dependencies == {"x": ("u",), "rise": None, "der(x)": ()}
-    assert face.initial == {"x": ("u",), "rise": None}
-    assert (face.feeds_at_start("x"), face.feeds_at_start("rise"), face.feeds_at_start("late")) == (
-        ("u",),
-        ("u", "i"),
-        (),
-    )
+    """Units and start values of the ports; dependencies during the run and in initialization."""
+    description = described(FMI2)
+    interface = description.interface
+    u, i = interface.inputs
+    assert (u.name, u.base, u.start) == ("u", BaseUnit(KELVIN, 1.0, 273.15), (20.0,))
+    assert (i.name, i.start) == ("i", (3.0, 4.0))
+    assert interface.feedthrough == {"rise": ("u",), "x": (), "late": (), "hidden": ()}
+    assert description.initial_dependencies == {"x": ("u",), "rise": None, "der(x)": ()}
+    assert interface.initial == {"x": ("u",), "rise": None}
+    assert interface.feeds_at_start("x") == ("u",)
+    assert interface.feeds_at_start("rise") == ("u", "i")
+    assert interface.feeds_at_start("late") == ()
 
 
-def test_fmi_3(described):
-    """Arrays, all widths, texts, clocks, second names, capabilities that fmpy does not see."""
-    found = described(FMI3)
-    assert found.capabilities["me"] == Capabilities(
+def test_capabilities_of_fmi_3(described):
+    """Also those that fmpy does not read."""
+    capabilities = described(FMI3).capabilities
+    assert capabilities["me"] == Capabilities(
         "three",
         directional_derivatives=True,
         adjoint_derivatives=True,
         saves_state=True,
         serializes_state=True,
     )
-    assert found.capabilities["cs"] == Capabilities(
-        "three", interpolates_inputs=True, variable_step=True, fixed_step=0.5, event_mode=True, early_return=True,
-        completed_step=False, once_per_process=True,
-    )  # fmt: skip
-    assert (found["u"].dimensions, found["u"].size, found["u"].start) == (("n", 2), 6, (0.5,) * 6)
-    assert found["u"].base == BaseUnit(METRE, 0.001)
-    assert (found["second"].reference, found["second"].alias_of, found["second"].doc) == (
-        2,
-        "u",
-        "the same",
+    assert capabilities["cs"] == Capabilities(
+        "three",
+        interpolates_inputs=True,
+        variable_step=True,
+        fixed_step=0.5,
+        event_mode=True,
+        early_return=True,
+        completed_step=False,
+        once_per_process=True,
     )
-    assert (found["y"].type, found["y"].size, found["small"].maximum, found["small"].start) == (
-        "Float32",
-        3,
-        9.0,
-        (4.0,),
-    )
-    assert (found["words"].text, found["bytes"].text, found["on"].start) == (
-        ("a b", "c"),
-        ("00ff",),
-        (1.0, 0.0),
-    )
-    assert (found["mode"].type, found["mode"].items) == ("Int64", {"off": 0, "on": 2**53 + 1})
-    assert found["large"].start is None  # no float64: the unit keeps its own
-    assert (found.states, found.n_states, found.event_indicators, found.clocks) == (
-        ("x",),
-        3,
-        3,
-        ("tick",),
-    )
-    assert [signal.name for signal in found.interface.inputs] == [
-        "u"
-    ]  # a second name is no second input
-    assert found.interface.feedthrough == {"y": ("u",), "mode": (), "x": ()}
-    assert found.interface.initial == {"y": ()}
+
+
+def test_fmi_3(described):
+    """States, event indicators, clocks, arrays, aliases."""
+    description = described(FMI3)
+    assert (description.states, description.n_states) == (("x",), 3)
+    assert (description.event_indicators, description.clocks) == (3, ("tick",))
+    u = description["u"]
+    assert (u.dimensions, u.size, u.start) == (("n", 2), 6, (0.5,) * 6)
+    assert u.base == BaseUnit(METER, 0.001)
+    alias = description["second"]
+    assert (alias.reference, alias.alias_of, alias.doc) == (2, "u", "the same")
+
+
+def test_types_of_fmi_3(described):
+    """All widths, texts, Booleans, enumerations."""
+    description = described(FMI3)
+    assert attributes(description["y"], "type", "size") == ("Float32", 3)
+    assert attributes(description["small"], "maximum", "start") == (9.0, (4.0,))
+    assert description["words"].text == ("a b", "c")
+    assert description["bytes"].text == ("00ff",)
+    assert description["on"].start == (1.0, 0.0)
+    items = {"off": 0, "on": 2**53 + 1}
+    assert attributes(description["mode"], "type", "items") == ("Int64", items)
+    assert description["large"].start is None  # no float64: the FMU keeps its own
+
+
+def test_the_interface_of_fmi_3(described):
+    """An alias is no second input."""
+    interface = described(FMI3).interface
+    assert [signal.name for signal in interface.inputs] == ["u"]
+    assert interface.feedthrough == {"y": ("u",), "mode": (), "x": ()}
+    assert interface.initial == {"y": ()}
 
 
 def test_other_sizes(described):
-    """A structural parameter changes arrays, states and event indicators; start values of arrays are then the unit's."""
-    found = described(FMI3).resized({"n": 5})
-    assert (found["u"].size, found["u"].start, found["x"].size, found["n"].start) == (
-        10,
-        None,
-        5,
-        (5.0,),
-    )
-    assert (found.n_states, found.event_indicators, found.interface.n_u, found["second"].size) == (
-        5,
-        5,
-        10,
-        10,
-    )
-    assert found.resized({"n": 3}).n_states == 3
+    """A structural parameter changes arrays, states and event indicators.
+
+    Arrays then have the FMU's start values.
+    """
+    description = described(FMI3).resized({"n": 5})
+    assert attributes(description["u"], "size", "start") == (10, None)
+    assert description["x"].size == 5
+    assert description["n"].start == (5.0,)
+    assert (description.n_states, description.event_indicators) == (5, 5)
+    assert description.interface.n_u == 10
+    assert description["second"].size == 10
+    assert description.resized({"n": 3}).n_states == 3
     assert described(FMI3).resized({"n": 3}) == described(FMI3)
     assert described(FMI2).resized({}) == described(FMI2)
 
@@ -326,43 +369,123 @@ def test_other_sizes_that_cannot_be(described, sizes, text):
 
 
 BROKEN = [
-    (one(), 'guid="{1}"', "", "the attribute guid is missing"),
-    (one(), 'modelIdentifier="one"', "", "fmiModelDescription: the attribute modelIdentifier is missing"),
-    (one(), 'modelIdentifier="one"', 'modelIdentifier="../one"', r"modelIdentifier '\.\./one' is no identifier of C"),
-    (one(), 'States="2"', 'States="many"', "numberOfContinuousStates: found 'many', needed an integer"),
-    (one(), 'States="2"', 'States="-2"', "found a count of -2, needed one that is not negative"),
+    (fmi1(), 'guid="{1}"', "", "the attribute guid is missing"),
+    (
+        fmi1(),
+        'modelIdentifier="one"',
+        "",
+        "fmiModelDescription: the attribute modelIdentifier is missing",
+    ),
+    (
+        fmi1(),
+        'modelIdentifier="one"',
+        'modelIdentifier="../one"',
+        r"modelIdentifier '\.\./one' is no identifier of C",
+    ),
+    (
+        fmi1(),
+        'States="2"',
+        'States="many"',
+        "numberOfContinuousStates: found 'many', needed an integer",
+    ),
+    (fmi1(), 'States="2"', 'States="-2"', "found a count of -2, needed one that is not negative"),
     (FMI2, 'guid="{2}"', "", "the attribute guid is missing"),
     (FMI2, 'modelIdentifier="two" ', "", "ModelExchange: the attribute modelIdentifier is missing"),
     (FMI2, 'Unit name="item"', 'Unit name="kN"', "two units with the name 'kN'"),
-    (FMI2, 'factor="1000"', 'factor="0"', "unit 'kN': factor: found 0.0, needed a finite number that is not 0"),
+    (
+        FMI2,
+        'factor="1000"',
+        'factor="0"',
+        "unit 'kN': factor: found 0.0, needed a finite number that is not 0",
+    ),
     (FMI2, 'kg="1"', 'kg="1.5"', "unit 'kN': kg: found '1.5', needed an integer"),
     (FMI2, 'name="late"', 'name="u"', "two variables with the name 'u'"),
     (FMI2, 'valueReference="8" ', "", "variable 'late': the attribute valueReference is missing"),
-    (FMI2, 'valueReference="8"', 'valueReference="-8"', "variable 'late': valueReference: found -8, needed 0 to 4294967295"),
+    (
+        FMI2,
+        'valueReference="8"',
+        'valueReference="-8"',
+        "variable 'late': valueReference: found -8, needed 0 to 4294967295",
+    ),
     (FMI2, 'start="1.5"', 'start="1_5"', "variable 'x': start: found '1_5', needed numbers"),
     (FMI2, 'start="1.5"', 'start="1 2 3"', "variable 'x': has 3 start values for 1 element"),
     (FMI3, 'start="1 2 3"', 'start=""', "variable 'x': has 0 start values for 3 elements"),
     (FMI3, 'start="1 2 3"', 'start="1 2"', "variable 'x': has 2 start values for 3 elements"),
-    (FMI2, '<Integer start="3"/>', '<Integer start="3.5"/>', r"variable 'i\[1\]': start: found '3.5', needed integers"),
+    (
+        FMI2,
+        '<Integer start="3"/>',
+        '<Integer start="3.5"/>',
+        r"variable 'i\[1\]': start: found '3.5', needed integers",
+    ),
     (FMI2, 'min="0"', 'min="low"', "variable 'rise': min: found 'low', needed a number"),
     (FMI2, "<Boolean/>", "<Complex/>", "variable 'late': its type is none of FMI 2"),
     (FMI2, 'derivative="3"', 'derivative="0"', r"variable 'der\(x\)': derivative=0 is no variable"),
-    (FMI2, 'derivative="3"', "", r"'der\(x\)' is listed as a derivative, but has no attribute derivative"),
+    (
+        FMI2,
+        'derivative="3"',
+        "",
+        r"'der\(x\)' is listed as a derivative, but has no attribute derivative",
+    ),
     (FMI2, 'index="9"', 'index="19"', "ModelStructure/Outputs/Unknown: index=19 is no variable"),
-    (FMI2, 'dependencies="1 3"', 'dependencies="1 33"', "Unknown 'rise': dependencies name no variable: 33"),
-    (FMI2, 'dependencies="1 3"', 'dependencies="u"', "Unknown 'rise': dependencies: found 'u', needed integers"),
+    (
+        FMI2,
+        'dependencies="1 3"',
+        'dependencies="1 33"',
+        "Unknown 'rise': dependencies name no variable: 33",
+    ),
+    (
+        FMI2,
+        'dependencies="1 3"',
+        'dependencies="u"',
+        "Unknown 'rise': dependencies: found 'u', needed integers",
+    ),
     (FMI2, 'value="-3"', 'value="off"', "item: value: found 'off', needed an integer"),
-    (FMI2, 'stepSize="0.01"', 'stepSize="fast"', "DefaultExperiment: stepSize: found 'fast', needed a number"),
+    (
+        FMI2,
+        'stepSize="0.01"',
+        'stepSize="fast"',
+        "DefaultExperiment: stepSize: found 'fast', needed a number",
+    ),
     (FMI3, 'instantiationToken="{3}"', "", "the attribute instantiationToken is missing"),
     (FMI3, 'derivative="4"', 'derivative="44"', "variable 'dx': derivative=44 is no variable"),
-    (FMI3, 'Dimension valueReference="1"', 'Dimension valueReference="77"', "variable 'u': Dimension: found size None"),
-    (FMI3, 'Dimension start="2"', 'Dimension start="99999999"', "found size 99999999, needed .* at most 16777216"),
-    (FMI3, 'Start value="00ff"', 'Start value="00f"', "variable 'bytes': start: needed hexadecimal digits, two for every byte"),
-    (FMI3, 'Size="0.5"', 'Size="abc"', "CoSimulation: fixedInternalStepSize: found 'abc', needed a number"),
-    (FMI3, 'Size="0.5"', 'Size="-1"', r"CoSimulation: fixedInternalStepSize: found -1\.0, needed a positive number"),
-    (FMI3, 'Size="0.5"', 'Size="nan"', "CoSimulation: fixedInternalStepSize: found nan, needed a positive number"),
+    (
+        FMI3,
+        'Dimension valueReference="1"',
+        'Dimension valueReference="77"',
+        "variable 'u': Dimension: found size None",
+    ),
+    (
+        FMI3,
+        'Dimension start="2"',
+        'Dimension start="99999999"',
+        "found size 99999999, needed .* at most 16777216",
+    ),
+    (
+        FMI3,
+        'Start value="00ff"',
+        'Start value="00f"',
+        "variable 'bytes': start: needed hexadecimal digits, two for every byte",
+    ),
+    (
+        FMI3,
+        'Size="0.5"',
+        'Size="abc"',
+        "CoSimulation: fixedInternalStepSize: found 'abc', needed a number",
+    ),
+    (
+        FMI3,
+        'Size="0.5"',
+        'Size="-1"',
+        r"CoSimulation: fixedInternalStepSize: found -1\.0, needed a positive number",
+    ),
+    (
+        FMI3,
+        'Size="0.5"',
+        'Size="nan"',
+        "CoSimulation: fixedInternalStepSize: found nan, needed a positive number",
+    ),
     (FMI3, 'Alias name="second"', 'Alias name="y"', "two variables with the name 'y'"),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(
@@ -373,32 +496,35 @@ def test_what_contradicts_itself(described, xml, before, after, text):
     assert before in xml
     with pytest.raises(FmuError, match=f"x.fmu: modelDescription.xml: .*{text}") as error:
         described(xml.replace(before, after))
-    assert len(str(error.value).splitlines()) <= 5  # a name or size may matter in several places
+    # A name or size may matter in several places.
+    assert len(str(error.value).splitlines()) <= 5
 
 
 def test_all_is_reported_at_once(described):
-    xml = (
-        FMI2.replace('guid="{2}"', "")
-        .replace('start="1.5"', 'start="x"')
-        .replace('name="late"', 'name="u"')
-    )
-    with pytest.raises(
-        FmuError, match=r"(?s)variable 'x': start: found 'x'.*|two variables.*|guid is missing"
-    ) as error:
+    xml = FMI2.replace('guid="{2}"', "")
+    xml = xml.replace('start="1.5"', 'start="x"')
+    xml = xml.replace('name="late"', 'name="u"')
+    problems = r"(?s)variable 'x': start: found 'x'.*|two variables.*|guid is missing"
+    with pytest.raises(FmuError, match=problems) as error:
         described(xml)
     assert len(str(error.value).splitlines()) == 3
 
 
-def test_foreign_units(foreign2, foreign3):
-    """pythonfmu says nothing of dependencies: they are unknown; its second kind of FMI 3 has states."""
-    two, three = read(foreign2).description, read(foreign3).description
-    assert two.interface.feedthrough["y"] is None
-    assert two["limit"].variability == "tunable"
-    assert set(two.capabilities) == {"cs"}
-    assert set(three.capabilities) == {"me", "cs"}
-    assert three.states == ("x1", "x2")
-    assert three.interface.feedthrough == {"x1": (), "x2": (), "y": None}
-    assert three.interface.initial == {"y": None}
+def test_fmus_of_pythonfmu(foreign2):
+    """No dependencies are listed, so they are unknown."""
+    description = read(foreign2).description
+    assert description.interface.feedthrough["y"] is None
+    assert description["limit"].variability == "tunable"
+    assert set(description.capabilities) == {"cs"}
+
+
+def test_fmus_of_pythonfmu3(foreign3):
+    """Model exchange has states."""
+    description = read(foreign3).description
+    assert set(description.capabilities) == {"me", "cs"}
+    assert description.states == ("x1", "x2")
+    assert description.interface.feedthrough == {"x1": (), "x2": (), "y": None}
+    assert description.interface.initial == {"y": None}
 
 
 VALUES = (
@@ -421,34 +547,36 @@ VALUES = (
 
 
 def mutant(random: Random) -> str:
-    """Change a description in up to three places: attributes removed or other, elements removed or doubled."""
-    xml = random.choice((one(), FMI2, FMI3))
+    """Change a description in up to three places.
+
+    Attributes are removed or get another value, elements are removed or doubled.
+    """
+    xml = random.choice((fmi1(), FMI2, FMI3))
     for _ in range(random.randint(1, 3)):
         attribute = random.choice(list(re.finditer(r' \w+="([^"]*)"', xml)))
         element = random.choice(list(re.finditer(r"<[A-Z]\w+[^<>]*/>", xml)))
-        xml = random.choice(
-            (
-                xml[: attribute.start()] + xml[attribute.end() :],
-                xml[: attribute.start(1)] + random.choice(VALUES) + xml[attribute.end(1) :],
-                xml[: element.start()] + xml[element.end() :],
-                xml[: element.end()] + element[0] + xml[element.end() :],
-            )
-        )
+        value = random.choice(VALUES)
+        without_attribute = xml[: attribute.start()] + xml[attribute.end() :]
+        other_value = xml[: attribute.start(1)] + value + xml[attribute.end(1) :]
+        without_element = xml[: element.start()] + xml[element.end() :]
+        doubled = xml[: element.end()] + element[0] + xml[element.end() :]
+        xml = random.choice((without_attribute, other_value, without_element, doubled))
     return xml
 
 
 @pytest.mark.parametrize("count", [200, pytest.param(20_000, marks=pytest.mark.campaign)])
 def test_mutants_are_read_or_refused(described, tmp_path, monkeypatch, count):
-    """Whatever the file says, reading gives a description with an interface, or one error; the check gives findings."""
+    """Reading returns a description with an interface, or raises; the check has findings."""
     monkeypatch.setattr("cosim.fmi.checking.check._run_trials", lambda *_: [])
-    random, refused = Random(count), 0
+    random = Random(count)
+    refused = 0
     for _ in range(count):
         xml = mutant(random)
         try:
-            found = described(xml)
+            description = described(xml)
         except FmuError:
             refused += 1
         else:
-            assert found.interface.n_u <= found.n_states + 2**25
+            assert description.interface.n_u <= description.n_states + 2**25
         assert check(tmp_path / "x.fmu")
     assert 0.2 * count < refused < 0.8 * count
