@@ -121,7 +121,8 @@ class Clock:
         size = min(self.block or FIRST_BLOCK, limit)
         while index < self.steps:
             size = min(size, self.steps - index)
-            ns = np.arange(index, index + size + 1, dtype=np.int64) * self.step_ns
+            numbers = np.arange(index, index + size + 1, dtype=np.int64)
+            ns = numbers * self.step_ns
             began = perf_counter()
             yield Block(index, ns, seconds(ns), self.step_ns / NANOSECONDS)
             index += size

@@ -50,8 +50,7 @@ class Connection:
     sources: tuple[Port, ...] = field(init=False)
 
     def __post_init__(self, source: SourceText) -> None:
-        written = [source] if isinstance(source, str | Port) else source
-        sources = tuple(port if isinstance(port, Port) else Port.parse(port) for port in written)
+        sources = _parsed(source)
         if not sources:
             raise GraphError("a connection has no source; needed at least one")
         label = _label(sources)
@@ -79,6 +78,15 @@ class Connection:
     def label(self) -> str:
         """The sources as they are written."""
         return _label(self.sources)
+
+
+def _parsed(source: SourceText) -> tuple[Port, ...]:
+    if isinstance(source, str | Port):
+        source = [source]
+    ports = []
+    for port in source:
+        ports.append(port if isinstance(port, Port) else Port.parse(port))
+    return tuple(ports)
 
 
 def _label(sources: Iterable[Port]) -> str:
@@ -137,8 +145,10 @@ class Ports:
         if match is None:
             raise _unknown_port(port, channel, "output")
         signal, elements = match
-        start = channel.outputs.start + channel.interface.output_columns()[signal.name].start
-        return Source(channel, signal, slice(start + elements.start, start + elements.stop))
+        columns = channel.interface.output_columns()[signal.name]
+        start = channel.outputs.start + columns.start
+        part = slice(start + elements.start, start + elements.stop)
+        return Source(channel, signal, part)
 
     def _channel(self, port: Port) -> Channel:
         if port.component not in self.channels:

@@ -69,10 +69,11 @@ def wires_of(
     wires = []
     start = to.start
     for source, conversion in zip(sources, conversions, strict=True):
-        part = slice(start, start + source.size)
+        stop = start + source.size
         scaled = None if identity else gain * np.eye(source.size)
-        wires.append(Wire(part, source.columns, scaled, connection.offset, conversion))
-        start = part.stop
+        wire = Wire(slice(start, stop), source.columns, scaled, connection.offset, conversion)
+        wires.append(wire)
+        start = stop
     return tuple(wires)
 
 
@@ -183,9 +184,11 @@ class Cascade:
             signals[1:, member.outputs] = member.advance(block.time, block.h, signals)
         except RunError as error:
             stop = _as_stop(error)
+            filled = slice(1, stop.steps + 1)
             if stop.steps:
-                signals[1 : stop.steps + 1, member.outputs] = stop.outputs
-            raise stop.at(member.name, float(block.time[stop.steps])) from error
+                signals[filled, member.outputs] = stop.outputs
+            reached = float(block.time[stop.steps])
+            raise stop.at(member.name, reached) from error
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,7 +220,8 @@ class Loop:
     def advance(self, block: Block, signals: Matrix) -> None:
         """Advance step by step."""
         for k in range(block.steps):
-            stop = self._step(block.time[k : k + 2], block.h, signals[k : k + 2])
+            step = slice(k, k + 2)
+            stop = self._step(block.time[step], block.h, signals[step])
             if stop is not None:
                 filled = np.empty((k + stop.steps, 0))
                 raise Stopped(filled, str(stop), failed=stop.failed)

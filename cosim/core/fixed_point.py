@@ -20,6 +20,7 @@ ROUNDING: Final = 64 * float(np.finfo(np.float64).eps)  # relative to the larges
 STEPS: Final = 50  # of Newton's method
 DIFFERENCE: Final = -20  # power of two, relative: rounding leaves errors of 2^-32 in a derivative
 SINGULAR: Final = 1e-8  # smallest pivot
+TINY: Final = float(np.finfo(np.float64).tiny)
 
 
 class SingularError(Exception):
@@ -57,12 +58,14 @@ class Candidate:
 def measure(v: Vector, w: Vector, largest: float) -> Candidate:
     """Return v with its residual; ``largest``: the largest value involved in computing w."""
     residual = np.abs(w - v)
-    tolerance = RELATIVE * np.maximum(np.abs(v), np.abs(w)) + ROUNDING * largest
-    excess = residual / np.maximum(tolerance, np.finfo(np.float64).tiny)
-    excess = np.where(residual == 0.0, 0.0, excess)
+    size = np.maximum(np.abs(v), np.abs(w))
+    tolerance = RELATIVE * size + ROUNDING * largest
+    ratio = residual / np.maximum(tolerance, TINY)
+    excess = np.where(residual == 0.0, 0.0, ratio)
     finite = np.isfinite(excess)
     if not finite.all():
-        return Candidate(v, int(np.argmin(finite)))
+        first = int(np.argmin(finite))
+        return Candidate(v, first)
     worst = int(np.argmax(excess))
     return Candidate(v, worst, float(residual[worst]), float(tolerance[worst]))
 
@@ -124,7 +127,8 @@ def newton_step(function: Function, v: Vector, w: Vector) -> Vector:
         difference = np.ldexp(scale[j], DIFFERENCE)
         moved = v.copy()
         moved[j] += np.copysign(difference, v[j])
-        slope = (function(moved) - w) / (moved[j] - v[j])
+        taken = moved[j] - v[j]  # the difference to the last bit
+        slope = (function(moved) - w) / taken
         matrix[:, j] -= slope * scale[j] / scale
     scaled = eliminate(matrix, (w - v) / scale)
     step: Vector = scaled * scale
@@ -144,7 +148,8 @@ def eliminate(matrix: Matrix, right: Vector) -> Vector:
     largest = np.abs(matrix).max(axis=1)
     rows /= np.maximum(1.0, largest)[:, np.newaxis]
     for k in range(n):
-        pivot = k + int(np.argmax(np.abs(rows[k:, k])))
+        column = np.abs(rows[k:, k])
+        pivot = k + int(np.argmax(column))
         rows[[k, pivot]] = rows[[pivot, k]]
         if not abs(rows[k, k]) > SINGULAR:
             raise SingularError

@@ -243,7 +243,8 @@ class Graph:
                     sorter.add(group_of[name], group_of[driver])
         stages = []
         for group in sorter.static_order():
-            stages.append(self._stage([name for name in names if group_of[name] == group]))
+            members = [name for name in names if group_of[name] == group]
+            stages.append(self._stage(members))
         return tuple(stages)
 
     def _groups(self, names: list[str]) -> dict[str, str]:
@@ -256,7 +257,8 @@ class Graph:
         for _ in range(len(names).bit_length()):  # paths of twice the length each time
             reach = reach @ reach
         together = reach & reach.T
-        return {name: names[int(np.argmax(row))] for name, row in zip(names, together, strict=True)}
+        first_of = np.argmax(together, axis=1)
+        return {name: names[first] for name, first in zip(names, first_of, strict=True)}
 
     def _stage(self, names: list[str]) -> Stage:
         if len(names) == 1 and names[0] not in self._drivers(names[0]):
@@ -264,10 +266,12 @@ class Graph:
         interfaces = {name: self.layout[name].interface for name in names}
         sources = {name: self._sources[name] for name in names}
         order = order_loop(interfaces, sources, jacobi=self.coupling == "jacobi")
-        members = tuple(self._members[name] for name in names)
-        operations = tuple((kind, self._members[name]) for kind, name in order.operations)
-        warnings = tuple((unknown.component, str(unknown)) for unknown in order.unknown)
-        return Loop(self.coupling, members, operations, order.extrapolated, warnings)
+        members = [self._members[name] for name in names]
+        operations = [(kind, self._members[name]) for kind, name in order.operations]
+        warnings = [(unknown.component, str(unknown)) for unknown in order.unknown]
+        return Loop(
+            self.coupling, tuple(members), tuple(operations), order.extrapolated, tuple(warnings)
+        )
 
     def _held(self, name: str, extrapolated: frozenset[str]) -> Mask:
         """Return which input elements of a component have a zero-order hold."""

@@ -42,6 +42,7 @@ from cosim.core.signals import Channel, Interface, Layout, Signal
 from cosim.errors import GraphError
 
 SWEEPS: Final = 100  # of a loop with discrete signals, beyond one for each port
+NO_OUTPUTS: Final = np.empty(0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,10 +216,11 @@ class _Row:
         member = self._plan.members[name]
         u = self._row[member.inputs].copy()
         bits = u.tobytes()
-        if name not in self._initialized or self._initialized[name][0] != bits:
+        initialized_with, y = self._initialized.get(name, (None, NO_OUTPUTS))
+        if bits != initialized_with:
             y = np.array(member.component.initialize(self._t, u))
             self._initialized[name] = bits, y
-        return self._initialized[name][1]
+        return y
 
     # --- algebraic loops ---
 
