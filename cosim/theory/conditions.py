@@ -44,7 +44,7 @@ def decoupling_matrix(reduced: ReducedSystem) -> Matrix:
     if directions < n_d:
         raise AssumptionError(
             f"Assumption 5 (14): rank B_2a = {directions} for {n_d} disturbances: some of them act "
-            "in the same direction and cannot be told apart; merge them into one "
+            "in the same direction and cannot be distinguished; merge them into one "
             "(DEPENDENT_DISTURBANCES)"
         )
     reached = _rank_of_product(C3, B_2a)
@@ -54,7 +54,8 @@ def decoupling_matrix(reduced: ReducedSystem) -> Matrix:
             "disturbance is not decoupled; it reaches y only through more integrators "
             f"(RELATIVE_DEGREE): {_markov_parameters(reduced)}"
         )
-    return np.asarray(np.linalg.pinv(C3 @ B_2a), dtype=np.float64)
+    G = np.linalg.pinv(C3 @ B_2a)
+    return np.asarray(G, dtype=np.float64)
 
 
 def check_detectable(fixed_modes: ComplexVector, M: Matrix) -> None:
@@ -82,12 +83,12 @@ def check_hurwitz(movable: ComplexVector, closed: Matrix, fixed_modes: ComplexVe
     AssumptionError
         If one is not.
     """
-    tolerance = _rounding(closed)
-    unstable = [mode for mode in movable if mode.real > -tolerance]
-    if unstable:
+    unstable = movable[movable.real > -_rounding(closed)]
+    if len(unstable):
+        fixed = modes(fixed_modes)
         raise AssumptionError(
             f"M - L C is not Hurwitz: eigenvalue {modes(unstable)}; another L moves it: "
-            f"{len(movable)} eigenvalue(s) can be placed, fixed: {modes(fixed_modes)}"
+            f"{len(movable)} eigenvalue(s) can be placed, fixed: {fixed}"
         )
 
 
@@ -99,7 +100,8 @@ def _rank_of_product(C: Matrix, B: Matrix) -> int:
     values = np.linalg.svd(C @ B, compute_uv=False)
     size_of_C = float(np.linalg.norm(C))
     size_of_B = float(np.linalg.norm(B))
-    return int((values > 1e-12 * size_of_C * size_of_B).sum())
+    significant = values > 1e-12 * size_of_C * size_of_B
+    return int(significant.sum())
 
 
 def _markov_parameters(reduced: ReducedSystem) -> str:

@@ -62,14 +62,15 @@ class DescriptorSystem:
             matrix = _finite_matrix(name, getattr(self, name))
             object.__setattr__(self, name, matrix)
         rows, n = self.A.shape
-        n_y = self.C.shape[0]
-        _check_shape("A", self.A, rows == n > 0, "(n, n): one row and one column per state")
+        n_y, columns = self.C.shape
+        square = rows == n > 0
+        _check_shape("A", self.A, square, "(n, n): one row and one column per state")
         per_input = f"({n}, n_u): one row per state, one column per input"
         _check_shape("Bu", self.Bu, len(self.Bu) == n, per_input)
         per_disturbance = f"({n}, n_d): one row per state, one column per disturbance"
         _check_shape("Bd", self.Bd, len(self.Bd) == n, per_disturbance)
         per_output = f"(n_y, {n}): one row per output, one column per state"
-        _check_shape("C", self.C, self.C.shape[1] == n and n_y > 0, per_output)
+        _check_shape("C", self.C, columns == n and n_y > 0, per_output)
         if not 1 <= self.n_a <= n:
             raise AssumptionError(
                 f"Assumption 1 (1): n_a = {self.n_a}; needed 1..{n}, the number of dynamic states "
@@ -79,8 +80,9 @@ class DescriptorSystem:
     @property
     def E(self) -> Matrix:
         """The matrix of Assumption 1, shape ``(n, n)``."""
-        n_b = self.A.shape[0] - self.n_a
-        return np.diag([1.0] * self.n_a + [0.0] * n_b)
+        diagonal = np.zeros(len(self.A))
+        diagonal[: self.n_a] = 1.0
+        return np.diag(diagonal)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -135,6 +137,10 @@ def reduce(system: DescriptorSystem) -> ReducedSystem:
     A12 = A[dynamic, algebraic]
     A21 = A[algebraic, dynamic]
     A22 = A[algebraic, algebraic]
+    B11 = Bu[dynamic]
+    B12 = Bd[dynamic]
+    B21 = Bu[algebraic]
+    B22 = Bd[algebraic]
     C1 = C[:, dynamic]
     C2 = C[:, algebraic]
     n_y = len(C)
@@ -142,20 +148,17 @@ def reduce(system: DescriptorSystem) -> ReducedSystem:
     n_d = Bd.shape[1]
     condition = _condition(A22)
     if not condition < 1.0 / SINGULAR:
-        found = f"rank {rank(A22)} of {len(A22)}, condition {condition:.3g}"
+        evidence = f"rank {rank(A22)} of {len(A22)}, condition {condition:.3g}"
+        verdict = _pencil_verdict(system)
         raise AssumptionError(
-            f"Assumption 2 (3): A22 is singular ({found}), so x_b is not determined by the "
-            f"algebraic equation; {_pencil_verdict(system)}"
+            f"Assumption 2 (3): A22 is singular ({evidence}), so x_b is not determined by the "
+            f"algebraic equation; {verdict}"
         )
-    B21 = Bu[algebraic]
-    B22 = Bd[algebraic]
     right = np.hstack([A21, B21, B22])
-    solution = np.linalg.solve(A22, right)
-    K: Matrix = (0.0 - solution).astype(np.float64)  # not -solution: no negative zeros
-    inverse: Matrix = np.linalg.inv(A22).astype(np.float64)
-    magnitudes = np.abs(inverse) @ np.abs(right)
-    K = without_rounding(K, magnitudes, condition)
-    Kx, Ku, Kd = np.split(K, [system.n_a, system.n_a + n_u], axis=1)
+    K = _algebraic_gain(A22, right, condition)
+    begin_u = system.n_a
+    begin_d = begin_u + n_u
+    Kx, Ku, Kd = np.split(K, [begin_u, begin_d], axis=1)
 
     def substituted(direct: Matrix, left: Matrix, right: Matrix) -> Matrix:
         """Return ``direct + left right``, a coefficient after x_b was replaced by (8)."""
@@ -164,8 +167,8 @@ def reduce(system: DescriptorSystem) -> ReducedSystem:
         return without_rounding(total, magnitudes, condition)
 
     A_a = substituted(A11, A12, Kx)
-    B_1a = substituted(Bu[dynamic], A12, Ku)
-    B_2a = substituted(Bd[dynamic], A12, Kd)
+    B_1a = substituted(B11, A12, Ku)
+    B_2a = substituted(B12, A12, Kd)
     C3 = substituted(C1, C2, Kx)
     C4 = substituted(np.zeros((n_y, n_u)), C2, Ku)
     C5 = substituted(np.zeros((n_y, n_d)), C2, Kd)
@@ -177,7 +180,10 @@ def algebraic_state(reduced: ReducedSystem, x_a: Vector, *, u: Vector, delta: Ve
 
     With the initial values of x_a, u and delta this is the consistent initial value of x_b.
     """
-    x_b: Vector = reduced.Kx @ x_a + reduced.Ku @ u + reduced.Kd @ delta
+    from_x_a = reduced.Kx @ x_a
+    from_u = reduced.Ku @ u
+    from_delta = reduced.Kd @ delta
+    x_b: Vector = from_x_a + from_u + from_delta
     return x_b
 
 
@@ -196,14 +202,15 @@ def pencil_index(system: DescriptorSystem) -> int:
     A = system.A
     size = np.linalg.norm(A) or 1.0
     points = size * np.array([0.37, 0.83, 1.71, 2.93])
-    s = min(points, key=lambda point: _condition(point * E - A))
-    pencil = s * E - A
-    if not _condition(pencil) < 1.0 / SINGULAR:
+    pencils = [point * E - A for point in points]
+    conditions = [_condition(pencil) for pencil in pencils]
+    best = int(np.argmin(conditions))
+    if not conditions[best] < 1.0 / SINGULAR:
         raise AssumptionError(
             "PENCIL_SINGULAR: det(s E - A) = 0 at every s; the equations do not determine the "
             "states"
         )
-    H = np.linalg.solve(pencil, E * s)
+    H = np.linalg.solve(pencils[best], E * points[best])
     index = 0
     while H.size:
         basis, values = np.linalg.svd(H)[:2]
@@ -232,10 +239,14 @@ def invariant_zeros(reduced: ReducedSystem) -> ComplexVector:
     D = reduced.C5
     n_y, n_d = D.shape
     if n_d > n_y:  # the transposed system has the same zeros
-        A, B, C, D = A.T, C.T, B.T, D.T
+        A = reduced.A_a.T
+        B = reduced.C3.T
+        C = reduced.B_2a.T
+        D = reduced.C5.T
     V = output_nulling(A, B, C, D)
     k = V.shape[1]
-    states = np.vstack([V, np.zeros((len(C), k))])
+    no_output = np.zeros((len(C), k))
+    states = np.vstack([V, no_output])
     inputs = np.vstack([B, D])
     basis = np.hstack([states, inputs])
     if rank(basis) < basis.shape[1]:
@@ -254,9 +265,11 @@ def disturbance_transfer(reduced: ReducedSystem, s: complex) -> ComplexMatrix:
 
     It is `C3 (s I - A_a)^-1 B_2a + C5`, shape ``(n_y, n_d)``.
     """
-    inverse_resolvent = s * np.eye(len(reduced.A_a)) - reduced.A_a
-    states = np.linalg.solve(inverse_resolvent, reduced.B_2a)
-    return np.asarray(reduced.C3 @ states + reduced.C5, dtype=np.complex128)
+    A_a = reduced.A_a
+    identity = np.eye(len(A_a))
+    states = np.linalg.solve(s * identity - A_a, reduced.B_2a)
+    transfer = reduced.C3 @ states + reduced.C5
+    return np.asarray(transfer, dtype=np.complex128)
 
 
 def _finite_matrix(name: str, values: Matrix) -> Matrix:
@@ -264,7 +277,8 @@ def _finite_matrix(name: str, values: Matrix) -> Matrix:
         matrix = frozen(values, 2)
     except ValueError as error:
         raise AssumptionError(f"{name} is not a matrix: {error}") from error
-    not_finite = np.argwhere(~np.isfinite(matrix))
+    finite = np.isfinite(matrix)
+    not_finite = np.argwhere(~finite)
     if len(not_finite):
         row, column = not_finite[0]
         value = matrix[row, column]
@@ -279,6 +293,15 @@ def _check_shape(name: str, matrix: Matrix, fits: bool, needed: str) -> None:
 
 def _condition(matrix: Matrix) -> float:
     return float(np.linalg.cond(matrix)) if matrix.size else 1.0
+
+
+def _algebraic_gain(A22: Matrix, right: Matrix, condition: float) -> Matrix:
+    """Solve `A22 K = -right` (8), with zeros where there is nothing but rounding error."""
+    solution = np.linalg.solve(A22, right)
+    K: Matrix = (0.0 - solution).astype(np.float64)  # not -solution: no negative zeros
+    inverse: Matrix = np.linalg.inv(A22).astype(np.float64)
+    magnitudes = np.abs(inverse) @ np.abs(right)
+    return without_rounding(K, magnitudes, condition)
 
 
 def _pencil_verdict(system: DescriptorSystem) -> str:

@@ -78,7 +78,8 @@ class Exponential:
         positive = 0.0 < root.real < math.inf
         if root.imag != 0.0 or not positive:
             return np.array([NAN])
-        return np.array([math.log(root.real) / spacing])
+        theta = math.log(root.real) / spacing
+        return np.array([theta])
 
 
 @final
@@ -97,17 +98,20 @@ class Sine:
 
     def G(self, theta: Vector) -> Matrix:
         """Compute the system matrix [1/s], shape ``(2, 2)``."""
-        return np.array([[0.0, theta[0]], [-theta[0], 0.0]])
+        rate = theta[0]
+        return np.array([[0.0, rate], [-rate, 0.0]])
 
     def theta_from_roots(self, z: Sequence[complex], spacing: float) -> Vector:
         """Compute theta from `z_1 + z_2 = 2 cos(w spacing)`; NaN where that is not in [-2, 2].
 
         Only w < pi / spacing is unique: a faster sine has the same roots as a slower one.
         """
-        cosine = complex(z[0] + z[1]).real / 2.0
+        first, second = z
+        cosine = complex(first + second).real / 2.0
         if not abs(cosine) <= 1.0:
             return np.array([NAN])
-        return np.array([math.acos(cosine) / spacing])
+        rate = math.acos(cosine) / spacing
+        return np.array([rate])
 
 
 @dataclass(frozen=True)
@@ -164,12 +168,12 @@ def K(family: Family, theta: ArrayLike, D: float) -> Vector:
         If theta has another number of entries.
     """
     parameters = np.atleast_1d(np.asarray(theta, dtype=np.float64))
+    shape = parameters.shape
     needed = (len(family.parameters),)
-    if parameters.shape != needed:
+    if shape != needed:
         names = ", ".join(family.parameters)
         raise AssumptionError(
-            f"theta of family {family.name!r} has shape {parameters.shape}; needed {needed}: "
-            f"{names}"
+            f"theta of family {family.name!r} has shape {shape}; needed {needed}: {names}"
         )
     exponent = -family.G(parameters) * D
     row: Vector = family.c @ expm(exponent)
@@ -197,7 +201,9 @@ def coefficients(
     """
     stacked = []
     for D in delays:
-        rows = [K(family, theta, D) for family, theta in zip(families, thetas, strict=True)]
+        rows = []
+        for family, theta in zip(families, thetas, strict=True):
+            rows.append(K(family, theta, D))
         stacked.append(np.concatenate(rows))
     return np.array(stacked)
 
@@ -213,10 +219,13 @@ def group_by_alpha(alphas: Sequence[str], families: Sequence[Family]) -> tuple[A
         The family of each component.
     """
     members: dict[str, list[int]] = {}
-    for position, (alpha, _) in enumerate(zip(alphas, families, strict=True)):
+    families_of: dict[str, list[Family]] = {}
+    components = zip(alphas, families, strict=True)
+    for position, (alpha, family) in enumerate(components):
         members.setdefault(alpha, []).append(position)
+        families_of.setdefault(alpha, []).append(family)
     groups = []
     for alpha, positions in members.items():
-        group_families = tuple(families[position] for position in positions)
-        groups.append(AlphaGroup(alpha, tuple(positions), group_families))
+        group = AlphaGroup(alpha, tuple(positions), tuple(families_of[alpha]))
+        groups.append(group)
     return tuple(groups)

@@ -30,7 +30,7 @@ from scipy.linalg import solve_triangular
 from cosim.arrays import NAN, Matrix, Vector
 from cosim.errors import AssumptionError
 from cosim.theory.disturbance import AlphaGroup, Exponential, Sine
-from cosim.theory.regression import Term, check_delays
+from cosim.theory.regression import Parts, RowSet, Term, check_delays
 
 # pivot over the largest one, below which R'R, the information, is singular to rounding;
 # the same value stands in estimate.c
@@ -104,8 +104,12 @@ def plan(terms: Sequence[Term], groups: Sequence[AlphaGroup], delays: Sequence[f
         If the delays do not fit, there is no formula for a group, or there are no equally spaced
         delays for a group with `V_b = 2`.
     """
-    check_delays(delays, terms[0].row + 1)
-    recoveries = [_plan_group(b, group, terms, delays) for b, group in enumerate(groups)]
+    last_row = terms[0].row
+    check_delays(delays, needed=last_row + 1)
+    recoveries = []
+    for b, group in enumerate(groups):
+        recovery = _plan_group(b, group, terms, delays)
+        recoveries.append(recovery)
     n_eta = len(terms) - 1
     n_theta = sum(len(group.components) for group in groups)
     return Recovery(tuple(recoveries), n_eta, n_theta)
@@ -121,14 +125,17 @@ def recover(plan: Recovery, eta: Vector) -> Vector:
             c.append(sign * ratio)
         if all(map(math.isfinite, c)):
             formula = _FORMULAS[group.kind]
-            theta[list(group.theta)] = formula(c, group.spacing)
+            positions = list(group.theta)
+            theta[positions] = formula(c, group.spacing)
     return theta
 
 
 def trapezoid_weights(t: Vector) -> Vector:
     """Compute the weights [s] of the trapezoid rule over the times ``t`` [s], shape ``(N,)``."""
-    halves = np.diff(t) / 2.0
-    weights: Vector = np.append(halves, 0.0) + np.append(0.0, halves)
+    half_steps = np.diff(t) / 2.0
+    after = np.append(half_steps, 0.0)
+    before = np.append(0.0, half_steps)
+    weights: Vector = after + before
     return weights
 
 
@@ -155,18 +162,23 @@ def least_squares(mu: Matrix, weights: Vector, prior: float | None = None) -> Ve
     q = mu.shape[1] - 1
     m = mu[:, 1:]
     p = -mu[:, :1]
-    roots = np.sqrt(weights)
-    rows = roots[:, None] * np.hstack([m, p])
+    scale = np.sqrt(weights)[:, None]
+    rows = scale * np.hstack([m, p])
     if prior:
-        prior_rows = math.sqrt(prior) * np.eye(q, q + 1)
+        no_data = np.eye(q, q + 1)
+        prior_rows = math.sqrt(prior) * no_data
         rows = np.vstack([prior_rows, rows])
     R: Matrix = np.linalg.qr(rows)[1]
+    undetermined = np.full(q, NAN)
     if len(R) < q:
-        return np.full(q, NAN)
-    pivots = np.abs(np.diag(R)[:q])
-    if not pivots.min() > RANK * pivots.max():
-        return np.full(q, NAN)
-    eta: Vector = solve_triangular(R[:q, :q], R[:q, q])
+        return undetermined
+    R_m = R[:q, :q]
+    R_p = R[:q, q]
+    pivots = np.abs(np.diag(R_m))
+    largest = pivots.max()
+    if not pivots.min() > RANK * largest:
+        return undetermined
+    eta: Vector = solve_triangular(R_m, R_p)
     return eta
 
 
@@ -175,28 +187,27 @@ def _plan_group(
 ) -> GroupRecovery:
     kind = _recovery_kind(group)
     rows, others = _equally_spaced_rows(b, terms, group, delays)
-    index = {(term.row, term.parts): c for c, term in enumerate(terms)}
-    chosen = []
+    groups_before = others[:b]
+    groups_after = others[b:]
+    index_of = {(term.row, term.parts): c for c, term in enumerate(terms)}
+    indices = []
     for j in rows:
-        part = tuple(sorted(set(rows) - {j}))
-        parts = (*others[:b], part, *others[b:])
-        chosen.append(index[j, parts])
-    signs = tuple(terms[c].sign for c in chosen)
+        rest = set(rows) - {j}
+        part = tuple(sorted(rest))
+        parts = (*groups_before, part, *groups_after)
+        c = index_of[j, parts]
+        indices.append(c)
+    signs = tuple(terms[c].sign for c in indices)
     first = delays[rows[0]]
     second = delays[rows[1]]
     spacing = float(second - first)
     limit = math.pi / spacing if kind is RecoveryKind.SINE else math.inf
-    return GroupRecovery(kind, tuple(chosen), signs, spacing, group.components, limit)
+    return GroupRecovery(kind, tuple(indices), signs, spacing, group.components, limit)
 
 
 def _recovery_kind(group: AlphaGroup) -> RecoveryKind:
     names = tuple(family.name for family in group.families)
-    known = {
-        ("exponential",): RecoveryKind.EXPONENTIAL,
-        ("exponential", "exponential"): RecoveryKind.EXPONENTIALS,
-        ("sine",): RecoveryKind.SINE,
-    }
-    if names not in known:
+    if names not in _KINDS:
         components = list(group.components)
         listed = ", ".join(names)
         raise AssumptionError(
@@ -204,54 +215,65 @@ def _recovery_kind(group: AlphaGroup) -> RecoveryKind:
             f"alpha {group.alpha!r} ({listed}); possible for one alpha: one exponential, "
             "two exponentials, or one sine; give the others another alpha"
         )
-    return known[names]
+    return _KINDS[names]
 
 
 def _equally_spaced_rows(
     b: int, terms: Sequence[Term], group: AlphaGroup, delays: Sequence[float]
-) -> tuple[tuple[int, ...], tuple[tuple[int, ...], ...]]:
+) -> tuple[RowSet, Parts]:
     """Find S, by ascending delay, and the rows of the other groups; the paper's choice first."""
     for rows, others in _row_sets(b, terms[0]):
-        ascending = tuple(sorted(rows, key=lambda j: delays[j]))
+        ascending = sorted(rows, key=lambda j: delays[j])
         gaps = np.diff([delays[j] for j in ascending])
         largest = gaps.max()
-        if largest - gaps.min() <= EQUAL_SPACING * largest:
-            return ascending, others
+        difference = largest - gaps.min()
+        if difference <= EQUAL_SPACING * largest:
+            return tuple(ascending), others
     components = list(group.components)
+    needed = group.size + 1
     listed = ", ".join(f"{D:g}" for D in delays)
     raise AssumptionError(
         f"(35): the components {components} that share alpha {group.alpha!r} need "
-        f"{group.size + 1} equally spaced delays; found {listed} s"
+        f"{needed} equally spaced delays; found {listed} s"
     )
 
 
-def _row_sets(b: int, first: Term) -> Iterator[tuple[tuple[int, ...], tuple[tuple[int, ...], ...]]]:
+def _row_sets(b: int, first: Term) -> Iterator[tuple[RowSet, Parts]]:
     """Yield candidates for S, each with the rows of the other groups; the paper's choice first."""
     last = first.row
     own_part = first.parts[b]
-    other_parts = (*first.parts[:b], *first.parts[b + 1 :])
+    groups_before = first.parts[:b]
+    groups_after = first.parts[b + 1 :]
+    other_parts = (*groups_before, *groups_after)
     yield (*own_part, last), other_parts
-    ends = np.cumsum([0, *map(len, other_parts)])
+    other_sizes = map(len, other_parts)
+    bounds = np.cumsum([0, *other_sizes])
     all_rows = range(last + 1)
-    for rows in combinations(all_rows, len(own_part) + 1):
+    size = len(own_part) + 1
+    for rows in combinations(all_rows, size):
         rest = [row for row in all_rows if row not in rows]
-        others = [tuple(rest[begin:end]) for begin, end in pairwise(ends)]
+        others = []
+        for begin, end in pairwise(bounds):
+            part = tuple(rest[begin:end])
+            others.append(part)
         yield rows, tuple(others)
 
 
 def _exponential(c: Sequence[float], spacing: float) -> list[float]:
-    if not c[1]:
+    c0, c1 = c
+    if not c1:
         return [NAN]
     # -ln(-c0 / c1), not ln(-c1 / c0): with c1 = 1 this is the paper's ln(eta) / (D_j - D_last) to
     # the last bit
-    w = -c[0] / c[1]
+    w = -c0 / c1
     return [_exponent(w, spacing)]
 
 
 def _exponentials(c: Sequence[float], spacing: float) -> list[float]:
-    if c[0] == 0.0 or c[2] == 0.0:
+    c0, c1, c2 = c
+    if c0 == 0.0 or c2 == 0.0:
         return [NAN, NAN]
-    theta = [_exponent(w, spacing) for w in _roots(c[2], c[1], c[0])]
+    theta = [_exponent(w, spacing) for w in _roots(c2, c1, c0)]
     if any(map(math.isnan, theta)):
         return [NAN, NAN]
     return sorted(theta, reverse=True)
@@ -264,13 +286,19 @@ def _exponent(w: complex, spacing: float) -> float:
 
 
 def _sine(c: Sequence[float], spacing: float) -> list[float]:
-    if not c[0]:
+    c0, c1, c2 = c
+    if not c0:
         return [NAN]
-    roots = _roots(c[0], c[1], c[2])
+    roots = _roots(c0, c1, c2)
     theta = Sine().theta_from_roots(roots, spacing)
     return [float(theta[0])]
 
 
+_KINDS = {
+    ("exponential",): RecoveryKind.EXPONENTIAL,
+    ("exponential", "exponential"): RecoveryKind.EXPONENTIALS,
+    ("sine",): RecoveryKind.SINE,
+}
 _FORMULAS = {
     RecoveryKind.EXPONENTIAL: _exponential,
     RecoveryKind.EXPONENTIALS: _exponentials,
@@ -287,9 +315,12 @@ def _roots(a: float, b: float, c: float) -> tuple[complex, complex]:
     discriminant = b * b - 4.0 * a * c
     if discriminant < 0.0:
         root = cmath.sqrt(discriminant)
-        first = (-b + root) / (2.0 * a)
-        second = (-b - root) / (2.0 * a)
+        denominator = 2.0 * a
+        first = (-b + root) / denominator
+        second = (-b - root) / denominator
         return first, second
-    signed_root = math.copysign(math.sqrt(discriminant), b)
-    half = -0.5 * (b + signed_root)
-    return (half / a, c / half) if half else (0.0, 0.0)
+    real_root = math.sqrt(discriminant)
+    numerator = -0.5 * (b + math.copysign(real_root, b))
+    if numerator == 0.0:
+        return 0.0, 0.0
+    return numerator / a, c / numerator

@@ -24,7 +24,9 @@ RANK_TOLERANCE = 1e-9  # of singular values, relative to matrices normalized to 
 
 def rank(matrix: Matrix, rtol: float = RANK_TOLERANCE) -> int:
     """Count the singular values above ``rtol`` times the largest one; 0 for an empty matrix."""
-    return int(np.linalg.matrix_rank(matrix, rtol=rtol)) if matrix.size else 0
+    if not matrix.size:
+        return 0
+    return int(np.linalg.matrix_rank(matrix, rtol=rtol))
 
 
 def without_rounding(sums: Matrix, magnitudes: Matrix, condition: float = 1.0) -> Matrix:
@@ -39,8 +41,10 @@ def without_rounding(sums: Matrix, magnitudes: Matrix, condition: float = 1.0) -
     condition : float
         Condition number of the matrix that was solved with, if any.
     """
-    bound = 8.0 * np.finfo(np.float64).eps * condition * magnitudes
-    return np.where(np.abs(sums) > bound, sums, 0.0)
+    epsilon = np.finfo(np.float64).eps
+    bound = 8.0 * epsilon * condition * magnitudes
+    significant = np.abs(sums) > bound
+    return np.where(significant, sums, 0.0)
 
 
 def null_space(matrix: Matrix, tolerance: float = RANK_TOLERANCE) -> Matrix:
@@ -48,9 +52,11 @@ def null_space(matrix: Matrix, tolerance: float = RANK_TOLERANCE) -> Matrix:
 
     The shape is ``(n, k)`` for a ``matrix`` of shape ``(m, n)``.
     """
-    values, rows = np.linalg.svd(matrix, full_matrices=True)[1:]
-    numerical_rank = int((values > tolerance).sum())
-    return np.ascontiguousarray(rows[numerical_rank:].T)
+    _, values, rows = np.linalg.svd(matrix, full_matrices=True)
+    significant = values > tolerance
+    numerical_rank = int(significant.sum())
+    remaining = rows[numerical_rank:]
+    return np.ascontiguousarray(remaining.T)
 
 
 def orthogonal_complement(basis: Matrix) -> Matrix:
@@ -58,7 +64,10 @@ def orthogonal_complement(basis: Matrix) -> Matrix:
 
     The subspace is given by its orthonormal ``basis``, shape ``(n, k)``.
     """
-    return null_space(basis.T) if basis.shape[1] else np.eye(basis.shape[0])
+    n, k = basis.shape
+    if k == 0:
+        return np.eye(n)
+    return null_space(basis.T)
 
 
 def output_nulling(A: Matrix, B: Matrix, C: Matrix, D: Matrix) -> Matrix:
@@ -79,19 +88,23 @@ def output_nulling(A: Matrix, B: Matrix, C: Matrix, D: Matrix) -> Matrix:
     p = C.shape[0]
     rate = np.linalg.norm(A) or 1.0
     outputs = _normalized(np.hstack([C, D]), axis=1)
-    from_states = np.vstack([A / rate, outputs[:, :n]])
-    from_inputs = np.vstack([B / rate, outputs[:, n:]])
+    C_scaled = outputs[:, :n]
+    D_scaled = outputs[:, n:]
+    from_states = np.vstack([A / rate, C_scaled])
+    from_inputs = np.vstack([B / rate, D_scaled])
     from_inputs = _normalized(from_inputs, axis=0)
     V = np.eye(n)
     while True:
-        no_output = np.zeros((p, V.shape[1]))
+        k = V.shape[1]
+        no_output = np.zeros((p, k))
         inside = np.vstack([V, no_output])
         reachable = np.hstack([inside, from_inputs])
-        basis, values = np.linalg.svd(reachable, full_matrices=True)[:2]
-        dimension = int((values > RANK_TOLERANCE).sum())
+        basis, values, _ = np.linalg.svd(reachable, full_matrices=True)
+        significant = values > RANK_TOLERANCE
+        dimension = int(significant.sum())
         outside = basis[:, dimension:]
         smaller = null_space(outside.T @ from_states)
-        if smaller.shape[1] == V.shape[1]:
+        if smaller.shape[1] == k:
             return smaller
         V = smaller
 
@@ -99,4 +112,5 @@ def output_nulling(A: Matrix, B: Matrix, C: Matrix, D: Matrix) -> Matrix:
 def _normalized(matrix: Matrix, axis: int) -> Matrix:
     """Scale rows (axis 1) or columns (axis 0) to length one; those of zeros stay zero."""
     lengths = np.linalg.norm(matrix, axis=axis, keepdims=True)
-    return matrix / np.where(lengths > 0.0, lengths, 1.0)
+    divisors = np.where(lengths > 0.0, lengths, 1.0)
+    return matrix / divisors

@@ -57,7 +57,8 @@ class ObserverDesign:
     @property
     def lambda_obs(self) -> float:
         """The slowest rate (37) of the error [1/s]."""
-        return float(np.abs(self.eigenvalues.real).min())
+        rates = np.abs(self.eigenvalues.real)
+        return float(rates.min())
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,13 +116,14 @@ def design(
         leave `M - L C3` not Hurwitz, or the filter rate is not positive and finite.
     """
     _check_options(L, poles, filter_rate)
+    A_a = reduced.A_a
+    B_1a = reduced.B_1a
     C3 = reduced.C3
     G = decoupling_matrix(reduced)
     F = reduced.B_2a @ G
-    M = reduced.A_a - F @ (C3 @ reduced.A_a)
-    N = reduced.B_1a - F @ (C3 @ reduced.B_1a)
-    no_inputs = np.zeros((len(M), 0))
-    V = output_nulling(M, no_inputs, C3, np.zeros((len(C3), 0)))
+    M = A_a - F @ (C3 @ A_a)
+    N = B_1a - F @ (C3 @ B_1a)
+    V = _unobservable_subspace(M, C3)
     W = orthogonal_complement(V)
     fixed_modes = _sorted_eigenvalues(V.T @ M @ V)
     check_detectable(fixed_modes, M)
@@ -131,10 +133,11 @@ def design(
         gain = W @ place(observable, seen, poles, fixed_modes)
     else:
         gain = _given_gain(L, C3.T.shape)
-    movable = _sorted_eigenvalues(observable - W.T @ gain @ seen)
-    check_hurwitz(movable, M - gain @ C3, fixed_modes)
+    correction = W.T @ gain @ seen
+    movable = _sorted_eigenvalues(observable - correction)
+    closed = M - gain @ C3
+    check_hurwitz(movable, closed, fixed_modes)
     eigenvalues = np.sort_complex(np.concatenate([movable, fixed_modes]))
-    rate = float(filter_rate)
     return ObserverDesign(
         F=F,
         M=M,
@@ -143,7 +146,7 @@ def design(
         G=G,
         eigenvalues=eigenvalues,
         fixed_modes=fixed_modes,
-        filter_rate=rate,
+        filter_rate=float(filter_rate),
     )
 
 
@@ -164,25 +167,28 @@ def realize(reduced: ReducedSystem, observer: ObserverDesign) -> StateSpace:
         Inputs (u, y), states (z, q) with q of the size of y, outputs (x_a hat, delta hat, x_b hat,
         z, q).
     """
-    n = len(reduced.A_a)
-    n_y = len(reduced.C3)
     n_u = reduced.B_1a.shape[1]
+    n_y, n_a = reduced.C3.shape
+    n_x = n_a + n_y
+    n_v = n_u + n_y
     rate = observer.filter_rate
-    identity = np.eye(n + n_y)
-    Z = identity[:n]  # z of (z, q)
-    Q = identity[n:]  # q of (z, q)
-    U = np.eye(n_u, n_u + n_y)  # u of (u, y)
+    identity = np.eye(n_x)
+    Z = identity[:n_a]  # z of (z, q)
+    Q = identity[n_a:]  # q of (z, q)
+    U = np.eye(n_u, n_v)  # u of (u, y)
     Y = _w_of_inputs(reduced)
     F = observer.F
+    L = observer.L
     magnitudes = np.abs(F) @ np.abs(Y)
     x_a = _LinearMap(Z, without_rounding(F @ Y, magnitudes))
     w_dot = _LinearMap(-rate * Q, rate * Y)
     delta = _reconstruction(reduced, observer.G, x_a=x_a, w_dot=w_dot, U=U)
     x_b = _algebraic_map(reduced, x_a=x_a, delta=delta, U=U)
-    closed = observer.M - observer.L @ reduced.C3
+    closed = observer.M - L @ reduced.C3
+    from_u = observer.N @ U
     z_dot_of_x = closed @ x_a.of_x
-    z_dot_of_v = closed @ x_a.of_v + observer.N @ U + observer.L @ Y
-    no_feedthrough = np.zeros((n + n_y, n_u + n_y))
+    z_dot_of_v = closed @ x_a.of_v + from_u + L @ Y
+    no_feedthrough = np.zeros((n_x, n_v))
     A = np.vstack([z_dot_of_x, w_dot.of_x])
     B = np.vstack([z_dot_of_v, w_dot.of_v])
     C = np.vstack([x_a.of_x, delta.of_x, x_b.of_x, Z, Q])
@@ -267,7 +273,8 @@ def identification_start_time(
     AssumptionError
         If a rate is not positive, a fraction not in (0, 1), or there is no delay.
     """
-    for name, rate in (("lambda_obs", lambda_obs), ("filter_rate", filter_rate)):
+    rates = {"lambda_obs": lambda_obs, "filter_rate": filter_rate}
+    for name, rate in rates.items():
         if not 0.0 < rate < math.inf:
             raise AssumptionError(f"(36)-(38): {name} = {rate:g}; needed a positive finite rate")
     fractions = {"epsilon_observer": epsilon_observer, "epsilon_filter": epsilon_filter}
@@ -279,7 +286,8 @@ def identification_start_time(
     T_obs = math.log(1.0 / epsilon_observer) / lambda_obs
     T_f = math.log(1.0 / epsilon_filter) / filter_rate
     D_max = max(delays)
-    return IdentificationStartTime(T_obs=T_obs, T_f=T_f, D_max=D_max, T_id=T_obs + T_f + D_max)
+    T_id = T_obs + T_f + D_max
+    return IdentificationStartTime(T_obs, T_f, D_max, T_id)
 
 
 def _freeze(matrices: ObserverDesign | StateSpace, names: Sequence[str]) -> None:
@@ -301,9 +309,17 @@ def _check_options(
         raise AssumptionError("(17): give either L or poles, not both")
 
 
+def _unobservable_subspace(M: Matrix, C3: Matrix) -> Matrix:
+    """Compute an orthonormal basis V of the states of (M, C3) that C3 does not see."""
+    no_inputs = np.zeros((len(M), 0))
+    no_feedthrough = np.zeros((len(C3), 0))
+    return output_nulling(M, no_inputs, C3, no_feedthrough)
+
+
 def _w_of_inputs(reduced: ReducedSystem) -> Matrix:
     """Return the matrix of `w = y - C4 u` in terms of (u, y), shape ``(n_y, n_u + n_y)``."""
-    return np.hstack([-reduced.C4, np.eye(len(reduced.C3))])
+    n_y = len(reduced.C3)
+    return np.hstack([-reduced.C4, np.eye(n_y)])
 
 
 def _reconstruction(
@@ -312,8 +328,10 @@ def _reconstruction(
     """Compute `delta = G (w' - C3 A_a x_a - C3 B_1a u)` (20)."""
     C3_A = reduced.C3 @ reduced.A_a
     C3_B = reduced.C3 @ reduced.B_1a
-    of_x = w_dot.of_x - C3_A @ x_a.of_x
-    of_v = w_dot.of_v - C3_A @ x_a.of_v - C3_B @ U
+    drift_of_x = C3_A @ x_a.of_x
+    drift_of_v = C3_A @ x_a.of_v
+    of_x = w_dot.of_x - drift_of_x
+    of_v = w_dot.of_v - drift_of_v - C3_B @ U
     return _LinearMap(G @ of_x, G @ of_v)
 
 
@@ -325,10 +343,14 @@ def _algebraic_map(
     Ku = reduced.Ku
     Kd = reduced.Kd
     of_x = Kx @ x_a.of_x + Kd @ delta.of_x
-    of_v = Kx @ x_a.of_v + Ku @ U + Kd @ delta.of_v
-    from_x_a = np.abs(Kx) @ np.abs(x_a.of_v)
-    from_delta = np.abs(Kd) @ np.abs(delta.of_v)
-    magnitudes = from_x_a + np.abs(Ku) @ U + from_delta
+    from_x_a = Kx @ x_a.of_v
+    from_u = Ku @ U
+    from_delta = Kd @ delta.of_v
+    of_v = from_x_a + from_u + from_delta
+    size_from_x_a = np.abs(Kx) @ np.abs(x_a.of_v)
+    size_from_u = np.abs(Ku) @ U
+    size_from_delta = np.abs(Kd) @ np.abs(delta.of_v)
+    magnitudes = size_from_x_a + size_from_u + size_from_delta
     return _LinearMap(of_x, without_rounding(of_v, magnitudes))
 
 

@@ -36,25 +36,30 @@ def place(A: Matrix, C: Matrix, poles: Sequence[complex], fixed_modes: ComplexVe
         in pairs, one is repeated more often than C has independent rows, or the placement is too
         ill conditioned.
     """
-    flat = np.asarray(poles, dtype=np.complex128).reshape(-1)
-    wanted = np.sort_complex(flat)
+    given = np.asarray(poles, dtype=np.complex128)
+    wanted = np.sort_complex(given.reshape(-1))
     _check_poles(wanted, len(A), fixed_modes)
     left, values, right = np.linalg.svd(C, full_matrices=False)
     largest = values.max(initial=0.0)
-    k = int((values > RANK_TOLERANCE * largest).sum())
+    significant = values > RANK_TOLERANCE * largest
+    k = int(significant.sum())
     rows = values[:k, None] * right[:k]  # the independent rows of C, C = left rows
     if k == 1:
-        gain = _ackermann(A, rows[0], wanted)[:, None]
+        gain_vector = _ackermann(A, rows[0], wanted)
+        gain = gain_vector[:, None]
     else:
         gain = _place_with_several_outputs(A, rows, wanted)
-    _check_placed(A, A - gain @ rows, wanted)
-    L: Matrix = gain @ left[:, :k].T
+    closed = A - gain @ rows
+    _check_placed(A, closed, wanted)
+    to_rows = left[:, :k].T
+    L: Matrix = gain @ to_rows
     return L
 
 
 def modes(eigenvalues: Sequence[complex] | ComplexVector) -> str:
     """Format eigenvalues for a message: `+1, -2+3j`, or `none`."""
-    return ", ".join(_mode(complex(value)) for value in eigenvalues) or "none"
+    formatted = [_mode(complex(value)) for value in eigenvalues]
+    return ", ".join(formatted) or "none"
 
 
 def _mode(value: complex) -> str:
@@ -64,12 +69,13 @@ def _mode(value: complex) -> str:
 
 def _check_poles(poles: ComplexVector, n: int, fixed_modes: ComplexVector) -> None:
     if len(poles) != n:
+        fixed = modes(fixed_modes)
         raise AssumptionError(
-            f"(17): {len(poles)} poles given; needed {n}, as many as L can place; "
-            f"fixed: {modes(fixed_modes)}"
+            f"(17): {len(poles)} poles given; needed {n}, as many as L can place; fixed: {fixed}"
         )
-    finite = np.isfinite(poles).all()
-    if not finite or (poles.real >= 0.0).any():
+    finite = np.isfinite(poles)
+    stable = poles.real < 0.0
+    if not (finite & stable).all():
         raise AssumptionError(
             f"(17): poles {modes(poles)}; needed finite poles with negative real parts"
         )
@@ -86,10 +92,10 @@ def _check_placed(A: Matrix, closed: Matrix, wanted: ComplexVector) -> None:
     reached = np.poly(placed / scale)
     needed = np.poly(wanted / scale)
     if not np.allclose(reached, needed, rtol=PLACED, atol=PLACED):
-        open_loop = np.linalg.eigvals(A).astype(np.complex128)
+        open_loop = modes(np.linalg.eigvals(A).astype(np.complex128))
         raise AssumptionError(
             f"(17): poles {modes(wanted)} cannot be placed accurately, found {modes(placed)}; "
-            f"choose poles further apart or closer to {modes(open_loop)}"
+            f"choose poles further apart or closer to {open_loop}"
         )
 
 
@@ -100,8 +106,10 @@ def _ackermann(A: Matrix, c: Vector, poles: ComplexVector) -> Vector:
     with the given roots. It allows poles of any multiplicity.
     """
     n = len(A)
-    observability = np.array([c @ np.linalg.matrix_power(A, k) for k in range(n)])
-    last = np.linalg.solve(observability, np.eye(n)[-1])
+    rows = [c @ np.linalg.matrix_power(A, k) for k in range(n)]
+    observability = np.array(rows)
+    last_unit = np.eye(n)[-1]
+    last = np.linalg.solve(observability, last_unit)
     for pole in poles:  # phi(A) in real factors: one per real pole, one per conjugate pair
         shifted = A @ last
         if pole.imag == 0.0:
@@ -117,15 +125,18 @@ def _place_with_several_outputs(A: Matrix, rows: Matrix, poles: ComplexVector) -
     """Compute the gain, shape ``(n, k)``, for k independent output rows (Tits and Yang)."""
     most_common = Counter(poles.tolist()).most_common(1)
     pole, multiplicity = most_common[0]
-    if multiplicity > len(rows):
+    k = len(rows)
+    if multiplicity > k:
+        repeated = modes([pole])
         raise AssumptionError(
-            f"(17): pole {modes([pole])} is given {multiplicity} times; needed at most "
-            f"{len(rows)}, the number of independent outputs"
+            f"(17): pole {repeated} is given {multiplicity} times; needed at most {k}, the number "
+            "of independent outputs"
         )
     from scipy.signal import place_poles  # half a second to import, and seldom needed
 
     with warnings.catch_warnings():
         # it warns of poles that it did not reach, which is checked afterwards
         warnings.simplefilter("ignore")
-        gain: Matrix = place_poles(A.T, rows.T, poles).gain_matrix.T
+        placement = place_poles(A.T, rows.T, poles)
+    gain: Matrix = placement.gain_matrix.T
     return gain

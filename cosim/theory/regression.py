@@ -24,11 +24,15 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from typing import TypeAlias
 
 import numpy as np
 
 from cosim.arrays import Matrix, Vector
 from cosim.errors import AssumptionError
+
+RowSet: TypeAlias = tuple[int, ...]  # rows of the matrix
+Parts: TypeAlias = tuple[RowSet, ...]  # the rows of each group
 
 # singular value of the alpha products, columns of length one, below which they count as dependent
 COLLINEAR = 1e-9
@@ -42,7 +46,7 @@ class Term:
     """
 
     row: int
-    parts: tuple[tuple[int, ...], ...]
+    parts: Parts
     sign: int
 
 
@@ -66,16 +70,20 @@ def expand(sizes: tuple[int, ...]) -> tuple[Term, ...]:
             f"(21): group sizes {list(sizes)}; needed at least one group, each with at least one "
             "basis function"
         )
-    length = sum(sizes)
-    rows = tuple(range(length + 1))
+    last_row = sum(sizes)
+    rows = range(last_row + 1)
     terms = []
     for row in rows:
-        others = rows[:row] + rows[row + 1 :]
+        others = tuple(other for other in rows if other != row)
         for parts in _partitions(others, sizes):
             sign = _sign(row, parts)
             terms.append(Term(row, parts, sign))
-    terms.sort(key=lambda term: (_column_of(length, term), term.row, term.parts))
-    return tuple(terms)
+
+    def order(term: Term) -> tuple[int, int, Parts]:
+        column = _column_of(last_row, term)
+        return column, term.row, term.parts
+
+    return tuple(sorted(terms, key=order))
 
 
 def mu(terms: Sequence[Term], delta: Matrix, alpha: Matrix) -> Matrix:
@@ -96,7 +104,8 @@ def mu(terms: Sequence[Term], delta: Matrix, alpha: Matrix) -> Matrix:
         Shape ``(N, q + 1)``; `p = -mu[:, 0]` and `m = mu[:, 1:]` (26).
     """
     columns = [term.sign * delta[:, term.row] for term in terms]
-    return np.stack(columns, axis=1) * alpha_products(terms, alpha)
+    signed_delta = np.stack(columns, axis=1)
+    return signed_delta * alpha_products(terms, alpha)
 
 
 def alpha_products(terms: Sequence[Term], alpha: Matrix) -> Matrix:
@@ -234,7 +243,8 @@ def linear_route_warning(sizes: Sequence[int]) -> str:
     length = sum(sizes)
     if len(sizes) == 1 or length < 3:
         return ""
-    unknowns = f"l = {length} with different alphas makes {count_terms(sizes) - 1} unknowns"
+    n_eta = count_terms(sizes) - 1
+    unknowns = f"l = {length} with different alphas makes {n_eta} unknowns"
     if length == 3:
         return (
             f"the linear route is marginal: {unknowns}; expect a poor condition, or merge alphas, "
@@ -246,9 +256,7 @@ def linear_route_warning(sizes: Sequence[int]) -> str:
     )
 
 
-def _partitions(
-    rows: tuple[int, ...], sizes: tuple[int, ...]
-) -> Iterator[tuple[tuple[int, ...], ...]]:
+def _partitions(rows: RowSet, sizes: tuple[int, ...]) -> Iterator[Parts]:
     """Yield each way to share the rows among groups of these sizes, once."""
     if not sizes:
         yield ()
@@ -267,7 +275,7 @@ def _column_of(row: int, term: Term) -> int:
     return 1 + holds_row.index(True)
 
 
-def _sign(row: int, parts: tuple[tuple[int, ...], ...]) -> int:
+def _sign(row: int, parts: Parts) -> int:
     """Return the sign of the permutation (row, parts[0], parts[1], ...)."""
     permutation = [row]
     for part in parts:
@@ -276,17 +284,21 @@ def _sign(row: int, parts: tuple[tuple[int, ...], ...]) -> int:
     return -1 if inversions % 2 else 1
 
 
-def _minors(rows: Matrix, parts: set[tuple[int, ...]]) -> dict[tuple[int, ...], float]:
+def _minors(rows: Matrix, parts: set[RowSet]) -> dict[RowSet, float]:
     """Compute the minors `det K_b[R_b]` of one group."""
+    minors = {}
     with np.errstate(divide="ignore"):  # det takes the logarithm of a minor that underflows to 0
-        return {part: float(np.linalg.det(rows[list(part)])) for part in parts}
+        for part in parts:
+            determinant = np.linalg.det(rows[list(part)])
+            minors[part] = float(determinant)
+    return minors
 
 
 def _check_independent(columns: Matrix, row: int, names: Sequence[str]) -> None:
     times, needed = columns.shape
     if times < needed:
         raise AssumptionError(
-            f"(26): {times} times; needed at least {needed} to tell the alpha products apart"
+            f"(26): {times} times; needed at least {needed} to distinguish the alpha products"
         )
     independent = _rank(columns)
     if independent < needed:
@@ -301,6 +313,7 @@ def _check_independent(columns: Matrix, row: int, names: Sequence[str]) -> None:
 def _rank(columns: Matrix) -> int:
     """Compute the rank of columns that are first scaled to length one."""
     lengths = np.linalg.norm(columns, axis=0)
-    normalized = columns / np.where(lengths > 0.0, lengths, 1.0)
-    values = np.linalg.svd(normalized, compute_uv=False)
-    return int((values > COLLINEAR).sum())
+    divisors = np.where(lengths > 0.0, lengths, 1.0)
+    values = np.linalg.svd(columns / divisors, compute_uv=False)
+    independent = values > COLLINEAR
+    return int(independent.sum())

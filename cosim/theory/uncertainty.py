@@ -31,9 +31,11 @@ def information(m: Matrix, dt: float) -> Matrix:
     Matrix
         Shape ``(q, q)``.
     """
-    first = np.outer(m[0], m[0])
-    last = np.outer(m[-1], m[-1])
-    matrix: Matrix = dt * (m.T @ m - (first + last) / 2.0)
+    first = m[0]
+    last = m[-1]
+    ends = np.outer(first, first) + np.outer(last, last)
+    total = m.T @ m - ends / 2.0
+    matrix: Matrix = dt * total
     return matrix
 
 
@@ -50,9 +52,11 @@ def verdict(eigenvalues: Vector, prior: float | None) -> str:
     q = len(eigenvalues)
     smallest = float(np.min(eigenvalues))
     largest = float(np.max(eigenvalues))
-    rounding = q * np.finfo(np.float64).eps * max(largest, 0.0)
+    epsilon = np.finfo(np.float64).eps
+    rounding = q * epsilon * max(largest, 0.0)
     if smallest <= rounding:
-        rank = int((np.asarray(eigenvalues) > rounding).sum())
+        above_rounding = np.asarray(eigenvalues) > rounding
+        rank = int(above_rounding.sum())
         decided_by_prior = "; the prior alone decides it" if prior else ""
         return (
             f"the regressor is not persistently exciting (rank {rank} of {q}): the smallest "
@@ -72,9 +76,10 @@ def verdict(eigenvalues: Vector, prior: float | None) -> str:
     if ratio < COMPARABLE:
         return f"{compared}: {exciting}, {condition}"
     weight = ratio / (1.0 + ratio)
-    affected = int((prior >= COMPARABLE * np.asarray(eigenvalues)).sum())
+    affected = prior >= COMPARABLE * np.asarray(eigenvalues)
+    n_affected = int(affected.sum())
     return (
         f"{compared}: the estimate in that direction is the prior's, not the data's (weight of the "
-        f"prior {weight:.2g}); {affected} of {q} directions are affected, {condition}; raise P0 or "
-        "leave it out"
+        f"prior {weight:.2g}); {n_affected} of {q} directions are affected, {condition}; raise P0 "
+        "or leave it out"
     )

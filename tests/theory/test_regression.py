@@ -199,7 +199,7 @@ def grid(*functions, delays=DELAYS):
 
 
 def test_the_papers_alphas_are_independent():
-    """Its six columns can be told apart, without any data."""
+    """Its six columns are distinguishable without any data."""
     check_alpha_products(
         expand((1, 1)), alpha(np.subtract.outer(np.linspace(5.0, 40.0, 400), DELAYS)), ["a", "b"]
     )
@@ -223,7 +223,7 @@ def test_the_papers_alphas_are_independent():
         ),
         (
             grid(np.cos, lambda t: 2 + np.sin(t))[:1],
-            r"1 times; needed at least 2 to tell the alpha products apart",
+            r"1 times; needed at least 2 to distinguish the alpha products",
         ),
     ],
 )
