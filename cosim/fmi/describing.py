@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -46,11 +46,19 @@ def describe(model: DescribedModel, name: str, linear: LinearModel | None) -> De
     FmuError
         If a state has the name of another variable.
     """
+    output_states = states_of_outputs(linear) if linear else [-1] * model.interface.n_y
     inputs = _inputs(model)
-    outputs = _outputs(model, linear, first_reference=len(inputs))
-    first_reference = len(inputs) + len(outputs)
-    states = _derivatives_and_states(model, linear, outputs, first_reference)
-    variables = [*inputs, *outputs, *states]
+    outputs = _outputs(model, linear, output_states)
+    shown = {}
+    for output, state in zip(outputs, output_states, strict=True):
+        if state >= 0:
+            shown[output.name] = output
+    variables = [
+        *inputs,
+        *outputs,
+        *_derivatives(model, shown),
+        *_other_states(model, linear, shown),
+    ]
     names = [variable.name for variable in variables]
     duplicates = [name for name in names if names.count(name) > 1]
     if duplicates:
@@ -79,13 +87,13 @@ def _inputs(model: DescribedModel) -> list[Variable]:
 
 
 def _outputs(
-    model: DescribedModel, linear: LinearModel | None, first_reference: int
+    model: DescribedModel, linear: LinearModel | None, output_states: Sequence[int]
 ) -> list[Variable]:
-    states = states_of_outputs(linear) if linear else [-1] * model.interface.n_y
-    variables: list[Variable] = []
+    variables = []
+    reference = model.interface.n_u
     elements = _elements(model.interface.outputs)
-    for reference, (signal, element) in enumerate(elements, first_reference):
-        initial, start = _initial_state(linear, states[len(variables)])
+    for (signal, element), state in zip(elements, output_states, strict=True):
+        initial, start = _initial_state(linear, state)
         variable = Variable(
             element,
             reference,
@@ -97,21 +105,16 @@ def _outputs(
             doc=_doc(signal),
         )
         variables.append(variable)
+        reference += 1
     return variables
 
 
-def _derivatives_and_states(
-    model: DescribedModel,
-    linear: LinearModel | None,
-    outputs: Sequence[Variable],
-    first_reference: int,
-) -> list[Variable]:
-    """Return the derivatives, then the states that are no outputs."""
-    states = states_of_outputs(linear) if linear else [-1] * len(outputs)
-    output_of = {v.name: v for v, state in zip(outputs, states, strict=True) if state >= 0}
+def _derivatives(model: DescribedModel, shown: Mapping[str, Variable]) -> list[Variable]:
+    """Return the derivatives of the states; ``shown`` are the outputs that are states."""
     derivatives = []
+    first_reference = model.interface.n_u + model.interface.n_y
     for reference, state in enumerate(model.states, first_reference):
-        unit = output_of[state].unit if state in output_of else None
+        unit = shown[state].unit if state in shown else None
         derivative = Variable(
             _derivative(state),
             reference,
@@ -121,14 +124,22 @@ def _derivatives_and_states(
             derivative_of=state,
         )
         derivatives.append(derivative)
-    others = []
+    return derivatives
+
+
+def _other_states(
+    model: DescribedModel, linear: LinearModel | None, shown: Mapping[str, Variable]
+) -> list[Variable]:
+    """Return the states that are no outputs; ``shown`` are the outputs that are states."""
+    variables = []
+    first_reference = model.interface.n_u + model.interface.n_y + len(model.states)
+    # States that are outputs have a value reference here too, which is not used.
     for index, state in enumerate(model.states):
-        if state not in output_of:
+        if state not in shown:
             initial, start = _initial_state(linear, index)
-            # States that are outputs have a value reference here too, which is not used.
-            reference = first_reference + len(model.states) + index
-            others.append(Variable(state, reference, "local", initial=initial, start=start))
-    return derivatives + others
+            reference = first_reference + index
+            variables.append(Variable(state, reference, "local", initial=initial, start=start))
+    return variables
 
 
 def _initial_state(
@@ -150,6 +161,10 @@ def _elements(signals: Iterable[Signal]) -> Iterator[tuple[Signal, str]]:
             yield signal, element
 
 
+def _names(signals: Iterable[Signal]) -> list[str]:
+    return [name for _, name in _elements(signals)]
+
+
 def _derivative(state: str) -> str:
     return f"der({state})"
 
@@ -168,8 +183,8 @@ def states_of_outputs(model: LinearModel) -> list[int]:
     Both the row of C and the name must be those of the state.
     """
     states = []
-    elements = _elements(model.interface.outputs)
-    for (_, name), c, d in zip(elements, model.C, model.D, strict=True):
+    outputs = _names(model.interface.outputs)
+    for name, c, d in zip(outputs, model.C, model.D, strict=True):
         state = -1
         if name in model.states and np.count_nonzero(c) == 1 and not d.any():
             index = model.states.index(name)
@@ -183,10 +198,10 @@ def _dependencies(model: DescribedModel, linear: LinearModel | None) -> Dependen
         return _linear_dependencies(linear)
     interface = model.interface
     dependencies: dict[str, tuple[str, ...] | None] = {}
-    for signal, element in _elements(interface.outputs):
+    for signal in interface.outputs:
         feeding = interface.feeds(signal.name)
-        names = [name for source, name in _elements(interface.inputs) if source.name in feeding]
-        dependencies[element] = tuple(names)
+        inputs = _names(source for source in interface.inputs if source.name in feeding)
+        dependencies |= dict.fromkeys(signal.elements, tuple(inputs))
     for state in model.states:
         dependencies[_derivative(state)] = None
     return dependencies
@@ -194,9 +209,9 @@ def _dependencies(model: DescribedModel, linear: LinearModel | None) -> Dependen
 
 def _linear_dependencies(linear: LinearModel) -> Dependencies:
     """Return the inputs and states whose entries in the rows of the matrices are not zero."""
-    inputs = [name for _, name in _elements(linear.interface.inputs)]
-    outputs = [name for _, name in _elements(linear.interface.outputs)]
-    unknowns = [*outputs, *(_derivative(state) for state in linear.states)]
+    inputs = _names(linear.interface.inputs)
+    derivatives = [_derivative(state) for state in linear.states]
+    unknowns = _names(linear.interface.outputs) + derivatives
     by_state = [*linear.C, *linear.A]
     by_input = [*linear.D, *linear.B]
     dependencies = {}

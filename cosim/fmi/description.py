@@ -360,7 +360,7 @@ def _start(group: Sequence[Variable]) -> tuple[float, ...]:
 
 
 def _vectors(variables: Sequence[Variable]) -> dict[str, tuple[Variable, ...]]:
-    """Put scalars ``n[0], n[1], ...`` (or from 1) together again; others stand alone.
+    """Combine scalars ``n[0], n[1], ...`` (or from 1) to vectors; others stay alone.
 
     A vector stands where the first of its elements stands in the file.
     """

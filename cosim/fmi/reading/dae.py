@@ -171,7 +171,8 @@ def _check_count(
 
     A fully implicit form, where equations depend on derivatives, has equations for the states too.
     """
-    derivatives = {v.name for v in reader.named.values() if v.derivative_of is not None}
+    variables = reader.named.values()
+    derivatives = {v.name for v in variables if v.derivative_of is not None}
     for residual in residuals:
         for formulation in residual:
             if not derivatives.isdisjoint(formulation.dependencies or ()):

@@ -117,9 +117,8 @@ class _UnknownsReader:
                 self._attributes.problems.append(f"{where}: {self._key}={found} is no variable")
                 continue
             name = self._names[number]
-            unknowns[name] = known_names(
-                element, self._names, f"{where} {name!r}", self._attributes
-            )
+            which = f"{where} {name!r}"
+            unknowns[name] = known_names(element, self._names, which, self._attributes)
         return unknowns
 
 

@@ -71,7 +71,8 @@ def read(path: Path | str, into: Path | None = None) -> Archive:
     problems: list[str] = []
     description = describe_root(root, contents, path.stem, problems)
     if problems:
-        raise FmuError("\n".join(f"{path}: {XML}: {problem}" for problem in problems))
+        lines = [f"{path}: {XML}: {problem}" for problem in problems]
+        raise FmuError("\n".join(lines))
     xml = contents.wanted[XML].decode("utf-8", "replace")
     return Archive(path, contents.sha256, xml, contents.members, description)
 
@@ -93,8 +94,7 @@ def open_description(path: Path, into: Path | None = None) -> tuple[Element, Arc
     except ValueError as error:
         raise FmuError(f"{path}: {XML} is not well-formed: {error}") from error
     version = root.get("fmiVersion")
-    is_known = version in ("1.0", "2.0") or (version or "").startswith("3.")
-    if not is_known:
+    if version not in ("1.0", "2.0") and not (version or "").startswith("3."):
         raise FmuError(
             f"{path}: unknown FMI version {version!r}; FMI 1.0, 2.0 and 3.0 are supported"
         )
@@ -129,7 +129,8 @@ def describe_root(
     structure = read_structure(root, variables, attributes)
     named = {variable.name: variable for variable in variables}
     states = name_states(structure.derivatives, named, problems)
-    token = attributes.text(root, "instantiationToken" if version == 3 else "guid", root.tag)
+    token_name = "instantiationToken" if version == 3 else "guid"
+    token = attributes.text(root, token_name, root.tag)
     capabilities = read_capabilities(root, attributes)
     default_step, default_tolerance = _read_experiment(root, attributes)
     dae = None

@@ -131,15 +131,13 @@ def read_variables(
     version = major(root)
     reader = _VariableReader(version, definitions, attributes)
     elements = list(root.iterfind("ModelVariables/*"))
+    # All variables come before the first size, which may be a structural parameter's value.
     without_sizes = [reader.variable(element) for element in elements]
     by_reference = {variable.reference: variable for variable in without_sizes}
-    sized = [
-        _with_size(variable, element, by_reference, attributes)
-        for element, variable in zip(elements, without_sizes, strict=True)
-    ]
     variables: list[Variable] = []
     aliases: list[Variable] = []
-    for element, variable in zip(elements, sized, strict=True):
+    for element, without_size in zip(elements, without_sizes, strict=True):
+        variable = _with_size(without_size, element, by_reference, attributes)
         if version > 1 or element.get("alias") != "negatedAlias":
             variables.append(variable)
         aliases += _aliases(variable, element)
@@ -170,7 +168,8 @@ class _VariableReader:
         if known_type is None:
             attributes.problems.append(f"{where}: its type is none of FMI {version}")
         variable_type = known_type or "Float64"
-        declared = self._definitions.types.get(typed.get("declaredType", ""), Element("none"))
+        declared_type = typed.get("declaredType", "")
+        declared = self._definitions.types.get(declared_type, Element("none"))
         minimum = self._number(typed, declared, "min", where)
         maximum = self._number(typed, declared, "max", where)
         nominal = self._number(typed, declared, "nominal", where)
@@ -221,7 +220,9 @@ class _VariableReader:
         if typed.tag in ("Real", "Boolean", *FLOATS):
             return self._attributes.numbers(typed.get("start"), f"{where}: start")
         numbers = self._attributes.integers(typed, "start", where)
-        if numbers is None or any(abs(number) > LARGEST_EXACT for number in numbers):
+        if numbers is None:
+            return None
+        if any(abs(number) > LARGEST_EXACT for number in numbers):
             return None
         return tuple(float(number) for number in numbers)
 
@@ -356,12 +357,15 @@ def _check_start_count(
     values: tuple[object, ...] | None, size: int, where: str, attributes: Attributes
 ) -> None:
     if values is not None and len(values) != size:
+        count = len(values)
         elements = "elements" if size > 1 else "element"
-        attributes.problems.append(f"{where}: has {len(values)} start values for {size} {elements}")
+        attributes.problems.append(f"{where}: has {count} start values for {size} {elements}")
 
 
 def _repeated(values: tuple[Value, ...] | None, size: int) -> tuple[Value, ...] | None:
-    return values * size if values is not None and len(values) == 1 else values
+    if values is None or len(values) != 1:
+        return values
+    return values * size
 
 
 def _aliases(variable: Variable, element: Element) -> list[Variable]:
