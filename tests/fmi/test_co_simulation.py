@@ -1,4 +1,7 @@
-"""Co-simulation units that misbehave in every way the standard allows, and some it does not: the lag of ``c/lag.h``."""
+"""Co-simulation FMUs that misbehave in every way the standard allows, and some it does not.
+
+All of them are the lag of ``c/lag.h``.
+"""
 
 from functools import cache
 
@@ -14,26 +17,29 @@ from tests.fmi import lag
 from tests.fmi.lag import on_a_line, on_a_sine
 
 HELD = np.array([False, True])  # u, d
-U0, SLOPE = 0.5, 0.7
+U0 = 0.5
+SLOPE = 0.7
 # Values near 1 over at most 100 steps, each rounding a few times: below 100 * 10 * 2^-53 = 1.1e-13.
 ROUNDING = 2e-13
-X, Y, CALLS, Z = 0, 1, 2, 3
+X = 0
+Y = 1
+CALLS = 2
+Z = 3
 
 
 @pytest.fixture(scope="session")
 def path(tmp_path_factory):
-    """Give the lag of a version that can something: one file each, as those that can save states are tried when first loaded."""
+    """Return the path of the lag of a version with some capabilities.
+
+    One file each, as those that can save states are tried when first loaded.
+    """
     folder = tmp_path_factory.mktemp("lag")
     compiled = {version: lag.build(folder, version) for version in "123"}
 
     @cache
     def path(version, *can):
-        return lag.able(
-            compiled[version],
-            folder / f"{version}-{'-'.join(can)}.fmu".replace(" ", "_"),
-            version,
-            *can,
-        )
+        name = f"{version}-{'-'.join(can)}.fmu".replace(" ", "_")
+        return lag.able(compiled[version], folder / name, version, *can)
 
     return path
 
@@ -61,15 +67,18 @@ def sine(t):
 
 
 def run(fmu, *, step=0.1, stop=1.0, u=line, held=HELD, blocks=None):
-    """Give the outputs at every communication point, shape (steps + 1, 3)."""
+    """Return the outputs at every communication point, shape (steps + 1, 3)."""
     steps = round(stop / step)
     t = np.arange(steps + 1) * round(step * 1e9) / 1e9
-    rows, size = u(t), blocks or steps
-    fmu.component.prepare(step, held, {})
-    found = [fmu.component.initialize(0.0, rows[0])[np.newaxis]]
+    inputs = u(t)
+    size = blocks or steps
+    component = fmu.component
+    component.prepare(step, held, {})
+    y = [component.initialize(0.0, inputs[0])[np.newaxis]]
     for k in range(0, steps, size):
-        found.append(fmu.component.advance(t[k : k + size + 1], step, rows[k : k + size + 1]))
-    return np.concatenate(found)
+        rows = slice(k, k + size + 1)
+        y.append(component.advance(t[rows], step, inputs[rows]))
+    return np.concatenate(y)
 
 
 def times(step=0.1, stop=1.0):
@@ -81,43 +90,55 @@ def times(step=0.1, stop=1.0):
 
 @pytest.mark.parametrize(("version", "can"), [("2", ("D",)), ("3", ("D",)), ("3", ("D", "events"))])
 def test_mean_inputs_are_second_order_and_D_makes_feedthrough_so(opened, version, can):
-    """Halving the step quarters the error of x and of y = x + u; what is read is never read after inputs were set."""
-    coarse, fine = (
-        abs(run(opened(version, *can), step=h, u=sine)[1:, :2] - reference(h)[1:]).max(axis=0)
-        for h in (0.1, 0.05)
-    )
-    assert ((coarse / fine > 3.8) & (coarse / fine < 4.2)).all()
+    """Halving the step quarters the error of x and of y = x + u.
+
+    The FMU would give stale values where outputs are read after inputs were set.
+    """
+
+    def error(h):
+        y = run(opened(version, *can), step=h, u=sine)
+        return abs(y[1:, :2] - reference(h)[1:]).max(axis=0)
+
+    ratio = error(0.1) / error(0.05)
+    assert ((ratio > 3.8) & (ratio < 4.2)).all()
     assert opened(version, *can).component.notes == ()
 
 
 def reference(h):
     t = times(h)
-    return np.column_stack([on_a_sine(t), on_a_sine(t) + np.sin(t)])
+    x = on_a_sine(t)
+    return np.column_stack([x, x + np.sin(t)])
 
 
 @pytest.mark.parametrize("version", ["1", "2", "3"])
 def test_feedthrough_without_D_is_first_order_and_said_to_be(opened, version):
-    """y belongs to the mean input: on a line it is wrong by slope h/2, and x by second order."""
+    """y belongs to the mean input: on a ramp it is wrong by slope h/2, and x by second order."""
     for h in (0.1, 0.05):
         error = run(opened(version), step=h)[1:, :2] - exact(h)[1:]
-        assert error[:, Y] - error[:, X] == pytest.approx(-SLOPE * h / 2, abs=ROUNDING)
+        difference = error[:, Y] - error[:, X]
+        assert difference == pytest.approx(-SLOPE * h / 2, abs=ROUNDING)
     assert opened(version).component.notes == (
-        "lag: y depends directly on inputs; what is read belongs to the inputs inside the step, not at its end (first order in "
-        "the step), as the FMU has no directional derivatives",
+        "lag: y depends directly on inputs; what is read belongs to the inputs inside the step, "
+        "not at its end (first order in the step), as the FMU has no directional derivatives",
     )
 
 
 @pytest.mark.parametrize(("version", "can"), [("2", ("D",)), ("2", ()), ("3", ("D",)), ("3", ())])
 def test_outputs_are_what_was_read_last_corrected_by_D(opened, version, can):
-    """For u = 5 at the end, y = x + 5 where D is known; else what belongs to the mean. An eager unit would give stale values."""
+    """For u = 5 at the end, y = x + 5 where D is known; else what belongs to the mean.
+
+    An eager FMU would give stale values.
+    """
     component = opened(version, *can).component
     component.prepare(0.1, HELD, {})
     component.initialize(0.0, line(times())[0])
     x = component.advance(times(), 0.1, line(times()))[-1, X]
+    mean = U0 + SLOPE * 0.95
+    expected = x + (5.0 if can else mean)
     for _ in range(2):
-        found = component.outputs(1.0, np.array([5.0, 0.0]))
-        assert found[X] == x
-        assert found[Y] == pytest.approx(x + 5.0 if can else x + U0 + SLOPE * 0.95, abs=ROUNDING)
+        y = component.outputs(1.0, np.array([5.0, 0.0]))
+        assert y[X] == x
+        assert y[Y] == pytest.approx(expected, abs=ROUNDING)
 
 
 def exact(h=0.1, stop=1.0):
@@ -127,64 +148,83 @@ def exact(h=0.1, stop=1.0):
 
 
 @pytest.mark.parametrize("version", ["1", "2", "3"])
-def test_units_that_interpolate_are_exact_on_lines(opened, version):
-    """The unit's own step is exact on a line, and its outputs belong to the end of it; a discrete input gets no derivative."""
+def test_fmus_that_interpolate_are_exact_on_ramps(opened, version):
+    """The FMU's own step is exact on a ramp, and its outputs belong to the end of it.
+
+    A discrete input gets no derivative.
+    """
     assert abs(run(opened(version, "lines"))[:, :2] - exact()).max() < ROUNDING
 
 
 def test_an_input_that_cannot_be_set_inside_a_step_has_its_mean(opened):
-    """u = 1 - t on its line, d = t: x follows u exactly and the means of d, so its error is that of the means alone."""
+    """u = 1 - t is interpolated, d = t is not: x follows u exactly, and the means of d."""
 
     def u(t):
         return np.column_stack([1.0 - t, t])
 
     y = run(opened("3", "lines", "d moves"), u=u, held=np.zeros(2, np.bool_))
-    x, decay = on_a_line(times(), 1.0, -1.0), np.exp(-0.1)
+    t = times()
+    x = on_a_line(t, 1.0, -1.0)
+    decay = np.exp(-0.1)
     for k in range(1, 11):
-        x[k:] += (k - 0.5) * 0.1 * (1.0 - decay) * np.exp(-(times()[k:] - times()[k]))
+        mean = (k - 0.5) * 0.1
+        x[k:] += mean * (1.0 - decay) * np.exp(-(t[k:] - t[k]))
     assert y[:, X] == pytest.approx(x, abs=ROUNDING)
 
 
 @pytest.mark.parametrize("can", [(), ("D",)])
-def test_a_unit_that_never_asks_for_inputs_gets_their_mean(opened, can):
-    """Its inputs stayed at u0 in the first step; from the second on it is as any other, and that is said once.
+def test_an_fmu_that_never_asks_for_inputs_gets_their_mean(opened, can):
+    """Its inputs stayed at u0 in the first step; from the second on it is as any other.
 
-    The outputs are right in the first step too, where D is known: what is read belongs to u0.
+    That is reported once. The outputs are right in the first step too, where D is known: what is
+    read belongs to u0.
     """
-    fmu, plain = opened("3", "lines", *can, asks=0.0), opened("3", *can)
-    y, expected = run(fmu), run(plain)
-    late = U0 * (1.0 - np.exp(-0.1)) * np.exp(0.1 - times()[1:])  # u0 in the first step
-    later = expected[1:, X] - (U0 + SLOPE * 0.05) * (1.0 - np.exp(-0.1)) * np.exp(0.1 - times()[1:])
-    assert y[1:, X] == pytest.approx(late + later, abs=ROUNDING)
-    assert y[2:, Y] - y[2:, X] == pytest.approx(expected[2:, Y] - expected[2:, X], abs=ROUNDING)
-    assert y[1, Y] - y[1, X] == pytest.approx(U0 + SLOPE * 0.1 if can else U0, abs=ROUNDING)
-    assert fmu.drain() == [
-        (
-            0.0,
-            "warning",
-            "",
-            "lag: asked for no inputs in the step from t = 0.0 s, though it says it can (providesIntermediateUpdate): they "
-            "stayed at their start there; from then on it gets their mean, and what outputs show of inputs directly belongs to "
-            "that",
-        )
-    ]
+    fmu = opened("3", "lines", *can, asks=0.0)
+    y = run(fmu)
+    expected = run(opened("3", *can))
+    # What the input of the first step adds to x from then on, relative to its value.
+    first_step = (1.0 - np.exp(-0.1)) * np.exp(0.1 - times()[1:])
+    mean = U0 + SLOPE * 0.05
+    x = expected[1:, X] + (U0 - mean) * first_step
+    assert y[1:, X] == pytest.approx(x, abs=ROUNDING)
+    fed = y[:, Y] - y[:, X]
+    expected_fed = expected[:, Y] - expected[:, X]
+    assert fed[2:] == pytest.approx(expected_fed[2:], abs=ROUNDING)
+    assert fed[1] == pytest.approx(U0 + SLOPE * 0.1 if can else U0, abs=ROUNDING)
+    warning = (
+        "lag: asked for no inputs in the step from t = 0.0 s, though it says it can "
+        "(providesIntermediateUpdate): they stayed at their start there; from then on it gets "
+        "their mean, and what outputs show of inputs directly belongs to that"
+    )
+    assert fmu.drain() == [(0.0, "warning", "", warning)]
     assert np.array_equal(run(fmu), y)
     assert fmu.drain() == []
 
 
 def test_outputs_belong_to_the_inputs_that_were_asked_for_last(opened):
-    """A unit that asks at the start of the step only: y is corrected by D from u0 to u1; x keeps its own first-order error."""
+    """An FMU that asks at the start of the step only: y is corrected by D from u0 to u1.
+
+    x keeps its own first-order error.
+    """
     y = run(opened("3", "lines", "D", asks=1.0))
-    assert y[:, Y] - y[:, X] == pytest.approx(line(times())[:, 0], abs=ROUNDING)
+    fed = y[:, Y] - y[:, X]
+    assert fed == pytest.approx(line(times())[:, 0], abs=ROUNDING)
 
 
 @pytest.mark.parametrize("version", ["1", "2", "3"])
 def test_the_contract_is_kept(opened, version):
-    """Blocks of any size give equal bits, restore(save()) is the identity; with D outputs follow the inputs."""
-    everything = tuple(can for can in lag.CAN[version] if not can.startswith(("inner", "d ")))
-    check_component(lambda: opened(version, *everything).component, steps=12, h=0.1)
+    """Blocks of any size give equal bits, restore(save()) is the identity.
+
+    With D outputs follow the inputs.
+    """
+    everything = [can for can in lag.CAN[version] if not can.startswith(("inner", "d "))]
+
+    def make():
+        return opened(version, *everything).component
+
+    check_component(make, steps=12, h=0.1)
     if "state" in everything:
-        check_rollback(lambda: opened(version, *everything).component, steps=12, h=0.1)
+        check_rollback(make, steps=12, h=0.1)
 
 
 def test_a_held_input_that_loses_its_value_at_the_end_kept_it_until_then(opened):
@@ -192,7 +232,8 @@ def test_a_held_input_that_loses_its_value_at_the_end_kept_it_until_then(opened)
     component = opened("2").component
     component.prepare(0.1, np.ones(2, np.bool_), {})
     component.initialize(0.0, np.array([1.0, 0.0]))
-    y = component.advance(np.array([0.0, 0.1]), 0.1, np.array([[1.0, 0.0], [np.nan, 0.0]]))
+    u = np.array([[1.0, 0.0], [np.nan, 0.0]])
+    y = component.advance(np.array([0.0, 0.1]), 0.1, u)
     assert y[0, X] == pytest.approx(1.0 - np.exp(-0.1), abs=ROUNDING)
 
 
@@ -204,23 +245,25 @@ HALVING = [("2", ("state", "any step")), ("3", ("any step",))]
 
 @pytest.mark.parametrize(("version", "can"), HALVING)
 def test_a_discarded_step_is_done_in_halves(opened, version, can):
-    """From 0.4 s to 0.6 s only steps of 0.03 s: two steps of 0.1 s become four of 0.025 s each; then they grow again.
+    """From 0.4 s to 0.6 s only steps of 0.03 s: two steps of 0.1 s become four of 0.025 s each.
 
-    FMI 2 leaves the state spoilt by 1e6, so it was restored; FMI 3 leaves it as it was. Parts have their own mean inputs, so x
-    is that of steps of 0.025 s there: the exact solution for the means.
+    FMI 2 leaves the state spoilt by 1e6, so it was restored; FMI 3 leaves it as it was. Parts have
+    their own mean inputs, so x is that of steps of 0.025 s there: the exact solution for the means.
     """
     y = run(opened(version, *can, longest=0.03, begin=0.4, until=0.6))
     assert np.array_equal(np.diff(y[:, CALLS]), [1, 1, 1, 1, 4, 4, 1, 1, 1, 1])
-    x, t = 0.0, 0.0
+    x = 0.0
+    t = 0.0
     for h in [0.1] * 4 + [0.025] * 8 + [0.1] * 4:
         mean = U0 + SLOPE * (t + h / 2)
-        x, t = mean + (x - mean) * np.exp(-h), t + h
+        x = mean + (x - mean) * np.exp(-h)
+        t += h
     assert y[-1, X] == pytest.approx(x, abs=ROUNDING)
 
 
 @pytest.mark.parametrize(("version", "can"), HALVING)
-def test_halves_keep_to_the_line_of_an_interpolating_unit(opened, version, can):
-    """Wherever the step is cut, the inputs are on their line."""
+def test_halves_keep_to_the_ramp_of_an_interpolating_fmu(opened, version, can):
+    """Wherever the step is cut, the inputs are on their ramp."""
     y = run(opened(version, "lines", *can, longest=0.03, begin=0.35, until=0.6))
     assert y[-1, CALLS] > 10
     assert abs(y[:, :2] - exact()).max() < ROUNDING
@@ -239,43 +282,36 @@ def test_halves_do_not_depend_on_blocks(opened, version, can, blocks):
 def test_discards_without_end_stop_the_run(opened, version, can):
     """After 10 halvings, so below 0.1 s / 1024, with the rows that were completed."""
     fmu = opened(version, *can, longest=0.0, begin=0.5)
-    text = r"lag: discarded the step of 9\.76\d*e-05 s from t = 0\.5 s; no smaller one is tried, as the communication step of 0\.1 s"
-    with pytest.raises(Stopped, match=f"{text} was halved 10 times") as stop:
+    message = (
+        r"lag: discarded the step of 9\.76\d*e-05 s from t = 0\.5 s; no smaller one is tried, as "
+        r"the communication step of 0\.1 s was halved 10 times"
+    )
+    with pytest.raises(Stopped, match=message) as stop:
         run(fmu)
     assert (stop.value.steps, stop.value.failed) == (5, True)
+
+
+NO_WAY_BACK = (
+    r"its state before the step cannot be restored \(canGetAndSetFMUstate is false, or not true\)"
+)
+ONE_STEP_SIZE = (
+    r"it takes steps of one size only \(canHandleVariableCommunicationStepSize is false\)"
+)
 
 
 @pytest.mark.parametrize(
     ("version", "can", "reason"),
     [
-        (
-            "1",
-            ("any step",),
-            r"its state before the step cannot be restored \(canGetAndSetFMUstate is false, or not true\)",
-        ),
-        (
-            "2",
-            ("any step",),
-            r"its state before the step cannot be restored \(canGetAndSetFMUstate is false, or not true\)",
-        ),
-        (
-            "2",
-            ("state",),
-            r"it takes steps of one size only \(canHandleVariableCommunicationStepSize is false\)",
-        ),
-        (
-            "3",
-            (),
-            r"it takes steps of one size only \(canHandleVariableCommunicationStepSize is false\)",
-        ),
+        ("1", ("any step",), NO_WAY_BACK),
+        ("2", ("any step",), NO_WAY_BACK),
+        ("2", ("state",), ONE_STEP_SIZE),
+        ("3", (), ONE_STEP_SIZE),
     ],
 )
 def test_a_discarded_step_stops_the_run_where_nothing_can_be_done(opened, version, can, reason):
     fmu = opened(version, *can, longest=0.03, begin=0.4)
-    with pytest.raises(
-        Stopped,
-        match=rf"lag: discarded the step of 0\.1 s from t = 0\.4 s; no smaller one is tried, as {reason}",
-    ) as stop:
+    discarded = r"lag: discarded the step of 0\.1 s from t = 0\.4 s; no smaller one is tried"
+    with pytest.raises(Stopped, match=f"{discarded}, as {reason}") as stop:
         run(fmu)
     assert (stop.value.steps, stop.value.failed) == (4, True)
 
@@ -284,7 +320,7 @@ def test_a_discarded_step_stops_the_run_where_nothing_can_be_done(opened, versio
 
 
 @pytest.mark.parametrize("version", ["2", "3"])
-def test_the_wish_to_end_ends_the_run_with_the_rows_completed(opened, version):
+def test_a_request_for_the_end_ends_the_run_with_the_rows_completed(opened, version):
     with pytest.raises(Stopped, match="the FMU requests the end of the run") as stop:
         run(opened(version, end=0.35))
     assert (stop.value.steps, stop.value.failed) == (3, False)
@@ -293,8 +329,8 @@ def test_the_wish_to_end_ends_the_run_with_the_rows_completed(opened, version):
 @pytest.mark.parametrize(
     "start", [{"status": -1.0, "event": 0.3, "announces": 1.0}, {"status": -2.0}]
 )
-def test_the_wish_to_end_may_come_with_a_completed_step(opened, start):
-    """In an event at 0.3 s, or with the step to it: its row counts, and the next step is not begun."""
+def test_a_request_for_the_end_may_come_with_a_completed_step(opened, start):
+    """In an event at 0.3 s, or with the step to it: its row counts, and the next is not begun."""
     fmu = opened("3", "events", "any step", end=0.3, **start)
     with pytest.raises(Stopped, match="the FMU requests the end of the run") as stop:
         run(fmu)
@@ -307,9 +343,8 @@ def test_the_wish_to_end_may_come_with_a_completed_step(opened, start):
 @pytest.mark.parametrize(("status", "name"), [(3.0, "error"), (4.0, "fatal")])
 @pytest.mark.parametrize("version", ["1", "2", "3"])
 def test_failures_carry_the_last_words(opened, version, status, name):
-    with pytest.raises(
-        Stopped, match=rf"fmi{version}?DoStep returned \d \({name}\); its last message: error: out of petrol"
-    ) as stop:
+    call = rf"fmi{version}?DoStep returned \d \({name}\)"
+    with pytest.raises(Stopped, match=f"{call}; its last message: error: out of petrol") as stop:
         run(opened(version, fail=0.35, status=status))
     assert (stop.value.steps, stop.value.failed) == (3, True)
 
@@ -319,28 +354,35 @@ def test_failures_carry_the_last_words(opened, version, status, name):
 
 @pytest.mark.parametrize("can", [(), ("lines",)])
 def test_early_returns_are_gone_on_from(opened, can):
-    """At the multiples of 0.03 s the unit returns: 10 steps of 0.1 s become 40 parts, and x is what it is without returns.
+    """At the multiples of 0.03 s the FMU returns: 10 steps of 0.1 s become 40 parts.
 
-    Where the mean is set, it is kept to the end of the step: the part up to the return had it, so that only with the same mean in
-    the rest the integral of the input is right.
+    x is what it is without returns. Where the mean is set, it is kept to the end of the step: the
+    part up to the return had it, so that only with the same mean in the rest the integral of the
+    input is right.
     """
     y = run(opened("3", *can, returns=0.03))
-    assert y[-1, CALLS] == len(set(range(0, 100, 3)) | set(range(0, 100, 10)))
-    assert y[:, :2] == pytest.approx(run(opened("3", *can))[:, :2], abs=ROUNDING)
+    hundredths = set(range(0, 100, 3)) | set(range(0, 100, 10))
+    assert y[-1, CALLS] == len(hundredths)
+    expected = run(opened("3", *can))
+    assert y[:, :2] == pytest.approx(expected[:, :2], abs=ROUNDING)
 
 
 def test_returns_without_end_stop_the_run(opened):
-    with pytest.raises(
-        Stopped,
-        match=r"lag: 1000 returns did not reach the end of the step of 0\.1 s from t = 0\.0 s; the last was at t",
-    ) as stop:
+    message = (
+        r"lag: 1000 returns did not reach the end of the step of 0\.1 s from t = 0\.0 s; "
+        "the last was at t"
+    )
+    with pytest.raises(Stopped, match=message) as stop:
         run(opened("3", returns=1e-6))
     assert stop.value.steps == 0
 
 
 def test_a_return_to_before_the_step_stops_the_run(opened):
-    text = r"lag: returned early at t = -0\.25 s from the step from 0\.0 s to 0\.1 s; needed a time in it"
-    with pytest.raises(Stopped, match=text) as stop:
+    message = (
+        r"lag: returned early at t = -0\.25 s from the step from 0\.0 s to 0\.1 s; "
+        "needed a time in it"
+    )
+    with pytest.raises(Stopped, match=message) as stop:
         run(opened("3", returns=-0.25))
     assert stop.value.steps == 0
 
@@ -348,77 +390,86 @@ def test_a_return_to_before_the_step_stops_the_run(opened):
 @pytest.mark.parametrize("announces", [0.0, 1.0])
 @pytest.mark.parametrize("period", [0.25, 0.2])
 def test_time_events_are_met(opened, announces, period):
-    """Announced or not, between and on communication points: x grows by 1 exactly there, and the row shows it after the event."""
-    y = run(
-        opened("3", "events", "any step", event=period, announces=announces),
-        u=lambda t: np.zeros((len(t), 2)),
-    )
-    t, events = times(), np.arange(1, 6) * period
-    expected = [np.exp(-(now - events[events <= now + 1e-9])).sum() for now in t]
+    """Announced or not, between and on communication points: x grows by 1 exactly there.
+
+    The row shows it after the event.
+    """
+    y = run(opened("3", "events", "any step", event=period, announces=announces), u=rest)
+    events = np.arange(1, 6) * period
+    expected = []
+    for t in times():
+        past = events[events <= t + 1e-9]
+        expected.append(np.exp(-(t - past)).sum())
     assert y[:, X] == pytest.approx(expected, abs=ROUNDING)
 
 
 def test_an_event_at_the_start_is_seen(opened):
-    """The first event iteration lets x grow by 1: not yet in the initialization, but in the outputs at the start."""
+    """The first event iteration lets x grow by 1: in the outputs at the start.
+
+    In initialization mode it did not happen yet.
+    """
     component = opened("3", "events", "any step", event=10.0, announces=2.0).component
     component.prepare(0.1, HELD, {})
     assert component.initialize(0.0, np.zeros(2))[X] == 0.0
     assert component.outputs(0.0, np.zeros(2))[X] == 1.0
-    assert component.advance(times(), 0.1, rest(times()))[:, X] == pytest.approx(
-        np.exp(-times()[1:]), abs=ROUNDING
-    )
+    y = component.advance(times(), 0.1, rest(times()))
+    assert y[:, X] == pytest.approx(np.exp(-times()[1:]), abs=ROUNDING)
 
 
-def test_a_unit_of_one_step_size_meets_its_time_events_late_and_it_is_said(opened):
-    """The event at 0.25 s is met where the unit itself returns; the driver does not cut the step."""
+def test_an_fmu_of_one_step_size_meets_its_time_events_too_late_which_is_reported(opened):
+    """The event at 0.25 s is met where the FMU itself returns; the step is not cut there."""
     fmu = opened("3", "events", event=0.25, announces=1.0)
     run(fmu)
-    assert fmu.drain() == [
-        (
-            0.2,
-            "warning",
-            "",
-            "lag: the time event at t = 0.25 s is met at the end of the communication step only, as it takes steps of one size "
-            "(canHandleVariableCommunicationStepSize is false)",
-        )
-    ]
+    warning = (
+        "lag: the time event at t = 0.25 s is met at the end of the communication step only, as it "
+        "takes steps of one size (canHandleVariableCommunicationStepSize is false)"
+    )
+    assert fmu.drain() == [(0.2, "warning", "", warning)]
 
 
 def test_discrete_inputs_are_set_in_event_mode(opened):
-    """The unit refuses them elsewhere; d steps by 1 at 0.3 s, x follows from there."""
+    """The FMU refuses them elsewhere; d steps by 1 at 0.3 s, x follows from there."""
 
     def u(t):
         return np.column_stack([np.zeros_like(t), (t > 0.29).astype(float)])
 
     y = run(opened("3", "events"), u=u)
-    late = np.maximum(times() - 0.3, 0.0)
-    assert y[:, X] == pytest.approx(1.0 - np.exp(-late), abs=ROUNDING)
+    since_step = np.maximum(times() - 0.3, 0.0)
+    assert y[:, X] == pytest.approx(1.0 - np.exp(-since_step), abs=ROUNDING)
 
 
 def switched(t):
-    """Give u = t, and d, which steps to 1 at 0.3 s and to 3 at 0.5 s."""
-    return np.column_stack([t, (t > 0.29) + 2.0 * (t > 0.49)])
+    """Return u = t, and d, which steps to 1 at 0.3 s and to 3 at 0.5 s."""
+    d = (t > 0.29) + 2.0 * (t > 0.49)
+    return np.column_stack([t, d])
 
 
 @pytest.mark.parametrize("can", [(), ("state",)])
 @pytest.mark.parametrize("blocks", [None, 1, 3])
 def test_outputs_show_a_discrete_input_at_the_instant_it_changes(opened, can, blocks):
-    """z = d at every communication point, y = x + u too; x follows d from there. Blocks of any size give the same."""
-    y = run(opened("3", "events", "D", "d is shown", *can), u=switched, blocks=blocks)
+    """z = d at every communication point, y = x + u too; x follows d from there.
+
+    Blocks of any size give the same.
+    """
+    shown = ("events", "D", "d is shown", *can)
+    y = run(opened("3", *shown), u=switched, blocks=blocks)
     assert np.array_equal(y[:, Z], switched(times())[:, 1])
     assert y[:, Y] - y[:, X] == pytest.approx(times(), abs=ROUNDING)
-    assert np.array_equal(y, run(opened("3", "events", "D", "d is shown", *can), u=switched))
+    assert np.array_equal(y, run(opened("3", *shown), u=switched))
 
 
-def test_a_unit_that_can_go_back_only_shows_what_a_discrete_input_would_do(opened):
-    """Outputs for an input that a loop may still correct change nothing; what it shows at its instant is no first-order error."""
-    check_component(
-        lambda: opened("3", "events", "D", "state", "d is shown").component, steps=12, h=0.1
-    )
-    check_rollback(
-        lambda: opened("3", "events", "D", "state", "d is shown").component, steps=12, h=0.1
-    )
-    assert opened("3", "events", "D", "state", "d is shown").component.notes == ()
+def test_an_fmu_that_can_go_back_only_shows_what_a_discrete_input_would_do(opened):
+    """Outputs for an input that a loop may still correct change nothing.
+
+    What it shows at its instant is no first-order error.
+    """
+
+    def make():
+        return opened("3", "events", "D", "state", "d is shown").component
+
+    check_component(make, steps=12, h=0.1)
+    check_rollback(make, steps=12, h=0.1)
+    assert make().notes == ()
 
 
 def test_no_event_happens_where_an_input_has_no_value(opened):
@@ -438,38 +489,35 @@ def test_an_event_without_end_stops_the_run(opened):
     fmu = opened("3", "events", "any step", event=0.25, announces=1.0, iterations=101.0)
     fmu.component.prepare(0.1, HELD, {})
     fmu.component.initialize(0.0, np.zeros(2))
-    with pytest.raises(
-        Stopped, match=r"lag: the event iteration at t = 0\.0 s does not converge in 100 iterations"
-    ):
+    message = r"lag: the event iteration at t = 0\.0 s does not converge in 100 iterations"
+    with pytest.raises(Stopped, match=message):
         fmu.component.advance(times(), 0.1, line(times()))
-    assert run(opened("3", "events", "any step", event=0.25, iterations=100.0))[-1, CALLS] == 12
+    y = run(opened("3", "events", "any step", event=0.25, iterations=100.0))
+    assert y[-1, CALLS] == 12
 
 
 # --- inner steps ---
 
 
 @pytest.mark.parametrize("version", ["1", "2", "3"])
-def test_an_inner_step_that_ignores_ours_is_found(opened, version):
-    """h = 1 ms, inner step 10 ms: said once, at the end of the 10th of these, whatever the inputs do."""
+def test_an_inner_step_that_ignores_ours_is_reported(opened, version):
+    """h = 1 ms, inner step 10 ms: once, at the end of the 10th of these, whatever the inputs do."""
+    warning = (
+        "lag: its outputs change at every 10th communication step only: it seems to keep an inner "
+        "step of 0.01 s and to ignore the communication step of 0.001 s"
+    )
     for u in (sine, lambda t: np.ones((len(t), 2))):
         fmu = opened(version, inner=0.01)
         run(fmu, step=1e-3, stop=0.2, u=u)
-        assert fmu.drain() == [
-            (
-                0.1,
-                "warning",
-                "",
-                "lag: its outputs change at every 10th communication step only: it seems to keep an inner step of 0.01 s and to "
-                "ignore the communication step of 0.001 s",
-            )
-        ]
+        assert fmu.drain() == [(0.1, "warning", "", warning)]
         run(fmu, step=1e-3, stop=0.2, u=u)
         assert fmu.drain() == []
 
 
 def steps_of_ten(t):
-    """Give an input that itself changes at every 10th step only."""
-    return np.column_stack([np.floor(np.arange(len(t)) / 10), np.zeros_like(t)])
+    """Return an input that itself changes at every 10th step only."""
+    u = np.floor(np.arange(len(t)) / 10)
+    return np.column_stack([u, np.zeros_like(t)])
 
 
 def rest(t):
@@ -478,7 +526,7 @@ def rest(t):
 
 @pytest.mark.parametrize(("version", "start"), [("2", {}), ("3", {}), ("2", {"inner": 1e-3})])
 @pytest.mark.parametrize("u", [rest, steps_of_ten, sine])
-def test_no_inner_step_is_found_where_there_is_none(opened, version, start, u):
+def test_no_inner_step_is_reported_where_there_is_none(opened, version, start, u):
     """At rest nothing moves; an inner step of 1 ms is the communication step."""
     fmu = opened(version, **start)
     run(fmu, step=1e-3, stop=0.3, u=u)
@@ -492,7 +540,10 @@ def test_a_step_that_no_inner_step_divides_is_refused_where_steps_cannot_vary(op
     if can:
         fmu.component.prepare(0.1, HELD, {})
         return
-    text = r"lag: the communication step 0\.1 s is not a whole number of the FMU's inner steps of 0\.03 s; nearest: 0\.09 s"
-    with pytest.raises(FmuError, match=text):
+    message = (
+        r"lag: the communication step 0\.1 s is not a whole number of the FMU's inner steps of "
+        r"0\.03 s; nearest: 0\.09 s"
+    )
+    with pytest.raises(FmuError, match=message):
         fmu.component.prepare(0.1, HELD, {})
     fmu.component.prepare(0.09, HELD, {})

@@ -1,7 +1,8 @@
-"""Units driven as components: generated, exported, and written by others."""
+"""FMUs driven as components: generated, exported, and written by others."""
 
 import gc
 import re
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -16,7 +17,8 @@ from cosim.fmi.generated import GeneratedInstance
 from cosim.fmi.options import FmuOptions
 from tests.fmi.plant import INTERFACE, SLOPE, A, B, C, D, grid, inputs, model, run, solution
 
-# At 1 ms and 2 s: 2000 steps, each rounding a few numbers of size 1: well below 2000 * 8 * 2^-53 = 1.8e-12.
+# At 1 ms and 2 s: 2000 steps, each rounding a few numbers of size 1: well below
+# 2000 * 8 * 2^-53 = 1.8e-12.
 ROUNDING = 2e-12
 
 
@@ -40,25 +42,32 @@ def generated(solver=None):
     return ModelExchange(GeneratedInstance.of(model()), solver)
 
 
-def test_generated_unit_with_the_exact_solver_is_the_closed_form():
-    """Straight-line inputs hide nothing from the first-order hold: only rounding is left."""
+def test_generated_model_with_the_exact_solver_is_the_closed_form():
+    """Ramps hide nothing from linear interpolation of the inputs: only rounding is left."""
     assert abs(run(generated(), step=1e-3) - solution(grid(1e-3))).max() < ROUNDING
 
 
-def test_generated_unit_and_the_plain_linear_component_have_equal_bits():
-    """The unit calls add no arithmetic."""
+def test_generated_model_and_the_plain_linear_component_have_equal_bits():
+    """The FMI calls add no arithmetic."""
     assert np.array_equal(run(generated(), step=1e-3), run(Linear(model()), step=1e-3))
 
 
 @pytest.mark.parametrize("solver", ["DOP853", "RK45", "Radau", "BDF", "LSODA"])
 def test_adaptive_solvers_agree_with_the_exact_one(solver):
-    """A contraction (Re of the eigenvalues is -1.5) keeps the sum of local errors near rtol = 1e-9 of values near 1."""
-    assert abs(run(generated(solver), step=0.05) - run(generated(), step=0.05)).max() < 1e-7
+    """A contraction (Re of the eigenvalues is -1.5) keeps the sum of local errors small.
+
+    It is near rtol = 1e-9 of values near 1.
+    """
+    y = run(generated(solver), step=0.05)
+    assert abs(y - run(generated(), step=0.05)).max() < 1e-7
 
 
 @pytest.mark.parametrize("solver", ["DOP853", "RK45", "Radau", "BDF", "LSODA"])
-def test_adaptive_solvers_drive_a_loaded_unit(solver, exported):
-    """Whatever memory scipy hands over: the same numbers as with the generated unit. Inputs may be read-only."""
+def test_adaptive_solvers_drive_a_loaded_fmu(solver, exported):
+    """Whatever memory scipy hands over: the same numbers as with the generated model.
+
+    Inputs may be read-only.
+    """
 
     def fixed(t):
         rows = inputs(t)
@@ -66,85 +75,108 @@ def test_adaptive_solvers_drive_a_loaded_unit(solver, exported):
         return rows
 
     with load(exported, FmuOptions(solver=solver)) as fmu:
-        assert np.array_equal(
-            run(fmu.component, step=0.1, u=fixed), run(generated(solver), step=0.1)
-        )
+        y = run(fmu.component, step=0.1, u=fixed)
+    assert np.array_equal(y, run(generated(solver), step=0.1))
 
 
 def test_rk4_is_fourth_order():
     """Halving the step divides the error by 16."""
-    coarse, fine = (
-        abs(run(generated("rk4"), step=h) - solution(grid(h))).max() for h in (0.1, 0.05)
-    )
-    assert 14.0 < coarse / fine < 18.5
+
+    def error(h):
+        return abs(run(generated("rk4"), step=h) - solution(grid(h))).max()
+
+    assert 14.0 < error(0.1) / error(0.05) < 18.5
 
 
-def test_any_model_can_be_a_unit():
-    """A model without matrices gets a solver that keeps a tolerance; at rest in x = 1 for u = 1 it stays there."""
+def test_any_model_can_be_an_instance():
+    """A model without matrices gets a solver that keeps a tolerance.
+
+    At rest in x = 1 for u = 1 it stays there.
+    """
     component = ModelExchange(GeneratedInstance(Nonlinear()))
     assert component.solver == "RK45"
-    y = run(component, step=0.1, held=np.array([False]), u=lambda t: np.ones((len(t), 1)))
+
+    def ones(t):
+        return np.ones((len(t), 1))
+
+    y = run(component, step=0.1, held=np.array([False]), u=ones)
     assert np.array_equal(y, np.full((21, 1), 2.0))
     with pytest.raises(FmuError, match="solver 'exact' needs the matrices of a linear model"):
         ModelExchange(GeneratedInstance(Nonlinear()), "exact")
 
 
-def test_loaded_model_exchange_equals_the_generated_unit_bit_for_bit(exported):
+def test_loaded_model_exchange_equals_the_generated_model_bit_for_bit(exported):
     """Same solver, same kernel in the same order: there is nothing that could differ."""
     with load(exported, FmuOptions(solver="rk4")) as fmu:
         assert fmu.interface_type == "me"
-        assert np.array_equal(run(fmu.component, step=1e-3), run(generated("rk4"), step=1e-3))
+        y = run(fmu.component, step=1e-3)
+    assert np.array_equal(y, run(generated("rk4"), step=1e-3))
 
 
 def test_co_simulation_with_input_derivatives_equals_the_exact_solver(exported):
     """The FMU does the same first-order hold; u0 + h slope differs from u1 by rounding."""
     with load(exported, FmuOptions(interface_type="cs")) as fmu:
-        assert abs(run(fmu.component, step=1e-3) - run(generated(), step=1e-3)).max() < ROUNDING
+        y = run(fmu.component, step=1e-3)
         assert fmu.component.notes == ()
+    assert abs(y - run(generated(), step=1e-3)).max() < ROUNDING
 
 
 INTERPOLATION = (' canInterpolateInputs="true"', "")
 DERIVATIVES = (' providesDirectionalDerivative="true"', "")
 
 
-def errors(path, step):
+def errors_and_notes(path, step):
     with load(path, FmuOptions(interface_type="cs")) as fmu:
-        return abs(run(fmu.component, step=step) - solution(grid(step))).max(
-            axis=0
-        ), fmu.component.notes
+        y = run(fmu.component, step=step)
+        notes = fmu.component.notes
+    errors = abs(y - solution(grid(step))).max(axis=0)
+    return errors, notes
 
 
 def test_co_simulation_with_mean_inputs_and_known_D_is_second_order(edited):
-    """A mean input is wrong by a symmetric line, whose integral vanishes; D (u1 - mean) puts the outputs at the end."""
+    """The error of a mean input is odd about the middle of the step: its integral vanishes.
+
+    D (u1 - mean) puts the outputs at the end.
+    """
     path = edited(INTERPOLATION)
-    (coarse, notes), (fine, _) = errors(path, 0.02), errors(path, 0.01)
+    coarse, notes = errors_and_notes(path, 0.02)
+    fine, _ = errors_and_notes(path, 0.01)
     assert notes == ()
-    assert ((coarse / fine > 3.8) & (coarse / fine < 4.2)).all()
+    ratio = coarse / fine
+    assert ((ratio > 3.8) & (ratio < 4.2)).all()
 
 
 def test_co_simulation_with_mean_inputs_and_unknown_D_is_first_order_where_it_feeds_through(edited):
-    """Without D a feedthrough output is wrong by slope h/2, and the component says so; the states stay second order."""
+    """Without D a feedthrough output is wrong by slope h/2, and the component says so.
+
+    The states stay second order.
+    """
     path = edited(INTERPOLATION, DERIVATIVES)
-    (coarse, notes), (fine, _) = errors(path, 0.02), errors(path, 0.01)
+    coarse, notes = errors_and_notes(path, 0.02)
+    fine, _ = errors_and_notes(path, 0.01)
     ratio = coarse / fine
     assert 1.8 < ratio[0] < 2.2
     assert ((ratio[1:3] > 3.8) & (ratio[1:3] < 4.2)).all()
     assert coarse[0] == pytest.approx(SLOPE[0] * 0.01, rel=0.1)
     assert notes == (
-        "academic: y, x_b depend directly on inputs; what is read belongs to the inputs inside the step, not at its end "
-        "(first order in the step), as the FMU has no directional derivatives",
+        "academic: y, x_b depend directly on inputs; what is read belongs to the inputs inside the "
+        "step, not at its end (first order in the step), as the FMU has no directional derivatives",
     )
 
 
-def test_an_interpolating_unit_without_D_warns_of_held_inputs_whenever_it_is_asked(edited):
-    """Which inputs are held is known after prepare only; the warning names the condition, so it is right before it too."""
+def test_an_interpolating_fmu_without_D_warns_of_held_inputs_at_any_time(edited):
+    """Which inputs are held is known after prepare only.
+
+    The warning names the condition, so it is right before it too.
+    """
     with load(edited(DERIVATIVES), FmuOptions(interface_type="cs")) as fmu:
         before = fmu.component.notes
         fmu.component.prepare(1e-3, np.array([True, False]), {})
         assert fmu.component.notes == before
     assert before == (
-        "academic: y, x_b depend directly on inputs; where inputs are held, what is read belongs to their value inside the step, "
-        "not at its end (first order in the step), as the FMU has no directional derivatives",
+        "academic: y, x_b depend directly on inputs; where inputs are held, what is read belongs "
+        "to their value inside the step, not at its end (first order in the step), as the FMU has "
+        "no directional derivatives",
     )
 
 
@@ -153,45 +185,51 @@ def test_an_interpolating_unit_without_D_warns_of_held_inputs_whenever_it_is_ask
 def test_held_inputs_keep_their_value_and_reach_the_outputs_at_the_end(
     exported, interface_type, mask
 ):
-    """Held inputs in an FMU act as in the exact discretization; rk4 at 1 ms is exact to rounding."""
+    """Held inputs act in an FMU as in the exact discretization; rk4 at 1 ms errs by rounding."""
     held = np.array(mask)
     expected = run(generated(), step=1e-3, held=held)
     with load(exported, FmuOptions(interface_type=interface_type)) as fmu:
         assert abs(run(fmu.component, step=1e-3, held=held) - expected).max() < ROUNDING
 
 
-def test_held_inputs_of_a_generated_unit_with_rk4():
+def test_held_inputs_of_a_generated_model_with_rk4():
     """An input that jumps goes through event mode; the result is that of the exact solver."""
     held = np.array([True, False])
-    assert (
-        abs(
-            run(generated("rk4"), step=1e-3, held=held) - run(generated(), step=1e-3, held=held)
-        ).max()
-        < ROUNDING
-    )
+    y = run(generated("rk4"), step=1e-3, held=held)
+    expected = run(generated(), step=1e-3, held=held)
+    assert abs(y - expected).max() < ROUNDING
 
 
-@pytest.mark.parametrize("kind", ["exact", "rk4", "DOP853", "me", "cs"])
-def test_results_do_not_depend_on_blocks(kind, exported):
+@contextmanager
+def made(name, exported):
+    """Yield the exported FMU by its interface type, or the generated model by its solver."""
+    if name not in ("me", "cs"):
+        yield generated(name)
+        return
+    with load(exported, FmuOptions(interface_type=name)) as fmu:
+        yield fmu.component
+
+
+@pytest.mark.parametrize("name", ["exact", "rk4", "DOP853", "me", "cs"])
+def test_results_do_not_depend_on_blocks(name, exported):
     """K = 1 equals K = 1000 equals blocks of 7, bit for bit."""
 
     def once(blocks):
-        if kind in ("me", "cs"):
-            with load(exported, FmuOptions(interface_type=kind)) as fmu:
-                return run(fmu.component, step=1e-2, blocks=blocks)
-        return run(generated(kind), step=1e-2, blocks=blocks)
+        with made(name, exported) as component:
+            return run(component, step=1e-2, blocks=blocks)
 
     whole = once(None)
     assert np.array_equal(whole, once(1))
     assert np.array_equal(whole, once(7))
 
 
-@pytest.mark.parametrize("kind", ["exact", "rk4", "me", "cs"])
-def test_save_and_restore_is_the_identity(kind, exported):
-    """Going back and on again gives the same bits; the FMU's copies are freed with the saved objects."""
-    fmu = load(exported, FmuOptions(interface_type=kind)) if kind in ("me", "cs") else None
-    component = fmu.component if fmu else generated(kind)
-    try:
+@pytest.mark.parametrize("name", ["exact", "rk4", "me", "cs"])
+def test_save_and_restore_is_the_identity(name, exported):
+    """Going back and on again gives the same bits.
+
+    The FMU's copies are freed with the saved objects.
+    """
+    with made(name, exported) as component:
         run(component, step=0.01, stop=0.5)
         t = 0.5 + np.arange(6) * 0.01
         saved = component.save()
@@ -200,28 +238,30 @@ def test_save_and_restore_is_the_identity(kind, exported):
         assert np.array_equal(first, component.advance(t, 0.01, inputs(t)))
         del saved
         gc.collect()
-    finally:
-        if fmu:
-            fmu.close()
-            fmu.close()
 
 
-@pytest.mark.parametrize("kind", ["exact", "rk4", "me", "cs"])
-def test_initialize_may_be_repeated_and_forgets_the_past(kind, exported):
-    """Other inputs before the first advance, and a second run after it, leave no trace; outputs changes nothing."""
-    fmu = load(exported, FmuOptions(interface_type=kind)) if kind in ("me", "cs") else None
-    component = fmu.component if fmu else generated(kind)
-    first = run(component, step=0.01, stop=0.2)
-    component.initialize(0.0, np.array([9.0, 9.0]))
-    assert np.array_equal(run(component, step=0.01, stop=0.2), first)
-    component.prepare(0.01, np.zeros(2, np.bool_), {})
-    component.initialize(0.0, inputs(0.0))
-    y = component.outputs(0.0, np.array([5.0, 5.0]))
-    assert y == pytest.approx(C @ [1.0, -1.0] + D @ [5.0, 5.0], abs=1e-15)
-    t = np.array([0.0, 0.01])
-    assert np.array_equal(component.advance(t, 0.01, inputs(t)), first[1:2])
-    if fmu:
-        fmu.close()
+def test_closing_twice_does_no_harm(exported):
+    fmu = load(exported)
+    fmu.close()
+    fmu.close()
+
+
+@pytest.mark.parametrize("name", ["exact", "rk4", "me", "cs"])
+def test_initialize_may_be_repeated_and_forgets_the_past(name, exported):
+    """Other inputs before the first advance, and a second run after it, leave no trace.
+
+    ``outputs`` changes nothing.
+    """
+    with made(name, exported) as component:
+        first = run(component, step=0.01, stop=0.2)
+        component.initialize(0.0, np.array([9.0, 9.0]))
+        assert np.array_equal(run(component, step=0.01, stop=0.2), first)
+        component.prepare(0.01, np.zeros(2, np.bool_), {})
+        component.initialize(0.0, inputs(0.0))
+        y = component.outputs(0.0, np.array([5.0, 5.0]))
+        assert y == pytest.approx(C @ [1.0, -1.0] + D @ [5.0, 5.0], abs=1e-15)
+        t = np.array([0.0, 0.01])
+        assert np.array_equal(component.advance(t, 0.01, inputs(t)), first[1:2])
 
 
 def test_design_is_recorded_and_taken_from_the_record():
@@ -232,9 +272,8 @@ def test_design_is_recorded_and_taken_from_the_record():
         doubled = {**design, "C": 2.0 * design["C"], "D": 2.0 * design["D"]}
         component = generated(solver)
         assert component.prepare(0.01, held, doubled).keys() == design.keys()
-        assert component.initialize(0.0, inputs(0.0)) == pytest.approx(
-            2.0 * solution([0.0])[0], abs=1e-14
-        )
+        y = component.initialize(0.0, inputs(0.0))
+        assert y == pytest.approx(2.0 * solution([0.0])[0], abs=1e-14)
 
 
 # --- FMUs that others wrote ---
@@ -248,64 +287,72 @@ def foreign_inputs(t):
 HELD = np.array([False, False, True, True])
 
 
-def test_pythonfmu_unit_is_read_and_run_at_its_order(foreign2, capfd):
-    """Vectors are put together, feedthrough is unknown; states are second order, feedthrough outputs first."""
-    found = []
-    for step in (0.02, 0.01):
+def test_the_interface_of_a_pythonfmu_fmu(foreign2):
+    """Vectors are put together, feedthrough is unknown."""
+    with load(foreign2) as fmu:
+        interface = fmu.component.interface
+        assert "may depend directly on inputs" in fmu.component.notes[0]
+    outputs = interface.outputs
+    assert not any(interface.knows(output.name) for output in outputs)
+    assert [(s.name, s.size, s.kind, s.variability) for s in outputs] == [
+        ("y", 1, "real", "continuous"),
+        ("x_a", 2, "real", "continuous"),
+        ("x_b", 1, "real", "continuous"),
+        ("steps", 1, "integer", "discrete"),
+        ("late", 1, "boolean", "discrete"),
+    ]
+
+
+def test_a_pythonfmu_fmu_is_run_at_its_order(foreign2, capfd):
+    """States are second order, feedthrough outputs first."""
+
+    def errors(step):
         with load(foreign2) as fmu:
-            face = fmu.component.interface
-            assert not any(face.knows(output.name) for output in face.outputs)
-            assert [(s.name, s.size, s.kind, s.variability) for s in face.outputs] == [
-                ("y", 1, "real", "continuous"),
-                ("x_a", 2, "real", "continuous"),
-                ("x_b", 1, "real", "continuous"),
-                ("steps", 1, "integer", "discrete"),
-                ("late", 1, "boolean", "discrete"),
-            ]
             rows = run(fmu.component, step=step, held=HELD, u=foreign_inputs)
-            assert "may depend directly on inputs" in fmu.component.notes[0]
         assert np.array_equal(rows[:5, 4], [0.0, 2.0, 4.0, 6.0, 8.0])
         assert np.array_equal(rows[:5, 5], [0.0, 0.0, 1.0, 1.0, 1.0])
-        found.append(abs(rows[1:, :4] - solution(grid(step))[1:]).max(axis=0))
-    ratio = found[0] / found[1]
+        return abs(rows[1:, :4] - solution(grid(step))[1:]).max(axis=0)
+
+    ratio = errors(0.02) / errors(0.01)
     assert 1.9 < ratio[0] < 2.1
     assert ((ratio[1:3] > 3.8) & (ratio[1:3] < 4.2)).all()
     assert capfd.readouterr() == ("", "")
 
 
-def test_pythonfmu3_unit_is_run_in_both_kinds(foreign3, capfd):
+def test_a_pythonfmu3_fmu_is_run_through_both_interfaces(foreign3, capfd):
     """FMI 3: model exchange with rk4 is the closed form; co-simulation is second order."""
-    state = [1, 2]
     with load(foreign3) as fmu:
         assert fmu.metadata["fmi_version"] == "3.0"
         assert fmu.metadata["interface_type"] == "me"
         rows = run(fmu.component, step=1e-2)
-        assert abs(rows[:, [2, 0, 1]] - solution(grid(1e-2))[:, :3]).max() < 1e-9
-    coarse, fine = ([], [])
-    for step, errors_ in ((0.02, coarse), (0.01, fine)):
+    expected = solution(grid(1e-2))
+    assert abs(rows[:, [2, 0, 1]] - expected[:, :3]).max() < 1e-9
+
+    def errors(step):
         with load(foreign3, FmuOptions(interface_type="cs")) as fmu:
-            errors_.extend(
-                abs(run(fmu.component, step=step)[:, :2] - solution(grid(step))[:, state]).max(
-                    axis=0
-                )
-            )
-    assert ((np.divide(coarse, fine) > 3.8) & (np.divide(coarse, fine) < 4.2)).all()
+            states = run(fmu.component, step=step)[:, :2]
+        return abs(states - solution(grid(step))[:, 1:3]).max(axis=0)
+
+    ratio = errors(0.02) / errors(0.01)
+    assert ((ratio > 3.8) & (ratio < 4.2)).all()
     assert capfd.readouterr() == ("", "")
 
 
 @pytest.mark.parametrize("limit", [0.05, 0.15])
 def test_a_step_that_does_not_end_keeps_what_was_before(foreign2, limit, capfd):
-    """The block stops with the completed rows: at the FMU's own wish, or naming the FMU, the call and its status."""
+    """The block stops with the completed rows.
+
+    At the FMU's own request, or naming the FMU, the call and its status.
+    """
     with load(foreign2, FmuOptions(start={"limit": limit})) as fmu, pytest.raises(Stopped) as stop:
         run(fmu.component, step=0.01, held=HELD, u=foreign_inputs)
     assert isinstance(stop.value, RunError)
     assert stop.value.steps == round(limit / 0.01)
     assert stop.value.failed == (limit == 0.15)
-    asked, failed = (
-        "the FMU requests the end of the run",
-        r"Foreign2\.fmu: fmi2DoStep returned \d \((error|fatal)\)",
-    )
-    assert re.search(failed if stop.value.failed else asked, str(stop.value))
+    reason = "the FMU requests the end of the run"
+    if stop.value.failed:
+        reason = r"Foreign2\.fmu: fmi2DoStep returned \d \((error|fatal)\)"
+    assert re.search(reason, str(stop.value))
     assert capfd.readouterr() == ("", "")
 
 

@@ -1,4 +1,4 @@
-"""Units keep the contract of a component, whatever the variability of their inputs."""
+"""FMUs keep the contract of a component, whatever the variability of their inputs."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,8 @@ from cosim.fmi.instance import DiscreteStates
 from cosim.fmi.options import FmuOptions
 from cosim.testing import check_component, check_rollback
 
-A, X0 = np.array([[-1.0, 1.0], [-1.0, -2.0]]), np.array([1.0, -1.0])
+A = np.array([[-1.0, 1.0], [-1.0, -2.0]])
+X0 = np.array([1.0, -1.0])
 C = np.array([[1.0, 0.0], [1.0, 0.0]])  # v feeds through, w is the state
 VARIABILITIES = {
     "discrete": ("discrete",),
@@ -25,13 +26,13 @@ VARIABILITIES = {
 def model(inputs) -> LinearModel:
     """x' = A x + B u, v = x_1 + u_1 (+ u_2), w = x_1: every input feeds through to v, none to w."""
     names = VARIABILITIES[inputs]
-    face = Interface(
-        tuple(Signal(name[0], variability=name) for name in names),
-        (Signal("v"), Signal("w")),
-        {"v": tuple(n[0] for n in names)},
-    )
-    B, D = np.ones((2, len(names))), np.vstack([np.ones(len(names)), np.zeros(len(names))])
-    return LinearModel(face, ("x[0]", "x[1]"), A, B, C, D, X0, np.zeros((2, len(names))))
+    n_u = len(names)
+    signals = tuple(Signal(name[0], variability=name) for name in names)
+    feedthrough = {"v": tuple(signal.name for signal in signals)}
+    interface = Interface(signals, (Signal("v"), Signal("w")), feedthrough)
+    B = np.ones((2, n_u))
+    D = np.vstack([np.ones(n_u), np.zeros(n_u)])
+    return LinearModel(interface, ("x[0]", "x[1]"), A, B, C, D, X0, np.zeros((2, n_u)))
 
 
 @pytest.fixture(scope="module", params=VARIABILITIES)
@@ -41,19 +42,24 @@ def inputs(request):
 
 @pytest.fixture(scope="module")
 def path(inputs, tmp_path_factory):
-    return export(model(inputs), tmp_path_factory.mktemp(inputs) / "unit.fmu", name="unit").path
+    folder = tmp_path_factory.mktemp(inputs)
+    return export(model(inputs), folder / "model.fmu", name="model").path
 
 
 @pytest.mark.parametrize("solver", ["exact", "rk4"])
-def test_generated_units_keep_the_contract(inputs, solver):
+def test_generated_models_keep_the_contract(inputs, solver):
     """With discrete inputs, continuous ones and both."""
-    check_component(lambda: ModelExchange(GeneratedInstance.of(model(inputs)), solver))
-    check_rollback(lambda: ModelExchange(GeneratedInstance.of(model(inputs)), solver))
+
+    def make():
+        return ModelExchange(GeneratedInstance.of(model(inputs)), solver)
+
+    check_component(make)
+    check_rollback(make)
 
 
 @pytest.mark.parametrize("interface_type", ["me", "cs"])
-def test_loaded_units_keep_the_contract(path, interface_type):
-    """Both kinds: the co-simulation unit corrects its outputs by D, so that they follow the inputs."""
+def test_loaded_fmus_keep_the_contract(path, interface_type):
+    """With both interface types: in co-simulation D corrects the outputs, so that they follow."""
     loaded = []
 
     def make():
@@ -67,16 +73,18 @@ def test_loaded_units_keep_the_contract(path, interface_type):
 
 
 @pytest.mark.parametrize("able", ["neither D nor input derivatives", "no D"])
-def test_co_simulation_units_without_D_keep_the_contract(edited, able):
+def test_co_simulation_fmus_without_D_keep_the_contract(edited, able):
     """Their outputs do not follow the inputs at the end of a step.
 
-    FMI 2.0.4 section 4.2.4 forbids setting inputs and reading outputs without a step between; so "outputs ignores" holds for
-    all inputs, and that outputs follow those that feed through cannot be asked for (``notes`` tells).
+    FMI 2.0.4 section 4.2.4 forbids setting inputs and reading outputs without a step between; so
+    "outputs ignores" holds for all inputs, and that outputs follow those that feed through cannot
+    be required (``notes`` says so).
     """
-    lost = [(' providesDirectionalDerivative="true"', "")]
+    removed = [(' providesDirectionalDerivative="true"', "")]
     if able != "no D":
-        lost.append((' canInterpolateInputs="true"', ""))
-    file, loaded = edited(*lost), []
+        removed.append((' canInterpolateInputs="true"', ""))
+    file = edited(*removed)
+    loaded = []
 
     def make():
         loaded.append(load(file, FmuOptions(interface_type="cs")))
@@ -87,7 +95,7 @@ def test_co_simulation_units_without_D_keep_the_contract(edited, able):
         fmu.close()
 
 
-def test_a_co_simulation_unit_of_others_keeps_the_contract(foreign2):
+def test_a_co_simulation_fmu_of_others_keeps_the_contract(foreign2):
     """By pythonfmu: integer and Boolean inputs, no D, no saved states."""
     loaded = []
 
@@ -101,7 +109,7 @@ def test_a_co_simulation_unit_of_others_keeps_the_contract(foreign2):
 
 
 @pytest.mark.parametrize("interface_type", ["me", "cs"])
-def test_an_fmi_3_unit_of_others_keeps_the_contract(foreign3, interface_type):
+def test_an_fmi_3_fmu_of_others_keeps_the_contract(foreign3, interface_type):
     """By pythonfmu3: dependencies unknown, no D, no saved states."""
     loaded = []
 
@@ -114,44 +122,44 @@ def test_an_fmi_3_unit_of_others_keeps_the_contract(foreign3, interface_type):
         fmu.close()
 
 
-def drive_late(component, u, held):
-    """Advance as a loop does: a held input at the end of a step is that of its start, and outputs repairs what feeds through."""
+def run_in_loop(component, u, held):
+    """Advance as a loop does.
+
+    A held input at the end of a step is that of its start; ``outputs`` repairs what feeds through.
+    """
     t = np.arange(len(u)) * 0.01
     component.prepare(0.01, held, {})
     rows = [component.initialize(0.0, u[0])]
     for k in range(len(u) - 1):
-        component.advance(t[k : k + 2], 0.01, np.vstack([u[k], np.where(held, u[k], u[k + 1])]))
+        end = np.where(held, u[k], u[k + 1])
+        component.advance(t[k : k + 2], 0.01, np.vstack([u[k], end]))
         rows.append(component.outputs(float(t[k + 1]), u[k + 1]))
     return np.array(rows)
 
 
-def test_inputs_that_are_late_reach_the_unit(inputs, path):
-    """Solver rk4 at 10 ms errs by h^5/5! a step, 1e-12, for inputs near 1; Linear has no unit that could miss an input."""
+def test_extrapolated_inputs_that_are_corrected_reach_the_fmu(inputs, path):
+    """Solver rk4 at 10 ms errs by h^5/5! a step, 1e-12, for inputs near 1.
+
+    Linear has no instance that could miss an input.
+    """
     u = np.random.default_rng(1).standard_normal((40, len(VARIABILITIES[inputs])))
     held = np.ones(u.shape[1], np.bool_)
-    expected = drive_late(Linear(model(inputs)), u, held)
-    assert np.array_equal(
-        drive_late(ModelExchange(GeneratedInstance.of(model(inputs)), "exact"), u, held), expected
-    )
-    assert (
-        abs(
-            drive_late(ModelExchange(GeneratedInstance.of(model(inputs)), "rk4"), u, held)
-            - expected
-        ).max()
-        < 1e-8
-    )
+    expected = run_in_loop(Linear(model(inputs)), u, held)
+    exact = ModelExchange(GeneratedInstance.of(model(inputs)), "exact")
+    assert np.array_equal(run_in_loop(exact, u, held), expected)
+    rk4 = ModelExchange(GeneratedInstance.of(model(inputs)), "rk4")
+    assert abs(run_in_loop(rk4, u, held) - expected).max() < 1e-8
     with load(path) as fmu:
-        assert abs(drive_late(fmu.component, u, held)[:, :2] - expected).max() < 1e-8
+        y = run_in_loop(fmu.component, u, held)
+        assert abs(y[:, :2] - expected).max() < 1e-8
 
 
 def test_discrete_inputs_are_held_whoever_drives_them(path, inputs):
-    """A straight line cannot go into a discrete input: its value from the start of the step counts, in every kind."""
+    """A discrete input cannot be interpolated: its value from the start of the step counts."""
     names = VARIABILITIES[inputs]
     u = np.random.default_rng(2).standard_normal((40, len(names)))
-    discrete, free = (
-        np.array([name == "discrete" for name in names]),
-        np.zeros(len(names), np.bool_),
-    )
+    discrete = np.array([name == "discrete" for name in names])
+    free = np.zeros(len(names), np.bool_)
     t = np.arange(40) * 0.01
 
     def run(component, held):
@@ -161,46 +169,43 @@ def test_discrete_inputs_are_held_whoever_drives_them(path, inputs):
 
     expected = run(Linear(model(inputs)), discrete)
     for solver in ("exact", "rk4"):
-        assert (
-            abs(
-                run(ModelExchange(GeneratedInstance.of(model(inputs)), solver), free) - expected
-            ).max()
-            < 1e-8
-        )
+        generated = ModelExchange(GeneratedInstance.of(model(inputs)), solver)
+        assert abs(run(generated, free) - expected).max() < 1e-8
     for interface_type in ("me", "cs"):
         with load(path, FmuOptions(interface_type=interface_type)) as fmu:
             assert abs(run(fmu.component, free) - expected).max() < 1e-8
 
 
 class Watched:
-    """A generated unit that notes in which mode its inputs are set, and may ask for the end."""
+    """A generated model that records discrete inputs set outside event mode.
+
+    It may request the end of the run, in its event number ``end_at``.
+    """
 
     def __init__(self, inputs, end_at=None):
-        self._instance, self._end_at = GeneratedInstance.of(model(inputs), "watched"), end_at
-        self._events, self._event, self.wrong = 0, True, []
-        self._discrete = {
-            v.reference for v in self._instance.description.variables if v.variability == "discrete"
-        }
+        self._instance = GeneratedInstance.of(model(inputs), "watched")
+        self._end_at = end_at
+        self._events = 0
+        self._in_event_mode = True
+        self.misplaced = []
+        variables = self._instance.description.variables
+        self._discrete = {v.reference for v in variables if v.variability == "discrete"}
 
     def __getattr__(self, name):
         return getattr(self._instance, name)
 
     def enter_event_mode(self):
-        self._event = True
+        self._in_event_mode = True
         self._instance.enter_event_mode()
 
     def enter_continuous_time_mode(self):
-        self._event = False
+        self._in_event_mode = False
         self._instance.enter_continuous_time_mode()
 
     def set_float64(self, references, values):
-        if not self._event:
-            self.wrong += [
-                r
-                for group in references.groups
-                for r in group.references.tolist()
-                if r in self._discrete
-            ]
+        if not self._in_event_mode:
+            for group in references.groups:
+                self.misplaced += self._discrete.intersection(group.references.tolist())
         self._instance.set_float64(references, values)
 
     def update_discrete_states(self):
@@ -212,16 +217,17 @@ class Watched:
 
 def test_discrete_inputs_are_set_in_event_mode_only(inputs):
     """FMI 2.0.4 section 3.2.3: in continuous-time mode only continuous inputs may be set."""
-    unit = Watched(inputs)
+    instance = Watched(inputs)
     u = np.random.default_rng(3).standard_normal((10, len(VARIABILITIES[inputs])))
-    drive_late(ModelExchange(unit, "rk4"), u, np.ones(u.shape[1], np.bool_))
-    assert unit.wrong == []
+    run_in_loop(ModelExchange(instance, "rk4"), u, np.ones(u.shape[1], np.bool_))
+    assert instance.misplaced == []
 
 
 @pytest.mark.parametrize("solver", ["exact", "rk4"])
-def test_the_wish_to_end_is_heard_in_every_event(solver):
-    """In the first one no step is made; in one that a late input makes the run ends where it is."""
-    t, u = np.arange(4) * 0.01, np.zeros((4, 1))
+def test_a_request_for_the_end_is_followed_in_every_event(solver):
+    """In the first one no step is made; in one that a changed input makes the run ends at once."""
+    t = np.arange(4) * 0.01
+    u = np.zeros((4, 1))
     for call in ("advance", "outputs"):
         component = ModelExchange(Watched("discrete", end_at=1), solver)
         component.prepare(0.01, np.ones(1, np.bool_), {})

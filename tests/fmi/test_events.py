@@ -1,7 +1,12 @@
-"""Events of loaded model exchange units, FMI 2 and FMI 3, with every solver, against closed forms."""
+"""Events of loaded model exchange FMUs, against closed forms.
+
+FMI 2 and FMI 3, with every solver.
+"""
 
 import math
+import sys
 from contextlib import contextmanager
+from itertools import product
 
 import numpy as np
 import pytest
@@ -15,11 +20,8 @@ from cosim.log import open_log
 from cosim.testing import check_component, check_rollback
 from tests.fmi.eventful import Run, build
 
-MULTISTEP = (
-    "BDF",
-    "LSODA",
-    "CVode",
-)  # each start is of order 1, so that they need a closer tolerance for the same error
+# Each start is of order 1, so that they need a closer tolerance for the same error.
+MULTISTEP = ("BDF", "LSODA", "CVode")
 
 
 def tolerance(solver):
@@ -30,8 +32,12 @@ def tolerance(solver):
 
 
 def bounces(n):
-    """Give when a ball from 1 m hits the ground, and the speeds with which it leaves: each 0.7 of the one before."""
-    times, speeds = [math.sqrt(2.0 / 9.81)], [0.7 * math.sqrt(2.0 * 9.81)]
+    """Return when a ball from 1 m hits the ground, and the speeds with which it leaves.
+
+    Each speed is 0.7 of the one before.
+    """
+    times = [math.sqrt(2.0 / 9.81)]
+    speeds = [0.7 * math.sqrt(2.0 * 9.81)]
     for _ in range(n - 1):
         times.append(times[-1] + 2.0 * speeds[-1] / 9.81)
         speeds.append(0.7 * speeds[-1])
@@ -41,27 +47,32 @@ def bounces(n):
 @pytest.mark.parametrize("version", [2, 3])
 @pytest.mark.parametrize("solver", STEPPING)
 def test_a_bouncing_ball_is_the_closed_form(solver, version):
-    """Bounce times to 1e-9, the flight after the last of them too: no communication point is one of them."""
+    """Bounce times to 1e-9, the flight after the last of them too.
+
+    No communication point is one of them.
+    """
     with Run("BALL", solver, version=version, rtol=tolerance(solver)) as run:
         rows = run(2.0, 0.01)
-        found = np.array(run.events("state event"))
-    times, speeds = bounces(len(found))
-    assert len(found) == 4
-    assert abs(found - times).max() < 1e-9
+        events = np.array(run.events("state event"))
+    times, speeds = bounces(len(events))
+    assert len(events) == 4
+    assert abs(events - times).max() < 1e-9
     flight = 2.0 - times[-1]
-    # an error of 1e-9 in the time is one of 5e-9 in the height at the greatest speed, and of 1e-8 in the speed
-    assert rows[-1, 0] == pytest.approx(speeds[-1] * flight - 9.81 / 2.0 * flight**2, abs=1e-8)
-    assert rows[-1, 1] == pytest.approx(speeds[-1] - 9.81 * flight, abs=2e-8)
+    height = speeds[-1] * flight - 9.81 / 2.0 * flight**2
+    speed = speeds[-1] - 9.81 * flight
+    # an error of 1e-9 in the time is one of 5e-9 in the height at the greatest speed, and of 1e-8
+    # in the speed
+    assert rows[-1, 0] == pytest.approx(height, abs=1e-8)
+    assert rows[-1, 1] == pytest.approx(speed, abs=2e-8)
 
 
 def test_a_ball_that_does_not_come_to_rest_is_an_error():
-    """The bounces accumulate at t = sqrt(2/g) (1 + 0.7)/(1 - 0.7) = 2.5587; the run keeps what was before."""
-    with (
-        Run("BALL") as run,
-        pytest.raises(
-            Stopped, match=r"BALL: 1000 events between t = 2.55 s and 2.56 s, the last at 2.558"
-        ) as stop,
-    ):
+    """The bounces accumulate at t = sqrt(2/g) (1 + 0.7)/(1 - 0.7) = 2.5587.
+
+    The run keeps what was before.
+    """
+    message = r"BALL: 1000 events between t = 2.55 s and 2.56 s, the last at 2.558"
+    with Run("BALL") as run, pytest.raises(Stopped, match=message) as stop:
         run(3.0, 0.01)
     assert (stop.value.failed, stop.value.steps) == (True, 255)
 
@@ -75,61 +86,70 @@ def force(t):
 def test_coulomb_friction_sticks_and_slips(solver, version):
     """A mass of 1 kg under the force 2 t, from 1 s on 4 - 2 t, with friction of 1 N.
 
-    It breaks away at 0.5 s; v = (t - 0.5)^2 until 1 s, then 1/4 + 3 (t - 1) - (t^2 - 1), which ends at (3 + sqrt(2))/2 s; it
-    sticks until the force is -1 N at 2.5 s; then v = -(t - 2.5)^2.
+    It breaks away at 0.5 s; v = (t - 0.5)^2 until 1 s, then 1/4 + 3 (t - 1) - (t^2 - 1), which ends
+    at (3 + sqrt(2))/2 s; it sticks until the force is -1 N at 2.5 s; then v = -(t - 2.5)^2.
     """
     with Run("FRICTION", solver, p=1.0, version=version, rtol=tolerance(solver)) as run:
         rows = run(3.0, 0.05, u=force)
-        found = run.events("state event")
+        events = run.events("state event")
     stick = 1.5 + math.sqrt(0.5)
     # v' = 3 - 2 t = -sqrt(2) where it ends: an error of 1e-9 in v is one below 1e-9 in the time
-    assert found == pytest.approx([0.5, stick, 2.5], abs=2e-9)
+    assert events == pytest.approx([0.5, stick, 2.5], abs=2e-9)
     assert rows[20, 1] == pytest.approx(0.25, abs=1e-8)
     assert rows[-1, 1] == pytest.approx(-0.25, abs=1e-8)
-    forward = (
-        0.125 / 3
-        + 0.25 * (stick - 1.0)
-        + 1.5 * (stick - 1.0) ** 2
-        - (stick**3 - 1.0) / 3.0
-        + (stick - 1.0)
-    )
+    since_1 = stick - 1.0
+    until_1 = 0.125 / 3
+    forward = until_1 + 1.25 * since_1 + 1.5 * since_1**2 - (stick**3 - 1.0) / 3.0
     assert rows[48, 0] == pytest.approx(forward, abs=1e-8)
     assert np.array_equal(rows[[9, 11, 44, 48, 51], 2], [0.0, 1.0, 1.0, 0.0, -1.0])
 
 
 @pytest.mark.parametrize("solver", STEPPING)
 def test_of_several_crossings_in_one_step_the_earliest_comes_first(solver):
-    """Three indicators in one step of 1 s: one at 0.51 s, two at 0.53 s together, whatever their order in the unit."""
+    """Three indicators in one step of 1 s: one at 0.51 s, two at 0.53 s together.
+
+    Whatever their order in the FMU.
+    """
     with Run("TWO", solver, rtol=tolerance(solver)) as run:
         rows = run(1.0, 1.0)
-        found = run.events("state event")
-    assert found == pytest.approx([0.51, 0.53], abs=1e-9)
+        events = run.events("state event")
+    assert events == pytest.approx([0.51, 0.53], abs=1e-9)
     assert rows[-1, 2] == 3.0
-    assert rows[-1, 1] == found[-1], "the unit sees the domains changed, at the time that is told"
+    assert rows[-1, 1] == events[-1], "the FMU sees the domains changed at the time of the event"
 
 
 def switched(stop=1.0, u=(3.0, 1.0), start=0.0, level=0.5):
     """Solve x' = u0 + u1 t - x until x = level, and then u0 + u1 t - 4 x, in closed form."""
 
     def flow(t, x, begin, rate):
-        a, b = u[0] / rate - u[1] / rate**2, u[1] / rate
-        return (x - a - b * begin) * math.exp(-rate * (t - begin)) + a + b * t
+        a = u[0] / rate - u[1] / rate**2
+        b = u[1] / rate
+        decay = math.exp(-rate * (t - begin))
+        return (x - a - b * begin) * decay + a + b * t
 
-    low, high = 0.0, stop
+    low = 0.0
+    high = stop
     for _ in range(60):  # x grows until it is there
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if flow(middle, start, 0.0, 1.0) < level else (low, middle)
+        if flow(middle, start, 0.0, 1.0) < level:
+            low = middle
+        else:
+            high = middle
     return low, flow(stop, level, low, 4.0)
 
 
 def test_rk4_is_of_fourth_order_with_an_event_inside():
-    """The step is cut at the event, and goes on with the rest: halving it divides the errors of time and state by 16."""
+    """The step is cut at the event, and goes on with the rest.
+
+    Halving it divides the errors of time and state by 16.
+    """
     when, expected = switched()
 
     def errors(steps):
         with Run("SWITCH", p=0.5) as run:
             x = run(1.0, 1.0 / steps, u=lambda t: 3.0 + t)[-1, 0]
-            return abs(np.array([run.events("state event")[0] - when, x - expected]))
+            (event,) = run.events("state event")
+            return abs(np.array([event - when, x - expected]))
 
     ratio = errors(40) / errors(80)
     assert ((ratio > 14.0) & (ratio < 18.5)).all()
@@ -137,17 +157,17 @@ def test_rk4_is_of_fourth_order_with_an_event_inside():
 
 @pytest.mark.parametrize("solver", STEPPING)
 def test_a_switched_system_is_the_closed_form(solver):
-    """An exponential before and after the event, with the input on a straight line over 100 communication steps."""
+    """An exponential before and after the event; the input is a ramp over 100 steps."""
     when, expected = switched()
     with Run("SWITCH", solver, p=0.5, rtol=None if solver == "rk4" else 1e-12) as run:
         x = run(1.0, 0.01, u=lambda t: 3.0 + t)[-1, 0]
-        # rk4: h^4 = 1e-8 times a constant below 0.1; the others: some hundreds of steps with 1e-12 each
+        # rk4: h^4 = 1e-8 times a constant below 0.1; the others: some hundreds of steps with 1e-12
         assert run.events("state event") == pytest.approx([when], abs=3e-9)
         assert x == pytest.approx(expected, abs=3e-9)
 
 
 def test_an_input_that_jumps_over_an_indicator_is_an_event_there():
-    """The force, a held one, jumps to 3 N at 0.5 s: the mass breaks away with it, v = 2 (t - 0.5)."""
+    """The force, with a zero-order hold, jumps to 3 N at 0.5 s: v = 2 (t - 0.5) from there."""
     with Run("FRICTION", p=1.0) as run:
         rows = run(1.0, 0.1, u=lambda t: 3.0 * (t >= 0.5), held=(True, False))
         assert run.events("input event") == [0.5]
@@ -156,7 +176,10 @@ def test_an_input_that_jumps_over_an_indicator_is_an_event_there():
 
 
 def test_a_continuous_input_that_jumps_between_two_steps_is_seen():
-    """Who corrects an input at a communication point lets the solver start anew, and its events happen there."""
+    """An input that is corrected at a communication point makes the solver start anew.
+
+    The events of that change happen there.
+    """
     with Run("FRICTION", "DOP853", p=1.0) as run:
         run(0.5, 0.1)
         t = np.array([0.5, 1.0])
@@ -172,26 +195,31 @@ def test_a_continuous_input_that_jumps_between_two_steps_is_seen():
 @pytest.mark.parametrize("solver", STEPPING)
 @pytest.mark.parametrize("period", [0.1, 0.037])
 def test_a_sawtooth_on_and_between_communication_points(solver, version, period):
-    """x' = 1, back to zero at k p: on the points of a step of 20 ms, where the outputs are those after the event, and between."""
+    """x' = 1, back to zero at k p: on the points of a step of 20 ms, and between them.
+
+    On a point the outputs are those after the event.
+    """
     with Run("SAW", solver, p=period, version=version) as run:
         rows = run(1.0, 0.02)
-        found = run.events("time event")
+        events = run.events("time event")
     t = np.arange(51) * 0.02
     ticks = np.floor(t / period + 1e-9)
     assert np.array_equal(rows[:, 3], ticks)
     assert abs(rows[:, 0] - (t - ticks * period)).max() < 1e-12
     # the last point's own event happens with the next step
-    assert found == pytest.approx(
-        [period * k for k in range(1, 1 + int(ticks[-1]) - (period == 0.1))], abs=1e-15
-    )
+    expected = period * np.arange(1, 1 + int(ticks[-1]) - (period == 0.1))
+    assert events == pytest.approx(expected, abs=1e-15)
 
 
 @pytest.mark.parametrize("solver", STEPPING)
-def test_a_unit_without_states_runs(solver):
-    """A counter: events only, whose times it adds up; 0.1 + 0.1 + ... leaves the points by a few roundings and counts on time."""
+def test_an_fmu_without_states_runs(solver):
+    """A counter: events only, whose times it adds up.
+
+    0.1 + 0.1 + ... leaves the points by a few roundings and counts on time.
+    """
     with Run("COUNTER", solver, p=0.1) as run:
         rows = run(1.0, 0.05)
-    # up to 0.5 the sum is a point to 4 roundings; later it may come one point late
+    # up to 0.5 the sum is a point to 4 roundings; after that it may come one point later
     assert np.array_equal(rows[:11, 3], [0, 0, 1, 1, 2, 2, 3, 3, 4, 4, 5])
     assert rows[-1, 3] in (9.0, 10.0)
 
@@ -199,31 +227,34 @@ def test_a_unit_without_states_runs(solver):
 # --- events that do not end, and the end of the run ---
 
 
-def test_discrete_states_that_never_settle_are_an_error():
+def test_an_event_iteration_that_never_ends_is_an_error():
     """FMI sets no limit: ours is 100 iterations; the message names the FMU and the time."""
+    message = r"ENDLESS: the event iteration at t = 0.325\d* s does not converge in 100 iterations"
     with Run("ENDLESS", p=0.325) as run:
-        with pytest.raises(
-            Stopped,
-            match=r"ENDLESS: the event iteration at t = 0.325\d* s does not converge in 100 iterations",
-        ) as stop:
+        with pytest.raises(Stopped, match=message) as stop:
             run(1.0, 0.1)
         assert (stop.value.failed, stop.value.steps) == (True, 3)
 
 
 @pytest.mark.parametrize("solver", STEPPING)
 def test_a_relay_that_chatters_is_an_error(solver):
-    """Without hysteresis the next event is one rounding later; the message names the FMU, the time and the limit."""
+    """Without hysteresis the next event is one rounding later.
+
+    The message names the FMU, the time and the limit.
+    """
+    message = (
+        r"SLIDE: 1000 events between t = 0.3 s and 0.4 s, the last at 0.32\d* s; they do not end"
+    )
     with Run("SLIDE", solver, p=0.325) as run:
-        text = r"SLIDE: 1000 events between t = 0.3 s and 0.4 s, the last at 0.32\d* s; they do not end"
-        with pytest.raises(Stopped, match=text) as stop:
+        with pytest.raises(Stopped, match=message) as stop:
             run(1.0, 0.1)
         assert (stop.value.failed, stop.value.steps) == (True, 3)
         assert len(run.fmu.drain()) == KEPT + 1
 
 
 @pytest.mark.parametrize("version", [2, 3])
-def test_the_end_of_the_run_is_asked_for_in_an_event(version):
-    """Time does not move after it: this unit would refuse."""
+def test_the_end_of_the_run_is_requested_in_an_event(version):
+    """Time does not advance after it: this FMU would refuse."""
     with Run("ENDS", p=0.325, version=version) as run:
         with pytest.raises(Stopped, match="the FMU requests the end of the run") as stop:
             run(1.0, 0.1)
@@ -232,8 +263,12 @@ def test_the_end_of_the_run_is_asked_for_in_an_event(version):
 
 
 def test_events_are_in_the_log(tmp_path):
-    """On /cosim/log, at level debug, at their time: a fall of 1 m takes sqrt(2 / 9.81) s, however long the block."""
-    (scenario := tmp_path / "ball.toml").write_text(f"""
+    """On /cosim/log, at level debug, at their time, however long the block.
+
+    A fall of 1 m takes sqrt(2 / 9.81) s.
+    """
+    scenario = tmp_path / "ball.toml"
+    scenario.write_text(f"""
 [scenario]
 name = "ball"
 stop = 1.0
@@ -249,10 +284,8 @@ path = "{build("BALL")}"
 "plant.d" = "zero.y"
 """)
     cosim.run(str(scenario), out=tmp_path / "ball.mcap", block=1000)
-    found = open_log(tmp_path / "ball.mcap").messages()
-    (bounce,) = [
-        message for message in found if (message.level, message.source) == ("debug", "plant")
-    ]
+    messages = open_log(tmp_path / "ball.mcap").messages()
+    (bounce,) = [m for m in messages if (m.level, m.source) == ("debug", "plant")]
     assert bounce.text.startswith("event: state event at t = 0.45152364098573")
     assert bounce.time_ns == 451_523_641
 
@@ -261,9 +294,10 @@ path = "{build("BALL")}"
 
 
 def pieces(steps, step):
-    """Give inputs that move in straight lines, and a discrete one that changes every few steps."""
+    """Return a continuous input, and a discrete one that changes every few steps."""
     t = np.arange(steps + 1) * step
-    return np.column_stack([2.0 * np.sin(7.0 * t), np.floor(t / (3.5 * step)) % 3])
+    discrete = np.floor(t / (3.5 * step)) % 3
+    return np.column_stack([2.0 * np.sin(7.0 * t), discrete])
 
 
 CASES = {
@@ -293,7 +327,7 @@ def making(model, solver, version=2):
 
 
 # every model with rk4, every solver with the most eventful one; the rest is a longer campaign
-PAIRS = [(model, solver) for model in CASES for solver in STEPPING]
+PAIRS = list(product(CASES, STEPPING))
 SHORT = [
     (model, solver)
     for model, solver in PAIRS
@@ -305,10 +339,11 @@ SHORT = [
     ("model", "solver"),
     [pytest.param(*pair, marks=() if pair in SHORT else pytest.mark.campaign) for pair in PAIRS],
 )
-def test_units_with_events_keep_the_contract(model, solver):
-    """Blocks of 1, 7 and all steps give the same bits, outputs changes nothing, restore(save()) is the identity: with memory too.
+def test_fmus_with_events_keep_the_contract(model, solver):
+    """Blocks of 1, 7 and all steps give the same bits, outputs changes nothing.
 
-    Steps of 30 ms: the ball bounces once, the mass slips and sticks, ticks lie between the points, some of them in one step.
+    restore(save()) is the identity, with a memory too. Steps of 30 ms: the ball bounces once, the
+    mass slips and sticks, ticks lie between the points, some of them in one step.
     """
     with making(model, solver, version=3 if model in ("TWO", "FRICTION") else 2) as make:
         check_component(make, inputs=pieces(16, 0.03), h=0.03)
@@ -317,34 +352,38 @@ def test_units_with_events_keep_the_contract(model, solver):
 
 @pytest.mark.parametrize("solver", STEPPING)
 def test_events_do_not_depend_on_blocks(solver):
-    """K = 1 equals K = 100, bit for bit, and the same events are told."""
-    found = []
-    for blocks in (1, 100):
+    """K = 1 equals K = 100, bit for bit, and the events are the same."""
+
+    def result(blocks):
         with Run("FRICTION", solver, p=1.0) as run:
             rows = run(2.6, 0.02, u=force, blocks=blocks)
-            found.append((rows.tobytes(), run.events("state event")))
-    assert found[0] == found[1]
+            return rows.tobytes(), run.events("state event")
+
+    assert result(1) == result(100)
 
 
 def test_outputs_with_other_inputs_leave_a_memory_alone():
-    """The unit counts the changes of d; asking for outputs with another d shows the count, and takes it back."""
+    """The FMU counts the changes of d.
+
+    Outputs for another d show the count, and take it back.
+    """
     with Run("MEMORY") as run:
         run(0.1, 0.1)
         for d, count in ((1.0, 1.0), (0.0, 0.0), (2.0, 1.0)):
             assert run.component.outputs(0.1, np.array([0.0, d]))[2] == count
-        assert (
-            run.component.advance(np.array([0.1, 0.2]), 0.1, np.array([[0.0, 2.0], [0.0, 2.0]]))[
-                0, 2
-            ]
-            == 1.0
-        )
+        u = np.array([[0.0, 2.0], [0.0, 2.0]])
+        y = run.component.advance(np.array([0.1, 0.2]), 0.1, u)
+        assert y[0, 2] == 1.0
 
 
 # --- solvers ---
 
 
 def test_nominal_values_scale_the_absolute_tolerance():
-    """x decays to 1e-6 of its nominal value; with a nominal value of 1e-6 the same solver takes more steps."""
+    """x decays to 1e-6 of its nominal value.
+
+    With a nominal value of 1e-6 the same solver takes more steps.
+    """
     count = {}
     for nominal in (1.0, 1e-6):
         with Run("SWITCH", "RK45", p=0.5, nominal=nominal, rtol=1e-6) as run:
@@ -354,27 +393,32 @@ def test_nominal_values_scale_the_absolute_tolerance():
 
 
 def test_a_nominal_value_of_zero_is_refused():
-    text = r"SWITCH: nominal value of state 0: found 0.0, needed a number other than zero"
-    with Run("SWITCH", "BDF", p=0.5, nominal=0.0) as run, pytest.raises(Stopped, match=text):
+    message = "SWITCH: nominal value of state 0: found 0.0, needed a number other than zero"
+    with Run("SWITCH", "BDF", p=0.5, nominal=0.0) as run, pytest.raises(Stopped, match=message):
         run(1.0, 0.1)
 
 
 @pytest.mark.parametrize("rtol", [0.0, 1e-16, 1.0, math.nan])
 def test_a_tolerance_that_is_none_is_refused(rtol):
-    with pytest.raises(
-        FmuError, match=rf"SWITCH: relative tolerance {rtol}; needed at least 1e-13 and less than 1"
-    ):
+    message = f"SWITCH: relative tolerance {rtol}; needed at least 1e-13 and less than 1"
+    with pytest.raises(FmuError, match=message):
         Run("SWITCH", "BDF", rtol=rtol)
 
 
 def test_a_tolerance_for_a_solver_that_keeps_none_is_refused():
-    text = "SWITCH: relative tolerance 1e-06: solver 'rk4' takes the steps it is given; leave it out or use one of: RK45, DOP853"
-    with pytest.raises(FmuError, match=text):
+    message = (
+        "SWITCH: relative tolerance 1e-06: solver 'rk4' takes the steps it is given; leave it out "
+        "or use one of: RK45, DOP853"
+    )
+    with pytest.raises(FmuError, match=message):
         Run("SWITCH", "rk4", rtol=1e-6)
 
 
 def test_completed_integrator_step_is_called_after_every_step_of_the_solver():
-    """rk4: once a communication step, and once more for each of the events inside; an adaptive solver takes steps of its own."""
+    """rk4: once a communication step, and once more for each of the events inside.
+
+    An adaptive solver takes steps of its own.
+    """
     with Run("TWO") as run:
         run(1.0, 0.1)
         assert run.value("completed") == 10 + 2
@@ -388,14 +432,17 @@ def test_completed_integrator_step_is_called_after_every_step_of_the_solver():
     [("RK45", 1.2), ("DOP853", 1.1), ("Radau", 1.1), ("BDF", 2.0), ("CVode", 2.0)],
 )
 def test_solvers_run_on_over_communication_points(solver, ratio):
-    """Evaluations over 0.2 s in steps of 1 ms, against those where the input jumps by 1e-12 at every point."""
+    """Evaluations over 0.2 s in steps of 1 ms.
+
+    Against those where the input jumps by 1e-12 at every point.
+    """
 
     def evaluations(wobble):
         with Run("SWITCH", solver, p=10.0) as run:
-            component, n = run.component, 200
+            component = run.component
             component.prepare(1e-3, np.array([False, False]), {})
             component.initialize(0.0, np.array([1.0, 0.0]))
-            for k in range(n):
+            for k in range(200):
                 u = np.array([[1.0 + wobble * (k % 2), 0.0]] * 2)
                 component.advance(np.array([k, k + 1]) * 1e-3, 1e-3, u)
             return run.value("evaluations")
@@ -405,12 +452,13 @@ def test_solvers_run_on_over_communication_points(solver, ratio):
 
 def test_no_cvode_on_this_machine_is_an_error(monkeypatch):
     """Where fmpy has no libraries, the message names the machine and what to use instead."""
-    monkeypatch.setitem(__import__("sys").modules, "fmpy.sundials", None)
+    monkeypatch.setitem(sys.modules, "fmpy.sundials", None)
     monkeypatch.delattr("fmpy.sundials", raising=False)
-    with pytest.raises(
-        FmuError,
-        match=r"solver 'CVode': fmpy has no SUNDIALS libraries for \w+-\w+ \(.*\); use 'BDF' or 'Radau'",
-    ):
+    message = (
+        r"solver 'CVode': fmpy has no SUNDIALS libraries for \w+-\w+ \(.*\); "
+        "use 'BDF' or 'Radau'"
+    )
+    with pytest.raises(FmuError, match=message):
         Run("SWITCH", "CVode", p=0.5)
 
 
@@ -441,22 +489,25 @@ def test_cvode_says_why_it_fails(capfd):
 )
 def test_a_crossing_is_located_to_rounding_and_on_its_far_side(z, root):
     """Whatever the slope: flat, steep, a jump; in no more evaluations than bisection and one."""
-    asked = []
+    times = []
 
     def indicators(t):
-        asked.append(t)
+        times.append(t)
         return np.array([z(t)])
 
     t = locate(indicators, 0.0, np.array([z(0.0)]), 1.0, np.array([z(1.0)]))
     assert (z(t) > 0.0) == (z(1.0) > 0.0)
     # below, the function itself is rounded: (t - 0.3)^9 vanishes for a difference below 1e-36
     assert abs(t - root) <= 2.0 * close(1.0)
-    assert len(asked) <= 52
-    assert all(0.0 < time < 1.0 for time in asked)
+    assert len(times) <= 52
+    assert all(0.0 < time < 1.0 for time in times)
 
 
 def test_the_list_of_events_is_bounded():
-    """The latest are kept, the rest is counted; what was fetched is gone, and what was undone comes back."""
+    """The latest are kept, the rest is counted.
+
+    What was fetched is gone, and what was undone comes back.
+    """
     events = EventList()
     for k in range(KEPT + 3):
         events.add("time event", float(k))

@@ -31,17 +31,21 @@ VARIABLES = (
     Variable("y", 10, causality="output", initial="calculated"),
     Variable("g", 11, causality="local", variability="constant", initial="exact"),
 )
-UNIT = Description("unit", "", "3.0", VARIABLES)
+MODEL = Description("model", "", "3.0", VARIABLES)
 
 
 def test_values_of_every_type():
-    found = check_start(
-        UNIT,
-        {
-            "gain": 2, "count": 255.0, "far": -(2**53), "on": True, "mode": "running", "file": "a b", "key": "00fF",
-            "table": [[1, 2, 3], [4, 5, 6]], "n": 3,
-        },
-    )  # fmt: skip
+    values = {
+        "gain": 2,
+        "count": 255.0,
+        "far": -(2**53),
+        "on": True,
+        "mode": "running",
+        "file": "a b",
+        "key": "00fF",
+        "table": [[1, 2, 3], [4, 5, 6]],
+        "n": 3,
+    }
     numbers = {
         "gain": (2.0,),
         "count": (255.0,),
@@ -50,9 +54,8 @@ def test_values_of_every_type():
         "mode": (3.0,),
     }
     table = {"table": (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)}
-    assert found == StartValues(
-        {"n": (3.0,)}, numbers | table, {"file": ("a b",), "key": ("00fF",)}
-    )
+    texts = {"file": ("a b",), "key": ("00fF",)}
+    assert check_start(MODEL, values) == StartValues({"n": (3.0,)}, numbers | table, texts)
 
 
 @pytest.mark.parametrize(
@@ -60,19 +63,19 @@ def test_values_of_every_type():
     [("mode", 3, 3.0), ("on", 1.0, 1.0), ("on", 0, 0.0), ("on", False, 0.0)],
 )
 def test_numbers_stand_for_booleans_and_items(name, value, number):
-    assert check_start(UNIT, {name: value}).numbers == {name: (number,)}
+    assert check_start(MODEL, {name: value}).numbers == {name: (number,)}
 
 
 def test_arrays_may_be_flat():
-    assert check_start(UNIT, {"table": range(6)}).numbers == {
+    assert check_start(MODEL, {"table": range(6)}).numbers == {
         "table": (0.0, 1.0, 2.0, 3.0, 4.0, 5.0)
     }
 
 
 @pytest.mark.parametrize(
-    ("name", "value", "text"),
+    ("name", "value", "message"),
     [
-        ("gian", 1.0, r"unit: no variable 'gian'; did you mean 'gain'"),
+        ("gian", 1.0, r"model: no variable 'gian'; did you mean 'gain'"),
         ("gain", float("nan"), r"start value of 'gain': found nan, needed a finite number"),
         ("gain", float("-inf"), "found -inf, needed a finite number"),
         ("gain", 10.5, r"found 10.5, needed 0.0 to 10.0"),
@@ -94,7 +97,8 @@ def test_arrays_may_be_flat():
         (
             "y",
             1.0,
-            r"'y' cannot be set at the start \(causality output, variability continuous, initial calculated\)",
+            r"'y' cannot be set at the start \(causality output, variability continuous, "
+            r"initial calculated\)",
         ),
         ("g", 1.0, r"'g' cannot be set at the start \(causality local, variability constant"),
         ("table", 1.0, "found one value, needed a list of 6 values"),
@@ -109,35 +113,38 @@ def test_arrays_may_be_flat():
         ("table", [1.0, float("nan"), 1.0, 1.0, 1.0, 1.0], "found nan, needed a finite number"),
     ],
 )
-def test_what_is_no_start_value(name, value, text):
-    with pytest.raises(FmuError, match=text):
-        check_start(UNIT, {name: value})
+def test_what_is_no_start_value(name, value, message):
+    with pytest.raises(FmuError, match=message):
+        check_start(MODEL, {name: value})
 
 
 def test_two_names_of_one_variable():
     with pytest.raises(
         FmuError, match="'amplification': it is another name of 'gain', which is given too"
     ):
-        check_start(UNIT, {"gain": 1.0, "amplification": 1.0})
+        check_start(MODEL, {"gain": 1.0, "amplification": 1.0})
 
 
 def test_all_problems_are_one_error():
     with pytest.raises(FmuError) as error:
-        check_start(UNIT, {"gian": 1.0, "y": 1.0, "on": 2, "gain": 1.0})
+        check_start(MODEL, {"gian": 1.0, "y": 1.0, "on": 2, "gain": 1.0})
     assert len(str(error.value).splitlines()) == 3
 
 
 def test_structural_parameters_resize_what_depends_on_them():
-    larger = resized(UNIT, {"n": 4, "gain": 1.0, "nothing": 2})
+    larger = resized(MODEL, {"n": 4, "gain": 1.0, "nothing": 2})
     assert (larger["table"].size, larger["n"].start) == (8, (4.0,))
-    assert resized(UNIT, {"gain": 1.0}) is UNIT
+    assert resized(MODEL, {"gain": 1.0}) is MODEL
     with pytest.raises(FmuError, match=r"'n': found 2.5, needed a whole number"):
-        resized(UNIT, {"n": 2.5})
+        resized(MODEL, {"n": 2.5})
 
 
 def test_start_values_reach_the_fmu(tmp_path):
     """Of every type, before the initialization; the structural parameter in configuration mode."""
-    n = '<UInt64 name="n" valueReference="540" causality="structuralParameter" variability="fixed" start="2"/>'
+    n = (
+        '<UInt64 name="n" valueReference="540" causality="structuralParameter" '
+        'variability="fixed" start="2"/>'
+    )
     xml = xml3().replace("<ModelVariables>", f"<ModelVariables>{n}")
     xml = xml.replace(
         'start="0 0 0"><Dimension start="3"/></Float64>',
@@ -145,27 +152,25 @@ def test_start_values_reach_the_fmu(tmp_path):
     )
     path = compile_fmu(tmp_path / "x.fmu", xml, "probe3.c")
     start = {
-        "n": 3, "Float64s": [1.5, 2.5, 3.5], "UInt8": 200, "Booleans": [True, False, True], "Int64s": [-1, 0, 2**53],
-        "texts": ["a", "b"], "binaries": ["", "ff00"], "x": 0.5,
-    }  # fmt: skip
+        "n": 3,
+        "Float64s": [1.5, 2.5, 3.5],
+        "UInt8": 200,
+        "Booleans": [True, False, True],
+        "Int64s": [-1, 0, 2**53],
+        "texts": ["a", "b"],
+        "binaries": ["", "ff00"],
+        "x": 0.5,
+    }
     with load(path, FmuOptions(interface_type="cs", start=start)) as fmu:
-        assert (
-            fmu.description["Float64s"].size,
-            fmu.component.initialize(0.0, np.zeros(1)).tolist(),
-        ) == (3, [0.5])
-        unit = fmu.component._instance
-        assert got(unit, "n", "configured", "Float64s") == [3.0, 2.0, 1.5, 2.5, 3.5]
-        assert got(unit, "UInt8", "Booleans", "Int64s") == [
-            200.0,
-            1.0,
-            0.0,
-            1.0,
-            -1.0,
-            0.0,
-            2.0**53,
-        ]
-        assert unit.get_text(fmu.description["texts"]) == ("a", "b")
-        assert unit.get_text(fmu.description["binaries"]) == ("", "ff00")
+        assert fmu.description["Float64s"].size == 3
+        assert fmu.component.initialize(0.0, np.zeros(1)).tolist() == [0.5]
+        instance = fmu.component._instance
+        assert got(instance, "n", "configured", "Float64s") == [3.0, 2.0, 1.5, 2.5, 3.5]
+        assert got(instance, "UInt8") == [200.0]
+        assert got(instance, "Booleans") == [1.0, 0.0, 1.0]
+        assert got(instance, "Int64s") == [-1.0, 0.0, 2.0**53]
+        assert instance.get_text(fmu.description["texts"]) == ("a", "b")
+        assert instance.get_text(fmu.description["binaries"]) == ("", "ff00")
 
 
 def test_values_of_a_scenario(tmp_path, probe3):

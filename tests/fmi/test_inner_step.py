@@ -1,4 +1,4 @@
-"""Outputs that change at every n-th step only, for the one reason that is looked for, and for others."""
+"""Outputs that change at every n-th step only: because of an inner step, and for other reasons."""
 
 import numpy as np
 import pytest
@@ -8,25 +8,31 @@ from hypothesis import strategies as st
 from cosim.fmi.driving.inner_step import InnerStep
 
 
-def look(outputs, inputs, watch=None):
-    """Give (number of the step, n) of what is found."""
+def detections(outputs, inputs, watch=None):
+    """Return (number of the step, n) where an inner step is detected."""
     watch = watch or InnerStep(np.array([0]))
-    found = [
-        (k, watch.observe(np.array([y]), np.array([u])))
-        for k, (y, u) in enumerate(zip(outputs, inputs, strict=True))
-    ]
-    return [(k, n) for k, n in found if n]
+    detected = []
+    for k, (y, u) in enumerate(zip(outputs, inputs, strict=True)):
+        n = watch.observe(np.array([y]), np.array([u]))
+        if n:
+            detected.append((k, n))
+    return detected
 
 
 STEPS = np.arange(400)
-STILL, MOVING = np.zeros(len(STEPS)), np.sin(STEPS)
+STILL = np.zeros(len(STEPS))
+MOVING = np.sin(STEPS)
 
 
-@given(n=st.integers(2, 35), moves=st.booleans(), late=st.integers(0, 30))
-def test_an_inner_step_is_found_once(n, moves, late):
-    """Whatever the inputs do: with the spell that eight others have equalled, the first one not counted after a rest."""
-    outputs = np.exp(-0.1 * np.maximum((STEPS - late) // n, 0))
-    assert look(outputs, MOVING if moves else STILL) == [(late + 10 * n if late else 9 * n, n)]
+@given(n=st.integers(2, 35), moves=st.booleans(), rest=st.integers(0, 30))
+def test_an_inner_step_is_detected_once(n, moves, rest):
+    """Whatever the inputs do: with the spell that eight others have equaled.
+
+    After a rest the first spell does not count.
+    """
+    spells = np.maximum((STEPS - rest) // n, 0)
+    k = rest + 10 * n if rest else 9 * n
+    assert detections(np.exp(-0.1 * spells), MOVING if moves else STILL) == [(k, n)]
 
 
 @pytest.mark.parametrize(
@@ -46,24 +52,24 @@ def test_an_inner_step_is_found_once(n, moves, late):
         "rest",
         "lively",
         "held input",
-        "held input, late",
+        "held input, delayed",
         "pulse",
         "creeping",
         "irregular",
     ],
 )
 def test_nothing_else_is_taken_for_one(outputs, inputs):
-    assert look(outputs.astype(float), inputs.astype(float)) == []
+    assert detections(outputs.astype(float), inputs.astype(float)) == []
 
 
-def test_what_was_seen_can_be_put_back():
-    """A run that goes back and on again finds the same at the same step."""
+def test_the_history_can_be_restored():
+    """A run that goes back and on again detects the same at the same step."""
     outputs = np.exp(-0.1 * (STEPS // 10))
     watch = InnerStep(np.array([0]))
-    look(outputs[:55], MOVING[:55], watch)
+    detections(outputs[:55], MOVING[:55], watch)
     history = watch.history
-    first = look(outputs[55:], MOVING[55:], watch)
+    first = detections(outputs[55:], MOVING[55:], watch)
     watch.history = history
-    assert look(outputs[55:], MOVING[55:], watch) == first != []
+    assert detections(outputs[55:], MOVING[55:], watch) == first != []
     watch.reset()
-    assert look(outputs, MOVING, watch) != []
+    assert detections(outputs, MOVING, watch) != []

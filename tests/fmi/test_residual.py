@@ -1,4 +1,7 @@
-"""The residual form of DAE FMUs: solved to the order of its method, against solutions that know nothing of it."""
+"""The residual form of DAE FMUs, solved to the order of its method.
+
+The reference solutions do not use the form.
+"""
 
 from functools import cache
 
@@ -18,7 +21,7 @@ DERIVATIVES = pytest.mark.parametrize("derivatives", [True, False])
 
 
 def line(t):
-    """Give a straight line, so that a communication step hides nothing."""
+    """Return a ramp, so that a communication step hides nothing."""
     return 0.5 + t
 
 
@@ -29,118 +32,149 @@ def still(t):
 def run(
     h, stop=2.0, *, u=line, held=False, model="CUBIC", derivatives=True, dae="residual", start=None
 ):
-    """Give the outputs at every communication point: x (where there is one), z, q, y; and the events."""
-    with load(build(model, derivatives=derivatives), FmuOptions(dae=dae, start=start or {})) as fmu:
-        component, steps = fmu.component, round(stop / h)
-        t = np.arange(steps + 1) * round(h * 1e9) / 1e9
-        rows = u(t)[:, np.newaxis]
+    """Return the outputs at every communication point, and the times of the state events.
+
+    The outputs: x (where there is one), z, q, y.
+    """
+    steps = round(stop / h)
+    t = np.arange(steps + 1) * round(h * 1e9) / 1e9
+    inputs = u(t)[:, np.newaxis]
+    options = FmuOptions(dae=dae, start=start or {})
+    with load(build(model, derivatives=derivatives), options) as fmu:
+        component = fmu.component
         component.prepare(h, np.array([held]), {})
-        found = np.vstack([component.initialize(0.0, rows[0]), component.advance(t, h, rows)])
-        texts = [text for *_, text in fmu.drain() if text.startswith("state event")]
-    return found, [float(text.split(" = ")[1][:-2]) for text in texts]
+        first = component.initialize(0.0, inputs[0])
+        y = np.vstack([first, component.advance(t, h, inputs)])
+        messages = [text for *_, text in fmu.drain() if text.startswith("state event")]
+    return y, [float(message.split(" = ")[1][:-2]) for message in messages]
 
 
 def root(value):
-    """Give the real z of z^3 + z = value."""
-    (z,) = (r.real for r in np.roots([1.0, 0.0, 1.0, -value]) if abs(r.imag) < 1e-6)
+    """Return the real z of z^3 + z = value."""
+    roots = np.roots([1.0, 0.0, 1.0, -value])
+    (z,) = (root.real for root in roots if abs(root.imag) < 1e-6)
     return z
 
 
 @cache
 def reference():
-    """Differentiated, the equation is an ordinary one: (3 z^2 + 1) z' = x' + u' = 1 - z. Its error is some 1e-14."""
-    found = solve_ivp(
-        lambda t, z: (1.0 - z) / (3.0 * z * z + 1.0),
-        (0.0, 2.0),
-        [root(1.5)],
-        method="DOP853",
-        rtol=1e-13,
-        atol=1e-15,
-    )
-    z = found.y[0, -1]
+    """Return x and z at 2 s; their error is some 1e-14.
+
+    Differentiated, the equation is an ordinary one: (3 z^2 + 1) z' = x' + u' = 1 - z.
+    """
+
+    def right_hand_side(t, z):
+        return (1.0 - z) / (3.0 * z * z + 1.0)
+
+    z0 = [root(1.5)]
+    tolerances = {"rtol": 1e-13, "atol": 1e-15}
+    solution = solve_ivp(right_hand_side, (0.0, 2.0), z0, method="DOP853", **tolerances)
+    z = solution.y[0, -1]
     return np.array([z**3 + z - 2.5, z])
 
 
 def test_the_coefficients_are_those_of_collocation_of_order_five():
-    """B(5) and C(3) of Hairer and Wanner II, section IV.5; the last row is that of the quadrature (stiffly accurate)."""
+    """B(5) and C(3) of Hairer and Wanner II, section IV.5.
+
+    The last row is that of the quadrature (stiffly accurate).
+    """
     c = np.array([*NODES, 1.0])
     for k in (1, 2, 3):
-        assert WEIGHTS @ c ** (k - 1) == pytest.approx(c**k / k, abs=2e-16)
+        integrals = WEIGHTS @ c ** (k - 1)
+        assert integrals == pytest.approx(c**k / k, abs=2e-16)
     for k in (1, 2, 3, 4, 5):
-        assert WEIGHTS[-1] @ c ** (k - 1) == pytest.approx(1.0 / k, abs=2e-16)
+        integral = WEIGHTS[-1] @ c ** (k - 1)
+        assert integral == pytest.approx(1.0 / k, abs=2e-16)
 
 
 @DERIVATIVES
 def test_halving_the_step_divides_the_error_by_thirty_two(derivatives):
     """Order 5 for x and z, with the FMU's derivatives and without."""
-    coarse, fine = (
-        abs(run(h, derivatives=derivatives)[0][-1, :2] - reference()) for h in (0.4, 0.2)
-    )
-    assert coarse / fine == pytest.approx([32.0, 32.0], abs=4.0)
+
+    def error(h):
+        y, _ = run(h, derivatives=derivatives)
+        return abs(y[-1, :2] - reference())
+
+    assert error(0.4) / error(0.2) == pytest.approx([32.0, 32.0], abs=4.0)
 
 
 @DERIVATIVES
 def test_a_nonlinear_model_is_solved_to_rounding(derivatives):
-    """At 10 ms the method is wrong by 5e-10 / 40^5 = 5e-18; 200 steps round to some 200 times 1e-16, the reference to 1e-14.
+    """At 10 ms the method is wrong by 5e-10 / 40^5 = 5e-18.
 
-    The FMU's own form, with rk4, is wrong by h^4 times the fifth derivative over 120: below 1e-10.
+    200 steps round to some 200 times 1e-16, the reference to 1e-14. The FMU's own form, with rk4,
+    is wrong by h^4 times the fifth derivative over 120: below 1e-10.
     """
-    found = run(0.01, derivatives=derivatives)[0]
-    assert found[-1, :2] == pytest.approx(reference(), abs=5e-14)
-    assert found[-1, 3] == found[-1, 0] + 2.0 * found[-1, 1]
-    assert run(0.01, dae="ode")[0][:, :2] == pytest.approx(found[:, :2], abs=1e-10)
+    rows, _ = run(0.01, derivatives=derivatives)
+    x, z, _, y = rows[-1]
+    assert [x, z] == pytest.approx(reference(), abs=5e-14)
+    assert y == x + 2.0 * z
+    rows_of_ode, _ = run(0.01, dae="ode")
+    assert rows_of_ode[:, :2] == pytest.approx(rows[:, :2], abs=1e-10)
 
 
 @DERIVATIVES
 def test_a_state_event_of_an_algebraic_variable_is_located(derivatives):
-    """z falls through 0.5, from where on x' is -4 z. The time is a quadrature: dt = -(3 z + 1/z)/q dz, from z(0)."""
-    found, events = run(0.02, u=still, derivatives=derivatives, start={"p": 0.5})
+    """z falls through 0.5, from where on x' is -4 z.
+
+    The time is a quadrature: dt = -(3 z + 1/z)/q dz, from z(0).
+    """
+    rows, events = run(0.02, u=still, derivatives=derivatives, start={"p": 0.5})
 
     def passed(z):  # integral of 3 z + 1/z
         return 1.5 * z * z + np.log(z)
 
     expected = passed(root(1.0)) - passed(0.5)
-    assert events == pytest.approx(
-        [expected], abs=1e-11
-    )  # the method: some 1e-10 at 0.4 s, by 20^5
-    z = found[-1, 1]
-    assert found[-1, 2] == 4.0
+    # the method: some 1e-10 at 0.4 s, by 20^5
+    assert events == pytest.approx([expected], abs=1e-11)
+    _, z, q, _ = rows[-1]
+    assert q == 4.0
     # then nearly z' = -4 z: a step is wrong by (4 h)^6 / 7200 of z, 70 of them by 3e-9
-    assert (passed(0.5) - passed(z)) / 4.0 == pytest.approx(2.0 - expected, abs=3e-9)
+    remaining = (passed(0.5) - passed(z)) / 4.0
+    assert remaining == pytest.approx(2.0 - expected, abs=3e-9)
 
 
 def steps(t):
-    return np.where(np.round(t * 10.0) % 2.0 == 0.0, 1.0, -0.5)
+    even = np.round(t * 10.0) % 2.0 == 0.0
+    return np.where(even, 1.0, -0.5)
 
 
 @pytest.mark.parametrize("held", [True, False])
 def test_z_solves_the_equation_with_the_inputs_of_its_time(held):
-    """Held inputs jump at communication points: there z jumps with them, and y shows it; x does not."""
+    """Held inputs jump at communication points: z jumps with them, and y shows it; x does not."""
     with load(build(), FmuOptions(dae="residual")) as fmu:
-        component, t = fmu.component, np.arange(21) / 10.0
-        rows = steps(t)[:, np.newaxis]
+        component = fmu.component
+        t = np.arange(21) / 10.0
+        inputs = steps(t)[:, np.newaxis]
         component.prepare(0.1, np.array([held]), {})
-        found = np.vstack([component.initialize(0.0, rows[0]), component.advance(t, 0.1, rows)])
-        x, z, y = found[:, 0], found[:, 1], found[:, 3]
-        assert z**3 + z - x == pytest.approx(rows[:, 0], abs=4e-15)
+        first = component.initialize(0.0, inputs[0])
+        rows = np.vstack([first, component.advance(t, 0.1, inputs)])
+        x, z, _, y = rows.T
+        assert z**3 + z - x == pytest.approx(inputs[:, 0], abs=4e-15)
         assert np.array_equal(y, x + 2.0 * z)
-        other = component.outputs(2.0, np.array([7.0]))
-        assert other[1] == pytest.approx(root(found[-1, 0] + 7.0), abs=4e-15)
-        assert np.array_equal(component.outputs(2.0, rows[-1]), found[-1])
+        z_for_7 = component.outputs(2.0, np.array([7.0]))[1]
+        assert z_for_7 == pytest.approx(root(x[-1] + 7.0), abs=4e-15)
+        assert np.array_equal(component.outputs(2.0, inputs[-1]), rows[-1])
 
 
 def test_a_form_without_states_is_its_equation():
     """z^3 + z = u at every time."""
-    z = run(0.1, model="STATIC")[0][:, 0]
-    assert z == pytest.approx([root(u) for u in line(np.arange(21) / 10.0)], abs=4e-15)
+    rows, _ = run(0.1, model="STATIC")
+    expected = [root(u) for u in line(np.arange(21) / 10.0)]
+    assert rows[:, 0] == pytest.approx(expected, abs=4e-15)
 
 
 @DERIVATIVES
 def test_the_contract_of_components_holds(derivatives):
-    """One call of K steps is K calls of one, bit for bit; outputs change nothing; what was saved comes back."""
-    with load(build(derivatives=derivatives), FmuOptions(dae="residual", start={"p": 0.5})) as fmu:
+    """One call of K steps is K calls of one, bit for bit; outputs change nothing.
+
+    What was saved comes back.
+    """
+    path = build(derivatives=derivatives)
+    options = FmuOptions(dae="residual", start={"p": 0.5})
+    with load(path, options) as fmu:
         check_component(lambda: fmu.component, steps=10, h=0.1)
-    with load(build(derivatives=derivatives), FmuOptions(dae="residual", start={"p": 0.5})) as fmu:
+    with load(path, options) as fmu:
         check_rollback(lambda: fmu.component, steps=10, h=0.1)
 
 
@@ -149,18 +183,21 @@ def test_where_there_is_no_solution_the_run_stops():
     with pytest.raises(Stopped) as stopped:
         run(0.01, model="FOLD")
     rows = stopped.value.outputs
-    assert str(stopped.value).startswith("FOLD: no solution of the residual form at t = 1.0")
-    assert "largest residual" in str(stopped.value)
-    assert "Newton's iteration: corrections do not vanish in 25 iterations, the last is" in str(
-        stopped.value
-    )
+    message = str(stopped.value)
+    assert message.startswith("FOLD: no solution of the residual form at t = 1.0")
+    assert "largest residual" in message
+    problem = "Newton's iteration: corrections do not vanish in 25 iterations, the last is"
+    assert problem in message
     t = np.arange(1, 91) / 100.0
     assert rows[:90, 1] == pytest.approx(np.sqrt(1.0 - t), abs=1e-14)
 
 
 def test_a_start_at_which_z_is_not_determined_is_an_error():
     """At z = 0 a small z changes z^2 by nothing."""
-    message = "FOLD: no solution of the residual form at t = 0.0 s: largest residual 1; Newton's iteration: its matrix is singular"
+    message = (
+        "FOLD: no solution of the residual form at t = 0.0 s: largest residual 1; "
+        "Newton's iteration: its matrix is singular"
+    )
     with load(build("FOLD"), FmuOptions(dae="residual", start={"z": 0.0})) as fmu:
         fmu.component.prepare(0.1, np.array([False]), {})
         fmu.component.initialize(0.0, np.zeros(1))
@@ -168,7 +205,10 @@ def test_a_start_at_which_z_is_not_determined_is_an_error():
             fmu.component.outputs(0.0, np.zeros(1))
 
 
-TWICE = '<Residual><Formulation valueReference="4" index="2"/><Formulation valueReference="7"/></Residual>'
+TWICE = (
+    '<Residual><Formulation valueReference="4" index="2"/><Formulation valueReference="7"/>'
+    "</Residual>"
+)
 IMPLICIT = '<Residual><Formulation valueReference="4" dependencies="2 3"/></Residual>'
 
 
@@ -211,25 +251,21 @@ def test_a_form_that_cannot_be_integrated_is_refused(extra, message):
 
 def test_only_model_exchange_of_fmi_3_without_another_solver_has_a_residual_form(request):
     """A solver of one's own would not be used; other choices do not exist."""
-    with pytest.raises(
-        FmuError,
-        match=r"solver 'rk4': the residual form has its own, Radau IIA; leave one of both out",
-    ):
+    message = "solver 'rk4': the residual form has its own, Radau IIA; leave one of both out"
+    with pytest.raises(FmuError, match=message):
         load(build(), FmuOptions(dae="residual", solver="rk4"))
     with pytest.raises(FmuError, match="no solver 'Radau IIA'"):
         load(build(), FmuOptions(solver="Radau IIA"))
     with pytest.raises(FmuError, match=r"dae = 'dae'; "):
         load(build(), FmuOptions(dae="dae"))
     exported = request.getfixturevalue("exported")
-    with pytest.raises(
-        FmuError,
-        match=r'dae = "residual": FMI 2.0 has no residual form, the layered standard is on top of FMI 3',
-    ):
+    message = (
+        'dae = "residual": FMI 2.0 has no residual form, the layered standard is on top of FMI 3'
+    )
+    with pytest.raises(FmuError, match=message):
         load(exported, FmuOptions(interface_type="me", dae="residual"))
-    with pytest.raises(
-        FmuError,
-        match=r'dae = "residual": a co-simulation FMU solves for itself; use interface_type = "me"',
-    ):
+    message = 'dae = "residual": a co-simulation FMU solves for itself; use interface_type = "me"'
+    with pytest.raises(FmuError, match=message):
         load(exported, FmuOptions(interface_type="cs", dae="residual"))
 
 

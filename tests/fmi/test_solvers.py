@@ -12,14 +12,15 @@ from cosim.fmi.driving.solvers import ADAPTIVE, Adaptive, RungeKutta, rk4
 
 
 def relax(t, x):
-    """Give x' = -2 x + 0.3 + 2 t."""
+    """Return x' = -2 x + 0.3 + 2 t."""
     return -2.0 * x + 0.3 + 2.0 * t
 
 
 def exact(t, x0, u0, slope):
     """Solve x' = -2 x + u0 + slope t."""
     steady = u0 / 2.0 - slope / 4.0
-    return (x0 - steady) * math.exp(-2.0 * t) + steady + slope * t / 2.0
+    decayed = (x0 - steady) * math.exp(-2.0 * t)
+    return decayed + steady + slope * t / 2.0
 
 
 def run(solver, ends):
@@ -32,7 +33,7 @@ def run(solver, ends):
 
 
 def test_rk4_is_of_fourth_order():
-    """Halving the step divides the error of one second by 16; the inputs move on straight lines."""
+    """Halving the step divides the error of one second by 16; the input is a ramp."""
 
     def error(steps):
         solver = RungeKutta(relax)
@@ -45,7 +46,8 @@ def test_rk4_is_of_fourth_order():
 
 def test_rk4_within_a_step_is_a_shorter_step():
     """Bit for bit, so that locating an event adds no error."""
-    solver, x = RungeKutta(relax), np.array([1.5])
+    solver = RungeKutta(relax)
+    x = np.array([1.5])
     solver.start(0.0, x, np.ones(1))
     solver.step(0.1)
     assert np.array_equal(solver.at(0.04), rk4(relax, 0.0, 0.04, x))
@@ -57,24 +59,31 @@ def test_adaptive_solvers_keep_their_tolerance(method):
     for stretches in (1, 10):
         solver = Adaptive(method, relax, rtol=1e-9)
         solver.start(0.0, np.array([1.5]), np.ones(1))
-        x = run(solver, [0.05 * k * 10 / stretches for k in range(1, stretches + 1)])
+        ends = [0.05 * k * 10 / stretches for k in range(1, stretches + 1)]
+        x = run(solver, ends)
         # the tolerance 1e-9 holds for each of some dozens of inner steps, whose errors add up
         assert abs(x[0] - exact(0.5, 1.5, 0.3, 2.0)) < 1e-7
-        begin, end = 0.5, solver.step(0.6)
-        middle = 0.5 * (begin + end)
+        end = solver.step(0.6)
+        middle = 0.5 * (0.5 + end)
         assert abs(solver.at(middle)[0] - exact(middle, 1.5, 0.3, 2.0)) < 1e-7
 
 
 @pytest.mark.parametrize("method", ADAPTIVE)
 def test_adaptive_solvers_ask_for_nothing_beyond_a_step(method):
     """What the inputs do there is not known yet."""
-    asked = []
-    solver = Adaptive(method, lambda t, x: [asked.append(t), relax(t, x)][1], rtol=1e-6)
+    times = []
+
+    def right_hand_side(t, x):
+        times.append(t)
+        return relax(t, x)
+
+    solver = Adaptive(method, right_hand_side, rtol=1e-6)
     solver.start(0.0, np.array([1.5]), np.ones(1))
     for end in (1e-3, 0.1, 0.25):
         run(solver, [end])
-        assert max(asked) <= end
-        solver.start(end, solver.at(end), np.ones(1)) if end == 0.1 else None
+        assert max(times) <= end
+        if end == 0.1:
+            solver.start(end, solver.at(end), np.ones(1))
 
 
 @pytest.mark.parametrize("method", ADAPTIVE)
@@ -92,11 +101,15 @@ def test_adaptive_solvers_go_back(method):
 
 @pytest.mark.parametrize("method", ADAPTIVE)
 def test_states_within_a_step_are_the_same_after_going_back(method):
-    """The stages of DOP853, from which it interpolates, have two names in scipy's object: they must stay one array."""
+    """The stages of DOP853, from which it interpolates, have two names in scipy's object.
+
+    They must stay one array.
+    """
 
     def within():
         reached = solver.step(2.0)
-        return reached, [solver.at(0.2 + s * (reached - 0.2)).tolist() for s in (0.3, 0.7)]
+        width = reached - 0.2
+        return reached, [solver.at(0.2 + s * width).tolist() for s in (0.3, 0.7)]
 
     solver = Adaptive(method, relax, rtol=1e-9)
     solver.start(0.0, np.array([1.5]), np.ones(1))
@@ -114,13 +127,19 @@ def test_states_within_a_step_are_the_same_after_going_back(method):
 def test_running_on_needs_fewer_evaluations_than_starting_anew(method, ratio):
     """100 stretches of 1 ms, counted.
 
-    A start costs RK45 and DOP853 two evaluations beside the 6 and 12 of a step, Radau a Jacobian matrix too, BDF all the steps
-    that it takes from order 1 on. LSODA is not among them: it starts anew.
+    A start costs RK45 and DOP853 two evaluations beside the 6 and 12 of a step, Radau a Jacobian
+    matrix too, BDF all the steps that it takes from order 1 on. LSODA is not among them: it starts
+    anew.
     """
 
     def count(anew):
         calls = []
-        solver = Adaptive(method, lambda t, x: [calls.append(t), relax(t, x)][1], rtol=1e-9)
+
+        def right_hand_side(t, x):
+            calls.append(t)
+            return relax(t, x)
+
+        solver = Adaptive(method, right_hand_side, rtol=1e-9)
         solver.start(0.0, np.array([1.5]), np.ones(1))
         for k in range(1, 101):
             t = 1e-3 * k
@@ -133,14 +152,18 @@ def test_running_on_needs_fewer_evaluations_than_starting_anew(method, ratio):
 
 
 def test_a_solver_that_fails_says_so_in_its_own_words():
-    """x' = x^2 from 1 has no value at t = 1; the linear algebra of the implicit ones refuses what is no number."""
-    for method, slope, words in (
+    """x' = x^2 from 1 has no value at t = 1.
+
+    The linear algebra of the implicit ones refuses what is no number.
+    """
+    cases = (
         ("RK45", lambda t, x: x * x, "Required step size is less than spacing between numbers"),
         ("BDF", lambda t, x: x * np.nan, "array must not contain infs or NaNs"),
-    ):
-        solver = Adaptive(method, slope, rtol=1e-9)
+    )
+    for method, right_hand_side, message in cases:
+        solver = Adaptive(method, right_hand_side, rtol=1e-9)
         solver.start(0.0, np.ones(1), np.ones(1))
-        with pytest.raises(RunError, match=f"solver {method}: {words}"):
+        with pytest.raises(RunError, match=f"solver {method}: {message}"):
             run(solver, [2.0])
 
 
@@ -154,6 +177,7 @@ def test_feedthrough_is_read_off_the_blocks_of_d():
 def test_a_matrix_of_the_wrong_shape_is_refused():
     """By name, with both shapes."""
     interface = Interface((Signal("u"),), (Signal("y"),))
-    eye, zero = np.eye(1), np.zeros((1, 1))
+    eye = np.eye(1)
+    zero = np.zeros((1, 1))
     with pytest.raises(GraphError, match=r"matrix C: found shape \(1, 2\), needed \(1, 1\)"):
         LinearModel(interface, ("x",), eye, eye, np.ones((1, 2)), zero, np.zeros(1), zero)

@@ -42,7 +42,7 @@ def locate(
 
     The ITP method (Oliveira and Takahashi, ACM Trans. Math. Softw. 47(1), 2020): secants, in no
     more steps than bisection plus one. Whichever indicator changes first bounds the search, so of
-    several it finds the earliest, as far as the domains at both ends tell.
+    several it finds the earliest, as far as the domains at both ends show it.
 
     Returned is the far end of a bracket ``close`` to its near end: there the FMU sees the domain
     changed. At the near end it would not, and would handle an event that it does not know of.
@@ -65,7 +65,7 @@ def locate(
     while b - a > resolution:
         width = b - a
         middle = 0.5 * (a + b)
-        # Interpolation: where a straight line first crosses zero.
+        # Interpolation: where the first indicator crosses zero.
         secant = _first_root(a, za, zb, width, default=middle)
         # Truncation: a little towards the middle, so that both ends of the bracket move.
         truncation = max(scale * width * width, 0.5 * resolution)
@@ -99,7 +99,7 @@ def _first_root(a: float, za: Vector, zb: Vector, width: float, *, default: floa
 
 
 def _root(za: float, zb: float) -> float:
-    """Return where a straight line from ``za`` to ``zb`` is zero, 0 to 1."""
+    """Return where linear interpolation from ``za`` to ``zb`` is zero, 0 to 1."""
     if not math.isfinite(za - zb):
         return 0.5
     return min(max(za / (za - zb), 0.0), 1.0)

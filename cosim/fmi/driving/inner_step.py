@@ -1,7 +1,7 @@
 """Detect an inner step: that an FMU ignores the communication step and keeps one of its own.
 
 The outputs of such an FMU keep their bits over most communication steps and change at every n-th
-one only, n > 1. What looks alike is told apart thus:
+one only, n > 1. What looks alike is distinguished:
 
 * at rest: nothing ever changes;
 * it follows an input that itself changes at every n-th step only, directly or with a delay: only
@@ -53,7 +53,7 @@ class InnerStep:
     Attributes
     ----------
     history : StepHistory or None
-        None: nothing to watch, or the question is settled.
+        None: nothing to watch, or it is decided.
     """
 
     def __init__(self, columns: NDArray[np.intp]) -> None:
