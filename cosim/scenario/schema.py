@@ -1,4 +1,4 @@
-"""The schema of a scenario file: what may stand in it, and every problem of a file in one report."""
+"""The schema of a scenario file: its tables, their keys and the types of the values."""
 
 from __future__ import annotations
 
@@ -48,7 +48,10 @@ class DescriptorTable(TomlTable):
 
 
 class ConnectionTable(TomlTable):
-    """A connection with a linear map, which leads to ``unit``; from there it is converted to the unit of the input."""
+    """A connection with a linear map, which leads to ``unit``.
+
+    From there it is converted to the unit of the input.
+    """
 
     source: str = Field(alias="from")
     gain: Number | NumberRows = 1.0
@@ -57,13 +60,16 @@ class ConnectionTable(TomlTable):
 
 
 class SwapTable(TomlTable):
-    """An entry of [swap]: ``plant = { path = "x.fmu", map = { "observer.y" = "out1" } }``, or short ``plant = "x.fmu"``.
+    """An entry of [swap].
 
-    It puts an FMU or a recorded component in a component's place, whose table stays in the file for comparison.
+    ``plant = { path = "x.fmu", map = { "observer.y" = "out1" } }``, or short ``plant = "x.fmu"``:
+    an FMU or a recorded component replaces a component, whose table stays in the file for
+    comparison.
     """
 
     path: str = Field(
-        description="path of an .fmu (x.fmu#me and x.fmu#cs choose its mode) or of a recorded log (.mcap)"
+        description="path of an .fmu (x.fmu#me and x.fmu#cs choose its interface type) "
+        "or of a recorded log (.mcap)"
     )
     map: dict[str, str] = Field(
         {},
@@ -72,7 +78,7 @@ class SwapTable(TomlTable):
 
 
 class File(TomlTable):
-    """The content of a scenario file, but for its components, which their kinds describe."""
+    """The content of a scenario file; its components are validated by their kinds."""
 
     scenario: Settings
     models: dict[str, DescriptorTable] = {}
@@ -93,6 +99,7 @@ def matrix(rows: NumberRows, name: str) -> np.ndarray[Any, np.dtype[np.float64]]
     lengths = [len(row) for row in rows]
     if not rows or len(set(lengths)) != 1 or lengths[0] == 0:
         raise ValueError(
-            f"{name}: found rows of lengths {lengths}, needed rows of one length, like [[0, 1], [2, 3]]"
+            f"{name}: found rows of lengths {lengths}, "
+            "needed rows of one length, like [[0, 1], [2, 3]]"
         )
     return np.array(rows, dtype=np.float64)
