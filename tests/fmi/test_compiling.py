@@ -45,10 +45,10 @@ def machine(content):
     return content[:4], struct.unpack_from("<I", content, 4)[0]
 
 
-def check_binaries(found, platforms, fmi):
+def check_binaries(fmu, platforms, fmi):
     folders = [FOLDERS.get(p, p) if fmi == "2" else p for p in platforms]
-    assert list(found.platforms) == folders
-    with zipfile.ZipFile(found.path) as archive:
+    assert list(fmu.platforms) == folders
+    with zipfile.ZipFile(fmu.path) as archive:
         for platform, folder in zip(platforms, folders, strict=True):
             content = archive.read(f"binaries/{folder}/plant{PLATFORMS[platform].suffix}")
             assert machine(content) == MACHINES[platform]
@@ -59,17 +59,17 @@ def check_binaries(found, platforms, fmi):
 @needs_zig
 @pytest.mark.parametrize("fmi", ["2", "3"])
 def test_zig_compiles_for_another_machine(fmi, tmp_path):
-    """The binary is for that machine, and FMI 2.0 has no name for this one: the answer says so."""
-    found = export(model(), tmp_path / "x.fmu", name="plant", fmi=fmi, platforms=["aarch64-linux"])
-    check_binaries(found, ["aarch64-linux"], fmi)
-    assert (found.notes == ("FMI 2.0 has no name for aarch64-linux; its folder is FMI 3.0's",)) == (
+    """The binary is for that machine; FMI 2.0 has no name for this one, as a note says."""
+    fmu = export(model(), tmp_path / "x.fmu", name="plant", fmi=fmi, platforms=["aarch64-linux"])
+    check_binaries(fmu, ["aarch64-linux"], fmi)
+    assert (fmu.notes == ("FMI 2.0 has no name for aarch64-linux; its folder is FMI 3.0's",)) == (
         fmi == "2"
     )
     if HERE != "aarch64-linux":
         with pytest.raises(
             FmuError, match="no binary for this platform; found binaries for: aarch64-linux"
         ):
-            load(found.path)
+            load(fmu.path)
 
 
 @needs_zig
@@ -105,7 +105,8 @@ def test_without_zig_other_machines_are_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(build, "cross_compiler", lambda target: [])
     with pytest.raises(
         FmuError,
-        match=r"platform aarch64-linux: .* ziglang, which is not installed; pip install 'cosim\[build\]'",
+        match=r"platform aarch64-linux: .* ziglang, which is not installed; "
+        r"pip install 'cosim\[build\]'",
     ):
         export(model(), tmp_path / "x.fmu", name="plant", platforms=["aarch64-linux"])
     assert list(tmp_path.iterdir()) == []

@@ -4,6 +4,7 @@ import hashlib
 import shutil
 import subprocess
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import fmpy
@@ -51,59 +52,78 @@ def test_exported_fmu_is_valid(exported):
     assert any(name.startswith("binaries/") for name in names)
 
 
-def simulate(path, kind, *, step, slope):
+def simulate(path, interface_type, *, step, slope):
     t = grid(step)
     rows = np.array(
         list(zip(t, *inputs(t, slope).T, strict=True)),
         dtype=[("time", float), ("u", float), ("delta", float)],
     )
-    found = fmpy.simulate_fmu(
-        str(path), stop_time=2.0, step_size=1e-3, output_interval=step, fmi_type=kind, solver="CVode", relative_tolerance=1e-10,
-        input=rows, output=NAMES,
-    )  # fmt: skip
-    return np.asarray(found["time"]), np.column_stack([np.asarray(found[name]) for name in NAMES])
+    result = fmpy.simulate_fmu(
+        str(path),
+        stop_time=2.0,
+        step_size=1e-3,
+        output_interval=step,
+        fmi_type=interface_type,
+        solver="CVode",
+        relative_tolerance=1e-10,
+        input=rows,
+        output=NAMES,
+    )
+    columns = [np.asarray(result[name]) for name in NAMES]
+    return np.asarray(result["time"]), np.column_stack(columns)
 
 
 def test_fmpy_simulates_it_as_model_exchange(exported):
-    """CVode at a relative tolerance of 1e-10 is within 1e-7 of the closed form; fmpy holds inputs, so they are constant here."""
+    """CVode at a relative tolerance of 1e-10 is within 1e-7 of the closed form.
+
+    fmpy holds inputs, so they are constant here.
+    """
     still = np.zeros(2)
     t, y = simulate(exported, "ModelExchange", step=0.01, slope=still)
     assert abs(y - solution(t, still)).max() < 1e-7
 
 
 def test_fmpy_simulates_it_as_co_simulation(exported):
-    """The FMU's own steps are exact; 1e-9 leaves room for fmpy's times. Its input derivatives take one input only."""
+    """The FMU's own steps are exact; 1e-9 leaves room for fmpy's times.
+
+    fmpy's input derivatives take one input only.
+    """
     still = np.zeros(2)
     t, y = simulate(exported, "CoSimulation", step=0.01, slope=still)
     assert abs(y - solution(t, still)).max() < 1e-9
+
+
+def with_dynamics(A):
+    return LinearModel(INTERFACE, model().states, A, B, C, D, np.zeros(2), np.zeros((2, 2)))
 
 
 def test_export_is_deterministic(exported, tmp_path):
     """The same model gives the same GUID and the same archive; another model another GUID."""
     again = export(model(), tmp_path / "again.fmu", name="academic").path
     assert again.read_bytes() == exported.read_bytes()
-    export(
-        LinearModel(INTERFACE, model().states, 2.0 * A, B, C, D, np.zeros(2), np.zeros((2, 2))),
-        tmp_path / "other.fmu",
-        name="academic",
-    )
+    export(with_dynamics(2.0 * A), tmp_path / "other.fmu", name="academic")
     tokens = [
         fmpy.read_model_description(str(path)).guid for path in (again, tmp_path / "other.fmu")
     ]
     assert tokens[0] != tokens[1]
 
 
-def test_states_that_are_no_outputs_units_and_calculated_starts(tmp_path):
-    """A model with a hidden state, units, and a start that follows the input: valid, and the same in both homes."""
-    face = Interface(
+def test_states_that_are_no_outputs_units_and_calculated_states(tmp_path):
+    """A model with a hidden state, units, and an initial state that follows the input.
+
+    It is valid, and the same in both homes.
+    """
+    interface = Interface(
         (Signal("force", unit="N", role="input"),),
         (Signal("v", unit="m/s"), Signal("twice", unit="N.m")),
         {"v": (), "twice": ()},
     )
-    A, B = np.array([[0.0, 1.0], [-4.0, -0.5]]), np.array([[0.0], [1.0]])
-    C, D = np.array([[0.0, 1.0], [2.0, 0.0]]), np.zeros((2, 1))
+    A = np.array([[0.0, 1.0], [-4.0, -0.5]])
+    B = np.array([[0.0], [1.0]])
+    C = np.array([[0.0, 1.0], [2.0, 0.0]])
+    D = np.zeros((2, 1))
     hidden = LinearModel(
-        face, ("position", "v"), A, B, C, D, np.array([0.5, 0.0]), np.array([[0.25], [0.0]])
+        interface, ("position", "v"), A, B, C, D, np.array([0.5, 0.0]), np.array([[0.25], [0.0]])
     )
     path = export(
         hidden, tmp_path / "mass.fmu", name="mass", description="a mass <on> a spring & damper"
@@ -141,22 +161,18 @@ def test_states_that_are_no_outputs_units_and_calculated_starts(tmp_path):
 def test_any_number_of_instances_at_once(exported):
     """Instances share nothing that changes."""
     with (
-        load(exported, FmuOptions(interface_type="cs"), instance_name="one") as one,
-        load(exported, FmuOptions(interface_type="cs", start={"x_a[1]": 0.0})) as two,
+        load(exported, FmuOptions(interface_type="cs"), instance_name="one") as first_fmu,
+        load(exported, FmuOptions(interface_type="cs", start={"x_a[1]": 0.0})) as second_fmu,
     ):
-        first = run(one.component, step=0.1)
-        run(two.component, step=0.05)
-        assert np.array_equal(first, run(one.component, step=0.1))
+        first = run(first_fmu.component, step=0.1)
+        run(second_fmu.component, step=0.05)
+        assert np.array_equal(first, run(first_fmu.component, step=0.1))
 
 
 def test_what_cannot_be_exported_is_refused(tmp_path):
     """Numbers that are not finite, names that are no identifiers, missing folders."""
     with pytest.raises(FmuError, match="matrix A holds NaN or infinity"):
-        export(
-            LinearModel(INTERFACE, model().states, A * np.nan, B, C, D, np.zeros(2), np.zeros((2, 2))),
-            tmp_path / "x.fmu",
-            name="x",
-        )
+        export(with_dynamics(A * np.nan), tmp_path / "x.fmu", name="x")
     with pytest.raises(FmuError, match="name 'my plant': needed an identifier of C"):
         export(model(), tmp_path / "x.fmu", name="my plant")
     with pytest.raises(FmuError, match=r"there is no folder .*missing; make it first"):
@@ -166,24 +182,24 @@ def test_what_cannot_be_exported_is_refused(tmp_path):
 
 @pytest.mark.parametrize("fmi", ["2", "3"])
 def test_without_a_compiler_the_sources_are_written(fmi, tmp_path, monkeypatch):
-    """The answer says how to compile them."""
+    """The notes say how to compile them."""
     monkeypatch.setattr(build, "compiler", list)
-    found = export(model(), tmp_path / "x.fmu", name="x", fmi=fmi)
-    assert found.platforms == ()
-    assert "sources only" in found.lines[0]
-    assert "no C compiler was found" in found.lines[1]
-    assert f"fmi{fmi}.c instance.c continuous.c model.c linear.c -o" in found.lines[1]
-    assert validate_fmu(str(found.path)) == []
+    result = export(model(), tmp_path / "x.fmu", name="x", fmi=fmi)
+    assert result.platforms == ()
+    assert "sources only" in result.lines[0]
+    assert "no C compiler was found" in result.lines[1]
+    assert f"fmi{fmi}.c instance.c continuous.c model.c linear.c -o" in result.lines[1]
+    assert validate_fmu(str(result.path)) == []
     with pytest.raises(
         FmuError, match="no binary for this platform; found binaries for: none; needed binaries/"
     ):
-        load(found.path)
+        load(result.path)
 
 
 def static(D):
-    face = Interface((Signal("u", 2, role="input"),), (Signal("y", 2),), {"y": ("u",)})
+    interface = Interface((Signal("u", 2, role="input"),), (Signal("y", 2),), {"y": ("u",)})
     return LinearModel(
-        face,
+        interface,
         (),
         np.zeros((0, 0)),
         np.zeros((0, 2)),
@@ -194,13 +210,13 @@ def static(D):
     )
 
 
-def discrete(kernel, *, every=1, holds=False, optional=False, size=1, step_ns=1_000_000):
-    face = Interface(
+def discrete(kernel, *, optional=False, size=1, step_ns=1_000_000):
+    interface = Interface(
         (Signal("u", 1, role="input", optional=optional),),
         (Signal("y", size, optional=optional),),
         {},
     )
-    return DiscreteModel(face, kernel, step_ns, "it is discrete", steps_per_sample=every, zero_order_hold=holds)
+    return DiscreteModel(interface, kernel, step_ns, "it is discrete")
 
 
 def regressor():
@@ -221,22 +237,22 @@ def identifier():
     constants = LeastSquaresConstants(
         unknowns=1, start_time=0.002, information=1e-3, recovery=recovery, held=False
     )
-    face = Interface(
+    interface = Interface(
         (Signal("mu", 2, role="input", optional=True),),
         (Signal("theta", optional=True), Signal("eta", optional=True)),
     )
     return DiscreteModel(
-        face, kernels.least_squares(constants), 1_000_000, "it is discrete", steps_per_sample=3
+        interface, kernels.least_squares(constants), 1_000_000, "it is discrete", steps_per_sample=3
     )
 
 
 def sampled():
     own = first_order_hold(np.array([[-2.0]]), np.array([[1.0]]), 0.003, np.array([True]))
     kernel = kernels.sampled(own, C=np.array([[1.0]]), D=np.array([[0.5]]), X0=np.array([1.0]))
-    return discrete(kernel, every=3, holds=True)
+    return replace(discrete(kernel), steps_per_sample=3, zero_order_hold=True)
 
 
-FORMS = {
+MODELS = {
     "plant": model,
     "static": lambda: static(np.array([[1.0, 2.0], [0.0, -1.0]])),
     "regressor": regressor,
@@ -246,7 +262,7 @@ FORMS = {
     "limit": lambda: discrete(kernels.limit(-0.5, 0.5), step_ns=0),
     "descriptor": descriptor,
 }
-OF_VERSION = {"2": [form for form in FORMS if form != "descriptor"], "3": list(FORMS)}
+OF_VERSION = {"2": [name for name in MODELS if name != "descriptor"], "3": list(MODELS)}
 
 
 WARNINGS = (
@@ -273,13 +289,13 @@ def sanitized(tmp_path_factory):
         for source in sources:
             file = folder / f"{hashlib.sha256(source.read_bytes()).hexdigest()}.o"
             if not file.exists():
-                told = subprocess.run(
+                compiled = subprocess.run(
                     ["gcc", *WARNINGS, *SANITIZERS, f"-I{headers}", "-c", source, "-o", file],
                     capture_output=True,
                     text=True,
                     check=False,
                 )
-                assert told.returncode == 0, told.stderr
+                assert compiled.returncode == 0, compiled.stderr
             objects.append(file)
         return objects
 
@@ -288,14 +304,15 @@ def sanitized(tmp_path_factory):
 
 @pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")
 @pytest.mark.parametrize(
-    ("form", "fmi"), [(form, fmi) for fmi, forms in OF_VERSION.items() for form in forms]
+    ("name", "fmi"),
+    [*((name, "2") for name in OF_VERSION["2"]), *((name, "3") for name in OF_VERSION["3"])],
 )
 def test_sources_are_clean_under_warnings_and_sanitizers(
-    form, fmi, tmp_path, monkeypatch, sanitized
+    name, fmi, tmp_path, monkeypatch, sanitized
 ):
-    """A C driver goes through every function, with wrong calls too; -Werror, address and undefined sanitizers."""
+    """A C driver calls every function, also wrongly; -Werror, address and undefined sanitizers."""
     monkeypatch.setattr(build, "compiler", list)  # sources are enough
-    path = export(FORMS[form](), tmp_path / "x.fmu", name="x", fmi=fmi).path
+    path = export(MODELS[name](), tmp_path / "x.fmu", name="x", fmi=fmi).path
     assert validate_fmu(str(path)) == []
     with zipfile.ZipFile(path) as archive:
         archive.extractall(tmp_path)
@@ -315,14 +332,17 @@ def test_sources_are_clean_under_warnings_and_sanitizers(
 )
 @pytest.mark.parametrize("fmi", ["2", "3"])
 def test_nothing_is_shared_by_instances_that_changes(fmi, tmp_path, monkeypatch):
-    """No file has a variable outside the instance: nm finds no writable data. Memory is taken by instance_new and by copies alone."""
+    """No file has a variable outside the instance: nm finds no writable data.
+
+    Memory is allocated by instance_new and by copies alone.
+    """
     monkeypatch.setattr(build, "compiler", list)
-    seen: set[bytes] = set()  # most files are those of every form
-    for form in OF_VERSION[fmi]:
-        folder = tmp_path / form
+    seen: set[bytes] = set()  # most files are the same for every model
+    for name in OF_VERSION[fmi]:
+        folder = tmp_path / name
         folder.mkdir()
         with zipfile.ZipFile(
-            export(FORMS[form](), folder / "x.fmu", name="x", fmi=fmi).path
+            export(MODELS[name](), folder / "x.fmu", name="x", fmi=fmi).path
         ) as archive:
             archive.extractall(folder)
         new = [
@@ -347,23 +367,29 @@ def test_nothing_is_shared_by_instances_that_changes(fmi, tmp_path, monkeypatch)
 
 @pytest.mark.parametrize("fmi", ["2", "3"])
 def test_the_archive_names_the_sources_that_are_there(fmi, tmp_path, monkeypatch):
-    """SourceFiles of FMI 2.0, buildDescription.xml of FMI 3.0, as fmpy reads them; one set for both kinds."""
+    """SourceFiles of FMI 2.0, buildDescription.xml of FMI 3.0, as fmpy reads them.
+
+    There is one set for both interface types.
+    """
     monkeypatch.setattr(build, "compiler", list)
     path = export(model(), tmp_path / "x.fmu", name="x", fmi=fmi).path
     (configuration,) = fmpy.read_model_description(str(path)).buildConfigurations
     named = {file for group in configuration.sourceFileSets for file in group.sourceFiles}
     with zipfile.ZipFile(path) as archive:
-        there = {
+        in_archive = {
             name.removeprefix("sources/") for name in archive.namelist() if name.endswith(".c")
         }
-    assert named == there
+    assert named == in_archive
 
 
 def test_arrays_of_fmi_3_are_the_scalars_of_fmi_2(tmp_path):
-    """x_a[0], x_a[1] become x_a with the reference of the first, as do their derivatives; it depends on what either did."""
+    """x_a[0], x_a[1] become x_a with the reference of the first, as do their derivatives.
+
+    It depends on what either did.
+    """
     path = export(model(), tmp_path / "x.fmu", name="x", fmi="3").path
-    about = read(path).description
-    assert [(v.name, v.reference, v.dimensions, v.start) for v in about.variables] == [
+    description = read(path).description
+    assert [(v.name, v.reference, v.dimensions, v.start) for v in description.variables] == [
         ("u", 0, (), (0.0,)),
         ("delta", 1, (), (0.0,)),
         ("y", 2, (), None),
@@ -372,17 +398,17 @@ def test_arrays_of_fmi_3_are_the_scalars_of_fmi_2(tmp_path):
         ("der(x_a)", 6, (2,), None),
         ("time", 10, (), None),
     ]
-    assert about.states == ("x_a",)
-    assert about.dependencies["y"] == ("u", "x_a")
-    assert about.dependencies["der(x_a)"] == ("u", "delta", "x_a")
-    assert set(about.initial_dependencies) == {"y", "x_b", "der(x_a)"}
+    assert description.states == ("x_a",)
+    assert description.dependencies["y"] == ("u", "x_a")
+    assert description.dependencies["der(x_a)"] == ("u", "delta", "x_a")
+    assert set(description.initial_dependencies) == {"y", "x_b", "der(x_a)"}
 
 
 def test_a_variable_called_time_is_refused_in_fmi_3(tmp_path):
     """FMI 3 has a variable of that name already."""
-    face = Interface((Signal("u", role="input"),), (Signal("time"),), {"time": ("u",)})
+    interface = Interface((Signal("u", role="input"),), (Signal("time"),), {"time": ("u",)})
     gain = LinearModel(
-        face,
+        interface,
         (),
         np.zeros((0, 0)),
         np.zeros((0, 1)),
@@ -401,9 +427,9 @@ def test_a_variable_called_time_is_refused_in_fmi_3(tmp_path):
 def test_an_instance_that_is_too_large_is_refused(tmp_path):
     """Steps need four matrices of states and inputs."""
     many = 4000
-    face = Interface((Signal("u", many, role="input"),), (Signal("y"),), {})
+    interface = Interface((Signal("u", many, role="input"),), (Signal("y"),), {})
     wide = LinearModel(
-        face,
+        interface,
         (),
         np.zeros((0, 0)),
         np.zeros((0, many)),
@@ -419,7 +445,7 @@ def test_an_instance_that_is_too_large_is_refused(tmp_path):
 
 
 def test_the_page_says_what_it_is(exported, tmp_path):
-    """Ports, matrices, how to compile; what a discrete model is, its step, and that NaN is no value."""
+    """Ports, matrices, how to compile; a discrete model, its step, and that NaN is no value."""
     with zipfile.ZipFile(exported) as archive:
         page = archive.read("documentation/index.html").decode()
     assert "x&#x27; = A x + B u" in page or "x' = A x + B u" in page

@@ -1,4 +1,4 @@
-"""Linearization: of what has directional derivatives to the last bits, of what has none to what differences can give."""
+"""Linearization: directional derivatives to the last bits, else to what differences can give."""
 
 import json
 import math
@@ -33,7 +33,7 @@ POINTS = (
 
 @pytest.fixture(scope="module", params=[True, False], ids=["with derivatives", "without"])
 def able(request, tmp_path_factory):
-    """Give whether the pendulum knows its Jacobian, and the FMU."""
+    """Return whether the pendulum has directional derivatives, and the FMU."""
     return request.param, pendulum(
         tmp_path_factory.mktemp("pendulum") / "pendulum.fmu", derivatives=request.param
     )
@@ -44,99 +44,111 @@ def swinging(tmp_path_factory):
     return pendulum(tmp_path_factory.mktemp("pendulum") / "pendulum.fmu", derivatives=False)
 
 
-def distance(found: Linearization, matrices) -> float:
-    """Give the largest relative error of a matrix."""
-    pairs = zip((found.A, found.B, found.C, found.D), matrices, strict=True)
-    return max(
-        np.linalg.norm(one - other) / max(np.linalg.norm(other), 1e-300) for one, other in pairs
-    )
+def distance(linearization: Linearization, matrices) -> float:
+    """Return the largest relative error of a matrix."""
+    errors = []
+    for letter, expected in zip(LETTERS, matrices, strict=True):
+        difference = np.linalg.norm(getattr(linearization, letter) - expected)
+        errors.append(difference / max(np.linalg.norm(expected), 1e-300))
+    return max(errors)
 
 
 def test_directional_derivatives_of_an_exported_fmu_are_its_matrices(exported):
     """The FMU multiplies its numbers by zeros and ones: nothing is rounded."""
-    found = cosim.linearize(exported)
-    assert distance(found, (plant.A, plant.B, plant.C, plant.D)) <= 1e-14
-    assert found.made == dict.fromkeys(("x_a[0]", "x_a[1]", "u", "delta"), DIRECTIONAL)
-    assert found.errors == dict.fromkeys(LETTERS)
-    assert (found.states, found.inputs) == (("x_a[0]", "x_a[1]"), ("u", "delta"))
-    assert found.outputs == ("y", "x_a[0]", "x_a[1]", "x_b")
-    assert found.notes == ()
+    linearization = cosim.linearize(exported)
+    assert distance(linearization, (plant.A, plant.B, plant.C, plant.D)) <= 1e-14
+    assert linearization.made == dict.fromkeys(("x_a[0]", "x_a[1]", "u", "delta"), DIRECTIONAL)
+    assert linearization.errors == dict.fromkeys(LETTERS)
+    assert (linearization.states, linearization.inputs) == (("x_a[0]", "x_a[1]"), ("u", "delta"))
+    assert linearization.outputs == ("y", "x_a[0]", "x_a[1]", "x_b")
+    assert linearization.notes == ()
 
 
 def test_differences_reach_1e_7_and_know_their_error(exported, foreign3):
-    """Of a linear unit only rounding remains: eps |f| / (0.125 scale), 1e-15 an entry, far below the 1e-7 asked for.
+    """Of a linear FMU only rounding remains: eps |f| / (0.125 scale), 1e-15 an entry.
 
-    foreign3 has the states x1, x2 as outputs and y = x1 - u; nothing says how its outputs depend on its inputs.
+    That is far below the 1e-7 asked for. foreign3 has the states x1, x2 as outputs and y = x1 - u;
+    it does not declare how its outputs depend on its inputs.
     """
-    ours = cosim.linearize(exported, method=DIFFERENCES)
-    assert distance(ours, (plant.A, plant.B, plant.C, plant.D)) <= 1e-13
-    assert set(ours.made.values()) == {DIFFERENCES}
-    theirs = cosim.linearize(foreign3, outputs=["y"])
-    assert distance(theirs, (plant.A, plant.B, plant.C[:1], plant.D[:1])) <= 1e-13
-    assert max(theirs.errors.values()) <= 1e-7
+    exported_plant = cosim.linearize(exported, method=DIFFERENCES)
+    assert distance(exported_plant, (plant.A, plant.B, plant.C, plant.D)) <= 1e-13
+    assert set(exported_plant.made.values()) == {DIFFERENCES}
+    foreign_plant = cosim.linearize(foreign3, outputs=["y"])
+    assert distance(foreign_plant, (plant.A, plant.B, plant.C[:1], plant.D[:1])) <= 1e-13
+    assert max(foreign_plant.errors.values()) <= 1e-7
 
 
 @pytest.mark.parametrize("start", POINTS)
-def test_a_nonlinear_unit_has_the_jacobian_of_its_point(able, start):
-    """Against the closed form: the unit's own to rounding, differences to 1e-7, and no worse than they say.
+def test_a_nonlinear_fmu_has_the_jacobian_of_its_point(able, start):
+    """Against the closed form: directional derivatives to rounding, differences to 1e-7.
 
-    angle and push are other names of a state and of a derivative.
+    Differences err by no more than their estimate. angle and push are other names of a state and of
+    a derivative.
     """
-    knows, path = able
-    found = cosim.linearize(path, start=start)
+    has_derivatives, path = able
+    linearization = cosim.linearize(path, start=start)
     needed = jacobian(
         start.get("theta", 0.5),
         start.get("omega", 0.0),
         start.get("torque", 0.0),
         start.get("length", 1.0),
     )
-    assert found.outputs == OUTPUTS
-    assert distance(found, needed) <= (1e-14 if knows else 1e-7)
-    if not knows:
+    assert linearization.outputs == OUTPUTS
+    assert distance(linearization, needed) <= (1e-14 if has_derivatives else 1e-7)
+    if not has_derivatives:
         for letter, matrix in zip(LETTERS, needed, strict=True):
-            assert abs(getattr(found, letter) - matrix).max() <= found.errors[letter], letter
-    assert list(found.C[3]) == [1.0, 0.0]
+            error = abs(getattr(linearization, letter) - matrix).max()
+            assert error <= linearization.errors[letter], letter
+    assert list(linearization.C[3]) == [1.0, 0.0]
 
 
-def test_the_operating_point_is_told(able):
+def test_the_operating_point_is_part_of_the_result(able):
     """Time, states, inputs, outputs and derivatives there."""
-    found = cosim.linearize(
+    linearization = cosim.linearize(
         able[1],
         start={"theta": 0.3, "omega": 2.0, "torque": 1.5, "level": 2.0},
         outputs=["power", "reach"],
     )
-    assert (found.t, list(found.x), list(found.u)) == (0.0, [0.3, 2.0], [1.5, 0.0])
-    assert list(found.y) == [3.0, math.sin(0.3)]
-    assert list(found.dx) == pytest.approx(
+    assert linearization.t == 0.0
+    assert list(linearization.x) == [0.3, 2.0]
+    assert list(linearization.u) == [1.5, 0.0]
+    assert list(linearization.y) == [3.0, math.sin(0.3)]
+    assert list(linearization.dx) == pytest.approx(
         [2.0, -G * math.sin(0.3) - 2.0 * FRICTION + 3.5], rel=1e-15
     )
-    assert found.notes == (
+    assert linearization.notes == (
         "level held constant: only inputs that are real and continuous can be linearized for",
     )
 
 
-def test_the_operating_point_may_be_where_the_unit_arrives(able):
-    """After 300 s friction has left exp(-30) = 1e-13 of the swing: sin(theta) = torque/G, to the solver's 1e-9 a step."""
-    found = cosim.linearize(able[1], at=300.0, start={"torque": 3.0})
-    assert found.x == pytest.approx([math.asin(3.0 / G), 0.0], abs=1e-7)
-    assert distance(found, jacobian(*found.x, 3.0)) <= 1e-7
+def test_the_operating_point_may_be_reached_by_a_run(able):
+    """After 300 s friction has left exp(-30) = 1e-13 of the swing.
+
+    There sin(theta) = torque/G, to the solver's 1e-9 a step.
+    """
+    linearization = cosim.linearize(able[1], at=300.0, start={"torque": 3.0})
+    assert linearization.x == pytest.approx([math.asin(3.0 / G), 0.0], abs=1e-7)
+    assert distance(linearization, jacobian(*linearization.x, 3.0)) <= 1e-7
     A, B, C, D = jacobian(math.asin(3.0 / G), 0.0, 3.0)
-    assert found.static_gain == pytest.approx(D - C @ np.linalg.solve(A, B), abs=1e-6)
-    assert found.poles == pytest.approx(np.sort_complex(np.linalg.eigvals(A)), abs=1e-6)
+    assert linearization.static_gain == pytest.approx(D - C @ np.linalg.solve(A, B), abs=1e-6)
+    assert linearization.poles == pytest.approx(np.sort_complex(np.linalg.eigvals(A)), abs=1e-6)
 
 
 def test_names_choose_and_order(able):
-    """Inputs, outputs and states in the order of their names; a state that is left out is held, and told."""
-    found = cosim.linearize(able[1], inputs=["wind"], outputs=["angle", "y"], states=["omega"])
-    assert [found.A.tolist(), found.B.tolist()] == [
+    """Inputs, outputs and states in the order of their names; other states are held, and noted."""
+    linearization = cosim.linearize(
+        able[1], inputs=["wind"], outputs=["angle", "y"], states=["omega"]
+    )
+    assert [linearization.A.tolist(), linearization.B.tolist()] == [
         [[pytest.approx(-FRICTION)]],
         [[pytest.approx(1.0)]],
     ]
-    assert [found.C.ravel().tolist(), found.D.ravel().tolist()] == [
+    assert [linearization.C.ravel().tolist(), linearization.D.ravel().tolist()] == [
         [0.0, pytest.approx(1.0)],
         [0.0, 0.0],
     ]
-    assert "theta held at the operating point: not among the states that were named" in found.notes
+    note = "theta held at the operating point: not among the states that were named"
+    assert note in linearization.notes
 
 
 def test_ports_are_chosen_as_a_whole(exported):
@@ -145,11 +157,14 @@ def test_ports_are_chosen_as_a_whole(exported):
     assert cosim.linearize(exported, outputs=["x_a[1]", "y"]).C.tolist() == [[0.0, 1.0], [1.0, 0.0]]
 
 
-def test_a_unit_is_linearized_like_its_fmu_and_left_as_it_was(exported):
-    """A generated unit, and that of an opened FMU, fresh or in a run: the same numbers, and the same run again."""
+def test_an_instance_is_linearized_like_its_fmu_and_left_as_it_was(exported):
+    """A generated instance, and that of an opened FMU, fresh or in a run.
+
+    The numbers are the same, and so is the run after it.
+    """
     reference = cosim.linearize(exported)
-    unit = GeneratedInstance.of(plant.model())
-    assert distance(linearize(unit), (plant.A, plant.B, plant.C, plant.D)) == 0.0
+    instance = GeneratedInstance.of(plant.model())
+    assert distance(linearize(instance), (plant.A, plant.B, plant.C, plant.D)) == 0.0
     with load(exported, FmuOptions(interface_type="me")) as fmu:
         before = plant.run(fmu.component, step=0.1)
         assert (
@@ -164,7 +179,10 @@ def test_a_unit_is_linearized_like_its_fmu_and_left_as_it_was(exported):
 
 
 class Lift:
-    """A model with an array of inputs and a state that follows them at the start: x' = -x^2 + u[0] u[1], y = x + t."""
+    """A model with an array of inputs and an initial state that follows them.
+
+    x' = -x^2 + u[0] u[1], y = x + t.
+    """
 
     interface = Interface((Signal("u", 2, role="input"),), (Signal("y"),), {"y": ()})
     states = ("x",)
@@ -180,9 +198,11 @@ class Lift:
 
 
 def test_a_model_that_is_not_linear_is_linearized_by_differences():
-    """Any model of ours; a state that is calculated at the start may be given where nothing runs."""
-    found = linearize(GeneratedInstance(Lift()), start={"u[0]": 2.0, "u[1]": 3.0})
-    assert (found.A[0, 0], *found.B[0]) == pytest.approx((-6.0, 3.0, 2.0), rel=1e-10)
+    """Any model of ours; a state that is calculated initially may be set where nothing runs."""
+    linearization = linearize(GeneratedInstance(Lift()), start={"u[0]": 2.0, "u[1]": 3.0})
+    assert (linearization.A[0, 0], *linearization.B[0]) == pytest.approx(
+        (-6.0, 3.0, 2.0), rel=1e-10
+    )
     assert linearize(GeneratedInstance(Lift()), start={"x": 0.5}).A[0, 0] == pytest.approx(
         -1.0, rel=1e-10
     )
@@ -197,12 +217,12 @@ def still(A) -> Linearization:
     """Linearize a linear model with one input and the first state as output."""
     n = len(A)
     B, C = np.eye(n, 1), np.eye(1, n)
-    face = Interface((Signal("u", role="input"),), (Signal("y"),))
+    interface = Interface((Signal("u", role="input"),), (Signal("y"),))
     states = tuple(f"x{i}" for i in range(n))
     return linearize(
         GeneratedInstance.of(
             LinearModel(
-                face, states, np.array(A), B, C, np.ones((1, 1)), np.ones(n), np.zeros((n, 1))
+                interface, states, np.array(A), B, C, np.ones((1, 1)), np.ones(n), np.zeros((n, 1))
             )
         )
     )
@@ -217,7 +237,10 @@ def test_the_static_gain_is_missing_where_there_is_none():
 
 
 def test_constants_are_what_the_matrices_leave_out(swinging):
-    """None of a linear model away from zero; of the pendulum G (cos(theta) theta - sin(theta)) and torque times omega."""
+    """None of a linear model away from zero.
+
+    Of the pendulum G (cos(theta) theta - sin(theta)) and torque times omega.
+    """
     assert not np.concatenate(still([[-0.3, 0.7], [0.1, -0.9]]).constants).any()
     c, d = cosim.linearize(
         swinging, start={"omega": 2.0, "torque": 1.5}, outputs=["y", "power"]
@@ -228,12 +251,12 @@ def test_constants_are_what_the_matrices_leave_out(swinging):
 
 def test_plain_values_carry_every_bit(swinging):
     """By way of JSON, as a log keeps them."""
-    found = cosim.linearize(swinging, at=0.1)
-    again = Linearization.of(json.loads(json.dumps(found.to_dict())))
-    assert again.to_dict() == {**found.to_dict(), "made": dict(found.made)}
-    assert again.A.tobytes() == found.A.tobytes()
+    linearization = cosim.linearize(swinging, at=0.1)
+    again = Linearization.of(json.loads(json.dumps(linearization.to_dict())))
+    assert again.to_dict() == {**linearization.to_dict(), "made": dict(linearization.made)}
+    assert again.A.tobytes() == linearization.A.tobytes()
     assert again.units == {"torque": "N.m", "wind": "N.m", "reach": "rev"}
-    assert again.bases == found.bases
+    assert again.bases == linearization.bases
     assert again.bases["reach"].factor == math.tau
     empty = cosim.linearize(swinging, outputs=[], inputs=[])
     assert Linearization.of(empty.to_dict()).D.shape == (0, 0)
@@ -253,9 +276,10 @@ def test_plain_values_carry_every_bit(swinging):
     ids=["smooth", "steep", "near an edge", "small", "noisy", "on a large constant", "constant"],
 )
 def test_the_step_is_chosen_by_the_error(f, slope, z, scale):
-    """Steep: small steps; noise or rounding: large ones; undefined: none that reaches there. The error is what is estimated.
+    """Steep: small steps; noise or rounding: large ones; undefined: none that reaches there.
 
-    The noise of 1e-7 leaves 8e-7 over a step of 0.125; its estimate is twice the change of a quotient, four times as much.
+    The error is at most its estimate. The noise of 1e-7 leaves 8e-7 over a step of 0.125; its
+    estimate is twice the change of a quotient, four times as much.
     """
 
     def value(z):
@@ -264,40 +288,69 @@ def test_the_step_is_chosen_by_the_error(f, slope, z, scale):
         except ValueError:
             return np.array([np.nan])
 
-    found, error = differentiate(value, z, scale=scale)
-    assert abs(found[0] - slope) <= error[0] <= 1e-5 * max(1.0, abs(slope))
+    derivative, error = differentiate(value, z, scale=scale)
+    assert abs(derivative[0] - slope) <= error[0] <= 1e-5 * max(1.0, abs(slope))
 
 
 REFUSED = {
-    "no such input": ({"inputs": ["torqe"]}, r"pendulum: no input 'torqe'; did you mean 'torque'\?"),
-    "no such output": ({"outputs": ["torque"]}, r"pendulum: no output 'torque'; There is: y, reach"),
+    "no such input": (
+        {"inputs": ["torqe"]},
+        r"pendulum: no input 'torqe'; did you mean 'torque'\?",
+    ),
+    "no such output": (
+        {"outputs": ["torque"]},
+        r"pendulum: no output 'torque'; There is: y, reach",
+    ),
     "no such state": ({"states": ["thet"]}, r"pendulum: no state 'thet'; did you mean 'theta'\?"),
-    "an integer input": ({"inputs": ["level"]}, r"input 'level' cannot be linearized for: found type Int32, variability discrete, needed a real"),
+    "an integer input": (
+        {"inputs": ["level"]},
+        r"input 'level' cannot be linearized for: found type Int32, variability discrete, "
+        r"needed a real",
+    ),
     "twice": ({"inputs": ["wind", "wind"]}, r"input 'wind' is named twice; needed each once"),
     "no such start": ({"start": {"lenght": 1.0}}, r"no variable 'lenght'; did you mean 'length'\?"),
-    "start out of range": ({"start": {"length": 0.01}}, r"start value of 'length': found 0.01, needed 0.1 to inf"),
-    "input not finite": ({"start": {"torque": math.nan}}, r"pendulum: start value of 'torque': found nan, needed a finite number"),
+    "start out of range": (
+        {"start": {"length": 0.01}},
+        r"start value of 'length': found 0.01, needed 0.1 to inf",
+    ),
+    "input not finite": (
+        {"start": {"torque": math.nan}},
+        r"pendulum: start value of 'torque': found nan, needed a finite number",
+    ),
     "start of an output": ({"start": {"y": 1.0}}, r"'y' cannot be set at the start"),
-    "time before the start": ({"at": -1.0}, r"pendulum: linearized at t = -1.0 s; needed a time from 0 on"),
-    "no such method": ({"method": "difference"}, r"no method 'difference'; did you mean 'central differences'\?"),
-    "no derivatives": ({"method": DIRECTIONAL}, r"has no directional derivatives; leave the method out, or use 'central differences'"),
-    "not finite": ({"start": {"theta": 1e308, "torque": 1e308, "omega": 1e308}}, r"the outputs at t = 0.0 s are not finite: .*; choose another point"),
-}  # fmt: skip
+    "negative time": (
+        {"at": -1.0},
+        r"pendulum: linearized at t = -1.0 s; needed a time from 0 on",
+    ),
+    "no such method": (
+        {"method": "difference"},
+        r"no method 'difference'; did you mean 'central differences'\?",
+    ),
+    "no derivatives": (
+        {"method": DIRECTIONAL},
+        r"has no directional derivatives; leave the method out, or use 'central differences'",
+    ),
+    "not finite": (
+        {"start": {"theta": 1e308, "torque": 1e308, "omega": 1e308}},
+        r"the outputs at t = 0.0 s are not finite: .*; choose another point",
+    ),
+}
 
 
 @pytest.mark.parametrize("name", REFUSED)
 def test_what_cannot_be_linearized_is_refused(name, swinging):
     """One clear error each: see REFUSED."""
-    options, text = REFUSED[name]
-    with pytest.raises(FmuError, match=text):
+    options, message = REFUSED[name]
+    with pytest.raises(FmuError, match=message):
         cosim.linearize(swinging, **options)
 
 
 def test_co_simulation_alone_is_refused(foreign2, exported):
-    """The states are not there; the message says the way out."""
+    """It does not show the states; the message names the way out."""
     with pytest.raises(
         FmuError,
-        match=r"Foreign2\.fmu: is for co-simulation only, which does not show the states; linearizing needs",
+        match=r"Foreign2\.fmu: is for co-simulation only, which does not show the states; "
+        r"linearizing needs",
     ):
         cosim.linearize(foreign2)
     with (
@@ -312,12 +365,16 @@ def test_co_simulation_alone_is_refused(foreign2, exported):
 
 def test_a_state_at_the_edge_of_its_range_leaves_differences_no_room(tmp_path):
     """Directional derivatives need none; differences say where the edge is."""
-    narrow = lambda xml: xml.replace('start="0.5"', 'start="0.5" min="0.5" max="2"')
+
+    def narrow(xml):
+        return xml.replace('start="0.5"', 'start="0.5" min="0.5" max="2"')
+
     path = pendulum(tmp_path / "edge.fmu", derivatives=True, edit=narrow)
     assert distance(cosim.linearize(path), jacobian(0.5, 0.0, 0.0)) <= 1e-14
     with pytest.raises(
         FmuError,
-        match=r"'theta' = 0\.5 leaves central differences no room in its range, 0\.5 to 2\.0; choose another",
+        match=r"'theta' = 0\.5 leaves central differences no room in its range, 0\.5 to 2\.0; "
+        r"choose another",
     ):
         cosim.linearize(path, method=DIFFERENCES)
     assert (
@@ -329,8 +386,8 @@ def test_a_state_at_the_edge_of_its_range_leaves_differences_no_room(tmp_path):
     )
 
 
-def test_a_derivative_that_the_unit_refuses_is_told_with_the_way_out(tmp_path):
-    """It says that it has them, and has none."""
+def test_the_error_of_a_refused_derivative_names_the_way_out(tmp_path):
+    """The FMU declares directional derivatives, and has none."""
     path = pendulum(
         tmp_path / "boast.fmu",
         derivatives=False,
@@ -345,7 +402,7 @@ def test_a_derivative_that_the_unit_refuses_is_told_with_the_way_out(tmp_path):
 
 
 def test_a_state_without_its_derivative_needs_differences(tmp_path):
-    """ModelStructure names the derivatives; one that is no derivative of a state cannot be asked for."""
+    """ModelStructure names the derivatives; without its variable one cannot be read."""
     path = pendulum(tmp_path / "p.fmu", derivatives=True)
     with load(path, FmuOptions(interface_type="me")) as fmu:
         variables = fmu.description.variables
@@ -359,18 +416,18 @@ def test_a_state_without_its_derivative_needs_differences(tmp_path):
             linearize(fmu.instance)
 
 
-def test_poor_differences_are_told():
-    """A model that jitters: 1e-4 of noise over steps of 0.125 leaves 1e-3 of error, which is far from 1e-7."""
+def test_poor_differences_are_noted():
+    """A model that jitters: 1e-4 of noise over steps of 0.125 leaves 1e-3 of error, not 1e-7."""
 
     class Rough(Lift):
         def derivatives(self, t, x, u):
             return -x + 1e-4 * np.sin(1e12 * x)
 
-    found = linearize(GeneratedInstance(Rough()))
-    assert any(note.startswith("A by central differences: error up to ") for note in found.notes), (
-        found.notes
-    )
-    assert abs(found.A[0, 0] + 1.0) <= found.errors["A"] <= 1e-2
+    linearization = linearize(GeneratedInstance(Rough()))
+    assert any(
+        note.startswith("A by central differences: error up to ") for note in linearization.notes
+    ), linearization.notes
+    assert abs(linearization.A[0, 0] + 1.0) <= linearization.errors["A"] <= 1e-2
 
 
 def test_a_point_with_nothing_finite_around_is_refused():
@@ -386,8 +443,8 @@ def test_a_point_with_nothing_finite_around_is_refused():
         linearize(GeneratedInstance(Edge()))
 
 
-def test_a_unit_that_stops_on_the_way_is_told():
-    """The unit, the time, the reason."""
+def test_an_instance_that_fails_on_the_way_is_an_error():
+    """With its name, the time, the reason."""
 
     class Bursting(Lift):
         def derivatives(self, t, x, u):
@@ -404,42 +461,44 @@ ARRAYS = """<?xml version="1.0" encoding="UTF-8"?>
 <ModelExchange modelIdentifier="model" providesDirectionalDerivatives="true"/>
 <ModelVariables>
 <Float64 name="u" valueReference="0" causality="input" start="0 0"><Dimension start="2"/></Float64>
-<Float64 name="x" valueReference="1" causality="output" initial="exact" start="0 0 0"><Dimension start="3"/></Float64>
-<Float64 name="der(x)" valueReference="2" causality="local" initial="calculated" derivative="1"><Dimension start="3"/></Float64>
-<Float64 name="y" valueReference="3" causality="output" initial="calculated"><Dimension start="2"/></Float64>
+<Float64 name="x" valueReference="1" causality="output" initial="exact" start="0 0 0">
+  <Dimension start="3"/></Float64>
+<Float64 name="der(x)" valueReference="2" causality="local" initial="calculated" derivative="1">
+  <Dimension start="3"/></Float64>
+<Float64 name="y" valueReference="3" causality="output" initial="calculated">
+  <Dimension start="2"/></Float64>
 </ModelVariables>
 <ModelStructure>
-<Output valueReference="1"/><Output valueReference="3"/><ContinuousStateDerivative valueReference="2"/>
+<Output valueReference="1"/><Output valueReference="3"/>
+<ContinuousStateDerivative valueReference="2"/>
 </ModelStructure>
 </fmiModelDescription>"""
 
 
 @pytest.mark.parametrize("method", [DIRECTIONAL, DIFFERENCES])
 def test_arrays_of_fmi_3_are_seeded_element_by_element(tmp_path, method):
-    """The matrices of ``c/arrays.c``; x is a state and an output, so its rows are completed, not asked for."""
+    """The matrices of ``c/arrays.c``; x is a state and an output, so its rows are completed."""
     path = compile_fmu(tmp_path / "arrays.fmu", ARRAYS, "arrays.c")
-    A, B = (
-        [[-1.0, 2.0, 0.0], [0.0, -3.0, 0.5], [0.25, 0.0, -2.0]],
-        [[1.0, 0.0], [0.0, 4.0], [-1.0, 1.0]],
-    )
-    C, D = [[1.0, 0.0, 2.0], [0.0, -1.0, 0.0]], [[0.0, 3.0], [0.0, 0.0]]
-    found = cosim.linearize(
+    A = [[-1.0, 2.0, 0.0], [0.0, -3.0, 0.5], [0.25, 0.0, -2.0]]
+    B = [[1.0, 0.0], [0.0, 4.0], [-1.0, 1.0]]
+    C = [[1.0, 0.0, 2.0], [0.0, -1.0, 0.0]]
+    D = [[0.0, 3.0], [0.0, 0.0]]
+    linearization = cosim.linearize(
         path, method=method, outputs=["x[1]", "y"], start={"u[1]": 0.5, "x[2]": 2.0}
     )
     needed = (A, B, [[0.0, 1.0, 0.0], *C], [[0.0, 0.0], *D])
-    assert distance(found, map(np.array, needed)) <= (0.0 if method == DIRECTIONAL else 1e-13)
-    assert (found.states, found.inputs, found.outputs) == (
-        ("x[0]", "x[1]", "x[2]"),
-        ("u[0]", "u[1]"),
-        ("x[1]", "y[0]", "y[1]"),
+    assert distance(linearization, map(np.array, needed)) <= (
+        0.0 if method == DIRECTIONAL else 1e-13
     )
-    assert [found.x.tolist(), found.u.tolist(), found.y.tolist()] == [
-        [0.0, 0.0, 2.0],
-        [0.0, 0.5],
-        [0.0, 5.5, 0.0],
-    ]
+    assert linearization.states == ("x[0]", "x[1]", "x[2]")
+    assert linearization.inputs == ("u[0]", "u[1]")
+    assert linearization.outputs == ("x[1]", "y[0]", "y[1]")
+    assert linearization.x.tolist() == [0.0, 0.0, 2.0]
+    assert linearization.u.tolist() == [0.0, 0.5]
+    assert linearization.y.tolist() == [0.0, 5.5, 0.0]
     listed = cosim.linearize(path, method=method, start={"u": [0.0, 0.5], "x": [0.0, 0.0, 2.0]})
-    assert [listed.x.tolist(), listed.u.tolist()] == [found.x.tolist(), found.u.tolist()]
+    assert listed.x.tolist() == linearization.x.tolist()
+    assert listed.u.tolist() == linearization.u.tolist()
     with pytest.raises(
         FmuError, match=r"start value of 'x\[1\]': found 'a', needed a finite number"
     ):
@@ -450,29 +509,32 @@ def test_arrays_of_fmi_3_are_seeded_element_by_element(tmp_path, method):
     )
 
 
-def test_event_indicators_are_told(tmp_path):
-    """They do not move in continuous-time mode, so the mode that the unit is in is what is linearized."""
+def test_event_indicators_are_noted(tmp_path):
+    """They do not change in continuous-time mode: what is linearized is the mode it is in."""
     path = pendulum(
         tmp_path / "p.fmu",
         derivatives=True,
         edit=lambda xml: xml.replace('Indicators="0"', 'Indicators="1"'),
     )
-    found = cosim.linearize(path)
-    assert distance(found, jacobian(0.5, 0.0, 0.0)) <= 1e-14
-    assert found.notes[0] == "event indicators (1): linearized within the mode it is in"
+    linearization = cosim.linearize(path)
+    assert distance(linearization, jacobian(0.5, 0.0, 0.0)) <= 1e-14
+    assert linearization.notes[0] == "event indicators (1): linearized within the mode it is in"
 
 
 def test_states_without_names_are_numbered():
     """FMI 1 does not name them; they are set all the same, and moved by differences."""
-    unit = GeneratedInstance(Lift())
-    unit._description = replace(unit.description, states=(), unnamed_states=1)
-    found = linearize(unit, start={"state[0]": 0.5})
-    assert found.states == ("state[0]",)
-    assert (found.x[0], found.A[0, 0]) == (0.5, pytest.approx(-1.0, rel=1e-10))
+    instance = GeneratedInstance(Lift())
+    instance._description = replace(instance.description, states=(), unnamed_states=1)
+    linearization = linearize(instance, start={"state[0]": 0.5})
+    assert linearization.states == ("state[0]",)
+    assert (linearization.x[0], linearization.A[0, 0]) == (0.5, pytest.approx(-1.0, rel=1e-10))
 
 
 def test_fmi_1_is_linearized_by_differences(model1):
-    """x' = u, y = 2 x + u (``c/probe1.c``); FMI 1.0 has neither names of states nor directional derivatives."""
-    found = cosim.linearize(model1, start={"state[0]": 3.0})
-    assert (found.states, found.x.tolist()) == (("state[0]",), [3.0])
-    assert distance(found, ([[0.0]], [[1.0]], [[1.0], [2.0]], [[0.0], [1.0]])) <= 1e-13
+    """x' = u, y = 2 x + u (``c/probe1.c``).
+
+    FMI 1.0 has neither names of states nor directional derivatives.
+    """
+    linearization = cosim.linearize(model1, start={"state[0]": 3.0})
+    assert (linearization.states, linearization.x.tolist()) == (("state[0]",), [3.0])
+    assert distance(linearization, ([[0.0]], [[1.0]], [[1.0], [2.0]], [[0.0], [1.0]])) <= 1e-13

@@ -22,26 +22,22 @@ START = {"scenario.stop": STOP, "identifier.start": 3.5}  # theta is there at th
 SAMPLED = {"controller.period": 0.01}
 ACADEMIC = [("academic", name) for name in ("plant", "observer", "regressor", "identifier")]
 LOOP = [("closed-loop", name) for name in ("feedback", "error", "controller")]
-AGAIN = [
-    ("closed-loop", name) for name in ("plant", "observer", "regressor", "identifier")
-]  # the same kinds with other signals
-SAMPLED_UNITS = [
+# the same kinds with other signals
+AGAIN = [("closed-loop", name) for name in ("plant", "observer", "regressor", "identifier")]
+SAMPLED_COMPONENTS = [
     ("sampled", "controller"),
     ("step", "controller"),
     ("slow", "identifier"),
     ("held", "identifier"),
 ]
-UNITS = [
+COMPONENTS = [
     *ACADEMIC,
     *LOOP,
-    *SAMPLED_UNITS,
-    *(pytest.param(*unit, marks=pytest.mark.campaign) for unit in AGAIN),
+    *SAMPLED_COMPONENTS,
+    *(pytest.param(*component, marks=pytest.mark.campaign) for component in AGAIN),
 ]
-STATES = [
-    ("academic", "plant"),
-    ("academic", "observer"),
-    ("closed-loop", "controller"),
-]  # linear models that have some
+# linear models that have states
+STATES = [("academic", "plant"), ("academic", "observer"), ("closed-loop", "controller")]
 DRIVERS = {"sampled": "error", "slow": "regressor"}
 CHANGES = {
     "sampled": SAMPLED,
@@ -80,34 +76,34 @@ def recorded(key: str) -> Any:
 
 @cache
 def case(key: str, name: str) -> Case:
-    """Give a component, built for a run, with what it took and gave in one."""
+    """Return a component, built for a run, with its recorded inputs and outputs."""
     scenario, changes = scenario_of(key)
-    loaded, run = load(scenario).set(changes), recorded(key)
+    loaded = load(scenario).set(changes)
+    run = recorded(key)
     with ExitStack() as resources:
         graph = build(loaded.document, resources).graph
         context = build_context(loaded, resources)
         model = loaded.specs[name].linear_model(name, context) if (key, name) in STATES else None
     component = graph.components[name]
     t = np.arange(round(STOP / H) + 1) * 1_000_000 / 1e9
-    if (
-        key in DRIVERS
-    ):  # the log keeps only the rows at its period, so it runs here on what drove it
+    if key in DRIVERS:
+        # the log keeps only the rows at its period, so it runs here on what drove it
         prepare(component, H, graph.held[name], {})
         u = columns(run, DRIVERS[key], graph.components[DRIVERS[key]].interface.outputs)
         y = np.vstack([component.initialize(0.0, u[0]), component.advance(t, H, u)])
     else:
-        u, y = (
-            columns(run, name, signals)
-            for signals in (component.interface.inputs, component.interface.outputs)
-        )
+        u = columns(run, name, component.interface.inputs)
+        y = columns(run, name, component.interface.outputs)
     return Case(scenario, name, component, model, graph.held[name], t, u, y)
 
 
 def columns(run: Any, name: str, signals: Any) -> Any:
-    """Give the signals of a component side by side, at every communication point."""
-    return np.ascontiguousarray(
-        np.hstack([np.reshape(run[f"{name}.{s.name}"], (-1, s.size)) for s in signals])
-    )
+    """Return the signals of a component side by side, at every communication point."""
+    arrays = []
+    for signal in signals:
+        rows = run[f"{name}.{signal.name}"]
+        arrays.append(np.reshape(rows, (-1, signal.size)))
+    return np.ascontiguousarray(np.hstack(arrays))
 
 
 def export(key: str, name: str, fmi: str, folder: Path) -> Path:
@@ -118,10 +114,11 @@ def export(key: str, name: str, fmi: str, folder: Path) -> Path:
     return path
 
 
-def drive(component: Any, found: Case, held: Any = None) -> Any:
-    """Run a component on recorded inputs; its outputs in the order of the original."""
-    prepare(component, H, found.held if held is None else held, {})
-    first = component.initialize(0.0, found.u[0])
-    y = np.vstack([first, component.advance(found.t, H, found.u)])
-    at = component.interface.output_columns()
-    return np.hstack([y[:, at[signal.name]] for signal in found.component.interface.outputs])
+def drive(component: Any, original: Case, held: Any = None) -> Any:
+    """Run a component on recorded inputs; return its outputs in the order of the original."""
+    prepare(component, H, original.held if held is None else held, {})
+    first = component.initialize(0.0, original.u[0])
+    y = np.vstack([first, component.advance(original.t, H, original.u)])
+    columns_of = component.interface.output_columns()
+    outputs = original.component.interface.outputs
+    return np.hstack([y[:, columns_of[signal.name]] for signal in outputs])

@@ -1,4 +1,7 @@
-"""The example's plant as FMUs that call their ports otherwise, in another order; for tests of maps and proposals."""
+"""The example's plant as FMUs whose ports have other names, in another order.
+
+For tests of maps and proposals.
+"""
 
 from pathlib import Path
 
@@ -14,7 +17,10 @@ PACKED = {"plant.u": "force", "plant.delta": "push", "plant.y": "out[2]", "plant
 
 
 def renamed(path: Path) -> Path:
-    """Export it with inputs push and force for delta and u; outputs aux, s and out1 for x_b, x_a and y."""
+    """Export it with inputs push and force for delta and u.
+
+    Its outputs are aux, s and out1 for x_b, x_a and y.
+    """
     outputs = (Signal("aux"), Signal("s", 2, role="state"), Signal("out1"))
     return _export(path, outputs, {"aux": ("force",), "out1": ("force",)}, [3, 1, 2, 0])
 
@@ -26,12 +32,12 @@ def packed(path: Path) -> Path:
 
 
 def _export(path, outputs, feedthrough, rows):
-    face = Interface(
+    interface = Interface(
         (Signal("push", role="input"), Signal("force", role="input")), outputs, feedthrough
     )
     columns = [1, 0]
     model = LinearModel(
-        face,
+        interface,
         ("s[0]", "s[1]"),
         A,
         B[:, columns],

@@ -18,7 +18,7 @@ from cosim.fmi.options import FmuOptions
 from cosim.fmi.reading.model_description import read
 from cosim.scenario.document import find
 from cosim.scenario.exporting import export_component
-from tests.scenario.exported import ACADEMIC, STATES, STOP, UNITS, H, case, drive, export
+from tests.scenario.exported import ACADEMIC, COMPONENTS, STATES, STOP, H, case, drive, export
 
 FMI = pytest.mark.parametrize("fmi", ["2", "3"])
 
@@ -28,49 +28,53 @@ def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("exported")
 
 
-def relative(found, expected):
-    """Largest difference relative to each column's largest value; no value must be no value in both."""
-    assert np.array_equal(np.isnan(found), np.isnan(expected))
+def relative(values, expected):
+    """Return the largest difference relative to each column's largest value.
+
+    No value must be no value in both.
+    """
+    assert np.array_equal(np.isnan(values), np.isnan(expected))
     known = ~np.isnan(expected).all(axis=1)
     largest = np.maximum(np.nanmax(abs(expected[known]), axis=0, initial=0.0), 1e-300)
-    return np.nanmax(abs(found[known] - expected[known]) / largest, initial=0.0)
+    return np.nanmax(abs(values[known] - expected[known]) / largest, initial=0.0)
 
 
 @FMI
-@pytest.mark.parametrize(("key", "name"), UNITS)
-def test_fmpy_finds_nothing_wrong(key, name, fmi, folder):
-    """Schema, names, structure, start values, units; and the kinds are those that the component can be."""
+@pytest.mark.parametrize(("key", "name"), COMPONENTS)
+def test_fmpy_finds_no_problems(key, name, fmi, folder):
+    """Schema, names, structure, start values, units; the interface types fit the component."""
     path = export(key, name, fmi, folder)
     assert validate_fmu(str(path)) == []
-    found = fmpy.read_model_description(str(path), validate=True)
-    assert found.coSimulation is not None
-    assert (found.modelExchange is None) == (
+    description = fmpy.read_model_description(str(path), validate=True)
+    assert description.coSimulation is not None
+    assert (description.modelExchange is None) == (
         name in ("regressor", "identifier") or key in ("sampled", "step")
     )
 
 
 @FMI
 @pytest.mark.parametrize("name", ["observer", "regressor"])
-def test_our_own_check_finds_nothing_wrong(name, fmi, folder):
-    """Schema, structure, binaries, trial runs and rollbacks; a value that is not there yet is no problem."""
+def test_our_own_check_finds_no_problems(name, fmi, folder):
+    """Schema, structure, binaries, trial runs and rollbacks; NaN for no value yet is no problem."""
     with pytest.raises(SystemExit) as stopped:
         main(["check", str(export("academic", name, fmi, folder))])
     assert not stopped.value.code
 
 
 @FMI
-@pytest.mark.parametrize(("key", "name"), UNITS)
+@pytest.mark.parametrize(("key", "name"), COMPONENTS)
 def test_co_simulation_by_us_gives_what_the_component_gave(key, name, fmi, folder):
-    """Bit for bit where the inputs move: in steps this small u0 + h (u1 - u0)/h is u1 but near its zeros, and there it is 1e-16.
+    """Bit for bit where the inputs are interpolated linearly.
 
-    Inputs that hold cost rounding: their two columns of the discretization are added at each step, not once.
+    In steps this small u0 + h (u1 - u0)/h is u1 but near its zeros, and there it is 1e-16. Held
+    inputs cost rounding: their two columns of the discretization are added at each step, not once.
     """
-    found = case(key, name)
+    original = case(key, name)
     with load(export(key, name, fmi, folder), FmuOptions(interface_type="cs")) as fmu:
-        y = drive(fmu.component, found)
-    assert relative(y, found.y) <= 1e-12
-    if not found.held.any():
-        assert np.array_equal(y, found.y, equal_nan=True)
+        y = drive(fmu.component, original)
+    assert relative(y, original.y) <= 1e-12
+    if not original.held.any():
+        assert np.array_equal(y, original.y, equal_nan=True)
 
 
 @FMI
@@ -79,24 +83,25 @@ def test_model_exchange_by_us_has_the_bits_of_the_component_with_the_same_solver
     key, name, fmi, folder
 ):
     """rk4 on the FMU and rk4 on the component call the same C."""
-    found = case(key, name)
-    expected = drive(ModelExchange(GeneratedInstance.of(found.model), "rk4"), found)
+    original = case(key, name)
+    expected = drive(ModelExchange(GeneratedInstance.of(original.model), "rk4"), original)
     with load(export(key, name, fmi, folder), FmuOptions(interface_type="me", solver="rk4")) as fmu:
-        assert np.array_equal(drive(fmu.component, found), expected)
+        assert np.array_equal(drive(fmu.component, original), expected)
 
 
-def rows(found, held=None):
-    """Give recorded inputs, or constant ones, as fmpy takes them."""
-    u = found.u if held is None else np.tile(held, (len(found.u), 1))
-    at = found.component.interface.input_columns()
-    signals = found.component.interface.inputs
-    return u, [(s.name, s.size, u[:, at[s.name]]) for s in signals]
+def rows(original, held=None):
+    """Return recorded inputs, or constant ones, as fmpy takes them."""
+    u = original.u if held is None else np.tile(held, (len(original.u), 1))
+    columns_of = original.component.interface.input_columns()
+    signals = original.component.interface.inputs
+    return u, [(s.name, s.size, u[:, columns_of[s.name]]) for s in signals]
 
 
-def by_fmpy(path, kind, found, named, stop):
+def by_fmpy(path, interface_type, original, named, stop):
     """Simulate with fmpy alone; the outputs side by side."""
     arrays = fmpy.read_model_description(str(path)).fmiVersion.startswith("3")
-    fields, values = [("time", float)], [found.t]
+    fields = [("time", float)]
+    values = [original.t]
     for name, size, u in named:
         if size == 1 or arrays:
             fields.append((name, float) if size == 1 else (name, float, (size,)))
@@ -104,45 +109,41 @@ def by_fmpy(path, kind, found, named, stop):
         else:
             fields += [(f"{name}[{i}]", float) for i in range(size)]
             values += list(u.T)
-    table = np.zeros(len(found.t), fields)
+    table = np.zeros(len(original.t), fields)
     for (field, *_), value in zip(fields, values, strict=True):
         table[field] = value
     result = fmpy.simulate_fmu(
         str(path),
         stop_time=stop,
         output_interval=H,
-        fmi_type=kind,
+        fmi_type=interface_type,
         solver="CVode",
         relative_tolerance=1e-10,
         input=table,
     )
-    names = [s.name for s in found.component.interface.outputs] if arrays else None
+    names = [s.name for s in original.component.interface.outputs] if arrays else None
     columns = [np.reshape(result[n], (len(result), -1)) for n in names or result.dtype.names[1:]]
     return np.hstack(columns)
 
 
 @FMI
-@pytest.mark.parametrize(("key", "name"), UNITS)
+@pytest.mark.parametrize(("key", "name"), COMPONENTS)
 def test_co_simulation_by_fmpy_alone_gives_what_the_component_gives(key, name, fmi, folder):
-    """fmpy holds the inputs over a step, and interpolates them at its own times: 1e-16 s away from ours, 1e-13 of an input.
+    """fmpy holds the inputs over a step, and interpolates them at its own times.
 
-    theta answers to that by the condition of the little information that 0.7 s give: 1e6.
+    These are 1e-16 s away from ours, which is 1e-13 of an input. theta errs by that times the
+    condition of the little information that 0.7 s give: 1e6.
     """
-    found = case(key, name)
-    _, named = rows(found)
-    y = by_fmpy(export(key, name, fmi, folder), "CoSimulation", found, named, STOP)
-    component = found.component
-    prepare(
-        component,
-        H,
-        np.ones(found.u.shape[1], np.bool_) if name != "identifier" else found.held,
-        {},
-    )
-    expected = [component.initialize(0.0, found.u[0])]
-    for k in range(len(found.t) - 1):
-        expected.append(
-            component.advance(found.t[k : k + 2], H, np.vstack([found.u[k], found.u[k]]))[0]
-        )
+    original = case(key, name)
+    _, named = rows(original)
+    y = by_fmpy(export(key, name, fmi, folder), "CoSimulation", original, named, STOP)
+    component = original.component
+    all_held = np.ones(original.u.shape[1], np.bool_)
+    prepare(component, H, original.held if name == "identifier" else all_held, {})
+    expected = [component.initialize(0.0, original.u[0])]
+    for k in range(len(original.t) - 1):
+        u = np.vstack([original.u[k], original.u[k]])
+        expected.append(component.advance(original.t[k : k + 2], H, u)[0])
     steps = min(len(y), len(expected))
     assert steps >= len(expected) - 1
     assert relative(y[:steps], np.array(expected)[:steps]) <= (
@@ -153,13 +154,16 @@ def test_co_simulation_by_fmpy_alone_gives_what_the_component_gives(key, name, f
 @FMI
 @pytest.mark.parametrize(("key", "name"), STATES)
 def test_model_exchange_by_fmpy_alone_gives_what_the_component_gives(key, name, fmi, folder):
-    """CVode at 1e-10 a step, with constant inputs, stays within 1e-6 of the exact solver: filter_rate is 1e3."""
-    found = case(key, name)
-    u, named = rows(found, np.linspace(0.5, 1.0, found.u.shape[1]))
-    y = by_fmpy(export(key, name, fmi, folder), "ModelExchange", found, named, 0.5)
-    exact = Linear(found.model)
+    """CVode at 1e-10 a step, with constant inputs, stays within 1e-6 of the exact solver.
+
+    filter_rate is 1e3.
+    """
+    original = case(key, name)
+    u, named = rows(original, np.linspace(0.5, 1.0, original.u.shape[1]))
+    y = by_fmpy(export(key, name, fmi, folder), "ModelExchange", original, named, 0.5)
+    exact = Linear(original.model)
     prepare(exact, H, np.zeros(u.shape[1], np.bool_), {})
-    expected = np.vstack([exact.initialize(0.0, u[0]), exact.advance(found.t, H, u)])[: len(y)]
+    expected = np.vstack([exact.initialize(0.0, u[0]), exact.advance(original.t, H, u)])[: len(y)]
     assert relative(y, expected) <= 1e-6
 
 
@@ -167,32 +171,38 @@ def test_model_exchange_by_fmpy_alone_gives_what_the_component_gives(key, name, 
 @pytest.mark.parametrize("interface_type", ["me", "cs"])
 def test_derivatives_are_the_matrices(interface_type, fmi, folder):
     """Of the observer, whose C and D are full: directional ones by columns."""
-    found = case("academic", "observer")
+    original = case("academic", "observer")
     with load(
         export("academic", "observer", fmi, folder), FmuOptions(interface_type=interface_type)
     ) as fmu:
-        component, unit = fmu.component, fmu.component._instance
-        prepare(component, H, found.held, {})
-        component.initialize(0.0, found.u[0])
-        at_start = jacobian(unit, "input")
-        component.outputs(0.0, found.u[0])
-        model = found.model
+        component = fmu.component
+        instance = component._instance
+        prepare(component, H, original.held, {})
+        component.initialize(0.0, original.u[0])
+        in_initialization = jacobian(instance, "input")
+        component.outputs(0.0, original.u[0])
+        model = original.model
         assert np.allclose(
-            at_start, model.D + model.C @ model.Xu, rtol=1e-14, atol=1e-14 * abs(model.C).max()
+            in_initialization,
+            model.D + model.C @ model.Xu,
+            rtol=1e-14,
+            atol=1e-14 * abs(model.C).max(),
         )
-        assert np.array_equal(jacobian(unit, "input"), model.D)
+        assert np.array_equal(jacobian(instance, "input"), model.D)
 
 
-def jacobian(unit, causality):
-    knowns, unknowns = unit.description.references(causality), unit.description.references("output")
-    return np.column_stack(
-        [unit.get_directional_derivative(unknowns, knowns, seed) for seed in np.eye(knowns.size)]
-    )
+def jacobian(instance, causality):
+    knowns = instance.description.references(causality)
+    unknowns = instance.description.references("output")
+    columns = []
+    for seed in np.eye(knowns.size):
+        columns.append(instance.get_directional_derivative(unknowns, knowns, seed))
+    return np.column_stack(columns)
 
 
 def test_adjoint_derivatives_are_the_transposed_matrices(folder):
     """Through fmpy's binding of FMI 3, as ours needs none."""
-    found = case("academic", "observer")
+    original = case("academic", "observer")
     path = export("academic", "observer", "3", folder)
     with zipfile.ZipFile(path) as archive:
         archive.extractall(folder / "observer3")
@@ -200,33 +210,43 @@ def test_adjoint_derivatives_are_the_transposed_matrices(folder):
 
     from fmpy.fmi3 import FMU3Slave
 
-    about = fmpy.read_model_description(str(path))
+    description = fmpy.read_model_description(str(path))
     fmu = FMU3Slave(
-        guid=about.guid,
+        guid=description.guid,
         unzipDirectory=str(folder / "observer3"),
-        modelIdentifier=about.coSimulation.modelIdentifier,
+        modelIdentifier=description.coSimulation.modelIdentifier,
         instanceName="one",
     )
     fmu.instantiate()
     fmu.enterInitializationMode()
     fmu.exitInitializationMode()
-    outputs = [v.valueReference for v in about.modelVariables if v.causality == "output"]
-    n_y, n_u = found.model.D.shape
+    outputs = [v.valueReference for v in description.modelVariables if v.causality == "output"]
+    n_y, n_u = original.model.D.shape
     rows = []
     for seed in np.eye(n_y):
-        answer = (c_double * n_u)()
+        row = (c_double * n_u)()
         fmu.fmi3GetAdjointDerivative(
-            fmu.component, (c_uint32 * len(outputs))(*outputs), len(outputs), (c_uint32 * n_u)(*range(n_u)), n_u,
-            (c_double * n_y)(*seed), n_y, answer, n_u,
-        )  # fmt: skip
-        rows.append(list(answer))
+            fmu.component,
+            (c_uint32 * len(outputs))(*outputs),
+            len(outputs),
+            (c_uint32 * n_u)(*range(n_u)),
+            n_u,
+            (c_double * n_y)(*seed),
+            n_y,
+            row,
+            n_u,
+        )
+        rows.append(list(row))
     fmu.terminate()
     fmu.freeInstance()
-    assert np.array_equal(np.array(rows), found.model.D)
+    assert np.array_equal(np.array(rows), original.model.D)
 
 
 def test_every_fmu_takes_its_component_place(folder):
-    """The whole method as FMUs, FMI 2 and 3 mixed: the bits of the run with the components, no value yet included."""
+    """The whole method as FMUs, FMI 2 and 3 mixed: the bits of the run with the components.
+
+    NaN for no value yet included.
+    """
     changes = {"scenario.stop": STOP, "identifier.start": 3.5}
     expected = cosim.run("academic", set=changes)
     swaps = {
@@ -240,23 +260,29 @@ def test_every_fmu_takes_its_component_place(folder):
 
 
 def test_a_fixed_step_is_kept(folder):
-    """Another communication step is refused before the run in FMI 3, which says it, and by the FMU in FMI 2."""
-    found = case("academic", "regressor")
+    """Another communication step is refused: in FMI 3 before the run, in FMI 2 by the FMU.
+
+    FMI 3 declares it.
+    """
+    original = case("academic", "regressor")
     with (
         load(export("academic", "regressor", "3", folder), FmuOptions(interface_type="cs")) as fmu,
         pytest.raises(CosimError, match=r"0\.001 s"),
     ):
-        prepare(fmu.component, 0.0015, found.held, {})
+        prepare(fmu.component, 0.0015, original.held, {})
     with load(export("academic", "regressor", "2", folder), FmuOptions(interface_type="cs")) as fmu:
-        prepare(fmu.component, 0.002, found.held, {})
-        fmu.component.initialize(0.0, found.u[0])
-        needed = r"a communication step of 0\.002\d* s was asked for; needed 0\.001 s, the step of this FMU"
-        with pytest.raises(CosimError, match=needed):
-            fmu.component.advance(np.array([0.0, 0.002]), 0.002, found.u[:2])
+        prepare(fmu.component, 0.002, original.held, {})
+        fmu.component.initialize(0.0, original.u[0])
+        message = (
+            r"a communication step of 0\.002\d* s was asked for; needed 0\.001 s, "
+            r"the step of this FMU"
+        )
+        with pytest.raises(CosimError, match=message):
+            fmu.component.advance(np.array([0.0, 0.002]), 0.002, original.u[:2])
 
 
 def test_what_cannot_be_exported_is_refused(tmp_path, monkeypatch, capsys):
-    """Sources, and versions and platforms that are none: the message says what there is."""
+    """Signal sources, and versions and platforms that are none: the message names what exists."""
     monkeypatch.chdir(tmp_path)
 
     def refused(*arguments):
@@ -269,10 +295,10 @@ def test_what_cannot_be_exported_is_refused(tmp_path, monkeypatch, capsys):
         "--component", "u"
     )
     assert "FMI version '1'" in refused("--component", "plant", "--fmi", "1")
-    text = refused("--component", "plant", "--platform", "x86_64-lnux")
+    message = refused("--component", "plant", "--platform", "x86_64-lnux")
     assert (
         "platform 'x86_64-lnux': did you mean 'x86_64-linux'? There is: x86_64-linux, aarch64-linux"
-        in text
+        in message
     )
     twice = refused("--component", "plant", "--platform", "x86_64-linux, x86_64-linux")
     assert "platform 'x86_64-linux' is there twice; needed once" in twice
@@ -326,7 +352,7 @@ size = 2
 
 @pytest.mark.parametrize("fmi", [pytest.param("2", marks=pytest.mark.campaign), "3"])
 def test_small_parts_are_the_same_as_fmus(fmi, tmp_path):
-    """Lag, delays, limit, gain and sum, each in its own place: what the swapped run records is what the run recorded."""
+    """Lag, delays, limit, gain and sum: a run with one as an FMU records what the run recorded."""
     scenario = tmp_path / "parts.toml"
     scenario.write_text(PARTS, encoding="utf-8")
     expected = cosim.run(scenario)
@@ -343,22 +369,24 @@ HELD = PARTS.replace(
     'y = ["sin(7*t)", "cos(9*t) + 0.3"]', 'y = ["sin(7*t)", "cos(9*t) + 0.3"]\ndiscrete = true'
 ).replace(
     "[connections]",
-    '[components.after]\nkind = "lag"\ntime_constant = 0.05\nsize = 3\n[connections]\n"after.u" = "gain.y"',
+    '[components.after]\nkind = "lag"\ntime_constant = 0.05\nsize = 3\n'
+    '[connections]\n"after.u" = "gain.y"',
 )
 
 
-def test_parts_that_inherit_steps_are_discrete(tmp_path):
-    """What they drive must go on holding it: a straight line in its place is off by half a step's change.
+def test_parts_that_inherit_discrete_variability_are_discrete(tmp_path):
+    """What they drive must hold it (zero-order hold).
 
-    The inputs jump in an event at each communication point, and outputs that they feed show that there, bit for bit.
+    Linear interpolation is off by half a step's change. The inputs jump in an event at each
+    communication point, and outputs that they feed show that there, bit for bit.
     """
     scenario = tmp_path / "held.toml"
     scenario.write_text(HELD, encoding="utf-8")
     expected = cosim.run(scenario)
     for name in ("gain", "limit", "late"):
         export_component(str(scenario), name, tmp_path / f"{name}.fmu", fmi="3")
-        about = read(tmp_path / f"{name}.fmu").description
-        assert {about[port].variability for port in ("u", "y")} == {"discrete"}
+        description = read(tmp_path / f"{name}.fmu").description
+        assert {description[port].variability for port in ("u", "y")} == {"discrete"}
         settings = {f"{name}.interface_type": "cs"}
         run = cosim.run(
             scenario,
@@ -369,12 +397,15 @@ def test_parts_that_inherit_steps_are_discrete(tmp_path):
         assert np.array_equal(run[f"{name}.y"], expected[f"{name}.y"]), name
         assert np.array_equal(run["after.y"], expected["after.y"]), name
         assert not [m for m in run.messages() if "first order in the step" in m.text], name
-    told = export_component(str(scenario), "gain", tmp_path / "gain2.fmu", fmi="2")
-    assert "co-simulation in FMI 2.0 has no events to say so" in told[-1]
+    lines = export_component(str(scenario), "gain", tmp_path / "gain2.fmu", fmi="2")
+    assert "co-simulation in FMI 2.0 has no events to say so" in lines[-1]
 
 
 def test_what_a_component_does_not_rest_on_need_not_be_there(tmp_path):
-    """The observer needs its model, not the plant; the identifier takes rows as the plant gives them, and so needs that."""
+    """The observer needs its model, not the plant.
+
+    The identifier takes rows as the plant makes them, and so needs that.
+    """
     scenario = tmp_path / "academic.toml"
     plant = 'kind = "descriptor"\nmodel = "academic"\nx_a0 = [1.0, -1.0]'
     before, after = find("academic").text.split(plant)

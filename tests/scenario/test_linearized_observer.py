@@ -1,4 +1,4 @@
-"""An observer that is designed on an FMU: the same as on the matrices, replayed from the log alone."""
+"""An observer that is designed on an FMU: as on the matrices, replayed from the log alone."""
 
 import json
 import math
@@ -19,7 +19,7 @@ MODEL = {"fmu": "plant.fmu", "disturbance": "delta"}
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """Give a folder with the scenario, its plant as an FMU, and a pendulum."""
+    """Return a folder with the scenario, its plant as an FMU, and a pendulum."""
     folder = tmp_path_factory.mktemp("linearized")
     export_component("academic", "plant", folder / "plant.fmu")
     pendulum(folder / "pendulum.fmu", derivatives=True, level=False)
@@ -28,32 +28,37 @@ def folder(tmp_path_factory):
 
 
 def test_an_observer_designed_on_the_fmu_is_the_one_of_the_matrices(folder):
-    """The exported plant holds the reduced matrices bit for bit and linearizing it rounds nothing, so theta has the same bits."""
+    """The exported plant holds the reduced matrices bit for bit and linearizing it rounds nothing.
+
+    So theta has the same bits.
+    """
     scenario = folder / "academic.toml"
-    matrices, fmu = cosim.run(scenario), cosim.run(scenario, set={"observer.model": MODEL})
+    matrices = cosim.run(scenario)
+    fmu = cosim.run(scenario, set={"observer.model": MODEL})
     for signal in ("observer.x_a", "observer.delta", "identifier.theta"):
         assert np.array_equal(fmu[signal], matrices[signal], equal_nan=True), signal
 
 
 def test_an_observer_designed_by_differences_identifies_the_same(folder, foreign3):
-    """Its plant has the states x1, x2, one matrix entry of which is wrong by at most 1e-12 (its own estimate).
+    """Its plant has the states x1, x2; a matrix entry is wrong by at most 1e-12 (its own estimate).
 
-    An entry of A_a that is wrong by e makes delta_hat wrong by e |x_a| / |C3 B_2a| = e, and theta2 answers to that with less than
-    1e2 times as much (as for rounding in ``test_swap``): 1e-10.
+    An entry of A_a that is wrong by e makes delta_hat wrong by e |x_a| / |C3 B_2a| = e, and theta2
+    errs by less than 1e2 times as much (as for rounding in ``test_swap``): 1e-10.
     """
     model = {"fmu": str(foreign3), "disturbance": "delta"}
-    matrices, fmu = (
-        cosim.run("academic", set=changes) for changes in ({}, {"observer.model": model})
-    )
-    found = json.loads(fmu.metadata["cosim.component.observer"]["metadata"])["linearization"][
-        "result"
-    ]
-    assert max(found["errors"].values()) <= 1e-12
+    matrices = cosim.run("academic")
+    fmu = cosim.run("academic", set={"observer.model": model})
+    metadata = json.loads(fmu.metadata["cosim.component.observer"]["metadata"])
+    errors = metadata["linearization"]["result"]["errors"]
+    assert max(errors.values()) <= 1e-12
     assert abs(fmu["identifier.theta"][-1] - matrices["identifier.theta"][-1]).max() <= 1e-10
 
 
 def test_a_replay_needs_the_log_alone(folder, tmp_path):
-    """The linearization is in the log: the FMU may be gone, and even a changed pole is designed on what was recorded."""
+    """The linearization is in the log: the FMU may be gone.
+
+    Even a changed pole is designed on what was recorded.
+    """
     shutil.copy(folder / "academic.toml", tmp_path)
     shutil.copy(folder / "plant.fmu", tmp_path)
     log = cosim.run(
@@ -119,65 +124,112 @@ filter_rate = 1e4
 
 
 def error(scenario):
-    """Give the largest error of the wind that the observer found."""
+    """Return the largest error of the wind that the observer estimates."""
     run = cosim.run(scenario)
     return abs(run["observer.delta"] - run["wind.y"]).max()
 
 
 def test_an_observer_of_a_nonlinear_plant_errs_by_the_square_of_the_swing(folder):
-    """Linearized at rest, where the FMU arrives under its torque, and used with the whole of u, y and delta.
+    """Linearized at rest under its torque, and used with the whole of u, y and delta.
 
-    It neglects G sin(theta)/2 dtheta^2: half the wind leaves a quarter of that, but for the next order.
+    It neglects G sin(theta)/2 dtheta^2: half the wind leaves a quarter of that, but for the next
+    order.
     """
     rest = {"at": 300.0, "start": {"torque": 4.0}}
-    assert 3.5 < error(swing(folder, 0.5, **rest)) / error(swing(folder, 0.25, **rest)) < 4.5
+    coarse = error(swing(folder, 0.5, **rest))
+    fine = error(swing(folder, 0.25, **rest))
+    assert 3.5 < coarse / fine < 4.5
 
 
 def test_an_observer_may_be_linearized_where_the_plant_is_not_at_rest(folder):
     """The constants of the linearization are part of the observer.
 
-    Without wind it errs by what the plant neglects between the point and its rest: G sin(theta)/2 (1.5e-4)^2 = 5e-8.
+    Without wind it errs by what it neglects between the point and the rest of the plant:
+    G sin(theta)/2 (1.5e-4)^2 = 5e-8.
     """
     assert error(swing(folder, 0.0, start={"theta": 0.42, "omega": 0.1})) <= 1e-7
 
 
 def test_the_signals_of_the_observer_have_the_units_of_the_fmu(folder):
-    """So that what drives them is compared and converted; where the elements differ, none is declared."""
+    """What drives them is then compared and converted; where elements differ, none is declared."""
     run = cosim.run(swing(folder, 0.1), set={"scenario.stop": 0.01})
-    face = run.channels["observer"].interface
-    units = {s.name: s.unit for s in (*face.inputs, *face.outputs)}
+    interface = run.channels["observer"].interface
+    units = {s.name: s.unit for s in (*interface.inputs, *interface.outputs)}
     assert units == {"u": "N.m", "y": None, "x_a": None, "delta": "N.m", "z": None, "q": None}
 
 
 REFUSED = {
-    "no such file": ({"fmu": "no.fmu", "disturbance": "delta"}, r"components\.observer: .*no\.fmu: there is no such file"),
-    "no such disturbance": ({**MODEL, "disturbance": "detla"}, r"components\.observer: disturbance 'detla' is no input of academic_plant; did you mean 'delta'\?"),
-    "a disturbance twice": ({**MODEL, "disturbance": ["delta", "delta"]}, r"components\.observer: disturbance 'delta' is named twice; needed each once"),
-    "an input twice": ({**MODEL, "inputs": ["u", "delta"]}, r"components\.observer: academic_plant: input 'delta' is named twice"),
-    "no such output": ({**MODEL, "outputs": ["yy"]}, r"components\.observer: academic_plant: no output 'yy'; did you mean 'y'\?"),
-    "no output y": ({"fmu": "nameless.fmu", "disturbance": "delta"}, r"components\.observer: academic_plant: no output 'y'; did you mean 'y_m'\? There is: y_m, x_a"),
-    "no disturbance": ({"fmu": "plant.fmu"}, r"components\.observer\.model: 'disturbance' is missing; needed name or names of the inputs"),
-    "an unknown key": ({**MODEL, "output": ["y"]}, r"components\.observer\.model\.output: unknown key 'output'; did you mean 'outputs'\?"),
-    "neither": (3, r"components\.observer\.model: found 3; needed a string or a table"),
-    "co-simulation only": ({"fmu": "cs.fmu", "disturbance": "delta"}, r"components\.observer: .*cs\.fmu: is for co-simulation only"),
-    "a disturbance that reaches y": ({**MODEL, "disturbance": "u"}, r"components\.observer: Assumption 4 \(11\): C5 = \[\[-1.0\]\], needed 0"),
-}  # fmt: skip
+    "no such file": (
+        {"fmu": "no.fmu", "disturbance": "delta"},
+        r".*no\.fmu: there is no such file",
+    ),
+    "no such disturbance": (
+        {**MODEL, "disturbance": "detla"},
+        r"disturbance 'detla' is no input of academic_plant; did you mean 'delta'\?",
+    ),
+    "a disturbance twice": (
+        {**MODEL, "disturbance": ["delta", "delta"]},
+        r"disturbance 'delta' is named twice; needed each once",
+    ),
+    "an input twice": (
+        {**MODEL, "inputs": ["u", "delta"]},
+        r"academic_plant: input 'delta' is named twice",
+    ),
+    "no such output": (
+        {**MODEL, "outputs": ["yy"]},
+        r"academic_plant: no output 'yy'; did you mean 'y'\?",
+    ),
+    "no output y": (
+        {"fmu": "nameless.fmu", "disturbance": "delta"},
+        r"academic_plant: no output 'y'; did you mean 'y_m'\? There is: y_m, x_a",
+    ),
+    "co-simulation only": (
+        {"fmu": "cs.fmu", "disturbance": "delta"},
+        r".*cs\.fmu: is for co-simulation only",
+    ),
+    "a disturbance that reaches y": (
+        {**MODEL, "disturbance": "u"},
+        r"Assumption 4 \(11\): C5 = \[\[-1.0\]\], needed 0",
+    ),
+}
+REFUSED_TABLES = {
+    "no disturbance": (
+        {"fmu": "plant.fmu"},
+        r": 'disturbance' is missing; needed name or names of the inputs",
+    ),
+    "an unknown key": (
+        {**MODEL, "output": ["y"]},
+        r"\.output: unknown key 'output'; did you mean 'outputs'\?",
+    ),
+    "neither": (3, r": found 3; needed a string or a table"),
+}
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_what_cannot_be_believed_is_refused(name, folder, foreign2):
+def test_what_cannot_be_a_design_model_is_refused(name, folder, foreign2):
     """One clear error each, with the component: see REFUSED."""
     from tests.scenario.test_swap import rewritten
 
     shutil.copy(foreign2, folder / "cs.fmu")
     rewritten(folder / "plant.fmu", folder / "nameless.fmu", ('name="y"', 'name="y_m"'))
-    model, text = REFUSED[name]
-    with pytest.raises(ScenarioError, match=text):
+    model, message = REFUSED[name]
+    with pytest.raises(ScenarioError, match=rf"components\.observer: {message}"):
         cosim.run(folder / "academic.toml", set={"observer.model": model})
 
 
-def test_a_table_of_a_scenario_says_the_same(folder):
-    """The printed [models] table, in the place of the shipped one: y = x1 - u by way of an algebraic state, the same theta."""
+@pytest.mark.parametrize("name", REFUSED_TABLES)
+def test_what_is_no_table_of_a_design_model_is_refused(name, folder):
+    """One clear error each, with the key: see REFUSED_TABLES."""
+    model, message = REFUSED_TABLES[name]
+    with pytest.raises(ScenarioError, match=rf"components\.observer\.model{message}"):
+        cosim.run(folder / "academic.toml", set={"observer.model": model})
+
+
+def test_a_table_of_a_scenario_is_the_same_model(folder):
+    """The printed [models] table, in the place of the shipped one.
+
+    y = x1 - u by way of an algebraic state gives the same theta.
+    """
     table = model_table(linearize(folder / "plant.fmu", outputs=["y"]), ["delta"])
     text = (folder / "academic.toml").read_text()
     before, _, rest = text.partition("[models.academic]")
@@ -186,26 +238,27 @@ def test_a_table_of_a_scenario_says_the_same(folder):
         before + named + "\n[components.u]" + rest.partition("[components.u]")[2]
     )
     assert "# x: x_a[0], x_a[1]; u: u; delta: delta; y: y" in table
-    matrices, run = cosim.run(folder / "academic.toml"), cosim.run(folder / "table.toml")
+    matrices = cosim.run(folder / "academic.toml")
+    run = cosim.run(folder / "table.toml")
     assert abs(run["identifier.theta"][-1] - matrices["identifier.theta"][-1]).max() <= 1e-9
 
 
-def test_a_table_tells_its_operating_point_and_what_it_lacks(folder):
-    """Deviations are named; without a known input there is no table."""
-    found = linearize(folder / "pendulum.fmu", outputs=["y"], start={"torque": 1.0})
-    table = model_table(found, ["wind"])
+def test_a_table_names_its_operating_point_and_what_it_lacks(folder):
+    """The constants are named; without a known input there is no table."""
+    linearization = linearize(folder / "pendulum.fmu", outputs=["y"], start={"torque": 1.0})
+    table = model_table(linearization, ["wind"])
     assert (
         "# pendulum linearized at t = 0.0 s, theta = 0.5, omega = 0.0, torque = 1.0, wind = 0.0"
         in table
     )
-    c = found.constants[0].tolist()
+    c = linearization.constants[0].tolist()
     assert (
-        f"# for deviations from this point: it lacks c = {c} of x' = ... + c and d = [0.0] of y = ... + d"
-        in table
+        f"# for deviations from this point: it lacks c = {c} of x' = ... + c "
+        "and d = [0.0] of y = ... + d" in table
     )
     assert f"Bu = {jacobian(0.5, 0.0, 1.0)[1][:, :1].tolist()}" in table
     with pytest.raises(
         UsageError,
         match="pendulum: a table of \\[models\\] needs a known input; inputs: torque, wind",
     ):
-        model_table(found, ["torque", "wind"])
+        model_table(linearization, ["torque", "wind"])

@@ -15,7 +15,7 @@ STYLE = (
 )
 
 
-def document(description: Description, equations: str, *, text: str, main: Sequence[str]) -> str:
+def document(description: Description, equations: str, *, summary: str, main: Sequence[str]) -> str:
     """Write what the FMU is, its variables, its equations (HTML), and how it is compiled."""
     name = description.name
     interface_types = " and ".join(
@@ -28,7 +28,7 @@ def document(description: Description, equations: str, *, text: str, main: Seque
     return (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
         f"<title>{name}</title><style>{STYLE}</style></head><body>\n"
-        f"<h1>{name}</h1>\n<p>{escape(text)}</p>\n"
+        f"<h1>{name}</h1>\n<p>{escape(summary)}</p>\n"
         f"<p>FMI {description.version}, {interface_types}; model {escape(description.token)}.</p>\n"
         f"<h2>Variables</h2>\n<table>{heading}{rows}</table>\n"
         f"<h2>Equations</h2>\n{equations}\n"

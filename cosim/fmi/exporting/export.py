@@ -195,7 +195,7 @@ def export(
     check_platforms(platforms)
     specification = specify(model, name)
     _check_specification(specification, VERSIONS[fmi])
-    fmu = _assemble(specification, VERSIONS[fmi], text=description)
+    fmu = _assemble(specification, VERSIONS[fmi], summary=description)
     version = fmu.version.number
     binaries = compile_sources(
         fmu.sources, fmu.main, name=name, version=version, platforms=platforms
@@ -242,7 +242,7 @@ class _Fmu:
     version : Version
     description : Description
         With the variables of this version, identifier and token.
-    text : str
+    summary : str
         What it is, for people.
     sources : mapping of file name to content
     main : tuple of str
@@ -252,7 +252,7 @@ class _Fmu:
     specification: ExportSpecification
     version: Version
     description: Description
-    text: str
+    summary: str
     sources: Mapping[str, bytes]
     main: tuple[str, ...]
 
@@ -261,21 +261,24 @@ class _Fmu:
         """The modelDescription.xml."""
         constant = self.specification.constant
         return self.version.write(
-            self.description, text=self.text, sources=self.main, constant=constant
+            self.description, summary=self.summary, sources=self.main, constant=constant
         )
 
     def files(self, binaries: Sequence[Binary]) -> dict[str, bytes]:
         """Return the files of the archive by path."""
         specification = self.specification
-        page = document(self.description, specification.equations, text=self.text, main=self.main)
+        page = document(
+            self.description, specification.equations, summary=self.summary, main=self.main
+        )
         files = {
             "modelDescription.xml": self.xml.encode(),
             "documentation/index.html": page.encode(),
         }
         for name, content in self.sources.items():
             files[f"sources/{name}"] = content
-        for name, text in self.version.write_build(self.description.name, self.main).items():
-            files[f"sources/{name}"] = text.encode()
+        build_files = self.version.write_build(self.description.name, self.main)
+        for name, xml in build_files.items():
+            files[f"sources/{name}"] = xml.encode()
         for binary in binaries:
             files[f"binaries/{binary.folder}/{binary.name}"] = binary.content
         if self.description.dae:
@@ -294,12 +297,12 @@ class _Fmu:
         return tuple(notes)
 
 
-def _assemble(specification: ExportSpecification, version: Version, *, text: str) -> _Fmu:
+def _assemble(specification: ExportSpecification, version: Version, *, summary: str) -> _Fmu:
     """Build the content of an FMU, identified by a digest of all that decides its results."""
     main = (version.source, "instance.c", *specification.sources, "model.c", *specification.natives)
     sources = _sources(specification, version)
     description = version.arrange(_with_identifier(specification.description, version))
-    draft = _Fmu(specification, version, description, text, sources, main)
+    draft = _Fmu(specification, version, description, summary, sources, main)
     constants = _constants(specification, description, stamp=0)
     content = [constants.encode(), draft.xml.encode(), *sources.values()]
     digest = hashlib.sha256(b"\0".join(content)).digest()

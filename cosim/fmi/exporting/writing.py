@@ -15,15 +15,15 @@ from cosim.units import BASE, BaseUnit, base_unit
 ELEMENTS: dict[InterfaceType, str] = {"me": "ModelExchange", "cs": "CoSimulation"}
 
 
-def begin(description: Description, text: str, **attributes: str) -> Element:
-    """Begin the document; ``text`` describes the model for people."""
+def begin(description: Description, summary: str, **attributes: str) -> Element:
+    """Begin the document; ``summary`` describes the model for people."""
     root = Element("fmiModelDescription", modelName=description.name)
     for name, value in attributes.items():
         root.set(name, value)
     root.set("generationTool", "cosim")
     root.set("variableNamingConvention", "structured")
-    if text:
-        root.set("description", text)
+    if summary:
+        root.set("description", summary)
     return root
 
 

@@ -23,7 +23,7 @@ from cosim.fmi.variable import Variable
 
 
 def write_fmi2(
-    description: Description, *, text: str, sources: Sequence[str], constant: bool
+    description: Description, *, summary: str, sources: Sequence[str], constant: bool
 ) -> str:
     """Write the XML of an FMU with Real variables.
 
@@ -31,7 +31,7 @@ def write_fmi2(
     ----------
     description : Description
         With scalars only.
-    text : str
+    summary : str
         What the model is, for people.
     sources : sequence of str
         C files under ``sources/`` that make up the FMU.
@@ -39,7 +39,7 @@ def write_fmi2(
         Every unknown is a sum of constants times what it depends on.
     """
     root = begin(
-        description, text, fmiVersion="2.0", guid=description.token, numberOfEventIndicators="0"
+        description, summary, fmiVersion="2.0", guid=description.token, numberOfEventIndicators="0"
     )
     for interface_type in description.capabilities:
         element = SubElement(

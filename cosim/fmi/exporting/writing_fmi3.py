@@ -32,13 +32,13 @@ TAGS = {
 
 
 def write_fmi3(
-    description: Description, *, text: str, sources: Sequence[str], constant: bool
+    description: Description, *, summary: str, sources: Sequence[str], constant: bool
 ) -> str:
     """Write the XML of an FMU with Float64 variables, scalars and arrays.
 
     Parameters as in :func:`cosim.fmi.exporting.writing_fmi2.write_fmi2`.
     """
-    root = begin(description, text, fmiVersion="3.0", instantiationToken=description.token)
+    root = begin(description, summary, fmiVersion="3.0", instantiationToken=description.token)
     for interface_type in description.capabilities:
         SubElement(root, ELEMENTS[interface_type], _capabilities(description, interface_type))
     add_units(root, description)
