@@ -10,7 +10,7 @@ import numpy as np
 from cosim.core.linear import LinearModel
 from cosim.core.signals import Interface, Signal
 from cosim.errors import FmuError
-from cosim.fmi.description import NO_VALUE, Dependencies, Description
+from cosim.fmi.description import NO_VALUE, Description, VariableDependencies
 from cosim.fmi.variable import Initial, Variable
 
 
@@ -193,7 +193,7 @@ def states_of_outputs(model: LinearModel) -> list[int]:
     return states
 
 
-def _dependencies(model: DescribedModel, linear: LinearModel | None) -> Dependencies:
+def _dependencies(model: DescribedModel, linear: LinearModel | None) -> VariableDependencies:
     if linear is not None:
         return _linear_dependencies(linear)
     interface = model.interface
@@ -207,7 +207,7 @@ def _dependencies(model: DescribedModel, linear: LinearModel | None) -> Dependen
     return dependencies
 
 
-def _linear_dependencies(linear: LinearModel) -> Dependencies:
+def _linear_dependencies(linear: LinearModel) -> VariableDependencies:
     """Return the inputs and states whose entries in the rows of the matrices are not zero."""
     inputs = _names(linear.interface.inputs)
     derivatives = [_derivative(state) for state in linear.states]

@@ -18,7 +18,7 @@ from cosim.fmi.references import ReferenceMap
 from cosim.fmi.variable import Variable
 
 InterfaceType: TypeAlias = Literal["me", "cs"]  # model exchange, co-simulation
-Dependencies: TypeAlias = Mapping[str, tuple[str, ...] | None]  # None: not said
+VariableDependencies: TypeAlias = Mapping[str, tuple[str, ...] | None]  # None: not said
 INTERFACE_TYPES: tuple[InterfaceType, ...] = ("me", "cs")
 INTERFACE_TYPE_NAMES: Mapping[InterfaceType, str] = {"me": "model exchange", "cs": "co-simulation"}
 ELEMENT: Final = re.compile(r"(?P<name>.*[^\]])\[(?P<number>\d+)\]")
@@ -91,7 +91,7 @@ class Dae:
     version: str
     algebraic: tuple[str, ...] = ()
     residuals: tuple[tuple[Formulation, ...], ...] = ()
-    dependencies: Dependencies = field(default_factory=dict)
+    dependencies: VariableDependencies = field(default_factory=dict)
     problems: tuple[str, ...] = ()
 
 
@@ -141,8 +141,8 @@ class Description:
     version: str
     variables: tuple[Variable, ...]
     states: tuple[str, ...] = ()
-    dependencies: Dependencies = field(default_factory=dict)
-    initial_dependencies: Dependencies = field(default_factory=dict)
+    dependencies: VariableDependencies = field(default_factory=dict)
+    initial_dependencies: VariableDependencies = field(default_factory=dict)
     unnamed_states: int = 0
     capabilities: Mapping[InterfaceType, Capabilities] = field(default_factory=dict)
     event_indicators: int = 0
@@ -337,7 +337,7 @@ def _can_be_interpolated(variable: Variable) -> bool:
 
 def _inputs_behind(
     group: Sequence[Variable],
-    dependencies: Dependencies,
+    dependencies: VariableDependencies,
     input_of: Mapping[str, str],
 ) -> tuple[str, ...] | None:
     """Return the inputs on which a group of variables depends; None: not said of one of them."""

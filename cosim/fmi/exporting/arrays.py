@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
-from cosim.fmi.description import Dae, Dependencies, Description, Formulation
+from cosim.fmi.description import Dae, Description, Formulation, VariableDependencies
 from cosim.fmi.variable import Variable
 
 
@@ -153,7 +153,9 @@ def _array_names(scalars: Iterable[str], names: Mapping[str, str]) -> tuple[str,
     return tuple(dict.fromkeys(names[scalar] for scalar in scalars))
 
 
-def _array_dependencies(dependencies: Dependencies, names: Mapping[str, str]) -> Dependencies:
+def _array_dependencies(
+    dependencies: VariableDependencies, names: Mapping[str, str]
+) -> VariableDependencies:
     """Return what arrays depend on: what any of their elements does; None: one does not say."""
     merged: dict[str, tuple[str, ...] | None] = {}
     for scalar, needs in dependencies.items():
@@ -167,7 +169,9 @@ def _array_dependencies(dependencies: Dependencies, names: Mapping[str, str]) ->
     return merged
 
 
-def _without_calculated(dependencies: Dependencies, variables: Iterable[Variable]) -> Dependencies:
+def _without_calculated(
+    dependencies: VariableDependencies, variables: Iterable[Variable]
+) -> VariableDependencies:
     """Return initial dependencies on what can be set.
 
     A calculated array cannot: not even those of its elements that could be set as scalars.

@@ -21,10 +21,10 @@ from cosim.fmi.describing import describe, element_dependencies, states_of_outpu
 from cosim.fmi.description import (
     Capabilities,
     Dae,
-    Dependencies,
     Description,
     Formulation,
     InterfaceType,
+    VariableDependencies,
 )
 from cosim.fmi.exporting.kernels import DiscreteModel, doubles, integer, integers
 from cosim.fmi.variable import Variable
@@ -140,7 +140,7 @@ def _specify_linear(model: LinearModel, name: str) -> ExportSpecification:
     )
 
 
-def _initial_dependencies(description: Description, model: LinearModel) -> Dependencies:
+def _initial_dependencies(description: Description, model: LinearModel) -> VariableDependencies:
     """Return what initial unknowns depend on: inputs, and states whose start value can be set."""
     inputs = [v.name for v in description.variables if v.causality == "input"]
     inputs_of = {}
@@ -291,7 +291,7 @@ def _specify_discrete(model: DiscreteModel, name: str) -> ExportSpecification:
     )
 
 
-def _discrete_initial_dependencies(model: DiscreteModel) -> Dependencies:
+def _discrete_initial_dependencies(model: DiscreteModel) -> VariableDependencies:
     interface = model.interface
     elements_of = {signal.name: signal.elements for signal in interface.inputs}
     dependencies: dict[str, tuple[str, ...]] = {}

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from xml.etree.ElementTree import Element
 
-from cosim.fmi.description import Dependencies
+from cosim.fmi.description import VariableDependencies
 from cosim.fmi.reading.markup import Attributes
 from cosim.fmi.reading.variables import major
 from cosim.fmi.variable import Variable
@@ -16,9 +16,9 @@ from cosim.fmi.variable import Variable
 class Structure:
     """What a file says of its unknowns; see :class:`cosim.fmi.description.Description`."""
 
-    outputs: Dependencies
-    derivatives: Dependencies
-    initial: Dependencies
+    outputs: VariableDependencies
+    derivatives: VariableDependencies
+    initial: VariableDependencies
     event_indicators: int
     indicators: tuple[str, ...] = ()
     unnamed_states: int = 0
@@ -106,7 +106,7 @@ class _UnknownsReader:
         self._names = names
         self._attributes = attributes
 
-    def unknowns(self, section: str) -> Dependencies:
+    def unknowns(self, section: str) -> VariableDependencies:
         """Return the unknowns of a section, and what each depends on."""
         where = f"ModelStructure/{section}"
         unknowns = {}
@@ -136,7 +136,7 @@ def known_names(
 
 
 def name_states(
-    derivatives: Dependencies, named: Mapping[str, Variable], problems: list[str]
+    derivatives: VariableDependencies, named: Mapping[str, Variable], problems: list[str]
 ) -> tuple[str, ...]:
     """Return the names of the states, in the order of the derivatives."""
     states = []
