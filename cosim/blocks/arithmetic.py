@@ -32,7 +32,8 @@ class Static:
 
     def outputs(self, t: float, u: Vector) -> Vector:
         """Return y(t)."""
-        y: Vector = self._function(u[np.newaxis])[0]
+        rows = self._function(u[np.newaxis])
+        y: Vector = rows[0]
         return y
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
@@ -60,14 +61,16 @@ def sum_of(signs: Sequence[float], *, size: int = 1, unit: str | None = None) ->
         total = np.zeros((len(u), size))
         for i, sign in enumerate(signs):
             begin = i * size
-            total += sign * u[:, begin : begin + size]
+            end = begin + size
+            total += sign * u[:, begin:end]
         return total
 
     if not signs:
         raise UsageError("sum: found no signs, needed one for each input, like [1, -1]")
     names = [f"u{i}" for i in range(1, len(signs) + 1)]
     inputs = [Signal(name, size, unit) for name in names]
-    return Static(_with_feedthrough(inputs, size, unit), signed_sum)
+    interface = _with_feedthrough(inputs, size, unit)
+    return Static(interface, signed_sum)
 
 
 def gain(K: Matrix, *, unit: str | None = None) -> Static:
@@ -80,7 +83,9 @@ def gain(K: Matrix, *, unit: str | None = None) -> Static:
         return total
 
     n_y, n_u = K.shape
-    return Static(_with_feedthrough([Signal("u", n_u)], n_y, unit), product)
+    u = Signal("u", n_u)
+    interface = _with_feedthrough([u], n_y, unit)
+    return Static(interface, product)
 
 
 def limit(*, lower: float, upper: float, size: int = 1, unit: str | None = None) -> Static:
@@ -93,5 +98,10 @@ def limit(*, lower: float, upper: float, size: int = 1, unit: str | None = None)
     """
     if not lower < upper:
         raise UsageError(f"limit: found lower = {lower} and upper = {upper}, needed lower < upper")
-    interface = _with_feedthrough([Signal("u", size, unit)], size, unit)
-    return Static(interface, lambda u: np.clip(u, lower, upper))
+
+    def clipped(u: Matrix) -> Matrix:
+        return np.clip(u, lower, upper)
+
+    u = Signal("u", size, unit)
+    interface = _with_feedthrough([u], size, unit)
+    return Static(interface, clipped)

@@ -45,10 +45,14 @@ def lag(
     A = -rate * C
     B = rate * C
     if initial is None:
-        follows_u = Interface((u,), (y,), initial={"y": ("u",)})
-        return LinearModel(follows_u, states, A, B, C, D, X0=np.zeros(size), Xu=np.eye(size))
-    X0 = np.full(size, initial)
-    return LinearModel(Interface((u,), (y,)), states, A, B, C, D, X0=X0, Xu=np.zeros_like(D))
+        interface = Interface((u,), (y,), initial={"y": ("u",)})
+        X0 = np.zeros(size)
+        Xu = np.eye(size)
+    else:
+        interface = Interface((u,), (y,))
+        X0 = np.full(size, initial)
+        Xu = np.zeros((size, size))
+    return LinearModel(interface, states, A, B, C, D, X0, Xu)
 
 
 class Delay:

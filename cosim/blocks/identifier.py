@@ -52,20 +52,22 @@ class LeastSquaresIdentifier:
 
         ``held``: the rows have a zero-order hold.
         """
+        recovery = self.recovery
         formulas = []
-        for group in self.recovery.groups:
+        for group in recovery.groups:
             kind = int(group.kind)
-            formulas.append(
-                RecoveryConstants(kind, group.terms, group.theta, group.signs, group.spacing)
-            )
+            formula = RecoveryConstants(kind, group.terms, group.theta, group.signs, group.spacing)
+            formulas.append(formula)
         information = 0.0 if self.P0 is None else 1.0 / self.P0
-        return LeastSquaresConstants(self.recovery.n_eta, start_time, information, formulas, held)
+        return LeastSquaresConstants(recovery.n_eta, start_time, information, formulas, held)
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Return the start time: it depends on eigenvalues, so it is recorded."""
         design = dict(recorded) or {"start": np.array([self.start_time])}
-        self._counts_from = float(design["start"][0])
-        constants = self.constants(self._counts_from, held=bool(held.any()))
+        (start_time,) = design["start"]
+        self._counts_from = float(start_time)
+        zero_order = bool(held.any())
+        constants = self.constants(self._counts_from, held=zero_order)
         self._kernel = LeastSquares(constants)
         return design
 
@@ -80,10 +82,11 @@ class LeastSquaresIdentifier:
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
         """Accumulate K rows."""
-        y = self._kernel.step.advance(t, h, u)
+        step = self._kernel.step
+        y = step.advance(t, h, u)
         if len(y):
             self._last = y[-1].copy()
-        if self._kernel.step.status == NO_VALUE:
+        if step.status == NO_VALUE:
             raise Stopped(
                 y,
                 f"the regressor has no value at the start time {self._counts_from} s; "

@@ -45,41 +45,51 @@ def observer_model(
     n_a, n_u = reduced.B_1a.shape
     n_y, n_d = reduced.C5.shape
     n_b = len(reduced.Kx)
-    inputs = [Signal("u", n_u, role="input")] if n_u else []
-    inputs.append(Signal("y", n_y, role="input"))
-    outputs = [Signal("x_a", n_a, role="estimate"), Signal("delta", n_d, role="estimate")]
+    y = Signal("y", n_y, role="input")
+    inputs: tuple[Signal, ...] = (y,)
+    if n_u:
+        u = Signal("u", n_u, role="input")
+        inputs = (u, y)
+    x_a = Signal("x_a", n_a, role="estimate")
+    delta = Signal("delta", n_d, role="estimate")
+    estimates = [x_a, delta]
     if n_b:
-        outputs.append(Signal("x_b", n_b, role="estimate"))
+        x_b = Signal("x_b", n_b, role="estimate")
+        estimates.append(x_b)
     z = Signal("z", n_a, role="state")
     q = Signal("q", n_y, role="state")
+    outputs = (*estimates, z, q)
     states = (*z.elements, *q.elements)
     A = system.A
     B = system.B
     C = system.C
     D = system.D
-    outputs += [z, q]
-    model = linear_model(
-        tuple(inputs), tuple(outputs), states=states, A=A, B=B, C=C, D=D, X0=X0, Xu=Xu
-    )
+    model = linear_model(inputs, outputs, states=states, A=A, B=B, C=C, D=D, X0=X0, Xu=Xu)
     return _with_constant_state(model) if constant else model
 
 
 def _with_constant_state(model: LinearModel) -> LinearModel:
     """Turn the last element of u into a state that stays at 1."""
     u, y = model.interface.inputs
+    n_x = len(model.states)
     column = u.size - 1
     others = [i for i in range(model.interface.n_u) if i != column]
     inputs = (y,) if column == 0 else (replace(u, size=column), y)
-    from_one = model.B[:, [column]]
-    to_one = np.zeros((1, len(model.states) + 1))
+    B_others = model.B[:, others]
+    B_one = model.B[:, [column]]
+    D_one = model.D[:, [column]]
+    Xu_others = model.Xu[:, others]
+    Xu_one = model.Xu[:, column]
+    constant_row = np.zeros((1, n_x + 1))
     no_input = np.zeros((1, len(others)))
-    A = np.block([[model.A, from_one], [to_one]])
-    B = np.vstack([model.B[:, others], no_input])
-    C = np.hstack([model.C, model.D[:, [column]]])
+    dynamics = np.hstack([model.A, B_one])
+    A = np.vstack([dynamics, constant_row])
+    B = np.vstack([B_others, no_input])
+    C = np.hstack([model.C, D_one])
     D = model.D[:, others]
-    x0 = model.X0 + model.Xu[:, column]
-    X0 = np.concatenate([x0, [1.0]])
-    Xu = np.vstack([model.Xu[:, others], no_input])
+    x0 = model.X0 + Xu_one
+    X0 = np.append(x0, 1.0)
+    Xu = np.vstack([Xu_others, no_input])
     states = (*model.states, "one")
     outputs = model.interface.outputs
     return linear_model(inputs, outputs, states=states, A=A, B=B, C=C, D=D, X0=X0, Xu=Xu)

@@ -26,26 +26,29 @@ def descriptor_model(system: DescriptorSystem, x_a0: ArrayLike) -> LinearModel:
     n_a, n_u = reduced.B_1a.shape
     n_y, n_d = reduced.C5.shape
     n_b = len(reduced.Kx)
-    initial = np.atleast_1d(np.asarray(x_a0, dtype=np.float64))
-    if initial.shape != (n_a,):
+    X0 = np.atleast_1d(np.asarray(x_a0, dtype=np.float64))
+    if X0.shape != (n_a,):
         raise AssumptionError(
-            f"x_a0 has shape {initial.shape}; needed ({n_a},): one number a dynamic state"
+            f"x_a0 has shape {X0.shape}; needed ({n_a},): one number a dynamic state"
         )
     u = Signal("u", n_u, role="input")
     delta = Signal("delta", n_d, role="input")
+    y = Signal("y", n_y)
     x_a = Signal("x_a", n_a, role="state")
-    outputs = [Signal("y", n_y), x_a]
+    outputs = [y, x_a]
     if n_b:
-        outputs.append(Signal("x_b", n_b, role="state"))
-    no_feedthrough = np.zeros((n_a, n_u + n_d))
+        x_b = Signal("x_b", n_b, role="state")
+        outputs.append(x_b)
+    C_x_a = np.eye(n_a)
     D_y = np.hstack([reduced.C4, reduced.C5])
+    D_x_a = np.zeros((n_a, n_u + n_d))
     D_x_b = np.hstack([reduced.Ku, reduced.Kd])
     A = reduced.A_a
     B = np.hstack([reduced.B_1a, reduced.B_2a])
-    C = np.vstack([reduced.C3, np.eye(n_a), reduced.Kx])
-    D = np.vstack([D_y, no_feedthrough, D_x_b])
+    C = np.vstack([reduced.C3, C_x_a, reduced.Kx])
+    D = np.vstack([D_y, D_x_a, D_x_b])
     states = tuple(x_a.elements)
-    return linear_model((u, delta), tuple(outputs), states=states, A=A, B=B, C=C, D=D, X0=initial)
+    return linear_model((u, delta), tuple(outputs), states=states, A=A, B=B, C=C, D=D, X0=X0)
 
 
 def descriptor_form(system: DescriptorSystem, x_a0: ArrayLike) -> DescriptorModel:
@@ -67,14 +70,18 @@ def descriptor_form(system: DescriptorSystem, x_a0: ArrayLike) -> DescriptorMode
             f"n_a = {n_a} of {n} states: there are no algebraic states, and so no residual form"
         )
     B = np.hstack([system.Bu, system.Bd])
-    no_feedthrough = np.zeros((n_y + n, B.shape[1]))
-    # rows: x_a', y, x_a and x_b, 0
     A_dynamic = system.A[:n_a]
     A_algebraic = system.A[n_a:]
-    by_state = np.vstack([A_dynamic, system.C, np.eye(n), A_algebraic])
+    B_dynamic = B[:n_a]
+    B_algebraic = B[n_a:]
+    identity = np.eye(n)
+    no_feedthrough = np.zeros((n_y + n, B.shape[1]))
+    # rows: x_a', y, x_a and x_b, 0
+    by_state = np.vstack([A_dynamic, system.C, identity, A_algebraic])
+    by_input = np.vstack([B_dynamic, no_feedthrough, B_algebraic])
     by_x = _contiguous(by_state[:, :n_a])
     by_z = _contiguous(by_state[:, n_a:])
-    by_u = _contiguous(np.vstack([B[:n_a], no_feedthrough, B[n_a:]]))
+    by_u = _contiguous(by_input)
     return DescriptorModel(reduced, "x_b", by_x, by_z, by_u)
 
 

@@ -80,7 +80,8 @@ class PortElement:
     @property
     def start(self) -> float:
         """Value of an input that nothing drives yet."""
-        return self.signal.start[self.index] if self.signal.start else 0.0
+        values = self.signal.start
+        return values[self.index] if values else 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,20 +132,25 @@ class PortMap:
     @cached_property
     def interface(self) -> Interface:
         """The interface that is shown."""
-        direct = self.component.feedthrough
+        own_feedthrough = self.component.feedthrough
+        own_initial = self.component.initial
+        # a signal without initial dependencies of its own has those of its feedthrough
+        at_start = {**own_feedthrough, **own_initial}
         feedthrough = {}
         initial = {}
         for port in self.outputs:
             name = port.signal.name
-            if port.sources.keys() & direct.keys():
-                feedthrough[name] = self._shown_inputs_behind(port, direct)
-            if port.sources.keys() & self.component.initial.keys():
-                at_start = {**direct, **self.component.initial}
+            sources = port.sources.keys()
+            if sources & own_feedthrough.keys():
+                feedthrough[name] = self._shown_inputs_behind(port, own_feedthrough)
+            if sources & own_initial.keys():
                 initial[name] = self._shown_inputs_behind(port, at_start)
+        inputs = tuple(port.signal for port in self.inputs)
+        outputs = tuple(port.signal for port in self.outputs)
         return replace(
             self.component,
-            inputs=tuple(port.signal for port in self.inputs),
-            outputs=tuple(port.signal for port in self.outputs),
+            inputs=inputs,
+            outputs=outputs,
             feedthrough=feedthrough,
             initial=initial,
         )
@@ -153,13 +159,17 @@ class PortMap:
         self, output: ShownPort, dependencies: Dependencies
     ) -> tuple[str, ...] | None:
         """Return the shown inputs that an output depends on; None: that is not known."""
-        inputs: set[str] = set()
+        own_inputs: set[str] = set()
         for name in output.sources:
             names = dependencies.get(name, ())
             if names is None:
                 return None
-            inputs.update(names)
-        return tuple(p.signal.name for p in self.inputs if not inputs.isdisjoint(p.sources))
+            own_inputs.update(names)
+        shown_inputs = []
+        for port in self.inputs:
+            if not own_inputs.isdisjoint(port.sources):
+                shown_inputs.append(port.signal.name)
+        return tuple(shown_inputs)
 
     # --- values ---
 
@@ -180,12 +190,15 @@ class PortMap:
     def shown_inputs(self, values: Vector) -> Vector:
         """Return the shown inputs for the component's, shape (n_u,)."""
         picked = np.take(values, self._input_columns)
-        return _convert(picked, _conversions(self.inputs, outward=True))
+        outward = _conversions(self.inputs, outward=True)
+        return _convert(picked, outward)
 
     def shown_gain(self, gain: Matrix) -> Matrix:
         """Return the gain from shown inputs to shown outputs for the component's."""
         picked = gain[np.ix_(self._output_columns, self._input_columns)]
-        shown: Matrix = _factors(self._outward)[:, np.newaxis] * picked * _factors(self._inward)
+        outward = _factors(self._outward)
+        inward = _factors(self._inward)
+        shown: Matrix = outward[:, np.newaxis] * picked * inward
         return shown
 
     @cached_property
@@ -226,9 +239,9 @@ def _conversions(ports: Iterable[ShownPort], *, outward: bool) -> list[Conversio
         shown = port.signal.measure
         for element in port.elements:
             own = element.signal.measure
-            found = conversion(own, shown) if outward else conversion(shown, own)
-            assert found is not None
-            conversions.append(found)
+            converter = conversion(own, shown) if outward else conversion(shown, own)
+            assert converter is not None
+            conversions.append(converter)
     return conversions
 
 
@@ -236,13 +249,14 @@ def _convert(values: Matrix, conversions: Sequence[Conversion]) -> Matrix:
     if all(conversion.copies for conversion in conversions):
         return values
     converted = values.copy()
-    for column, conversion_ in enumerate(conversions):
-        converted[..., column] = conversion_(values[..., column])
+    for column, convert in enumerate(conversions):
+        converted[..., column] = convert(values[..., column])
     return converted
 
 
 def _factors(conversions: Iterable[Conversion]) -> Vector:
-    return np.array([found.factor1 / found.factor2 for found in conversions], np.float64)
+    factors = [conversion.factor1 / conversion.factor2 for conversion in conversions]
+    return np.array(factors, np.float64)
 
 
 # --- from names to ports ---
@@ -286,7 +300,8 @@ def resolve(
         Problems, by the port of a renaming.
     """
     resolver = _Resolver(interface, replaced)
-    for renaming in _vectors(renamings, _signals(interface)):
+    own = _signals(interface)
+    for renaming in _vectors(renamings, own):
         resolver.show(renaming)
     resolver.check_inputs()
     return resolver.port_map(), resolver.problems
@@ -296,7 +311,8 @@ def _vectors(renamings: Iterable[Renaming], own: Mapping[str, Signal]) -> list[R
     """Join renamings of elements from 0 on to one of a vector, where there is no such port yet."""
     groups: dict[Port, list[Renaming]] = {}
     for renaming in renamings:
-        groups.setdefault(renaming.port.whole, []).append(renaming)
+        whole = renaming.port.whole
+        groups.setdefault(whole, []).append(renaming)
     joined = []
     for whole, parts in groups.items():
         parts.sort(key=lambda part: _positions(part.port).start)
@@ -305,9 +321,11 @@ def _vectors(renamings: Iterable[Renaming], own: Mapping[str, Signal]) -> list[R
         for part in parts:
             positions += _positions(part.port)
             sources += part.sources
-        from_zero = bool(positions) and positions == list(range(len(positions)))
-        if from_zero and whole not in (part.port for part in parts) and whole.signal not in own:
-            joined.append(Renaming(whole, tuple(sources), parts[0].causality))
+        from_zero = positions == list(range(len(positions)))
+        elements_only = all(part.port != whole for part in parts)
+        if positions and from_zero and elements_only and whole.signal not in own:
+            vector = Renaming(whole, tuple(sources), parts[0].causality)
+            joined.append(vector)
         else:
             joined += parts
     return joined
@@ -318,10 +336,10 @@ def _positions(port: Port) -> range:
     match port.element:
         case None:
             return range(0)
-        case int():
-            return range(port.element, port.element + 1)
-        case _:
-            return port.element
+        case int(index):
+            return range(index, index + 1)
+        case positions:
+            return positions
 
 
 class _Resolver:
@@ -361,24 +379,29 @@ class _Resolver:
             If there is no such port of this causality, or no such element.
         """
         known = [name for name in self._elements if self._is(name, causality)]
-        match = source.find(_signals(self._interface).values())
+        own = _signals(self._interface)
+        match = source.find(own.values())
         if match is None:
             needed = causality or "input or output"
+            nearest_name = nearest(source.signal, known)
             raise GraphError(
                 f"'{source}': {source.component!r} has no {needed} {source.signal!r}; "
-                f"{nearest(source.signal, known)}"
+                f"{nearest_name}"
             )
         signal, part = match
+        elements = self._elements[signal.name]
         if not self._is(signal.name, causality):
-            other = self._elements[signal.name][0].causality
+            other = elements[0].causality
+            listed = ", ".join(known) or "none"
             raise GraphError(
                 f"'{source}' is an {other} of {source.component!r}; needed an {causality}. "
-                f"There is: {', '.join(known) or 'none'}"
+                f"There is: {listed}"
             )
-        return self._elements[signal.name][part]
+        return elements[part]
 
     def _is(self, name: str, causality: Causality | None) -> bool:
-        return causality in (None, self._elements[name][0].causality)
+        first = self._elements[name][0]
+        return causality in (None, first.causality)
 
     def _unit(self, port: Port, elements: Sequence[PortElement]) -> Unit:
         """Return the unit in which elements are shown.
@@ -392,38 +415,45 @@ class _Resolver:
         if len(measures) == 1:
             return measures.pop()
         replaced = self._replaced.get(port.signal)
-        known = replaced is not None and replaced.unit is not None
-        unit = replaced.measure if replaced and known else elements[0].signal.measure
+        if replaced is not None and replaced.unit is not None:
+            unit = replaced.measure
+        else:
+            unit = elements[0].signal.measure
         for element in elements:
-            found = element.signal.measure
-            if conversion(found, unit) is None:
+            signal = element.signal
+            own = signal.measure
+            if conversion(own, unit) is None:
+                names = ", ".join(_names_of(elements))
+                way_out = _way_out(port, elements)
                 raise GraphError(
-                    f"'{port}' cannot be made of {', '.join(_names_of(elements))}: unit "
-                    f"{found.name!r} of {element.signal.name!r} cannot be converted to "
-                    f"{unit.name!r}; {_way_out(port, elements)}"
+                    f"'{port}' cannot be made of {names}: unit {own.name!r} of {signal.name!r} "
+                    f"cannot be converted to {unit.name!r}; {way_out}"
                 )
         return unit
 
     def check_inputs(self) -> None:
         """Check that the component's input elements are shown once, all of an input or none."""
         driven: dict[int, Port] = {}
-        inputs = {p: shown for p, shown in self._shown.items() if shown.causality == "input"}
+        shown_ports = self._shown.items()
+        inputs = {port: shown for port, shown in shown_ports if shown.causality == "input"}
         for port, shown in inputs.items():
             for element in shown.elements:
-                if element.column in driven:
-                    first = driven[element.column]
+                column = element.column
+                if column in driven:
+                    first = driven[column]
                     name = f"{port.component}.{element.name}"
                     self._drop(port, f"{name!r} is given twice, for '{first}' and '{port}'")
-                driven[element.column] = port
+                driven[column] = port
         for port, shown in inputs.items():
             for name in shown.sources:
                 elements = self._elements[name]
-                missing = [e.name for e in elements if e.column not in driven]
+                missing = [element.name for element in elements if element.column not in driven]
                 if missing:
+                    listed = ", ".join(missing)
                     self._drop(
                         port,
                         f"'{port}' is a part of the input {name!r}; needed ports for the rest "
-                        f"too: {', '.join(missing)}",
+                        f"too: {listed}",
                     )
 
     def _drop(self, port: Port, problem: str) -> None:
@@ -437,35 +467,36 @@ class _Resolver:
         covered: set[PortElement] = set()
         for port in ports:
             covered.update(port.elements)
-        for elements in self._elements.values():
+        for own_name, elements in self._elements.items():
             if not covered.issuperset(elements):
-                name = elements[0].signal.name
+                name = own_name
                 while name in taken:
                     name += "_"
                 taken.add(name)
                 signal = replace(elements[0].signal, name=name)
-                ports.append(ShownPort(signal, tuple(elements)))
+                port = ShownPort(signal, tuple(elements))
+                ports.append(port)
         ports.sort(key=lambda port: port.elements[0].column)
-        return PortMap(
-            self._interface,
-            tuple(port for port in ports if port.causality == "input"),
-            tuple(port for port in ports if port.causality == "output"),
-        )
+        inputs = tuple(port for port in ports if port.causality == "input")
+        outputs = tuple(port for port in ports if port.causality == "output")
+        return PortMap(self._interface, inputs, outputs)
 
 
 def _signals(interface: Interface) -> dict[str, Signal]:
-    return {signal.name: signal for signal in (*interface.inputs, *interface.outputs)}
+    signals = (*interface.inputs, *interface.outputs)
+    return {signal.name: signal for signal in signals}
 
 
 def _elements(signals: Iterable[Signal], causality: Causality) -> dict[str, list[PortElement]]:
     """Return the elements of every signal by its name, columns counted from 0."""
-    elements = {}
+    elements: dict[str, list[PortElement]] = {}
     column = 0
     for signal in signals:
-        elements[signal.name] = [
-            PortElement(signal, causality, index, column + index) for index in range(signal.size)
-        ]
-        column += signal.size
+        own = []
+        for index in range(signal.size):
+            own.append(PortElement(signal, causality, index, column))
+            column += 1
+        elements[signal.name] = own
     return elements
 
 
@@ -473,14 +504,11 @@ def _shown_signal(name: str, elements: Sequence[PortElement], unit: Unit) -> Sig
     """Return the signal that is shown for elements of one kind, variability and causality."""
     first = elements[0].signal
     roles = {element.signal.role for element in elements}
+    role = first.role if len(roles) == 1 else "output"
+    size = len(elements)
+    start = _start(elements, unit)
     return replace(
-        first,
-        name=name,
-        size=len(elements),
-        unit=unit.name,
-        base=unit.base,
-        role=first.role if len(roles) == 1 else "output",
-        start=_start(elements, unit),
+        first, name=name, size=size, unit=unit.name, base=unit.base, role=role, start=start
     )
 
 
@@ -492,15 +520,17 @@ def _start(elements: Sequence[PortElement], unit: Unit) -> tuple[float, ...]:
     for element in elements:
         to_shown = conversion(element.signal.measure, unit)
         assert to_shown is not None
-        values.append(float(to_shown(element.start)))
+        value = float(to_shown(element.start))
+        values.append(value)
     return tuple(values)
 
 
 def _check_size(port: Port, elements: Sequence[PortElement]) -> None:
     needed = len(_positions(port))
-    if needed and len(elements) != needed:
+    size = len(elements)
+    if needed and size != needed:
         names = ", ".join(_names_of(elements))
-        raise GraphError(f"'{port}' has size {needed}; found size {len(elements)}: {names}")
+        raise GraphError(f"'{port}' has size {needed}; found size {size}: {names}")
 
 
 def _check_alike(port: Port, elements: Sequence[PortElement]) -> None:
@@ -513,12 +543,15 @@ def _check_alike(port: Port, elements: Sequence[PortElement]) -> None:
     """
     first = elements[0]
     for element in elements:
-        for own, other in zip(_nature(first), _nature(element), strict=True):
+        natures = zip(_nature(first), _nature(element), strict=True)
+        for own, other in natures:
             if own != other:
+                names = ", ".join(_names_of(elements))
+                way_out = _way_out(port, elements)
                 raise GraphError(
-                    f"'{port}' cannot be made of {', '.join(_names_of(elements))}: "
-                    f"{first.name!r} is {own}, {element.name!r} is {other}, and all of a signal "
-                    f"is one or the other; {_way_out(port, elements)}"
+                    f"'{port}' cannot be made of {names}: {first.name!r} is {own}, "
+                    f"{element.name!r} is {other}, and all of a signal is one or the other; "
+                    f"{way_out}"
                 )
 
 
@@ -531,7 +564,8 @@ def _nature(element: PortElement) -> tuple[str, ...]:
 
 def _way_out(port: Port, elements: Sequence[PortElement]) -> str:
     """Return how elements reach what the port drives, each as a port of its own."""
-    sources = ", ".join(f'"{port.component}.{name}"' for name in _names_of(elements))
+    names = _names_of(elements)
+    sources = ", ".join(f'"{port.component}.{name}"' for name in names)
     if elements[0].causality == "input":
         return f"leave '{port}' out of the map and connect each of them: {sources}"
     return f"leave '{port}' out of the map and list them in the connection: [{sources}]"
@@ -544,6 +578,10 @@ def _names_of(elements: Iterable[PortElement]) -> list[str]:
         groups.setdefault(element.signal.name, []).append(element)
     names = []
     for name, parts in groups.items():
-        whole = [part.index for part in parts] == list(range(parts[0].signal.size))
-        names += [name] if whole else [part.name for part in parts]
+        size = parts[0].signal.size
+        indices = [part.index for part in parts]
+        if indices == list(range(size)):
+            names.append(name)
+        else:
+            names += [part.name for part in parts]
     return names

@@ -38,14 +38,18 @@ class Regressor:
         steps: Sequence[int],
         delays: Sequence[float],
     ) -> None:
-        rows = len(delays)
-        row = np.array([term.row for term in terms])
-        factor = np.array([_alpha_rows(term, rows) for term in terms])
-        sign = np.array([term.sign for term in terms], np.float64)
+        n_rows = len(delays)
+        rows = [term.row for term in terms]
+        factors = [_alpha_rows(term, n_rows) for term in terms]
+        signs = [term.sign for term in terms]
+        row = np.array(rows)
+        factor = np.array(factors)
+        sign = np.array(signs, np.float64)
         self.constants = RegressorConstants(alphas, steps, delays, row, factor, sign)
         self._kernel = RegressorStep(self.constants)
         delta = Signal("delta", role="input")
         mu = Signal("mu", len(terms), optional=True)
+        # without a delay of 0 all that mu depends on has passed
         feedthrough = {"mu": ("delta",)} if 0 in steps else {}
         self.interface = Interface((delta,), (mu,), feedthrough, rollback=True)
 
@@ -75,5 +79,6 @@ def _alpha_rows(term: Term, rows: int) -> list[int]:
     """Return the indices ``group * rows + row`` of the alphas of a term."""
     indices: list[int] = []
     for b, part in enumerate(term.parts):
-        indices.extend(b * rows + row for row in part)
+        begin = b * rows
+        indices.extend(begin + row for row in part)
     return indices

@@ -27,22 +27,26 @@ class Renamed:
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Prepare the component; the arrays of its design have no ports."""
-        return prepare(self._component, h, self._ports.component_mask(held), recorded)
+        own_held = self._ports.component_mask(held)
+        return prepare(self._component, h, own_held, recorded)
 
     def initialize(self, t: float, u: Vector) -> Vector:
         """Initialize the component; return the shown outputs at ``t``."""
-        y = self._component.initialize(t, self._ports.component_inputs(u))
+        own_u = self._ports.component_inputs(u)
+        y = self._component.initialize(t, own_u)
         return self._ports.shown_outputs(y)
 
     def outputs(self, t: float, u: Vector) -> Vector:
         """Return the shown outputs at ``t``, the time reached."""
-        y = self._component.outputs(t, self._ports.component_inputs(u))
+        own_u = self._ports.component_inputs(u)
+        y = self._component.outputs(t, own_u)
         return self._ports.shown_outputs(y)
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
         """Advance the component; return the shown outputs at ``t[1:]``."""
+        own_u = self._ports.component_inputs(u)
         try:
-            y = self._component.advance(t, h, self._ports.component_inputs(u))
+            y = self._component.advance(t, h, own_u)
         except Stopped as stop:
             completed = self._ports.shown_outputs(stop.outputs)
             raise Stopped(completed, str(stop), failed=stop.failed) from stop

@@ -62,8 +62,9 @@ class Sampled:
         steps = len(t) - 1
         rows = np.empty((steps, len(self._y)))
         for k in range(steps):
+            ends = slice(k, k + 2)
             try:
-                rows[k] = self._step(t[k : k + 2], h, u[k : k + 2])
+                rows[k] = self._step(t[ends], h, u[ends])
             except Stopped as stop:
                 completed = k + stop.steps  # it may have completed its step before it stopped
                 rows[k:completed] = stop.outputs

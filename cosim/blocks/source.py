@@ -57,7 +57,8 @@ def constant(
     value: Sequence[float], *, unit: str | None = None, kind: SignalType = "real"
 ) -> Expression:
     """Build ``y = value``."""
-    return Expression([_number(element) for element in value], unit=unit, kind=kind)
+    texts = [_number(element) for element in value]
+    return Expression(texts, unit=unit, kind=kind)
 
 
 def step(
@@ -66,8 +67,9 @@ def step(
     """Build ``y = before`` until ``time`` [s], then ``after``: a discrete signal."""
     past = f"step(t - {_number(time)})"
     # products with 0 and 1: both values to the last bit
-    text = f"{_number(before)}*(1 - {past}) + {_number(after)}*{past}"
-    return Expression([text], variability="discrete", unit=unit)
+    first = f"{_number(before)}*(1 - {past})"
+    second = f"{_number(after)}*{past}"
+    return Expression([f"{first} + {second}"], variability="discrete", unit=unit)
 
 
 def ramp(
@@ -141,7 +143,8 @@ class Table:
         self.t = frozen(t, 1)
         self.y = frozen(y, 2)
         self.hold = hold
-        signal = Signal("y", y.shape[1], unit, "discrete" if hold else "continuous")
+        size = y.shape[1]
+        signal = Signal("y", size, unit, "discrete" if hold else "continuous")
         self.interface = Interface(outputs=(signal,))
 
     def initialize(self, t: float, u: Vector) -> Vector:
@@ -152,16 +155,19 @@ class Table:
         """Return y(t)."""
         if not self.t[0] <= t <= self.t[-1]:
             raise UsageError(self._beyond(t))
-        y: Vector = self._at(np.array([t]))[0]
+        rows = self._at(np.array([t]))
+        y: Vector = rows[0]
         return y
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
         """Return y at ``t[1:]``."""
         times = t[1:]
-        y = self._at(times[times <= self.t[-1]])
+        covered = times <= self.t[-1]
+        y = self._at(times[covered])
         completed = len(y)
         if completed < len(times):
-            raise Stopped(y, self._beyond(float(times[completed])))
+            first_beyond = float(times[completed])
+            raise Stopped(y, self._beyond(first_beyond))
         return y
 
     def _beyond(self, t: float) -> str:
@@ -178,10 +184,12 @@ class Table:
 
 
 def _check_points(t: Vector, y: Matrix) -> None:
-    if len(t) < 2 or len(t) != len(y):
+    instants = len(t)
+    values = len(y)
+    if instants < 2 or instants != values:
         raise UsageError(
-            f"table: found {len(t)} instants and {len(y)} values, needed the same number of both, "
-            "at least 2"
+            f"table: found {instants} instants and {values} values, needed the same number of "
+            "both, at least 2"
         )
     finite = np.isfinite(t).all() and np.isfinite(y).all()
     if not finite:
@@ -215,12 +223,14 @@ class Noise:
         self.deviation = deviation
         self.seed = seed
         self.size = size
-        self.interface = Interface(outputs=(Signal("y", size, unit, "discrete"),))
+        y = Signal("y", size, unit, "discrete")
+        self.interface = Interface(outputs=(y,))
         self._last = np.zeros(size)
 
     def initialize(self, t: float, u: Vector) -> Vector:
         """Start the sequence again."""
-        self._generator = np.random.Generator(np.random.PCG64(self.seed))
+        bits = np.random.PCG64(self.seed)
+        self._generator = np.random.Generator(bits)
         self._last = self._draw(1)[0]
         return self._last.copy()
 

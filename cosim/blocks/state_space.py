@@ -41,19 +41,26 @@ def controller(
     n = len(A)
     m = B.shape[1]
     p = len(C)
-    D = np.zeros((p, m)) if D is None else D
-    x0 = np.zeros(n) if x0 is None else x0
-    arrays = {"A": A, "B": B, "C": C, "D": D, "x0": x0}
-    shapes = {"A": (n, n), "B": (n, m), "C": (p, n), "D": (p, m), "x0": (n,)}
-    for name, shape in shapes.items():
-        found = arrays[name].shape
-        if found != shape:
-            raise UsageError(f"controller: {name} has shape {found}, needed {shape}")
+    if D is None:
+        D = np.zeros((p, m))
+    if x0 is None:
+        x0 = np.zeros(n)
+    _check_shape("A", A, (n, n))
+    _check_shape("B", B, (n, m))
+    _check_shape("C", C, (p, n))
+    _check_shape("D", D, (p, m))
+    _check_shape("x0", x0, (n,))
     u = Signal("u", m, role="input")
     y = Signal("y", p, unit)
     x = Signal("x", n, role="state")
     states = tuple(x.elements)
-    # the outputs are y, then x
-    C = np.vstack([C, np.eye(n)])
-    D = np.vstack([D, np.zeros((n, m))])
-    return linear_model((u,), (y, x), states=states, A=A, B=B, C=C, D=D, X0=x0)
+    C_x = np.eye(n)
+    D_x = np.zeros((n, m))
+    C_all = np.vstack([C, C_x])
+    D_all = np.vstack([D, D_x])
+    return linear_model((u,), (y, x), states=states, A=A, B=B, C=C_all, D=D_all, X0=x0)
+
+
+def _check_shape(name: str, array: Matrix | Vector, needed: tuple[int, ...]) -> None:
+    if array.shape != needed:
+        raise UsageError(f"controller: {name} has shape {array.shape}, needed {needed}")

@@ -34,7 +34,8 @@ def compiler() -> list[str]:
         return []
     system = _ZIG_SYSTEMS[sys.platform]
     machine = platform.machine()
-    return cross_compiler(f"{_ZIG_MACHINES.get(machine, machine)}-{system}")
+    zig_machine = _ZIG_MACHINES.get(machine, machine)
+    return cross_compiler(f"{zig_machine}-{system}")
 
 
 def cross_compiler(target: str) -> list[str]:
@@ -95,7 +96,8 @@ if "hatchling" in sys.modules:
 
         def initialize(self, version: str, build_data: dict[str, Any]) -> None:
             """Compile before the wheel is put together."""
-            compile_library((HERE / name for name in SOURCES), HERE / LIBRARY)
+            sources = [HERE / name for name in SOURCES]
+            compile_library(sources, HERE / LIBRARY)
             build_data["artifacts"].append(f"cosim/native/{LIBRARY}")
             build_data["pure_python"] = False
             system = sysconfig.get_platform().replace("-", "_").replace(".", "_")

@@ -84,16 +84,17 @@ class NativeStep:
             for the reason in ``status``.
         """
         steps = len(t) - 1
-        if u.strides[-1] != DOUBLE and u.shape[1] > 1:
+        n_u = u.shape[1]
+        if u.strides[-1] != DOUBLE and n_u > 1:
             u = np.ascontiguousarray(u)
         y = np.empty((steps, self.n_y))
         status = c_int32()
+        step = (self.function, self._address)
         points = (steps, t.ctypes.data, h)
-        inputs = (u.ctypes.data, u.strides[0] // DOUBLE)
+        row_distance = u.strides[0] // DOUBLE
+        inputs = (u.ctypes.data, row_distance)
         outputs = (y.ctypes.data, self.n_y)
-        completed: int = library.cosim_cascade(
-            self.function, self._address, *points, *inputs, *outputs, byref(status)
-        )
+        completed: int = library.cosim_cascade(*step, *points, *inputs, *outputs, byref(status))
         self.status = status.value
         return y[:completed]
 
@@ -139,8 +140,10 @@ def first_order_hold(A: Matrix, B: Matrix, h: float, held: Mask) -> DiscretizedD
     Ad = np.empty((n, n))
     B0 = np.empty((n, m))
     B1 = np.empty((n, m))
-    work = np.empty(4 * (n + 2 * m) ** 2)
-    mask = (ctypes.c_uint8 * max(m, 1))(*map(int, held))
+    augmented = n + 2 * m
+    work = np.empty(4 * augmented**2)
+    mask_type = ctypes.c_uint8 * max(m, 1)
+    mask = mask_type(*map(int, held))
     inputs = (n, m, pointer(A), pointer(B), h, mask)
     results = map(pointer, (Ad, B0, B1, work))
     library.cosim_first_order_hold(*inputs, *results)
@@ -176,12 +179,13 @@ def linear_step(discrete: DiscretizedDynamics, C: Matrix, D: Matrix) -> NativeSt
 
     Its memory is x, shape ``(n,)``, and as much scratch.
     """
-    arrays = [_contiguous(M) for M in (discrete.Ad, discrete.B0, discrete.B1, C, D)]
+    matrices = (discrete.Ad, discrete.B0, discrete.B1, C, D)
+    arrays = [_contiguous(matrix) for matrix in matrices]
     n, m = discrete.B0.shape
     n_y = len(C)
     memory = np.zeros(2 * n + 1)
-    pointers = map(pointer, arrays)
-    state = LinearStruct(n, m, n_y, *pointers, pointer(memory))
+    pointers = map(pointer, [*arrays, memory])
+    state = LinearStruct(n, m, n_y, *pointers)
     function = address("cosim_linear_step")
     return NativeStep(function, state, n_y=n_y, memory=memory, keep=arrays)
 
@@ -193,22 +197,26 @@ def delay_step(steps: int, width: int) -> NativeStep:
     """
     memory = np.zeros(1 + steps * width)
     state = DelayStruct(steps, width, pointer(memory))
-    return NativeStep(address("cosim_delay_step"), state, n_y=width, memory=memory)
+    function = address("cosim_delay_step")
+    return NativeStep(function, state, n_y=width, memory=memory)
 
 
 def evaluate(program: Program, t: float) -> float:
     """Evaluate an expression at the instant ``t`` [s]."""
-    value: float = library.cosim_evaluate(byref(_program_struct(program)), t)
+    struct = _program_struct(program)
+    value: float = library.cosim_evaluate(byref(struct), t)
     return value
 
 
 def expression_step(programs: Sequence[Program]) -> NativeStep:
     """Build the step whose outputs are expressions in t; it has no memory."""
+    n_y = len(programs)
     array = _program_array(programs)
-    state = ExpressionStruct(len(programs), ctypes.addressof(array))
+    state = ExpressionStruct(n_y, ctypes.addressof(array))
     function = address("cosim_expression_step")
-    memory = np.zeros(0)
-    return NativeStep(function, state, n_y=len(programs), memory=memory, keep=(array, *programs))
+    no_memory = np.zeros(0)
+    keep = (array, *programs)
+    return NativeStep(function, state, n_y=n_y, memory=no_memory, keep=keep)
 
 
 def _contiguous(values: NDArray[Any]) -> NDArray[np.float64]:
@@ -216,12 +224,15 @@ def _contiguous(values: NDArray[Any]) -> NDArray[np.float64]:
 
 
 def _program_struct(program: Program) -> ProgramStruct:
-    return ProgramStruct(len(program.code), pointer(program.code), pointer(program.constants))
+    code = pointer(program.code)
+    constants = pointer(program.constants)
+    return ProgramStruct(len(program.code), code, constants)
 
 
 def _program_array(programs: Sequence[Program]) -> ctypes.Array[ProgramStruct]:
     structs = map(_program_struct, programs)
-    return (ProgramStruct * max(len(programs), 1))(*structs)
+    array_type = ProgramStruct * max(len(programs), 1)
+    return array_type(*structs)
 
 
 @dataclass(frozen=True, slots=True)
@@ -270,11 +281,14 @@ class RegressorStep:
         factor = int32(constants.factor)
         sign = np.array(constants.sign, np.float64)
         memory = np.zeros(constants.memory)
+        n_rows = len(constants.steps)
+        n_alphas = len(constants.alphas)
         n_terms, n_factors = np.shape(constants.factor)
-        sizes = (len(constants.steps), len(constants.alphas), n_terms, n_factors)
         timing = (pointer(steps), pointer(delays), ctypes.addressof(programs))
         products = (pointer(row), pointer(factor), pointer(sign))
-        state = RegressorStruct(*sizes, *timing, *products, pointer(memory))
+        state = RegressorStruct(
+            n_rows, n_alphas, n_terms, n_factors, *timing, *products, pointer(memory)
+        )
         keep = (programs, *constants.alphas, steps, delays, row, factor, sign)
         function = address("cosim_regressor_step")
         self.step = NativeStep(function, state, n_y=n_terms, memory=memory, keep=keep)
@@ -364,25 +378,17 @@ class LeastSquares:
 
     def __init__(self, constants: LeastSquaresConstants) -> None:
         recovery = constants.recovery
-        formulas = (RecoveryStruct * max(len(recovery), 1))()
-        for formula, numbers in zip(formulas, recovery, strict=False):
-            formula.kind = numbers.kind
-            formula.spacing = numbers.spacing
-            formula.index[: len(numbers.index)] = numbers.index
-            formula.theta[: len(numbers.theta)] = numbers.theta
-            formula.sign[: len(numbers.sign)] = numbers.sign
+        formulas = _recovery_array(recovery)
         memory = np.zeros(constants.memory)
+        n_eta = constants.unknowns
+        n_theta = constants.parameters
+        held = int(constants.held)
         state = LeastSquaresStruct(
-            constants.unknowns,
-            len(recovery),
-            constants.parameters,
-            int(constants.held),
-            constants.start_time,
-            constants.prior,
+            n_eta, len(recovery), n_theta, held, constants.start_time, constants.prior
         )
         state.recovery = ctypes.addressof(formulas)
         state.memory = pointer(memory)
-        n_y = constants.parameters + constants.unknowns
+        n_y = n_theta + n_eta
         function = address("cosim_least_squares_step")
         self.step = NativeStep(function, state, n_y=n_y, memory=memory, keep=(formulas,))
 
@@ -392,3 +398,15 @@ class LeastSquares:
         state = ctypes.addressof(self.step.state)
         library.cosim_least_squares_start(state, pointer(y))
         return y
+
+
+def _recovery_array(recovery: Sequence[RecoveryConstants]) -> ctypes.Array[RecoveryStruct]:
+    array_type = RecoveryStruct * max(len(recovery), 1)
+    formulas = array_type()
+    for formula, numbers in zip(formulas, recovery, strict=False):
+        formula.kind = numbers.kind
+        formula.spacing = numbers.spacing
+        formula.index[: len(numbers.index)] = numbers.index
+        formula.theta[: len(numbers.theta)] = numbers.theta
+        formula.sign[: len(numbers.sign)] = numbers.sign
+    return formulas

@@ -29,7 +29,7 @@ from cosim.theory.disturbance import Exponential, group_by_alpha
 from cosim.theory.estimators import plan
 from cosim.theory.observer import design
 from cosim.theory.regression import expand
-from tests.theory.academic import academic
+from tests.theory.academic import academic, ordinary
 
 H = 1e-3
 
@@ -44,9 +44,28 @@ def plant():
     return Linear(descriptor_model(academic(), [1.0, -1.0]))
 
 
+def plant_without_algebraic_states():
+    system = ordinary(A=[[0.0, 1.0], [-2.0, -3.0]], B=[[1.0], [0.0]], C=[[1.0, 0.0]])
+    with_input = replace(system, Bu=np.array([[0.0], [1.0]]))
+    return Linear(descriptor_model(with_input, [1.0, -1.0]))
+
+
 def observer():
     reduced = reduce(academic())
     return Linear(observer_model(reduced, design(reduced, L=[4.0, 0.0], filter_rate=1e3)))
+
+
+def observer_of_a_constant_input():
+    reduced = reduce(academic())
+    designed = design(reduced, L=[4.0, 0.0], filter_rate=1e3)
+    return Linear(observer_model(reduced, designed, constant=True))
+
+
+def observer_without_inputs_and_algebraic_states():
+    system = ordinary(A=[[0.0, 1.0], [-2.0, -3.0]], B=[[1.0], [0.0]], C=[[1.0, 0.0]])
+    reduced = reduce(system)
+    designed = design(reduced, L=[4.0, 0.0], filter_rate=1e3)
+    return Linear(observer_model(reduced, designed))
 
 
 def regressor(steps=(2, 4, 6)):
@@ -104,7 +123,10 @@ COMPONENTS = {
     "delay from a given start": lambda: Delay(4, initial=7.0),
     "controller": through,
     "plant": plant,
+    "plant without algebraic states": plant_without_algebraic_states,
     "observer": observer,
+    "observer of a constant input": observer_of_a_constant_input,
+    "observer without u and x_b": observer_without_inputs_and_algebraic_states,
     "regressor": regressor,
     "regressor without delay": lambda: regressor((0, 3, 5)),
     "least squares": identifier,
