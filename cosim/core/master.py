@@ -30,7 +30,12 @@ BLOCK_BYTES = 16 * 2**20  # memory for the rows of one block
 
 
 def run(
-    graph: Graph, clock: Clock, recorder: Recorder, *, designs: Mapping[str, Design] | None = None
+    graph: Graph,
+    clock: Clock,
+    recorder: Recorder,
+    *,
+    designs: Mapping[str, Design] | None = None,
+    plan: Plan | None = None,
 ) -> None:
     """Run a graph from 0 to ``clock.stop``.
 
@@ -42,6 +47,8 @@ def run(
         Takes every block; is entered and left here, so that it is complete however the run ends.
     designs : mapping of component name to Design, optional
         Recorded design-time results to use instead of computing them.
+    plan : Plan, optional
+        What ``graph.prepare`` returned; left out, the graph is prepared here.
 
     Raises
     ------
@@ -53,7 +60,8 @@ def run(
     """
     try:
         with recorder:
-            plan = graph.prepare(clock.step_ns, designs)
+            if plan is None:
+                plan = graph.prepare(clock.step_ns, designs)
             recorder.begin(plan)
             for block, signals in simulate(graph, clock, plan):
                 recorder.write(block, signals)

@@ -18,8 +18,8 @@ from cosim.errors import CosimError, Interrupted, UsageError, nearest
 from cosim.log import Log
 from cosim.report.recorded import difference, has_signal, truth_of
 from cosim.report.summary import Summary, summarize
-from cosim.scenario.build import Scenario
 from cosim.scenario.execution import load, run
+from cosim.scenario.parsing import Scenario
 from cosim.scenario.swap import component_table
 
 

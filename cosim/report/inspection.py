@@ -49,8 +49,8 @@ def describe_log(path: str) -> Section:
     differences = {}
     for name in log.channels:
         entry = component_metadata(log, name)
-        contract = entry.pop("contract", {})
-        differences[f"{name}: differences from the replaced component"] = _differences(contract)
+        report = entry.pop("swap_report", {})
+        differences[f"{name}: differences from the replaced component"] = _differences(report)
         if entry:
             metadata[name] = entry
     content = {"run": about, "signals": signals, "metadata": metadata, **differences}
@@ -68,9 +68,9 @@ def describe_log(path: str) -> Section:
     return content
 
 
-def _differences(contract: Section) -> list[Section]:
+def _differences(report: Section) -> list[Section]:
     """Return the rows of a swapped component's report that differ."""
-    ports: list[Section] = contract.get("ports", [])
+    ports: list[Section] = report.get("ports", [])
     return [row for row in ports if row["verdict"] not in ("ok", "unknown")]
 
 
@@ -78,7 +78,7 @@ def describe_scenario(name: str) -> Section:
     """Describe a scenario: its clock, components, connections and metadata."""
     loaded = load(name)
     with ExitStack() as resources:
-        experiment = build(loaded.document, resources)
+        experiment = build(loaded, resources)
         graph = experiment.graph
         settings = loaded.file.scenario
         steps = experiment.clock.steps
@@ -103,21 +103,21 @@ def describe_scenario(name: str) -> Section:
         }
 
 
-def _connection_row(graph: Graph, to: str, connection: Connection) -> Section:
+def _connection_row(graph: Graph, to: Port, connection: Connection) -> Section:
     """Describe one connection: its map and its unit conversions, where it has them."""
     ports = Ports(graph.layout)
-    _, target = ports.input(Port.parse(to))
+    _, target = ports.input(to)
     sources = [ports.source(port).signal for port in connection.sources]
     units = [unit_reached(connection, source, target).name for source in sources]
     unit = ", ".join(dict.fromkeys(name for name in units if name is not None)) or None
-    by_source = graph.conversions.get(Port.parse(to), ())
+    by_source = graph.conversions.get(to, ())
     conversions = dict.fromkeys(
         str(conversion) for conversion in by_source if not conversion.copies
     )
     if conversions:
         unit = f"{unit} -> {target.unit}"
     return {
-        "to": to,
+        "to": str(to),
         "from": connection.label,
         "map": _map(connection),
         "unit": unit,

@@ -1,86 +1,303 @@
-"""From a document to a graph and a clock, with every problem of the file in one report."""
+"""From a scenario to a graph and a clock, with every problem of the file in one report."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from cosim.blocks.port_map import PortMap, resolve
+from cosim.blocks.renamed import Renamed
+from cosim.blocks.replay import Replay
 from cosim.core.clock import Clock
 from cosim.core.connections import Connection, check_connections, layout_of
-from cosim.core.contracts import Component, Recording
+from cosim.core.contracts import Component, Plan, Recording
 from cosim.core.graph import Graph
 from cosim.core.port import Port
+from cosim.core.signals import Interface
 from cosim.errors import CosimError
-from cosim.scenario.context import MessageSource, ScenarioBuildContext
-from cosim.scenario.document import Document, Problem
-from cosim.scenario.kinds import BuildContext
-from cosim.scenario.parsing import Parsed, Problems, read, report
+from cosim.scenario.context import (
+    DependsOnInvalidComponent,
+    FmuMessage,
+    MessageSource,
+    ScenarioBuildContext,
+)
+from cosim.scenario.document import Document
+from cosim.scenario.kinds import BuildContext, Kind
+from cosim.scenario.parsing import Scenario, read
+from cosim.scenario.problems import Problem
+from cosim.scenario.swap import MapEntry
 from cosim.scenario.truth import check_truth
 
 
 @dataclass(frozen=True)
-class Scenario(Parsed):
-    """A validated scenario file."""
-
-    def edit(
-        self,
-        *,
-        swap: Mapping[str, str | Path] | None = None,
-        map: Mapping[str, str] | None = None,
-        set: Mapping[str, Any] | None = None,
-    ) -> Scenario:
-        """Swap components, rename their ports, then set values; what is wrong with all of it is told together."""
-        paths = {name: str(path) for name, path in (swap or {}).items()}
-        return parse(self.document.with_swaps(paths, map).with_changes(set or {}))
-
-    def swap(self, *, map: Mapping[str, str] | None = None, **paths: str | Path) -> Scenario:
-        """Put an FMU (.fmu) or a recorded component (.mcap) in the place of a component.
-
-        ``map`` gives the names that ports have there, such as ``{"observer.y": "out1"}``; see :mod:`cosim.scenario.swap`.
-        """
-        return self.edit(swap=paths, map=map)
-
-    def set(self, changes: Mapping[str, Any]) -> Scenario:
-        """Set values by dotted key, such as ``{"observer.filter_rate": 500.0}``."""
-        return self.edit(set=changes)
-
-
-@dataclass(frozen=True)
 class Experiment:
-    """A scenario ready to run."""
+    """A scenario ready to run.
 
-    scenario: Parsed
+    Parameters
+    ----------
+    scenario : Scenario
+    graph : Graph
+    clock : Clock
+    truth : mapping of estimate to its truth
+        What the report compares.
+    metadata : mapping of component name to plain values
+        What the log keeps of a component.
+    warnings : tuple of (component, text)
+    reads : mapping of component name to names of tables
+        That were read to build the component, beside its own.
+    attachments : mapping of file name to text
+        For the log: modelDescription.xml of each FMU.
+    fmus : mapping of component name to MessageSource
+        What was opened for this run and may have messages.
+    files : frozenset of Path
+        What is read beside the scenario.
+    plan : Plan or None
+        Of the graph, where it was prepared already.
+    messages : mapping of component name to FmuMessages
+        What was drained from ``fmus`` already.
+    """
+
+    scenario: Scenario
     graph: Graph
     clock: Clock
-    truth: Mapping[str, Any]  # what the report compares
+    truth: Mapping[str, Any]
     metadata: Mapping[str, Mapping[str, Any]]
     warnings: tuple[tuple[str, str], ...]
-    reads: Mapping[
-        str, frozenset[str]
-    ]  # tables that were read to build each component, but for its own
-    attachments: Mapping[str, str] = field(default_factory=dict)
-    fmus: Mapping[str, MessageSource] = field(
-        default_factory=dict
-    )  # what was opened for this run and may have something to say
-    files: frozenset[Path] = frozenset()  # what is read besides the scenario
+    reads: Mapping[str, frozenset[str]]
+    attachments: Mapping[str, str]
+    fmus: Mapping[str, MessageSource]
+    files: frozenset[Path]
+    plan: Plan | None = None
+    messages: Mapping[str, Sequence[FmuMessage]] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
-class Draft:
-    """What could be built of a scenario, and what is wrong with the rest."""
+class Builder:
+    """Builds what can be built of a scenario, and collects the problems of the rest.
 
-    scenario: Parsed
-    context: ScenarioBuildContext
-    clock: Clock
-    components: Mapping[str, Component]
-    periods: Mapping[str, int]
-    truth: Mapping[str, Any]
-    problems: tuple[Problem, ...]
+    Parameters
+    ----------
+    scenario : Scenario
+    resources : ExitStack
+        Closes what was opened, FMUs above all, when the run is over.
+    problems : iterable of Problem
+        Of the scenario, as far as they are known.
+    recording : Recording, optional
+        Take from it every component that cannot be computed again from the log: plants, FMUs,
+        files.
+    block : int, optional
+        Fixed number of communication steps in a block.
+    replaced : mapping of component name to Interface, optional
+        Of the components that swaps replaced, where they are known.
+
+    Attributes
+    ----------
+    problems : list of Problem
+    components : mapping of name to Component
+        Those that could be built.
+    port_maps : mapping of component name to PortMap
+        Of those of them whose ports are renamed.
+
+    Raises
+    ------
+    ScenarioError
+        If nothing can be built.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        resources: ExitStack,
+        *,
+        problems: Iterable[Problem] = (),
+        recording: Recording | None = None,
+        block: int | None = None,
+        replaced: Mapping[str, Interface] | None = None,
+    ) -> None:
+        self.scenario = scenario
+        self.problems = list(problems)
+        self.context = ScenarioBuildContext(scenario, resources, recording)
+        self.clock = self._clock(block)
+        self.context.step_ns = self.clock.step_ns
+        self.components: dict[str, Component] = {}
+        self.port_maps: dict[str, PortMap] = {}
+        self._recording = recording
+        self._replaced = replaced or {}
+        self._periods: dict[str, int] = {}
+        self._invalid: set[str] = set()  # components whose connections are not checked
+        self._check_models()
+        for name, spec in scenario.specs.items():
+            self._build(name, spec)
+        self._invalid |= scenario.file.components.keys() - self.components.keys()
+        self._check_connections()
+        self._truth, truth_problems = check_truth(
+            scenario.file, self.components, self._invalid, self.context.warn
+        )
+        self.problems += truth_problems
+
+    def _clock(self, block: int | None) -> Clock:
+        """Return the clock; without one nothing else can be checked."""
+        settings = self.scenario.file.scenario
+        for key, stop in (("step", settings.step), ("stop", settings.stop)):
+            try:
+                Clock(stop, settings.step)
+            except CosimError as error:
+                problems = [*self.problems, (("scenario", key), str(error))]
+                raise self.scenario.document.report(problems) from error
+        return Clock(settings.stop, settings.step, block)
+
+    # --- components ---
+
+    def _check_models(self) -> None:
+        for name in self.scenario.file.models:
+            try:
+                self.context.model(name)
+            except (CosimError, ValueError) as error:
+                self.problems.append((("models", name), str(error)))
+
+    def _build(self, name: str, spec: Kind) -> None:
+        """Build a component, or add the problem of that."""
+        self.context.begin(name)
+        try:
+            component = self._component(name, spec)
+            period = spec.period_steps(name, self.clock.step_ns)
+            self.components[name] = spec.with_period(component, period)
+            self._periods[name] = period
+        except DependsOnInvalidComponent:
+            pass
+        except (CosimError, ValueError) as error:
+            self.problems.append((("components", name), str(error)))
+
+    def _component(self, name: str, spec: Kind) -> Component:
+        if self._recording is not None and not spec.computable:
+            return Replay(self._recording, name)  # recorded under the scenario's names
+        component = spec.build(name, self.context)
+        entries = self.scenario.maps.get(name)
+        return self._renamed(name, component, entries) if entries else component
+
+    def _renamed(self, name: str, component: Component, entries: Sequence[MapEntry]) -> Component:
+        """Show a swapped component under the scenario's names; add the problems of its map."""
+        renamings = [entry.renaming for entry in entries]
+        replaced = self._replaced.get(name)
+        self.port_maps[name], problems = resolve(component.interface, renamings, replaced)
+        for port, text in problems.items():
+            key = next(e.key for e in entries if port in (e.renaming.port, e.renaming.port.whole))
+            self.problems.append((key, text))
+            self._invalid.add(name)
+        return Renamed(component, self.port_maps[name])
+
+    # --- connections ---
+
+    def _check_connections(self) -> None:
+        components = {
+            name: component
+            for name, component in self.components.items()
+            if name not in self._invalid
+        }
+        if not components:
+            return
+        reported = {key for key, _ in self.problems}
+        problems = check_connections(
+            layout_of(components), self.scenario.connections, self._invalid
+        )
+        for to, text in problems.items():
+            key = ("connections", str(to))
+            if key not in reported:
+                self.problems.append((key, text))
+
+    def check(self) -> None:
+        """Check that everything could be built.
+
+        Raises
+        ------
+        ScenarioError
+            With every problem of the file.
+        """
+        if self.problems:
+            raise self.scenario.document.report(self.problems)
+
+    def experiment(self) -> Experiment:
+        """Return the experiment.
+
+        Raises
+        ------
+        ScenarioError
+            With every problem of the file.
+        """
+        self.check()
+        scenario = self.scenario
+        context = self.context
+        graph = self._graph(self.components, scenario.connections)
+        for name, spec in scenario.specs.items():
+            for text in spec.advice(self._held_inputs(graph, name), self.clock.step_ns / 1e9):
+                context.warn(name, text)
+        for name, text in graph.warnings:
+            context.warn(name, text)
+        return Experiment(
+            scenario,
+            graph,
+            self.clock,
+            truth=self._truth,
+            metadata=context.metadata,
+            warnings=tuple(context.warnings),
+            reads=context.reads,
+            attachments=context.attachments,
+            fmus=context.fmus,
+            files=frozenset(context.files),
+        )
+
+    def _held_inputs(self, graph: Graph, name: str) -> dict[str, bool]:
+        """Return which inputs of a component have a zero-order hold."""
+        columns = self.components[name].interface.input_columns()
+        return {signal: bool(graph.held[name][at].any()) for signal, at in columns.items()}
+
+    def upstream(self, component: str) -> Graph:
+        """Return the graph of a component and of all that it depends on.
+
+        What is wrong with other components does not matter.
+
+        Raises
+        ------
+        ScenarioError
+            With every problem of the file, if one of these cannot be built or connected.
+        """
+        needed: set[str] = set()
+        waiting = {component}
+        while waiting:
+            name = waiting.pop()
+            needed.add(name)
+            for to, connection in self.scenario.connections.items():
+                if to.component == name:
+                    waiting |= {port.component for port in connection.sources} - needed
+        if not needed <= self.components.keys() - self._invalid:
+            raise self.scenario.document.report(self.problems)
+        components = {name: self.components[name] for name in self.components if name in needed}
+        connections = {
+            to: connection
+            for to, connection in self.scenario.connections.items()
+            if to.component in needed
+        }
+        return self._graph(components, connections)
+
+    def _graph(
+        self, components: Mapping[str, Component], connections: Mapping[Port, Connection]
+    ) -> Graph:
+        settings = self.scenario.file.scenario
+        try:
+            return Graph(
+                components,
+                connections,
+                coupling=settings.coupling,
+                input_interpolation=settings.input_interpolation,
+                periods={name: self._periods[name] for name in components},
+            )
+        except CosimError as error:
+            problem = (("connections",), str(error))
+            raise self.scenario.document.report([problem]) from error
 
 
 def parse(document: Document) -> Scenario:
@@ -89,199 +306,48 @@ def parse(document: Document) -> Scenario:
     Raises
     ------
     ScenarioError
-        With every problem that can be seen without building the components.
+        With every problem that shows without building the components; if there is one, with every
+        problem of the file.
     """
-    parsed, problems = read(document)
+    scenario, problems = read(document, parse)
     if problems:
-        with ExitStack() as resources:  # what is wrong with the rest belongs into the same report
-            build(document, resources)
-    return Scenario(parsed.document, parsed.file, parsed.specs, parsed.connections, parsed.tree)
+        with ExitStack() as resources:
+            Builder(scenario, resources, problems=problems).check()
+    return scenario
 
 
-def build(
-    document: Document,
-    resources: ExitStack,
-    *,
-    recording: Recording | None = None,
-    block: int | None = None,
-) -> Experiment:
-    """Build graph and clock.
-
-    Parameters
-    ----------
-    document : Document
-    resources : ExitStack
-        Closes what was opened, FMUs above all, when the run is over.
-    recording : Recording, optional
-        Take from it every component that cannot be computed again from the log: plants, FMUs, files.
-    block : int, optional
-        Fixed number of communication steps in a block.
+def build(scenario: Scenario, resources: ExitStack) -> Experiment:
+    """Build graph and clock; parameters as of :class:`Builder`.
 
     Raises
     ------
     ScenarioError
         With every problem of the file.
     """
-    return finish(draft(document, resources, recording=recording, block=block))
-
-
-def draft(
-    document: Document,
-    resources: ExitStack,
-    *,
-    recording: Recording | None = None,
-    block: int | None = None,
-) -> Draft:
-    """Build what can be built, and say what is wrong with the rest; parameters as of ``build``.
-
-    Raises
-    ------
-    ScenarioError
-        If nothing can be built.
-    """
-    scenario, problems = read(document)
-    context = ScenarioBuildContext(scenario, resources, recording)
-    clock = _clock(scenario, block, problems)
-    context.step_ns = clock.step_ns
-    components, periods, missing = context.build_all(problems)
-    found = (
-        check_connections(
-            layout_of(components),
-            {Port.parse(to): wire for to, wire in scenario.connections.items()},
-            missing,
-        )
-        if components
-        else {}
-    )
-    reported = {key for key, _ in problems}
-    problems += [
-        (("connections", str(to)), text)
-        for to, text in found.items()
-        if ("connections", str(to)) not in reported
-    ]
-    truth, wrong = check_truth(scenario.file, components, missing, context.warn)
-    return Draft(
-        scenario,
-        context,
-        clock,
-        components,
-        periods=periods,
-        truth=truth,
-        problems=(*problems, *wrong),
-    )
-
-
-def finish(made: Draft) -> Experiment:
-    """Put a draft together.
-
-    Raises
-    ------
-    ScenarioError
-        With every problem of the file.
-    """
-    scenario, context, clock, components = made.scenario, made.context, made.clock, made.components
-    if made.problems:
-        raise report(scenario.document, made.problems)
-    graph = _graph(scenario, components, scenario.connections, made.periods)
-    for name, spec in scenario.specs.items():
-        columns = components[name].interface.input_columns()
-        held = {signal: bool(graph.held[name][at].any()) for signal, at in columns.items()}
-        for text in spec.advice(held, clock.step_ns / 1e9):
-            context.warn(name, text)
-    for name, text in graph.warnings:
-        context.warn(name, text)
-    return Experiment(
-        scenario,
-        graph,
-        clock,
-        truth=made.truth,
-        metadata=context.metadata,
-        warnings=tuple(context.warnings),
-        reads=context.reads,
-        attachments=context.attachments,
-        fmus=context.fmus,
-        files=frozenset(context.files),
-    )
-
-
-def upstream(made: Draft, component: str) -> Graph:
-    """Give the graph of a component and of all that it depends on; what is wrong with other components does not matter.
-
-    Raises
-    ------
-    ScenarioError
-        With every problem of the file, if one of these cannot be built or connected.
-    """
-    scenario, needed, waiting = made.scenario, set[str](), [component]
-    while waiting:
-        name = waiting.pop()
-        needed.add(name)
-        for to, wire in scenario.connections.items():
-            if to.partition(".")[0] == name:
-                waiting += {port.component for port in wire.sources} - needed
-    components = {name: found for name, found in made.components.items() if name in needed}
-    connections = {
-        to: wire for to, wire in scenario.connections.items() if to.partition(".")[0] in needed
-    }
-    if len(components) < len(needed):
-        raise report(scenario.document, made.problems)
-    return _graph(
-        scenario, components, connections, {name: made.periods[name] for name in components}
-    )
-
-
-def _graph(
-    scenario: Parsed,
-    components: Mapping[str, Component],
-    connections: Mapping[str, Connection],
-    periods: Mapping[str, int],
-) -> Graph:
-    settings = scenario.file.scenario
-    try:
-        return Graph(
-            components,
-            connections,
-            coupling=settings.coupling,
-            input_interpolation=settings.input_interpolation,
-            periods=periods,
-        )
-    except CosimError as error:
-        raise report(scenario.document, [(("connections",), str(error))]) from error
-
-
-def _clock(scenario: Parsed, block: int | None, problems: Problems) -> Clock:
-    """Make the clock; without one nothing else can be judged, so what is wrong with it is told with what is known already."""
-    settings = scenario.file.scenario
-    for key, attempt in (
-        ("step", (settings.step, settings.step)),
-        ("stop", (settings.stop, settings.step)),
-    ):
-        try:
-            Clock(*attempt)
-        except CosimError as error:
-            raise report(scenario.document, [*problems, (("scenario", key), str(error))]) from error
-    return Clock(settings.stop, settings.step, block)
+    return Builder(scenario, resources).experiment()
 
 
 def build_context(scenario: Scenario, resources: ExitStack) -> BuildContext:
-    """Give what a single kind needs to build its component, outside a run."""
+    """Return what a single kind needs to build its component, outside a run."""
     context = ScenarioBuildContext(scenario, resources, None)
-    context.step_ns = Clock(scenario.file.scenario.stop, scenario.file.scenario.step).step_ns
+    settings = scenario.file.scenario
+    context.step_ns = Clock(settings.stop, settings.step).step_ns
     return context
 
 
-def fingerprint(scenario: Parsed, name: str, reads: frozenset[str]) -> str:
-    """Hash everything that the design of a component rests on: its table, the tables it read, step and hold."""
+def fingerprint(scenario: Scenario, name: str, reads: frozenset[str]) -> str:
+    """Hash everything that the design of a component rests on.
+
+    Its table, the tables that it read, communication step, input interpolation and coupling.
+    """
     settings = scenario.file.scenario
-    tables = {
-        table: _lookup(scenario.tree, table) for table in sorted({f"components.{name}", *reads})
-    }
-    text = json.dumps(
-        [tables, settings.step, settings.input_interpolation, settings.coupling], sort_keys=True
-    )
+    names = sorted({f"components.{name}", *reads})
+    tables = {dotted: _table(scenario.tree, dotted) for dotted in names}
+    values = [tables, settings.step, settings.input_interpolation, settings.coupling]
+    text = json.dumps(values, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def _lookup(tree: Mapping[str, Any], dotted: str) -> Any:
+def _table(tree: Mapping[str, Any], dotted: str) -> Any:
     table, _, name = dotted.partition(".")
     return tree.get(table, {}).get(name)

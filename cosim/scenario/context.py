@@ -6,36 +6,39 @@ import json
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
-from cosim.blocks.replay import Replay
 from cosim.core.contracts import Component, MessageLevel, Recording
-from cosim.errors import CosimError, UsageError, nearest
-from cosim.scenario.document import Problem
+from cosim.errors import UsageError, nearest
 from cosim.scenario.kinds import Kind
-from cosim.scenario.parsing import Parsed
+from cosim.scenario.parsing import Scenario
 from cosim.scenario.schema import matrix
 from cosim.theory.descriptor import DescriptorSystem
 
 if TYPE_CHECKING:
+    from cosim.fmi.component import Fmu
     from cosim.fmi.linearizing.linearization import Linearization
     from cosim.fmi.options import FmuOptions
+
+
+# time [s] or None, level, category, text
+FmuMessage: TypeAlias = tuple[float | None, MessageLevel, str, str]
 
 
 class MessageSource(Protocol):
     """The messages of an opened FMU."""
 
-    def drain(self) -> Sequence[tuple[float | None, MessageLevel, str, str]]:
-        """Return the messages since the last call, as (time [s] or None, level, category, text)."""
+    def drain(self) -> Sequence[FmuMessage]:
+        """Return the messages since the last call."""
         ...
 
 
-class _DependsOnInvalidComponent(UsageError):
+class DependsOnInvalidComponent(UsageError):
     """A component cannot be checked because one that it reads is wrong, which is reported."""
 
 
 class ScenarioBuildContext:
-    """Builds every component and records which tables each one reads.
+    """Records what each component reads while it is built, and what it opens.
 
     See :class:`cosim.scenario.kinds.BuildContext`.
     """
@@ -43,7 +46,9 @@ class ScenarioBuildContext:
     step_ns: int
     stop: float
 
-    def __init__(self, scenario: Parsed, resources: ExitStack, recording: Recording | None) -> None:
+    def __init__(
+        self, scenario: Scenario, resources: ExitStack, recording: Recording | None
+    ) -> None:
         self._scenario = scenario
         self._resources = resources
         self._recording = recording
@@ -53,46 +58,14 @@ class ScenarioBuildContext:
         self.warnings: list[tuple[str, str]] = []
         self.reads: dict[str, frozenset[str]] = {"": frozenset()}
         self.attachments: dict[str, str] = {}
-        self.fmus: dict[str, MessageSource] = {}
+        self.fmus: dict[str, Fmu] = {}
         self._linearized: dict[str, Linearization] = {}
         self.files: set[Path] = set()
 
-    def build_all(
-        self, problems: list[Problem]
-    ) -> tuple[dict[str, Component], dict[str, int], set[str]]:
-        """Build every component that can be built; add the problems of the others to ``problems``.
-
-        Returns
-        -------
-        tuple
-            Components by name, their sample periods in communication steps, and the names of the
-            components that could not be built.
-        """
-        components: dict[str, Component] = {}
-        periods: dict[str, int] = {}
-        for name in self._scenario.file.models:
-            try:
-                self.model(name)
-            except (CosimError, ValueError) as error:
-                problems.append((("models", name), str(error)))
-        for name, spec in self._scenario.specs.items():
-            self._current = name
-            self.reads[name] = frozenset()
-            try:
-                component = self._build(name, spec)
-                periods[name] = spec.period_steps(name, self.step_ns)
-                components[name] = spec.with_period(component, periods[name])
-            except _DependsOnInvalidComponent:
-                pass
-            except (CosimError, ValueError) as error:
-                problems.append((("components", name), str(error)))
-        missing = set(self._scenario.file.components) - set(components)
-        return components, periods, missing
-
-    def _build(self, name: str, spec: Kind) -> Component:
-        if self._recording is not None and not spec.computable:
-            return Replay(self._recording, name)
-        return spec.build(name, self)
+    def begin(self, name: str) -> None:
+        """Record what is read from now on for a component."""
+        self._current = name
+        self.reads[name] = frozenset()
 
     # --- what a kind may ask for ---
 
@@ -113,7 +86,7 @@ class ScenarioBuildContext:
         """Return the table of another component, and record that it was read."""
         self._read(f"components.{name}")
         if name not in self._scenario.specs:
-            raise _DependsOnInvalidComponent
+            raise DependsOnInvalidComponent
         return self._scenario.specs[name]
 
     def driver(self, to: str) -> str | None:
@@ -161,6 +134,10 @@ class ScenarioBuildContext:
             self.warn(name, note)
         self.fmus[name] = loaded
         return loaded.component
+
+    def opened(self, name: str) -> Fmu:
+        """Return the FMU that was loaded for a component."""
+        return self.fmus[name]
 
     def linearization(
         self,

@@ -12,18 +12,20 @@ from time import perf_counter
 from types import FrameType
 from typing import Any
 
-from cosim.core.contracts import Block, Recorder
+from cosim.core.contracts import Block, Design, Recorder
 from cosim.core.graph import Graph
 from cosim.core.master import run as run_graph
 from cosim.core.recorders import Memory, Watched
 from cosim.errors import Interrupted, LogError, UsageError
 from cosim.log import Log, McapRecorder, open_log
-from cosim.scenario.build import Experiment, Scenario, build, parse
+from cosim.scenario.build import Builder, Experiment, parse
 from cosim.scenario.document import Document, find, short
+from cosim.scenario.parsing import Scenario, read
 from cosim.scenario.profile import Timed
 from cosim.scenario.records import SCENARIO_FILE, MessageRecorder, attachments_of, metadata_of
-from cosim.scenario.replaying import cut_off, designs_that_hold
-from cosim.scenario.swap_report import Contract, examine
+from cosim.scenario.replaying import unaffected_warnings, valid_designs
+from cosim.scenario.swap import PortNames
+from cosim.scenario.swap_report import SwapReports, build_swapped
 
 Progress = Callable[[float, float], None]  # simulated time, end [s]
 
@@ -46,7 +48,7 @@ def run(
     force: bool = False,
     set: Mapping[str, Any] | None = None,
     swap: Mapping[str, str | Path] | None = None,
-    map: Mapping[str, str] | None = None,
+    map: Mapping[str, PortNames] | None = None,
     block: int | None = None,
     progress: Progress | None = None,
     profile: dict[str, float] | None = None,
@@ -64,9 +66,11 @@ def run(
     set : mapping of dotted key to value, optional
         Such as ``{"observer.filter_rate": 500.0, "scenario.stop": 10.0}``; applied after ``swap``.
     swap : mapping of component name to path, optional
-        Components to replace by an FMU (``x.fmu``, ``x.fmu#me``, ``x.fmu#cs``) or by a recorded log.
-    map : mapping of port to name, optional
-        Ports of the scenario that have another name there, such as ``{"observer.y": "out1"}``.
+        Components to replace by an FMU (``x.fmu``, ``x.fmu#me``, ``x.fmu#cs``) or by a recorded
+        log.
+    map : mapping of port to names, optional
+        Ports of the scenario that have another name there, such as ``{"observer.y": "out1"}``, or
+        are made of several, such as ``{"plant.x_a": ["s1", "s2"]}``.
     block : int, optional
         Communication steps in a block; the result does not depend on it.
     progress : callable, optional
@@ -84,21 +88,16 @@ def run(
     CosimError
         UsageError before the first step, RunError after it; see :mod:`cosim.errors`.
     """
-    edited = (scenario if isinstance(scenario, Scenario) else load(scenario)).edit(
-        swap=swap, map=map, set=set
-    )
-    contract = examine(edited.document) if edited.file.swap else None
-    if contract is not None:
-        contract.check()
-    return _execute(
-        edited.document,
-        out=out,
-        force=force,
-        block=block,
-        progress=progress,
-        profile=profile,
-        contract=contract,
-    )
+    _check_path(out)
+    loaded = scenario if isinstance(scenario, Scenario) else load(scenario)
+    edited = loaded.edit(swap=swap, map=map, set=set)
+    with ExitStack() as resources:
+        if edited.file.swap:
+            experiment, reports = build_swapped(edited, resources, block)
+            experiment = _with_reports(experiment, reports)
+        else:
+            experiment = Builder(edited, resources, block=block).experiment()
+        return _record(experiment, {}, out=out, force=force, progress=progress, profile=profile)
 
 
 def replay(
@@ -110,10 +109,11 @@ def replay(
     block: int | None = None,
     progress: Progress | None = None,
 ) -> Log | Memory:
-    """Run the scenario of a log again, with the recorded plant in the plant's place; nothing is needed but the log.
+    """Run the scenario of a log again, with its recorded plants; only the log is needed.
 
-    Plants, FMUs and tables from files are taken from the recording; everything else is computed again. Design-time results are
-    taken from the log too, except those of components that ``set`` changes or that rest on one that it changes.
+    Plants, FMUs and tables from files are taken from the recording; everything else is computed
+    again. Designs are taken from the log too, except those of components that ``set`` changes or
+    that rest on one that it changes.
 
     Raises
     ------
@@ -125,11 +125,35 @@ def replay(
     source = log if isinstance(log, Log) else open_log(log)
     if out is not None and Path(out).resolve() == Path(source.path).resolve():
         raise UsageError(f"{out} is the log that is replayed; choose another path")
-    changes = {short(key): value for key, value in (set or {}).items()}
+    changes = _replay_changes(source, set or {})
+    document = recorded_document(source).with_changes(changes)
+    _check_path(out)
+    with ExitStack() as resources:
+        scenario, problems = read(document, parse)
+        builder = Builder(scenario, resources, problems=problems, recording=source, block=block)
+        experiment = builder.experiment()
+        unaffected = unaffected_warnings(experiment, set or {})
+        experiment = replace(experiment, warnings=(*experiment.warnings, *unaffected))
+        designs = valid_designs(experiment, source, set or {})
+        return _record(experiment, designs, out=out, force=force, progress=progress)
+
+
+def _replay_changes(source: Log, wanted: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the changes of a replay: those that are wanted, and the end of the recording.
+
+    Raises
+    ------
+    LogError
+        If there is no step in it.
+    UsageError
+        If they change the communication step, or go beyond the recording.
+    """
+    changes = {short(key): value for key, value in wanted.items()}
     if "scenario.step" in changes:
-        found, needed = changes["scenario.step"], source.step_ns / 1e9
+        recorded_step = source.step_ns / 1e9
         raise UsageError(
-            f"scenario.step: found {found} s, a replay keeps the recorded {needed} s; run the scenario to change it"
+            f"scenario.step: found {changes['scenario.step']} s, a replay keeps the recorded "
+            f"{recorded_step} s; run the scenario to change it"
         )
     recorded_end = source.end_ns / 1e9
     if recorded_end == 0.0:
@@ -137,22 +161,14 @@ def replay(
     stop = changes.setdefault("scenario.stop", recorded_end)
     if isinstance(stop, (int, float)) and stop > recorded_end:
         raise UsageError(
-            f"--set scenario.stop: found {stop} s, the recording ends at {recorded_end} s; needed no more than that"
+            f"--set scenario.stop: found {stop} s, the recording ends at {recorded_end} s; "
+            "needed no more than that"
         )
-    document = recorded_document(source).with_changes(changes)
-    return _execute(
-        document,
-        out=out,
-        force=force,
-        block=block,
-        progress=progress,
-        source=source,
-        changed=set or {},
-    )
+    return changes
 
 
 def recorded_document(log: Log) -> Document:
-    """Give the scenario of a log.
+    """Return the scenario of a log.
 
     Raises
     ------
@@ -165,66 +181,54 @@ def recorded_document(log: Log) -> Document:
     return Document.recorded(log.attachment(SCENARIO_FILE).decode(), edits, Path.cwd())
 
 
-def _execute(
-    document: Document,
+def _check_path(out: str | Path | None) -> None:
+    if out is not None and Path(out).suffix != ".mcap":
+        raise UsageError(f"{out}: a log needs a path that ends in .mcap")
+
+
+def _record(
+    experiment: Experiment,
+    designs: Mapping[str, Design],
     *,
     out: str | Path | None,
     force: bool,
-    block: int | None,
     progress: Progress | None,
     profile: dict[str, float] | None = None,
-    contract: Contract | None = None,
-    source: Log | None = None,
-    changed: Mapping[str, Any] | None = None,
 ) -> Log | Memory:
-    if out is not None and Path(out).suffix != ".mcap":
-        raise UsageError(f"{out}: a log needs a path that ends in .mcap")
-    with ExitStack() as resources:
-        experiment = build(document, resources, recording=source, block=block)
-        if out is not None and Path(out).resolve() in experiment.files:
-            raise UsageError(f"{out} is read in this run; choose another path for the log")
-        if contract is not None:
-            experiment = _with_contract(experiment, contract)
-        if source is not None:
-            experiment = replace(
-                experiment, warnings=(*experiment.warnings, *cut_off(experiment, changed or {}))
-            )
-        designs = {} if source is None else designs_that_hold(experiment, source, changed or {})
-        graph = experiment.graph if profile is None else _timed(experiment.graph, profile)
-        metadata = metadata_of(experiment)
-        memory = Memory(metadata)
-        recorder: Recorder = memory
-        if out is not None:
-            kinds = {name: spec.kind for name, spec in experiment.scenario.specs.items()}
-            log = McapRecorder(
-                out,
-                force=force,
-                kinds=kinds,
-                metadata=metadata,
-                attachments=attachments_of(experiment),
-            )
-            recorder = MessageRecorder(log, experiment)
-        began = perf_counter()
-        with _interruptible() as check:
-            run_graph(
-                graph,
-                experiment.clock,
-                _watched(recorder, experiment, progress, check),
-                designs=designs,
-            )
-        if profile is not None:
-            profile["recorder and master"] = perf_counter() - began - sum(profile.values())
+    """Run an experiment and return its recording: the log file if ``out`` is given."""
+    if out is not None and Path(out).resolve() in experiment.files:
+        raise UsageError(f"{out} is read in this run; choose another path for the log")
+    graph = experiment.graph if profile is None else _timed(experiment.graph, profile)
+    memory = Memory(metadata_of(experiment))
+    recorder: Recorder = memory
+    if out is not None:
+        recorder = MessageRecorder(_log_recorder(experiment, out, force), experiment)
+    began = perf_counter()
+    with _interruptible() as check:
+        watched = _watched(recorder, experiment, progress, check)
+        run_graph(graph, experiment.clock, watched, designs=designs, plan=experiment.plan)
+    if profile is not None:
+        profile["recorder and master"] = perf_counter() - began - sum(profile.values())
     return memory if out is None else open_log(out)
 
 
-def _with_contract(experiment: Experiment, contract: Contract) -> Experiment:
+def _log_recorder(experiment: Experiment, out: str | Path, force: bool) -> McapRecorder:
+    return McapRecorder(
+        out,
+        force=force,
+        kinds={name: spec.kind for name, spec in experiment.scenario.specs.items()},
+        metadata=metadata_of(experiment),
+        attachments=attachments_of(experiment),
+    )
+
+
+def _with_reports(experiment: Experiment, reports: SwapReports) -> Experiment:
     """Keep in the log how swapped components compare with those they replace."""
     metadata = dict(experiment.metadata)
-    for name, report in contract.reports.items():
-        metadata[name] = {**metadata.get(name, {}), "contract": report.to_dict()}
-    return replace(
-        experiment, metadata=metadata, warnings=(*experiment.warnings, *contract.warnings)
-    )
+    for name, report in reports.reports.items():
+        metadata[name] = {**metadata.get(name, {}), "swap_report": report.to_dict()}
+    warnings = (*experiment.warnings, *reports.warnings)
+    return replace(experiment, metadata=metadata, warnings=warnings)
 
 
 def _timed(graph: Graph, profile: dict[str, float]) -> Graph:
@@ -255,36 +259,39 @@ def _watched(
 
 @contextmanager
 def _interruptible() -> Iterator[Callable[[], None]]:
-    """Turn the first Ctrl-C, or a request to terminate, into a clean end after the current block; the second ends at once."""
+    """Yield a check that raises where the run was interrupted, called after every block.
+
+    The first Ctrl-C, or request to terminate, so ends the run cleanly; the second ends it at once.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield lambda: None
         return
-    pressed = []
+    received: list[int] = []
 
-    def press(number: int, frame: FrameType | None) -> None:
-        pressed.append(number)
-        if len(pressed) > 1:
+    def receive(number: int, frame: FrameType | None) -> None:
+        received.append(number)
+        if len(received) > 1:
             raise KeyboardInterrupt
 
     def check() -> None:
-        if pressed:
-            raise Interrupted(
-                "interrupted by the user"
-                if pressed[0] == signal.SIGINT
-                else "terminated from outside"
-            )
+        if received:
+            by_user = received[0] == signal.SIGINT
+            raise Interrupted("interrupted by the user" if by_user else "terminated from outside")
 
-    before = {number: signal.signal(number, press) for number in (signal.SIGINT, signal.SIGTERM)}
+    handlers = {
+        number: signal.signal(number, receive) for number in (signal.SIGINT, signal.SIGTERM)
+    }
     try:
         yield check
     finally:
-        for number, handler in before.items():
+        for number, handler in handlers.items():
             signal.signal(number, handler)
 
 
 def default_log(name: str, folder: Path = Path("logs")) -> Path:
-    """Give the first free path of ``logs/<name>.mcap``, ``logs/<name>-2.mcap``, ..."""
-    path, number = folder / f"{name}.mcap", 1
+    """Return the first free path of ``logs/<name>.mcap``, ``logs/<name>-2.mcap``, ..."""
+    path = folder / f"{name}.mcap"
+    number = 1
     while path.exists():
         number += 1
         path = folder / f"{name}-{number}.mcap"

@@ -18,9 +18,10 @@ from cosim.core.signals import Signal
 from cosim.errors import UsageError, nearest
 from cosim.fmi.exporting.export import export
 from cosim.fmi.exporting.specifications import Exportable
-from cosim.scenario.build import Scenario, build_context, draft, upstream
+from cosim.scenario.build import Builder, build_context
 from cosim.scenario.execution import load
 from cosim.scenario.kinds import EXPORTABLE, DescriptorKind, ExportableKind
+from cosim.scenario.parsing import Scenario
 
 HELD_OUTPUTS = (
     "its inputs are held over a step here, so its outputs are too; co-simulation in FMI 2.0 has no "
@@ -130,8 +131,7 @@ class _Wiring:
 
     @cached_property
     def _graph(self) -> Graph:
-        graph = draft(self._scenario.document, self._resources)
-        return upstream(graph, self._component)
+        return Builder(self._scenario, self._resources).upstream(self._component)
 
     @property
     def held(self) -> Mask:

@@ -1,43 +1,49 @@
-"""From the text of a scenario to its validated tables, with every problem that shows without building anything."""
+"""From the text of a scenario to its validated tables."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from contextlib import suppress
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
 
 from cosim.core.connections import Connection
-from cosim.errors import CosimError, ScenarioError, nearest
-from cosim.scenario.document import FLAT, Document, Key, Problem, flatten
+from cosim.core.port import Port
+from cosim.errors import CosimError, nearest
+from cosim.scenario.document import Document
 from cosim.scenario.kinds import KINDS, Kind
-from cosim.scenario.problems import problems_of
-from cosim.scenario.schema import File
-
-Problems = list[Problem]
+from cosim.scenario.problems import Key, Problem, problems_of
+from cosim.scenario.schema import ConnectionTable, File
+from cosim.scenario.swap import MapEntry, PortNames, resolve_maps
 
 
 @dataclass(frozen=True)
-class Parsed:
-    """The tables of a scenario file.
+class Scenario:
+    """A validated scenario.
 
     Parameters
     ----------
     document : Document
     file : File
     specs : mapping of component name to Kind
-    connections : mapping of ``component.input`` to Connection
+    connections : mapping of input Port to Connection
+    maps : mapping of component name to list of MapEntry
+        Of the swapped components.
     tree : mapping
-        As they stand in the file, changes applied.
+        The tables as they stand in the file, edits applied.
+    parse : callable
+        Makes a scenario of an edited document (:func:`cosim.scenario.build.parse`).
     """
 
     document: Document
     file: File
     specs: Mapping[str, Kind]
-    connections: Mapping[str, Connection]
+    connections: Mapping[Port, Connection]
+    maps: Mapping[str, list[MapEntry]]
     tree: Mapping[str, Any]
+    parse: Callable[[Document], Scenario] = field(repr=False, compare=False)
 
     @property
     def name(self) -> str:
@@ -45,74 +51,104 @@ class Parsed:
         return self.file.scenario.name
 
     def driver(self, to: str) -> str | None:
-        """Give the component that drives an input, ``component.input``."""
-        connection = self.connections.get(to)
-        return connection.sources[0].component if connection is not None else None
+        """Return the component that drives an input, ``component.input``."""
+        connection = self.connections.get(Port.parse(to))
+        return None if connection is None else connection.sources[0].component
+
+    def edit(
+        self,
+        *,
+        swap: Mapping[str, str | Path] | None = None,
+        map: Mapping[str, PortNames] | None = None,
+        set: Mapping[str, Any] | None = None,
+    ) -> Scenario:
+        """Return the scenario with components swapped, their ports mapped, then values set.
+
+        Raises
+        ------
+        ScenarioError
+            With every problem of the file and of these edits.
+        """
+        paths = {name: str(path) for name, path in (swap or {}).items()}
+        return self.parse(self.document.with_swaps(paths, map).with_changes(set or {}))
+
+    def swap(self, *, map: Mapping[str, PortNames] | None = None, **paths: str | Path) -> Scenario:
+        """Put an FMU (.fmu) or a recorded component (.mcap) in the place of a component.
+
+        ``map`` gives the names that ports have there, such as ``{"observer.y": "out1"}``; see
+        :mod:`cosim.scenario.swap`.
+        """
+        return self.edit(swap=paths, map=map)
+
+    def set(self, changes: Mapping[str, Any]) -> Scenario:
+        """Set values by dotted key, such as ``{"observer.filter_rate": 500.0}``."""
+        return self.edit(set=changes)
 
 
-def read(document: Document) -> tuple[Parsed, Problems]:
-    """Read and validate a document; give what is wrong with it beside it, where the rest can be judged.
+def read(
+    document: Document, parse: Callable[[Document], Scenario]
+) -> tuple[Scenario, list[Problem]]:
+    """Read and validate a document; return its problems too, where the rest can be checked.
+
+    Parameters
+    ----------
+    document : Document
+    parse : callable
+        For edits of the scenario.
 
     Raises
     ------
     ScenarioError
-        With every problem, where nothing more can be judged.
+        With every problem, where the rest cannot be checked.
     """
     tree, problems = document.tree()
-    for table in FLAT:  # once more, for what was set
-        if isinstance(tree.get(table), dict):
-            tree[table], more = flatten(tree[table], (table,))
-            problems += more
     try:
         file = File.model_validate(tree)
     except ValidationError as error:
         problems += problems_of(error, File, tree, ())
-        specs, more = _specs(tree.get("components", {}))
-        raise report(document, [*problems, *more]) from error
-    specs, more = _specs(file.components)
-    wires = {}
-    for to, given in file.connections.items():
-        parts = (
-            (given,)
-            if isinstance(given, str)
-            else (given.source, given.gain, given.offset, given.unit)
-        )
-        try:
-            wires[to] = Connection(*parts)
-        except CosimError as error:
-            more.append((("connections", to), str(error)))
-            with suppress(CosimError):
-                wires[to] = Connection(parts[0])
-    return Parsed(document, file, specs, wires, tree), [*problems, *more]
+        _, more = _validate_components(tree.get("components"))
+        raise document.report([*problems, *more]) from error
+    maps, map_problems = resolve_maps(tree, document.maps)
+    specs, component_problems = _validate_components(file.components)
+    connections, connection_problems = _connections(file)
+    problems += [*map_problems, *component_problems, *connection_problems]
+    scenario = Scenario(document, file, specs, connections, maps, tree, parse)
+    return scenario, problems
 
 
-def _specs(tables: Any) -> tuple[dict[str, Kind], Problems]:
+def _validate_components(tables: Any) -> tuple[dict[str, Kind], list[Problem]]:
+    """Return the components' tables by name, and the problems of the others."""
     specs: dict[str, Kind] = {}
-    problems: Problems = []
+    problems: list[Problem] = []
     for name, table in tables.items() if isinstance(tables, dict) else ():
+        if not isinstance(table, dict):  # the schema of the file names that
+            continue
         key: Key = ("components", name)
-        if not isinstance(table, dict):
-            continue
         kind = str(table.get("kind"))
-        if kind not in KINDS:
-            said = f"unknown kind {kind!r}" if "kind" in table else "'kind' is missing"
-            problems.append(
-                ((*key, "kind") if "kind" in table else key, f"{said}; {nearest(kind, KINDS)}")
-            )
-            continue
-        try:
-            specs[name] = KINDS[kind].model_validate(table)
-        except ValidationError as error:
-            problems += problems_of(error, KINDS[kind], table, key)
+        if "kind" not in table:
+            problems.append((key, f"'kind' is missing; {nearest(kind, KINDS)}"))
+        elif kind not in KINDS:
+            problems.append(((*key, "kind"), f"unknown kind {kind!r}; {nearest(kind, KINDS)}"))
+        else:
+            try:
+                specs[name] = KINDS[kind].model_validate(table)
+            except ValidationError as error:
+                problems += problems_of(error, KINDS[kind], table, key)
     return specs, problems
 
 
-def report(document: Document, problems: Iterable[Problem]) -> ScenarioError:
-    """Put problems into one error, each with its place; one that several components run into is told once."""
-    first: dict[str, Key] = {}
-    for key, text in problems:
-        first.setdefault(text, key)
-    lines = []
-    for text, key in first.items():
-        lines += [f"{document.label(key)}: {line}" for line in text.splitlines()]
-    return ScenarioError("\n".join(lines))
+def _connections(file: File) -> tuple[dict[Port, Connection], list[Problem]]:
+    """Return the connections by input, and their problems; a wrong gain leaves the sources."""
+    connections: dict[Port, Connection] = {}
+    problems: list[Problem] = []
+    for to, value in file.connections.items():
+        try:
+            port = Port.parse(to)
+            if isinstance(value, ConnectionTable):
+                connections[port] = Connection(value.source)
+                connections[port] = Connection(value.source, value.gain, value.offset, value.unit)
+            else:
+                connections[port] = Connection(value)
+        except CosimError as error:
+            problems.append((("connections", to), str(error)))
+    return connections, problems

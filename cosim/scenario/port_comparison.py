@@ -1,12 +1,12 @@
-"""Compare two components, before one takes the other's place: port by port, then as a whole; and propose renamed ports.
+"""Compare two components, before one takes the other's place: port by port, then as a whole.
 
-A row holds one aspect of one port against the same aspect of the other side. Its verdict is "error" where the difference stops
-the run, "differs" where it does not, "unknown" where one side does not say, and "ok".
+A row has one aspect of one port on both sides. Its verdict is "error" where the difference stops
+the run, "differs" where it does not, "unknown" where one side does not declare it, and "ok". For
+ports that are missing, ports of other names are proposed.
 """
 
 from __future__ import annotations
 
-import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, TypeAlias
@@ -15,30 +15,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
+from cosim.blocks.port_map import Causality
 from cosim.core.signals import Interface, Signal
 from cosim.fmi.linearizing.linearization import poles, static_gain
 from cosim.scenario.kinds.base import LinearSystem
 from cosim.units import Conversion, conversion
 
 Verdict: TypeAlias = Literal["ok", "unknown", "differs", "error"]
-Causality: TypeAlias = Literal["input", "output"]
-Pair: TypeAlias = tuple[
-    str | None, str | None
-]  # a port before and the one that takes its place; None: there is none
+Aspect: TypeAlias = tuple[str, Any, Any, Verdict]  # its name, before, after
 
-SAME = 1e-9  # relative difference of two numbers that are told to be different
+SAME = 1e-9  # relative difference up to which two numbers are the same
 
 
 @dataclass(frozen=True, slots=True)
 class Ability:
-    """What a component can do for who drives it; None: unknown.
+    """What a component can do for the master; None: unknown.
 
     Parameters
     ----------
     kind : str
-        ``"model exchange"``, ``"co-simulation"``, ``"recording"``, or the kind of a component of ours.
+        ``"model exchange"``, ``"co-simulation"``, ``"recording"``, or the kind of a component of
+        ours.
     rollback, variable_step, interpolation, directional_derivatives : bool or None
-        Goes back to a saved state; takes steps of any length; inputs move inside a step; gives its Jacobians.
+        Goes back to a saved state; takes steps of any length; interpolates inputs inside a step;
+        has its Jacobians.
     """
 
     kind: str
@@ -48,19 +48,19 @@ class Ability:
     directional_derivatives: bool | None = None
 
     def items(self) -> list[tuple[str, Any]]:
-        """Give (aspect, value)."""
+        """Return (aspect, value)."""
         return [(name.replace("_", " "), getattr(self, name)) for name in self.__slots__]
 
 
 @dataclass(frozen=True, slots=True)
-class NearStart:
-    """A component near its start.
+class LinearBehavior:
+    """A component near its initial state.
 
     Parameters
     ----------
     poles : array of complex [1/s]
     gain : Matrix, shape (n_y, n_u), or None
-        Static gain; None: A is singular.
+        Static gain; None: there is none, or it is not known for all ports.
     error : float
         Of the numbers; 0: rounding.
     """
@@ -70,10 +70,15 @@ class NearStart:
     error: float
 
     @staticmethod
-    def of(system: LinearSystem) -> NearStart:
-        """Return poles and static gain D - C A^-1 B."""
-        A, B, C, D = system.A, system.B, system.C, system.D
-        return NearStart(poles(A), static_gain(A, B, C, D, error=system.error), system.error)
+    def of(system: LinearSystem) -> LinearBehavior:
+        """Compute poles and static gain D - C A^-1 B."""
+        gain = static_gain(system.A, system.B, system.C, system.D, error=system.error)
+        return LinearBehavior(poles(system.A), gain, system.error)
+
+    @property
+    def pairs(self) -> Vector:
+        """Real and imaginary parts of the poles, in turn."""
+        return self.poles.view(np.float64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,39 +90,33 @@ class Side:
     interface : Interface
     ability : Ability
     start : mapping of input name to Vector
-        What it takes as long as nothing drives it; unknown where not named.
+        Values of inputs that nothing drives; unknown where not named.
     initial : mapping of output name to Vector
-        Outputs at the start for the scenario's inputs; unknown where not named.
-    near_start : NearStart or None
-        What it is near its start; None: it does not linearize.
+        Initial outputs for the scenario's inputs; unknown where not named.
+    linear : LinearBehavior or None
+        None: it cannot be linearized.
     """
 
     interface: Interface
     ability: Ability
     start: Mapping[str, Vector] = field(default_factory=dict)
     initial: Mapping[str, Vector] = field(default_factory=dict)
-    near_start: NearStart | None = None
+    linear: LinearBehavior | None = None
 
-    def port(self, name: str | None) -> ComparedPort | None:
-        """Find a port, or one element of it; None: there is none."""
-        if name is None:
-            return None
-        whole, element = _split(self.interface, name)
-        for causality, signals in (
-            ("input", self.interface.inputs),
-            ("output", self.interface.outputs),
-        ):
-            for signal in signals:
-                if signal.name == whole and (element is None or element < signal.size):
-                    return ComparedPort(
-                        self, signal, "input" if causality == "input" else "output", element
-                    )
+    def port(self, name: str) -> ComparedPort | None:
+        """Return a port; None: there is none."""
+        for signal in self.interface.inputs:
+            if signal.name == name:
+                return ComparedPort(self, signal, "input")
+        for signal in self.interface.outputs:
+            if signal.name == name:
+                return ComparedPort(self, signal, "output")
         return None
 
     @property
     def ports(self) -> list[str]:
         """Names of the inputs, then of the outputs."""
-        return [signal.name for signal in (*self.interface.inputs, *self.interface.outputs)]
+        return [signal.name for signal in self.interface.signals]
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,47 +135,48 @@ class ComparedPort:
 
     @property
     def start(self) -> list[float] | None:
-        """Start value of an input; None: unknown."""
-        return self._part(self.side.start.get(self.signal.name))
+        """Value of an input that nothing drives; None: unknown."""
+        return self._elements_of(self.side.start.get(self.signal.name))
 
     @property
     def initial(self) -> list[float] | None:
-        """First value of an output; None: unknown."""
-        return self._part(self.side.initial.get(self.signal.name))
+        """Initial value of an output; None: unknown."""
+        return self._elements_of(self.side.initial.get(self.signal.name))
 
     @property
-    def through(self) -> tuple[str, ...] | None:
-        """What an output depends on directly, or which outputs depend so on an input; None: unknown."""
-        face = self.side.interface
+    def feedthrough(self) -> tuple[str, ...] | None:
+        """Inputs with direct feedthrough to an output, or outputs of an input; None: unknown."""
+        interface = self.side.interface
         if self.causality == "output":
-            return face.feeds(self.signal.name) if face.knows(self.signal.name) else None
-        if not all(face.knows(signal.name) for signal in face.outputs):
+            known = interface.knows(self.signal.name)
+            return interface.feeds(self.signal.name) if known else None
+        if not all(interface.knows(output.name) for output in interface.outputs):
             return None
-        return tuple(
-            signal.name for signal in face.outputs if self.signal.name in face.feeds(signal.name)
-        )
+        outputs = [output.name for output in interface.outputs]
+        return tuple(name for name in outputs if self.signal.name in interface.feeds(name))
 
     @property
     def gains(self) -> list[float] | None:
         """Static gains to or from it, in rising order; None: unknown."""
-        near, face = self.side.near_start, self.side.interface
-        gain = None if near is None else near.gain
+        interface = self.side.interface
+        gain = None if self.side.linear is None else self.side.linear.gain
         if gain is None:
             return None
-        columns = face.output_columns() if self.causality == "output" else face.input_columns()
-        part = columns[self.signal.name]
-        rows = range(part.start, part.stop) if self.element is None else [part.start + self.element]
-        return sorted((gain if self.causality == "output" else gain.T)[rows].ravel().tolist())
+        if self.causality == "output":
+            columns = interface.output_columns()[self.signal.name]
+        else:
+            columns = interface.input_columns()[self.signal.name]
+            gain = gain.T
+        rows = gain[columns]
+        if self.element is not None:
+            rows = rows[self.element]
+        return sorted(rows.ravel().tolist())
 
-    def _part(self, values: Vector | None) -> list[float] | None:
+    def _elements_of(self, values: Vector | None) -> list[float] | None:
         if values is None:
             return None
-        return [
-            float(value)
-            for value in (
-                values if self.element is None else values[self.element : self.element + 1]
-            )
-        ]
+        selected = values if self.element is None else values[self.element : self.element + 1]
+        return [float(value) for value in selected]
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,12 +186,12 @@ class ComparedAspect:
     Parameters
     ----------
     port : str
-        Name before, and after ``->`` the name after where it is another.
+        Its name; after ``->`` what it stands for in the new component, where that differs.
     aspect : str
     before, after : plain value; None: unknown, or there is none
     verdict : Verdict
     connected : bool
-        Whether the scenario connects the port.
+        Whether the scenario names the port.
     """
 
     port: str
@@ -200,6 +200,144 @@ class ComparedAspect:
     after: Any
     verdict: Verdict
     connected: bool
+
+
+def compare_sides(
+    before: Side,
+    after: Side,
+    *,
+    names: Mapping[str, str] | None = None,
+    connected: Collection[str] = (),
+    refused: Collection[str] = (),
+) -> tuple[ComparedAspect, ...]:
+    """Compare ``after`` with ``before``.
+
+    Parameters
+    ----------
+    before, after : Side
+    names : mapping of port to str, optional
+        What ports of ``after`` stand for in the new component, where that is no port of its name.
+    connected : collection of str
+        Ports that the scenario names.
+    refused : collection of str
+        Those of them whose connection stops the run: only they can be errors.
+    """
+    rows: list[ComparedAspect] = []
+    for port in dict.fromkeys([*before.ports, *after.ports]):
+        label = f"{port} -> {names[port]}" if names and port in names else port
+        severity: Verdict = "error" if port in refused else "differs"
+        for aspect in _port_aspects(before.port(port), after.port(port), severity):
+            rows.append(ComparedAspect(label, *aspect, port in connected))
+    for aspect in _whole_aspects(before, after):
+        rows.append(ComparedAspect("", *aspect, True))
+    return tuple(rows)
+
+
+def _port_aspects(
+    old: ComparedPort | None, new: ComparedPort | None, severity: Verdict
+) -> Iterator[Aspect]:
+    """Yield the aspects of a port; ``severity`` is the verdict where a connection cannot hold."""
+    if old is None or new is None:
+        old_causality = None if old is None else old.causality
+        new_causality = None if new is None else new.causality
+        yield "causality", old_causality, new_causality, severity
+        return
+    yield _equal("causality", old.causality, new.causality, severity)
+    yield _equal("type", old.signal.kind, new.signal.kind)
+    yield _equal("size", old.size, new.size, severity)
+    yield "unit", old.signal.unit, new.signal.unit, _unit(old.signal, new.signal, severity)
+    yield _equal("variability", old.signal.variability, new.signal.variability)
+    if old.causality != new.causality:
+        return
+    if old.causality == "input":
+        verdict = _same_values(old.start, _in_unit_of(old, new, new.start))
+        yield "start value", old.start, new.start, verdict
+    else:
+        yield from _output_aspects(old, new)
+
+
+def _output_aspects(old: ComparedPort, new: ComparedPort) -> Iterator[Aspect]:
+    yield _equal("feedthrough", _inputs_of(old), _inputs_of(new))
+    verdict = _same_values(old.initial, _in_unit_of(old, new, new.initial))
+    yield "initial output", old.initial, new.initial, verdict
+    if old.gains is not None or new.gains is not None:
+        verdict = _same_values(old.gains, new.gains, _error(old.side, new.side))
+        yield "static gain", old.gains, new.gains, verdict
+
+
+def _inputs_of(output: ComparedPort) -> str | list[str]:
+    """Return the inputs with direct feedthrough to an output, as a row has them."""
+    return "unknown" if output.feedthrough is None else sorted(output.feedthrough)
+
+
+def _whole_aspects(before: Side, after: Side) -> Iterator[Aspect]:
+    for (aspect, old), (_, new) in zip(before.ability.items(), after.ability.items(), strict=True):
+        unknown = old is not new and (old is None or new is None)
+        yield _equal(aspect, old, new, "unknown" if unknown else "differs")
+    if before.linear is not None or after.linear is not None:
+        old_poles = None if before.linear is None else before.linear.pairs
+        new_poles = None if after.linear is None else after.linear.pairs
+        verdict = _same_values(old_poles, new_poles, _error(before, after))
+        yield "poles", _complex_pairs(old_poles), _complex_pairs(new_poles), verdict
+
+
+def _equal(aspect: str, old: Any, new: Any, severity: Verdict = "differs") -> Aspect:
+    return aspect, old, new, "ok" if old == new else severity
+
+
+def _error(*sides: Side) -> float:
+    """Return how far numbers may be apart: ten times the error of the derivatives."""
+    errors = [10.0 * side.linear.error for side in sides if side.linear is not None]
+    return max(SAME, *errors)
+
+
+def _complex_pairs(poles: Vector | None) -> list[list[float]] | None:
+    return None if poles is None else poles.reshape(-1, 2).tolist()
+
+
+def _unit(old: Signal, new: Signal, severity: Verdict) -> Verdict:
+    if (old.unit is None) != (new.unit is None):
+        return "unknown"
+    converted = _conversion(old, new)
+    if converted is None:
+        return severity
+    return "ok" if converted.copies else "differs"
+
+
+def _conversion(old: Signal, new: Signal) -> Conversion | None:
+    """Return the conversion of values of ``new`` to the unit of ``old``; None: there is none."""
+    return conversion(new.measure, old.measure)
+
+
+def _in_unit_of(
+    old: ComparedPort, new: ComparedPort, values: Sequence[float] | None
+) -> Vector | None:
+    """Return values of ``new`` in the unit of ``old``, where they can be converted."""
+    if values is None:
+        return None
+    converted = _conversion(old.signal, new.signal)
+    return np.array(values) if converted is None else converted(np.array(values))
+
+
+def _same_values(
+    old: Sequence[float] | Vector | None, new: Sequence[float] | Vector | None, error: float = SAME
+) -> Verdict:
+    if old is None or new is None:
+        return "ok" if old is new else "unknown"
+    return "ok" if _close(old, new, error) else "differs"
+
+
+def _close(old: Sequence[float] | Vector, new: Sequence[float] | Vector, error: float) -> bool:
+    if len(old) != len(new):
+        return False
+    old_values = np.array(old)
+    new_values = np.array(new)
+    scale = max(1.0, np.nanmax(np.abs(old_values), initial=0.0))
+    tolerance = error * scale
+    return bool(np.allclose(old_values, new_values, rtol=0.0, atol=tolerance, equal_nan=True))
+
+
+# --- ports of other names ---
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,252 +349,76 @@ class Proposal:
     reasons: tuple[str, ...]
 
 
-def pairs_of(before: Side, after: Side, renamed: Collection[tuple[str, str]]) -> list[Pair]:
-    """Pair the ports: those that a map renames, the others by name, then what is only in ``after``."""
-    moved = {old for old, _ in renamed}
-    found: list[Pair] = []
-    for old in before.ports:
-        names = [pair for pair in renamed if _split(before.interface, pair[0])[0] == old]
-        found += names
-        if old not in moved and not (names and after.port(old) is None):
-            found.append((old, old if after.port(old) else None))
-    used = {_split(after.interface, new)[0] for _, new in found if new is not None}
-    return [*found, *((None, new) for new in after.ports if new not in used)]
+def propose(before: Side, after: Side, missing: Collection[str]) -> tuple[Proposal, ...]:
+    """Propose ports of ``after`` alone for those of ``before`` that are ``missing`` there.
 
-
-def compare_sides(
-    before: Side,
-    after: Side,
-    pairs: Sequence[Pair],
-    *,
-    connected: Collection[str] = (),
-    refused: Collection[str] = (),
-) -> tuple[ComparedAspect, ...]:
-    """Hold ``after`` against ``before``.
-
-    Parameters
-    ----------
-    before, after : Side
-    pairs : sequence of Pair
-    connected : collection of str
-        Ports that the scenario connects, by their names in ``after``.
-    refused : collection of str
-        Those of them whose connection stops the run: only they can be errors.
+    A candidate has the causality, size and type of the missing port and a unit that converts to
+    its own. The likeliest agree in most of: declared unit, number of direct dependencies, initial
+    output, static gains; several where they are equally likely.
     """
-    names = {old: new for old, new in pairs if old is not None and new is not None}
-    rows: list[ComparedAspect] = []
-    for old, new in pairs:
-        port = new or old or ""
-        bad: Verdict = "error" if port in refused else "differs"
-        shown = f"{old} -> {new}" if old and new and old != new else port
-        sides = (before.port(old), after.port(new))
-        rows += [
-            ComparedAspect(shown, *found, port in connected)
-            for found in _aspects(*sides, names, bad)
-        ]
-    return (*rows, *(ComparedAspect("", *found, True) for found in _whole(before, after)))
-
-
-Aspect: TypeAlias = tuple[str, Any, Any, Verdict]
-
-
-def _aspects(
-    old: ComparedPort | None, new: ComparedPort | None, names: Mapping[str, str], bad: Verdict
-) -> Iterator[Aspect]:
-    if old is None or new is None:
-        yield "causality", old and old.causality, new and new.causality, bad
-        return
-    yield "causality", old.causality, new.causality, "ok" if old.causality == new.causality else bad
-    yield (
-        "type",
-        old.signal.kind,
-        new.signal.kind,
-        "ok" if old.signal.kind == new.signal.kind else "differs",
-    )
-    yield "size", old.size, new.size, "ok" if old.size == new.size else bad
-    yield "unit", old.signal.unit, new.signal.unit, _unit(old.signal, new.signal, bad)
-    varies = old.signal.variability, new.signal.variability
-    yield "variability", *varies, "ok" if varies[0] == varies[1] else "differs"
-    if old.causality != new.causality:
-        return
-    if old.causality == "input":
-        yield (
-            "start value",
-            old.start,
-            new.start,
-            _numbers(old.start, _in_unit_of(old, new, new.start)),
-        )
-        return
-    wanted = None if old.through is None else sorted(names.get(name, name) for name in old.through)
-    found = None if new.through is None else sorted(new.through)
-    known = ["unknown" if side is None else side for side in (wanted, found)]
-    yield "feedthrough", known[0], known[1], "ok" if wanted == found else "differs"
-    yield (
-        "initial output",
-        old.initial,
-        new.initial,
-        _numbers(old.initial, _in_unit_of(old, new, new.initial)),
-    )
-    if old.gains is not None or new.gains is not None:
-        yield (
-            "static gain",
-            old.gains,
-            new.gains,
-            _numbers(old.gains, new.gains, _error(old.side, new.side)),
-        )
-
-
-def _whole(before: Side, after: Side) -> Iterator[Aspect]:
-    for (aspect, old), (_, new) in zip(before.ability.items(), after.ability.items(), strict=True):
-        yield (
-            aspect,
-            old,
-            new,
-            "ok" if old == new else "unknown" if None in (old, new) else "differs",
-        )
-    if before.near_start is not None or after.near_start is not None:
-        poles = [
-            None if near is None else near.poles.view(np.float64)
-            for near in (before.near_start, after.near_start)
-        ]
-        yield (
-            "poles",
-            _pairs(poles[0]),
-            _pairs(poles[1]),
-            _numbers(poles[0], poles[1], _error(before, after)),
-        )
-
-
-def _error(*sides: Side) -> float:
-    """How far numbers of linearized sides may be apart: ten times what their derivatives may be wrong by."""
-    return max(
-        SAME, *(10.0 * side.near_start.error for side in sides if side.near_start is not None)
-    )
-
-
-def _pairs(poles: Vector | None) -> list[list[float]] | None:
-    return None if poles is None else poles.reshape(-1, 2).tolist()
-
-
-def _unit(old: Signal, new: Signal, bad: Verdict) -> Verdict:
-    if (old.unit is None) != (new.unit is None):
-        return "unknown"
-    found = _converts(old, new)
-    return bad if found is None else "ok" if found.copies else "differs"
-
-
-def _converts(old: Signal, new: Signal) -> Conversion | None:
-    """Say how values of ``new`` become values in the unit of ``old``; None: they cannot."""
-    return conversion(new.measure, old.measure)
-
-
-def _in_unit_of(
-    old: ComparedPort, new: ComparedPort, values: Sequence[float] | None
-) -> Vector | None:
-    convert = _converts(old.signal, new.signal)
-    return (
-        None
-        if values is None
-        else np.array(values)
-        if convert is None
-        else convert(np.array(values))
-    )
-
-
-def _numbers(
-    old: Sequence[float] | Vector | None, new: Sequence[float] | Vector | None, error: float = SAME
-) -> Verdict:
-    if old is None or new is None:
-        return "ok" if old is new else "unknown"
-    return "ok" if _close(old, new, error) else "differs"
-
-
-def _close(old: Sequence[float] | Vector, new: Sequence[float] | Vector, error: float) -> bool:
-    if len(old) != len(new):
-        return False
-    a, b = np.array(old), np.array(new)
-    scale = max(1.0, np.nanmax(np.abs(a), initial=0.0))
-    return bool(np.allclose(a, b, rtol=0.0, atol=error * scale, equal_nan=True))
-
-
-def _split(face: Interface, name: str) -> tuple[str, int | None]:
-    """Take ``y[1]`` apart, unless that is the name of a port."""
-    found = re.fullmatch(r"(.*)\[(\d+)\]", name)
-    if found is None or name in (signal.name for signal in (*face.inputs, *face.outputs)):
-        return name, None
-    return found[1], int(found[2])
-
-
-# --- renamed ports ---
-
-
-def propose(
-    before: Side, after: Side, pairs: Sequence[Pair], missing: Collection[str]
-) -> tuple[Proposal, ...]:
-    """Look among the unused ports of ``after`` for those that may be the ``missing`` ones; several where they are equally likely.
-
-    A candidate has the causality, size and type of the missing port and a unit that can be its own. The likeliest agree in most
-    of: declared unit, number of direct dependencies, initial output, static gains.
-    """
-    free = [new for old, new in pairs if old is None and new is not None]
-    found: list[Proposal] = []
+    free = [name for name in after.ports if name not in before.ports]
+    proposals: list[Proposal] = []
     for name in missing:
         old = before.port(name)
         if old is None:
             continue
-        fitting = {
-            new: _reasons(old, port)
-            for new, port in _candidates(after, free, old)
-            if _fits(old, port)
-        }
-        most = max(map(len, fitting.values()), default=0)
-        found += [
-            Proposal(name, new, reasons) for new, reasons in fitting.items() if len(reasons) == most
-        ]
-    return tuple(found)
+        reasons = {}
+        for candidate, port in _candidates(after, free, old):
+            if _fits(old, port):
+                reasons[candidate] = _reasons(old, port)
+        most = max(map(len, reasons.values()), default=0)
+        for candidate, found in reasons.items():
+            if len(found) == most:
+                proposals.append(Proposal(name, candidate, found))
+    return tuple(proposals)
 
 
 def _candidates(
     after: Side, free: Sequence[str], old: ComparedPort
 ) -> Iterator[tuple[str, ComparedPort]]:
+    """Yield ports, and for a missing scalar the elements of vectors too."""
     for name in free:
         port = after.port(name)
         if port is None:
             continue
         yield name, port
         if port.causality == "output" and old.size == 1 < port.size:
-            yield from (
-                (f"{name}[{i}]", ComparedPort(after, port.signal, "output", i))
-                for i in range(port.size)
-            )
+            for i in range(port.size):
+                yield f"{name}[{i}]", ComparedPort(after, port.signal, "output", i)
 
 
 def _fits(old: ComparedPort, new: ComparedPort) -> bool:
-    same = (old.causality, old.size, old.signal.kind) == (new.causality, new.size, new.signal.kind)
-    return same and _converts(old.signal, new.signal) is not None
+    same_form = old.causality == new.causality and old.size == new.size
+    same_type = old.signal.kind == new.signal.kind
+    return same_form and same_type and _conversion(old.signal, new.signal) is not None
 
 
 def _reasons(old: ComparedPort, new: ComparedPort) -> tuple[str, ...]:
     reasons = [f"{new.causality} of size {new.size}, {new.signal.kind}"]
     if old.signal.unit is not None and new.signal.unit is not None:
         reasons.append(f"unit {new.signal.unit!r}")
-    if old.through is not None and new.through is not None and len(old.through) == len(new.through):
-        reasons.append(
-            f"feeds through {'from' if new.causality == 'output' else 'to'} {_some(new.through)}"
-        )
-    if (
-        old.initial is not None
-        and new.initial is not None
-        and _numbers(old.initial, _in_unit_of(old, new, new.initial)) == "ok"
-    ):
-        reasons.append(f"initial output {_shown(new.initial)}")
-    if old.gains and new.gains and _close(old.gains, new.gains, _error(old.side, new.side)):
-        reasons.append(f"static gains {_shown(new.gains)}")
+    same_count = (
+        old.feedthrough is not None
+        and new.feedthrough is not None
+        and len(old.feedthrough) == len(new.feedthrough)
+    )
+    if same_count and new.feedthrough is not None:
+        reasons.append(_feedthrough_text(new.causality, new.feedthrough))
+    initial = new.initial
+    same_initial = _same_values(old.initial, _in_unit_of(old, new, initial)) == "ok"
+    if initial is not None and same_initial:
+        reasons.append(f"initial output {_shown(initial)}")
+    gains = new.gains
+    if old.gains and gains and _close(old.gains, gains, _error(old.side, new.side)):
+        reasons.append(f"static gains {_shown(gains)}")
     return tuple(reasons)
 
 
-def _some(names: Sequence[str]) -> str:
-    return ", ".join(names) or "nothing"
+def _feedthrough_text(causality: Causality, names: Sequence[str]) -> str:
+    if not names:
+        return "no direct feedthrough"
+    preposition = "from" if causality == "output" else "to"
+    return f"direct feedthrough {preposition} {', '.join(names)}"
 
 
 def _shown(values: Sequence[float]) -> str:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, TypeAlias
 
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
 from cosim.errors import nearest
-from cosim.scenario.document import Key
+
+Key: TypeAlias = tuple[str | int, ...]  # where a value stands in the tables of a scenario
+Problem: TypeAlias = tuple[Key, str]
 
 TYPES = {
     "string_type": "a string",

@@ -1,7 +1,9 @@
-"""Where the time goes: a component that counts the wall time of another."""
+"""Wall time by component: a component that measures the calls of another."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from time import perf_counter
 
@@ -10,37 +12,38 @@ from cosim.core.contracts import Component, Design, prepare
 
 
 class Timed:
-    """Hands every call on and adds its wall time to ``seconds[name]``."""
+    """Passes every call on and adds its wall time to ``seconds[name]``."""
 
     def __init__(self, component: Component, name: str, seconds: dict[str, float]) -> None:
-        self._component, self._name, self._seconds = component, name, seconds
         self.interface = replace(component.interface, prepares=True, rollback=False)
+        self._component = component
+        self._name = name
+        self._seconds = seconds
         seconds[name] = 0.0
 
-    def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
-        """Hand on."""
+    @contextmanager
+    def _measured(self) -> Iterator[None]:
+        """Add the wall time of the block, if nothing is raised in it."""
         began = perf_counter()
-        design = prepare(self._component, h, held, recorded)
+        yield
         self._seconds[self._name] += perf_counter() - began
-        return design
+
+    def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
+        """Pass on."""
+        with self._measured():
+            return prepare(self._component, h, held, recorded)
 
     def initialize(self, t: float, u: Vector) -> Vector:
-        """Hand on."""
-        began = perf_counter()
-        y = self._component.initialize(t, u)
-        self._seconds[self._name] += perf_counter() - began
-        return y
+        """Pass on."""
+        with self._measured():
+            return self._component.initialize(t, u)
 
     def outputs(self, t: float, u: Vector) -> Vector:
-        """Hand on."""
-        began = perf_counter()
-        y = self._component.outputs(t, u)
-        self._seconds[self._name] += perf_counter() - began
-        return y
+        """Pass on."""
+        with self._measured():
+            return self._component.outputs(t, u)
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
-        """Hand on."""
-        began = perf_counter()
-        y = self._component.advance(t, h, u)
-        self._seconds[self._name] += perf_counter() - began
-        return y
+        """Pass on."""
+        with self._measured():
+            return self._component.advance(t, h, u)

@@ -1,31 +1,34 @@
-"""What a log keeps of an experiment beside its signals, and what the run and its FMUs have to say while it is written."""
+"""What a log keeps of an experiment beside its signals: metadata, messages, attachments."""
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from types import TracebackType
 from typing import Any, Self
 
 from cosim.arrays import Matrix, Vector
+from cosim.core.connections import Connection
 from cosim.core.contracts import Block, MessageLevel, Plan, Stopped
-from cosim.core.port import Port
 from cosim.errors import Interrupted
 from cosim.log import Attachment, McapRecorder
 from cosim.log.interrupts import uninterrupted
 from cosim.scenario.build import Experiment, fingerprint
+from cosim.scenario.context import FmuMessage
 from cosim.units import Conversion
 
 SCENARIO_FILE = "scenario.toml"
 
 
 class MessageRecorder:
-    """Hands everything on to the recorder of a log, and puts the messages of the run and of its FMUs on ``/cosim/log``."""
+    """Records the messages of a run and of its FMUs beside the signals of a log."""
 
     def __init__(self, recorder: McapRecorder, experiment: Experiment) -> None:
-        self._recorder, self._experiment, self._reached = recorder, experiment, 0
+        self._recorder = recorder
+        self._experiment = experiment
+        self._reached_ns = 0
         self._last: Vector | None = None
 
     def __enter__(self) -> Self:
@@ -45,21 +48,25 @@ class MessageRecorder:
             self._recorder.__exit__(kind, error, trace)
 
     def _conclude(self, error: BaseException | None) -> None:
-        self._tell()
+        """Record what is known at the end: last messages, the error, the last row."""
+        self._record_messages()
         if error is not None:
-            self._recorder.message(
-                self._reached, _level(error), "run", str(error) or type(error).__name__
-            )
+            text = str(error) or type(error).__name__
+            self._recorder.message(self._reached_ns, _level(error), "run", text)
         if self._last is not None:
-            values = zip(self._experiment.graph.labels(), self._last.tolist(), strict=True)
-            last = {label: value if math.isfinite(value) else None for label, value in values}
+            labels = self._experiment.graph.labels()
+            last = {}
+            for label, value in zip(labels, self._last.tolist(), strict=True):
+                last[label] = value if math.isfinite(value) else None
             self._recorder.result({"last": last})
 
     def begin(self, plan: Plan) -> None:
-        """Hand on, then tell what is to be known before the first step."""
+        """Pass on, then record the warnings and what FMUs said when they were loaded."""
         self._recorder.begin(plan)
         for name, text in self._experiment.warnings:
             self._recorder.message(0, "warning", name, text)
+        for name, messages in self._experiment.messages.items():
+            self._record(name, messages)
 
     def message(self, time_ns: int, level: MessageLevel, source: str, text: str) -> None:
         """Pass on."""
@@ -70,20 +77,23 @@ class MessageRecorder:
         self._recorder.result(values)
 
     def write(self, block: Block, signals: Matrix) -> None:
-        """Tell what was said in this block, and hand on."""
-        self._tell()
-        self._reached = int(block.time_ns[-1])
+        """Record the messages of the block, and pass it on."""
+        self._record_messages()
+        self._reached_ns = int(block.time_ns[-1])
         self._recorder.write(block, signals)
         self._last = signals[-1].copy()
 
-    def _tell(self) -> None:
-        """Put what FMUs said at the time they said it; where that is not known, at the time reached before."""
+    def _record_messages(self) -> None:
+        """Record the new messages of all FMUs."""
         for name, fmu in self._experiment.fmus.items():
-            for time, level, category, text in fmu.drain():
-                time_ns = self._reached if time is None else round(time * 1e9)
-                self._recorder.message(
-                    time_ns, level, name, f"{category}: {text}" if category else text
-                )
+            self._record(name, fmu.drain())
+
+    def _record(self, name: str, messages: Sequence[FmuMessage]) -> None:
+        """Record messages at their own time; where there is none, at the time reached before."""
+        for time, level, category, text in messages:
+            time_ns = self._reached_ns if time is None else round(time * 1e9)
+            labelled = f"{category}: {text}" if category else text
+            self._recorder.message(time_ns, level, name, labelled)
 
 
 def _level(error: BaseException) -> MessageLevel:
@@ -97,9 +107,16 @@ def _level(error: BaseException) -> MessageLevel:
 
 
 def metadata_of(experiment: Experiment) -> dict[str, dict[str, str]]:
-    """Give the metadata records of a run: scenario, edits, connections, and each component's table, metadata and fingerprint."""
+    """Return the metadata records of a run.
+
+    Scenario and edits, connections, and each component's table, metadata and fingerprint.
+    """
     scenario = experiment.scenario
     settings = scenario.file.scenario
+    connections = {}
+    for to, connection in scenario.connections.items():
+        conversions = experiment.graph.conversions.get(to, ())
+        connections[str(to)] = json.dumps(_plain(connection, conversions))
     records = {
         "cosim.run": {
             "scenario": scenario.name,
@@ -110,10 +127,7 @@ def metadata_of(experiment: Experiment) -> dict[str, dict[str, str]]:
             "schedule": json.dumps([stage.description for stage in experiment.graph.stages]),
             "warnings": json.dumps(experiment.warnings),
         },
-        "cosim.connections": {
-            to: json.dumps(_plain(wire, experiment.graph.conversions.get(Port.parse(to), ())))
-            for to, wire in scenario.connections.items()
-        },
+        "cosim.connections": connections,
     }
     for name in scenario.specs:
         records[f"cosim.component.{name}"] = {
@@ -124,22 +138,23 @@ def metadata_of(experiment: Experiment) -> dict[str, dict[str, str]]:
     return records
 
 
-def _plain(wire: Any, conversions: tuple[Conversion, ...]) -> dict[str, Any]:
-    """Give a connection in plain values; its conversion only where units are converted."""
-    plain = {
-        "from": wire.label,
-        "gain": wire.gain.tolist(),
-        "offset": wire.offset,
-        "unit": wire.unit,
+def _plain(connection: Connection, conversions: tuple[Conversion, ...]) -> dict[str, Any]:
+    """Return a connection in plain values; its conversions only where units are converted."""
+    values = {
+        "from": connection.label,
+        "gain": connection.matrix.tolist(),
+        "offset": connection.offset,
+        "unit": connection.unit,
     }
-    if not conversions:
-        return plain
-    return {**plain, "conversions": [asdict(conversion) for conversion in conversions]}
+    if conversions:
+        values["conversions"] = [asdict(conversion) for conversion in conversions]
+    return values
 
 
 def attachments_of(experiment: Experiment) -> list[Attachment]:
-    """Give the files that go into the log: the scenario's text, and each FMU's modelDescription.xml."""
+    """Return the files for the log: the scenario's text, and each FMU's modelDescription.xml."""
     text = experiment.scenario.document.text
-    files = {SCENARIO_FILE: ("application/toml", text)}
-    files |= {name: ("application/xml", xml) for name, xml in experiment.attachments.items()}
-    return [Attachment(name, media, data.encode()) for name, (media, data) in files.items()]
+    attachments = [Attachment(SCENARIO_FILE, "application/toml", text.encode())]
+    for name, xml in experiment.attachments.items():
+        attachments.append(Attachment(name, "application/xml", xml.encode()))
+    return attachments

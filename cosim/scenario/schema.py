@@ -53,7 +53,7 @@ class ConnectionTable(TomlTable):
     From there it is converted to the unit of the input.
     """
 
-    source: str = Field(alias="from")
+    source: str | list[str] = Field(alias="from")
     gain: Number | NumberRows = 1.0
     offset: Number = 0.0
     unit: str | None = None
@@ -71,9 +71,9 @@ class SwapTable(TomlTable):
         description="path of an .fmu (x.fmu#me and x.fmu#cs choose its interface type) "
         "or of a recorded log (.mcap)"
     )
-    map: dict[str, str] = Field(
+    map: dict[str, str | list[str]] = Field(
         {},
-        description="port as the scenario writes it = name of the new component's port in its place",
+        description="port as the scenario writes it = port of the new component, or a list of them",
     )
 
 
@@ -83,7 +83,7 @@ class File(TomlTable):
     scenario: Settings
     models: dict[str, DescriptorTable] = {}
     components: dict[Annotated[str, Field(pattern=NAME)], dict[str, Any]]
-    connections: dict[str, str | ConnectionTable] = {}
+    connections: dict[str, str | list[str] | ConnectionTable] = {}
     truth: dict[str, str | Number | NumberRow] = {}
     swap: dict[str, SwapTable] = {}
 

@@ -1,141 +1,116 @@
-"""Put a component in the place of another, under the names that its ports have: on the tables of a scenario file.
+"""Swaps: other components in the place of some of a scenario, and the ports with other names there.
 
-A swap replaces the component's whole table. Its map renames ports, ``PORT = NAME``: PORT is a port as the scenario writes it,
-NAME the port of the new component that takes its place::
+A swap replaces the component's whole table. Its map says what the ports of the scenario are there,
+``PORT = NAME``::
 
-    observer.y = "out1"     the input observer.y, which the swapped component drives, now comes from its output out1
-    plant.u = "force"       what drove plant.u now drives plant.force
-    plant.y = "out1"        everything that plant.y drove, and every truth that names it, now comes from plant.out1
+    plant.u = "force"             the input plant.u is the input force of the new component
+    plant.y = "out[2]"            the output plant.y is one element of its output out
+    plant.x_a = ["s1", "s2"]      a vector is made of several, or is a part of one: "s[0:2]"
+    observer.y = "out1"           the output that drives observer.y, plant.y, is its output out1
 
-The more exact of two entries holds: ``observer.y`` before ``plant.y``, ``plant.x_a[0]`` before ``plant.x_a``. All swaps of a
-scenario are made at once, so an entry always speaks of the names before.
+The new component is shown under the scenario's names (:mod:`cosim.blocks.port_map`), so that its
+connections, truths and log do not know of the map.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
-from cosim.errors import UsageError, nearest
+from cosim.blocks.port_map import Causality, Renaming
+from cosim.core.port import Port
+from cosim.errors import GraphError, UsageError, nearest
+from cosim.scenario.problems import Key, Problem
 
-Key = tuple[str | int, ...]
-Tree = dict[str, Any]
-MAP = "--map"  # what the key of a problem begins with that is the option's alone
+Tables: TypeAlias = dict[str, Any]
+PortNames: TypeAlias = str | Sequence[str]  # ports of the new component; or as text: "[s1, s2]"
 
-
-@dataclass(frozen=True, slots=True)
-class Swap:
-    """A component's successor.
-
-    Parameters
-    ----------
-    path : str
-        Of an .fmu, ``x.fmu#me`` or ``x.fmu#cs`` where it is for both, or of a recorded log (.mcap).
-    map : mapping of port, as the scenario writes it, to the name of the successor's port
-    """
-
-    path: str
-    map: Mapping[str, str] = field(default_factory=dict)
+MAP = "--map"  # first part of the key of a problem with a --map option, which stands in no file
 
 
 @dataclass(frozen=True, slots=True)
-class Swapped:
-    """What became of a scenario's tables.
+class MapEntry:
+    """An entry of a map.
 
     Parameters
     ----------
-    swaps : mapping of component name to Swap
-        All of them, those of the file too.
-    origins : mapping of a key in [connections] or [truth] to the keys in [swap] that made it what it is
-    problems : list of (key, text)
+    key : Key
+        Where it stands.
+    renaming : Renaming
+        The port of the swapped component, and what it is in the new one.
     """
 
-    swaps: Mapping[str, Swap]
-    origins: Mapping[Key, tuple[Key, ...]]
-    problems: list[tuple[Key, str]]
+    key: Key
+    renaming: Renaming
 
 
-def apply(tree: Tree, paths: Mapping[str, str], maps: Mapping[str, str]) -> Swapped:
-    """Make every swap, those of [swap] and those given from outside, which replace them; leaves all of them in [swap].
+# --- tables ---
+
+
+def swapped_components(tree: Mapping[str, Any]) -> list[str]:
+    """Return the names of the components that [swap] replaces."""
+    components = _table(tree, "components")
+    return [name for name, path in _paths(tree).items() if name in components]
+
+
+def replace_components(tree: Tables, paths: Mapping[str, str]) -> list[Problem]:
+    """Replace the tables of the swapped components; return the problems of the swaps.
 
     Parameters
     ----------
     tree : dict
-        Tables of a scenario; [connections], [truth] and the maps in [swap] have dotted names of ports as keys. Changed here.
+        Tables of a scenario, changed here: [swap] has all swaps in the end.
     paths : mapping of component name to path
-        Swaps from outside.
-    maps : mapping of port to name
-        Maps from outside; each belongs to the swap of its component, or of the one that drives it.
+        Swaps from outside, which take the place of entries in [swap], their maps too.
     """
-    tables = {
-        name: {"path": one} if isinstance(one, str) else one
-        for name, one in _items(tree.get("swap"))
-    }
-    tables |= {name: {"path": path} for name, path in paths.items()}
-    swaps = {
-        name: Swap(one["path"], _names(one.get("map")))
-        for name, one in tables.items()
-        if _has_path(one)
-    }
-    problems: list[tuple[Key, str]] = [
-        (("swap", name), text)
-        for name, swap in swaps.items()
-        for text in _replace(tree, name, swap.path)
-    ]
-    swaps = {name: swap for name, swap in swaps.items() if name in tree.get("components", {})}
-    wires = _Wires(tree)
-    for port, name in maps.items():
-        owner = wires.owner(port, swaps)
-        if owner is None:
-            problems.append(((MAP, port), wires.lost(port, swaps)))
-        else:
-            swaps[owner] = Swap(swaps[owner].path, {**swaps[owner].map, port: name})
-    for owner, swap in swaps.items():
-        found = {port: wires.judge(port, owner, name) for port, name in swap.map.items()}
-        problems += [(("swap", owner, "map", port), text) for port, text in found.items() if text]
-    if tables:
-        tree["swap"] = tables | {
-            name: _with_map(tables[name], swap.map) for name, swap in swaps.items()
+    entries = {**_table(tree, "swap"), **paths}
+    if entries:
+        tree["swap"] = {
+            name: {"path": entry} if isinstance(entry, str) else entry
+            for name, entry in entries.items()
         }
-    renamed = _Renamed(tree, swaps)
-    return Swapped(swaps, renamed.origins, [*problems, *renamed.problems])
+    problems: list[Problem] = []
+    components = _table(tree, "components")
+    for name, path in _paths(tree).items():
+        if name not in components:
+            text = f"there is no component {name!r}; {nearest(name, components)}"
+            problems.append((("swap", name), text))
+            continue
+        try:
+            components[name] = component_table(name, path)
+        except UsageError as error:
+            problems.append((("swap", name), str(error)))
+    return problems
 
 
-def _items(table: Any) -> Iterable[tuple[str, Any]]:
-    return table.items() if isinstance(table, dict) else ()
+def _table(tree: Mapping[str, Any], name: str) -> Tables:
+    table = tree.get(name)
+    return table if isinstance(table, dict) else {}
 
 
-def _has_path(table: Any) -> bool:
-    return isinstance(table, dict) and isinstance(table.get("path"), str)
+def _paths(tree: Mapping[str, Any]) -> dict[str, str]:
+    """Return the path of every entry in [swap]; the schema names the entries without one."""
+    paths: dict[str, str] = {}
+    for name, entry in _table(tree, "swap").items():
+        path = entry.get("path") if isinstance(entry, dict) else entry
+        if isinstance(path, str):
+            paths[name] = path
+    return paths
 
 
-def _with_map(table: Tree, names: Mapping[str, str]) -> Tree:
-    """Add names to the map of an entry; what is wrong with it stays for the schema to tell."""
-    given = table.get("map", {})
-    return {**table, "map": {**given, **names} if isinstance(given, dict) else given}
+def component_table(name: str, path: str) -> Tables:
+    """Return the table of the component that a path names.
 
-
-def _names(table: Any) -> dict[str, str]:
-    """Keep what is a name; the schema tells the rest."""
-    return {port: name for port, name in _items(table) if isinstance(name, str)}
-
-
-def _replace(tree: Tree, name: str, path: str) -> Iterator[str]:
-    components = tree.get("components", {})
-    if name not in components:
-        yield f"there is no component {name!r}; {nearest(name, components)}"
-        return
-    try:
-        components[name] = component_table(name, path)
-    except UsageError as error:
-        yield str(error)
-
-
-def component_table(name: str, path: str) -> Tree:
-    """Give the table of the component that stands at a path: an .fmu, ``x.fmu#me`` and ``x.fmu#cs`` too, or a log.
+    Parameters
+    ----------
+    name : str
+        Of the component that is replaced; it has this name in a recorded log too.
+    path : str
+        Of an .fmu, ``x.fmu#me`` or ``x.fmu#cs`` where it is for both, or of a log (.mcap).
 
     Raises
     ------
@@ -143,136 +118,217 @@ def component_table(name: str, path: str) -> Tree:
         If the path ends in something else.
     """
     suffix = re.fullmatch(r"(?i)(.*\.fmu)#(.*)", path)
-    file, interface_type = (suffix[1], suffix[2]) if suffix else (path, None)
+    file = path if suffix is None else suffix[1]
+    interface_type = None if suffix is None else suffix[2]
     if interface_type not in (None, "me", "cs"):
         raise UsageError(
-            f"found '#{interface_type}' behind the path, needed '#me' (model exchange) or '#cs' (co-simulation)"
+            f"found '#{interface_type}' behind the path, needed '#me' (model exchange) "
+            "or '#cs' (co-simulation)"
         )
     match Path(file).suffix.lower():
         case ".fmu":
-            return {"kind": "fmu", "path": file} | (
-                {"interface_type": interface_type} if interface_type else {}
-            )
+            table = {"kind": "fmu", "path": file}
+            return table if interface_type is None else {**table, "interface_type": interface_type}
         case ".mcap":
             return {"kind": "recording", "log": file, "component": name}
         case _:
             raise UsageError(
-                f"found {path!r}, needed a path that ends in .fmu (an FMU) or .mcap (a recorded log)"
+                f"found {path!r}, needed a path that ends in .fmu (an FMU) "
+                "or .mcap (a recorded log)"
             )
 
 
-class _Wires:
-    """The ports that a scenario writes."""
+# --- maps ---
 
-    def __init__(self, tree: Tree) -> None:
-        self.components = [name for name, _ in _items(tree.get("components"))]
-        self.sources = {
-            to: source
-            for to, wire in _items(tree.get("connections"))
-            if (source := _source(wire)) is not None
-        }
-        truth = dict(_items(tree.get("truth")))
-        named = [
-            *self.sources.values(),
-            *truth,
-            *(true for true in truth.values() if isinstance(true, str)),
-        ]
-        self.outputs = list(dict.fromkeys(form for port in named for form in (port, _base(port))))
+
+def owner_of(tree: Mapping[str, Any], port: str) -> str | None:
+    """Return the swapped component that a port of a map belongs to, or that drives it."""
+    return WrittenPorts(tree).owner(port, swapped_components(tree))
+
+
+def resolve_maps(
+    tree: Mapping[str, Any], maps: Mapping[str, PortNames]
+) -> tuple[dict[str, list[MapEntry]], list[Problem]]:
+    """Return what the maps of all swaps say, by component, and the problems of their entries.
+
+    Parameters
+    ----------
+    tree : mapping
+        Tables of a scenario, swaps applied.
+    maps : mapping of port to names
+        Maps from outside; each belongs to the swap of its component, or of the one that drives it.
+    """
+    ports = WrittenPorts(tree)
+    swapped = swapped_components(tree)
+    problems: list[Problem] = []
+    written: dict[str, dict[str, PortNames]] = {}
+    for name in swapped:
+        written[name] = _table(_table(tree, "swap")[name], "map")
+    for port, names in maps.items():
+        owner = ports.owner(port, swapped)
+        if owner is None:
+            problems.append(((MAP, port), ports.unknown(port, swapped)))
+        else:
+            written[owner] = {**written[owner], port: names}
+    entries: dict[str, list[MapEntry]] = {}
+    for name, table in written.items():
+        entries[name], found = _resolve_map(name, table, ports)
+        problems += found
+    return entries, problems
+
+
+def _resolve_map(
+    component: str, table: Mapping[str, PortNames], ports: WrittenPorts
+) -> tuple[list[MapEntry], list[Problem]]:
+    """Return the entries of the map of a component, and the problems of the others."""
+    entries: dict[Port, MapEntry] = {}
+    problems: list[Problem] = []
+    for written, names in table.items():
+        key = ("swap", component, "map", written)
+        try:
+            port = ports.meant(written, component)
+            renaming = Renaming(port, _sources(component, names), ports.causality(port))
+        except GraphError as error:
+            problems.append((key, str(error)))
+            continue
+        first = entries.setdefault(renaming.port, MapEntry(key, renaming))
+        if first.renaming != renaming:
+            text = (
+                f"'{renaming.port}' is given twice, as {_listed(first.renaming)} for "
+                f"{str(first.key[-1])!r} and as {_listed(renaming)} for {written!r}; needed one"
+            )
+            problems.append((key, text))
+    return list(entries.values()), problems
+
+
+def _listed(renaming: Renaming) -> str:
+    return ", ".join(repr(source.name) for source in renaming.sources)
+
+
+def _sources(component: str, names: PortNames) -> tuple[Port, ...]:
+    """Return the ports of a component that an entry names.
+
+    Raises
+    ------
+    GraphError
+        If a name is missing or none of a port.
+    """
+    if isinstance(names, str):
+        listed = re.fullmatch(r"\[(.*)\]", names.strip())
+        names = [names] if listed is None else [name.strip() for name in listed[1].split(",")]
+    if not names or "" in names:
+        raise GraphError(
+            "found no name, needed that of a port of the component that takes the place of "
+            f"{component!r}"
+        )
+    return tuple(Port.parse(f"{component}.{name}") for name in names)
+
+
+class WrittenPorts:
+    """The ports that a scenario writes in [connections] and [truth].
+
+    Parameters
+    ----------
+    tree : mapping
+        Tables of a scenario; what is no port in them is left to the schema.
+    """
+
+    def __init__(self, tree: Mapping[str, Any]) -> None:
+        self._components = list(_table(tree, "components"))
+        self._sources: dict[Port, list[Port]] = {}  # by input
+        for to, connection in _table(tree, "connections").items():
+            source = connection.get("from") if isinstance(connection, dict) else connection
+            for port in ports_in([to]):
+                self._sources[port] = ports_in(source if isinstance(source, list) else [source])
+        self._outputs: list[Port] = []
+        for ports in self._sources.values():
+            self._outputs += ports
+        self._compared: list[Port] = []
+        for estimate, true in _table(tree, "truth").items():
+            self._compared += ports_in([estimate, true])
 
     def of(self, component: str) -> list[str]:
-        """Give the ports that a map of ``component`` may name."""
-        own = [port for port in (*self.sources, *self.outputs) if _component(port) == component]
-        driven = [to for to, source in self.sources.items() if _component(source) == component]
-        return list(dict.fromkeys([*own, *driven]))
+        """Return the ports that a map of a component may name."""
+        names = []
+        for port in (*self._sources, *self._outputs, *self._compared):
+            if port.component == component:
+                names += [str(port), str(port.whole)]
+        for to, sources in self._sources.items():
+            if any(source.component == component for source in sources):
+                names.append(str(to))
+        return list(dict.fromkeys(names))
 
-    def owner(self, port: str, swaps: Iterable[str]) -> str | None:
-        """Give the swapped component that a port belongs to: its own, else that which drives it."""
-        candidates = (_component(port), _component(self.sources.get(port, "")))
-        return next((name for name in candidates if name in swaps), None)
+    def owner(self, written: str, swapped: Sequence[str]) -> str | None:
+        """Return the swapped component that a port belongs to, else the one that drives it."""
+        for port in ports_in([written]):
+            drivers = [source.component for source in self._sources.get(port, [])]
+            for name in (port.component, *drivers):
+                if name in swapped:
+                    return name
+        return None
 
-    def judge(self, port: str, owner: str, name: str) -> str:
-        """Say what is wrong with an entry of the map of ``owner``; empty: nothing."""
-        if not name:
-            return f"found no name, needed that of a port of the component that takes the place of {owner!r}"
-        return "" if port in self.of(owner) else self.lost(port, [owner])
+    def meant(self, written: str, component: str) -> Port:
+        """Return the port of a component that an entry of its map is for.
 
-    def lost(self, port: str, swaps: Iterable[str]) -> str:
-        """Say why a port is none of a swapped component's."""
-        names, component = list(swaps), _component(port)
-        there = [one for name in names for one in self.of(name)]
+        Raises
+        ------
+        GraphError
+            If the scenario writes no such port of it, or it drives it by several.
+        """
+        if not self._writes(written, component):
+            raise GraphError(self.unknown(written, [component]))
+        port = Port.parse(written)
+        if port.component == component:
+            return port
+        sources = [source for source in self._sources[port] if source.component == component]
+        if len(sources) > 1:
+            names = ", ".join(map(str, sources))
+            raise GraphError(f"{written!r} is driven by several ports; name them: {names}")
+        return sources[0]
+
+    def _writes(self, written: str, component: str) -> bool:
+        """Return whether a port, or the whole of it, is one that a map of a component may name."""
+        names = self.of(component)
+        return written in names or any(str(port.whole) in names for port in ports_in([written]))
+
+    def causality(self, port: Port) -> Causality | None:
+        """Return what a port must be where the scenario connects it; None: anything."""
+        if port in self._sources:
+            return "input"
+        is_source = any(port.whole == output.whole for output in self._outputs)
+        return "output" if is_source else None
+
+    def unknown(self, written: str, swapped: Iterable[str]) -> str:
+        """Return why an entry is for no port of the swapped components."""
+        names = list(swapped)
         if not names:
-            return "nothing is swapped, so no port gets another name; needed a swap: --swap COMPONENT=PATH, or [swap]"
-        if "." not in port:
-            return f"found no dot, needed COMPONENT.PORT; {nearest(port, there)}"
-        if component not in self.components:
-            return f"there is no component {component!r}; {nearest(component, self.components)}"
-        if port in self.sources or port in self.outputs:
-            needed = " or ".join(map(repr, names))
-            return f"{port!r} does not belong to {needed}, nor does that drive it; {nearest(port, there)}"
-        return f"the scenario connects no {port!r}; {nearest(port, there)}"
-
-
-class _Renamed:
-    """Rename the ports in [connections] and [truth]."""
-
-    def __init__(self, tree: Tree, swaps: Mapping[str, Swap]) -> None:
-        self._swaps = swaps
-        self.origins: dict[Key, tuple[Key, ...]] = {}
-        self.problems: list[tuple[Key, str]] = []
-        for table in ("connections", "truth") if any(swap.map for swap in swaps.values()) else ():
-            if isinstance(tree.get(table), dict):
-                tree[table] = self._table(table, tree[table])
-
-    def _table(self, table: str, before: Tree) -> Tree:
-        after: Tree = {}
-        written: dict[str, str] = {}
-        for port, value in before.items():
-            target, by_target = self._own(port)
-            given, by_source = (
-                self._driven(port, value) if table == "connections" else self._value(value)
+            return (
+                "nothing is swapped, so no port gets another name; needed a swap: "
+                "--swap COMPONENT=PATH, or [swap]"
             )
-            if target in after:
-                key = by_target or self.origins.get((table, target), (("connections", target),))[-1]
-                self.problems.append(
-                    (key, f"{target!r} is given twice, for {written[target]!r} and {port!r}")
-                )
-            after[target], written[target] = given, port
-            self.origins[table, target] = tuple(key for key in (by_target, by_source) if key)
-        return after
-
-    def _own(self, port: str) -> tuple[str, Key | None]:
-        """Rename a port by the map of its own component."""
-        name, swap = _component(port), self._swaps.get(_component(port))
-        for form in (port, _base(port)) if swap else ():
-            if swap and swap.map.get(form):
-                return f"{name}.{swap.map[form]}{port[len(form) :]}", ("swap", name, "map", form)
-        return port, None
-
-    def _driven(self, to: str, wire: Any) -> tuple[Any, Key | None]:
-        """Rename the source of a connection: by an entry for the input it drives, else as a port of its own component."""
-        source = _source(wire)
-        if source is None:
-            return wire, None
-        name, swap = _component(source), self._swaps.get(_component(source))
-        if swap and _component(to) != name and swap.map.get(to):
-            found, key = f"{name}.{swap.map[to]}", ("swap", name, "map", to)
-        else:
-            found, key = self._own(source)  # type: ignore[assignment]
-        return (found if isinstance(wire, str) else {**wire, "from": found}), key
-
-    def _value(self, true: Any) -> tuple[Any, Key | None]:
-        return self._own(true) if isinstance(true, str) else (true, None)
+        known: list[str] = []
+        for name in names:
+            known += self.of(name)
+        if not ports_in([written]):
+            return f"found no dot, needed COMPONENT.PORT; {nearest(written, known)}"
+        port = Port.parse(written)
+        if port.component not in self._components:
+            suggestion = nearest(port.component, self._components)
+            return f"there is no component {port.component!r}; {suggestion}"
+        if self._writes(written, port.component):
+            needed = " or ".join(map(repr, names))
+            return (
+                f"{written!r} does not belong to {needed}, nor does that drive it; "
+                f"{nearest(written, known)}"
+            )
+        return f"the scenario connects no {written!r}; {nearest(written, known)}"
 
 
-def _source(wire: Any) -> str | None:
-    found = wire.get("from") if isinstance(wire, dict) else wire
-    return found if isinstance(found, str) else None
-
-
-def _component(port: str) -> str:
-    return port.partition(".")[0]
-
-
-def _base(port: str) -> str:
-    """Give the signal of an element, ``plant.x`` for ``plant.x[0]``."""
-    return re.sub(r"\[\d+\]$", "", port)
+def ports_in(values: Iterable[Any]) -> list[Port]:
+    """Return those values that are ports."""
+    ports = []
+    for value in values:
+        if isinstance(value, str):
+            with suppress(GraphError):
+                ports.append(Port.parse(value))
+    return ports

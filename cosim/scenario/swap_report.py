@@ -1,12 +1,13 @@
-"""What a swapped component has to keep: the report before a run, by component, and what stops the run.
+"""Swap reports: before a run, how each swapped component compares with the one it replaces.
 
-Both sides are built, started with the scenario's initial inputs, linearized where they linearize, and let go of again. The
-swapped scenario itself says what stops it; the rows say how the two sides differ.
+The scenario is built without its swaps, as far as it can be, and with them. Both are initialized,
+the components that are compared are linearized where they can be, and those that were replaced are
+freed again. The swapped scenario is the very one that then runs: it is initialized once more. It is
+built anew only if its FMUs do not come back from that as they were.
 """
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass, field, replace
@@ -16,27 +17,29 @@ from typing import Any
 import numpy as np
 
 from cosim.arrays import Vector
-from cosim.core.contracts import prepare
+from cosim.core.contracts import Plan, prepare
+from cosim.core.port import Port
 from cosim.core.signals import Interface
 from cosim.errors import CosimError, ScenarioError
 from cosim.fmi.description import INTERFACE_TYPE_NAMES, Description, InterfaceType
-from cosim.scenario.build import Draft, draft, finish
-from cosim.scenario.document import Document
-from cosim.scenario.kinds import BuildContext, Kind
+from cosim.scenario.build import Builder, Experiment, parse
+from cosim.scenario.context import FmuMessage
+from cosim.scenario.kinds import Kind
+from cosim.scenario.parsing import Scenario, read
 from cosim.scenario.port_comparison import (
     Ability,
     ComparedAspect,
-    NearStart,
+    LinearBehavior,
     Proposal,
     Side,
     compare_sides,
-    pairs_of,
     propose,
 )
+from cosim.scenario.swap import ports_in
 
 
 @dataclass(frozen=True)
-class Report:
+class SwapReport:
     """How a swapped component compares with the one it replaces."""
 
     component: str
@@ -44,79 +47,123 @@ class Report:
     proposals: tuple[Proposal, ...]
 
     def to_dict(self) -> dict[str, Any]:
-        """Give plain values; ports by their full names."""
-        rows = [asdict(row) | {"port": self._port(row.port)} for row in self.rows]
-        return {
-            "ports": rows,
-            "proposals": [asdict(one) | {"option": self._option(one)} for one in self.proposals],
-        }
+        """Return plain values; ports by their full names."""
+        ports = [{**asdict(row), "port": self._port(row.port)} for row in self.rows]
+        proposals = [{**asdict(item), "option": self._option(item)} for item in self.proposals]
+        return {"ports": ports, "proposals": proposals}
 
     @property
     def lines(self) -> list[dict[str, str]]:
-        """Give the report for people: one line for a port in which both sides agree, else one for each aspect that is not ok."""
+        """Return the report for people.
+
+        One line for a port in which both sides agree, else one for each aspect that is not ok.
+        """
         lines = []
-        for port, rows in groupby(self.rows, key=lambda row: row.port):
-            aspects = list(rows)
-            for row in [row for row in aspects if row.verdict != "ok"] or [_agreed(aspects)]:
-                ends = {
-                    "before": shown(row.before),
-                    "after": "the same" if row.verdict == "ok" else shown(row.after),
-                }
-                place = {"": self._port(port), "aspect": row.aspect}
-                lines.append(
-                    {
-                        **place,
-                        **ends,
-                        "verdict": row.verdict,
-                        "connected": shown(row.connected) if port else "",
-                    }
-                )
+        for _, group in groupby(self.rows, key=lambda row: row.port):
+            rows = list(group)
+            different = [row for row in rows if row.verdict != "ok"]
+            lines += [self._line(row) for row in different or [_agreed(rows)]]
         return lines
+
+    def _line(self, row: ComparedAspect) -> dict[str, str]:
+        return {
+            "": self._port(row.port),
+            "aspect": row.aspect,
+            "before": shown(row.before),
+            "after": "the same" if row.verdict == "ok" else shown(row.after),
+            "verdict": row.verdict,
+            "connected": shown(row.connected) if row.port else "",
+        }
 
     @property
     def differences(self) -> str:
-        """What differs on the ports that are connected, and in the whole, in one line; empty: nothing."""
-        found = [row for row in self.rows if row.verdict == "differs" and row.connected]
-        return "; ".join(
-            f"{row.port} {row.aspect} {shown(row.after)} (was {shown(row.before)})".strip()
-            for row in found
-        )
+        """What differs on the ports that are connected, and in the whole; empty: nothing."""
+        texts = []
+        for row in self.rows:
+            if row.verdict == "differs" and row.connected:
+                values = f"{shown(row.after)} (was {shown(row.before)})"
+                texts.append(f"{row.port} {row.aspect} {values}".strip())
+        return "; ".join(texts)
 
     @property
     def hints(self) -> list[str]:
         """The proposals, in words."""
-        return [
-            f"{self._option(one)}: {self.component}.{one.name} may be {self.component}.{one.port} ({'; '.join(one.reasons)})"
-            for one in self.proposals
-        ]
+        hints = []
+        for item in self.proposals:
+            new = f"{self.component}.{item.name}"
+            old = f"{self.component}.{item.port}"
+            reasons = "; ".join(item.reasons)
+            hints.append(f"{self._option(item)}: {new} may be {old} ({reasons})")
+        return hints
 
-    def _option(self, found: Proposal) -> str:
-        return f"--map {self.component}.{found.port}={found.name}"
+    def _option(self, proposal: Proposal) -> str:
+        return f"--map {self.component}.{proposal.port}={proposal.name}"
 
     def _port(self, port: str) -> str:
         return f"{self.component}.{port}" if port else self.component
 
 
+def _agreed(rows: Sequence[ComparedAspect]) -> ComparedAspect:
+    """Return one row for all that both sides of a port agree in."""
+    first = rows[0]
+    values = {row.aspect: row.before for row in rows}
+    if not first.port:
+        text = ", ".join(f"{aspect} {shown(value)}" for aspect, value in values.items())
+        return replace(first, aspect="as a whole", before=text)
+    text = f"size {values['size']}, {values['type']}"
+    if values["unit"]:
+        text += f" [{values['unit']}]"
+    if first.before == "output":
+        text += f", {_feedthrough(values['feedthrough'])}"
+        text += f", initial output {shown(values['initial output'])}"
+    return replace(first, aspect=first.before, before=text)
+
+
+def _feedthrough(inputs: str | Sequence[str]) -> str:
+    return f"direct feedthrough from {shown(inputs)}" if inputs else "no direct feedthrough"
+
+
+def shown(value: Any) -> str:
+    """Return a value of a row as people read it."""
+    match value:
+        case None:
+            return "-"
+        case bool():
+            return "yes" if value else "no"
+        case float():
+            return f"{value:.6g}"
+        case [[_, _], *_]:
+            return ", ".join(_complex(real, imaginary) for real, imaginary in value)
+        case [*values]:
+            return " ".join(map(shown, values)) or "nothing"
+        case _:
+            return str(value)
+
+
+def _complex(real: float, imaginary: float) -> str:
+    return f"{real:.6g}{imaginary:+.6g}i" if imaginary else f"{real:.6g}"
+
+
 @dataclass(frozen=True)
-class Contract:
+class SwapReports:
     """The reports of all swapped components, and why the scenario cannot run with them.
 
     Parameters
     ----------
-    reports : mapping of component name to Report
+    reports : mapping of component name to SwapReport
         Of those of which both sides could be built.
     problems : tuple of str
         Found before the first step.
     failure : str
-        Why the start failed; empty: it did not.
+        Why the initialization failed; empty: it did not.
     """
 
-    reports: Mapping[str, Report] = field(default_factory=dict)
+    reports: Mapping[str, SwapReport] = field(default_factory=dict)
     problems: tuple[str, ...] = ()
     failure: str = ""
 
     def check(self) -> None:
-        """Stop what cannot run.
+        """Check that the scenario can run.
 
         Raises
         ------
@@ -129,253 +176,330 @@ class Contract:
     @property
     def hints(self) -> list[str]:
         """The proposals of all reports, in words."""
-        return [hint for report in self.reports.values() for hint in report.hints]
+        hints: list[str] = []
+        for report in self.reports.values():
+            hints += report.hints
+        return hints
 
     @property
     def warnings(self) -> list[tuple[str, str]]:
         """The differences, by component."""
-        found = {name: report.differences for name, report in self.reports.items()}
-        return [
-            (name, f"differs from what it replaces: {text}") for name, text in found.items() if text
-        ]
+        warnings = []
+        for name, report in self.reports.items():
+            if report.differences:
+                text = f"differs from what it replaces: {report.differences}"
+                warnings.append((name, text))
+        return warnings
 
 
-def _agreed(rows: Sequence[ComparedAspect]) -> ComparedAspect:
-    """Put into one row what both sides of a port agree in."""
-    first, values = rows[0], {row.aspect: row.before for row in rows}
-    if not first.port:
-        return replace(
-            first,
-            aspect="as a whole",
-            before=", ".join(f"{key} {shown(value)}" for key, value in values.items()),
-        )
-    text = f"size {values['size']}, {values['type']}" + (
-        f" [{values['unit']}]" if values["unit"] else ""
-    )
-    if first.before == "output":
-        text += f", fed through from {shown(values['feedthrough'])}, at first {shown(values['initial output'])}"
-    return replace(first, aspect=first.before, before=text)
-
-
-def shown(value: Any) -> str:
-    """Write a value of a row for people."""
-    match value:
-        case None:
-            return "-"
-        case bool():
-            return "yes" if value else "no"
-        case float():
-            return f"{value:.6g}"
-        case [[_, _], *_]:
-            return ", ".join(
-                f"{real:.6g}{imaginary:+.6g}i" if imaginary else f"{real:.6g}"
-                for real, imaginary in value
-            )
-        case [*values]:
-            return " ".join(map(shown, values)) or "nothing"
-        case _:
-            return str(value)
-
-
-def examine(document: Document) -> Contract:
-    """Compare every swapped component of a document with what it replaces; nothing runs, and nothing stays open.
+def examine(scenario: Scenario) -> SwapReports:
+    """Compare every swapped component with the one it replaces; nothing runs or stays open.
 
     Raises
     ------
     ScenarioError
-        If the document cannot be read so far that anything can be built.
+        If nothing of the scenario can be built.
     """
-    before = _before(document)
     with ExitStack() as resources:
-        made = draft(document, resources)
-        start, problems, failure = _try(made)
-        pairs = {
-            name: _renamed(made, name, half)
-            for name, half in before.items()
-            if name in made.components
-        }
-        sides = {
-            name: _side(
-                made, name, start.get(name) or _alone(made, name, before[name], pairs[name])
-            )
-            for name in pairs
-        }
-    reports = {
-        name: _report(made, name, before[name].side, half.side, pairs[name])
-        for name, half in sides.items()
-    }
-    return Contract(reports, tuple(problems), failure)
+        return _Examination(scenario, resources, None).reports
 
 
-InitialSignals = tuple[Vector, Vector]  # inputs and outputs of a component at the start
+def build_swapped(
+    scenario: Scenario, resources: ExitStack, block: int | None
+) -> tuple[Experiment, SwapReports]:
+    """Build a scenario with swaps, and the reports of these; parameters as of ``Builder``.
+
+    Raises
+    ------
+    ScenarioError
+        With every problem of the scenario, and the ports that may have been meant.
+    """
+    examination = _Examination(scenario, resources, block)
+    examination.reports.check()
+    return examination.experiment(), examination.reports
 
 
 @dataclass(frozen=True)
-class _Half:
-    """One side, and what it was started with."""
+class _InitialSignals:
+    """Inputs and outputs of a component at initialization, by port."""
+
+    inputs: Mapping[str, Vector]
+    outputs: Mapping[str, Vector]
+
+    @staticmethod
+    def of(interface: Interface, u: Vector, y: Vector) -> _InitialSignals:
+        inputs = {name: u[columns] for name, columns in interface.input_columns().items()}
+        outputs = {name: y[columns] for name, columns in interface.output_columns().items()}
+        return _InitialSignals(inputs, outputs)
+
+
+@dataclass(frozen=True)
+class _ReplacedSide:
+    """A replaced component, and its initial signals where it could be initialized."""
 
     side: Side
-    inputs: Mapping[str, Vector]
-    sources: Mapping[str, str]  # by input, in the whole scenario
+    initial: _InitialSignals | None
 
 
-def _before(document: Document) -> dict[str, _Half]:
-    """Build the scenario as it was before its swaps, as far as it can be built: what is wrong with it does not matter."""
-    with ExitStack() as resources, suppress(CosimError):
-        names, original = document.unswapped()
-        made = draft(original, resources)
-        start, _, _ = _try(made)
-        return {
-            name: _side(made, name, start.get(name)) for name in names if name in made.components
+class _InitialState:
+    """A built scenario, prepared and initialized as far as possible.
+
+    Attributes
+    ----------
+    experiment : Experiment or None
+        None: ``problems`` says why it could not be built.
+    failure : str
+        Why it could not be initialized; empty: it was.
+    """
+
+    def __init__(self, builder: Builder) -> None:
+        self.experiment: Experiment | None = None
+        self.problems: list[str] = []
+        self.failure = ""
+        self.plan: Plan | None = None
+        self._row = np.zeros(0)
+        try:
+            self.experiment = builder.experiment()
+        except ScenarioError as error:
+            self.problems = str(error).splitlines()
+            return
+        graph = self.experiment.graph
+        self._row = np.zeros(graph.layout.width)
+        try:
+            self.plan = graph.prepare(self.experiment.clock.step_ns)
+            graph.initialize(0.0, self._row)
+        except CosimError as error:
+            self.failure = str(error)
+
+    def signals(self, component: str) -> _InitialSignals | None:
+        """Return the initial signals of a component; None: the scenario was not initialized."""
+        if self.experiment is None or self.failure:
+            return None
+        channel = self.experiment.graph.layout[component]
+        u = self._row[channel.inputs]
+        y = self._row[channel.outputs]
+        return _InitialSignals.of(channel.interface, u, y)
+
+    def leave_initialization(self, component: str) -> None:
+        """Make a component leave its initialization, as at the begin of a run.
+
+        A reset of its FMU, which linearizing needs, would otherwise go unnoticed: an FMU in
+        initialization mode is only given its inputs when it is initialized again.
+        """
+        signals = self.signals(component)
+        if self.experiment is not None and signals is not None:
+            u = np.concatenate([np.zeros(0), *signals.inputs.values()])
+            with suppress(CosimError):  # then it does not repeat either
+                self.experiment.graph.components[component].outputs(0.0, u)
+
+    def repeats(self) -> bool:
+        """Return whether the scenario can be initialized again, to the same bits."""
+        if self.experiment is None or self.failure:
+            return False
+        row = np.zeros_like(self._row)
+        try:
+            self.experiment.graph.initialize(0.0, row)
+        except CosimError:
+            return False
+        return row.tobytes() == self._row.tobytes()
+
+
+class _Examination:
+    """A swapped scenario that was built, initialized and compared with the one before."""
+
+    def __init__(self, scenario: Scenario, resources: ExitStack, block: int | None) -> None:
+        self._scenario = scenario
+        self._resources = resources
+        self._block = block
+        before = _replaced_sides(scenario)
+        self._interfaces = {name: part.side.interface for name, part in before.items()}
+        builder = self._builder()
+        fmus = builder.context.fmus
+        # What an FMU says when it is loaded belongs to the run, what it says here does not.
+        self._messages: dict[str, Sequence[FmuMessage]] = {
+            name: fmu.drain() for name, fmu in fmus.items()
         }
-    return {}
+        self._initial = _InitialState(builder)
+        reports = {}
+        for name, part in before.items():
+            if name in builder.components:
+                reports[name] = self._compare(builder, name, part)
+        problems = tuple(self._initial.problems)
+        self.reports = SwapReports(reports, problems, self._initial.failure)
+        self._repeats = self._initial.repeats()
+        for fmu in fmus.values():
+            fmu.drain()
+
+    def _builder(self) -> Builder:
+        return Builder(
+            self._scenario, self._resources, block=self._block, replaced=self._interfaces
+        )
+
+    def _compare(self, builder: Builder, name: str, before: _ReplacedSide) -> SwapReport:
+        initial = self._initial.signals(name)
+        if initial is None and before.initial is not None:
+            initial = _initialize_alone(builder, name, before.initial)
+        self._initial.leave_initialization(name)
+        after = _side(builder, name, initial)
+        names = builder.port_maps[name].names if name in builder.port_maps else {}
+        connected = _connected_ports(builder.scenario, name)
+        rows = compare_sides(
+            before.side,
+            after,
+            names=names,
+            connected=connected,
+            refused=_refused_ports(builder, name),
+        )
+        missing = [
+            port for port in before.side.ports if port in connected and after.port(port) is None
+        ]
+        return SwapReport(name, rows, propose(before.side, after, missing))
+
+    def experiment(self) -> Experiment:
+        """Return the experiment; it is built again where the first one cannot run any more.
+
+        Raises
+        ------
+        ScenarioError
+            With every problem of the scenario.
+        """
+        experiment = self._initial.experiment
+        if experiment is None or not self._repeats:
+            self._resources.close()
+            return self._builder().experiment()
+        return replace(experiment, plan=self._initial.plan, messages=self._messages)
 
 
-def _try(made: Draft) -> tuple[dict[str, InitialSignals], list[str], str]:
-    """Start a scenario; give what its components had then, what is wrong with it, and why it could not start."""
-    try:
-        experiment = finish(made)
-    except ScenarioError as error:
-        return {}, str(error).splitlines(), ""
-    graph, row = experiment.graph, np.zeros(experiment.graph.layout.width)
-    try:
-        graph.prepare(experiment.clock.step_ns)
-        graph.initialize(0.0, row)
-    except CosimError as error:
-        return {}, [], str(error)
-    return (
-        {
-            channel.name: (row[channel.inputs], row[channel.outputs])
-            for channel in graph.layout.channels
-        },
-        [],
-        "",
-    )
+def _replaced_sides(scenario: Scenario) -> dict[str, _ReplacedSide]:
+    """Build the scenario without its swaps, as far as it can be; its problems do not matter."""
+    sides: dict[str, _ReplacedSide] = {}
+    with ExitStack() as resources, suppress(CosimError):
+        original, problems = read(scenario.document.unswapped(), parse)
+        builder = Builder(original, resources, problems=problems)
+        state = _InitialState(builder)
+        for name in scenario.document.swapped_components():
+            if name in builder.components:
+                initial = state.signals(name)
+                state.leave_initialization(name)
+                sides[name] = _ReplacedSide(_side(builder, name, initial), initial)
+    return sides
 
 
-def _alone(
-    made: Draft, name: str, before: _Half, renamed: list[tuple[str, str]]
-) -> InitialSignals | None:
-    """Start a component whose scenario cannot start, with the inputs that the one before had; others are zero."""
-    component, names = made.components[name], dict(renamed)
-    columns, u = component.interface.input_columns(), np.zeros(component.interface.n_u)
-    for port, values in before.inputs.items():
-        at = columns.get(names.get(port, port))
-        if at is not None and at.stop - at.start == len(values):
-            u[at] = values
+def _initialize_alone(
+    builder: Builder, name: str, before: _InitialSignals
+) -> _InitialSignals | None:
+    """Initialize a component whose scenario cannot be, with the inputs that the one before had.
+
+    Inputs that it did not have are zero. None: it cannot be initialized.
+    """
+    component = builder.components[name]
+    interface = component.interface
+    u = np.zeros(interface.n_u)
+    for port, columns in interface.input_columns().items():
+        values = before.inputs.get(port)
+        if values is not None and columns.stop - columns.start == len(values):
+            u[columns] = values
+    held = np.zeros(len(u), np.bool_)
     with suppress(CosimError):
-        prepare(component, made.clock.step_ns / 1e9, np.zeros(len(u), np.bool_), {})
-        return u, component.initialize(0.0, u)
+        prepare(component, builder.clock.step_ns / 1e9, held, {})
+        return _InitialSignals.of(interface, u, component.initialize(0.0, u))
     return None
 
 
-def _side(made: Draft, name: str, start: InitialSignals | None) -> _Half:
-    component, spec = made.components[name], made.scenario.specs[name]
-    face, described = component.interface, spec.description(name, made.context)
-    inputs, outputs = start or (None, None)
-    initial = (
-        {} if outputs is None else {port: outputs[at] for port, at in face.output_columns().items()}
-    )
-    near = _near_start(spec, name, made.context, face)
-    side = Side(
-        face, _ability(spec, described), start=_starts(described), initial=initial, near_start=near
-    )
-    driven = (
-        {} if inputs is None else {port: inputs[at] for port, at in face.input_columns().items()}
-    )
-    return _Half(side, driven, {to: wire.label for to, wire in made.scenario.connections.items()})
+# --- one side ---
 
 
-def _renamed(made: Draft, name: str, before: _Half) -> list[tuple[str, str]]:
-    """Give the ports that the map of a swap renames: its own by their names, the inputs it drives by the output behind them."""
-    ports = {port: new for port, new in made.scenario.file.swap[name].map.items()}
-    found = {
-        (port if port.startswith(f"{name}.") else before.sources.get(port, port)).removeprefix(
-            f"{name}."
-        ): new
-        for port, new in ports.items()
-    }
-    return list(found.items())
+def _side(builder: Builder, name: str, initial: _InitialSignals | None) -> Side:
+    """Return what is known of a component that was built."""
+    spec = builder.scenario.specs[name]
+    described = spec.description(name, builder.context)
+    return Side(
+        builder.components[name].interface,
+        _ability(spec, described),
+        start={} if described is None else _start_values(builder, name, described[1]),
+        initial={} if initial is None else initial.outputs,
+        linear=_linear_behavior(builder, name),
+    )
 
 
 def _ability(spec: Kind, described: tuple[InterfaceType, Description] | None) -> Ability:
     if described is None:
         return Ability(spec.kind)
     interface_type, description = described
-    able = description.capabilities[interface_type]
-    exchange = interface_type == "me"  # there our solver steps, on straight lines
+    capabilities = description.capabilities[interface_type]
+    exchange = interface_type == "me"  # our solver takes any step and interpolates its inputs
     return Ability(
         INTERFACE_TYPE_NAMES[interface_type],
-        rollback=able.saves_state,
-        variable_step=exchange or able.variable_step,
-        interpolation=exchange or able.interpolates_inputs,
-        directional_derivatives=able.directional_derivatives,
+        rollback=capabilities.saves_state,
+        variable_step=exchange or capabilities.variable_step,
+        interpolation=exchange or capabilities.interpolates_inputs,
+        directional_derivatives=capabilities.directional_derivatives,
     )
 
 
-def _starts(described: tuple[InterfaceType, Description] | None) -> dict[str, Vector]:
-    """Give the start values of the inputs that have them."""
-    if described is None:
-        return {}
-    ports = {signal.name: [v.start for v in group] for signal, group in described[1].ports("input")}
-    return {
-        name: np.concatenate([np.array(start, np.float64) for start in starts if start is not None])
-        for name, starts in ports.items()
-        if None not in starts
-    }
+def _start_values(builder: Builder, name: str, description: Description) -> dict[str, Vector]:
+    """Return the start values of the inputs that have them."""
+    parts = [np.zeros(0)]
+    for _, variables in description.ports("input"):
+        for variable in variables:
+            unknown = variable.start is None
+            parts.append(np.full(variable.size, np.nan) if unknown else np.array(variable.start))
+    values = np.concatenate(parts)
+    if name in builder.port_maps:
+        values = builder.port_maps[name].shown_inputs(values)
+    columns = builder.components[name].interface.input_columns()
+    return {port: values[at] for port, at in columns.items() if not np.isnan(values[at]).any()}
 
 
-def _near_start(spec: Kind, name: str, context: BuildContext, face: Interface) -> NearStart | None:
-    """Give poles and static gain of a component; None: it is not linear, and does not linearize."""
+def _linear_behavior(builder: Builder, name: str) -> LinearBehavior | None:
+    """Return poles and static gain of a component; None: it cannot be linearized."""
+    spec = builder.scenario.specs[name]
     try:
-        system = spec.linear_system(name, context)
+        system = spec.linear_system(name, builder.context)
     except (CosimError, ValueError):
         return None
     if system is None:
         return None
-    found = NearStart.of(system)
-    whole = found.gain is not None and found.gain.shape == (
-        face.n_y,
-        face.n_u,
-    )  # else some ports are not continuous
-    return found if whole else replace(found, gain=None)
+    behavior = LinearBehavior.of(system)
+    ports = builder.port_maps.get(name)
+    interface = builder.components[name].interface if ports is None else ports.component
+    if behavior.gain is None or behavior.gain.shape != (interface.n_y, interface.n_u):
+        return replace(behavior, gain=None)  # some ports are not continuous
+    return behavior if ports is None else replace(behavior, gain=ports.shown_gain(behavior.gain))
 
 
-def _report(
-    made: Draft, name: str, before: Side, after: Side, renamed: list[tuple[str, str]]
-) -> Report:
-    pairs = pairs_of(before, after, renamed)
-    connected = _connected(made, name)
-    rows = compare_sides(before, after, pairs, connected=connected, refused=_refused(made, name))
-    missing = [old for old, new in pairs if old is not None and new is None and old in connected]
-    return Report(name, rows, propose(before, after, pairs, missing))
+# --- ports that the scenario names ---
 
 
-def _connected(made: Draft, name: str) -> set[str]:
-    """Give the ports of a component that the scenario names."""
-    truth = made.scenario.file.truth
-    named = [
-        *made.scenario.connections,
-        *(str(port) for wire in made.scenario.connections.values() for port in wire.sources),
-    ]
-    named += [*truth, *(true for true in truth.values() if isinstance(true, str))]
-    return _own(named, name)
+def _connected_ports(scenario: Scenario, name: str) -> set[str]:
+    """Return the ports of a component that the scenario names."""
+    ports = list(scenario.connections)
+    for connection in scenario.connections.values():
+        ports += connection.sources
+    for estimate, truth in scenario.file.truth.items():
+        ports += ports_in([estimate, truth])
+    return _names_of(ports, name)
 
 
-def _refused(made: Draft, name: str) -> set[str]:
-    """Give the ports of a component at connections, or in truths, that stop the run."""
-    wires, truth = made.scenario.connections, made.scenario.file.truth
-    named: list[str] = []
-    for key, _ in made.problems:
-        port = str(key[-1])
+def _refused_ports(builder: Builder, name: str) -> set[str]:
+    """Return the ports of a component at connections, or in truths, that stop the run."""
+    connections = builder.scenario.connections
+    truths = builder.scenario.file.truth
+    ports: list[Port] = []
+    for key, _ in builder.problems:
         if key[:1] == ("connections",):
-            named += [port, *(map(str, wires[port].sources) if port in wires else [])]
+            for to in ports_in(key[1:]):
+                ports += [to, *(connections[to].sources if to in connections else ())]
         elif key[:1] == ("truth",):
-            named += [port, str(truth.get(port))]
-    return _own(named, name)
+            estimate = str(key[-1])
+            ports += ports_in([estimate, truths.get(estimate)])
+    return _names_of(ports, name)
 
 
-def _own(ports: Iterable[str], name: str) -> set[str]:
-    """Keep the ports of a component, without its name; of an element the whole signal too."""
-    own = [port.partition(".")[2] for port in ports if port.partition(".")[0] == name]
-    return {form for port in own for form in (port, re.sub(r"\[\d+\]$", "", port))}
+def _names_of(ports: Iterable[Port], component: str) -> set[str]:
+    """Return the names of the ports of a component; of an element that of the signal too."""
+    names: set[str] = set()
+    for port in ports:
+        if port.component == component:
+            names |= {port.name, port.signal}
+    return names

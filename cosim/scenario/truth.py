@@ -2,18 +2,27 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from cosim.core.contracts import Component
-from cosim.core.signals import Signal
-from cosim.errors import nearest
-from cosim.scenario.document import Problem
+from cosim.core.port import Port
+from cosim.core.signals import Interface, Signal
+from cosim.errors import GraphError, nearest
+from cosim.scenario.problems import Problem
 from cosim.scenario.schema import File
 from cosim.units import conversion
+
+
+@dataclass(frozen=True, slots=True)
+class ComparedSignal:
+    """A signal, and how many of its elements are compared."""
+
+    signal: Signal
+    size: int
 
 
 def check_truth(
@@ -22,7 +31,7 @@ def check_truth(
     missing: Collection[str],
     warn: Callable[[str, str], None],
 ) -> tuple[dict[str, Any], list[Problem]]:
-    """Give the truths that can be compared, and what is wrong with others.
+    """Return the truths that can be compared, and the problems of the others.
 
     A swapped component need not have the signals that only the report asks for.
 
@@ -31,70 +40,74 @@ def check_truth(
     file : File
     components : mapping of name to Component
     missing : names
-        Of components that could not be built: what touches them is not judged.
+        Of components that are not right: truths with their signals are not checked.
     warn : callable
         Told of the truths that a swap leaves out, as (component, text).
     """
     kept: dict[str, Any] = {}
     problems: list[Problem] = []
-    signals = {
-        f"{n}.{s.name}": s
-        for n, c in components.items()
-        for s in (*c.interface.inputs, *c.interface.outputs)
-    }
-    mapped = {f"{name}.{port}" for name, swap in file.swap.items() for port in swap.map.values()}
+    interfaces = {name: component.interface for name, component in components.items()}
     for estimate, truth in file.truth.items():
-        found = {estimate: _sized(signals, estimate)} | (
-            {truth: _true(signals, truth)} if isinstance(truth, str) else {}
-        )
-        unknown = [port for port, one in found.items() if one is None]
-        lost = [port for port in unknown if _component(port) in file.swap and port not in mapped]
-        if {_component(port) for port in found} & set(missing):
+        texts = [estimate, truth] if isinstance(truth, str) else [estimate]
+        key = ("truth", estimate)
+        try:
+            ports = [Port.parse(text) for text in texts]
+            if any(port.component in missing for port in ports):
+                continue
+            signals = [_find(interfaces, port) for port in ports]
+        except GraphError as error:
+            problems.append((key, str(error)))
             continue
+        unknown = [port for port, signal in zip(ports, signals, strict=True) if signal is None]
+        lost = [port for port in unknown if port.component in file.swap]
+        compared = [signal for signal in signals if signal is not None]
         if lost:
-            warn(_component(lost[0]), f"has no {lost[0]!r}: the report leaves out {estimate!r}")
+            text = f"has no {str(lost[0])!r}: the report leaves out {estimate!r}"
+            warn(lost[0].component, text)
         elif unknown:
-            problems += [
-                (("truth", estimate), f"there is no signal {port!r}; {nearest(port, signals)}")
-                for port in unknown
-            ]
-        elif text := _mismatch(estimate, truth, [one for one in found.values() if one is not None]):
-            problems.append((("truth", estimate), text))
+            problems += [(key, _unknown(interfaces, port)) for port in unknown]
+        elif mismatch := _mismatch(estimate, truth, compared):
+            problems.append((key, mismatch))
         else:
             kept[estimate] = truth
     return kept, problems
 
 
-_Sized = tuple[Signal, int]  # a signal, and of how many of its elements
+def _find(interfaces: Mapping[str, Interface], port: Port) -> ComparedSignal | None:
+    """Return the signal that a port names; None: there is none.
+
+    Raises
+    ------
+    GraphError
+        If it has no such element.
+    """
+    interface = interfaces.get(port.component, Interface())
+    match = port.find(interface.signals)
+    if match is None:
+        return None
+    signal, elements = match
+    return ComparedSignal(signal, len(range(*elements.indices(signal.size))))
 
 
-def _sized(signals: Mapping[str, Signal], port: str) -> _Sized | None:
-    return (signals[port], signals[port].size) if port in signals else None
+def _unknown(interfaces: Mapping[str, Interface], port: Port) -> str:
+    names: list[str] = []
+    for component, interface in interfaces.items():
+        names += [f"{component}.{signal.name}" for signal in interface.signals]
+    return f"there is no signal {str(port)!r}; {nearest(str(port), names)}"
 
 
-def _true(signals: Mapping[str, Signal], port: str) -> _Sized | None:
-    """Find a signal, or one element of it."""
-    element = re.fullmatch(r"(.*)\[(\d+)\]", port)
-    if (
-        port not in signals
-        and element
-        and element[1] in signals
-        and int(element[2]) < signals[element[1]].size
-    ):
-        return signals[element[1]], 1
-    return _sized(signals, port)
-
-
-def _mismatch(estimate: str, truth: Any, found: list[_Sized]) -> str:
-    """Say why an estimate cannot be compared with its truth; empty: it can."""
-    signal, size = found[0]
-    true, needed = found[-1] if isinstance(truth, str) else (signal, len(np.atleast_1d(truth)))
-    if size != needed:
-        return f"{estimate!r} has size {size}, its truth {truth!r} has size {needed}"
-    if conversion(true.measure, signal.measure) is None:
-        return f"{estimate!r} has unit {signal.unit!r}, its truth {truth!r} has unit {true.unit!r}; needed units of one kind"
+def _mismatch(estimate: str, truth: Any, compared: list[ComparedSignal]) -> str:
+    """Return why an estimate cannot be compared with its truth; empty: it can."""
+    estimated = compared[0]
+    if isinstance(truth, str):
+        true = compared[1]
+    else:
+        true = ComparedSignal(estimated.signal, len(np.atleast_1d(truth)))
+    if estimated.size != true.size:
+        return f"{estimate!r} has size {estimated.size}, its truth {truth!r} has size {true.size}"
+    if conversion(true.signal.measure, estimated.signal.measure) is None:
+        return (
+            f"{estimate!r} has unit {estimated.signal.unit!r}, its truth {truth!r} has unit "
+            f"{true.signal.unit!r}; needed units of one kind"
+        )
     return ""
-
-
-def _component(port: str) -> str:
-    return port.partition(".")[0]

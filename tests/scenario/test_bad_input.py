@@ -1,4 +1,3 @@
-
 """Every bad input gets one clear error before the first step: the place, what was found, what was needed, the nearest name."""
 
 import re
@@ -31,17 +30,17 @@ def refused(tmp_path, *edits, **changes):
 CASES = {
     "unknown key": (
         [("filter_rate = 1e3", "filter_rat = 1e3")],
-        r"/mine\.toml:39: components\.observer\.filter_rat: unknown key 'filter_rat'; did you mean 'filter_rate'\? There is: L, ",
+        r"/mine\.toml:40: components\.observer\.filter_rat: unknown key 'filter_rat'; did you mean 'filter_rate'\? There is: L, ",
     ),
-    "missing key": ([("rate = 1.0  ", "# ")], r"/mine\.toml:17: components\.u: 'rate' is missing; needed angular rate \[rad/s\]"),
-    "unknown kind": ([('kind = "sine"', 'kind = "sin"')], r"/mine\.toml:18: components\.u\.kind: unknown kind 'sin'; did you mean 'sine'\?"),
-    "missing kind": ([('kind = "sine"', "")], r"/mine\.toml:17: components\.u: 'kind' is missing"),
+    "missing key": ([("rate = 1.0  ", "# ")], r"/mine\.toml:18: components\.u: 'rate' is missing; needed angular rate \[rad/s\]"),
+    "unknown kind": ([('kind = "sine"', 'kind = "sin"')], r"/mine\.toml:19: components\.u\.kind: unknown kind 'sin'; did you mean 'sine'\?"),
+    "missing kind": ([('kind = "sine"', "")], r"/mine\.toml:18: components\.u: 'kind' is missing"),
     "wrong type": ([("amplitude = 1.0", 'amplitude = "1"')], r"components\.u\.amplitude: found '1'; needed a number"),
     "unknown component": (
         [('"plant.u" = "u.y"', '"plant.u" = "w.y"')],
-        r"/mine\.toml:55: connections\.plant\.u: 'w\.y': there is no component 'w'; ",
+        r"/mine\.toml:56: connections\.plant\.u: 'w\.y': there is no component 'w'; ",
     ),
-    "connection that is none": ([('"plant.u" = "u.y"', '"plant.u" = 3')], r"connections\.plant\.u: found 3; needed a string or a table"),
+    "connection that is none": ([('"plant.u" = "u.y"', '"plant.u" = 3')], r"connections\.plant\.u: found 3; needed a string or a list or a table"),
     "connection with an unknown key": (
         [('"plant.u" = "u.y"', '"plant.u" = { from = "u.y", gian = 2.0 }')],
         r"connections\.plant\.u\.gian: unknown key 'gian'; did you mean 'gain'\? There is: from, gain, offset, unit",
@@ -56,7 +55,7 @@ CASES = {
     "unconnected input": ([('"plant.delta" = "delta.y"\n', "")], r"'plant\.delta' is not connected; give it a source in \[connections\]"),
     "input driven twice": (
         [('"plant.u" = "u.y"', '"plant.u" = "u.y"\n"plant.u" = "delta.y"')],
-        r'/mine\.toml:56: "plant\.u" is given twice; keep one \(an input is driven by one source\)',
+        r'/mine\.toml:57: "plant\.u" is given twice; keep one \(an input is driven by one source\)',
     ),
     "input driven twice in two spellings": (
         [('"plant.u" = "u.y"', '"plant.u" = "u.y"\nplant.u = "delta.y"')],
@@ -72,19 +71,19 @@ CASES = {
     ),
     "step not whole nanoseconds": (
         [("step = 1e-3 ", "step = 1.00000000001e-3 ")],
-        r"/mine\.toml:8: scenario\.step: 0\.00100000000001 s is not a whole number of nanoseconds; nearest: 0\.001 s",
+        r"/mine\.toml:9: scenario\.step: 0\.00100000000001 s is not a whole number of nanoseconds; nearest: 0\.001 s",
     ),
     "step of nothing": ([("step = 1e-3 ", "step = 0 ")], r"scenario\.step: step: found 0\.0 s, needed a positive time"),
     "stop off the grid": (
         [("stop = 40.0 ", "stop = 40.0005 ")],
-        r"/mine\.toml:7: scenario\.stop: stop: 40\.0005 s is not a whole number of 0\.001 s steps; nearest: 40\.0 s",
+        r"/mine\.toml:8: scenario\.stop: stop: 40\.0005 s is not a whole number of 0\.001 s steps; nearest: 40\.0 s",
     ),
     "period not a multiple": (
         [('method = "least-squares"', 'method = "least-squares"\nperiod = 3.3e-3')],
         r"period of 'identifier': 0\.0033 s is not a whole number of 0\.001 s steps; nearest: 0\.003 s",
     ),
     "delay not a multiple": ([("[1.0, 2.0, 3.0]", "[1.0, 2.0, 3.0005]")], r"delays\[2\]: 3\.0005 s is not a whole number of 0\.001 s steps"),
-    "NaN": ([("amplitude = 1.0", "amplitude = nan")], r"/mine\.toml:19: components\.u\.amplitude: found nan; needed a finite number"),
+    "NaN": ([("amplitude = 1.0", "amplitude = nan")], r"/mine\.toml:20: components\.u\.amplitude: found nan; needed a finite number"),
     "infinity in a list": ([("x_a0 = [1.0,", "x_a0 = [inf,")], r"components\.plant\.x_a0\.0: found inf; needed a finite number"),
     "NaN in a matrix": ([("C  = [[2, 0, 1]]", "C  = [[2, nan, 1]]")], r"models\.academic\.C\.0\.1: found nan; needed a finite number"),
     "matrix of wrong shape": ([("Bu = [[0], [2], [1]]", "Bu = [[0], [2]]")], r"Bu has shape \(2, 1\); needed \(3, n_u\)"),
@@ -121,7 +120,7 @@ CASES = {
     "expression with an unknown name": ([("1.7*t", "1.7*tt")], r"found unknown name 'tt'; did you mean 't'\?"),
     "truth of an unknown signal": ([('"observer.delta" = "delta.y"\n"identifier', '"observer.dleta" = "delta.y"\n"identifier')], r"truth\.observer\.dleta: there is no signal 'observer\.dleta'; did you mean 'observer\.delta'\?"),
     "truth of another size": ([("[-0.1, -0.3]", "[-0.1]")], r"'identifier\.theta' has size 2, its truth \(-0\.1,\) has size 1"),
-    "no TOML": ([("stop = 40.0 ", "stop = = ")], r"/mine\.toml:7: not TOML: "),
+    "no TOML": ([("stop = 40.0 ", "stop = = ")], r"/mine\.toml:8: not TOML: "),
     "name with a dot": ([("[components.u]", '[components."u.v"]')], r"found 'u\.v'; needed a name of letters, digits, '_' and '-'"),
     "identification before there is a regression": (
         [("start = { epsilon_observer = 1e-3, epsilon_filter = 1e-3 }", "start = 2.0")],
@@ -236,7 +235,7 @@ def test_units_must_agree_or_be_converted(tmp_path):
         ),
         (
             {"plant.x_a0": [1.0]},
-            r"academic:29 \(with --set plant\.x_a0\): components\.plant: x_a0 has shape \(1,\); needed \(2,\)",
+            r"academic:30 \(with --set plant\.x_a0\): components\.plant: x_a0 has shape \(1,\); needed \(2,\)",
         ),
         (
             {"scenario.stop": -1.0},

@@ -82,12 +82,9 @@ def test_a_conversion_is_recorded_and_replayed_bit_for_bit(units, tmp_path):
     path = tmp_path / "units.mcap"
     log = cosim.run(units, out=path)
     recorded = json.loads(log.metadata["cosim.connections"]["sensor.u"])
-    assert recorded["conversion"] == {
-        "factor1": 1.0,
-        "offset1": 273.15,
-        "offset2": 0.0,
-        "factor2": 1.0,
-    }
+    assert recorded["conversions"] == [
+        {"factor1": 1.0, "offset1": 273.15, "offset2": 0.0, "factor2": 1.0}
+    ]
     assert cosim.diff(log, cosim.replay(path)).equal
     units.write_text(UNITS.format(readout="K"))
     plain = json.loads(
@@ -250,7 +247,9 @@ def test_a_loop_at_initialization_through_an_fmu_is_solved_and_replayed(interfac
     scenario.write_text(CIRCLE)
     export_component(str(scenario), "lag", fmu)
     own = cosim.run(scenario)
-    run = cosim.run(scenario, out=path, swap={"lag": fmu}, set={"lag.interface_type": interface_type})
+    run = cosim.run(
+        scenario, out=path, swap={"lag": fmu}, set={"lag.interface_type": interface_type}
+    )
     assert abs(own["lag.y"][0] - 1.1 / 4.3) <= 1e-15
     assert (run["lag.y"][0], run["k.y"][0]) == (own["lag.y"][0], own["k.y"][0])
     assert cosim.diff(run, cosim.replay(path)).equal

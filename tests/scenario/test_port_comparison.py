@@ -7,10 +7,9 @@ from cosim.core.signals import Interface, Signal
 from cosim.scenario.kinds.base import LinearSystem
 from cosim.scenario.port_comparison import (
     Ability,
-    NearStart,
+    LinearBehavior,
     Side,
     compare_sides,
-    pairs_of,
     propose,
 )
 
@@ -34,13 +33,16 @@ AFTER = Interface(
 
 
 def verdicts(before, after, **options):
-    """Compare by name; give the verdicts by (port, aspect)."""
-    rows = compare_sides(before, after, pairs_of(before, after, []), **options)
+    """Compare by name; return the verdicts by (port, aspect)."""
+    rows = compare_sides(before, after, **options)
     return {(row.port, row.aspect): row.verdict for row in rows}
 
 
 def test_every_aspect_has_a_verdict():
-    """An error only where a connection is refused; units that convert differ, units of one meaning do not."""
+    """An error only where a connection is refused.
+
+    Units that convert differ, units of one meaning do not.
+    """
     before = Side(BEFORE, ABLE, start={"u": np.array([1.0])}, initial={"s": np.array([2.0])})
     after = Side(
         AFTER,
@@ -72,30 +74,38 @@ def first_order(a, *, gain):
 
 
 def test_gain_and_poles_are_compared_within_their_error():
-    """x' = -2 x + u, y = 4 x: gain 2, pole -2. A difference of 1e-7 is seen unless the numbers are wrong by that."""
-    face = Interface((Signal("u"),), (Signal("y"),))
-    exact, close = (NearStart.of(first_order(a, gain=4.0)) for a in (-2.0, -2.0 - 1e-7))
-    assert (exact.gain, exact.poles) == (
-        pytest.approx(2.0, abs=1e-15),
-        pytest.approx(-2.0, abs=1e-15),
-    )
+    """x' = -2 x + u, y = 4 x: gain 2, pole -2.
+
+    A difference of 1e-7 is seen unless the numbers are wrong by that.
+    """
+    interface = Interface((Signal("u"),), (Signal("y"),))
+    exact = LinearBehavior.of(first_order(-2.0, gain=4.0))
+    close = LinearBehavior.of(first_order(-2.0 - 1e-7, gain=4.0))
+    assert exact.gain == pytest.approx(2.0, abs=1e-15)
+    assert exact.poles == pytest.approx(-2.0, abs=1e-15)
     for error, verdict in ((0.0, "differs"), (1e-7, "ok")):
-        other = Side(face, ABLE, near_start=NearStart(close.poles, close.gain, error))
-        found = verdicts(Side(face, ABLE, near_start=exact), other)
+        behavior = LinearBehavior(close.poles, close.gain, error)
+        other = Side(interface, ABLE, linear=behavior)
+        found = verdicts(Side(interface, ABLE, linear=exact), other)
         assert found["y", "static gain"] == found["", "poles"] == verdict
-    assert NearStart.of(first_order(0.0, gain=1.0)).gain is None
+    assert LinearBehavior.of(first_order(0.0, gain=1.0)).gain is None
 
 
-def test_ports_are_paired_by_the_map_then_by_name():
-    """A mapped port is not looked for by its name, elements stand for themselves."""
-    before, after = Side(BEFORE, ABLE), Side(AFTER, ABLE)
-    pairs = pairs_of(before, after, [("u", "k"), ("x_a[1]", "x_a[2]")])
-    assert pairs == [("u", "k"), ("delta", None), ("y", "y"), ("x_a[1]", "x_a[2]"), ("x_a", "x_a"), ("x_b", "x_b"), ("s", "s"),
-                     ("n", "n"), (None, "u")]  # fmt: skip
+def test_a_row_shows_what_its_port_stands_for():
+    """Ports are paired by name; after it stands what the map makes it of."""
+    before = Side(BEFORE, ABLE)
+    after = Side(AFTER, ABLE)
+    rows = compare_sides(before, after, names={"u": "k", "x_a": "s1, s2"}, connected={"u"})
+    labels = list(dict.fromkeys(row.port for row in rows))
+    assert labels == ["u -> k", "delta", "y", "x_a -> s1, s2", "x_b", "s", "n", "k", ""]
+    assert {row.port for row in rows if row.connected} == {"u -> k", ""}
 
 
 def test_what_fits_best_is_proposed_with_its_reasons():
-    """Unit and size decide what fits, first value and dependencies which is likelier; equals are all told, elements too."""
+    """Unit and size decide what fits, initial value and dependencies which is likelier.
+
+    Several that are equal are all proposed, elements too.
+    """
     before = Side(
         Interface((Signal("u"),), (Signal("y", unit="V"), Signal("z")), {"y": ("u",)}), ABLE,
         initial={"y": np.array([1.0]), "z": np.array([5.0])},
@@ -112,7 +122,7 @@ def test_what_fits_best_is_proposed_with_its_reasons():
         Interface((Signal("f"), Signal("g")), outputs, {"a": ("f",), "d": ("f",)}), ABLE,
         initial={name: np.array(value) for name, value in values.items()},
     )  # fmt: skip
-    found = propose(before, after, pairs_of(before, after, []), ["y", "u"])
+    found = propose(before, after, ["y", "u"])
     assert [(one.port, one.name) for one in found] == [
         ("y", "a"),
         ("y", "d[0]"),
@@ -122,6 +132,6 @@ def test_what_fits_best_is_proposed_with_its_reasons():
     assert found[0].reasons == (
         "output of size 1, real",
         "unit 'V'",
-        "feeds through from f",
+        "direct feedthrough from f",
         "initial output 1",
     )

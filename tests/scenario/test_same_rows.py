@@ -12,7 +12,18 @@ from cosim.scenario.exporting import export_component
 from tests.scenario.renamed import MAP, PACKED, packed, renamed
 
 RECORDED = Path(__file__).with_name("same_rows.json")
-RENAMED: dict[str, dict[str, str]] = {}  # run: name of a signal then -> its name now
+# run: name of a signal then -> its name now
+RENAMED: dict[str, dict[str, str]] = {
+    "other names": {
+        "plant.force": "plant.u",
+        "plant.push": "plant.delta",
+        "plant.out1": "plant.y",
+        "plant.s": "plant.x_a",
+    },
+    "packed": {"plant.force": "plant.u", "plant.push": "plant.delta", "plant.s": "plant.x_a"},
+}
+# run: signals that were part of others -> a signal with the same values that was there
+ADDED = {"packed": {"plant.y": "observer.y"}}
 SHORT = {"scenario.stop": 9.0}
 
 
@@ -66,4 +77,7 @@ def test_times_and_rows_have_the_bits_they_had(found):
     assert before.keys() == found.keys()
     for run, signals in before.items():
         names = RENAMED.get(run, {})
-        assert {names.get(name, name): value for name, value in signals.items()} == found[run], run
+        expected = {names.get(name, name): value for name, value in signals.items()}
+        for added, same in ADDED.get(run, {}).items():
+            expected[added] = signals[same]
+        assert expected == found[run], run

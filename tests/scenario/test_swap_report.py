@@ -1,15 +1,21 @@
 """Before a run: how a swapped component compares with the one it replaces, what stops the run, what may have been renamed."""
 
 import json
+import tomllib
+from collections import Counter
 from contextlib import ExitStack
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
 import cosim
 from cosim.cli import main
-from cosim.errors import ScenarioError, UsageError
-from cosim.scenario.build import build_context
+from cosim.errors import RunError, ScenarioError, UsageError
+from cosim.fmi.binary.loaded import LoadedInstance
+from cosim.fmi.reading import model_description
+from cosim.scenario.build import build_context, parse
+from cosim.scenario.document import find
 from cosim.scenario.exporting import export_component
 from cosim.scenario.kinds.plants import FmuKind
 from cosim.scenario.swap_report import examine
@@ -31,18 +37,14 @@ def folder(tmp_path_factory):
 
 
 def report(folder, name, maps=None, **changes):
-    document = (
-        cosim.load("academic")
-        .document.with_swaps({"plant": str(folder / name)}, maps)
-        .with_changes({**SHORT, **changes})
-    )
-    return examine(document)
+    swap = {"plant": folder / name}
+    return examine(cosim.load("academic").edit(swap=swap, map=maps, set={**SHORT, **changes}))
 
 
-def verdicts(contract, *kept):
+def verdicts(reports, *kept):
     return {
         (row.port, row.aspect): row.verdict
-        for row in contract.reports["plant"].rows
+        for row in reports.reports["plant"].rows
         if row.verdict in kept
     }
 
@@ -79,7 +81,7 @@ def test_another_mode_and_start_are_listed_and_warned_of_in_one_line(folder, tmp
         out=tmp_path / "a.mcap",
     )
     assert ["plant", text] in json.loads(log.metadata["cosim.run"]["warnings"])
-    kept = json.loads(log.metadata["cosim.component.plant"]["metadata"])["contract"]
+    kept = json.loads(log.metadata["cosim.component.plant"]["metadata"])["swap_report"]
     assert kept == json.loads(json.dumps(found.reports["plant"].to_dict()))
 
 
@@ -97,7 +99,7 @@ def test_renamed_ports_are_proposed_and_never_applied(folder):
         assert f"\n{option}: plant." in said, said
     assert said.count("--map") == 4
     assert (
-        "--map plant.y=out1: plant.out1 may be plant.y (output of size 1, real; feeds through from force; initial output 1;"
+        "--map plant.y=out1: plant.out1 may be plant.y (output of size 1, real; direct feedthrough from force; initial output 1;"
         in said
     )
     options = [
@@ -117,7 +119,7 @@ def test_an_element_of_a_vector_is_proposed(folder):
 
 
 def test_a_mapped_port_is_compared_with_the_one_it_replaces(folder):
-    """Under both names; feedthrough is compared in the names before."""
+    """Under both names; it is shown with the scenario's."""
     found = report(folder, "other.fmu", MAP)
     assert not found.problems
     ports = {row.port: row for row in found.reports["plant"].rows}
@@ -140,12 +142,10 @@ def test_a_recording_says_what_it_does_not_know(folder):
 
 def test_what_is_replaced_need_not_work(folder):
     """The scenario's own plant is broken: nothing to compare with, nothing in the way."""
-    text = cosim.load("academic").document.text.replace("x_a0 = [1.0, -1.0]", "x_a0 = [1.0]")
-    found = examine(
-        replace(cosim.load("academic").document, text=text).with_swaps(
-            {"plant": str(folder / "plant.fmu")}
-        )
-    )
+    document = find("academic")
+    text = document.text.replace("x_a0 = [1.0, -1.0]", "x_a0 = [1.0]")
+    swapped = replace(document, text=text).with_swaps({"plant": str(folder / "plant.fmu")})
+    found = examine(parse(swapped))
     assert (found.reports, found.problems) == ({}, ())
 
 
@@ -207,19 +207,88 @@ def test_a_run_with_a_swap_says_what_differs_on_stderr(folder, tmp_path, capsys)
 
 
 def test_what_cannot_be_linearized_is_unknown(folder, tmp_path):
-    """An FMU of which there can be one instance is not opened again for its poles; start values must be numbers."""
+    """For co-simulation the FMU would be loaded once more; start values must be numbers."""
     once = (
         'canBeInstantiatedOnlyOncePerProcess="false"',
         'canBeInstantiatedOnlyOncePerProcess="true"',
     )
     rewritten(folder / "plant.fmu", tmp_path / "once.fmu", once)
-    assert verdicts(report(tmp_path, "once.fmu"), "unknown")["", "poles"] == "unknown"
-    with ExitStack() as resources:
-        context = build_context(cosim.load("academic"), resources)
-        for name, start, text in (
-            ("once", {}, "one instance only"),
-            ("plant", {"x": [1.0]}, "numbers as start values only"),
-        ):
-            path = (tmp_path if name == "once" else folder) / f"{name}.fmu"
+    assert verdicts(report(tmp_path, "once.fmu#cs"), "unknown")["", "poles"] == "unknown"
+    assert verdicts(report(tmp_path, "once.fmu"), "ok")["", "poles"] == "ok"
+    export_component("academic", "plant", tmp_path / "arrays.fmu", fmi="3")
+    arrays = {"x_a": [1.0, -1.0]}
+    cases = (
+        (FmuKind(kind="fmu", path="once.fmu", interface_type="cs"), "one instance only"),
+        (FmuKind(kind="fmu", path="arrays.fmu", start=arrays), "numbers as start values only"),
+    )
+    scenario = parse(replace(find("academic"), folder=tmp_path))
+    for kind, text in cases:
+        with ExitStack() as resources:
+            context = build_context(scenario, resources)
+            kind.build("plant", context)
             with pytest.raises(UsageError, match=text):
-                FmuKind(kind="fmu", path=str(path), start=start).linear_system("plant", context)
+                kind.linear_system("plant", context)
+
+
+@pytest.fixture
+def counted(monkeypatch):
+    """Return what is counted: TOML texts that are parsed, FMUs that are read, instances."""
+    counts = Counter()
+    parse_toml = tomllib.loads
+    read_fmu = model_description.open_description
+    instantiate = LoadedInstance.__init__
+
+    def counted_parse(text):
+        counts["TOML", text] += 1
+        return parse_toml(text)
+
+    def counted_read(path, *arguments):
+        counts["description", Path(path).name] += 1
+        return read_fmu(path, *arguments)
+
+    def counted_instance(self, *arguments, **options):
+        counts["instance", Path(options["label"]).name] += 1
+        instantiate(self, *arguments, **options)
+
+    monkeypatch.setattr(tomllib, "loads", counted_parse)
+    monkeypatch.setattr(model_description, "open_description", counted_read)
+    monkeypatch.setattr(LoadedInstance, "__init__", counted_instance)
+    return counts
+
+
+def test_a_swapped_scenario_is_read_and_built_once(folder, tmp_path, counted):
+    """One text, one FMU, one instance: the one that is compared and linearized then runs."""
+    text = f"# {tmp_path}\n{find('academic').text}"  # no other test has parsed it
+    (tmp_path / "mine.toml").write_text(text)
+    with pytest.raises(SystemExit) as left:
+        main(
+            [
+                *("run", str(tmp_path / "mine.toml"), "--stop", "0.1", "--quiet"),
+                *("--swap", f"plant={folder / 'plant.fmu'}", "--out", str(tmp_path / "a.mcap")),
+            ]
+        )
+    assert not left.value.code
+    assert counted == {
+        ("TOML", text): 1,
+        ("description", "plant.fmu"): 1,
+        ("instance", "plant.fmu"): 1,
+    }
+    report = json.loads(
+        cosim.open_log(tmp_path / "a.mcap").metadata["cosim.component.plant"]["metadata"]
+    )
+    aspects = {row["aspect"]: row["verdict"] for row in report["swap_report"]["ports"]}
+    assert aspects["poles"] == aspects["static gain"] == "ok"
+
+
+def test_an_fmu_that_cannot_be_reset_is_loaded_again(folder, counted, monkeypatch):
+    """It is not linearized then, and the run has an instance of its own."""
+    reference = cosim.run("academic", swap={"plant": folder / "plant.fmu"}, set=SHORT)
+    assert counted["instance", "plant.fmu"] == 1
+
+    def refuse(self):
+        raise RunError("fmi2Reset: error")
+
+    monkeypatch.setattr(LoadedInstance, "reset", refuse)
+    run = cosim.run("academic", swap={"plant": folder / "plant.fmu"}, set=SHORT)
+    assert counted["instance", "plant.fmu"] == 3
+    assert cosim.diff(reference, run).equal

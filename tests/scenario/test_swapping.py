@@ -1,4 +1,4 @@
-"""Swapped components that call their ports otherwise: what a map means, in each of its three forms, and every wrong one."""
+"""Swapped components with other port names: what a map means in each of its forms, and every wrong one."""
 
 import json
 import re
@@ -25,6 +25,7 @@ BY_HAND = (
     (r'"observer.y" = "plant.y"', '"observer.y" = "plant.out1"'),
     (r'"observer.x_a" = "plant.x_a"', '"observer.x_a" = "plant.s"'),
 )
+SHOWN = {"plant.u": "force", "plant.delta": "push", "plant.y": "out1", "plant.x_a": "s"}
 
 
 @pytest.fixture(scope="module")
@@ -42,12 +43,20 @@ def by_hand(other):
     return cosim.run(parse(replace(find("academic"), text=text).with_changes(SHORT)))
 
 
+def signals(run):
+    """Return the bits of every signal by its name."""
+    names = []
+    for component, channel in run.channels.items():
+        names += [f"{component}.{signal.name}" for signal in channel.signals]
+    return {name: run[name].tobytes() for name in names}
+
+
 def text_with(swap):
     return replace(find("academic"), text=f"{find('academic').text}\n[swap]\n{swap}\n")
 
 
 def test_a_map_means_what_was_edited_by_hand(other, by_hand, tmp_path, monkeypatch):
-    """Python, command line and file give the same bits, truth included."""
+    """Python, command line and file give the same bits, under the scenario's names, truth too."""
     monkeypatch.chdir(tmp_path)
     options = [option for port, name in MAP.items() for option in ("--map", f"{port}={name}")]
     with pytest.raises(SystemExit) as left:
@@ -78,13 +87,16 @@ def test_a_map_means_what_was_edited_by_hand(other, by_hand, tmp_path, monkeypat
         cosim.run(parse(text_with(table).with_changes(SHORT))),
         cosim.run(parse(text_with(nested).with_changes(SHORT))),
     ]
+    expected = signals(by_hand)
+    for port, name in SHOWN.items():
+        expected[port] = expected.pop(f"plant.{name}")
     for run in runs:
-        assert cosim.diff(by_hand, run).equal
-        assert json.loads(run.metadata["cosim.run"]["truth"])["observer.x_a"] == "plant.s"
+        assert signals(run) == expected
+        assert json.loads(run.metadata["cosim.run"]["truth"])["observer.x_a"] == "plant.x_a"
 
 
 def test_an_element_may_take_a_ports_place(by_hand, tmp_path):
-    """out[2] is y, for the observer and in the truth; the arithmetic of its row is that of y."""
+    """out[2] is y, for the observer and in the truth; the vector is recorded too."""
     path = packed(tmp_path / "packed.fmu")
     document = replace(
         find("academic"),
@@ -98,7 +110,8 @@ def test_an_element_may_take_a_ports_place(by_hand, tmp_path):
     )
     assert (run["observer.delta"] == by_hand["observer.delta"]).all()
     truth = json.loads(run.metadata["cosim.run"]["truth"])
-    assert truth["observer.y"] == "plant.out[2]"
+    assert truth["observer.y"] == "plant.y"
+    assert (run["plant.out"][:, 2] == run["plant.y"]).all()
     assert [
         signal.largest for signal in summarize(run).signals if signal.estimate == "observer.y"
     ] == [0.0]
@@ -114,16 +127,52 @@ def test_a_mapped_run_replays_bit_for_bit(other, tmp_path):
     assert cosim.diff(log, cosim.replay(tmp_path / "a.mcap")).equal
 
 
-def test_the_more_exact_entry_holds(other):
-    """observer.y before plant.y."""
-    run = cosim.run(
-        "academic",
-        swap={"plant": other},
-        map={**MAP, "plant.y": "aux"},
-        set={"scenario.stop": 0.01},
+def test_a_port_has_one_name(other):
+    """What drives observer.y is plant.y; the same name may be given for both."""
+    text = (
+        r"--map plant\.y: 'plant\.y' is given twice, as 'out1' for 'observer\.y' "
+        r"and as 'aux' for 'plant\.y'; needed one"
     )
-    wires = {to: json.loads(wire)["from"] for to, wire in run.metadata["cosim.connections"].items()}
-    assert wires["observer.y"] == "plant.out1"
+    with pytest.raises(ScenarioError, match=text):
+        cosim.load("academic").swap(plant=other, map={**MAP, "plant.y": "aux"})
+    names = {**MAP, "plant.y": "out1"}
+    run = cosim.run("academic", swap={"plant": other}, map=names, set={"scenario.stop": 0.01})
+    assert run["observer.y"].tolist() == run["plant.y"].tolist()
+
+
+@pytest.mark.parametrize("names", [["s[0]", "s[1]"], ["s[0:2]"], "[s[0], s[1]]"])
+def test_a_vector_may_be_made_of_elements(names, by_hand, other, tmp_path):
+    """As a list in Python and in the file, or as text on the command line: the bits are the same."""
+    maps = {**MAP, "plant.x_a": names}
+    runs = [cosim.run("academic", swap={"plant": other}, map=maps, set=SHORT)]
+    if not isinstance(names, str):
+        entries = ", ".join(f'"{port}" = {json.dumps(name)}' for port, name in maps.items())
+        document = text_with(f'plant = {{ path = "{other}", map = {{ {entries} }} }}')
+        runs.append(cosim.run(parse(document.with_changes(SHORT)), out=tmp_path / "a.mcap"))
+        assert cosim.diff(runs[1], cosim.replay(tmp_path / "a.mcap")).equal
+    for run in runs:
+        assert run["plant.x_a"].tolist() == by_hand["plant.s"].tolist()
+
+
+def test_scalars_may_make_a_vector_and_an_input_its_elements(tmp_path):
+    """Each element of x_a in its place, turned round; what nothing covers keeps its own name."""
+    path = packed(tmp_path / "packed.fmu")
+    names = {**PACKED, "plant.x_a": ["out[2]", "out[0]"]}
+    run = cosim.run("academic", swap={"plant": path}, map=names, set={"scenario.stop": 0.1})
+    assert (run["plant.x_a"] == run["plant.out"][:, [2, 0]]).all()
+    assert run["plant.s"].shape == (101, 2)
+
+
+def test_a_recorded_plant_may_be_mapped(by_hand, other, tmp_path):
+    """A log of a plant with other names stands in the place of one with the scenario's."""
+    text = find("academic").text
+    for before, after in BY_HAND:
+        text = re.sub(before, after.replace("PATH", str(other)), text)
+    document = replace(find("academic"), text=text).with_changes(SHORT)
+    cosim.run(parse(document), out=tmp_path / "a.mcap")
+    run = cosim.run("academic", swap={"plant": tmp_path / "a.mcap"}, map=MAP, set=SHORT)
+    assert run["plant.y"].tolist() == by_hand["plant.out1"].tolist()
+    assert run["observer.delta"].tolist() == by_hand["observer.delta"].tolist()
 
 
 def test_a_swap_of_the_file_may_choose_the_mode_and_give_way_to_an_option(other, by_hand, tmp_path):
@@ -136,16 +185,19 @@ def test_a_swap_of_the_file_may_choose_the_mode_and_give_way_to_an_option(other,
     assert not parse(replace(document, swapped=False)).file.swap
 
 
-def test_a_component_that_is_swapped_too_keeps_its_own_names(other, tmp_path):
-    """Both ends of a connection may be renamed at once."""
-    wires = {to: wire.source for to, wire in parse(
-        find("academic").with_swaps(
-            {"plant": str(other), "observer": str(other)},
-            {**MAP, "plant.y": "out1", "observer.y": "push", "observer.u": "force", "observer.delta": "out1"},
-        )
-    ).connections.items()}  # fmt: skip
-    assert wires["observer.push"] == "plant.out1"
-    assert wires["regressor.delta"] == "observer.out1"
+def test_a_component_that_is_swapped_too_has_a_map_of_its_own(other, tmp_path):
+    """Both ends of a connection may have other names; observer.y is the observer's own then."""
+    names = {"observer.u": "force", "observer.y": "push", "observer.delta": "out1"}
+    maps = {**MAP, "plant.y": "out1", **names}
+    scenario = parse(
+        find("academic").with_swaps({"plant": str(other), "observer": str(other)}, maps)
+    )
+    found = {}
+    for component, entries in scenario.maps.items():
+        for entry in entries:
+            assert {source.component for source in entry.renaming.sources} == {component}
+            found[str(entry.renaming.port)] = [s.name for s in entry.renaming.sources]
+    assert found == {port: [name] for port, name in maps.items()}
 
 
 WRONG = {
@@ -161,22 +213,25 @@ WRONG = {
     ),
     "no such output there": (
         True, {**MAP, "observer.y": "out2"},
-        r"--map observer\.y: connections\.observer\.y: 'plant\.out2': 'plant' has no output 'out2'; did you mean 'out1'\?",
+        r"--map observer\.y: 'plant\.out2': 'plant' has no output 'out2'; did you mean 'out1'\?",
     ),
     "no such input there": (
         True, {**MAP, "plant.u": "forse"},
-        r"--map plant\.u: connections\.plant\.forse: 'plant\.forse': 'plant' has no input 'forse'; did you mean 'force'\?",
+        r"--map plant\.u: 'plant\.forse': 'plant' has no input 'forse'; did you mean 'force'\?",
     ),
     "no such output there, for the truth": (
-        True, {**MAP, "plant.x_a": "t"}, r"--map plant\.x_a: truth\.observer\.x_a: there is no signal 'plant\.t'",
+        True, {**MAP, "plant.x_a": "t"}, r"--map plant\.x_a: 'plant\.t': 'plant' has no input or output 't'; There is",
     ),
     "no such element": (True, {**MAP, "observer.y": "s[2]"}, r"'plant\.s\[2\]': 'plant\.s' has 2 elements, numbered from 0"),
     "an input for an output": (True, {**MAP, "observer.y": "force"}, r"'plant\.force' is an input of 'plant'; needed an output"),
-    "an element of an input": (True, {**MAP, "plant.u": "force[0]"}, r"no input 'force\[0\]'; did you mean 'force'\?"),
+    "no such element of an input": (True, {**MAP, "plant.u": "force[1]"}, r"--map plant\.u: 'plant\.force\[1\]': 'plant\.force' has 1 element, numbered"),
     "one name for two": (
         True, {**MAP, "plant.delta": "force"},
         r"--map plant\.delta: 'plant\.force' is given twice, for 'plant\.u' and 'plant\.delta'",
     ),
+    "no name in a list": (True, {**MAP, "observer.y": ["out1", ""]}, r"--map observer\.y: found no name"),
+    "a slice of nothing": (True, {**MAP, "observer.y": "s[1:1]"}, r"--map observer\.y: 'plant\.s\[1:1\]' has no elements"),
+    "another size": (True, {**MAP, "observer.y": "s"}, r"connections\.observer\.y: plant\.y -> observer\.y: size 2 cannot drive size 1"),
     "no name": (True, {**MAP, "observer.y": ""}, r"--map observer\.y: found no name, needed that of a port of the component"),
 }  # fmt: skip
 

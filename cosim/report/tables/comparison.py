@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from cosim.log.diff import LogDifference
     from cosim.report.comparing import Comparison, EstimateDifference
     from cosim.report.summary import Summary
-    from cosim.scenario.build import Scenario
+    from cosim.scenario.parsing import Scenario
 
 PlantRow = tuple[str, str, str, str, str, str]  # estimate, truth, plant, value, error, difference
 LargestDifferences = Mapping[tuple[str, str], float]  # by estimate or element, and plant
@@ -53,20 +53,20 @@ def print_dry_run(scenario: Scenario, *, as_json: bool) -> None:
     """
     from cosim.scenario.swap_report import examine
 
-    contract = examine(scenario.document)
-    problems = list(contract.problems)
-    if contract.failure:
-        problems.append(contract.failure)
+    reports = examine(scenario)
+    problems = list(reports.problems)
+    if reports.failure:
+        problems.append(reports.failure)
     if as_json:
-        swaps = {name: report.to_dict() for name, report in contract.reports.items()}
+        swaps = {name: report.to_dict() for name, report in reports.reports.items()}
         print_json({"swaps": swaps, "problems": problems})
     else:
-        for report in contract.reports.values():
+        for report in reports.reports.values():
             print_section(report.component, report.lines)
         if not problems:
             typer.echo("dry run: the scenario can run")
     if problems:
-        raise UsageError("\n".join([*problems, *contract.hints]))
+        raise UsageError("\n".join([*problems, *reports.hints]))
 
 
 def print_plants(comparison: Comparison, *, as_json: bool) -> None:

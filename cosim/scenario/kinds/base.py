@@ -19,6 +19,7 @@ from cosim.scenario.schema import Number, TomlTable
 from cosim.theory.descriptor import DescriptorSystem
 
 if TYPE_CHECKING:
+    from cosim.fmi.component import Fmu
     from cosim.fmi.description import Description, InterfaceType
     from cosim.fmi.linearizing.linearization import Linearization
     from cosim.fmi.options import FmuOptions
@@ -75,6 +76,10 @@ class BuildContext(Protocol):
         options: FmuOptions,
     ) -> Component:
         """Load an FMU; it is freed at the end of the run."""
+        ...
+
+    def opened(self, name: str) -> Fmu:
+        """Return the FMU that was loaded for a component."""
         ...
 
     def linearization(

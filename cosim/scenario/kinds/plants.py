@@ -117,17 +117,14 @@ class FmuKind(PlantKind, PeriodicKind):
     def description(
         self, name: str, context: BuildContext
     ) -> tuple[InterfaceType, Description] | None:
-        from cosim.fmi.description import INTERFACE_TYPES
-        from cosim.fmi.reading.model_description import read
-
-        description = read(context.file(self.path)).description
-        if self.interface_type is not None:
-            return self.interface_type, description
-        offered = [name for name in INTERFACE_TYPES if name in description.capabilities]
-        return offered[0], description
+        fmu = context.opened(name)
+        return fmu.interface_type, fmu.description
 
     def linear_system(self, name: str, context: BuildContext) -> LinearSystem:
         """Linearize the FMU at its initial state.
+
+        An FMU that was loaded for model exchange is reset before and after; one for co-simulation
+        that is for both is loaded once more.
 
         Raises
         ------
@@ -137,13 +134,17 @@ class FmuKind(PlantKind, PeriodicKind):
             If it cannot be linearized.
         """
         from cosim.fmi.linearizing.linearize import linearize
-        from cosim.fmi.reading.model_description import read
 
         path = context.file(self.path)
-        capabilities = read(path).description.capabilities
-        if any(capability.once_per_process for capability in capabilities.values()):
-            raise UsageError(f"{path}: there can be one instance only, which is in use")
-        linearization = linearize(path, start=self._numeric_start(path))
+        start = self._numeric_start(path)
+        fmu = context.opened(name)
+        if fmu.interface_type == "me":
+            linearization = linearize(fmu.instance, start=start)
+        else:
+            capabilities = fmu.description.capabilities.values()
+            if any(capability.once_per_process for capability in capabilities):
+                raise UsageError(f"{path}: there can be one instance only, which is in use")
+            linearization = linearize(path, start=start)
         errors = [error or 0.0 for error in linearization.errors.values()]
         return LinearSystem(
             linearization.A,
