@@ -9,9 +9,10 @@ elements::
     plant.x_a  <- plant.s[0:2]              some elements of a vector
 
 Every input element of the component is shown once. An output that no shown port covers keeps its
-own name, so that nothing is lost; where that name is taken, ``_`` is appended to it. An element
-that is shown, ``plant.x[1] <- plant.speed``, is a signal of that name beside the vector ``x``, if
-there is one: such names come first (:mod:`cosim.core.port`). Elements from 0 on make a vector.
+own name, so that every output stays visible; where that name is taken, ``_`` is appended to it. An
+element that is shown, ``plant.x[1] <- plant.speed``, is a signal of that name beside the vector
+``x``, if there is one: such names come first (:mod:`cosim.core.port`). Elements from 0 on make a
+vector.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 The recovery of theta generalizes (35). Take a group b of components that share one alpha, a set S
 of `V_b + 1` rows, and leave the other rows to the other groups, always in the same way. The terms
 of (25) with the row j in S for delta and the rest of S for group b then differ only in the minors
-of group b, and for a disturbance of this group alone (25) is
+of group b, and for a disturbance of only this group (25) is
 
     sum over j in S of  sign_j chi_j f(t - D_j) = 0
 

@@ -36,8 +36,8 @@ def place(A: Matrix, C: Matrix, poles: Sequence[complex], fixed_modes: ComplexVe
         in pairs, one is repeated more often than C has independent rows, or the placement is too
         ill conditioned.
     """
-    given = np.asarray(poles, dtype=np.complex128)
-    wanted = np.sort_complex(given.reshape(-1))
+    unsorted = np.asarray(poles, dtype=np.complex128)
+    wanted = np.sort_complex(unsorted.reshape(-1))
     _check_poles(wanted, len(A), fixed_modes)
     left, values, right = np.linalg.svd(C, full_matrices=False)
     largest = values.max(initial=0.0)
@@ -132,7 +132,7 @@ def _place_with_several_outputs(A: Matrix, rows: Matrix, poles: ComplexVector) -
             f"(17): pole {repeated} is given {multiplicity} times; needed at most {k}, the number "
             "of independent outputs"
         )
-    from scipy.signal import place_poles  # half a second to import, and seldom needed
+    from scipy.signal import place_poles  # takes 0.5 s to import, and is rarely needed
 
     with warnings.catch_warnings():
         # it warns of poles that it did not reach, which is checked afterwards

@@ -202,7 +202,7 @@ def check_delays(delays: Sequence[float], needed: int) -> None:
 def check_alpha_products(terms: Sequence[Term], alpha: Matrix, names: Sequence[str]) -> None:
     """Check that the alpha products are independent; else (26) has many solutions for any data.
 
-    Terms with the same row of delta multiply the same `delta(t - D_j)`; their alpha products alone
+    Terms with the same row of delta multiply the same `delta(t - D_j)`, so their alpha products
     must be independent in time.
 
     Parameters

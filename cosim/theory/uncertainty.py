@@ -50,12 +50,13 @@ def verdict(eigenvalues: Vector, prior: float | None) -> str:
         `1/P0` of (34); None or 0 for no prior.
     """
     q = len(eigenvalues)
-    smallest = float(np.min(eigenvalues))
-    largest = float(np.max(eigenvalues))
+    values = np.asarray(eigenvalues)
+    smallest = float(values.min())
+    largest = float(values.max())
     epsilon = np.finfo(np.float64).eps
     rounding = q * epsilon * max(largest, 0.0)
     if smallest <= rounding:
-        above_rounding = np.asarray(eigenvalues) > rounding
+        above_rounding = values > rounding
         rank = int(above_rounding.sum())
         decided_by_prior = "; the prior alone decides it" if prior else ""
         return (
@@ -76,7 +77,7 @@ def verdict(eigenvalues: Vector, prior: float | None) -> str:
     if ratio < COMPARABLE:
         return f"{compared}: {exciting}, {condition}"
     weight = ratio / (1.0 + ratio)
-    affected = prior >= COMPARABLE * np.asarray(eigenvalues)
+    affected = prior >= COMPARABLE * values
     n_affected = int(affected.sum())
     return (
         f"{compared}: the estimate in that direction is the prior's, not the data's (weight of the "

@@ -21,7 +21,7 @@ RANDOM = np.random.default_rng(11).standard_normal((60, 2))
 
 
 def test_sum_adds_with_signs():
-    """Gives y = u1 - u2 on vectors, exactly."""
+    """The sum is y = u1 - u2 on vectors, exactly."""
     computed = drive(sum_of([1.0, -1.0]), RANDOM)
     assert (computed[:, 0] == RANDOM[:, 0] - RANDOM[:, 1]).all()
     with pytest.raises(UsageError, match=r"sum: found no signs, needed one for each input"):
@@ -69,7 +69,7 @@ def test_a_lag_follows_a_linearly_interpolated_ramp_exactly():
     np.testing.assert_allclose(linear, exact, rtol=0, atol=200 * 1.2e-16)
     assert zero_order[-1] - exact[-1] == pytest.approx(
         -0.5e-3, rel=0.03
-    )  # 1 - exp(-4) of it is settled; next term h/(12 T)
+    )  # 1 - exp(-4) of it has decayed; next term h/(12 T)
 
 
 def test_a_lag_starts_without_a_transient_by_default():

@@ -1,4 +1,4 @@
-"""A component under other port names keeps the contract; wrong names say what there is."""
+"""A component under other port names keeps the contract; errors for wrong names list the ports."""
 
 import numpy as np
 import pytest

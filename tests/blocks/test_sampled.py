@@ -22,7 +22,7 @@ U = np.random.default_rng(4).standard_normal((10 * N + 1, 1))
 
 
 def through():
-    """Give x' = -20 (x - u), y = x + u / 2."""
+    """Build x' = -20 (x - u), y = x + u / 2."""
     return Linear(
         controller(A=np.array([[-20.0]]), B=np.array([[20.0]]), C=np.eye(1), D=np.array([[0.5]]))
     )

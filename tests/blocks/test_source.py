@@ -32,13 +32,13 @@ def test_a_step_gives_both_values_to_the_last_bit(before, after):
 
 
 def test_a_ramp_begins_at_its_start_time():
-    """Gives offset + slope max(0, t - start), each operation rounded once, as numpy's."""
+    """The ramp is offset + slope max(0, t - start), each operation rounded once, as numpy's."""
     computed = rows(ramp(slope=2.5, start_time=0.7, offset=-1.0))[:, 0]
     assert (computed == -1.0 + 2.5 * np.maximum(0.0, T - 0.7)).all()
 
 
 def test_a_sine_is_the_closed_form():
-    """Gives offset + amplitude sin(rate t + phase)."""
+    """The sine is offset + amplitude sin(rate t + phase)."""
     computed = rows(sine(amplitude=2.0, rate=30.0, phase=0.4, offset=1.0))[:, 0]
     # the argument is below 61: its last bit is 7e-15, times the amplitude; libm and numpy differ by
     # one more bit of 3

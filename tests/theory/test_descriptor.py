@@ -153,7 +153,7 @@ def test_a_singular_A22_is_refused_with_its_evidence():
 
 
 def test_a_singular_pencil_is_refused():
-    """det(s E - A) = 0 at every s: the verdict says so."""
+    """det(s E - A) = 0 at every s: the verdict names it."""
     system = DescriptorSystem(
         A=np.array([[1.0, 0], [0, 0]]),
         Bu=np.ones((2, 1)),

@@ -16,8 +16,11 @@ def gauss(a, b, pieces):
     """Return times and weights of Gauss-Legendre's rule with 10 points on each piece of [a, b]."""
     x, w = np.polynomial.legendre.leggauss(10)
     edges = np.linspace(a, b, pieces + 1)
-    half = np.diff(edges)[:, None] / 2.0
-    return (edges[:-1, None] + half * (x + 1.0)).ravel(), (half * w).ravel()
+    begin = edges[:-1, None]
+    half_width = np.diff(edges)[:, None] / 2.0
+    times = begin + half_width * (x + 1.0)
+    weights = half_width * w
+    return times.ravel(), weights.ravel()
 
 
 def recovery(alphas, families, delays):
@@ -182,7 +185,7 @@ def test_an_eta_that_belongs_to_no_theta_gives_nan():
     ],
 )
 def test_a_recovery_that_does_not_exist_is_refused(alphas, families, delays, message):
-    """The message says what is possible."""
+    """The message lists the possible families."""
     with pytest.raises(AssumptionError, match=message):
         recovery(alphas, families, delays)
 

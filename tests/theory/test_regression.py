@@ -234,7 +234,7 @@ def test_dependent_alpha_products_are_refused(alphas, message):
 
 
 def test_the_limits_of_the_linear_route_are_warned_of():
-    """Nothing to say for l = 2 or one alpha; marginal at l = 3; unusable from l = 4."""
+    """No warning for l = 2 or one alpha; marginal at l = 3; unusable from l = 4."""
     assert linear_route_warning((1, 1)) == linear_route_warning((4,)) == ""
     assert linear_route_warning((2, 1)).startswith(
         "the linear route is marginal: l = 3 with different alphas makes 11 unknowns"
