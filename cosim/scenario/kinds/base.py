@@ -143,7 +143,7 @@ class Kind(TomlTable):
         return 1
 
     def with_period(self, component: Component, n: int) -> Component:
-        """Give the component a sample period of ``n`` communication steps, where it has one."""
+        """Return the component with its sample period of ``n`` communication steps."""
         return component
 
     @abstractmethod

@@ -183,7 +183,7 @@ class RegressorKind(ExportableKind):
         return DiscreteModel(component.interface, kernel, context.step_ns, reason)
 
     def regression(self) -> tuple[tuple[AlphaGroup, ...], tuple[regression.Term, ...]]:
-        """Expand the determinant (22) for the given terms."""
+        """Expand the determinant for the given terms."""
         families = [family_named(term.family) for term in self.terms]
         groups = group_by_alpha([term.alpha for term in self.terms], families)
         sizes = tuple(group.size for group in groups)

@@ -1,0 +1,41 @@
+"""What info shows of a scenario."""
+
+from cosim.report.inspection import describe_scenario
+
+SCENARIO = """
+[scenario]
+name = "x"
+stop = 0.2
+step = 0.1
+
+[components.length]
+kind = "constant"
+value = 1.0
+unit = "m"
+
+[components.width]
+kind = "constant"
+value = 2.0
+unit = "m"
+
+[components.area]
+kind = "sum"
+signs = [1.0]
+size = 2
+unit = "mm"
+
+[connections]
+"area.u1" = { from = ["length.y", "width.y"], offset = -0.5 }
+"""
+
+
+def test_a_connection_shows_all_its_sources_and_one_conversion(tmp_path):
+    """Two sources in m stacked to an input in mm: the map and the conversion stand once."""
+    path = tmp_path / "x.toml"
+    path.write_text(SCENARIO)
+    (row,) = describe_scenario(str(path))["connections"]
+    assert row["to"] == "area.u1"
+    assert row["from"] == "length.y, width.y"
+    assert row["map"] == "v - 0.5"
+    assert row["unit"] == "m -> mm"
+    assert row["conversion"] == "((v * 1.0 + 0.0) - 0.0) / 0.001"
