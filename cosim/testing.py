@@ -286,7 +286,7 @@ class _Bench:
         """Return the type of every input element."""
         types: list[str] = []
         for signal in self.interface.inputs:
-            types += [signal.kind] * signal.size
+            types += [signal.type] * signal.size
         return types
 
     def _of_its_type(self, noise: Matrix) -> Matrix:

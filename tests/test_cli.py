@@ -572,7 +572,7 @@ def test_a_constant_may_be_true(call, tmp_path):
     assert call("run", "x.toml", "--out", "x.mcap", "--quiet") == (0, "", "")
     log = cosim.open_log("x.mcap")
     assert log["x.y"].tolist() == [1.0, 1.0, 1.0]
-    assert log.channels["x"].interface.outputs[0].kind == "boolean"
+    assert log.channels["x"].interface.outputs[0].type == "boolean"
 
 
 def test_an_output_that_cannot_be_written_is_one_line(call, tmp_path):

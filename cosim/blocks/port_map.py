@@ -560,7 +560,7 @@ def _nature(element: PortElement) -> tuple[str, ...]:
     """Return what all elements of a signal have in common, in words."""
     signal = element.signal
     value = "optional (may be NaN)" if signal.optional else "never NaN"
-    return element.causality, signal.kind, signal.variability, value
+    return element.causality, signal.type, signal.variability, value
 
 
 def _way_out(port: Port, elements: Sequence[PortElement]) -> str:

@@ -24,7 +24,7 @@ class Expression:
     variability : {"continuous", "discrete"}
         "discrete" for signals that jump.
     unit : str or None
-    kind : {"real", "integer", "boolean"}
+    signal_type : {"real", "integer", "boolean"}
     """
 
     def __init__(
@@ -33,10 +33,10 @@ class Expression:
         *,
         variability: Variability = "continuous",
         unit: str | None = None,
-        kind: SignalType = "real",
+        signal_type: SignalType = "real",
     ) -> None:
         self.programs = tuple(compile_expression(text) for text in texts)
-        y = Signal("y", len(texts), unit, variability, kind=kind)
+        y = Signal("y", len(texts), unit, variability, type=signal_type)
         self.interface = Interface(outputs=(y,))
         self._step = expression_step(self.programs)
 
@@ -54,11 +54,11 @@ class Expression:
 
 
 def constant(
-    value: Sequence[float], *, unit: str | None = None, kind: SignalType = "real"
+    value: Sequence[float], *, unit: str | None = None, signal_type: SignalType = "real"
 ) -> Expression:
     """Build ``y = value``."""
     texts = [_number(element) for element in value]
-    return Expression(texts, unit=unit, kind=kind)
+    return Expression(texts, unit=unit, signal_type=signal_type)
 
 
 def step(

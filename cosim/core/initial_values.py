@@ -361,7 +361,7 @@ def _strength(interface: Interface, signal: str, output: str) -> int:
 
 
 def _is_discrete(signal: Signal) -> bool:
-    return signal.kind != "real" or signal.variability == "discrete"
+    return signal.type != "real" or signal.variability == "discrete"
 
 
 def _path_text(path: list[Port], ports: list[Port]) -> str:

@@ -32,7 +32,7 @@ class Signal:
         discrete where all inputs of its component are.
     optional : bool
         NaN means "no value yet"; everywhere else it stops the run.
-    kind : {"real", "integer", "boolean"}
+    type : {"real", "integer", "boolean"}
         Carried as float64 all the same.
     role : {"input", "output", "state", "estimate"}
         What it is to a reader of the log.
@@ -48,7 +48,7 @@ class Signal:
     unit: str | None = None
     variability: Variability = "continuous"
     optional: bool = False
-    kind: SignalType = "real"
+    type: SignalType = "real"
     role: Role = "output"
     base: BaseUnit | None = None
     start: tuple[float, ...] = ()

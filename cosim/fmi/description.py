@@ -322,7 +322,7 @@ class Description:
             size=sum(variable.size for variable in group),
             unit=first.unit,
             variability="continuous" if first.variability == "continuous" else "discrete",
-            kind=first.kind,
+            type=first.signal_type,
             role=role,
             optional=all(variable.doc.startswith(NO_VALUE) for variable in group),
             base=first.base,
@@ -399,5 +399,5 @@ def _is_vector(family: Mapping[int, Variable]) -> bool:
     """Whether scalars, by their numbers, are the elements of one vector."""
     first = min(family)
     has_gaps = max(family) - first >= len(family)
-    types = {(v.kind, v.unit, v.base, v.variability) for v in family.values()}
+    types = {(v.signal_type, v.unit, v.base, v.variability) for v in family.values()}
     return first in (0, 1) and not has_gaps and len(types) == 1

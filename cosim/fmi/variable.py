@@ -102,7 +102,7 @@ class Variable:
         return self.type not in ("String", "Binary", "Clock")
 
     @property
-    def kind(self) -> SignalType:
+    def signal_type(self) -> SignalType:
         """What its signal carries."""
         if self.type in ("Float32", "Float64"):
             return "real"

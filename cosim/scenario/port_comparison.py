@@ -243,7 +243,7 @@ def _port_aspects(
         yield "causality", old_causality, new_causality, severity
         return
     yield _equal("causality", old.causality, new.causality, severity)
-    yield _equal("type", old.signal.kind, new.signal.kind)
+    yield _equal("type", old.signal.type, new.signal.type)
     yield _equal("size", old.size, new.size, severity)
     yield "unit", old.signal.unit, new.signal.unit, _unit(old.signal, new.signal, severity)
     yield _equal("variability", old.signal.variability, new.signal.variability)
@@ -389,12 +389,12 @@ def _candidates(
 
 def _fits(old: ComparedPort, new: ComparedPort) -> bool:
     same_form = old.causality == new.causality and old.size == new.size
-    same_type = old.signal.kind == new.signal.kind
+    same_type = old.signal.type == new.signal.type
     return same_form and same_type and _conversion(old.signal, new.signal) is not None
 
 
 def _reasons(old: ComparedPort, new: ComparedPort) -> tuple[str, ...]:
-    reasons = [f"{new.causality} of size {new.size}, {new.signal.kind}"]
+    reasons = [f"{new.causality} of size {new.size}, {new.signal.type}"]
     if old.signal.unit is not None and new.signal.unit is not None:
         reasons.append(f"unit {new.signal.unit!r}")
     same_count = (

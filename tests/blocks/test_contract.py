@@ -328,7 +328,7 @@ def test_integers_and_booleans_get_values_of_their_type():
         return u[:, :1] + u[:, 1:]
 
     interface = Interface(
-        (Signal("i", kind="integer"), Signal("b", kind="boolean")), (Signal("y"),), {"y": None}
+        (Signal("i", type="integer"), Signal("b", type="boolean")), (Signal("y"),), {"y": None}
     )
     check_component(lambda: Static(interface, look))
     given = np.vstack(seen)

@@ -175,7 +175,7 @@ MIXED = Interface(
     (Signal("u", 2), Signal("w")),
     (
         Signal("r", unit="m"),
-        Signal("n", kind="integer"),
+        Signal("n", type="integer"),
         Signal("k", variability="discrete"),
         Signal("m", unit="kg"),
         Signal("o", optional=True),

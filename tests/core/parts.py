@@ -86,11 +86,15 @@ class Starter:
     Notes the inputs of every start.
     """
 
-    def __init__(self, function, inputs=("u",), *, declared=..., size=1, kind="real", start=()):
+    def __init__(
+        self, function, inputs=("u",), *, declared=..., size=1, signal_type="real", start=()
+    ):
         self.function, self.calls = function, []
-        signals = tuple(Signal(name, size, kind=kind, start=start) for name in inputs)
+        signals = tuple(Signal(name, size, type=signal_type, start=start) for name in inputs)
         initial = {"y": tuple(inputs) if declared is ... else declared}
-        self.interface = Interface(signals, (Signal("y", size, kind=kind),), {"y": ()}, initial)
+        self.interface = Interface(
+            signals, (Signal("y", size, type=signal_type),), {"y": ()}, initial
+        )
 
     def initialize(self, t, u):
         self.calls.append(u.tolist())

@@ -262,10 +262,10 @@ def test_missing_values_are_kept_only_where_they_may_be_missing():
 
 def test_discrete_signals_in_a_loop_converge_or_are_refused():
     """n = n // 2 + 21 climbs to 41 in halves and stays; b = not b never does."""
-    whole = Starter(lambda u: u // 2.0 + 21.0, kind="integer")
+    whole = Starter(lambda u: u // 2.0 + 21.0, signal_type="integer")
     found = start({"n": whole}, {"n.u": "n.y"})
     assert (found["n.u"].item(), found["n.y"].item()) == (41.0, 41.0)
-    flip = Starter(lambda u: 1.0 - u, kind="boolean")
+    flip = Starter(lambda u: 1.0 - u, signal_type="boolean")
     text = (
         "b.u -> b.y -> b.u, which depend on each other at initialization: with a discrete "
         "signal among them, and still changing "

@@ -294,7 +294,7 @@ def test_the_interface_of_a_pythonfmu_fmu(foreign2):
         assert "may depend directly on inputs" in fmu.component.notes[0]
     outputs = interface.outputs
     assert not any(interface.knows(output.name) for output in outputs)
-    assert [(s.name, s.size, s.kind, s.variability) for s in outputs] == [
+    assert [(s.name, s.size, s.type, s.variability) for s in outputs] == [
         ("y", 1, "real", "continuous"),
         ("x_a", 2, "real", "continuous"),
         ("x_b", 1, "real", "continuous"),

@@ -16,7 +16,7 @@ PLANT = Interface(
     (
         Signal("x_a", 2, role="state"),
         Signal("der(x)", unit="1"),
-        Signal("n", kind="integer", variability="discrete"),
+        Signal("n", type="integer", variability="discrete"),
     ),
     {"x_a": (), "der(x)": ("u",)},
 )

@@ -133,7 +133,7 @@ plain = st.builds(
     unit=st.none() | st.text(max_size=3),
     variability=st.sampled_from(["continuous", "discrete"]),
     optional=st.booleans(),
-    kind=st.sampled_from(["real", "integer", "boolean"]),
+    type=st.sampled_from(["real", "integer", "boolean"]),
     role=st.sampled_from(["input", "output", "state", "estimate"]),
     base=st.none() | bases,
 )

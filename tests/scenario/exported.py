@@ -81,7 +81,7 @@ def case(key: str, name: str) -> Case:
     loaded = load(scenario).set(changes)
     run = recorded(key)
     with ExitStack() as resources:
-        graph = build(loaded.document, resources).graph
+        graph = build(loaded, resources).graph
         context = build_context(loaded, resources)
         model = loaded.specs[name].linear_model(name, context) if (key, name) in STATES else None
     component = graph.components[name]

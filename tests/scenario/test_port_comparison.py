@@ -21,7 +21,7 @@ BEFORE = Interface(
         Signal("x_a", 2),
         Signal("x_b"),
         Signal("s", unit="m"),
-        Signal("n", kind="integer"),
+        Signal("n", type="integer"),
     ),
     {"y": ("u",)},
 )
@@ -115,7 +115,7 @@ def test_what_fits_best_is_proposed_with_its_reasons():
         Signal("b", unit="V"),
         Signal("c", unit="A"),
         Signal("d", 2, unit="V"),
-        Signal("i", kind="integer"),
+        Signal("i", type="integer"),
     )
     values = {"a": [1.0], "b": [2.0], "c": [1.0], "d": [1.0, 3.0], "i": [5.0]}
     after = Side(

@@ -242,7 +242,7 @@ def _watched(description: Description) -> NDArray[np.intp]:
     Real and continuous ones, if possible without direct feedthrough.
     """
     interface = description.interface
-    real = [output for output in interface.outputs if output.kind == "real"]
+    real = [output for output in interface.outputs if output.type == "real"]
     moving = [output.name for output in real if output.variability == "continuous"]
     not_fed = [name for name in moving if not interface.feeds(name)]
     slices = interface.output_columns()

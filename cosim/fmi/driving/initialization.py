@@ -270,7 +270,7 @@ def _number(variable: Variable, scalar: StartScalar) -> float:
         raise ValueError(f"found {str(scalar).lower()}, needed a number")
     if not math.isfinite(scalar):
         raise ValueError(f"found {scalar}, needed a finite number")
-    if variable.kind == "integer":
+    if variable.signal_type == "integer":
         _check_integer(variable, scalar)
     if not variable.minimum <= scalar <= variable.maximum:
         raise ValueError(f"found {scalar}, needed {variable.minimum} to {variable.maximum}")

@@ -40,7 +40,7 @@ class Element:
     def is_continuous(self) -> bool:
         """Whether it is real and continuous."""
         variable = self.variable
-        return variable.kind == "real" and variable.variability == "continuous"
+        return variable.signal_type == "real" and variable.variability == "continuous"
 
     @property
     def is_variable(self) -> bool:

@@ -142,7 +142,7 @@ def _check_variables(where: str, names: Sequence[str], reader: _ManifestReader) 
         if count > 1:
             reader.problems.append(f"{where} {name!r} is listed {count} times, needed once")
         variable = reader.named[name]
-        if variable.kind != "real" or variable.variability != "continuous":
+        if variable.signal_type != "real" or variable.variability != "continuous":
             reader.problems.append(
                 f"{where} {name!r}: found a variable that is not real and continuous, "
                 "needed one that is"

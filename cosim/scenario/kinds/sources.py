@@ -36,8 +36,8 @@ class ConstantKind(Kind):
     unit: str | None = None
 
     def build(self, name: str, context: BuildContext) -> Component:
-        kind: SignalType = "boolean" if isinstance(self.value, bool) else "real"
-        return source.constant(_vector(self.value), unit=self.unit, kind=kind)
+        signal_type: SignalType = "boolean" if isinstance(self.value, bool) else "real"
+        return source.constant(_vector(self.value), unit=self.unit, signal_type=signal_type)
 
 
 class StepKind(Kind):
