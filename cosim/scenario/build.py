@@ -146,8 +146,8 @@ class Builder:
             try:
                 Clock(stop, settings.step)
             except CosimError as error:
-                problems = [*self.problems, (("scenario", key), str(error))]
-                raise self.scenario.document.report(problems) from error
+                self.problems.append((("scenario", key), str(error)))
+                raise self.scenario.document.report(self.problems) from error
         return Clock(settings.stop, settings.step, block)
 
     # --- components ---
@@ -184,26 +184,25 @@ class Builder:
         renamings = [entry.renaming for entry in entries]
         replaced = self._replaced.get(name)
         self.port_maps[name], problems = resolve(component.interface, renamings, replaced)
-        for port, text in problems.items():
-            key = next(e.key for e in entries if port in (e.renaming.port, e.renaming.port.whole))
-            self.problems.append((key, text))
-            self._invalid.add(name)
+        for entry in entries:
+            port = entry.renaming.port
+            text = problems.pop(port, None) or problems.pop(port.whole, None)
+            if text is not None:
+                self.problems.append((entry.key, text))
+                self._invalid.add(name)
         return Renamed(component, self.port_maps[name])
 
     # --- connections ---
 
     def _check_connections(self) -> None:
-        components = {
-            name: component
-            for name, component in self.components.items()
-            if name not in self._invalid
-        }
+        components = dict(self.components)
+        for name in self._invalid & components.keys():
+            del components[name]
         if not components:
             return
+        layout = layout_of(components)
+        problems = check_connections(layout, self.scenario.connections, self._invalid)
         reported = {key for key, _ in self.problems}
-        problems = check_connections(
-            layout_of(components), self.scenario.connections, self._invalid
-        )
         for to, text in problems.items():
             key = ("connections", str(to))
             if key not in reported:
@@ -229,16 +228,11 @@ class Builder:
             With every problem of the file.
         """
         self.check()
-        scenario = self.scenario
         context = self.context
-        graph = self._graph(self.components, scenario.connections)
-        for name, spec in scenario.specs.items():
-            for text in spec.advice(self._held_inputs(graph, name), self.clock.step_ns / 1e9):
-                context.warn(name, text)
-        for name, text in graph.warnings:
-            context.warn(name, text)
+        graph = self._graph(self.components, self.scenario.connections)
+        self._warn(graph)
         return Experiment(
-            scenario,
+            self.scenario,
             graph,
             self.clock,
             truth=self._truth,
@@ -250,10 +244,17 @@ class Builder:
             files=frozenset(context.files),
         )
 
-    def _held_inputs(self, graph: Graph, name: str) -> dict[str, bool]:
-        """Return which inputs of a component have a zero-order hold."""
-        columns = self.components[name].interface.input_columns()
-        return {signal: bool(graph.held[name][at].any()) for signal, at in columns.items()}
+    def _warn(self, graph: Graph) -> None:
+        """Record the warnings of the components, knowing what drives them, and of the graph."""
+        h = self.clock.step_ns / 1e9
+        for name, spec in self.scenario.specs.items():
+            held = {}
+            for signal, columns in self.components[name].interface.input_columns().items():
+                held[signal] = bool(graph.held[name][columns].any())
+            for text in spec.advice(held, h):
+                self.context.warn(name, text)
+        for name, text in graph.warnings:
+            self.context.warn(name, text)
 
     def upstream(self, component: str) -> Graph:
         """Return the graph of a component and of all that it depends on.
@@ -265,6 +266,7 @@ class Builder:
         ScenarioError
             With every problem of the file, if one of these cannot be built or connected.
         """
+        connections: dict[Port, Connection] = {}
         needed: set[str] = set()
         waiting = {component}
         while waiting:
@@ -272,28 +274,25 @@ class Builder:
             needed.add(name)
             for to, connection in self.scenario.connections.items():
                 if to.component == name:
+                    connections[to] = connection
                     waiting |= {port.component for port in connection.sources} - needed
         if not needed <= self.components.keys() - self._invalid:
             raise self.scenario.document.report(self.problems)
         components = {name: self.components[name] for name in self.components if name in needed}
-        connections = {
-            to: connection
-            for to, connection in self.scenario.connections.items()
-            if to.component in needed
-        }
         return self._graph(components, connections)
 
     def _graph(
         self, components: Mapping[str, Component], connections: Mapping[Port, Connection]
     ) -> Graph:
         settings = self.scenario.file.scenario
+        periods = {name: self._periods[name] for name in components}
         try:
             return Graph(
                 components,
                 connections,
                 coupling=settings.coupling,
                 input_interpolation=settings.input_interpolation,
-                periods={name: self._periods[name] for name in components},
+                periods=periods,
             )
         except CosimError as error:
             problem = (("connections",), str(error))

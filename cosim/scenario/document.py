@@ -69,7 +69,9 @@ class Document:
             for port in self.maps:
                 if owner_of(tree, port) in swaps:
                     del kept[port]
-        return replace(self, swaps={**self.swaps, **absolute}, maps={**kept, **(maps or {})})
+        if maps is not None:
+            kept |= maps
+        return replace(self, swaps={**self.swaps, **absolute}, maps=kept)
 
     def with_changes(self, changes: Mapping[str, Any]) -> Document:
         """Set values; ``components.observer.L`` and ``observer.L`` are the same key."""
@@ -81,10 +83,11 @@ class Document:
         prefixes: list[str] = []
         for name in self.swapped_components():
             prefixes += [f"{name}.", f"connections.{name}."]
-        kept = {
-            key: value for key, value in self.changes.items() if not key.startswith(tuple(prefixes))
-        }
-        return replace(self, changes=kept, swapped=False)
+        changes = {}
+        for key, value in self.changes.items():
+            if not key.startswith(tuple(prefixes)):
+                changes[key] = value
+        return replace(self, changes=changes, swapped=False)
 
     def swapped_components(self) -> list[str]:
         """Return the names of the swapped components."""
@@ -92,8 +95,13 @@ class Document:
 
     def edits(self) -> str:
         """Return swaps, maps and changes as JSON, for the log."""
-        edits = {"swaps": dict(self.swaps), "maps": dict(self.maps), "changes": dict(self.changes)}
-        return json.dumps({"source": self.source, **edits})
+        edits = {
+            "source": self.source,
+            "swaps": self.swaps,
+            "maps": self.maps,
+            "changes": self.changes,
+        }
+        return json.dumps(edits)
 
     @staticmethod
     def recorded(text: str, edits: str, folder: Path) -> Document:
@@ -177,7 +185,7 @@ class Document:
         names = [str(part) for part in key]
         dotted = short(".".join(names))
         for change in self.changes:
-            if dotted == change or dotted.startswith(f"{change}."):
+            if f"{dotted}.".startswith(f"{change}."):
                 return f"--set {change}"
         match names:
             case ["components", name, *_] if name in self.swapped_components():
@@ -186,6 +194,10 @@ class Document:
                 return f"--map {port}"
             case ["swap", name, *_] if name in self.swaps:
                 return f"--swap {name}"
+        return self._place_in_text(names, dotted)
+
+    def _place_in_text(self, names: list[str], dotted: str) -> str:
+        """Return the line of a key, with the options that set values inside it."""
         line = find_line(self.text, names)
         place = self.source if line is None else f"{self.source}:{line}"
         inside = [f"--set {change}" for change in self.changes if change.startswith(f"{dotted}.")]
@@ -309,15 +321,18 @@ def find_line(text: str, key: list[str]) -> int | None:
             table = [part.strip().strip("\"'") for part in header[1].split(".")]
             written = table
         elif entry := re.match(r"\s*(\"[^\"]*\"|'[^']*'|[\w.-]+)\s*=", line):
-            name = entry[1]
-            quoted = name[0] in "\"'"
-            written = [*table, name[1:-1]] if quoted else [*table, *name.split(".")]
+            written = [*table, *_key_parts(entry[1])]
         else:
             continue
         if len(written) > depth and key[: len(written)] == written:
             best = number
             depth = len(written)
     return best
+
+
+def _key_parts(key: str) -> list[str]:
+    """Return the parts of a written key; a quoted one is one part."""
+    return [key[1:-1]] if key[0] in "\"'" else key.split(".")
 
 
 def _change(tree: dict[str, Any], key: str, value: Any) -> str | None:
@@ -334,14 +349,19 @@ def _change(tree: dict[str, Any], key: str, value: Any) -> str | None:
     else:
         table = tree.get("components", {})
         path = [first, *rest]
-        if first not in table and len(path) > 1:
+        if rest and first not in table:
             return f"there is no component {first!r}; {nearest(first, [*table, *TABLES])}"
+    _set_value(table, path, value)
+    return None
+
+
+def _set_value(table: dict[str, Any], path: list[str], value: Any) -> None:
+    """Set a value in a table or in tables inside it, which are made where there are none."""
     for part in path[:-1]:
         if not isinstance(table.setdefault(part, {}), dict):
             table[part] = {}
         table = table[part]
     table[path[-1]] = deepcopy(value)  # a later change may reach into it
-    return None
 
 
 def _set_port(table: dict[str, Any], port: list[str], value: Any) -> None:

@@ -20,12 +20,13 @@ from cosim.errors import Interrupted, LogError, UsageError
 from cosim.log import Log, McapRecorder, open_log
 from cosim.scenario.build import Builder, Experiment, parse
 from cosim.scenario.document import Document, find, short
+from cosim.scenario.examination import build_swapped
 from cosim.scenario.parsing import Scenario, read
 from cosim.scenario.profile import Timed
 from cosim.scenario.records import SCENARIO_FILE, MessageRecorder, attachments_of, metadata_of
 from cosim.scenario.replaying import unaffected_warnings, valid_designs
 from cosim.scenario.swap import PortNames
-from cosim.scenario.swap_report import SwapReports, build_swapped
+from cosim.scenario.swap_report import SwapReports
 
 Progress = Callable[[float, float], None]  # simulated time, end [s]
 
@@ -213,13 +214,10 @@ def _record(
 
 
 def _log_recorder(experiment: Experiment, out: str | Path, force: bool) -> McapRecorder:
-    return McapRecorder(
-        out,
-        force=force,
-        kinds={name: spec.kind for name, spec in experiment.scenario.specs.items()},
-        metadata=metadata_of(experiment),
-        attachments=attachments_of(experiment),
-    )
+    kinds = {name: spec.kind for name, spec in experiment.scenario.specs.items()}
+    metadata = metadata_of(experiment)
+    attachments = attachments_of(experiment)
+    return McapRecorder(out, force=force, kinds=kinds, metadata=metadata, attachments=attachments)
 
 
 def _with_reports(experiment: Experiment, reports: SwapReports) -> Experiment:
@@ -232,9 +230,9 @@ def _with_reports(experiment: Experiment, reports: SwapReports) -> Experiment:
 
 
 def _timed(graph: Graph, profile: dict[str, float]) -> Graph:
-    components = {
-        name: Timed(component, name, profile) for name, component in graph.components.items()
-    }
+    components = {}
+    for name, component in graph.components.items():
+        components[name] = Timed(component, name, profile)
     return Graph(
         components,
         graph.connections,
@@ -278,9 +276,9 @@ def _interruptible() -> Iterator[Callable[[], None]]:
             by_user = received[0] == signal.SIGINT
             raise Interrupted("interrupted by the user" if by_user else "terminated from outside")
 
-    handlers = {
-        number: signal.signal(number, receive) for number in (signal.SIGINT, signal.SIGTERM)
-    }
+    handlers = {}
+    for number in (signal.SIGINT, signal.SIGTERM):
+        handlers[number] = signal.signal(number, receive)
     try:
         yield check
     finally:

@@ -69,8 +69,13 @@ class Scenario:
         ScenarioError
             With every problem of the file and of these edits.
         """
-        paths = {name: str(path) for name, path in (swap or {}).items()}
-        return self.parse(self.document.with_swaps(paths, map).with_changes(set or {}))
+        document = self.document
+        if swap or map:
+            paths = {name: str(path) for name, path in (swap or {}).items()}
+            document = document.with_swaps(paths, map)
+        if set:
+            document = document.with_changes(set)
+        return self.parse(document)
 
     def swap(self, *, map: Mapping[str, PortNames] | None = None, **paths: str | Path) -> Scenario:
         """Put an FMU (.fmu) or a recorded component (.mcap) in the place of a component.
@@ -128,7 +133,8 @@ def _validate_components(tables: Any) -> tuple[dict[str, Kind], list[Problem]]:
         if "kind" not in table:
             problems.append((key, f"'kind' is missing; {nearest(kind, KINDS)}"))
         elif kind not in KINDS:
-            problems.append(((*key, "kind"), f"unknown kind {kind!r}; {nearest(kind, KINDS)}"))
+            text = f"unknown kind {kind!r}; {nearest(kind, KINDS)}"
+            problems.append(((*key, "kind"), text))
         else:
             try:
                 specs[name] = KINDS[kind].model_validate(table)

@@ -8,7 +8,7 @@ ports that are missing, ports of other names are proposed.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -49,7 +49,10 @@ class Ability:
 
     def items(self) -> list[tuple[str, Any]]:
         """Return (aspect, value)."""
-        return [(name.replace("_", " "), getattr(self, name)) for name in self.__slots__]
+        pairs = []
+        for name, value in asdict(self).items():
+            pairs.append((name.replace("_", " "), value))
+        return pairs
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,8 +178,8 @@ class ComparedPort:
     def _elements_of(self, values: Vector | None) -> list[float] | None:
         if values is None:
             return None
-        selected = values if self.element is None else values[self.element : self.element + 1]
-        return [float(value) for value in selected]
+        numbers: list[float] = values.tolist()
+        return numbers if self.element is None else [numbers[self.element]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,7 +227,9 @@ def compare_sides(
     """
     rows: list[ComparedAspect] = []
     for port in dict.fromkeys([*before.ports, *after.ports]):
-        label = f"{port} -> {names[port]}" if names and port in names else port
+        label = port
+        if names is not None and port in names:
+            label = f"{port} -> {names[port]}"
         severity: Verdict = "error" if port in refused else "differs"
         for aspect in _port_aspects(before.port(port), after.port(port), severity):
             rows.append(ComparedAspect(label, *aspect, port in connected))
@@ -245,7 +250,8 @@ def _port_aspects(
     yield _equal("causality", old.causality, new.causality, severity)
     yield _equal("type", old.signal.type, new.signal.type)
     yield _equal("size", old.size, new.size, severity)
-    yield "unit", old.signal.unit, new.signal.unit, _unit(old.signal, new.signal, severity)
+    unit_verdict = _unit(old.signal, new.signal, severity)
+    yield "unit", old.signal.unit, new.signal.unit, unit_verdict
     yield _equal("variability", old.signal.variability, new.signal.variability)
     if old.causality != new.causality:
         return
@@ -261,7 +267,8 @@ def _output_aspects(old: ComparedPort, new: ComparedPort) -> Iterator[Aspect]:
     verdict = _same_values(old.initial, _in_unit_of(old, new, new.initial))
     yield "initial output", old.initial, new.initial, verdict
     if old.gains is not None or new.gains is not None:
-        verdict = _same_values(old.gains, new.gains, _error(old.side, new.side))
+        error = _error(old.side, new.side)
+        verdict = _same_values(old.gains, new.gains, error)
         yield "static gain", old.gains, new.gains, verdict
 
 
@@ -271,7 +278,9 @@ def _inputs_of(output: ComparedPort) -> str | list[str]:
 
 
 def _whole_aspects(before: Side, after: Side) -> Iterator[Aspect]:
-    for (aspect, old), (_, new) in zip(before.ability.items(), after.ability.items(), strict=True):
+    new_abilities = dict(after.ability.items())
+    for aspect, old in before.ability.items():
+        new = new_abilities[aspect]
         unknown = old is not new and (old is None or new is None)
         yield _equal(aspect, old, new, "unknown" if unknown else "differs")
     if before.linear is not None or after.linear is not None:
@@ -288,7 +297,7 @@ def _equal(aspect: str, old: Any, new: Any, severity: Verdict = "differs") -> As
 def _error(*sides: Side) -> float:
     """Return how far numbers may be apart: ten times the error of the derivatives."""
     errors = [10.0 * side.linear.error for side in sides if side.linear is not None]
-    return max(SAME, *errors)
+    return max([SAME, *errors])
 
 
 def _complex_pairs(poles: Vector | None) -> list[list[float]] | None:
@@ -315,8 +324,9 @@ def _in_unit_of(
     """Return values of ``new`` in the unit of ``old``, where they can be converted."""
     if values is None:
         return None
+    array = np.array(values)
     converted = _conversion(old.signal, new.signal)
-    return np.array(values) if converted is None else converted(np.array(values))
+    return array if converted is None else converted(array)
 
 
 def _same_values(
@@ -397,21 +407,21 @@ def _reasons(old: ComparedPort, new: ComparedPort) -> tuple[str, ...]:
     reasons = [f"{new.causality} of size {new.size}, {new.signal.type}"]
     if old.signal.unit is not None and new.signal.unit is not None:
         reasons.append(f"unit {new.signal.unit!r}")
-    same_count = (
-        old.feedthrough is not None
-        and new.feedthrough is not None
-        and len(old.feedthrough) == len(new.feedthrough)
-    )
-    if same_count and new.feedthrough is not None:
-        reasons.append(_feedthrough_text(new.causality, new.feedthrough))
+    if _same_count(old.feedthrough, new.feedthrough):
+        reasons.append(_feedthrough_text(new.causality, new.feedthrough or ()))
     initial = new.initial
     same_initial = _same_values(old.initial, _in_unit_of(old, new, initial)) == "ok"
     if initial is not None and same_initial:
         reasons.append(f"initial output {_shown(initial)}")
     gains = new.gains
-    if old.gains and gains and _close(old.gains, gains, _error(old.side, new.side)):
+    error = _error(old.side, new.side)
+    if old.gains and gains and _close(old.gains, gains, error):
         reasons.append(f"static gains {_shown(gains)}")
     return tuple(reasons)
+
+
+def _same_count(old: Sequence[str] | None, new: Sequence[str] | None) -> bool:
+    return old is not None and new is not None and len(old) == len(new)
 
 
 def _feedthrough_text(causality: Causality, names: Sequence[str]) -> str:

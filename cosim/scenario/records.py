@@ -113,26 +113,27 @@ def metadata_of(experiment: Experiment) -> dict[str, dict[str, str]]:
     """
     scenario = experiment.scenario
     settings = scenario.file.scenario
+    schedule = [stage.description for stage in experiment.graph.stages]
+    run = {
+        "scenario": scenario.name,
+        "edits": scenario.document.edits(),
+        "stop": repr(settings.stop),
+        "step": repr(settings.step),
+        "truth": json.dumps(experiment.truth),
+        "schedule": json.dumps(schedule),
+        "warnings": json.dumps(experiment.warnings),
+    }
     connections = {}
     for to, connection in scenario.connections.items():
         conversions = experiment.graph.conversions.get(to, ())
         connections[str(to)] = json.dumps(_plain(connection, conversions))
-    records = {
-        "cosim.run": {
-            "scenario": scenario.name,
-            "edits": scenario.document.edits(),
-            "stop": repr(settings.stop),
-            "step": repr(settings.step),
-            "truth": json.dumps(dict(experiment.truth)),
-            "schedule": json.dumps([stage.description for stage in experiment.graph.stages]),
-            "warnings": json.dumps(experiment.warnings),
-        },
-        "cosim.connections": connections,
-    }
+    records = {"cosim.run": run, "cosim.connections": connections}
     for name in scenario.specs:
+        table = scenario.tree["components"][name]
+        metadata = experiment.metadata.get(name, {})
         records[f"cosim.component.{name}"] = {
-            "table": json.dumps(scenario.tree["components"][name]),
-            "metadata": json.dumps(experiment.metadata.get(name, {})),
+            "table": json.dumps(table),
+            "metadata": json.dumps(metadata),
             "fingerprint": fingerprint(scenario, name, experiment.reads[name]),
         }
     return records

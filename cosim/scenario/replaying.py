@@ -13,6 +13,7 @@ from cosim.log import Log
 from cosim.scenario.build import Experiment, fingerprint
 from cosim.scenario.document import short
 
+EVERYWHERE = {"scenario.input_interpolation", "scenario.coupling"}  # keys that matter to all
 RECORDED = (
     "is taken from the recording: it does not answer to what was changed before it; "
     "run the scenario for that"
@@ -33,14 +34,15 @@ def valid_designs(
     """
     designs = {}
     for name, spec in experiment.scenario.specs.items():
-        touched = sorted(key for key in changed if short(key).split(".")[0] == name)
+        touched = sorted(key for key in changed if f"{short(key)}.".startswith(f"{name}."))
         if touched and not spec.computable:
             raise UsageError(
                 f"--set {touched[0]}: {name!r} is taken from the recording; "
                 "run the scenario to change it"
             )
-        recorded = source.metadata.get(f"cosim.component.{name}", {}).get("fingerprint")
-        same_tables = recorded == fingerprint(experiment.scenario, name, experiment.reads[name])
+        recorded = source.metadata.get(f"cosim.component.{name}", {})
+        current = fingerprint(experiment.scenario, name, experiment.reads[name])
+        same_tables = recorded.get("fingerprint") == current
         same_hold = np.array_equal(source.held[name], experiment.graph.held[name])
         if not spec.computable or (same_tables and same_hold):
             designs[name] = source.designs[name]
@@ -52,32 +54,41 @@ def unaffected_warnings(
 ) -> list[tuple[str, str]]:
     """Return warnings of recorded components behind a change: their outputs stay as they were."""
     specs = experiment.scenario.specs
-    recorded = {name for name, spec in specs.items() if not spec.computable}
-    keys = [short(key).split(".") for key in changed]
-    rewired = {parts[1] for parts in keys if parts[0] == "connections"}
-    affected = _affected(experiment, keys) | rewired
+    keys = [short(key) for key in changed]
+    rewired = _second_parts(keys, "connections")
     drivers = _drivers(experiment)
-    newly_affected = affected
-    while newly_affected:
-        newly_affected = {
-            name for name in specs if name not in affected | recorded and drivers[name] & affected
-        }
-        affected = affected | newly_affected
-    if any(
-        parts in (["scenario", "input_interpolation"], ["scenario", "coupling"]) for parts in keys
-    ):
-        affected = affected | set(specs)
-    return [
-        (name, RECORDED)
-        for name in specs
-        if name in recorded and (name in rewired or drivers[name] & affected)
-    ]
+    affected = set(specs)
+    if EVERYWHERE.isdisjoint(keys):
+        affected = _spread(_changed_components(experiment, keys) | rewired, experiment)
+    warnings = []
+    for name, spec in specs.items():
+        if not spec.computable and (name in rewired or drivers[name] & affected):
+            warnings.append((name, RECORDED))
+    return warnings
 
 
-def _affected(experiment: Experiment, keys: list[list[str]]) -> set[str]:
+def _spread(changed: set[str], experiment: Experiment) -> set[str]:
+    """Return changed components and those that they reach; a recorded one passes nothing on."""
+    drivers = _drivers(experiment)
+    computed = {name for name, spec in experiment.scenario.specs.items() if spec.computable}
+    affected = set(changed)
+    reached = affected
+    while reached:
+        reached = {name for name in computed - affected if drivers[name] & affected}
+        affected |= reached
+    return affected
+
+
+def _second_parts(keys: list[str], table: str) -> set[str]:
+    """Return what is changed in a table: the second part of the keys that begin with it."""
+    prefix = f"{table}."
+    return {key.split(".")[1] for key in keys if key.startswith(prefix)}
+
+
+def _changed_components(experiment: Experiment, keys: list[str]) -> set[str]:
     """Return the components that are changed themselves, or by a model that they read."""
-    models = {".".join(parts[:2]) for parts in keys if parts[0] == "models"}
-    names = {parts[0] for parts in keys}
+    models = {f"models.{name}" for name in _second_parts(keys, "models")}
+    names = {key.split(".")[0] for key in keys}
     for name in experiment.scenario.specs:
         if experiment.reads[name] & models:
             names.add(name)
@@ -88,5 +99,5 @@ def _drivers(experiment: Experiment) -> dict[str, set[str]]:
     """Return the components that drive each component."""
     drivers: dict[str, set[str]] = {name: set() for name in experiment.scenario.specs}
     for to, connection in experiment.scenario.connections.items():
-        drivers[to.component].update(source.component for source in connection.sources)
+        drivers[to.component] |= {source.component for source in connection.sources}
     return drivers

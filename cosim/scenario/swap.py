@@ -54,7 +54,7 @@ class MapEntry:
 def swapped_components(tree: Mapping[str, Any]) -> list[str]:
     """Return the names of the components that [swap] replaces."""
     components = _table(tree, "components")
-    return [name for name, path in _paths(tree).items() if name in components]
+    return [name for name in _paths(tree) if name in components]
 
 
 def replace_components(tree: Tables, paths: Mapping[str, str]) -> list[Problem]:
@@ -69,10 +69,10 @@ def replace_components(tree: Tables, paths: Mapping[str, str]) -> list[Problem]:
     """
     entries = {**_table(tree, "swap"), **paths}
     if entries:
-        tree["swap"] = {
-            name: {"path": entry} if isinstance(entry, str) else entry
-            for name, entry in entries.items()
-        }
+        tree["swap"] = entries
+        for name, entry in entries.items():
+            if isinstance(entry, str):
+                entries[name] = {"path": entry}
     problems: list[Problem] = []
     components = _table(tree, "components")
     for name, path in _paths(tree).items():
@@ -193,10 +193,9 @@ def _resolve_map(
             continue
         first = entries.setdefault(renaming.port, MapEntry(key, renaming))
         if first.renaming != renaming:
-            text = (
-                f"'{renaming.port}' is given twice, as {_listed(first.renaming)} for "
-                f"{str(first.key[-1])!r} and as {_listed(renaming)} for {written!r}; needed one"
-            )
+            first_use = f"as {_listed(first.renaming)} for {str(first.key[-1])!r}"
+            second_use = f"as {_listed(renaming)} for {written!r}"
+            text = f"'{port}' is given twice, {first_use} and {second_use}; needed one"
             problems.append((key, text))
     return list(entries.values()), problems
 
@@ -214,14 +213,21 @@ def _sources(component: str, names: PortNames) -> tuple[Port, ...]:
         If a name is missing or none of a port.
     """
     if isinstance(names, str):
-        listed = re.fullmatch(r"\[(.*)\]", names.strip())
-        names = [names] if listed is None else [name.strip() for name in listed[1].split(",")]
+        names = _listed_names(names)
     if not names or "" in names:
         raise GraphError(
             "found no name, needed that of a port of the component that takes the place of "
             f"{component!r}"
         )
     return tuple(Port.parse(f"{component}.{name}") for name in names)
+
+
+def _listed_names(text: str) -> list[str]:
+    """Return the names in a text: ``[s1, s2]``, or one name alone."""
+    listed = re.fullmatch(r"\[(.*)\]", text.strip())
+    if listed is None:
+        return [text]
+    return [name.strip() for name in listed[1].split(",")]
 
 
 class WrittenPorts:
@@ -238,8 +244,9 @@ class WrittenPorts:
         self._sources: dict[Port, list[Port]] = {}  # by input
         for to, connection in _table(tree, "connections").items():
             source = connection.get("from") if isinstance(connection, dict) else connection
+            sources = source if isinstance(source, list) else [source]
             for port in ports_in([to]):
-                self._sources[port] = ports_in(source if isinstance(source, list) else [source])
+                self._sources[port] = ports_in(sources)
         self._outputs: list[Port] = []
         for ports in self._sources.values():
             self._outputs += ports
@@ -289,14 +296,15 @@ class WrittenPorts:
     def _writes(self, written: str, component: str) -> bool:
         """Return whether a port, or the whole of it, is one that a map of a component may name."""
         names = self.of(component)
-        return written in names or any(str(port.whole) in names for port in ports_in([written]))
+        wholes = [str(port.whole) for port in ports_in([written])]
+        return not set(names).isdisjoint([written, *wholes])
 
     def causality(self, port: Port) -> Causality | None:
         """Return what a port must be where the scenario connects it; None: anything."""
         if port in self._sources:
             return "input"
-        is_source = any(port.whole == output.whole for output in self._outputs)
-        return "output" if is_source else None
+        wholes = [output.whole for output in self._outputs]
+        return "output" if port.whole in wholes else None
 
     def unknown(self, written: str, swapped: Iterable[str]) -> str:
         """Return why an entry is for no port of the swapped components."""

@@ -1,41 +1,14 @@
-"""Swap reports: before a run, how each swapped component compares with the one it replaces.
-
-The scenario is built without its swaps, as far as it can be, and with them. Both are initialized,
-the components that are compared are linearized where they can be, and those that were replaced are
-freed again. The swapped scenario is the very one that then runs: it is initialized once more. It is
-built anew only if its FMUs do not come back from that as they were.
-"""
+"""Swap reports: how a swapped component compares with the one it replaces."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from contextlib import ExitStack, suppress
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from itertools import groupby
 from typing import Any
 
-import numpy as np
-
-from cosim.arrays import Vector
-from cosim.core.contracts import Plan, prepare
-from cosim.core.port import Port
-from cosim.core.signals import Interface
-from cosim.errors import CosimError, ScenarioError
-from cosim.fmi.description import INTERFACE_TYPE_NAMES, Description, InterfaceType
-from cosim.scenario.build import Builder, Experiment, parse
-from cosim.scenario.context import FmuMessage
-from cosim.scenario.kinds import Kind
-from cosim.scenario.parsing import Scenario, read
-from cosim.scenario.port_comparison import (
-    Ability,
-    ComparedAspect,
-    LinearBehavior,
-    Proposal,
-    Side,
-    compare_sides,
-    propose,
-)
-from cosim.scenario.swap import ports_in
+from cosim.errors import ScenarioError
+from cosim.scenario.port_comparison import ComparedAspect, Proposal
 
 
 @dataclass(frozen=True)
@@ -48,8 +21,12 @@ class SwapReport:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values; ports by their full names."""
-        ports = [{**asdict(row), "port": self._port(row.port)} for row in self.rows]
-        proposals = [{**asdict(item), "option": self._option(item)} for item in self.proposals]
+        ports = []
+        for row in self.rows:
+            ports.append({**asdict(row), "port": self._port(row.port)})
+        proposals = []
+        for proposal in self.proposals:
+            proposals.append({**asdict(proposal), "option": self._option(proposal)})
         return {"ports": ports, "proposals": proposals}
 
     @property
@@ -62,18 +39,16 @@ class SwapReport:
         for _, group in groupby(self.rows, key=lambda row: row.port):
             rows = list(group)
             different = [row for row in rows if row.verdict != "ok"]
-            lines += [self._line(row) for row in different or [_agreed(rows)]]
+            for row in different or [_agreed(rows)]:
+                lines.append(self._line(row))
         return lines
 
     def _line(self, row: ComparedAspect) -> dict[str, str]:
-        return {
-            "": self._port(row.port),
-            "aspect": row.aspect,
-            "before": shown(row.before),
-            "after": "the same" if row.verdict == "ok" else shown(row.after),
-            "verdict": row.verdict,
-            "connected": shown(row.connected) if row.port else "",
-        }
+        line = {"": self._port(row.port), "aspect": row.aspect, "before": shown(row.before)}
+        line["after"] = "the same" if row.verdict == "ok" else shown(row.after)
+        line["verdict"] = row.verdict
+        line["connected"] = shown(row.connected) if row.port else ""
+        return line
 
     @property
     def differences(self) -> str:
@@ -82,18 +57,20 @@ class SwapReport:
         for row in self.rows:
             if row.verdict == "differs" and row.connected:
                 values = f"{shown(row.after)} (was {shown(row.before)})"
-                texts.append(f"{row.port} {row.aspect} {values}".strip())
+                subject = f"{row.port} {row.aspect}".strip()
+                texts.append(f"{subject} {values}")
         return "; ".join(texts)
 
     @property
     def hints(self) -> list[str]:
         """The proposals, in words."""
         hints = []
-        for item in self.proposals:
-            new = f"{self.component}.{item.name}"
-            old = f"{self.component}.{item.port}"
-            reasons = "; ".join(item.reasons)
-            hints.append(f"{self._option(item)}: {new} may be {old} ({reasons})")
+        for proposal in self.proposals:
+            option = self._option(proposal)
+            new = self._port(proposal.name)
+            old = self._port(proposal.port)
+            reasons = "; ".join(proposal.reasons)
+            hints.append(f"{option}: {new} may be {old} ({reasons})")
         return hints
 
     def _option(self, proposal: Proposal) -> str:
@@ -108,8 +85,8 @@ def _agreed(rows: Sequence[ComparedAspect]) -> ComparedAspect:
     first = rows[0]
     values = {row.aspect: row.before for row in rows}
     if not first.port:
-        text = ", ".join(f"{aspect} {shown(value)}" for aspect, value in values.items())
-        return replace(first, aspect="as a whole", before=text)
+        texts = [f"{aspect} {shown(value)}" for aspect, value in values.items()]
+        return replace(first, aspect="as a whole", before=", ".join(texts))
     text = f"size {values['size']}, {values['type']}"
     if values["unit"]:
         text += f" [{values['unit']}]"
@@ -190,316 +167,3 @@ class SwapReports:
                 text = f"differs from what it replaces: {report.differences}"
                 warnings.append((name, text))
         return warnings
-
-
-def examine(scenario: Scenario) -> SwapReports:
-    """Compare every swapped component with the one it replaces; nothing runs or stays open.
-
-    Raises
-    ------
-    ScenarioError
-        If nothing of the scenario can be built.
-    """
-    with ExitStack() as resources:
-        return _Examination(scenario, resources, None).reports
-
-
-def build_swapped(
-    scenario: Scenario, resources: ExitStack, block: int | None
-) -> tuple[Experiment, SwapReports]:
-    """Build a scenario with swaps, and the reports of these; parameters as of ``Builder``.
-
-    Raises
-    ------
-    ScenarioError
-        With every problem of the scenario, and the ports that may have been meant.
-    """
-    examination = _Examination(scenario, resources, block)
-    examination.reports.check()
-    return examination.experiment(), examination.reports
-
-
-@dataclass(frozen=True)
-class _InitialSignals:
-    """Inputs and outputs of a component at initialization, by port."""
-
-    inputs: Mapping[str, Vector]
-    outputs: Mapping[str, Vector]
-
-    @staticmethod
-    def of(interface: Interface, u: Vector, y: Vector) -> _InitialSignals:
-        inputs = {name: u[columns] for name, columns in interface.input_columns().items()}
-        outputs = {name: y[columns] for name, columns in interface.output_columns().items()}
-        return _InitialSignals(inputs, outputs)
-
-
-@dataclass(frozen=True)
-class _ReplacedSide:
-    """A replaced component, and its initial signals where it could be initialized."""
-
-    side: Side
-    initial: _InitialSignals | None
-
-
-class _InitialState:
-    """A built scenario, prepared and initialized as far as possible.
-
-    Attributes
-    ----------
-    experiment : Experiment or None
-        None: ``problems`` says why it could not be built.
-    failure : str
-        Why it could not be initialized; empty: it was.
-    """
-
-    def __init__(self, builder: Builder) -> None:
-        self.experiment: Experiment | None = None
-        self.problems: list[str] = []
-        self.failure = ""
-        self.plan: Plan | None = None
-        self._row = np.zeros(0)
-        try:
-            self.experiment = builder.experiment()
-        except ScenarioError as error:
-            self.problems = str(error).splitlines()
-            return
-        graph = self.experiment.graph
-        self._row = np.zeros(graph.layout.width)
-        try:
-            self.plan = graph.prepare(self.experiment.clock.step_ns)
-            graph.initialize(0.0, self._row)
-        except CosimError as error:
-            self.failure = str(error)
-
-    def signals(self, component: str) -> _InitialSignals | None:
-        """Return the initial signals of a component; None: the scenario was not initialized."""
-        if self.experiment is None or self.failure:
-            return None
-        channel = self.experiment.graph.layout[component]
-        u = self._row[channel.inputs]
-        y = self._row[channel.outputs]
-        return _InitialSignals.of(channel.interface, u, y)
-
-    def leave_initialization(self, component: str) -> None:
-        """Make a component leave its initialization, as at the begin of a run.
-
-        A reset of its FMU, which linearizing needs, would otherwise go unnoticed: an FMU in
-        initialization mode is only given its inputs when it is initialized again.
-        """
-        signals = self.signals(component)
-        if self.experiment is not None and signals is not None:
-            u = np.concatenate([np.zeros(0), *signals.inputs.values()])
-            with suppress(CosimError):  # then it does not repeat either
-                self.experiment.graph.components[component].outputs(0.0, u)
-
-    def repeats(self) -> bool:
-        """Return whether the scenario can be initialized again, to the same bits."""
-        if self.experiment is None or self.failure:
-            return False
-        row = np.zeros_like(self._row)
-        try:
-            self.experiment.graph.initialize(0.0, row)
-        except CosimError:
-            return False
-        return row.tobytes() == self._row.tobytes()
-
-
-class _Examination:
-    """A swapped scenario that was built, initialized and compared with the one before."""
-
-    def __init__(self, scenario: Scenario, resources: ExitStack, block: int | None) -> None:
-        self._scenario = scenario
-        self._resources = resources
-        self._block = block
-        before = _replaced_sides(scenario)
-        self._interfaces = {name: part.side.interface for name, part in before.items()}
-        builder = self._builder()
-        fmus = builder.context.fmus
-        # What an FMU says when it is loaded belongs to the run, what it says here does not.
-        self._messages: dict[str, Sequence[FmuMessage]] = {
-            name: fmu.drain() for name, fmu in fmus.items()
-        }
-        self._initial = _InitialState(builder)
-        reports = {}
-        for name, part in before.items():
-            if name in builder.components:
-                reports[name] = self._compare(builder, name, part)
-        problems = tuple(self._initial.problems)
-        self.reports = SwapReports(reports, problems, self._initial.failure)
-        self._repeats = self._initial.repeats()
-        for fmu in fmus.values():
-            fmu.drain()
-
-    def _builder(self) -> Builder:
-        return Builder(
-            self._scenario, self._resources, block=self._block, replaced=self._interfaces
-        )
-
-    def _compare(self, builder: Builder, name: str, before: _ReplacedSide) -> SwapReport:
-        initial = self._initial.signals(name)
-        if initial is None and before.initial is not None:
-            initial = _initialize_alone(builder, name, before.initial)
-        self._initial.leave_initialization(name)
-        after = _side(builder, name, initial)
-        names = builder.port_maps[name].names if name in builder.port_maps else {}
-        connected = _connected_ports(builder.scenario, name)
-        rows = compare_sides(
-            before.side,
-            after,
-            names=names,
-            connected=connected,
-            refused=_refused_ports(builder, name),
-        )
-        missing = [
-            port for port in before.side.ports if port in connected and after.port(port) is None
-        ]
-        return SwapReport(name, rows, propose(before.side, after, missing))
-
-    def experiment(self) -> Experiment:
-        """Return the experiment; it is built again where the first one cannot run any more.
-
-        Raises
-        ------
-        ScenarioError
-            With every problem of the scenario.
-        """
-        experiment = self._initial.experiment
-        if experiment is None or not self._repeats:
-            self._resources.close()
-            return self._builder().experiment()
-        return replace(experiment, plan=self._initial.plan, messages=self._messages)
-
-
-def _replaced_sides(scenario: Scenario) -> dict[str, _ReplacedSide]:
-    """Build the scenario without its swaps, as far as it can be; its problems do not matter."""
-    sides: dict[str, _ReplacedSide] = {}
-    with ExitStack() as resources, suppress(CosimError):
-        original, problems = read(scenario.document.unswapped(), parse)
-        builder = Builder(original, resources, problems=problems)
-        state = _InitialState(builder)
-        for name in scenario.document.swapped_components():
-            if name in builder.components:
-                initial = state.signals(name)
-                state.leave_initialization(name)
-                sides[name] = _ReplacedSide(_side(builder, name, initial), initial)
-    return sides
-
-
-def _initialize_alone(
-    builder: Builder, name: str, before: _InitialSignals
-) -> _InitialSignals | None:
-    """Initialize a component whose scenario cannot be, with the inputs that the one before had.
-
-    Inputs that it did not have are zero. None: it cannot be initialized.
-    """
-    component = builder.components[name]
-    interface = component.interface
-    u = np.zeros(interface.n_u)
-    for port, columns in interface.input_columns().items():
-        values = before.inputs.get(port)
-        if values is not None and columns.stop - columns.start == len(values):
-            u[columns] = values
-    held = np.zeros(len(u), np.bool_)
-    with suppress(CosimError):
-        prepare(component, builder.clock.step_ns / 1e9, held, {})
-        return _InitialSignals.of(interface, u, component.initialize(0.0, u))
-    return None
-
-
-# --- one side ---
-
-
-def _side(builder: Builder, name: str, initial: _InitialSignals | None) -> Side:
-    """Return what is known of a component that was built."""
-    spec = builder.scenario.specs[name]
-    described = spec.description(name, builder.context)
-    return Side(
-        builder.components[name].interface,
-        _ability(spec, described),
-        start={} if described is None else _start_values(builder, name, described[1]),
-        initial={} if initial is None else initial.outputs,
-        linear=_linear_behavior(builder, name),
-    )
-
-
-def _ability(spec: Kind, described: tuple[InterfaceType, Description] | None) -> Ability:
-    if described is None:
-        return Ability(spec.kind)
-    interface_type, description = described
-    capabilities = description.capabilities[interface_type]
-    exchange = interface_type == "me"  # our solver takes any step and interpolates its inputs
-    return Ability(
-        INTERFACE_TYPE_NAMES[interface_type],
-        rollback=capabilities.saves_state,
-        variable_step=exchange or capabilities.variable_step,
-        interpolation=exchange or capabilities.interpolates_inputs,
-        directional_derivatives=capabilities.directional_derivatives,
-    )
-
-
-def _start_values(builder: Builder, name: str, description: Description) -> dict[str, Vector]:
-    """Return the start values of the inputs that have them."""
-    parts = [np.zeros(0)]
-    for _, variables in description.ports("input"):
-        for variable in variables:
-            unknown = variable.start is None
-            parts.append(np.full(variable.size, np.nan) if unknown else np.array(variable.start))
-    values = np.concatenate(parts)
-    if name in builder.port_maps:
-        values = builder.port_maps[name].shown_inputs(values)
-    columns = builder.components[name].interface.input_columns()
-    return {port: values[at] for port, at in columns.items() if not np.isnan(values[at]).any()}
-
-
-def _linear_behavior(builder: Builder, name: str) -> LinearBehavior | None:
-    """Return poles and static gain of a component; None: it cannot be linearized."""
-    spec = builder.scenario.specs[name]
-    try:
-        system = spec.linear_system(name, builder.context)
-    except (CosimError, ValueError):
-        return None
-    if system is None:
-        return None
-    behavior = LinearBehavior.of(system)
-    ports = builder.port_maps.get(name)
-    interface = builder.components[name].interface if ports is None else ports.component
-    if behavior.gain is None or behavior.gain.shape != (interface.n_y, interface.n_u):
-        return replace(behavior, gain=None)  # some ports are not continuous
-    return behavior if ports is None else replace(behavior, gain=ports.shown_gain(behavior.gain))
-
-
-# --- ports that the scenario names ---
-
-
-def _connected_ports(scenario: Scenario, name: str) -> set[str]:
-    """Return the ports of a component that the scenario names."""
-    ports = list(scenario.connections)
-    for connection in scenario.connections.values():
-        ports += connection.sources
-    for estimate, truth in scenario.file.truth.items():
-        ports += ports_in([estimate, truth])
-    return _names_of(ports, name)
-
-
-def _refused_ports(builder: Builder, name: str) -> set[str]:
-    """Return the ports of a component at connections, or in truths, that stop the run."""
-    connections = builder.scenario.connections
-    truths = builder.scenario.file.truth
-    ports: list[Port] = []
-    for key, _ in builder.problems:
-        if key[:1] == ("connections",):
-            for to in ports_in(key[1:]):
-                ports += [to, *(connections[to].sources if to in connections else ())]
-        elif key[:1] == ("truth",):
-            estimate = str(key[-1])
-            ports += ports_in([estimate, truths.get(estimate)])
-    return _names_of(ports, name)
-
-
-def _names_of(ports: Iterable[Port], component: str) -> set[str]:
-    """Return the names of the ports of a component; of an element that of the signal too."""
-    names: set[str] = set()
-    for port in ports:
-        if port.component == component:
-            names |= {port.name, port.signal}
-    return names

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from cosim.core.contracts import Component
 from cosim.core.port import Port
-from cosim.core.signals import Interface, Signal
+from cosim.core.signals import Signal
 from cosim.errors import GraphError, nearest
 from cosim.scenario.problems import Problem
 from cosim.scenario.schema import File
@@ -28,7 +28,7 @@ class ComparedSignal:
 def check_truth(
     file: File,
     components: Mapping[str, Component],
-    missing: Collection[str],
+    missing: Set[str],
     warn: Callable[[str, str], None],
 ) -> tuple[dict[str, Any], list[Problem]]:
     """Return the truths that can be compared, and the problems of the others.
@@ -39,75 +39,88 @@ def check_truth(
     ----------
     file : File
     components : mapping of name to Component
-    missing : names
+    missing : set of names
         Of components that are not right: truths with their signals are not checked.
     warn : callable
         Told of the truths that a swap leaves out, as (component, text).
     """
     kept: dict[str, Any] = {}
     problems: list[Problem] = []
-    interfaces = {name: component.interface for name, component in components.items()}
+    signals = _Signals(components)
     for estimate, truth in file.truth.items():
         texts = [estimate, truth] if isinstance(truth, str) else [estimate]
-        key = ("truth", estimate)
         try:
             ports = [Port.parse(text) for text in texts]
-            if any(port.component in missing for port in ports):
+            if not missing.isdisjoint(port.component for port in ports):
                 continue
-            signals = [_find(interfaces, port) for port in ports]
+            dropped = [port for port in signals.unknown(ports) if port.component in file.swap]
+            if dropped:
+                text = f"has no {str(dropped[0])!r}: the report leaves out {estimate!r}"
+                warn(dropped[0].component, text)
+                continue
+            compared = [signals.find(port) for port in ports]
+            _check_match(estimate, truth, compared)
         except GraphError as error:
-            problems.append((key, str(error)))
-            continue
-        unknown = [port for port, signal in zip(ports, signals, strict=True) if signal is None]
-        lost = [port for port in unknown if port.component in file.swap]
-        compared = [signal for signal in signals if signal is not None]
-        if lost:
-            text = f"has no {str(lost[0])!r}: the report leaves out {estimate!r}"
-            warn(lost[0].component, text)
-        elif unknown:
-            problems += [(key, _unknown(interfaces, port)) for port in unknown]
-        elif mismatch := _mismatch(estimate, truth, compared):
-            problems.append((key, mismatch))
+            problems.append((("truth", estimate), str(error)))
         else:
             kept[estimate] = truth
     return kept, problems
 
 
-def _find(interfaces: Mapping[str, Interface], port: Port) -> ComparedSignal | None:
-    """Return the signal that a port names; None: there is none.
+class _Signals:
+    """The signals of components by port."""
+
+    def __init__(self, components: Mapping[str, Component]) -> None:
+        self._signals: dict[str, tuple[Signal, ...]] = {}
+        self._names: list[str] = []
+        for name, component in components.items():
+            self._signals[name] = component.interface.signals
+            self._names += [f"{name}.{signal.name}" for signal in component.interface.signals]
+
+    def unknown(self, ports: Sequence[Port]) -> list[Port]:
+        """Return those of some ports that there are not."""
+        return [port for port in ports if self._match(port) is None]
+
+    def find(self, port: Port) -> ComparedSignal:
+        """Return the signal that a port names.
+
+        Raises
+        ------
+        GraphError
+            If there is no such signal or element.
+        """
+        match = self._match(port)
+        if match is None:
+            suggestion = nearest(str(port), self._names)
+            raise GraphError(f"there is no signal {str(port)!r}; {suggestion}")
+        signal, elements = match
+        return ComparedSignal(signal, elements.stop - elements.start)
+
+    def _match(self, port: Port) -> tuple[Signal, slice] | None:
+        return port.find(self._signals.get(port.component, ()))
+
+
+def _check_match(estimate: str, truth: Any, compared: Sequence[ComparedSignal]) -> None:
+    """Check that an estimate can be compared with its truth.
 
     Raises
     ------
     GraphError
-        If it has no such element.
+        If their sizes differ, or their units are of different kinds.
     """
-    interface = interfaces.get(port.component, Interface())
-    match = port.find(interface.signals)
-    if match is None:
-        return None
-    signal, elements = match
-    return ComparedSignal(signal, len(range(*elements.indices(signal.size))))
-
-
-def _unknown(interfaces: Mapping[str, Interface], port: Port) -> str:
-    names: list[str] = []
-    for component, interface in interfaces.items():
-        names += [f"{component}.{signal.name}" for signal in interface.signals]
-    return f"there is no signal {str(port)!r}; {nearest(str(port), names)}"
-
-
-def _mismatch(estimate: str, truth: Any, compared: list[ComparedSignal]) -> str:
-    """Return why an estimate cannot be compared with its truth; empty: it can."""
     estimated = compared[0]
-    if isinstance(truth, str):
-        true = compared[1]
-    else:
-        true = ComparedSignal(estimated.signal, len(np.atleast_1d(truth)))
-    if estimated.size != true.size:
-        return f"{estimate!r} has size {estimated.size}, its truth {truth!r} has size {true.size}"
-    if conversion(true.signal.measure, estimated.signal.measure) is None:
-        return (
-            f"{estimate!r} has unit {estimated.signal.unit!r}, its truth {truth!r} has unit "
-            f"{true.signal.unit!r}; needed units of one kind"
+    true = compared[-1] if isinstance(truth, str) else None
+    true_size = len(np.atleast_1d(truth)) if true is None else true.size
+    if estimated.size != true_size:
+        raise GraphError(
+            f"{estimate!r} has size {estimated.size}, its truth {truth!r} has size {true_size}"
         )
-    return ""
+    if true is None:
+        return
+    unit = estimated.signal.measure
+    true_unit = true.signal.measure
+    if conversion(true_unit, unit) is None:
+        raise GraphError(
+            f"{estimate!r} has unit {unit.name!r}, its truth {truth!r} has unit "
+            f"{true_unit.name!r}; needed units of one kind"
+        )

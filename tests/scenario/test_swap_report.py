@@ -18,7 +18,7 @@ from cosim.scenario.build import build_context, parse
 from cosim.scenario.document import find
 from cosim.scenario.exporting import export_component
 from cosim.scenario.kinds.plants import FmuKind
-from cosim.scenario.swap_report import examine
+from cosim.scenario.examination import examine
 from tests.scenario.renamed import MAP, packed, renamed
 from tests.scenario.test_swap import rewritten
 

@@ -51,7 +51,7 @@ def print_dry_run(scenario: Scenario, *, as_json: bool) -> None:
     UsageError
         If the scenario cannot run with them.
     """
-    from cosim.scenario.swap_report import examine
+    from cosim.scenario.examination import examine
 
     reports = examine(scenario)
     problems = list(reports.problems)
