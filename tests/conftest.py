@@ -13,7 +13,8 @@ from typing import Any
 import pytest
 from hypothesis import settings
 
-# The same examples every time, and no deadline: machines are slow now and then. HYPOTHESIS_PROFILE=search looks for new ones.
+# The same examples every time, and no deadline: machines are slow now and then.
+# HYPOTHESIS_PROFILE=search looks for new ones.
 settings.register_profile("repeat", derandomize=True, deadline=None)
 settings.register_profile("search", max_examples=1000, deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeat"))

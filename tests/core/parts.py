@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from cosim.blocks.arithmetic import gain
-from cosim.blocks.state_space import controller
 from cosim.blocks.dynamics import lag
+from cosim.blocks.state_space import controller
 from cosim.core.contracts import Stopped
 from cosim.core.linear import Linear, LinearModel
 from cosim.core.signals import Interface, Signal

@@ -1,4 +1,7 @@
-"""Every bad input gets one clear error before the first step: the place, what was found, what was needed, the nearest name."""
+"""Every bad input gets one clear error before the first step.
+
+The place, what was found, what was needed, the nearest name.
+"""
 
 import re
 
@@ -30,29 +33,72 @@ def refused(tmp_path, *edits, **changes):
 CASES = {
     "unknown key": (
         [("filter_rate = 1e3", "filter_rat = 1e3")],
-        r"/mine\.toml:40: components\.observer\.filter_rat: unknown key 'filter_rat'; did you mean 'filter_rate'\? There is: L, ",
+        r"/mine\.toml:40: components\.observer\.filter_rat: unknown key 'filter_rat'; did you "
+        r"mean 'filter_rate'\? There is: L, ",
     ),
-    "missing key": ([("rate = 1.0  ", "# ")], r"/mine\.toml:18: components\.u: 'rate' is missing; needed angular rate \[rad/s\]"),
-    "unknown kind": ([('kind = "sine"', 'kind = "sin"')], r"/mine\.toml:19: components\.u\.kind: unknown kind 'sin'; did you mean 'sine'\?"),
+    "missing key": (
+        [("rate = 1.0  ", "# ")],
+        r"/mine\.toml:18: components\.u: 'rate' is "
+        r"missing; needed angular rate \[rad/s\]",
+    ),
+    "unknown kind": (
+        [('kind = "sine"', 'kind = "sin"')],
+        r"/mine\.toml:19: components\.u\.kind: unknown kind 'sin'; did you mean 'sine'\?",
+    ),
     "missing kind": ([('kind = "sine"', "")], r"/mine\.toml:18: components\.u: 'kind' is missing"),
-    "wrong type": ([("amplitude = 1.0", 'amplitude = "1"')], r"components\.u\.amplitude: found '1'; needed a number"),
+    "wrong type": (
+        [("amplitude = 1.0", 'amplitude = "1"')],
+        r"components\.u\.amplitude: found '1'; "
+        r"needed "
+        r"a "
+        r"number",
+    ),
     "unknown component": (
         [('"plant.u" = "u.y"', '"plant.u" = "w.y"')],
         r"/mine\.toml:56: connections\.plant\.u: 'w\.y': there is no component 'w'; ",
     ),
-    "connection that is none": ([('"plant.u" = "u.y"', '"plant.u" = 3')], r"connections\.plant\.u: found 3; needed a string or a list or a table"),
+    "connection that is none": (
+        [('"plant.u" = "u.y"', '"plant.u" = 3')],
+        r"connections\.plant\.u: found 3; needed a string or "
+        r"a "
+        r"list "
+        r"or a table",
+    ),
     "connection with an unknown key": (
         [('"plant.u" = "u.y"', '"plant.u" = { from = "u.y", gian = 2.0 }')],
-        r"connections\.plant\.u\.gian: unknown key 'gian'; did you mean 'gain'\? There is: from, gain, offset, unit",
+        r"connections\.plant\.u\.gian: unknown key 'gian'; did you mean 'gain'\? There is: "
+        r"from, gain, offset, unit",
     ),
-    "connection without a source": ([('"plant.u" = "u.y"', '"plant.u" = { gain = 2.0 }')], r"connections\.plant\.u: 'from' is missing"),
-    "ragged gain": ([("L = [4.0, 0.0]", "L = [[4.0], [0.0, 1.0]]")], r"L: found rows of lengths \[1, 2\], needed rows of one length"),
+    "connection without a source": (
+        [('"plant.u" = "u.y"', '"plant.u" = { gain = 2.0 }')],
+        r"connections\.plant\.u: "
+        r"'from' "
+        r"is "
+        r"missing",
+    ),
+    "ragged gain": (
+        [("L = [4.0, 0.0]", "L = [[4.0], [0.0, 1.0]]")],
+        r"L: found rows of lengths \[1, 2\], needed rows "
+        r"of "
+        r"one "
+        r"length",
+    ),
     "unknown signal": (
         [('"plant.u" = "u.y"', '"plant.u" = "u.x"')],
         r"connections\.plant\.u: 'u\.x': 'u' has no output 'x'; There is: y",
     ),
-    "unknown input": ([('"plant.u" =', '"plant.uu" =')], r"'plant\.uu': 'plant' has no input 'uu'; did you mean 'u'\? There is: u, delta"),
-    "unconnected input": ([('"plant.delta" = "delta.y"\n', "")], r"'plant\.delta' is not connected; give it a source in \[connections\]"),
+    "unknown input": (
+        [('"plant.u" =', '"plant.uu" =')],
+        r"'plant\.uu': 'plant' has no input "
+        r"'uu'; did you mean 'u'\? There is: u, delta",
+    ),
+    "unconnected input": (
+        [('"plant.delta" = "delta.y"\n', "")],
+        r"'plant\.delta' is not connected; give it a "
+        r"source "
+        r"in "
+        r"\[connections\]",
+    ),
     "input driven twice": (
         [('"plant.u" = "u.y"', '"plant.u" = "u.y"\n"plant.u" = "delta.y"')],
         r'/mine\.toml:57: "plant\.u" is given twice; keep one \(an input is driven by one source\)',
@@ -66,68 +112,196 @@ CASES = {
         r"plant\.x_a -> observer\.y: size 2 cannot drive size 1",
     ),
     "no value into an input that needs one": (
-        [("[truth]", '[components.k]\nkind = "gain"\nK = [[1.0, 0.0]]\n[connections.k]\nu = "identifier.theta"\n[truth]')],
-        r"identifier\.theta -> k\.u: the source may carry no value \(NaN\), the input needs one at every step",
+        [
+            (
+                "[truth]",
+                '[components.k]\nkind = "gain"\nK = [[1.0, 0.0]]\n[connections.k]\nu = '
+                '"identifier.theta"\n[truth]',
+            )
+        ],
+        r"identifier\.theta -> k\.u: the source may carry no value \(NaN\), the input needs one "
+        r"at every step",
     ),
     "step not whole nanoseconds": (
         [("step = 1e-3 ", "step = 1.00000000001e-3 ")],
-        r"/mine\.toml:9: scenario\.step: 0\.00100000000001 s is not a whole number of nanoseconds; nearest: 0\.001 s",
+        r"/mine\.toml:9: scenario\.step: 0\.00100000000001 s is not a whole number of "
+        r"nanoseconds; nearest: 0\.001 s",
     ),
-    "step of nothing": ([("step = 1e-3 ", "step = 0 ")], r"scenario\.step: step: found 0\.0 s, needed a positive time"),
+    "step of nothing": (
+        [("step = 1e-3 ", "step = 0 ")],
+        r"scenario\.step: step: found 0\.0 s, "
+        r"needed a positive time",
+    ),
     "stop off the grid": (
         [("stop = 40.0 ", "stop = 40.0005 ")],
-        r"/mine\.toml:8: scenario\.stop: stop: 40\.0005 s is not a whole number of 0\.001 s steps; nearest: 40\.0 s",
+        r"/mine\.toml:8: scenario\.stop: stop: 40\.0005 s is not a whole number of 0\.001 s "
+        r"steps; nearest: 40\.0 s",
     ),
     "period not a multiple": (
         [('method = "least-squares"', 'method = "least-squares"\nperiod = 3.3e-3')],
-        r"period of 'identifier': 0\.0033 s is not a whole number of 0\.001 s steps; nearest: 0\.003 s",
+        r"period of 'identifier': 0\.0033 s is not a whole number of 0\.001 s steps; nearest: "
+        r"0\.003 s",
     ),
-    "delay not a multiple": ([("[1.0, 2.0, 3.0]", "[1.0, 2.0, 3.0005]")], r"delays\[2\]: 3\.0005 s is not a whole number of 0\.001 s steps"),
-    "NaN": ([("amplitude = 1.0", "amplitude = nan")], r"/mine\.toml:20: components\.u\.amplitude: found nan; needed a finite number"),
-    "infinity in a list": ([("x_a0 = [1.0,", "x_a0 = [inf,")], r"components\.plant\.x_a0\.0: found inf; needed a finite number"),
-    "NaN in a matrix": ([("C  = [[2, 0, 1]]", "C  = [[2, nan, 1]]")], r"models\.academic\.C\.0\.1: found nan; needed a finite number"),
-    "matrix of wrong shape": ([("Bu = [[0], [2], [1]]", "Bu = [[0], [2]]")], r"Bu has shape \(2, 1\); needed \(3, n_u\)"),
+    "delay not a multiple": (
+        [("[1.0, 2.0, 3.0]", "[1.0, 2.0, 3.0005]")],
+        r"delays\[2\]: 3\.0005 s is not a whole number of "
+        r"0\.001 "
+        r"s "
+        r"steps",
+    ),
+    "NaN": (
+        [("amplitude = 1.0", "amplitude = nan")],
+        r"/mine\.toml:20: components\.u\.amplitude: found nan; needed a finite number",
+    ),
+    "infinity in a list": (
+        [("x_a0 = [1.0,", "x_a0 = [inf,")],
+        r"components\.plant\.x_a0\.0: found inf; needed "
+        r"a "
+        r"finite "
+        r"number",
+    ),
+    "NaN in a matrix": (
+        [("C  = [[2, 0, 1]]", "C  = [[2, nan, 1]]")],
+        r"models\.academic\.C\.0\.1: found nan; needed "
+        r"a "
+        r"finite "
+        r"number",
+    ),
+    "matrix of wrong shape": (
+        [("Bu = [[0], [2], [1]]", "Bu = [[0], [2]]")],
+        r"Bu has shape \(2, 1\); "
+        r"needed "
+        r"\(3, "
+        r"n_u\)",
+    ),
     "ragged matrix": (
         [("[[0, 1, 1],", "[[0, 1],")],
         r"models\.academic\.A: found rows of lengths \[2, 3, 3\], needed rows of one length",
     ),
-    "singular A22": ([("[1, 0, 1]]\nBu", "[1, 0, 0]]\nBu")], r"Assumption 2 \(3\): A22 is singular \(rank 0 of 1"),
+    "singular A22": (
+        [("[1, 0, 1]]\nBu", "[1, 0, 0]]\nBu")],
+        r"Assumption 2 \(3\): A22 is singular \(rank "
+        r"0 "
+        r"of "
+        r"1",
+    ),
     "disturbance reaches the output": (
         [("Bd = [[1], [0], [0]]", "Bd = [[1], [0], [1]]")],
         r"Assumption 4 \(11\)",
     ),
     "disturbance not decoupled": (
         [("Bd = [[1], [0], [0]]", "Bd = [[0], [1], [0]]")],
-        r"Assumption 5 \(14\): rank C3 B_2a = 0, needed rank B_2a = 1: the disturbance is not decoupled",
+        r"Assumption 5 \(14\): rank C3 B_2a = 0, needed rank B_2a = 1: the disturbance is not "
+        r"decoupled",
     ),
     "observer not Hurwitz because of a zero": (
         [("[0, -2, 1]", "[0, 2, 1]")],
         r"M - L C is not Hurwitz: eigenvalue \+2; the invariant zero at \+2 cannot be moved by L",
     ),
-    "observer not Hurwitz because of L": ([("L = [4.0, 0.0]", "L = [-4.0, 0.0]")], r"M - L C is not Hurwitz: eigenvalue \+4; another L moves it"),
-    "gain of wrong shape": ([("L = [4.0, 0.0]", "L = [4.0]")], r"\(17\): L has shape \(1, 1\); needed \(2, 1\)"),
+    "observer not Hurwitz because of L": (
+        [("L = [4.0, 0.0]", "L = [-4.0, 0.0]")],
+        r"M - L C is not Hurwitz: eigenvalue \+4; another "
+        r"L "
+        r"moves "
+        r"it",
+    ),
+    "gain of wrong shape": (
+        [("L = [4.0, 0.0]", "L = [4.0]")],
+        r"\(17\): L has shape \(1, 1\); "
+        r"needed "
+        r"\(2, "
+        r"1\)",
+    ),
     "neither gain nor poles": ([("L = [4.0, 0.0] ", "# ")], r"\(17\): neither L nor poles given"),
-    "equal delays": ([("[1.0, 2.0, 3.0]", "[1.0, 2.0, 2.0]")], r"D_2 = D_3 = 2 s; needed pairwise distinct delays"),
+    "equal delays": (
+        [("[1.0, 2.0, 3.0]", "[1.0, 2.0, 2.0]")],
+        r"D_2 = D_3 = 2 s; needed pairwise "
+        r"distinct "
+        r"delays",
+    ),
     "too few delays": ([("[1.0, 2.0, 3.0]", "[1.0, 2.0]")], r"2 delays; needed l \+ 1 = 3"),
     "proportional alphas": (
-        [('alpha = "1.10 + 0.20*cos(2.3*t)", family = "exponential" }', 'alpha = "2.7 + 0.5*sin(1.7*t)", family = "exponential" }')],
+        [
+            (
+                'alpha = "1.10 + 0.20*cos(2.3*t)", family = "exponential" }',
+                'alpha = "2.7 + 0.5*sin(1.7*t)", family = "exponential" }',
+            )
+        ],
         r"are proportional; merge their components into one group",
     ),
-    "unknown family": ([('family = "exponential" },\n]\ndelays', 'family = "exponentail" },\n]\ndelays')], r"no disturbance family 'exponentail'; did you mean 'exponential'\?"),
-    "unknown model": ([('model = "academic" ', 'model = "acedemic" ')], r"there is no model 'acedemic' in \[models\]; did you mean 'academic'\?"),
-    "unknown method": ([('method = "least-squares"', 'method = "rls"')], r"components\.identifier\.method: found 'rls'; There is: least-squares"),
-    "unknown coupling": ([("step = 1e-3 ", 'coupling = "jacoby"\nstep = 1e-3 ')], r"scenario\.coupling: found 'jacoby'; did you mean 'jacobi'\?"),
-    "expression with an unknown name": ([("1.7*t", "1.7*tt")], r"found unknown name 'tt'; did you mean 't'\?"),
-    "truth of an unknown signal": ([('"observer.delta" = "delta.y"\n"identifier', '"observer.dleta" = "delta.y"\n"identifier')], r"truth\.observer\.dleta: there is no signal 'observer\.dleta'; did you mean 'observer\.delta'\?"),
-    "truth of another size": ([("[-0.1, -0.3]", "[-0.1]")], r"'identifier\.theta' has size 2, its truth \(-0\.1,\) has size 1"),
+    "unknown family": (
+        [('family = "exponential" },\n]\ndelays', 'family = "exponentail" },\n]\ndelays')],
+        r"no disturbance family 'exponentail'; did "
+        r"you "
+        r"mean "
+        r"'exponential'\?",
+    ),
+    "unknown model": (
+        [('model = "academic" ', 'model = "acedemic" ')],
+        r"there is no model 'acedemic' in \[models\]; did "
+        r"you "
+        r"mean "
+        r"'academic'\?",
+    ),
+    "unknown method": (
+        [('method = "least-squares"', 'method = "rls"')],
+        r"components\.identifier\.method: found 'rls'; "
+        r"There "
+        r"is: "
+        r"least-squares",
+    ),
+    "unknown coupling": (
+        [("step = 1e-3 ", 'coupling = "jacoby"\nstep = 1e-3 ')],
+        r"scenario\.coupling: found 'jacoby'; did "
+        r"you "
+        r"mean "
+        r"'jacobi'\?",
+    ),
+    "expression with an unknown name": (
+        [("1.7*t", "1.7*tt")],
+        r"found unknown name 'tt'; did you "
+        r"mean "
+        r"'t'\?",
+    ),
+    "truth of an unknown signal": (
+        [
+            (
+                '"observer.delta" = "delta.y"\n"identifier',
+                '"observer.dleta" = "delta.y"\n"identifier',
+            )
+        ],
+        r"truth\.observer\.dleta: there is "
+        r"no "
+        r"signal "
+        r"'observer\.dleta'; did you mean 'observer\.delta'\?",
+    ),
+    "truth of another size": (
+        [("[-0.1, -0.3]", "[-0.1]")],
+        r"'identifier\.theta' has size 2, its truth "
+        r"\(-0\.1,\) "
+        r"has "
+        r"size 1",
+    ),
     "no TOML": ([("stop = 40.0 ", "stop = = ")], r"/mine\.toml:8: not TOML: "),
-    "name with a dot": ([("[components.u]", '[components."u.v"]')], r"found 'u\.v'; needed a name of letters, digits, '_' and '-'"),
+    "name with a dot": (
+        [("[components.u]", '[components."u.v"]')],
+        r"found 'u\.v'; needed a name of letters, digits, "
+        r"'_' "
+        r"and "
+        r"'-'",
+    ),
     "identification before there is a regression": (
         [("start = { epsilon_observer = 1e-3, epsilon_filter = 1e-3 }", "start = 2.0")],
         r"start: found 2\.0 s, needed at least the longest delay, 3\.0 s",
     ),
-    "prior that is none": ([('method = "least-squares"', 'method = "least-squares"\nP0 = -1.0')], r"P0: found -1\.0, needed a positive finite number"),
-}  # fmt: skip
+    "prior that is none": (
+        [('method = "least-squares"', 'method = "least-squares"\nP0 = -1.0')],
+        r"P0: found -1\.0, needed a "
+        r"positive "
+        r"finite "
+        r"number",
+    ),
+}
 
 
 START = """
@@ -144,7 +318,8 @@ STARTS = {
     "nan": "T: found nan; needed a finite number",
     "[1.0, nan]": "T.1: found nan; needed a finite number",
     "[[1.0], [nan]]": "T.1.0: found nan; needed a finite number",
-    "{ a = 1 }": "T: found {'a': 1}; needed true or false or a whole number or a number or a string or a list",
+    "{ a = 1 }": "T: found {'a': 1}; needed true or false or a whole number or a number or a "
+    "string or a list",
 }
 
 
@@ -189,7 +364,10 @@ def test_all_errors_of_a_file_come_together(tmp_path):
 
 
 def test_an_algebraic_loop_names_every_port(tmp_path):
-    """A static gain from y to u closes a path without delay through the plant, whose y feeds through from u."""
+    """A static gain from y to u closes a path without delay through the plant.
+
+    Whose y feeds through from u.
+    """
     message = refused(
         tmp_path,
         ('"plant.u" = "u.y"', '"plant.u" = "k.y"\n"k.u" = "plant.y"'),
@@ -203,8 +381,10 @@ def test_an_algebraic_loop_names_every_port(tmp_path):
 def test_units_must_agree_or_be_converted(tmp_path):
     """A declared unit drives one that it can be converted to; a gain says what unit it leads to."""
     text = (
-        '[scenario]\nname = "units"\nstop = 0.1\nstep = 0.01\n[components.u]\nkind = "constant"\nvalue = 2.0\nunit = "mm"\n'
-        '[components.x]\nkind = "lag"\ntime_constant = 1.0\nunit = "m"\n[connections]\n"x.u" = {source}\n'
+        '[scenario]\nname = "units"\nstop = 0.1\nstep = 0.01\n[components.u]\nkind = '
+        '"constant"\nvalue = 2.0\nunit = "mm"\n'
+        '[components.x]\nkind = "lag"\ntime_constant = 1.0\nunit = "m"\n[connections]\n"x.u" = '
+        "{source}\n"
     )
     path = tmp_path / "units.toml"
     path.write_text(text.replace("{source}", '"u.y"'))
@@ -235,7 +415,8 @@ def test_units_must_agree_or_be_converted(tmp_path):
         ),
         (
             {"plant.x_a0": [1.0]},
-            r"academic:30 \(with --set plant\.x_a0\): components\.plant: x_a0 has shape \(1,\); needed \(2,\)",
+            r"academic:30 \(with --set plant\.x_a0\): components\.plant: x_a0 has shape \(1,\); "
+            r"needed \(2,\)",
         ),
         (
             {"scenario.stop": -1.0},
@@ -255,7 +436,8 @@ def test_a_bad_change_names_the_change(changes, pattern):
         ({"plnt": "x.fmu"}, r"--swap plnt: there is no component 'plnt'; did you mean 'plant'\?"),
         (
             {"plant": "x.zip"},
-            r"--swap plant: found '.*x\.zip', needed a path that ends in \.fmu \(an FMU\) or \.mcap",
+            r"--swap plant: found '.*x\.zip', needed a path that ends in \.fmu \(an FMU\) or "
+            r"\.mcap",
         ),
         (
             {"plant": "missing.fmu"},
@@ -307,7 +489,8 @@ def test_a_table_must_cover_the_whole_run(start, end):
     table = {"kind": "table", "t": [start, end], "y": [0.0, 1.0]}
     with pytest.raises(
         ScenarioError,
-        match=rf"components\.u: table: covers {start} s to {end} s; needed 0 s to 40\.0 s, the whole run",
+        match=rf"components\.u: table: covers {start} s to {end} s; needed 0 s to 40\.0 s, the "
+        rf"whole run",
     ):
         cosim.run("academic", set={"components.u": table})
 
@@ -333,7 +516,8 @@ def test_a_table_must_cover_the_whole_run(start, end):
         ),
         (
             {"scenario.stop": 1e12},
-            r"--set scenario\.stop: scenario\.stop: 1000000000000\.0 s does not fit into 64-bit nanoseconds",
+            r"--set scenario\.stop: scenario\.stop: 1000000000000\.0 s does not fit into 64-bit "
+            r"nanoseconds",
         ),
     ],
 )

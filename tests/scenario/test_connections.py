@@ -1,4 +1,7 @@
-"""Connections of a scenario: units that are converted, and loops through FMUs that do not say what feeds through."""
+"""Connections of a scenario.
+
+Units that are converted, and loops through FMUs that do not say what feeds through.
+"""
 
 import json
 import re
@@ -71,14 +74,20 @@ def units(tmp_path):
 
 
 def test_units_are_converted_on_the_way(units):
-    """The room in degC, the sensor in K, its readout in degC: by the documented formula, bit for bit."""
+    """The room in degC, the sensor in K, its readout in degC.
+
+    By the documented formula, bit for bit.
+    """
     log = cosim.run(units)
     assert (log["sensor.u"] == log["room.y"] + 273.15).all()
     assert (log["readout.u"] == (2.0 * log["sensor.y"] - 3.0) - 273.15).all()
 
 
 def test_a_conversion_is_recorded_and_replayed_bit_for_bit(units, tmp_path):
-    """The log says how; a replay computes the same, also where the source comes from the recording."""
+    """The log says how; a replay computes the same.
+
+    Also where the source comes from the recording.
+    """
     path = tmp_path / "units.mcap"
     log = cosim.run(units, out=path)
     recorded = json.loads(log.metadata["cosim.connections"]["sensor.u"])
@@ -100,9 +109,12 @@ def test_info_shows_what_is_converted(units, capsys):
     assert ended.value.code in (0, None)
     rows = {row["to"]: row for row in json.loads(capsys.readouterr().out)["connections"]}
     assert rows["sensor.u"] == {
-        "to": "sensor.u", "from": "room.y", "map": None, "unit": "degC -> K",
+        "to": "sensor.u",
+        "from": "room.y",
+        "map": None,
+        "unit": "degC -> K",
         "conversion": "((v * 1.0 + 273.15) - 0.0) / 1.0",
-    }  # fmt: skip
+    }
     assert (rows["readout.u"]["map"], rows["readout.u"]["unit"]) == ("2.0 v - 3.0", "K -> degC")
 
 
@@ -134,11 +146,15 @@ unit = "mm"
 
 
 def test_units_of_an_fmu_are_what_it_defines(tmp_path):
-    """Names say nothing there: a temperature u by factor and offset, a length y; a replay takes both from the log."""
+    """Names say nothing there: a temperature u by factor and offset, a length y.
+
+    A replay takes both from the log.
+    """
     plain, path, log = tmp_path / "plain.fmu", tmp_path / "units.fmu", tmp_path / "fmu.mcap"
     export_component("academic", "plant", plain)
     definitions = (
-        '</CoSimulation><UnitDefinitions><Unit name="F"><BaseUnit K="1" factor="0.5" offset="255.0"/></Unit>'
+        '</CoSimulation><UnitDefinitions><Unit name="F"><BaseUnit K="1" factor="0.5" '
+        'offset="255.0"/></Unit>'
         '<Unit name="long"><BaseUnit m="1" factor="0.25"/></Unit></UnitDefinitions>'
     )
     with zipfile.ZipFile(plain) as source, zipfile.ZipFile(path, "w") as target:
@@ -178,10 +194,16 @@ def test_units_that_cannot_be_converted_are_refused(units):
 
 
 def test_a_unit_that_is_not_known_is_called_so(units):
-    """At either end, with what can be done about it; the gain and offset that it asks for are the way out."""
+    """At either end, with what can be done about it.
+
+    The gain and offset that it asks for are the way out.
+    """
     units.write_text(UNITS.format(readout="degF"))
-    way = "convert with { from = 'sensor.y', gain = ..., unit = 'degF' }, and offset = ... where it has one, or define it"
-    text = f"sensor.y -> readout.u: unit 'K' cannot drive unit 'degF'; unknown unit 'degF'; {way} in its FMU"
+    text = (
+        "sensor.y -> readout.u: unit 'K' cannot drive unit 'degF'; unknown unit 'degF'; "
+        "convert with { from = 'sensor.y', gain = ..., unit = 'degF' }, and offset = ... "
+        "where it has one, or define it in its FMU"
+    )
     with pytest.raises(ScenarioError, match=re.escape(text)):
         cosim.run(units)
     fahrenheit = {"from": "sensor.y", "gain": 1.8, "offset": -459.67, "unit": "degF"}
@@ -193,7 +215,10 @@ def test_a_unit_that_is_not_known_is_called_so(units):
 def test_a_loop_through_an_fmu_without_dependencies_runs_with_a_warning(
     coupling, foreign2, tmp_path, capsys
 ):
-    """pythonfmu writes none. Its y = x1 - u does feed through: solved at initialization, one step late afterwards, and said so.
+    """pythonfmu writes none.
+
+    Its y = x1 - u does feed through: solved at initialization, one step late afterwards, and said
+    so.
 
     At the start u = y / 2 and y = 1 - u, so y = 2 / 3.
     """
@@ -202,7 +227,10 @@ def test_a_loop_through_an_fmu_without_dependencies_runs_with_a_warning(
     with pytest.raises(SystemExit) as ended:
         main(["run", str(tmp_path / "loop.toml"), "--out", str(path)])
     assert ended.value.code in (0, None)
-    text = "plant.y may depend directly on plant.u (the FMU does not say): taken as not feeding through; if it does, the loop is "
+    text = (
+        "plant.y may depend directly on plant.u (the FMU does not say): taken as not feeding "
+        "through; if it does, the loop is "
+    )
     assert f"warning: plant: {text}" in capsys.readouterr().err
     log = cosim.open_log(path)
     assert any(
@@ -242,7 +270,10 @@ K = 3.3
 
 @pytest.mark.parametrize("interface_type", ["me", "cs"])
 def test_a_loop_at_initialization_through_an_fmu_is_solved_and_replayed(interface_type, tmp_path):
-    """The lag starts at its input, y = 1.1 - 3.3 y = 1.1 / 4.3, as a component and as an FMU by its InitialUnknowns."""
+    """The lag starts at its input, y = 1.1 - 3.3 y = 1.1 / 4.3.
+
+    As a component and as an FMU by its InitialUnknowns.
+    """
     scenario, fmu, path = tmp_path / "circle.toml", tmp_path / "lag.fmu", tmp_path / "circle.mcap"
     scenario.write_text(CIRCLE)
     export_component(str(scenario), "lag", fmu)

@@ -32,11 +32,12 @@ def plant(tmp_path_factory):
 def test_both_forms_give_the_plant_and_its_parameters(plant):
     """The residual form is as good as the exact solver.
 
-    States: a step of the method at 1 ms is wrong by (3 h)^6 / 7200, 1e-19; what is seen is the rounding of 10 000 steps, each
-    below 4e-16 and forgotten at the rate 1.5: 3e-13. The FMU's own form with rk4 is wrong by (3 h)^4 / 120, 7e-13.
+    States: a step of the method at 1 ms is wrong by (3 h)^6 / 7200, 1e-19; what is seen is the
+    rounding of 10 000 steps, each below 4e-16 and forgotten at the rate 1.5: 3e-13. The FMU's own
+    form with rk4 is wrong by (3 h)^4 / 120, 7e-13.
 
-    theta: an error of y becomes one of the reconstructed disturbance by the filter's rate, 1e3, and of theta by the condition of
-    7 s of least squares, some 10.
+    theta: an error of y becomes one of the reconstructed disturbance by the filter's rate, 1e3, and
+    of theta by the condition of 7 s of least squares, some 10.
     """
     changes = {"scenario.stop": 10.0}
     expected = cosim.run("academic", set=changes)
@@ -74,7 +75,8 @@ def test_its_ordinary_form_is_the_ordinary_export(plant, tmp_path):
         (
             "observer",
             "3",
-            "'observer' is of kind 'unknown-input-observer', which has no algebraic equations; what has: descriptor",
+            "'observer' is of kind 'unknown-input-observer', which has no algebraic equations; "
+            "what has: descriptor",
         ),
     ],
 )

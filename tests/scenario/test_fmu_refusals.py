@@ -1,4 +1,7 @@
-"""A damaged or alien .fmu in a plant's place gets one clear error before the first step, and nothing is written."""
+"""A damaged or alien .fmu in a plant's place gets one clear error before the first step.
+
+And nothing is written.
+"""
 
 import re
 import zipfile

@@ -1,4 +1,7 @@
-"""An independent client: libcosim runs our co-simulation FMUs of FMI 2.0; it holds inputs over its steps."""
+"""An independent client: libcosim runs our co-simulation FMUs of FMI 2.0.
+
+It holds inputs over its steps.
+"""
 
 from contextlib import ExitStack
 
@@ -64,7 +67,10 @@ class Run:
 
 
 def solution(models):
-    """Give the outputs of both at the end: the connected system x' = F x + G u has a constant input, so one exponential."""
+    """Return the outputs of both at the end.
+
+    The connected system x' = F x + G u has a constant input, so one exponential.
+    """
     plant, observer = models["plant"], models["observer"]
     n, k = len(plant.A), len(observer.A)
     sees = np.vstack([np.zeros(n), plant.C[0]])  # its inputs u, y from the plant's states ...
@@ -88,7 +94,10 @@ def test_a_plant_with_constant_inputs_is_exact(models, fmus):
 
 
 def test_a_plant_and_its_observer_are_first_order_in_the_step(models, fmus):
-    """The observer's input is held over a step, so late by half of it: halving the step halves the error in x_a."""
+    """The observer's input is held over a step, so late by half of it.
+
+    Halving the step halves the error in x_a.
+    """
     expected, errors = solution(models)[1], []
     for step in (0.02, 0.01, 0.005):
         run = Run(step)

@@ -37,7 +37,10 @@ time_constant = 0.5
 
 @pytest.mark.parametrize("n", [1, 5])
 def test_a_controller_with_a_period_samples_and_holds(tmp_path, n):
-    """Also where its period is the communication step: x+ = x exp(-20 T) + u (1 - exp(-20 T)), y held, so the lag sees steps."""
+    """Also where its period is the communication step.
+
+    X+ = x exp(-20 T) + u (1 - exp(-20 T)), y held, so the lag sees steps.
+    """
     T = 0.01 * n
     run = cosim.run(parse(Document(SAMPLED.format(period=T), "sampled", tmp_path)))
     u = np.arange(100 // n + 1) * T

@@ -52,11 +52,20 @@ def test_every_aspect_has_a_verdict():
     )
     found = verdicts(before, after, refused={"delta", "x_a"})
     assert {key: verdict for key, verdict in found.items() if verdict != "ok"} == {
-        ("u", "variability"): "differs", ("u", "start value"): "differs", ("delta", "causality"): "error",
-        ("y", "feedthrough"): "differs", ("x_a", "size"): "error",
-        ("x_b", "causality"): "differs", ("s", "unit"): "differs", ("n", "type"): "differs", ("n", "unit"): "unknown",
-        ("k", "causality"): "differs", ("", "kind"): "differs", ("", "rollback"): "differs", ("", "variable step"): "unknown",
-    }  # fmt: skip
+        ("u", "variability"): "differs",
+        ("u", "start value"): "differs",
+        ("delta", "causality"): "error",
+        ("y", "feedthrough"): "differs",
+        ("x_a", "size"): "error",
+        ("x_b", "causality"): "differs",
+        ("s", "unit"): "differs",
+        ("n", "type"): "differs",
+        ("n", "unit"): "unknown",
+        ("k", "causality"): "differs",
+        ("", "kind"): "differs",
+        ("", "rollback"): "differs",
+        ("", "variable step"): "unknown",
+    }
     assert set(verdicts(before, before).values()) <= {"ok"}
 
 
@@ -107,9 +116,10 @@ def test_what_fits_best_is_proposed_with_its_reasons():
     Several that are equal are all proposed, elements too.
     """
     before = Side(
-        Interface((Signal("u"),), (Signal("y", unit="V"), Signal("z")), {"y": ("u",)}), ABLE,
+        Interface((Signal("u"),), (Signal("y", unit="V"), Signal("z")), {"y": ("u",)}),
+        ABLE,
         initial={"y": np.array([1.0]), "z": np.array([5.0])},
-    )  # fmt: skip
+    )
     outputs = (
         Signal("a", unit="V"),
         Signal("b", unit="V"),
@@ -119,9 +129,10 @@ def test_what_fits_best_is_proposed_with_its_reasons():
     )
     values = {"a": [1.0], "b": [2.0], "c": [1.0], "d": [1.0, 3.0], "i": [5.0]}
     after = Side(
-        Interface((Signal("f"), Signal("g")), outputs, {"a": ("f",), "d": ("f",)}), ABLE,
+        Interface((Signal("f"), Signal("g")), outputs, {"a": ("f",), "d": ("f",)}),
+        ABLE,
         initial={name: np.array(value) for name, value in values.items()},
-    )  # fmt: skip
+    )
     found = propose(before, after, ["y", "u"])
     assert [(one.port, one.name) for one in found] == [
         ("y", "a"),

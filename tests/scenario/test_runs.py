@@ -33,7 +33,10 @@ def logged(request, tmp_path_factory):
 )
 @pytest.mark.parametrize("name", shipped())
 def test_blocks_do_not_change_a_bit(name, changes, tmp_path):
-    """One call of 1000 steps, 1000 calls of one step, blocks of 7: equal bits in the log, identification included."""
+    """One call of 1000 steps, 1000 calls of one step, blocks of 7.
+
+    Equal bits in the log, identification included.
+    """
     logs = [
         cosim.run(name, out=tmp_path / f"{block}.mcap", block=block, set=changes)
         for block in (1000, 1, 7)
@@ -123,7 +126,10 @@ def test_two_runs_have_one_content_hash(logged, tmp_path):
 
 
 def test_replay_is_bit_exact(logged):
-    """The recorded plant in the plant's place, everything else computed again: every signal has the same bits."""
+    """The recorded plant in the plant's place, everything else computed again.
+
+    Every signal has the same bits.
+    """
     _, path, log = logged
     difference = cosim.diff(log, cosim.replay(path))
     assert difference.equal
@@ -131,7 +137,10 @@ def test_replay_is_bit_exact(logged):
 
 
 def can_run(instructions):
-    """Say whether this processor has an instruction set; a forced BLAS kernel without it would be an illegal instruction."""
+    """Return whether this processor has an instruction set.
+
+    A forced BLAS kernel without it would be an illegal instruction.
+    """
     known = Path("/proc/cpuinfo")
     return not known.exists() or instructions in known.read_text(encoding="utf-8")
 
@@ -149,7 +158,10 @@ def can_run(instructions):
     ],
 )
 def test_replay_is_bit_exact_with_another_blas(logged, core):
-    """BLAS kernels of other processors round differently; design-time results come from the log, so it does not matter."""
+    """BLAS kernels of other processors round differently.
+
+    Design-time results come from the log, so it does not matter.
+    """
     _, path, _ = logged
     done = subprocess.run(
         [sys.executable, "-m", "cosim", "replay", str(path), "--verify"],
@@ -168,8 +180,10 @@ def test_replay_needs_nothing_but_the_log(tmp_path, monkeypatch):
     (tmp_path / "u.csv").write_text("t,u\n0,0\n1,1\n")
     scenario = tmp_path / "mine.toml"
     scenario.write_text(
-        '[scenario]\nname = "mine"\nstop = 1.0\nstep = 0.01\n[components.u]\nkind = "table"\nfile = "u.csv"\n'
-        '[components.y]\nkind = "lag"\ntime_constant = 0.3\nstart = 0.0\n[connections]\n"y.u" = "u.y"\n'
+        '[scenario]\nname = "mine"\nstop = 1.0\nstep = 0.01\n[components.u]\nkind = '
+        '"table"\nfile = "u.csv"\n'
+        '[components.y]\nkind = "lag"\ntime_constant = 0.3\nstart = 0.0\n[connections]\n"y.u" '
+        '= "u.y"\n'
     )
     log = cosim.run(scenario, out=tmp_path / "mine.mcap")
     (tmp_path / "u.csv").unlink()
@@ -179,7 +193,10 @@ def test_replay_needs_nothing_but_the_log(tmp_path, monkeypatch):
 
 
 def test_replay_with_other_parameters_changes_what_depends_on_them(logged):
-    """Another filter changes the reconstruction and what follows it, and leaves the recorded plant as it was."""
+    """Another filter changes the reconstruction and what follows it.
+
+    And leaves the recorded plant as it was.
+    """
     _, path, log = logged
     again = cosim.replay(path, set={"observer.filter_rate": 500.0})
     changed = {row.signal for row in cosim.diff(log, again).rows if row.status != "equal"}
@@ -188,7 +205,10 @@ def test_replay_with_other_parameters_changes_what_depends_on_them(logged):
 
 
 def test_replay_with_a_prior_equals_the_run_with_that_prior(tmp_path):
-    """What-if by replay and by run agree bit for bit: the plant does not depend on the identifier."""
+    """What-if by replay and by run agree bit for bit.
+
+    The plant does not depend on the identifier.
+    """
     path = tmp_path / "a.mcap"
     cosim.run("academic", out=path, set=SHORT)
     by_replay = cosim.replay(path, set={"identifier.P0": 1e3})
@@ -219,7 +239,8 @@ def test_a_longer_replay_is_refused(logged):
     _, path, _ = logged
     with pytest.raises(
         UsageError,
-        match=r"scenario\.stop: found 9\.0 s, the recording ends at 8\.0 s; needed no more than that",
+        match=r"scenario\.stop: found 9\.0 s, the recording ends at 8\.0 s; needed no more than "
+        r"that",
     ):
         cosim.replay(path, set={"scenario.stop": 9.0})
 
@@ -244,7 +265,10 @@ def test_both_spellings_of_a_recorded_parameter_are_refused(logged, prefix):
 
 
 def test_a_design_is_not_reused_where_an_input_is_held_now(tmp_path):
-    """A recorded discretization is for straight lines; what if u were discrete is computed anew, and equals a run."""
+    """A recorded discretization is for straight lines.
+
+    What if u were discrete is computed anew, and equals a run.
+    """
     smooth = {"components.u": {"kind": "expression", "y": "sin(t)"}, "scenario.stop": 8.0}
     cosim.run("academic", out=tmp_path / "a.mcap", set=smooth)
     by_replay = cosim.replay(tmp_path / "a.mcap", set={"u.discrete": True})
@@ -340,7 +364,8 @@ def test_a_non_finite_value_stops_the_run_and_keeps_what_was_before(tmp_path):
     """The first NaN names component, signal and time; the log ends just before it and is valid."""
     scenario = tmp_path / "mine.toml"
     scenario.write_text(
-        '[scenario]\nname = "mine"\nstop = 1.0\nstep = 0.01\n[components.u]\nkind = "expression"\ny = "1/(t - 0.5)"\n'
+        '[scenario]\nname = "mine"\nstop = 1.0\nstep = 0.01\n[components.u]\nkind = '
+        '"expression"\ny = "1/(t - 0.5)"\n'
         '[components.y]\nkind = "gain"\nK = 2.0\n[connections]\n"y.u" = "u.y"\n'
     )
     with pytest.raises(
@@ -353,7 +378,10 @@ def test_a_non_finite_value_stops_the_run_and_keeps_what_was_before(tmp_path):
 
 
 def test_a_replay_says_where_the_recording_cuts_a_loop(tmp_path):
-    """A changed controller drives a recorded plant that does not answer: the replay says so; an identifier drives nothing."""
+    """A changed controller drives a recorded plant that does not answer: the replay says so.
+
+    An identifier drives nothing.
+    """
     path = tmp_path / "a.mcap"
     cosim.run("closed-loop", out=path, set={"scenario.stop": 0.1})
     for changes, warned in (
@@ -370,7 +398,10 @@ def test_a_replay_says_where_the_recording_cuts_a_loop(tmp_path):
 
 
 def test_a_log_is_never_written_over_what_is_no_log(tmp_path):
-    """A log ends in .mcap, so a slip of the hand does not replace a scenario or an FMU; nor the log that is being replayed."""
+    """A log ends in .mcap, so a slip of the hand does not replace a scenario or an FMU.
+
+    Nor the log that is being replayed.
+    """
     with pytest.raises(UsageError, match=r"mine\.toml: a log needs a path that ends in \.mcap"):
         cosim.run("academic", out=tmp_path / "mine.toml", set={"scenario.stop": 0.1}, force=True)
     cosim.run("academic", out=tmp_path / "a.mcap", set={"scenario.stop": 0.1})
@@ -403,7 +434,10 @@ def test_values_from_numpy_can_be_set():
 
 
 def test_a_recording_must_cover_the_run_and_is_not_written_over(tmp_path):
-    """Too short, without a row, or the very log that is to be written: known before the first step."""
+    """Too short, without a row, or the very log that is to be written.
+
+    Known before the first step.
+    """
     path, empty = tmp_path / "a.mcap", tmp_path / "empty.mcap"
     cosim.run("academic", out=path, set={"scenario.stop": 0.1})
     with pytest.raises(UsageError, match=r"ends at 0\.1 s; needed 0\.2 s, the whole run"):
@@ -470,7 +504,10 @@ def lagging(folder, start):
 
 
 def test_what_a_run_shows_about_an_fmu_is_in_the_log(tmp_path):
-    """An inner step of 10 ms under steps of 1 ms is told by the 10th spell of equal outputs, within a block of the run."""
+    """An inner step of 10 ms under steps of 1 ms is told by the 10th spell of equal outputs.
+
+    Within a block of the run.
+    """
     cosim.run(lagging(tmp_path, "{ inner = 0.01 }"), out=(out := tmp_path / "a.mcap"), block=1000)
     (told,) = [m for m in open_log(out).messages() if "inner step" in m.text]
     assert (told.time_ns, told.level, told.source) == (100_000_000, "warning", "lag")

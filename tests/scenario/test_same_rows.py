@@ -1,4 +1,7 @@
-"""Nothing computed changes: times and rows of every signal against hashes that were taken before words and lines changed."""
+"""Nothing computed changes.
+
+Times and rows of every signal against hashes that were taken before words and lines changed.
+"""
 
 import hashlib
 import json

@@ -43,9 +43,12 @@ def relative(run, other, signal):
 
 @pytest.mark.parametrize("interface_type", ["me", "cs"])
 def test_an_exported_plant_takes_the_plants_place(plant, generated, interface_type):
-    """The plant's outputs within 1e-12 of each signal's largest value; delta_hat multiplies the last bit of y by 1000.
+    """The plant's outputs within 1e-12 of each signal's largest value.
 
-    Model exchange with the same solver, rk4; co-simulation solves exactly, which rk4 at 1 ms misses by (3 h)^4 / 120 = 7e-13 h.
+    Delta_hat multiplies the last bit of y by 1000.
+
+    Model exchange with the same solver, rk4; co-simulation solves exactly, which rk4 at 1 ms misses
+    by (3 h)^4 / 120 = 7e-13 h.
     """
     run = cosim.run(
         "academic",
@@ -75,9 +78,12 @@ def test_co_simulation_has_the_bits_of_the_exact_solver(plant):
 
 
 def test_a_model_exchange_fmu_that_others_made_takes_the_plants_place(foreign3):
-    """FMI 3 model exchange by pythonfmu3: our solver, its derivatives; the results differ by rounding.
+    """FMI 3 model exchange by pythonfmu3: our solver, its derivatives.
 
-    Rounding in y, 1e-16, times filter_rate is 1e-13 in delta_hat, and theta2 answers to that with less than 1e2 times as much.
+    The results differ by rounding.
+
+    Rounding in y, 1e-16, times filter_rate is 1e-13 in delta_hat, and theta2 answers to that with
+    less than 1e2 times as much.
     """
     run = cosim.run(
         "academic",
@@ -95,11 +101,14 @@ def test_a_model_exchange_fmu_that_others_made_takes_the_plants_place(foreign3):
     ids=["pythonfmu CS 2", "pythonfmu3 CS 3"],
 )
 def test_a_co_simulation_fmu_that_others_made_takes_the_plants_place(make, changes, request):
-    """Without input interpolation and dependencies, y = x1 - u belongs to the mean input: known, first order, and reported.
+    """Without input interpolation and dependencies, y = x1 - u belongs to the mean input.
 
-    The generated plant with just that error added to y, (u(t) - u(t - h))/2, identifies the same theta. What remains is of second
-    order: the mean of the inputs, h^2/12, and the FMU's own solver, h^2/6 at most (Heun), for signals up to 2.7 in all 7e-7.
-    Theta2 answers to an error of y at the rates of these signals with about nine times as much (5e-4 moves it by 6e-3, as 7e-4 in
+    Known, first order, and reported.
+
+    The generated plant with just that error added to y, (u(t) - u(t - h))/2, identifies the same
+    theta. What remains is of second order: the mean of the inputs, h^2/12, and the FMU's own
+    solver, h^2/6 at most (Heun), for signals up to 2.7 in all 7e-7. Theta2 answers to an error of y
+    at the rates of these signals with about nine times as much (5e-4 moves it by 6e-3, as 7e-4 in
     delta_hat): 6e-6.
     """
     run = cosim.run("academic", swap={"plant": request.getfixturevalue(make)}, set=changes)
@@ -144,7 +153,10 @@ def test_a_log_of_an_fmu_replays_without_the_fmu(plant, tmp_path):
 
 
 def test_an_fmu_keeps_the_tolerance_of_its_table(plant):
-    """At 1e-3 RK45 crosses a step of 0.1 s at once, with some (2 h)^6/720 = 1e-7; at 1e-11 it is the exact solution to 1e-9."""
+    """At 1e-3 RK45 crosses a step of 0.1 s at once, with some (2 h)^6/720 = 1e-7.
+
+    At 1e-11 it is the exact solution to 1e-9.
+    """
     changes = {"scenario.step": 0.1, "scenario.stop": 4.0}
 
     def run(tolerance):
@@ -160,7 +172,10 @@ def test_an_fmu_keeps_the_tolerance_of_its_table(plant):
 
 
 def test_a_sampled_fmu_answers_at_its_own_step(plant, tmp_path):
-    """With a period the FMU lives on that step; its outputs hold between, and its channel keeps the rows of that step."""
+    """With a period the FMU lives on that step.
+
+    Its outputs hold between, and its channel keeps the rows of that step.
+    """
     changes = {"plant.interface_type": "cs", "plant.period": 0.01, "scenario.stop": 1.0}
     log = cosim.run("academic", swap={"plant": plant}, set=changes, out=tmp_path / "a.mcap")
     assert np.array_equal(np.unique(np.diff(log.time_ns("plant"))), [10_000_000])
@@ -168,7 +183,10 @@ def test_a_sampled_fmu_answers_at_its_own_step(plant, tmp_path):
 
 
 def test_a_dry_run_compares_port_by_port(plant, foreign2, tmp_path, monkeypatch, capsys):
-    """Nothing runs; every port is shown, what is missing or has another causality stops with exit 2."""
+    """Nothing runs; every port is shown.
+
+    What is missing or has another causality stops with exit 2.
+    """
     monkeypatch.chdir(tmp_path)
     with pytest.raises(SystemExit) as left:
         main(["run", "academic", "--swap", f"plant={plant}", "--dry-run"])
@@ -196,11 +214,15 @@ def test_a_dry_run_compares_port_by_port(plant, foreign2, tmp_path, monkeypatch,
 
 
 def test_a_missing_output_is_refused_before_the_run(plant, tmp_path):
-    """An FMU without the port that the scenario connects cannot stand there; the nearest is named."""
+    """An FMU without the port that the scenario connects cannot stand there.
+
+    The nearest is named.
+    """
     path = rewritten(plant, tmp_path / "renamed.fmu", ('name="y"', 'name="y_m"'))
     with pytest.raises(
         ScenarioError,
-        match=r"'plant\.y': 'plant' has no output 'y'; (did you mean 'y_m'\? )?There is: y_m, x_a, x_b",
+        match=r"'plant\.y': 'plant' has no output 'y'; (did you mean 'y_m'\? )?There is: y_m, "
+        r"x_a, x_b",
     ):
         cosim.run("academic", swap={"plant": path})
 
@@ -222,12 +244,17 @@ def test_an_unknown_start_value_names_the_nearest(plant):
 
 
 def test_states_that_are_no_outputs_are_logged_too(tmp_path):
-    """A log holds every state: an FMU's continuous states are read even where they are no outputs."""
+    """A log holds every state.
+
+    An FMU's continuous states are read even where they are no outputs.
+    """
     path = tmp_path / "lag.fmu"
     scenario = tmp_path / "lag.toml"
     scenario.write_text(
-        '[scenario]\nname = "lag"\nstop = 0.1\nstep = 0.01\n[components.u]\nkind = "constant"\nvalue = 1.0\n'
-        '[components.c]\nkind = "controller"\nA = [[-1.0]]\nB = [[1.0]]\nC = [[2.0]]\n[connections]\n"c.u" = "u.y"\n'
+        '[scenario]\nname = "lag"\nstop = 0.1\nstep = 0.01\n[components.u]\nkind = '
+        '"constant"\nvalue = 1.0\n'
+        '[components.c]\nkind = "controller"\nA = [[-1.0]]\nB = [[1.0]]\nC = '
+        '[[2.0]]\n[connections]\n"c.u" = "u.y"\n'
     )
     export_component(str(scenario), "c", path)
     hidden = tmp_path / "hidden.fmu"
@@ -268,7 +295,8 @@ def test_a_binary_for_another_platform_is_refused_before_the_run(plant, tmp_path
         archive.writestr("binaries/win64/academic_plant.dll", b"MZ")
     with pytest.raises(
         ScenarioError,
-        match=r"--swap plant: .*no binary for this platform; found binaries for: win64; needed binaries/",
+        match=r"--swap plant: .*no binary for this platform; found binaries for: win64; needed "
+        r"binaries/",
     ):
         cosim.run("academic", swap={"plant": bare})
 

@@ -1,4 +1,7 @@
-"""One scenario on nine plants and one of other names: the theta of each within the tolerance derived for it."""
+"""One scenario on nine plants and one of other names.
+
+The theta of each within the tolerance derived for it.
+"""
 
 from dataclasses import replace
 
@@ -50,7 +53,7 @@ def theta(run):
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory, foreign2, foreign3):
-    """Give what can take the plant's place."""
+    """Return what can take the plant's place."""
     folder = tmp_path_factory.mktemp("matrix")
     own = {f"fmi{version}": folder / f"fmi{version}.fmu" for version in "23"}
     for name, path in own.items():
@@ -67,7 +70,10 @@ def files(tmp_path_factory, foreign2, foreign3):
 
 @pytest.fixture(scope="module")
 def generated():
-    """Give the runs of the generated plant: solved exactly, by rk4, and with y late by half a step."""
+    """Return the runs of the generated plant.
+
+    Solved exactly, by rk4, and with y late by half a step.
+    """
     text = find("academic")
     measured = replace(
         text, text=text.text.replace('"observer.y" = "plant.y"', '"observer.y" = "measured.y"')
@@ -81,13 +87,16 @@ def generated():
 
 @pytest.mark.parametrize("plant", MATRIX)
 def test_a_plant_of_another_make_identifies_the_same(plant, files, generated):
-    """Equal bits where the arithmetic is the same: rk4 on our derivatives, the exact discretization, what was recorded.
+    """Equal bits where the arithmetic is the same.
 
-    With the inputs added in another order, and with pythonfmu3's derivatives, y differs by rounding: 2e-16, which the filter
-    makes 1e3 times as much in delta_hat. In 2.5 s that is 3e-13, which the smallest eigenvalue of the information, 1.9e-5, makes
-    7e-11 in eta at most, and theta is its logarithm over 0.2 s or more: 1e-9 with room.
-    The mean of the inputs leaves h^2/12 and pythonfmu's own solvers h^2/6 at most of signals up to 2.7: 7e-7 in y beside what is
-    late. Both are at the rates of these signals, as the 5e-4 that are late: theta answers to both alike.
+    Rk4 on our derivatives, the exact discretization, what was recorded.
+
+    With the inputs added in another order, and with pythonfmu3's derivatives, y differs by
+    rounding: 2e-16, which the filter makes 1e3 times as much in delta_hat. In 2.5 s that is 3e-13,
+    which the smallest eigenvalue of the information, 1.9e-5, makes 7e-11 in eta at most, and theta
+    is its logarithm over 0.2 s or more: 1e-9 with room. The mean of the inputs leaves h^2/12 and
+    pythonfmu's own solvers h^2/6 at most of signals up to 2.7: 7e-7 in y beside what is late. Both
+    are at the rates of these signals, as the 5e-4 that are late: theta answers to both alike.
     """
     file, changes, like, tolerance = MATRIX[plant]
     names = MAP if file == "renamed" else {}
@@ -102,6 +111,7 @@ def test_a_plant_of_another_make_identifies_the_same(plant, files, generated):
 def test_rk4_identifies_what_the_exact_solver_does(generated):
     """The eigenvalues of A are -1.5 +- 0.87i.
 
-    So rk4 errs by (sqrt(3) h)^4/120 = 8e-14 of signals up to 2.7, which theta2 answers tenfold: 2e-12.
+    So rk4 errs by (sqrt(3) h)^4/120 = 8e-14 of signals up to 2.7, which theta2 answers tenfold:
+    2e-12.
     """
     assert abs(theta(generated["rk4"]) - theta(generated["exact"])).max() <= 3e-12

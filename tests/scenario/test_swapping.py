@@ -1,4 +1,7 @@
-"""Swapped components with other port names: what a map means in each of its forms, and every wrong one."""
+"""Swapped components with other port names.
+
+What a map means in each of its forms, and every wrong one.
+"""
 
 import json
 import re
@@ -142,7 +145,10 @@ def test_a_port_has_one_name(other):
 
 @pytest.mark.parametrize("names", [["s[0]", "s[1]"], ["s[0:2]"], "[s[0], s[1]]"])
 def test_a_vector_may_be_made_of_elements(names, by_hand, other, tmp_path):
-    """As a list in Python and in the file, or as text on the command line: the bits are the same."""
+    """As a list in Python and in the file, or as text on the command line.
+
+    The bits are the same.
+    """
     maps = {**MAP, "plant.x_a": names}
     runs = [cosim.run("academic", swap={"plant": other}, map=maps, set=SHORT)]
     if not isinstance(names, str):
@@ -176,7 +182,10 @@ def test_a_recorded_plant_may_be_mapped(by_hand, other, tmp_path):
 
 
 def test_a_swap_of_the_file_may_choose_the_mode_and_give_way_to_an_option(other, by_hand, tmp_path):
-    """x.fmu#cs in the file; a path is taken from the file's folder; an option replaces the entry, its map too."""
+    """x.fmu#cs in the file; a path is taken from the file's folder.
+
+    An option replaces the entry, its map too.
+    """
     document = replace(text_with('plant = "other.fmu#cs"'), folder=other.parent).with_changes(SHORT)
     entry = replace(document, maps=MAP)
     assert parse(entry).specs["plant"].interface_type == "cs"
@@ -201,39 +210,104 @@ def test_a_component_that_is_swapped_too_has_a_map_of_its_own(other, tmp_path):
 
 
 WRONG = {
-    "a map without a swap": ({}, {"observer.y": "out1"}, r"^--map observer\.y: nothing is swapped, so no port gets another name"),
+    "a map without a swap": (
+        {},
+        {"observer.y": "out1"},
+        r"^--map observer\.y: nothing is "
+        r"swapped, so no port gets another name",
+    ),
     "no dot": (True, {"y": "out1"}, r"--map y: found no dot, needed COMPONENT\.PORT"),
-    "no such component": (True, {"plnt.u": "force"}, r"--map plnt\.u: there is no component 'plnt'; did you mean 'plant'\?"),
+    "no such component": (
+        True,
+        {"plnt.u": "force"},
+        r"--map plnt\.u: there is no component "
+        r"'plnt'; did you mean 'plant'\?",
+    ),
     "no such port": (
-        True, {"plant.uu": "force"}, r"--map plant\.uu: the scenario connects no 'plant\.uu'; did you mean 'plant\.u'\?",
+        True,
+        {"plant.uu": "force"},
+        r"--map plant\.uu: the scenario connects no 'plant\.uu'; "
+        r"did you mean 'plant\.u'\?",
     ),
     "another component's port": (
-        True, {"regressor.delta": "out1"},
-        r"--map regressor\.delta: 'regressor\.delta' does not belong to 'plant', nor does that drive it; .*: .*observer\.y",
+        True,
+        {"regressor.delta": "out1"},
+        r"--map regressor\.delta: 'regressor\.delta' does not belong to 'plant', nor does that "
+        r"drive it; .*: .*observer\.y",
     ),
     "no such output there": (
-        True, {**MAP, "observer.y": "out2"},
+        True,
+        {**MAP, "observer.y": "out2"},
         r"--map observer\.y: 'plant\.out2': 'plant' has no output 'out2'; did you mean 'out1'\?",
     ),
     "no such input there": (
-        True, {**MAP, "plant.u": "forse"},
+        True,
+        {**MAP, "plant.u": "forse"},
         r"--map plant\.u: 'plant\.forse': 'plant' has no input 'forse'; did you mean 'force'\?",
     ),
     "no such output there, for the truth": (
-        True, {**MAP, "plant.x_a": "t"}, r"--map plant\.x_a: 'plant\.t': 'plant' has no input or output 't'; There is",
+        True,
+        {**MAP, "plant.x_a": "t"},
+        r"--map plant\.x_a: 'plant\.t': 'plant' has no input "
+        r"or output 't'; There is",
     ),
-    "no such element": (True, {**MAP, "observer.y": "s[2]"}, r"'plant\.s\[2\]': 'plant\.s' has 2 elements, numbered from 0"),
-    "an input for an output": (True, {**MAP, "observer.y": "force"}, r"'plant\.force' is an input of 'plant'; needed an output"),
-    "no such element of an input": (True, {**MAP, "plant.u": "force[1]"}, r"--map plant\.u: 'plant\.force\[1\]': 'plant\.force' has 1 element, numbered"),
+    "no such element": (
+        True,
+        {**MAP, "observer.y": "s[2]"},
+        r"'plant\.s\[2\]': 'plant\.s' has 2 elements, "
+        r"numbered "
+        r"from "
+        r"0",
+    ),
+    "an input for an output": (
+        True,
+        {**MAP, "observer.y": "force"},
+        r"'plant\.force' is an input of 'plant'; "
+        r"needed "
+        r"an "
+        r"output",
+    ),
+    "no such element of an input": (
+        True,
+        {**MAP, "plant.u": "force[1]"},
+        r"--map plant\.u: 'plant\.force\[1\]': 'plant\.force' "
+        r"has "
+        r"1 "
+        r"element, numbered",
+    ),
     "one name for two": (
-        True, {**MAP, "plant.delta": "force"},
+        True,
+        {**MAP, "plant.delta": "force"},
         r"--map plant\.delta: 'plant\.force' is given twice, for 'plant\.u' and 'plant\.delta'",
     ),
-    "no name in a list": (True, {**MAP, "observer.y": ["out1", ""]}, r"--map observer\.y: found no name"),
-    "a slice of nothing": (True, {**MAP, "observer.y": "s[1:1]"}, r"--map observer\.y: 'plant\.s\[1:1\]' has no elements"),
-    "another size": (True, {**MAP, "observer.y": "s"}, r"connections\.observer\.y: plant\.y -> observer\.y: size 2 cannot drive size 1"),
-    "no name": (True, {**MAP, "observer.y": ""}, r"--map observer\.y: found no name, needed that of a port of the component"),
-}  # fmt: skip
+    "no name in a list": (
+        True,
+        {**MAP, "observer.y": ["out1", ""]},
+        r"--map observer\.y: found "
+        r"no "
+        r"name",
+    ),
+    "a slice of nothing": (
+        True,
+        {**MAP, "observer.y": "s[1:1]"},
+        r"--map observer\.y: 'plant\.s\[1:1\]' "
+        r"has "
+        r"no "
+        r"elements",
+    ),
+    "another size": (
+        True,
+        {**MAP, "observer.y": "s"},
+        r"connections\.observer\.y: plant\.y -> "
+        r"observer\.y: size 2 cannot drive size 1",
+    ),
+    "no name": (
+        True,
+        {**MAP, "observer.y": ""},
+        r"--map observer\.y: found no name, needed "
+        r"that of a port of the component",
+    ),
+}
 
 
 @pytest.mark.parametrize("case", WRONG)
@@ -265,14 +339,38 @@ def test_all_that_is_wrong_is_told_at_once(other):
     ("swap", "text"),
     [
         ("plant = 3", r"academic:\d+: swap\.plant: found 3; needed a table"),
-        ('plant = { map = { "plant.u" = "x" } }', r"academic:\d+: swap\.plant: 'path' is missing; needed path of an \.fmu"),
-        ('plant = "x.txt"', r"academic:\d+: swap\.plant: found 'x\.txt', needed a path that ends in \.fmu"),
-        ('plant = "x.fmu#xx"', r"found '#xx' behind the path, needed '#me' \(model exchange\) or '#cs' \(co-simulation\)"),
-        ('plant = { path = "x.fmu", map = { "plant.z" = "x" } }', r"academic:\d+: swap\.plant\.map\.plant\.z: the scenario c"),
-        ('plant = { path = "x.fmu", map = { plant.u = 1 } }', r"swap\.plant\.map\.plant\.u: found 1; needed a string"),
+        (
+            'plant = { map = { "plant.u" = "x" } }',
+            r"academic:\d+: swap\.plant: 'path' is "
+            r"missing; needed path of an \.fmu",
+        ),
+        (
+            'plant = "x.txt"',
+            r"academic:\d+: swap\.plant: found 'x\.txt', needed a path that "
+            r"ends in \.fmu",
+        ),
+        (
+            'plant = "x.fmu#xx"',
+            r"found '#xx' behind the path, needed '#me' \(model exchange\) "
+            r"or '#cs' \(co-simulation\)",
+        ),
+        (
+            'plant = { path = "x.fmu", map = { "plant.z" = "x" } }',
+            r"academic:\d+: swap\.plant\.map\.plant\.z: "
+            r"the "
+            r"scenario "
+            r"c",
+        ),
+        (
+            'plant = { path = "x.fmu", map = { plant.u = 1 } }',
+            r"swap\.plant\.map\.plant\.u: found 1; "
+            r"needed "
+            r"a "
+            r"string",
+        ),
         ('plant = { path = "x.fmu", mode = "cs" }', r"swap\.plant\.mode: unknown key 'mode'"),
     ],
-)  # fmt: skip
+)
 def test_a_wrong_entry_of_the_file_is_told_with_its_line(swap, text):
     """As everything else in a file."""
     with pytest.raises(ScenarioError, match=text):
@@ -288,7 +386,7 @@ def test_a_wrong_entry_of_the_file_is_told_with_its_line(swap, text):
         ),
         (["--map", "plant.u=a", "--map", "plant.u=b"], "--map plant.u: given 2 times, needed once"),
     ],
-)  # fmt: skip
+)
 def test_a_name_is_given_once(options, text, capsys):
     """The last one does not win in silence."""
     with pytest.raises(SystemExit) as left:

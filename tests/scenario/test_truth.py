@@ -44,6 +44,9 @@ def test_a_truth_is_compared_in_the_unit_of_the_estimate(tmp_path):
 
 
 def test_a_truth_of_another_kind_is_refused(tmp_path):
-    text = r"truth\.sensor\.y: 'sensor\.y' has unit 'm', its truth 'room\.y' has unit 'degC'; needed units of one kind"
+    text = (
+        r"truth\.sensor\.y: 'sensor\.y' has unit 'm', its truth 'room\.y' has unit 'degC'; "
+        "needed units of one kind"
+    )
     with pytest.raises(ScenarioError, match=text):
         cosim.run(room(tmp_path, unit="m", gain=0.5))
