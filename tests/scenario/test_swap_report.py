@@ -1,4 +1,7 @@
-"""Before a run: how a swapped component compares with the one it replaces, what stops the run, what may have been renamed."""
+"""Before a run: how a swapped component compares with the one that it replaces.
+
+Also what stops the run, and which ports may have been meant.
+"""
 
 import json
 import tomllib
@@ -16,9 +19,9 @@ from cosim.fmi.binary.loaded import LoadedInstance
 from cosim.fmi.reading import model_description
 from cosim.scenario.build import build_context, parse
 from cosim.scenario.document import find
+from cosim.scenario.examination import examine
 from cosim.scenario.exporting import export_component
 from cosim.scenario.kinds.plants import FmuKind
-from cosim.scenario.examination import examine
 from tests.scenario.renamed import MAP, packed, renamed
 from tests.scenario.test_swap import rewritten
 
@@ -68,10 +71,14 @@ def test_another_mode_and_start_are_listed_and_warned_of_in_one_line(folder, tmp
     changes = {"plant.start": {"x_a[0]": 1.5}}
     found = report(folder, "plant.fmu#cs", **changes)
     assert set(verdicts(found, "differs", "error")) == {
-        ("y", "initial output"), ("x_a", "initial output"), ("x_b", "initial output"), ("", "kind"),
-    }  # fmt: skip
+        ("y", "initial output"),
+        ("x_a", "initial output"),
+        ("x_b", "initial output"),
+        ("", "kind"),
+    }
     text = (
-        "differs from what it replaces: y initial output 1.5 (was 1); x_a initial output 1.5 -1 (was 1 -1); "
+        "differs from what it replaces: y initial output 1.5 (was 1); x_a initial output 1.5 -1 "
+        "(was 1 -1); "
         "kind co-simulation (was model exchange)"
     )
     log = cosim.run(
@@ -89,22 +96,22 @@ def test_renamed_ports_are_proposed_and_never_applied(folder):
     """Each by its option, with the reason; taken at their word, the proposals make the run."""
     with pytest.raises(ScenarioError) as caught:
         cosim.run("academic", swap={"plant": folder / "other.fmu"}, set=SHORT)
-    said = str(caught.value)
+    message = str(caught.value)
     for option in (
         "--map plant.u=force",
         "--map plant.delta=push",
         "--map plant.y=out1",
         "--map plant.x_a=s",
     ):
-        assert f"\n{option}: plant." in said, said
-    assert said.count("--map") == 4
+        assert f"\n{option}: plant." in message, message
+    assert message.count("--map") == 4
     assert (
-        "--map plant.y=out1: plant.out1 may be plant.y (output of size 1, real; direct feedthrough from force; initial output 1;"
-        in said
+        "--map plant.y=out1: plant.out1 may be plant.y (output of size 1, real; direct "
+        "feedthrough from force; initial output 1;" in message
     )
     options = [
         line.partition(": ")[0].removeprefix("--map ")
-        for line in said.splitlines()
+        for line in message.splitlines()
         if line.startswith("--map")
     ]
     assert not report(folder, "other.fmu", dict(option.split("=") for option in options)).problems
@@ -160,9 +167,17 @@ def test_a_dry_run_has_rows_proposals_and_problems_for_programs(folder, capsys):
     assert {frozenset(row) for row in found["swaps"]["plant"]["ports"]} == {
         frozenset({"port", "aspect", "before", "after", "verdict", "connected"})
     }
-    assert {row["port"]: row["verdict"] for row in found["swaps"]["plant"]["ports"] if row["verdict"] == "error"} == {
-        "plant.u": "error", "plant.delta": "error", "plant.y": "error", "plant.force": "error", "plant.push": "error",
-    }  # fmt: skip
+    assert {
+        row["port"]: row["verdict"]
+        for row in found["swaps"]["plant"]["ports"]
+        if row["verdict"] == "error"
+    } == {
+        "plant.u": "error",
+        "plant.delta": "error",
+        "plant.y": "error",
+        "plant.force": "error",
+        "plant.push": "error",
+    }
     assert {one["option"] for one in found["swaps"]["plant"]["proposals"]} >= {"--map plant.y=out1"}
     options = [option for port, name in MAP.items() for option in ("--map", f"{port}={name}")]
     with pytest.raises(SystemExit) as left:
