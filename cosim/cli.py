@@ -64,7 +64,7 @@ MapOption = Annotated[
     typer.Option(
         "--map",
         metavar="PORT=NAME",
-        help="Name of a port in the replacing component, such as observer.y=out1. Repeatable.",
+        help="Ports of the replacing component: observer.y=out1, plant.x=[s1,s2]. Repeatable.",
     ),
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]

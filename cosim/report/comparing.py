@@ -20,7 +20,7 @@ from cosim.report.recorded import difference, has_signal, truth_of
 from cosim.report.summary import Summary, summarize
 from cosim.scenario.execution import load, run
 from cosim.scenario.parsing import Scenario
-from cosim.scenario.swap import component_table
+from cosim.scenario.swap import PortNames, component_table, port_names
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,7 @@ class _Alternative:
 
     label: str
     path: str | None  # None: the component of the scenario itself
-    map: Mapping[str, str] = field(default_factory=dict)
+    map: Mapping[str, PortNames] = field(default_factory=dict)
     changes: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -138,7 +138,7 @@ def compare(
     scenario: str | Path | Scenario,
     *,
     swap: Mapping[str, Sequence[str | Path]],
-    map: Mapping[str, str] | None = None,
+    map: Mapping[str, PortNames] | None = None,
     set: Mapping[str, Any] | None = None,
     base: bool = True,
     out: str | Path | None = None,
@@ -152,7 +152,7 @@ def compare(
         A shipped name, a path, or what :func:`load` returned.
     swap : mapping of one component to the paths of its alternatives
         Each an FMU (``x.fmu``, ``x.fmu#me``, ``x.fmu#cs``) or a recorded log.
-    map : mapping of port to name, optional
+    map : mapping of port to names, optional
         As for :func:`run`. An entry is for every alternative that has a port of that name; the
         others keep the scenario's.
     set : mapping of dotted key to value, optional
@@ -267,19 +267,19 @@ def _distinct(labels: Sequence[str]) -> list[str]:
 
 
 def _maps_by_path(
-    component: str, paths: Sequence[str], maps: Mapping[str, str]
-) -> dict[str, dict[str, str]]:
-    """Return for each alternative the entries whose name is one of its ports."""
-    maps_by_path: dict[str, dict[str, str]] = {}
+    component: str, paths: Sequence[str], maps: Mapping[str, PortNames]
+) -> dict[str, dict[str, PortNames]]:
+    """Return for each alternative the entries whose names are ports of it."""
+    maps_by_path: dict[str, dict[str, PortNames]] = {}
     known: dict[str, None] = {}
     for path in paths:
         names = _port_names(component, path)
         known |= dict.fromkeys(names)
-        used = [port for port, name in maps.items() if _has_port(names, name)]
+        used = [port for port, listed in maps.items() if not _unknown_names(names, listed)]
         maps_by_path[path] = {port: maps[port] for port in used}
     problems = []
-    for port, name in maps.items():
-        if not _has_port(known, name):
+    for port, listed in maps.items():
+        for name in _unknown_names(known, listed):
             suggestion = nearest(name, known)
             problems.append(f"--map {port}: no alternative has a port {name!r}; {suggestion}")
     if problems:
@@ -287,9 +287,14 @@ def _maps_by_path(
     return maps_by_path
 
 
-def _has_port(names: Collection[str], name: str) -> bool:
-    signal, _ = split_element(name)
-    return name in names or signal in names
+def _unknown_names(known: Collection[str], listed: PortNames) -> list[str]:
+    """Return the names in an entry of a map that are no known ports or elements of them."""
+    unknown = []
+    for name in port_names(listed):
+        signal, _ = split_element(name)
+        if name not in known and signal not in known:
+            unknown.append(name)
+    return unknown
 
 
 def _port_names(component: str, path: str) -> list[str]:

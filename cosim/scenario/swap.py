@@ -212,21 +212,22 @@ def _sources(component: str, names: PortNames) -> tuple[Port, ...]:
     GraphError
         If a name is missing or none of a port.
     """
-    if isinstance(names, str):
-        names = _listed_names(names)
-    if not names or "" in names:
+    listed = port_names(names)
+    if not listed or "" in listed:
         raise GraphError(
             "found no name, needed that of a port of the component that takes the place of "
             f"{component!r}"
         )
-    return tuple(Port.parse(f"{component}.{name}") for name in names)
+    return tuple(Port.parse(f"{component}.{name}") for name in listed)
 
 
-def _listed_names(text: str) -> list[str]:
-    """Return the names in a text: ``[s1, s2]``, or one name alone."""
-    listed = re.fullmatch(r"\[(.*)\]", text.strip())
+def port_names(names: PortNames) -> list[str]:
+    """Return the names in an entry of a map: one, a list, or a text such as ``[s1, s2]``."""
+    if not isinstance(names, str):
+        return list(names)
+    listed = re.fullmatch(r"\[(.*)\]", names.strip())
     if listed is None:
-        return [text]
+        return [names]
     return [name.strip() for name in listed[1].split(",")]
 
 
