@@ -132,7 +132,8 @@ class Builder:
         self._check_models()
         for name, spec in scenario.specs.items():
             self._build(name, spec)
-        self._invalid |= scenario.file.components.keys() - self.components.keys()
+        names = set(scenario.file.components)
+        self._invalid |= names - self.components.keys()
         self._check_connections()
         self._truth, truth_problems = check_truth(
             scenario.file, self.components, self._invalid, self.context.warn
@@ -249,8 +250,10 @@ class Builder:
         h = self.clock.step_ns / 1e9
         for name, spec in self.scenario.specs.items():
             held = {}
-            for signal, columns in self.components[name].interface.input_columns().items():
-                held[signal] = bool(graph.held[name][columns].any())
+            mask = graph.held[name]
+            inputs = self.components[name].interface.input_columns()
+            for signal, columns in inputs.items():
+                held[signal] = bool(mask[columns].any())
             for text in spec.advice(held, h):
                 self.context.warn(name, text)
         for name, text in graph.warnings:
@@ -278,7 +281,10 @@ class Builder:
                     waiting |= {port.component for port in connection.sources} - needed
         if not needed <= self.components.keys() - self._invalid:
             raise self.scenario.document.report(self.problems)
-        components = {name: self.components[name] for name in self.components if name in needed}
+        components = {}
+        for name, part in self.components.items():
+            if name in needed:
+                components[name] = part
         return self._graph(components, connections)
 
     def _graph(

@@ -10,6 +10,7 @@ from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from importlib import resources
+from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any
 
@@ -56,13 +57,15 @@ class Document:
     swapped: bool = True
 
     def with_swaps(
-        self, swaps: Mapping[str, str], maps: Mapping[str, PortNames] | None = None
+        self, swaps: Mapping[str, str | Path], maps: Mapping[str, PortNames] | None = None
     ) -> Document:
         """Replace components; paths are taken from the working directory.
 
         A component that is replaced again loses the map given before.
         """
-        absolute = {name: str(Path(path).absolute()) for name, path in swaps.items()}
+        paths = dict(self.swaps)
+        for name, path in swaps.items():
+            paths[name] = str(Path(path).absolute())
         kept = dict(self.maps)
         if kept:
             tree, _ = self.tree()
@@ -71,12 +74,14 @@ class Document:
                     del kept[port]
         if maps is not None:
             kept |= maps
-        return replace(self, swaps={**self.swaps, **absolute}, maps=kept)
+        return replace(self, swaps=paths, maps=kept)
 
     def with_changes(self, changes: Mapping[str, Any]) -> Document:
         """Set values; ``components.observer.L`` and ``observer.L`` are the same key."""
-        made = {short(key): plain(value) for key, value in changes.items()}
-        return replace(self, changes={**self.changes, **made})
+        values = dict(self.changes)
+        for key, value in changes.items():
+            values[short(key)] = plain(value)
+        return replace(self, changes=values)
 
     def unswapped(self) -> Document:
         """Return the document without the swaps and without what was set for them."""
@@ -95,13 +100,8 @@ class Document:
 
     def edits(self) -> str:
         """Return swaps, maps and changes as JSON, for the log."""
-        edits = {
-            "source": self.source,
-            "swaps": self.swaps,
-            "maps": self.maps,
-            "changes": self.changes,
-        }
-        return json.dumps(edits)
+        edits = {"swaps": self.swaps, "maps": self.maps, "changes": self.changes}
+        return json.dumps({"source": self.source, **edits})
 
     @staticmethod
     def recorded(text: str, edits: str, folder: Path) -> Document:
@@ -153,7 +153,8 @@ class Document:
         place = f"{self.source}:{position[1]}"
         if "overwrite" not in message and "twice" not in message:
             return f"{place}: not TOML: {message}"
-        line = self.text.splitlines()[int(position[1]) - 1].strip()
+        number = int(position[1])
+        line = self.text.splitlines()[number - 1]
         key = line.split("=")[0].strip()
         return f"{place}: {key} is given twice; keep one (an input is driven by one source)"
 
@@ -219,10 +220,11 @@ def find(name: str) -> Document:
     """
     path = Path(name)
     if path.suffix == SUFFIX or path.is_file():
-        return Document(_read_text(name), str(path), path.absolute().parent)
+        folder = path.absolute().parent
+        return Document(_read_text(name), str(path), folder)
     if name in shipped():
-        file = resources.files("cosim.scenario") / "library" / f"{name}{SUFFIX}"
-        return Document(file.read_text(encoding="utf-8"), name, Path.cwd())
+        text = (_library() / f"{name}{SUFFIX}").read_text(encoding="utf-8")
+        return Document(text, name, Path.cwd())
     raise ScenarioError(
         f"there is no scenario {name!r}; give a path to a .toml file, or a shipped one. "
         f"{nearest(name, shipped())}"
@@ -233,9 +235,9 @@ def _read_text(name: str) -> str:
     try:
         return Path(name).read_text(encoding="utf-8")
     except OSError as error:
+        names = ", ".join(shipped())
         raise ScenarioError(
-            f"{name}: cannot be read ({error.strerror}); needed a scenario file, "
-            f"or one of: {', '.join(shipped())}"
+            f"{name}: cannot be read ({error.strerror}); needed a scenario file, or one of: {names}"
         ) from error
     except UnicodeDecodeError as error:
         raise ScenarioError(
@@ -245,8 +247,13 @@ def _read_text(name: str) -> str:
 
 def shipped() -> list[str]:
     """Return the names of the shipped scenarios."""
-    files = (resources.files("cosim.scenario") / "library").iterdir()
-    return sorted(file.name.removesuffix(SUFFIX) for file in files if file.name.endswith(SUFFIX))
+    names = [file.name for file in _library().iterdir()]
+    return sorted(name.removesuffix(SUFFIX) for name in names if name.endswith(SUFFIX))
+
+
+def _library() -> Traversable:
+    """Return the folder of the shipped scenarios."""
+    return resources.files("cosim.scenario") / "library"
 
 
 def _flatten_tables(tree: dict[str, Any]) -> list[Problem]:

@@ -73,10 +73,9 @@ class _InitialSignals:
     def of(interface: Interface, u: Vector, y: Vector) -> _InitialSignals:
         inputs = interface.input_columns()
         outputs = interface.output_columns()
-        return _InitialSignals(
-            {name: u[columns] for name, columns in inputs.items()},
-            {name: y[columns] for name, columns in outputs.items()},
-        )
+        u_by_input = {name: u[columns] for name, columns in inputs.items()}
+        y_by_output = {name: y[columns] for name, columns in outputs.items()}
+        return _InitialSignals(u_by_input, y_by_output)
 
 
 @dataclass(frozen=True)
@@ -223,7 +222,8 @@ def _replaced_sides(scenario: Scenario) -> dict[str, _ReplacedSide]:
             if name in builder.components:
                 initial = state.signals(name)
                 state.leave_initialization(name)
-                sides[name] = _ReplacedSide(_side(builder, name, initial), initial)
+                side = _side(builder, name, initial)
+                sides[name] = _ReplacedSide(side, initial)
     return sides
 
 
@@ -255,15 +255,15 @@ def _side(builder: Builder, name: str, initial: _InitialSignals | None) -> Side:
     """Return what is known of a component that was built."""
     spec = builder.scenario.specs[name]
     described = spec.description(name, builder.context)
-    side = Side(
-        builder.components[name].interface,
-        _ability(spec, described),
-        linear=_linear_behavior(builder, name),
-    )
+    interface = builder.components[name].interface
+    ability = _ability(spec, described)
+    linear = _linear_behavior(builder, name)
+    side = Side(interface, ability, linear=linear)
     if initial is not None:
         side = replace(side, initial=initial.outputs)
     if described is not None:
-        side = replace(side, start=_start_values(builder, name, described[1]))
+        start = _start_values(builder, name, described[1])
+        side = replace(side, start=start)
     return side
 
 
@@ -297,7 +297,8 @@ def _start_values(builder: Builder, name: str, description: Description) -> dict
     if name in builder.port_maps:
         values = builder.port_maps[name].shown_inputs(values)
     start = {}
-    for port, columns in builder.components[name].interface.input_columns().items():
+    interface = builder.components[name].interface
+    for port, columns in interface.input_columns().items():
         if not np.isnan(values[columns]).any():
             start[port] = values[columns]
     return start

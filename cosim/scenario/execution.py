@@ -124,7 +124,8 @@ def replay(
         If ``set`` changes the communication step, or a recorded component.
     """
     source = log if isinstance(log, Log) else open_log(log)
-    if out is not None and Path(out).resolve() == Path(source.path).resolve():
+    source_path = Path(source.path).resolve()
+    if out is not None and Path(out).resolve() == source_path:
         raise UsageError(f"{out} is the log that is replayed; choose another path")
     changes = _replay_changes(source, set or {})
     document = recorded_document(source).with_changes(changes)
@@ -133,8 +134,8 @@ def replay(
         scenario, problems = read(document, parse)
         builder = Builder(scenario, resources, problems=problems, recording=source, block=block)
         experiment = builder.experiment()
-        unaffected = unaffected_warnings(experiment, set or {})
-        experiment = replace(experiment, warnings=(*experiment.warnings, *unaffected))
+        warnings = (*experiment.warnings, *unaffected_warnings(experiment, set or {}))
+        experiment = replace(experiment, warnings=warnings)
         designs = valid_designs(experiment, source, set or {})
         return _record(experiment, designs, out=out, force=force, progress=progress)
 
@@ -179,7 +180,8 @@ def recorded_document(log: Log) -> Document:
     edits = log.metadata.get("cosim.run", {}).get("edits")
     if SCENARIO_FILE not in log.attachments or edits is None:
         raise LogError(f"the log carries no {SCENARIO_FILE}; needed a log that 'cosim run' wrote")
-    return Document.recorded(log.attachment(SCENARIO_FILE).decode(), edits, Path.cwd())
+    text = log.attachment(SCENARIO_FILE).decode()
+    return Document.recorded(text, edits, Path.cwd())
 
 
 def _check_path(out: str | Path | None) -> None:
@@ -209,7 +211,8 @@ def _record(
         watched = _watched(recorder, experiment, progress, check)
         run_graph(graph, experiment.clock, watched, designs=designs, plan=experiment.plan)
     if profile is not None:
-        profile["recorder and master"] = perf_counter() - began - sum(profile.values())
+        elapsed = perf_counter() - began
+        profile["recorder and master"] = elapsed - sum(profile.values())
     return memory if out is None else open_log(out)
 
 
@@ -224,7 +227,8 @@ def _with_reports(experiment: Experiment, reports: SwapReports) -> Experiment:
     """Keep in the log how swapped components compare with those they replace."""
     metadata = dict(experiment.metadata)
     for name, report in reports.reports.items():
-        metadata[name] = {**metadata.get(name, {}), "swap_report": report.to_dict()}
+        kept = metadata.get(name, {})
+        metadata[name] = {**kept, "swap_report": report.to_dict()}
     warnings = (*experiment.warnings, *reports.warnings)
     return replace(experiment, metadata=metadata, warnings=warnings)
 

@@ -71,8 +71,7 @@ class Scenario:
         """
         document = self.document
         if swap or map:
-            paths = {name: str(path) for name, path in (swap or {}).items()}
-            document = document.with_swaps(paths, map)
+            document = document.with_swaps(swap or {}, map)
         if set:
             document = document.with_changes(set)
         return self.parse(document)

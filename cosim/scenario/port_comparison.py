@@ -139,12 +139,14 @@ class ComparedPort:
     @property
     def start(self) -> list[float] | None:
         """Value of an input that nothing drives; None: unknown."""
-        return self._elements_of(self.side.start.get(self.signal.name))
+        values = self.side.start.get(self.signal.name)
+        return self._elements_of(values)
 
     @property
     def initial(self) -> list[float] | None:
         """Initial value of an output; None: unknown."""
-        return self._elements_of(self.side.initial.get(self.signal.name))
+        values = self.side.initial.get(self.signal.name)
+        return self._elements_of(values)
 
     @property
     def feedthrough(self) -> tuple[str, ...] | None:
@@ -153,18 +155,20 @@ class ComparedPort:
         if self.causality == "output":
             known = interface.knows(self.signal.name)
             return interface.feeds(self.signal.name) if known else None
-        if not all(interface.knows(output.name) for output in interface.outputs):
-            return None
         outputs = [output.name for output in interface.outputs]
-        return tuple(name for name in outputs if self.signal.name in interface.feeds(name))
+        if not all(interface.knows(name) for name in outputs):
+            return None
+        own_name = self.signal.name
+        return tuple(name for name in outputs if own_name in interface.feeds(name))
 
     @property
     def gains(self) -> list[float] | None:
         """Static gains to or from it, in rising order; None: unknown."""
         interface = self.side.interface
-        gain = None if self.side.linear is None else self.side.linear.gain
-        if gain is None:
+        linear = self.side.linear
+        if linear is None or linear.gain is None:
             return None
+        gain = linear.gain
         if self.causality == "output":
             columns = interface.output_columns()[self.signal.name]
         else:
@@ -231,7 +235,9 @@ def compare_sides(
         if names is not None and port in names:
             label = f"{port} -> {names[port]}"
         severity: Verdict = "error" if port in refused else "differs"
-        for aspect in _port_aspects(before.port(port), after.port(port), severity):
+        old = before.port(port)
+        new = after.port(port)
+        for aspect in _port_aspects(old, new, severity):
             rows.append(ComparedAspect(label, *aspect, port in connected))
     for aspect in _whole_aspects(before, after):
         rows.append(ComparedAspect("", *aspect, True))
@@ -256,7 +262,8 @@ def _port_aspects(
     if old.causality != new.causality:
         return
     if old.causality == "input":
-        verdict = _same_values(old.start, _in_unit_of(old, new, new.start))
+        start = _in_unit_of(old, new, new.start)
+        verdict = _same_values(old.start, start)
         yield "start value", old.start, new.start, verdict
     else:
         yield from _output_aspects(old, new)
@@ -264,7 +271,8 @@ def _port_aspects(
 
 def _output_aspects(old: ComparedPort, new: ComparedPort) -> Iterator[Aspect]:
     yield _equal("feedthrough", _inputs_of(old), _inputs_of(new))
-    verdict = _same_values(old.initial, _in_unit_of(old, new, new.initial))
+    initial = _in_unit_of(old, new, new.initial)
+    verdict = _same_values(old.initial, initial)
     yield "initial output", old.initial, new.initial, verdict
     if old.gains is not None or new.gains is not None:
         error = _error(old.side, new.side)
@@ -342,8 +350,8 @@ def _close(old: Sequence[float] | Vector, new: Sequence[float] | Vector, error: 
         return False
     old_values = np.array(old)
     new_values = np.array(new)
-    scale = max(1.0, np.nanmax(np.abs(old_values), initial=0.0))
-    tolerance = error * scale
+    largest = np.nanmax(np.abs(old_values), initial=0.0)
+    tolerance = error * max(1.0, largest)
     return bool(np.allclose(old_values, new_values, rtol=0.0, atol=tolerance, equal_nan=True))
 
 
@@ -398,19 +406,23 @@ def _candidates(
 
 
 def _fits(old: ComparedPort, new: ComparedPort) -> bool:
-    same_form = old.causality == new.causality and old.size == new.size
+    same_causality = old.causality == new.causality
+    same_size = old.size == new.size
     same_type = old.signal.type == new.signal.type
-    return same_form and same_type and _conversion(old.signal, new.signal) is not None
+    converts = _conversion(old.signal, new.signal) is not None
+    return same_causality and same_size and same_type and converts
 
 
 def _reasons(old: ComparedPort, new: ComparedPort) -> tuple[str, ...]:
-    reasons = [f"{new.causality} of size {new.size}, {new.signal.type}"]
-    if old.signal.unit is not None and new.signal.unit is not None:
-        reasons.append(f"unit {new.signal.unit!r}")
+    signal = new.signal
+    reasons = [f"{new.causality} of size {new.size}, {signal.type}"]
+    if old.signal.unit is not None and signal.unit is not None:
+        reasons.append(f"unit {signal.unit!r}")
     if _same_count(old.feedthrough, new.feedthrough):
         reasons.append(_feedthrough_text(new.causality, new.feedthrough or ()))
     initial = new.initial
-    same_initial = _same_values(old.initial, _in_unit_of(old, new, initial)) == "ok"
+    converted = _in_unit_of(old, new, initial)
+    same_initial = _same_values(old.initial, converted) == "ok"
     if initial is not None and same_initial:
         reasons.append(f"initial output {_shown(initial)}")
     gains = new.gains

@@ -34,7 +34,7 @@ def valid_designs(
     """
     designs = {}
     for name, spec in experiment.scenario.specs.items():
-        touched = sorted(key for key in changed if f"{short(key)}.".startswith(f"{name}."))
+        touched = sorted(key for key in changed if _component_of(key) == name)
         if touched and not spec.computable:
             raise UsageError(
                 f"--set {touched[0]}: {name!r} is taken from the recording; "
@@ -43,10 +43,16 @@ def valid_designs(
         recorded = source.metadata.get(f"cosim.component.{name}", {})
         current = fingerprint(experiment.scenario, name, experiment.reads[name])
         same_tables = recorded.get("fingerprint") == current
-        same_hold = np.array_equal(source.held[name], experiment.graph.held[name])
+        held = experiment.graph.held[name]
+        same_hold = np.array_equal(source.held[name], held)
         if not spec.computable or (same_tables and same_hold):
             designs[name] = source.designs[name]
     return designs
+
+
+def _component_of(key: str) -> str:
+    """Return what the key of a component's parameter begins with."""
+    return short(key).split(".")[0]
 
 
 def unaffected_warnings(
@@ -70,7 +76,8 @@ def unaffected_warnings(
 def _spread(changed: set[str], experiment: Experiment) -> set[str]:
     """Return changed components and those that they reach; a recorded one passes nothing on."""
     drivers = _drivers(experiment)
-    computed = {name for name, spec in experiment.scenario.specs.items() if spec.computable}
+    specs = experiment.scenario.specs
+    computed = {name for name, spec in specs.items() if spec.computable}
     affected = set(changed)
     reached = affected
     while reached:
@@ -88,7 +95,7 @@ def _second_parts(keys: list[str], table: str) -> set[str]:
 def _changed_components(experiment: Experiment, keys: list[str]) -> set[str]:
     """Return the components that are changed themselves, or by a model that they read."""
     models = {f"models.{name}" for name in _second_parts(keys, "models")}
-    names = {key.split(".")[0] for key in keys}
+    names = {_component_of(key) for key in keys}
     for name in experiment.scenario.specs:
         if experiment.reads[name] & models:
             names.add(name)
@@ -97,7 +104,9 @@ def _changed_components(experiment: Experiment, keys: list[str]) -> set[str]:
 
 def _drivers(experiment: Experiment) -> dict[str, set[str]]:
     """Return the components that drive each component."""
-    drivers: dict[str, set[str]] = {name: set() for name in experiment.scenario.specs}
-    for to, connection in experiment.scenario.connections.items():
-        drivers[to.component] |= {source.component for source in connection.sources}
+    scenario = experiment.scenario
+    drivers: dict[str, set[str]] = {name: set() for name in scenario.specs}
+    for to, connection in scenario.connections.items():
+        for source in connection.sources:
+            drivers[to.component].add(source.component)
     return drivers

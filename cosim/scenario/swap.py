@@ -167,7 +167,8 @@ def resolve_maps(
     for port, names in maps.items():
         owner = ports.owner(port, swapped)
         if owner is None:
-            problems.append(((MAP, port), ports.unknown(port, swapped)))
+            text = ports.unknown(port, swapped)
+            problems.append(((MAP, port), text))
         else:
             written[owner] = {**written[owner], port: names}
     entries: dict[str, list[MapEntry]] = {}
@@ -187,14 +188,15 @@ def _resolve_map(
         key = ("swap", component, "map", written)
         try:
             port = ports.meant(written, component)
-            renaming = Renaming(port, _sources(component, names), ports.causality(port))
+            sources = _sources(component, names)
+            renaming = Renaming(port, sources, ports.causality(port))
         except GraphError as error:
             problems.append((key, str(error)))
             continue
         first = entries.setdefault(renaming.port, MapEntry(key, renaming))
         if first.renaming != renaming:
-            first_use = f"as {_listed(first.renaming)} for {str(first.key[-1])!r}"
-            second_use = f"as {_listed(renaming)} for {written!r}"
+            first_use = f"as {_listed(first.renaming)} for '{first.key[-1]}'"
+            second_use = f"as {_listed(renaming)} for '{written}'"
             text = f"'{port}' is given twice, {first_use} and {second_use}; needed one"
             problems.append((key, text))
     return list(entries.values()), problems

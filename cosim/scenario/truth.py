@@ -53,7 +53,8 @@ def check_truth(
             ports = [Port.parse(text) for text in texts]
             if not missing.isdisjoint(port.component for port in ports):
                 continue
-            dropped = [port for port in signals.unknown(ports) if port.component in file.swap]
+            unknown = signals.unknown(ports)
+            dropped = [port for port in unknown if port.component in file.swap]
             if dropped:
                 text = f"has no {str(dropped[0])!r}: the report leaves out {estimate!r}"
                 warn(dropped[0].component, text)
@@ -74,8 +75,9 @@ class _Signals:
         self._signals: dict[str, tuple[Signal, ...]] = {}
         self._names: list[str] = []
         for name, component in components.items():
-            self._signals[name] = component.interface.signals
-            self._names += [f"{name}.{signal.name}" for signal in component.interface.signals]
+            signals = component.interface.signals
+            self._signals[name] = signals
+            self._names += [f"{name}.{signal.name}" for signal in signals]
 
     def unknown(self, ports: Sequence[Port]) -> list[Port]:
         """Return those of some ports that there are not."""

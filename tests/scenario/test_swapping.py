@@ -11,7 +11,7 @@ import pytest
 
 import cosim
 from cosim.cli import main
-from cosim.errors import ScenarioError
+from cosim.errors import ScenarioError, UsageError
 from cosim.report.summary import summarize
 from cosim.scenario.build import parse
 from cosim.scenario.document import find
@@ -408,3 +408,13 @@ def test_who_is_swapped_again_loses_its_own_map_only():
         **swapped.maps,
         "regressor.mu": "m",
     }
+
+
+def test_a_comparison_takes_lists_of_ports_too(other):
+    """An entry is for every alternative that has all of its ports; an unknown one is named."""
+    maps = {**MAP, "plant.x_a": "[s[0], s[1]]"}
+    short = {"scenario.stop": 0.01}
+    comparison = cosim.compare("academic", swap={"plant": [other]}, map=maps, set=short)
+    assert [outcome.error for outcome in comparison.outcomes] == ["", ""]
+    with pytest.raises(UsageError, match=r"--map plant\.x_a: no alternative has a port 't'"):
+        cosim.compare("academic", swap={"plant": [other]}, map={"plant.x_a": ["s", "t"]})
