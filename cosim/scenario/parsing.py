@@ -77,7 +77,7 @@ class Scenario:
         return self.parse(document)
 
     def swap(self, *, map: Mapping[str, PortNames] | None = None, **paths: str | Path) -> Scenario:
-        """Put an FMU (.fmu) or a recorded component (.mcap) in the place of a component.
+        """Replace components by an FMU (.fmu) or by a recorded component (.mcap).
 
         ``map`` gives the names that ports have there, such as ``{"observer.y": "out1"}``; see
         :mod:`cosim.scenario.swap`.

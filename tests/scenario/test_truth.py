@@ -1,5 +1,7 @@
 """Estimates are compared with what they should equal, in one unit."""
 
+from dataclasses import replace
+
 import pytest
 
 import cosim
@@ -7,7 +9,7 @@ from cosim.errors import ScenarioError
 from cosim.report.plots import plot_run
 from cosim.report.summary import summarize
 from cosim.scenario.build import parse
-from cosim.scenario.document import Document
+from cosim.scenario.document import Document, find
 
 ROOM = """
 [scenario]
@@ -50,3 +52,23 @@ def test_a_truth_of_another_kind_is_refused(tmp_path):
     )
     with pytest.raises(ScenarioError, match=text):
         cosim.run(room(tmp_path, unit="m", gain=0.5))
+
+
+def test_elements_and_slices_are_compared_too(tmp_path):
+    """On both sides; an element that is not there is named."""
+    text = find("academic").text
+    whole = '"observer.x_a" = "plant.x_a"'
+    assert whole in text
+
+    def with_truth(entries):
+        document = replace(find("academic"), text=text.replace(whole, entries))
+        return parse(document.with_changes({"scenario.stop": 0.1}))
+
+    entries = '"observer.x_a[0]" = "plant.x_a[0]"\n"observer.x_a[0:2]" = "plant.x_a[0:2]"'
+    run = cosim.run(with_truth(entries), out=tmp_path / "a.mcap")
+    largest = {signal.estimate: signal.largest for signal in summarize(run).signals}
+    error = abs(run["observer.x_a"] - run["plant.x_a"]).max(axis=0)
+    assert largest["observer.x_a[0]"] == error[0]
+    assert largest["observer.x_a[0:2]"] == error.max()
+    with pytest.raises(ScenarioError, match=r"'plant\.x_a\[2\]': 'plant\.x_a' has 2 elements"):
+        cosim.run(with_truth('"observer.x_a[0]" = "plant.x_a[2]"'))
