@@ -33,8 +33,8 @@ def graph(connections, **options):
     [
         (
             {"lab.u": "u.y"},
-            "'lab.u': there is no component 'lab'; did you mean 'lag'? There is: u, one, lag, "
-            "small",
+            "'lab.u': there is no component 'lab'; did you mean 'lag'? "
+            "There is: u, one, lag, small",
         ),
         ({"lag.u": "v.y"}, "'v.y': there is no component 'v'; There is: u, one, lag, small"),
         ({"lag.yy": "u.y"}, "'lag.yy': 'lag' has no input 'yy'; There is: u"),
@@ -96,8 +96,8 @@ def test_several_problems_are_reported_together():
         ),
         (
             {"input_interpolation": "liner"},
-            "input_interpolation: found 'liner'; did you mean 'linear'? There is: linear, "
-            "zero-order",
+            "input_interpolation: found 'liner'; did you mean "
+            "'linear'? There is: linear, zero-order",
         ),
         ({"periods": {"lab": 2}}, "periods: there is no component 'lab'; did you mean 'lag'?"),
         ({"periods": {"lag": 0}}, "periods: found 0 steps for 'lag', needed at least 1"),

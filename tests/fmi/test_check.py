@@ -448,8 +448,8 @@ def test_findings_of_fmi_1(tmp_path):
     xml = FMI1.replace("{implementation}", "")
     path = write(tmp_path / "x.fmu", [], xml=xml.encode())
     text = (
-        "variable 'w': is another variable negated (negatedAlias); no call gives that, and it is "
-        "left out"
+        "variable 'w': is another variable negated (negatedAlias); no call "
+        "gives that, and it is left out"
     )
     assert text in problems_of(path, "note")
     port = xml.replace(

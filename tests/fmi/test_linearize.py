@@ -304,8 +304,8 @@ REFUSED = {
     "no such state": ({"states": ["thet"]}, r"pendulum: no state 'thet'; did you mean 'theta'\?"),
     "an integer input": (
         {"inputs": ["level"]},
-        r"input 'level' cannot be linearized for: found type Int32, variability discrete, "
-        r"needed a real",
+        r"input 'level' cannot be linearized for: found type Int32, "
+        r"variability discrete, needed a real",
     ),
     "twice": ({"inputs": ["wind", "wind"]}, r"input 'wind' is named twice; needed each once"),
     "no such start": ({"start": {"lenght": 1.0}}, r"no variable 'lenght'; did you mean 'length'\?"),

@@ -411,8 +411,8 @@ def test_unknown_names_are_answered_with_the_nearest(tmp_path):
     record(tmp_path / "a.mcap", steps=5)
     log = open_log(tmp_path / "a.mcap")
     message = (
-        r"a\.mcap has no 'plant\.x_b': 'plant' has no signal 'x_b'; did you mean 'x_a'\?"
-        r" There is: u, "
+        r"a\.mcap has no 'plant\.x_b': 'plant' has no signal 'x_b'; did "
+        r"you mean 'x_a'\? There is: u, "
     )
     with pytest.raises(LogError, match=message):
         log["plant.x_b"]

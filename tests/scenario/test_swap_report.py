@@ -78,8 +78,7 @@ def test_another_mode_and_start_are_listed_and_warned_of_in_one_line(folder, tmp
     }
     text = (
         "differs from what it replaces: y initial output 1.5 (was 1); x_a initial output 1.5 -1 "
-        "(was 1 -1); "
-        "kind co-simulation (was model exchange)"
+        "(was 1 -1); kind co-simulation (was model exchange)"
     )
     log = cosim.run(
         "academic",
