@@ -1,4 +1,66 @@
-"""The component kinds of a scenario: one table class each, which builds its component."""
+'''The component kinds of a scenario: one table class each, which builds its component.
+
+To make a component a kind of scenario files, derive a class from :class:`Kind` in a module of this
+package, and add it to ``KINDS`` below. A dead zone, for example::
+
+    from typing import Literal
+
+    import numpy as np
+    from pydantic import Field
+
+    from cosim.arrays import Matrix
+    from cosim.blocks.arithmetic import Static
+    from cosim.core.contracts import Component
+    from cosim.core.signals import Interface, Signal
+    from cosim.errors import UsageError
+    from cosim.scenario.kinds.base import BuildContext, Kind
+    from cosim.scenario.schema import Number
+
+
+    class DeadZoneKind(Kind):
+        """y = 0 for u within -width to width; outside, u reduced by width."""
+
+        kind: Literal["dead-zone"]
+        width: Number = Field(description="half the width of the zone")
+        unit: str | None = None
+
+        def build(self, name: str, context: BuildContext) -> Component:
+            if self.width < 0.0:
+                raise UsageError(f"width: found {self.width}, needed 0 or more")
+            u = Signal("u", unit=self.unit)
+            y = Signal("y", unit=self.unit, variability="inherited")
+            return Static(Interface((u,), (y,), {"y": ("u",)}), self._reduced)
+
+        def _reduced(self, u: Matrix) -> Matrix:
+            return u - np.clip(u, -self.width, self.width)
+
+With the entry ``"dead-zone": DeadZoneKind`` in ``KINDS``, ``cosim list`` shows the kind, and a file
+may say ``dead = { kind = "dead-zone", width = 0.1 }`` under ``[components]``.
+
+* ``kind`` is the name as a ``Literal``. Every other field is a key of the table; without a default
+  it must be given. Numbers are ``Number``, ``Whole`` or ``Flag``, lists ``NumberRow`` or
+  ``NumberRows``, of :mod:`cosim.scenario.schema`: they accept no other type. Tables inside derive
+  from ``TomlTable``. The ``description`` of a field stands in ``cosim list`` and in the message
+  where the key is missing.
+* The first line of the docstring is the description in ``cosim list``.
+* ``build`` returns the component (:class:`cosim.core.contracts.Component`). ``name`` is its name,
+  ``context`` gives what else it needs: communication step, models, files, logs, other components
+  (:class:`BuildContext`). A ``UsageError`` or ``ValueError`` from it becomes a problem of the file,
+  with the line of the component.
+* ``computable`` (True) says that the scenario alone is enough to compute the component again. Where
+  it is not, because a file or an FMU is needed, return False: a replay then takes the component
+  from the recording.
+* ``advice`` returns warnings that depend on what drives the inputs, ``linear_system`` the matrices
+  that a report of a swap compares.
+
+More bases, in :mod:`cosim.scenario.kinds.base`:
+
+* ``PeriodicKind`` adds the key ``period``, a sample period; it needs ``with_period``, which makes
+  the component run with it.
+* ``LinearKind`` needs ``linear_model`` instead of ``build``. It can be exported as an FMU.
+* ``ExportableKind`` needs ``build``, and ``exportable``, which returns the model that the FMU is
+  made of.
+'''
 
 from __future__ import annotations
 

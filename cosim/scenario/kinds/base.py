@@ -162,7 +162,7 @@ class Kind(TomlTable):
 
 
 class PeriodicKind(Kind):
-    """A component that may have a sample period of its own."""
+    """A component that may have a sample period of its own, ``period``."""
 
     period: Number | None = Field(
         None,
@@ -173,6 +173,25 @@ class PeriodicKind(Kind):
         if self.period is None:
             return 1
         return whole_steps(self.period, step_ns, f"period of {name!r}")
+
+    @abstractmethod
+    def with_period(self, component: Component, n: int) -> Component:
+        """Return what runs in place of the component, so that its sample period has an effect.
+
+        * ``Sampled(component, n, hold=True)`` for a digital controller: it samples its inputs at
+          the start of a period and holds them. Also for ``n`` = 1, unless ``period`` is None.
+        * ``Sampled(component, n)`` for a component that advances by steps of a period, its inputs
+          interpolated.
+        * ``Decimated(component, n)`` for a component that advances by communication steps, but
+          whose outputs change once a period.
+
+        Parameters
+        ----------
+        component : Component
+            What ``build`` returned.
+        n : int
+            Communication steps in a period; 1 also where ``period`` is None.
+        """
 
 
 class ExportableKind(Kind):
