@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 from types import FrameType
-from typing import Any
+from typing import Any, TypeVar, overload
 
 from cosim.core.contracts import Block, Design, Recorder
 from cosim.core.graph import Graph
@@ -30,6 +30,8 @@ from cosim.scenario.swap_report import SwapReports
 
 Progress = Callable[[float, float], None]  # simulated time, end [s]
 
+_Recorder = TypeVar("_Recorder", bound=Recorder)
+
 
 def load(name: str | Path) -> Scenario:
     """Load and validate a scenario: a path, or the name of a shipped one.
@@ -40,6 +42,36 @@ def load(name: str | Path) -> Scenario:
         With every problem of the file.
     """
     return parse(find(str(name)))
+
+
+@overload
+def run(
+    scenario: str | Path | Scenario,
+    *,
+    out: str | Path | None = None,
+    force: bool = False,
+    set: Mapping[str, Any] | None = None,
+    swap: Mapping[str, str | Path] | None = None,
+    map: Mapping[str, PortNames] | None = None,
+    block: int | None = None,
+    progress: Progress | None = None,
+    profile: dict[str, float] | None = None,
+    recorder: None = None,
+) -> Log | Memory: ...
+
+
+@overload
+def run(
+    scenario: str | Path | Scenario,
+    *,
+    set: Mapping[str, Any] | None = None,
+    swap: Mapping[str, str | Path] | None = None,
+    map: Mapping[str, PortNames] | None = None,
+    block: int | None = None,
+    progress: Progress | None = None,
+    profile: dict[str, float] | None = None,
+    recorder: _Recorder,
+) -> _Recorder: ...
 
 
 def run(
@@ -53,7 +85,8 @@ def run(
     block: int | None = None,
     progress: Progress | None = None,
     profile: dict[str, float] | None = None,
-) -> Log | Memory:
+    recorder: Recorder | None = None,
+) -> Log | Memory | Recorder:
     """Run a scenario.
 
     Parameters
@@ -78,17 +111,25 @@ def run(
         Called with simulated time and end [s] as the run goes on.
     profile : dict, optional
         Filled with wall seconds by component.
+    recorder : Recorder, optional
+        One's own recorder, instead of ``out``: it takes the rows of the run, its messages and its
+        results as they are computed. Nothing else is kept, and nothing is written.
 
     Returns
     -------
-    Log or Memory
-        The recording: the log file if ``out`` is given.
+    Log, Memory or Recorder
+        The recording: the log file if ``out`` is given, ``recorder`` itself if that is given.
 
     Raises
     ------
     CosimError
         UsageError before the first step, RunError after it; see :mod:`cosim.errors`.
     """
+    if out is not None and recorder is not None:
+        raise UsageError(
+            f"found both out={str(out)!r} and a recorder; needed one of them: "
+            "out writes a log file, recorder takes the run itself"
+        )
     _check_path(out)
     loaded = scenario if isinstance(scenario, Scenario) else load(scenario)
     edited = loaded.edit(swap=swap, map=map, set=set)
@@ -98,6 +139,9 @@ def run(
             experiment = _with_reports(experiment, reports)
         else:
             experiment = Builder(edited, resources, block=block).experiment()
+        if recorder is not None:
+            _run_into(recorder, experiment, {}, progress=progress, profile=profile)
+            return recorder
         return _record(experiment, {}, out=out, force=force, progress=progress, profile=profile)
 
 
@@ -201,19 +245,33 @@ def _record(
     """Run an experiment and return its recording: the log file if ``out`` is given."""
     if out is not None and Path(out).resolve() in experiment.files:
         raise UsageError(f"{out} is read in this run; choose another path for the log")
+    if out is None:
+        memory = Memory(metadata_of(experiment))
+        _run_into(memory, experiment, designs, progress=progress, profile=profile)
+        return memory
+    log = _log_recorder(experiment, out, force)
+    _run_into(log, experiment, designs, progress=progress, profile=profile)
+    return open_log(out)
+
+
+def _run_into(
+    recorder: Recorder,
+    experiment: Experiment,
+    designs: Mapping[str, Design],
+    *,
+    progress: Progress | None,
+    profile: dict[str, float] | None,
+) -> None:
+    """Run an experiment; its rows, messages and results go to the recorder."""
     graph = experiment.graph if profile is None else _timed(experiment.graph, profile)
-    memory = Memory(metadata_of(experiment))
-    recorder: Recorder = memory
-    if out is not None:
-        recorder = MessageRecorder(_log_recorder(experiment, out, force), experiment)
+    with_messages = MessageRecorder(recorder, experiment)
     began = perf_counter()
     with _interruptible() as check:
-        watched = _watched(recorder, experiment, progress, check)
+        watched = _watched(with_messages, experiment, progress, check)
         run_graph(graph, experiment.clock, watched, designs=designs, plan=experiment.plan)
     if profile is not None:
         elapsed = perf_counter() - began
         profile["recorder and master"] = elapsed - sum(profile.values())
-    return memory if out is None else open_log(out)
 
 
 def _log_recorder(experiment: Experiment, out: str | Path, force: bool) -> McapRecorder:

@@ -1,4 +1,4 @@
-"""What a log keeps of an experiment beside its signals: metadata, messages, attachments."""
+"""What a recording keeps of an experiment beside its signals: metadata, messages, attachments."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from typing import Any, Self
 
 from cosim.arrays import Matrix, Vector
 from cosim.core.connections import Connection
-from cosim.core.contracts import Block, MessageLevel, Plan, Stopped
+from cosim.core.contracts import Block, MessageLevel, Plan, Recorder, Stopped
 from cosim.errors import Interrupted
-from cosim.log import Attachment, McapRecorder
+from cosim.log import Attachment
 from cosim.log.interrupts import uninterrupted
 from cosim.scenario.build import Experiment, fingerprint
 from cosim.scenario.context import FmuMessage
@@ -23,9 +23,9 @@ SCENARIO_FILE = "scenario.toml"
 
 
 class MessageRecorder:
-    """Records the messages of a run and of its FMUs beside the signals of a log."""
+    """Records the messages of a run and of its FMUs beside its signals, with any recorder."""
 
-    def __init__(self, recorder: McapRecorder, experiment: Experiment) -> None:
+    def __init__(self, recorder: Recorder, experiment: Experiment) -> None:
         self._recorder = recorder
         self._experiment = experiment
         self._reached_ns = 0
@@ -61,7 +61,7 @@ class MessageRecorder:
             self._recorder.result({"last": last})
 
     def begin(self, plan: Plan) -> None:
-        """Pass on, then record the warnings and what FMUs said when they were loaded."""
+        """Pass on, then record the warnings, and the messages of FMUs when they were loaded."""
         self._recorder.begin(plan)
         for name, text in self._experiment.warnings:
             self._recorder.message(0, "warning", name, text)

@@ -425,6 +425,78 @@ def test_messages_of_the_run_are_in_the_log(tmp_path):
     assert found == [(0, "warning", "observer"), (49_000_000, "error", "run")]
 
 
+def test_a_run_in_memory_has_the_messages_and_results_of_a_log(tmp_path):
+    """Warnings, the messages of an FMU and the last row, also where nothing is written."""
+    scenario = lagging(tmp_path, "{ inner = 0.01 }")
+    log = cosim.run(scenario, out=tmp_path / "a.mcap")
+    memory = cosim.run(scenario)
+    assert "inner step" in "".join(message.text for message in memory.messages)
+    of_log = [(m.time_ns, m.level, m.source, m.text) for m in log.messages()]
+    assert [tuple(message) for message in memory.messages] == of_log
+    assert memory.results["last"] == log.result["last"]
+    assert memory.results["last"]["lag.y"] == memory["lag.y"][-1]
+
+    held = {"scenario.input_interpolation": "zero-order", "scenario.stop": 0.1}
+    (warning,) = cosim.run("academic", set=held).messages
+    assert (warning.time_ns, warning.level, warning.source) == (0, "warning", "observer")
+
+
+class Extremes:
+    """A recorder of one's own: keeps the largest |value| of the row, no rows."""
+
+    def __enter__(self):
+        self.calls = ["enter"]
+        self.largest = 0.0
+        self.rows = 0
+        return self
+
+    def __exit__(self, kind, error, trace):
+        self.calls.append("exit" if error is None else f"exit {kind.__name__}")
+
+    def begin(self, plan):
+        self.calls.append("begin")
+        self.width = plan.layout.width
+
+    def write(self, block, signals):
+        assert signals.shape == (block.steps + 1, self.width)
+        self.rows += block.steps
+        self.largest = max(self.largest, np.nanmax(np.abs(signals)))
+
+    def message(self, time_ns, level, source, text):
+        self.calls.append((level, source))
+
+    def result(self, values):
+        self.calls.append(sorted(values))
+
+
+def test_a_recorder_of_ones_own_takes_a_scenario():
+    """Its rows, its warnings and its results; the run returns it, and keeps nothing else."""
+    held = {"scenario.input_interpolation": "zero-order", "scenario.stop": 0.5}
+    recorder = Extremes()
+    assert cosim.run("academic", recorder=recorder, set=held, block=7) is recorder
+    assert recorder.calls == ["enter", "begin", ("warning", "observer"), ["last"], "exit"]
+    memory = cosim.run("academic", set=held)
+    assert recorder.rows == memory.steps == 500
+    values = np.concatenate([memory[label] for label in memory.results["last"]])
+    assert recorder.largest == np.nanmax(np.abs(values))
+
+
+def test_a_recorder_of_ones_own_is_left_with_the_error_of_a_failed_run():
+    """The error is a message too, and reaches the caller."""
+    recorder = Extremes()
+    bad = {"components.bad": {"kind": "expression", "y": "1/(t - 0.05)"}, "scenario.stop": 0.1}
+    with pytest.raises(NonFiniteError):
+        cosim.run("academic", recorder=recorder, set=bad)
+    assert recorder.calls == ["enter", "begin", ("error", "run"), ["last"], "exit NonFiniteError"]
+
+
+def test_a_run_has_one_recorder(tmp_path):
+    out = tmp_path / "a.mcap"
+    with pytest.raises(UsageError, match=r"both out='.*a\.mcap' and a recorder; needed one"):
+        cosim.run("academic", out=out, recorder=Extremes())
+    assert not out.exists()
+
+
 def test_values_from_numpy_can_be_set():
     """Arrays and numpy numbers mean what they hold."""
     run = cosim.run(
