@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 from cosim.core.contracts import Component, MessageLevel, Recording
+from cosim.core.port import Port
 from cosim.errors import UsageError, nearest
 from cosim.scenario.kinds import Kind
 from cosim.scenario.parsing import Scenario
@@ -89,8 +90,8 @@ class ScenarioBuildContext:
             raise DependsOnInvalidComponent
         return self._scenario.specs[name]
 
-    def driver(self, to: str) -> str | None:
-        """Return the component that drives an input, ``component.input``."""
+    def driver(self, to: Port) -> str | None:
+        """Return the component that drives an input alone; None: there is no such component."""
         return self._scenario.driver(to)
 
     def file(self, path: str) -> Path:

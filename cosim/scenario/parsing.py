@@ -50,10 +50,15 @@ class Scenario:
         """Name of the scenario."""
         return self.file.scenario.name
 
-    def driver(self, to: str) -> str | None:
-        """Return the component that drives an input, ``component.input``."""
-        connection = self.connections.get(Port.parse(to))
-        return None if connection is None else connection.sources[0].component
+    def driver(self, to: Port) -> str | None:
+        """Return the component that drives an input alone.
+
+        None: nothing drives it, or sources of several components do.
+        """
+        if to not in self.connections:
+            return None
+        drivers = {source.component for source in self.connections[to].sources}
+        return drivers.pop() if len(drivers) == 1 else None
 
     def edit(
         self,

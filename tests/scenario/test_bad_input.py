@@ -397,6 +397,24 @@ def test_an_unknown_scenario_names_the_nearest():
         cosim.load("acedemic")
 
 
+def test_a_start_time_is_not_computed_from_one_of_several_observers():
+    """(36)-(38) are for one observer: of stacked sources none is taken for all."""
+    spec = cosim.load("academic").tree["components"]["observer"]
+    changes = {
+        "components.second": {**spec, "filter_rate": 500.0},
+        "connections.second.u": "u.y",
+        "connections.second.y": "plant.y",
+        "connections.regressor.delta": {
+            "from": ["observer.delta", "second.delta"],
+            "gain": [[0.5, 0.5]],
+        },
+        "scenario.stop": 0.1,
+    }
+    with pytest.raises(ScenarioError, match=r"need one observer that drives the regressor alone"):
+        cosim.run("academic", set=changes)
+    cosim.run("academic", set={**changes, "identifier.start": 7.0})
+
+
 def test_a_missing_file_is_refused(tmp_path):
     """A path that leads nowhere."""
     with pytest.raises(

@@ -14,6 +14,7 @@ from cosim.arrays import Mask, Matrix
 from cosim.core.clock import whole_steps
 from cosim.core.contracts import Component, Recording
 from cosim.core.linear import Linear, LinearModel
+from cosim.core.port import Port
 from cosim.fmi.exporting.specifications import Exportable
 from cosim.scenario.schema import Number, TomlTable
 from cosim.theory.descriptor import DescriptorSystem
@@ -57,8 +58,8 @@ class BuildContext(Protocol):
         """Return the table of another component."""
         ...
 
-    def driver(self, to: str) -> str | None:
-        """Return the component that drives an input, ``component.input``."""
+    def driver(self, to: Port) -> str | None:
+        """Return the component that drives an input alone; None: there is no such component."""
         ...
 
     def file(self, path: str) -> Path:

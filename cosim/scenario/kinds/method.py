@@ -18,6 +18,7 @@ from cosim.blocks.sampled import Decimated
 from cosim.core.clock import whole_steps
 from cosim.core.contracts import Component
 from cosim.core.linear import LinearModel
+from cosim.core.port import Port
 from cosim.errors import AssumptionError, UsageError
 from cosim.fmi.exporting import kernels
 from cosim.fmi.exporting.kernels import DiscreteModel
@@ -225,7 +226,7 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         return component if n == 1 else Decimated(component, n)
 
     def build(self, name: str, context: BuildContext) -> LeastSquaresIdentifier:
-        source_name = context.driver(f"{name}.regressor")
+        source_name = context.driver(Port(name, "regressor"))
         spec = None if source_name is None else context.spec(source_name)
         if source_name is None or not isinstance(spec, RegressorKind):
             raise UsageError(
@@ -289,11 +290,11 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         context: BuildContext,
     ) -> float:
         """Compute T_id (36)-(38) from the observer that drives the regressor."""
-        observer_name = context.driver(f"{regressor_name}.delta")
+        observer_name = context.driver(Port(regressor_name, "delta"))
         spec = None if observer_name is None else context.spec(observer_name)
         if observer_name is None or not isinstance(spec, UnknownInputObserverKind):
             raise UsageError(
-                "start: (36)-(38) need an observer that drives the regressor; "
+                "start: (36)-(38) need one observer that drives the regressor alone; "
                 "give start as a time in s instead"
             )
         designed = spec.design(observer_name, context)
