@@ -380,6 +380,6 @@ def _residual_text(loop: AlgebraicLoop, candidate: Candidate) -> str:
 def _unsolved(loop: AlgebraicLoop, reason: str) -> GraphError:
     return GraphError(
         f"no initial values for {loop.path}, which depend on each other at initialization: "
-        f"{reason}; give a component among them a start of its own, such as a lag with start or a "
-        "delay with initial, or other start values"
+        f"{reason}; give a component among them an initial value of its own: a lag or a delay "
+        "with initial, or other start values"
     )

@@ -199,10 +199,7 @@ def refused(components, connections, text):
     with pytest.raises(GraphError) as error:
         start(components, connections)
     assert text in str(error.value)
-    way = (
-        "; give a component among them a start of its own, such as a lag with start or a "
-        "delay with initial"
-    )
+    way = "; give a component among them an initial value of its own: a lag or a delay with initial"
     if "depend on each other" in text:
         assert str(error.value).endswith(f"{way}, or other start values")
 

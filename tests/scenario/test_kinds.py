@@ -90,3 +90,20 @@ def test_a_periodic_kind_must_say_how_its_period_is_kept():
     with pytest.raises(TypeError, match="with_period"):
         Forgetful.model_validate({"kind": "forgetful", "period": 0.5})
     assert Keeping.model_validate({"kind": "forgetful", "period": 0.5}).period == 0.5
+
+
+@pytest.mark.parametrize(
+    ("table", "y"),
+    [
+        ('kind = "ramp"\nslope = 2.0\nstart_time = 0.5', [0.0, 0.0, 0.0, 0.5, 1.0]),
+        ('kind = "table"\nt = [0.0, 0.5, 1.0]\ny = [0.0, 1.0, 3.0]', [0.0, 0.5, 1.0, 2.0, 3.0]),
+        (
+            'kind = "table"\nt = [0.0, 0.5, 1.0]\ny = [0.0, 1.0, 3.0]\n'
+            'interpolation = "zero-order"',
+            [0.0, 0.0, 1.0, 1.0, 3.0],
+        ),
+    ],
+)
+def test_a_source_begins_and_interpolates_as_its_table_says(tmp_path, table, y):
+    text = f'[scenario]\nname = "u"\nstop = 1.0\nstep = 0.25\n[components.u]\n{table}\n'
+    assert cosim.run(parse(Document(text, "u", tmp_path)))["u.y"].tolist() == y

@@ -182,7 +182,7 @@ def test_replay_needs_nothing_but_the_log(tmp_path, monkeypatch):
     scenario.write_text(
         '[scenario]\nname = "mine"\nstop = 1.0\nstep = 0.01\n[components.u]\nkind = '
         '"table"\nfile = "u.csv"\n'
-        '[components.y]\nkind = "lag"\ntime_constant = 0.3\nstart = 0.0\n[connections]\n"y.u" '
+        '[components.y]\nkind = "lag"\ntime_constant = 0.3\ninitial = 0.0\n[connections]\n"y.u" '
         '= "u.y"\n'
     )
     log = cosim.run(scenario, out=tmp_path / "mine.mcap")

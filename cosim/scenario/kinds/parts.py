@@ -89,13 +89,13 @@ class LagKind(LinearKind):
 
     kind: Literal["lag"]
     time_constant: Number = Field(description="time constant [s]")
-    start: Number | None = Field(None, description="y(0); default: u(0)")
+    initial: Number | None = Field(None, description="y(0); default: u(0)")
     size: Whole = Field(1, ge=1, le=100_000, description="number of elements")
     unit: str | None = None
 
     def linear_model(self, name: str, context: BuildContext) -> LinearModel:
         return dynamics.lag(
-            time_constant=self.time_constant, initial=self.start, size=self.size, unit=self.unit
+            time_constant=self.time_constant, initial=self.initial, size=self.size, unit=self.unit
         )
 
 

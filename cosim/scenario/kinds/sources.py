@@ -55,17 +55,17 @@ class StepKind(Kind):
 
 
 class RampKind(Kind):
-    """y = offset + slope max(0, t - start)."""
+    """y = offset + slope max(0, t - start_time)."""
 
     kind: Literal["ramp"]
     slope: Number = Field(description="slope [1/s]")
-    start: Number = Field(0.0, description="when it begins [s]")
+    start_time: Number = Field(0.0, description="when it begins [s]")
     offset: Number = 0.0
     unit: str | None = None
 
     def build(self, name: str, context: BuildContext) -> Component:
         return source.ramp(
-            slope=self.slope, start_time=self.start, offset=self.offset, unit=self.unit
+            slope=self.slope, start_time=self.start_time, offset=self.offset, unit=self.unit
         )
 
 
@@ -126,7 +126,7 @@ class ExpressionKind(Kind):
 
 
 class TableKind(Kind):
-    """y = linear interpolation of given points: arrays, or a CSV file with a header line."""
+    """y = given points, interpolated: arrays, or a CSV file with a header line."""
 
     kind: Literal["table"]
     t: NumberRow | None = Field(None, description="instants [s]")
@@ -138,7 +138,10 @@ class TableKind(Kind):
     columns: tuple[str, ...] | None = Field(
         None, description="columns of the values; default: all others"
     )
-    hold: Flag = Field(False, description="zero-order hold of each value until the next instant")
+    interpolation: Literal["linear", "zero-order"] = Field(
+        "linear",
+        description="between the instants: linear interpolation, or zero-order hold of each value",
+    )
     unit: str | None = None
 
     @property
@@ -158,7 +161,8 @@ class TableKind(Kind):
                 f"table: covers {t[0]} s to {t[-1]} s; "
                 f"needed 0 s to {context.stop} s, the whole run"
             )
-        return source.Table(t, y, hold=self.hold, unit=self.unit)
+        hold = self.interpolation == "zero-order"
+        return source.Table(t, y, hold=hold, unit=self.unit)
 
     def _arrays(self) -> tuple[Vector, Matrix]:
         rows = tuple(row if isinstance(row, tuple) else (row,) for row in self.y or ())
