@@ -55,10 +55,12 @@ def check_component(
     >>> check_component(lambda: Delay(3))
     """
     bench = _Bench(make, inputs, h, steps, seed)
+    _check_declared(bench)
     for held in bench.masks():
         expected = bench.run(bench.prepared(held))
         _check_values(bench, expected)
         _check_repeatable(bench, held, expected)
+        _check_design(bench, held, expected)
         _check_blocks(bench, held, expected)
         _check_outputs(bench, held, expected)
         _check_ownership(bench, held, expected)
@@ -125,19 +127,52 @@ def _check_values(bench: _Bench, rows: Matrix) -> None:
 
 def _check_repeatable(bench: _Bench, held: Mask, expected: Matrix) -> None:
     """Require the same run of a second component, with a recorded design, after a second start."""
-    component = bench.make()
-    design = prepare(component, bench.h, held, {})
+    component = bench.prepared(held)
     rows = bench.run(component)
     bench.compare("a second component repeats the run", rows, expected)
-    replayed = bench.make()
-    copies = {name: np.array(array) for name, array in design.items()}
-    prepare(replayed, bench.h, held, copies)
-    rows = bench.run(replayed)
-    bench.compare("a component takes its recorded design", rows, expected)
     component.initialize(bench.start, bench.perturbed[0].copy())
     rows = bench.run(component)
     law = "initialize forgets the past, and an earlier initialize with other inputs"
     bench.compare(law, rows, expected)
+
+
+def _check_design(bench: _Bench, held: Mask, expected: Matrix) -> None:
+    """Require that a component takes its recorded design, and computes nothing of it again.
+
+    On this machine both give the same bits; so the design is also changed by one bit.
+    """
+    design = prepare(bench.make(), bench.h, held, {})
+    copies = {name: np.array(array) for name, array in design.items()}
+    replayed = bench.make()
+    prepare(replayed, bench.h, held, copies)
+    rows = bench.run(replayed)
+    bench.compare("a component takes its recorded design", rows, expected)
+    changed = {name: np.nextafter(array, np.inf) for name, array in copies.items()}
+    taken = prepare(bench.make(), bench.h, held, changed)
+    for name, array in changed.items():
+        if name not in taken or not np.array_equal(taken[name], array, equal_nan=True):
+            raise AssertionError(
+                f"prepare returns its recorded design: {name!r} was computed again"
+            )
+
+
+def _check_declared(bench: _Bench) -> None:
+    """Require that the optional methods are there where the interface declares them."""
+    component = bench.make()
+    declared = {
+        "prepare": bench.interface.prepares,
+        "save": bench.interface.rollback,
+        "restore": bench.interface.rollback,
+    }
+    for method, needed in declared.items():
+        flag = "prepares" if method == "prepare" else "rollback"
+        if needed and not callable(getattr(component, method, None)):
+            raise AssertionError(f"the interface declares {flag}, but there is no {method}")
+    # Whether it can go back may depend on the instance, an FMU for example; preparing may not.
+    if "prepare" in vars(type(component)) and not bench.interface.prepares:
+        raise AssertionError(
+            "there is prepare, but it is not called: the interface does not declare prepares"
+        )
 
 
 def _check_blocks(bench: _Bench, held: Mask, expected: Matrix) -> None:
@@ -219,7 +254,7 @@ def _check_initialization(bench: _Bench, held: Mask, expected: Matrix) -> None:
     for name in bench.input_names:
         component = bench.prepared(held)
         y = component.initialize(bench.start, bench.perturbed_in(name, 0))
-        ignoring = np.where(bench.fed_at_start(name), first, y)
+        ignoring = np.where(bench.fed_initially(name), first, y)
         law = f"initialize ignores {name!r}, which is not declared to count there"
         bench.compare(law, ignoring, first)
 
@@ -366,11 +401,11 @@ class _Bench:
             fed += [feeds] * output.size
         return np.array(fed, np.bool_)
 
-    def fed_at_start(self, name: str) -> Mask:
+    def fed_initially(self, name: str) -> Mask:
         """Return which initial output elements are declared to depend on an input."""
         fed: list[bool] = []
         for output in self.interface.outputs:
-            feeds = name in self.interface.feeds_at_start(output.name)
+            feeds = name in self.interface.feeds_initially(output.name)
             fed += [feeds] * output.size
         return np.array(fed, np.bool_)
 

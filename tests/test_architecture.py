@@ -182,12 +182,22 @@ def test_theory_and_core_do_not_know_each_other():
     assert "theory" not in ALLOWED["core"]
 
 
+def code_length(path: Path) -> int:
+    """Return the number of lines of a file without docstrings, comments and blank lines."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    for node in ast.walk(tree):
+        documented = ast.Module | ast.ClassDef | ast.FunctionDef
+        if isinstance(node, documented) and ast.get_docstring(node) is not None:
+            del node.body[0]
+    return len(ast.unparse(tree).splitlines())
+
+
 def test_the_master_is_the_smallest_file_of_the_core():
-    """The kernel stays small: no module of the core with code of its own is shorter."""
-    lengths = {
-        path.name: sum(1 for line in path.read_text().splitlines() if line.strip())
-        for path in (ROOT / "core").glob("*.py")
-    }
+    """The kernel stays small: no module of the core with code of its own has fewer lines of code.
+
+    Docstrings and comments do not count, so that nobody saves on them.
+    """
+    lengths = {path.name: code_length(path) for path in (ROOT / "core").glob("*.py")}
     del lengths["__init__.py"]
     assert min(lengths, key=lambda name: lengths[name]) == "master.py"
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cosim.arrays import Matrix
-from cosim.core.linear import DescriptorModel, LinearModel, feedthrough_of, start_dependencies
+from cosim.core.linear import DescriptorModel, LinearModel, feedthrough_of, initial_dependencies
 from cosim.core.signals import Interface, Signal
 from cosim.errors import AssumptionError
 from cosim.theory.descriptor import DescriptorSystem, reduce
@@ -102,7 +102,7 @@ def linear_model(
         Xu = np.zeros(B.shape)
     ports = Interface(inputs, outputs)
     feedthrough = feedthrough_of(ports, D)
-    initial = start_dependencies(ports, C, D, Xu)
+    initial = initial_dependencies(ports, C, D, Xu)
     interface = Interface(inputs, outputs, feedthrough, initial)
     matrices = [_contiguous(matrix) for matrix in (A, B, C, D, X0, Xu)]
     return LinearModel(interface, states, *matrices)

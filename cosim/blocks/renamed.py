@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import cast, final
 
 from cosim.arrays import Mask, Matrix, Vector
@@ -21,7 +22,7 @@ class Renamed:
     """
 
     def __init__(self, component: Component, ports: PortMap) -> None:
-        self.interface = ports.interface
+        self.interface = replace(ports.interface, prepares=True)
         self._component = component
         self._ports = ports
 

@@ -10,8 +10,12 @@ if TYPE_CHECKING:
     from cosim.core.clock import Clock
     from cosim.core.connections import Connection
     from cosim.core.contracts import (
+        Block,
         Component,
+        Design,
+        MessageLevel,
         Model,
+        Plan,
         Preparable,
         Recorder,
         Recording,
@@ -23,20 +27,28 @@ if TYPE_CHECKING:
     from cosim.core.linear import Linear, LinearModel
     from cosim.core.master import run, simulate
     from cosim.core.port import Port
-    from cosim.core.recorders import Memory, Nothing, RunMessage, Watched
-    from cosim.core.signals import Interface, Signal
+    from cosim.core.recorders import EndOfRun, Memory, Nothing, RunMessage, Watched, end_of_run
+    from cosim.core.signals import Channel, Interface, Layout, Signal
 
 _HOMES = {
+    "Block": "cosim.core.contracts",
+    "Channel": "cosim.core.signals",
     "Clock": "cosim.core.clock",
     "Component": "cosim.core.contracts",
     "Connection": "cosim.core.connections",
+    "Design": "cosim.core.contracts",
+    "end_of_run": "cosim.core.recorders",
+    "EndOfRun": "cosim.core.recorders",
     "Graph": "cosim.core.graph",
     "Interface": "cosim.core.signals",
+    "Layout": "cosim.core.signals",
     "Linear": "cosim.core.linear",
     "LinearModel": "cosim.core.linear",
     "Memory": "cosim.core.recorders",
+    "MessageLevel": "cosim.core.contracts",
     "Model": "cosim.core.contracts",
     "Nothing": "cosim.core.recorders",
+    "Plan": "cosim.core.contracts",
     "Port": "cosim.core.port",
     "Preparable": "cosim.core.contracts",
     "prepare": "cosim.core.contracts",
@@ -52,16 +64,23 @@ _HOMES = {
 }
 
 __all__ = [
+    "Block",
+    "Channel",
     "Clock",
     "Component",
     "Connection",
+    "Design",
+    "EndOfRun",
     "Graph",
     "Interface",
+    "Layout",
     "Linear",
     "LinearModel",
     "Memory",
+    "MessageLevel",
     "Model",
     "Nothing",
+    "Plan",
     "Port",
     "Preparable",
     "Recorder",
@@ -71,6 +90,7 @@ __all__ = [
     "Signal",
     "Stopped",
     "Watched",
+    "end_of_run",
     "prepare",
     "run",
     "simulate",

@@ -175,6 +175,8 @@ def _unknown_port(
             f"There is: {', '.join(names) or 'none'}"
         )
     suggestion = nearest(wanted, names)
+    if "[" in wanted and causality == "output":
+        suggestion = f"{suggestion} (elements are [i] or [i:j], numbered from 0)"
     return GraphError(f"'{port}': {channel.name!r} has no {causality} {wanted!r}; {suggestion}")
 
 

@@ -1,8 +1,10 @@
 """The contracts: what a model, a component, a recorder and a recording are.
 
-A component has an interface and three methods. Order of the calls: ``prepare`` once, where its
-interface declares it; ``initialize`` one or more times; then ``outputs`` and ``advance`` in any
-order, and ``save`` and ``restore`` where its interface declares them.
+A component has an interface and three methods; ``h`` is the same in all calls. Order of the calls:
+``prepare`` once, where its interface declares it; ``initialize`` one or more times; then
+``outputs`` and ``advance`` in any order, and ``save`` and ``restore`` where its interface declares
+them. An output that depends on an input at the same instant is declared as feedthrough: ``outputs``
+computes it for the inputs given, ``advance`` uses ``u[k + 1]`` for it.
 """
 
 from __future__ import annotations
@@ -29,25 +31,25 @@ class Component(Protocol):
 
     @property
     def interface(self) -> Interface:
-        """Inputs, outputs and feedthrough, and which of the optional methods there are.
-
-        Constant.
-        """
+        """Inputs, outputs, feedthrough, and the optional methods that there are; constant."""
         ...
 
     def initialize(self, t: float, u: Vector) -> Vector:
-        """Set the initial state at ``t`` for inputs ``u``.
-
-        Return the outputs at ``t``, shape (n_y,).
+        """Set the initial state at ``t`` for inputs ``u``; return the outputs, shape (n_y,).
 
         Forgets the past. May be called again with other inputs until the first advance.
         """
         ...
 
     def outputs(self, t: float, u: Vector) -> Vector:
-        """Return the outputs at ``t``, the time reached, for inputs ``u``, shape (n_y,).
+        """Return the outputs, shape (n_y,), at ``t``, the time reached; change nothing.
 
-        Changes nothing.
+        Parameters
+        ----------
+        t : float
+            Time [s].
+        u : Vector, shape (n_u,)
+            Inputs at ``t``; they may differ from those of the last advance.
         """
         ...
 
@@ -80,7 +82,7 @@ class Preparable(Protocol):
     """For components that compute before the run; their interface declares ``prepares``."""
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
-        """Compute, once before the run, what needs linear algebra: gains, discretized matrices.
+        """Compute what needs linear algebra, once before the run: gains, discretized matrices.
 
         BLAS and LAPACK give other bits on other processors, so the result is recorded, and a replay
         takes it from there.
@@ -95,14 +97,21 @@ class Preparable(Protocol):
             outputs there in both cases.
         recorded : Design
             Arrays to take instead of computing them; empty, or complete.
+
+        Returns
+        -------
+        Design
+            Arrays of float64 by name; ``recorded`` itself where it is not empty, empty where there
+            is nothing to record.
         """
         ...
 
 
 class Rollback(Protocol[State]):
-    """For components that can go back, as iterative coupling and step control need.
+    """For components that can go back; their interface declares ``rollback``.
 
-    Their interface declares ``rollback``.
+    Iterative coupling and step control will call it; today :func:`cosim.testing.check_component`
+    and the trials of ``cosim check`` do.
     """
 
     def save(self) -> State:
@@ -224,30 +233,42 @@ class Plan:
 
 
 class Recorder(Protocol):
-    """Takes blocks of rows.
+    """A context manager that takes blocks of rows and leaves a complete record behind.
 
-    A context manager that leaves a complete record behind however the run ends.
+    It does so however the run ends. Order of the calls: ``__enter__``; ``begin``, unless a
+    component cannot be prepared; ``write`` after every block; ``__exit__``.
+    :func:`cosim.core.run` calls neither ``message`` nor ``result``; running a scenario does.
     """
 
     def __enter__(self) -> Self: ...
 
     def __exit__(
         self,
-        kind: type[BaseException] | None,
+        error_type: type[BaseException] | None,
         error: BaseException | None,
         trace: TracebackType | None,
-    ) -> None: ...
+    ) -> None:
+        """Complete the record.
+
+        ``error`` is what ended the run, also the :class:`Stopped` of a regular end (``failed``
+        False); :func:`cosim.core.end_of_run` turns it into a status and a reason.
+        """
+        ...
 
     def begin(self, plan: Plan) -> None:
-        """Take note of what will be written; called once, before everything else."""
+        """Receive what is fixed before the run; called before the first write."""
         ...
 
     def write(self, block: Block, signals: Matrix) -> None:
-        """Take rows 1 to K of ``signals``, shape (K+1, width).
+        """Write rows 1 to K of ``signals``, shape (K+1, width); row 0 too in the first block.
 
-        Of the very first block (index 0) row 0 too.
-
-        The array is used again afterwards: what is kept must be copied.
+        Parameters
+        ----------
+        block : Block
+            ``index`` is 0 for the first block; the step number of row k is ``index + k``.
+        signals : Matrix, shape (K+1, width)
+            All rows; where the plan's layout gives a channel a ``period``, the rows whose step
+            number is a multiple of it are to be kept. The array is used again: copy what is kept.
         """
         ...
 
@@ -256,10 +277,7 @@ class Recorder(Protocol):
         ...
 
     def result(self, values: Mapping[str, Any]) -> None:
-        """Add plain values to what is recorded of the end of the run.
-
-        Called before the recorder is left.
-        """
+        """Record plain values about the end of the run; called before ``__exit__``."""
         ...
 
 
@@ -282,10 +300,7 @@ class Recording(Protocol):
         ...
 
     def __getitem__(self, signal: str) -> NDArray[np.float64]:
-        """Return ``component.signal``, or elements of it, at every recorded row.
-
-        Shape (N,) for size 1, else (N, size).
-        """
+        """Return a signal, or elements of it: shape (N,) for one element, else (N, size)."""
         ...
 
     def time_ns(self, component: str) -> Nanoseconds:

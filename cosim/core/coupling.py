@@ -57,10 +57,7 @@ def wires_of(
     sources: Sequence[Source],
     conversions: Sequence[Conversion],
 ) -> tuple[Wire, ...]:
-    """Return the wires of a connection.
-
-    One for each source, or one for all of them under a matrix.
-    """
+    """Return the wires of a connection: one for each source, or one for all under a matrix."""
     gain = connection.matrix
     if gain.ndim == 2:
         # Every source reaches the same unit (checked), so one conversion is that of all of them.
@@ -179,6 +176,7 @@ class Cascade:
     def advance(self, block: Block, signals: Matrix) -> None:
         """Advance the whole block in one call."""
         member = self.member
+        # Row 0 is the last row of the block before: its inputs are there.
         member.gather(signals, slice(1, None))
         try:
             signals[1:, member.outputs] = member.advance(block.time, block.h, signals)
@@ -208,10 +206,7 @@ class Loop:
 
     @property
     def description(self) -> str:
-        """The operations in order, for the log.
-
-        In parentheses where outputs are evaluated again.
-        """
+        """The operations in order, for the log; in parentheses: outputs are evaluated again."""
         words = [self.coupling]
         for kind, member in self.operations:
             words.append(member.name if kind == "advance" else f"({member.name})")
@@ -227,10 +222,7 @@ class Loop:
                 raise Stopped(filled, str(stop), failed=stop.failed)
 
     def _step(self, time: Vector, h: float, rows: Matrix) -> Stopped | None:
-        """Fill row 1; return what stopped the run.
-
-        With a row of outputs if the step is complete.
-        """
+        """Fill row 1; return what stopped it, with a row of outputs if the step is complete."""
         end = slice(1, 2)
         stopped: Stopped | None = None
         # Extrapolated inputs read row 1 before their source has written it: first, it is row 0.

@@ -25,7 +25,7 @@ from cosim.core.connections import (
 from cosim.core.contracts import Component, Design, Plan, prepare
 from cosim.core.coupling import Cascade, Loop, Member, Stage, wires_of
 from cosim.core.initial_values import InitialValues
-from cosim.core.order import order_loop
+from cosim.core.order import order_loop, strongly_connected
 from cosim.core.port import Port
 from cosim.core.signals import Channel, Variability
 from cosim.errors import GraphError, NonFiniteError, nearest
@@ -60,6 +60,8 @@ class Graph:
         Where a connection converts units: its conversion for each source.
     held : dict of component name to Mask, shape (n_u,)
         Which input elements have a zero-order hold.
+    initializations : int
+        How often the components were initialized.
 
     Raises
     ------
@@ -95,6 +97,7 @@ class Graph:
         }
         self._members = {name: self._member(name) for name in self.components}
         self.stages = self._order()
+        self.initializations = 0
         self._initial_values = InitialValues(self.layout, self._members, self._sources)
         self.held: dict[str, Mask] = {}
         for stage in self.stages:
@@ -129,6 +132,7 @@ class Graph:
         NonFiniteError
             If an initial value is not finite.
         """
+        self.initializations += 1
         self._initial_values.find(t, row)
         for stage in self.stages:
             bad = self.first_non_finite(stage, row[np.newaxis])
@@ -136,16 +140,14 @@ class Graph:
                 raise bad.error(t)
 
     def first_non_finite(self, stage: Stage, rows: Matrix) -> NonFinite | None:
-        """Return the first value of a stage that is not finite, by row.
-
-        Then component and signal.
-        """
+        """Return the first value of a stage that is not finite: by row, component and signal."""
         first: NonFinite | None = None
         for name in stage.names:
             channel = self.layout[name]
             if np.isfinite(rows[:, channel.columns]).all():
                 continue
             for signal, columns in channel.signal_columns():
+                # Only rows before the one found already: the earliest row wins.
                 end = None if first is None else first.row
                 values = rows[:end, columns]
                 no_value = np.isnan(values) & signal.optional
@@ -233,7 +235,7 @@ class Graph:
     def _order(self) -> tuple[Stage, ...]:
         """Return the strongly connected components of the graph, as stages in topological order."""
         names = list(self.components)
-        group_of = self._groups(names)
+        group_of = strongly_connected({name: self._drivers(name) for name in names})
         sorter: TopologicalSorter[str] = TopologicalSorter()
         for name in names:
             sorter.add(group_of[name])
@@ -246,19 +248,6 @@ class Graph:
             members = [name for name in names if group_of[name] == group]
             stages.append(self._stage(members))
         return tuple(stages)
-
-    def _groups(self, names: list[str]) -> dict[str, str]:
-        """Return for every component the first of those that it reaches and that reach it."""
-        number = {name: i for i, name in enumerate(names)}
-        reach = np.eye(len(names), dtype=np.bool_)
-        for name in names:
-            for driver in self._drivers(name):
-                reach[number[driver], number[name]] = True
-        for _ in range(len(names).bit_length()):  # paths of twice the length each time
-            reach = reach @ reach
-        together = reach & reach.T
-        first_of = np.argmax(together, axis=1)
-        return {name: names[first] for name, first in zip(names, first_of, strict=True)}
 
     def _stage(self, names: list[str]) -> Stage:
         if len(names) == 1 and names[0] not in self._drivers(names[0]):

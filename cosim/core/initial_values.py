@@ -1,7 +1,7 @@
 """Initial values of all inputs and outputs of a graph (FMI 2.0.4 section 2.2.8, InitialUnknowns).
 
 At initialization an output may depend on more inputs than later, because the state may follow them
-(:meth:`cosim.core.signals.Interface.feeds_at_start`). The ports are taken in the order of these
+(:meth:`cosim.core.signals.Interface.feeds_initially`). The ports are taken in the order of these
 dependencies: an input when the outputs that drive it are known, an output when the inputs that it
 depends on are. A component is initialized again whenever inputs of it have become known; until then
 they have their start values.
@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 from cosim.arrays import Mask, Vector
 from cosim.core.coupling import Member, Wire
 from cosim.core.fixed_point import Candidate, SingularError, iterate, measure, newton, newton_step
-from cosim.core.order import PortDependencies, Sources, cycles, find_cycle
+from cosim.core.order import PortDependencies, Sources, find_cycle, strongly_connected
 from cosim.core.port import Port
 from cosim.core.signals import Channel, Interface, Layout, Signal
 from cosim.errors import GraphError
@@ -96,11 +96,11 @@ class InitialValues:
                 self._signals[port] = signal
         self.wires = dict(_wires(layout, members))
         self.order = self._ordered(_dependencies(layout.channels, sources))
-        self.last = self._not_ordered()
+        self.outputs_outside_loops = self._outputs_outside_loops()
 
     def _ordered(self, dependencies: PortDependencies) -> list[Port | AlgebraicLoop]:
         """Return ports and algebraic loops in the order in which they can be computed."""
-        group_of = cycles(dependencies)
+        group_of = strongly_connected(dependencies)
         groups: dict[Port, list[Port]] = {}
         for port, group in group_of.items():
             groups.setdefault(group, []).append(port)
@@ -119,12 +119,12 @@ class InitialValues:
                 order.append(self._algebraic_loop(sorted(ports), dependencies))
         return order
 
-    def _not_ordered(self) -> list[Port]:
+    def _outputs_outside_loops(self) -> list[Port]:
         """Return the outputs outside every loop: they are written again at the end of a round."""
         in_loops: set[Port] = set()
-        for step in self.order:
-            if isinstance(step, AlgebraicLoop):
-                in_loops.update(step.order)
+        for item in self.order:
+            if isinstance(item, AlgebraicLoop):
+                in_loops.update(item.order)
         return [port for port in self.columns if port not in self.wires and port not in in_loops]
 
     def _algebraic_loop(self, ports: list[Port], dependencies: PortDependencies) -> AlgebraicLoop:
@@ -158,7 +158,9 @@ class InitialValues:
         for channel in self.layout.channels:
             for signal in channel.interface.inputs:
                 row[self.columns[Port(channel.name, signal.name)]] = signal.start or 0.0
-        values = _Row(self, t, row)
+        values = _InitialRow(self, t, row)
+        # One round reaches what is declared. What is not may pass one component in each round more;
+        # the last round only sees that nothing has changed.
         rounds = len(self.members) + 2
         for _ in range(rounds):
             before = row.copy()
@@ -171,13 +173,12 @@ class InitialValues:
                 changing.append(str(port))
         raise GraphError(
             f"initial values do not converge: {', '.join(changing)} still change after {rounds} "
-            "rounds; an output there depends at initialization on an input that its component "
-            "does "
+            "rounds; an output there depends at initialization on an input that its component does "
             "not declare (FMI: InitialUnknowns); declare it, or none at all"
         )
 
 
-class _Row:
+class _InitialRow:
     """The first row while it is computed, and what each component was last initialized with."""
 
     def __init__(self, plan: InitialValues, t: float, row: Vector) -> None:
@@ -185,17 +186,19 @@ class _Row:
         self._t = t
         self._row = row
         self._initialized: dict[str, tuple[bytes, Vector]] = {}
-        self._solved: set[str] = set()
+        self._solved: set[tuple[Port, ...]] = set()
 
     def fill(self) -> None:
         """Compute every port once, in order; then no component has inputs that it was not given."""
-        for step in self._plan.order:
-            if isinstance(step, AlgebraicLoop):
-                self._solve(step)
+        for item in self._plan.order:
+            if isinstance(item, AlgebraicLoop):
+                self._solve(item)
             else:
-                self._update(step)
-        for port in self._plan.last:
+                self._update(item)
+        # Again: these outputs were computed before inputs that come later in the order.
+        for port in self._plan.outputs_outside_loops:
             self._update(port)
+        # Last, so that every component was initialized with the inputs that the row shows.
         for name in self._plan.members:
             self._initialize(name)
 
@@ -235,12 +238,12 @@ class _Row:
 
         before = self._row.copy()
         v = self._row[loop.columns].copy()
-        if loop.path in self._solved:
+        if loop.order in self._solved:
             sweep(v)
             if self._is_solved(loop, before):
                 self._row[:] = before
                 return
-        self._solved.add(loop.path)
+        self._solved.add(loop.order)
         limit = len(loop.order) + (SWEEPS if loop.discrete else 0)
         iterated = iterate(sweep, v, limit)
         try:
@@ -303,7 +306,7 @@ def _dependencies(channels: Iterable[Channel], sources: Sources) -> PortDependen
         for signal, ports in sources[name].items():
             dependencies[Port(name, signal)] = ports
         for output in channel.interface.outputs:
-            inputs = channel.interface.feeds_at_start(output.name)
+            inputs = channel.interface.feeds_initially(output.name)
             dependencies[Port(name, output.name)] = tuple(Port(name, signal) for signal in inputs)
     return dependencies
 

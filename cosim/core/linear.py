@@ -17,7 +17,7 @@ from cosim.native.step import DiscretizedDynamics, NativeStep, affine, first_ord
 
 @dataclass(frozen=True, slots=True)
 class LinearModel:
-    """``x' = A x + B u``, ``y = C x + D u``, started at ``x = X0 + Xu u``.
+    """``x' = A x + B u``, ``y = C x + D u``, with the initial state ``x = X0 + Xu u``.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ class Linear:
         return self._step.memory[: len(self.model.states)]
 
     def initialize(self, t: float, u: Vector) -> Vector:
-        """Start at the model's initial state."""
+        """Set the initial state of the model."""
         self.state[:] = self._arrays["X0"] + affine([(self._arrays["Xu"], u)])
         return self.outputs(t, u)
 
@@ -164,7 +164,7 @@ class Linear:
         self._step.restore(state)
 
 
-def start_dependencies(
+def initial_dependencies(
     inputs: Interface, C: Matrix, D: Matrix, Xu: Matrix
 ) -> dict[str, tuple[str, ...]]:
     """Return what outputs depend on at initialization, where it is more than feeds through.

@@ -24,9 +24,13 @@ from cosim.arrays import Matrix
 from cosim.core.clock import Clock
 from cosim.core.contracts import Block, Design, Plan, Recorder, Stopped
 from cosim.core.graph import Graph
-from cosim.errors import RunError
+from cosim.errors import RunError, UsageError
 
 BLOCK_BYTES = 16 * 2**20  # memory for the rows of one block
+TWO_SIMULATIONS = (
+    "another simulation of this graph has begun, and its components have one state each; build a "
+    "graph with components of its own for every simulation"
+)
 
 
 def run(
@@ -75,16 +79,34 @@ def simulate(
 ) -> Iterator[tuple[Block, Matrix]]:
     """Yield block after block with its rows, shape (K+1, width); row 0 is the last one before.
 
-    Between two blocks the simulation stands still, and nothing more is computed once the iterator
-    is closed. The array is used again: copy what is kept. ``plan`` is what ``graph.prepare`` gave;
-    left out, the graph is prepared here. Raises what :func:`run` raises, after the last block.
+    Between two blocks nothing is computed. The array is used again: copy what is kept.
+
+    Parameters
+    ----------
+    graph : Graph
+    clock : Clock
+    plan : Plan, optional
+        Returned by ``graph.prepare``; left out, the graph is prepared here.
+
+    Raises
+    ------
+    NonFiniteError
+        At the first NaN or infinity outside an optional signal.
+    Stopped
+        Where a component stops; also where that is a regular end (``failed`` False), which
+        :func:`run` takes as the end. Both come after the last block.
+    UsageError
+        If another simulation of the graph has begun since the last block.
     """
     if plan is None:
         graph.prepare(clock.step_ns)
     limit = max(1, BLOCK_BYTES // (8 * graph.layout.width + 8))
     signals = np.zeros((min(limit, clock.steps) + 1, graph.layout.width))
     graph.initialize(0.0, signals[0])
+    initialization = graph.initializations
     for block in clock.blocks(limit):
+        if graph.initializations != initialization:
+            raise UsageError(TWO_SIMULATIONS)
         reached, error = _advance(graph, block, signals)
         yield reached, signals[: reached.steps + 1]
         if error is not None:

@@ -14,11 +14,11 @@ the extrapolated input, the value from the start of the step.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Hashable, Mapping
 from dataclasses import dataclass
 from graphlib import CycleError, TopologicalSorter
 from itertools import pairwise
-from typing import Literal, TypeAlias
+from typing import Literal, TypeAlias, TypeVar
 
 from cosim.core.port import Port
 from cosim.core.signals import Interface
@@ -27,6 +27,7 @@ from cosim.errors import AlgebraicLoopError
 PortDependencies: TypeAlias = Mapping[Port, Collection[Port]]  # what each port depends on directly
 Feedthrough: TypeAlias = dict[str, tuple[str, ...]]  # the inputs that feed through to each output
 Sources: TypeAlias = Mapping[str, Mapping[str, tuple[Port, ...]]]  # of each input, by component
+Node = TypeVar("Node", bound=Hashable)
 OperationKind: TypeAlias = Literal["advance", "refresh"]
 Operation: TypeAlias = tuple[OperationKind, str]
 
@@ -128,6 +129,7 @@ class _Order:
             inside = self._inputs_from_inside(name)
             unknown = frozenset(signal for signal in inside if not self._is_known(name, signal))
             self._advance(name, extrapolated=unknown)
+            # No refresh for these outputs: advance has just computed them with these inputs.
             self._mark_final(name)
             self._refresh()
 
@@ -200,6 +202,7 @@ def _feedthrough(
     dependencies = _dependencies(possible, sources)
     while cycle := find_cycle(dependencies):
         name = _unknown_component(cycle, dependencies, interfaces)
+        # Cuts ``possible[name]``: the next cycle is looked for without it.
         unknown.append(_cut_unknown(name, possible[name], interfaces[name], dependencies))
         dependencies = _dependencies(possible, sources)
     return possible, tuple(unknown)
@@ -219,11 +222,8 @@ def _unknown_component(
 def _cut_unknown(
     name: str, feedthrough: Feedthrough, interface: Interface, dependencies: PortDependencies
 ) -> UnknownFeedthrough:
-    """Take away the unknown feedthrough of a component that lies on any cycle.
-
-    Return what it is.
-    """
-    cycle_of = cycles(dependencies)
+    """Remove and return the unknown feedthrough of a component that lies on a cycle."""
+    cycle_of = strongly_connected(dependencies)
     cut_outputs: dict[str, None] = {}
     cut_inputs: dict[str, None] = {}
     for output, inputs in feedthrough.items():
@@ -259,38 +259,39 @@ def find_cycle(dependencies: PortDependencies) -> list[Port]:
     return []
 
 
-def cycles(dependencies: PortDependencies) -> dict[Port, Port]:
-    """Return for every port the one that stands for its strongly connected component.
+def strongly_connected(dependencies: Mapping[Node, Collection[Node]]) -> dict[Node, Node]:
+    """Return for every node the one that stands for its strongly connected component.
 
     R. Tarjan, Depth-first search and linear graph algorithms, SIAM J. Comput. 1 (1972), without
-    recursion: ``path`` is the stack of calls, ``least`` the low link.
+    recursion: ``path`` is the stack of calls, ``least`` the low link. One function, as the
+    algorithm is one loop.
     """
-    number: dict[Port, int] = {}
-    least: dict[Port, int] = {}
-    representative: dict[Port, Port] = {}
-    open_ports: list[Port] = []
+    number: dict[Node, int] = {}
+    least: dict[Node, int] = {}
+    representative: dict[Node, Node] = {}
+    open_nodes: list[Node] = []
     for root in dependencies:
         if root in number:
             continue
         path = [(root, iter(dependencies[root]))]
         while path:
-            port, edges = path[-1]
-            if port not in number:
-                number[port] = least[port] = len(number)
-                open_ports.append(port)
+            node, edges = path[-1]
+            if node not in number:
+                number[node] = least[node] = len(number)
+                open_nodes.append(node)
             for other in edges:
                 if other not in number:
                     path.append((other, iter(dependencies[other])))
                     break
                 if other not in representative:
-                    least[port] = min(least[port], number[other])
+                    least[node] = min(least[node], number[other])
             else:
                 path.pop()
                 if path:
                     caller = path[-1][0]
-                    least[caller] = min(least[caller], least[port])
-                while least[port] == number[port] and port not in representative:
-                    representative[open_ports.pop()] = port
+                    least[caller] = min(least[caller], least[node])
+                while least[node] == number[node] and node not in representative:
+                    representative[open_nodes.pop()] = node
     return representative
 
 

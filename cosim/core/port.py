@@ -41,9 +41,7 @@ class Port:
 
     @classmethod
     def parse(cls, text: str) -> Port:
-        """Return the port that ``component.signal``.
-
-        ``component.signal[1]`` or ``component.signal[0:2]`` names.
+        """Return the port that a text names: ``component.signal``, also with ``[1]`` or ``[0:2]``.
 
         Raises
         ------

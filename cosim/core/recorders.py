@@ -126,7 +126,7 @@ class Memory:
 
     def __exit__(
         self,
-        kind: type[BaseException] | None,
+        error_type: type[BaseException] | None,
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
@@ -223,7 +223,7 @@ class Nothing:
 
     def __exit__(
         self,
-        kind: type[BaseException] | None,
+        error_type: type[BaseException] | None,
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None: ...
@@ -254,9 +254,6 @@ class Watched:
     def __init__(self, recorder: Recorder, reached: Callable[[Block], None]) -> None:
         self._recorder = recorder
         self._reached = reached
-        self.begin = recorder.begin
-        self.message = recorder.message
-        self.result = recorder.result
 
     def __enter__(self) -> Self:
         self._recorder.__enter__()
@@ -264,11 +261,23 @@ class Watched:
 
     def __exit__(
         self,
-        kind: type[BaseException] | None,
+        error_type: type[BaseException] | None,
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self._recorder.__exit__(kind, error, trace)
+        self._recorder.__exit__(error_type, error, trace)
+
+    def begin(self, plan: Plan) -> None:
+        """Pass on."""
+        self._recorder.begin(plan)
+
+    def message(self, time_ns: int, level: MessageLevel, source: str, text: str) -> None:
+        """Pass on."""
+        self._recorder.message(time_ns, level, source, text)
+
+    def result(self, values: Mapping[str, Any]) -> None:
+        """Pass on."""
+        self._recorder.result(values)
 
     def write(self, block: Block, signals: Matrix) -> None:
         """Pass on, then report."""

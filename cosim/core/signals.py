@@ -134,7 +134,7 @@ class Interface:
         """Return the inputs on which ``output`` depends directly, or may depend."""
         return self._all_if_unknown(self.feedthrough.get(output, ()))
 
-    def feeds_at_start(self, output: str) -> tuple[str, ...]:
+    def feeds_initially(self, output: str) -> tuple[str, ...]:
         """Return the inputs on which ``output`` depends at initialization, or may depend."""
         direct = self.feedthrough.get(output, ())
         return self._all_if_unknown(self.initial.get(output, direct))

@@ -188,10 +188,12 @@ class Broken(Static):
         self.made = Broken.count = getattr(Broken, "count", 0) + 1
 
     def prepare(self, h, held, recorded):
-        self.gain = recorded.get("gain", np.ones(1))[0] * (
-            2.0 if self.fault == "ignores its design" and recorded else 1.0
-        )
-        return {"gain": np.ones(1)}
+        design = {"gain": np.ones(1)} if self.fault == "computes again" else dict(recorded)
+        design = design or {"gain": np.ones(1)}
+        self.gain = design["gain"][0]
+        if self.fault == "ignores its design" and recorded:
+            self.gain *= 2.0
+        return design
 
     def initialize(self, t, u):
         if self.fault != "remembers":
@@ -242,6 +244,7 @@ class Broken(Static):
 
 FAULTS = {
     "ignores its design": "a component takes its recorded design: 'y' at t = 0.0 s",
+    "computes again": r"prepare returns its recorded design: .gain. was computed again",
     "remembers": "initialize forgets the past, and an earlier initialize with other inputs: 'n'",
     "outputs count": "outputs",
     "stale outputs": r"outputs (ignores|gives)",
@@ -348,3 +351,24 @@ def test_a_state_that_is_not_copied_is_noticed():
     """``restore(save())`` is the identity, also after more steps."""
     with pytest.raises(AssertionError, match="restore goes back to the outputs at save: 'y'"):
         check_rollback(lambda: Forgetful(3))
+
+
+def test_what_is_declared_is_there_and_prepare_is_declared():
+    """A method that is declared but missing is named, and a prepare that nobody would call."""
+
+    class Undeclared(Broken):
+        def __init__(self):
+            super().__init__()
+            self.interface = replace(self.interface, prepares=False)
+
+        prepare = Broken.prepare
+
+    class Missing(Broken):
+        def __init__(self):
+            super().__init__()
+            self.interface = replace(self.interface, rollback=True)
+
+    with pytest.raises(AssertionError, match="there is prepare, but it is not called"):
+        check_component(Undeclared)
+    with pytest.raises(AssertionError, match="declares rollback, but there is no save"):
+        check_component(Missing)

@@ -14,7 +14,7 @@ from cosim.core.clock import Clock
 from cosim.core.contracts import prepare
 from cosim.core.graph import Graph
 from cosim.core.master import run
-from cosim.core.order import UnknownFeedthrough, cycles, order_loop
+from cosim.core.order import UnknownFeedthrough, order_loop, strongly_connected
 from cosim.core.port import Port
 from cosim.core.recorders import Memory
 from cosim.core.signals import Interface, Signal
@@ -209,7 +209,7 @@ def test_cycles_are_what_reaches_itself(edges):
         reach[a, b] = True
     for k in range(9):
         reach |= reach[:, k : k + 1] & reach[k]
-    found = cycles(behind)
+    found = strongly_connected(behind)
     assert all(
         (found[p] == found[q]) == (reach[i, j] and reach[j, i])
         for i, p in enumerate(ports)

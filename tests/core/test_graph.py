@@ -45,6 +45,11 @@ def graph(connections, **options):
         ({"u.x": "one.y"}, "'u.x': 'u' has no input 'x'; there are none"),
         ({"lag": "u.y"}, "'lag' is no port; needed COMPONENT.SIGNAL"),
         ({"lag.u": "one.y"}, "one.y -> lag.u: size 1 cannot drive size 3 [m]"),
+        (
+            {"small.u": "u.y[-1]"},
+            "'u.y[-1]': 'u' has no output 'y[-1]'; There is: y (elements are [i] "
+            "or [i:j], numbered from 0)",
+        ),
         ({"small.u": "u.y[3]"}, "'u.y[3]': 'u.y' has 3 elements, numbered from 0"),
         (
             {"small.u": "u.y[1]"},

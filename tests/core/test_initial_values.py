@@ -324,8 +324,8 @@ def test_our_models_say_what_their_start_depends_on():
 
     One with a start does not, nor what merely feeds through.
     """
-    assert lag(time_constant=1.0).interface.feeds_at_start("y") == ("u",)
-    assert lag(time_constant=1.0, initial=0.0).interface.feeds_at_start("y") == ()
-    assert Delay(2).interface.feeds_at_start("y") == ("u",)
-    assert Delay(2, initial=0.0).interface.feeds_at_start("y") == ()
+    assert lag(time_constant=1.0).interface.feeds_initially("y") == ("u",)
+    assert lag(time_constant=1.0, initial=0.0).interface.feeds_initially("y") == ()
+    assert Delay(2).interface.feeds_initially("y") == ("u",)
+    assert Delay(2, initial=0.0).interface.feeds_initially("y") == ()
     assert through(0.5).interface.initial == {}

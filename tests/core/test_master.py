@@ -14,7 +14,7 @@ from cosim.core.graph import Graph
 from cosim.core.master import run, simulate
 from cosim.core.recorders import Memory, Nothing, Watched
 from cosim.core.signals import Interface, Signal
-from cosim.errors import LogError, NonFiniteError, RunError
+from cosim.errors import LogError, NonFiniteError, RunError, UsageError
 from tests.core.parts import Scripted, integrator, times
 
 BLOCKS = [1, 3, 1000]
@@ -424,3 +424,16 @@ def test_memory_keeps_messages_and_results():
     memory.result({"steps": 2})
     assert memory.messages == [(5, "warning", "plant", "slow")]
     assert memory.results == {"last": 1.0, "steps": 2}
+
+
+def test_two_simulations_of_one_graph_do_not_mix():
+    """The components have one state: the first simulation ends where a second has begun."""
+    graph = Graph({"u": sine(rate=1.0), "x": integrator()}, {"x.u": "u.y"})
+    clock = Clock(0.1, 1e-3, block=7)
+    first = simulate(graph, clock)
+    next(first)
+    second = simulate(graph, clock)
+    next(second)
+    with pytest.raises(UsageError, match="another simulation of this graph has begun"):
+        next(first)
+    assert sum(block.steps for block, _ in second) == 93

@@ -275,9 +275,9 @@ def test_the_interface_of_fmi_2(described):
     assert interface.feedthrough == {"rise": ("u",), "x": (), "late": (), "hidden": ()}
     assert description.initial_dependencies == {"x": ("u",), "rise": None, "der(x)": ()}
     assert interface.initial == {"x": ("u",), "rise": None}
-    assert interface.feeds_at_start("x") == ("u",)
-    assert interface.feeds_at_start("rise") == ("u", "i")
-    assert interface.feeds_at_start("late") == ()
+    assert interface.feeds_initially("x") == ("u",)
+    assert interface.feeds_initially("rise") == ("u", "i")
+    assert interface.feeds_initially("late") == ()
 
 
 def test_capabilities_of_fmi_3(described):

@@ -297,7 +297,7 @@ def _discrete_initial_dependencies(model: DiscreteModel) -> VariableDependencies
     dependencies: dict[str, tuple[str, ...]] = {}
     for output in interface.outputs:
         needs: list[str] = []
-        for name in interface.feeds_at_start(output.name):
+        for name in interface.feeds_initially(output.name):
             needs += elements_of[name]
         dependencies |= dict.fromkeys(output.elements, tuple(needs))
     return dependencies
