@@ -81,7 +81,13 @@ class LeastSquaresIdentifier:
         return self._last.copy()
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
-        """Accumulate K rows."""
+        """Accumulate K rows.
+
+        Raises
+        ------
+        Stopped
+            If the regressor has no value at the start time.
+        """
         step = self._kernel.step
         y = step.advance(t, h, u)
         if len(y):

@@ -64,13 +64,27 @@ class Replay:
         return self.outputs(t, u)
 
     def outputs(self, t: float, u: Vector) -> Vector:
-        """Return the recorded row at ``t``."""
+        """Return the recorded row at ``t``.
+
+        Raises
+        ------
+        GraphError
+            If ``t`` is before the recording.
+        """
         index = self._index(np.array([t]))[0]
         row: Vector = self._rows[index].copy()
         return row
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
-        """Return the recorded rows at ``t[1:]``; stop at the end of the recording."""
+        """Return the recorded rows at ``t[1:]``.
+
+        Raises
+        ------
+        Stopped
+            Where the recording ends; with the rows before it.
+        GraphError
+            If ``t`` starts before the recording.
+        """
         end = self._time[-1]
         inside = t[1:][t[1:] <= end]
         rows = self._rows[self._index(inside)]

@@ -152,7 +152,13 @@ class Table:
         return self.outputs(t, u)
 
     def outputs(self, t: float, u: Vector) -> Vector:
-        """Return y(t)."""
+        """Return y(t).
+
+        Raises
+        ------
+        UsageError
+            If ``t`` is outside the table.
+        """
         if not self.t[0] <= t <= self.t[-1]:
             raise UsageError(self._beyond(t))
         rows = self._at(np.array([t]))
@@ -160,7 +166,13 @@ class Table:
         return y
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
-        """Return y at ``t[1:]``."""
+        """Return y at ``t[1:]``.
+
+        Raises
+        ------
+        Stopped
+            Where the table ends; with the rows before it.
+        """
         times = t[1:]
         covered = times <= self.t[-1]
         y = self._at(times[covered])
@@ -228,7 +240,7 @@ class Noise:
         self._last = np.zeros(size)
 
     def initialize(self, t: float, u: Vector) -> Vector:
-        """Start the sequence again."""
+        """Initialize the sequence from its seed."""
         bits = np.random.PCG64(self.seed)
         self._generator = np.random.Generator(bits)
         self._last = self._draw(1)[0]

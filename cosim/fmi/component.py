@@ -141,7 +141,7 @@ class Fmu:
 
     def __exit__(
         self,
-        kind: type[BaseException] | None,
+        error_type: type[BaseException] | None,
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
@@ -284,8 +284,8 @@ def _reliable(
     """Return a description without what is not supported or fails, and notes about what was taken.
 
     A clock that an FMU only shows needs nothing from us. One that it must be given would never tick
-    in model exchange; in co-simulation the FMU drives it itself, once it was told that event mode
-    is not used.
+    in model exchange; in co-simulation the FMU drives it itself, once it has
+    been instantiated without event mode.
     """
     capabilities = description.capabilities[interface_type]
     notes = []

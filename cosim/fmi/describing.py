@@ -147,7 +147,7 @@ def _initial_state(
 ) -> tuple[Initial, tuple[float, ...] | None]:
     """Return ``initial`` and ``start`` of a state (index -1: of no state).
 
-    A state can be set at the start unless the inputs decide it.
+    A state has a start value unless the inputs decide it.
     """
     if linear is None or index < 0 or linear.Xu[index].any():
         return "calculated", None

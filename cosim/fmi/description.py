@@ -18,7 +18,7 @@ from cosim.fmi.references import ReferenceMap
 from cosim.fmi.variable import Variable
 
 InterfaceType: TypeAlias = Literal["me", "cs"]  # model exchange, co-simulation
-VariableDependencies: TypeAlias = Mapping[str, tuple[str, ...] | None]  # None: not said
+VariableDependencies: TypeAlias = Mapping[str, tuple[str, ...] | None]  # None: not declared
 INTERFACE_TYPES: tuple[InterfaceType, ...] = ("me", "cs")
 INTERFACE_TYPE_NAMES: Mapping[InterfaceType, str] = {"me": "model exchange", "cs": "co-simulation"}
 ELEMENT: Final = re.compile(r"(?P<name>.*[^\]])\[(?P<number>\d+)\]")
@@ -54,7 +54,7 @@ class Formulation:
     ----------
     name : str
     dependencies : tuple of str or None
-        What it depends on; None: not said.
+        What it depends on; None: not declared.
     index : int or None
         How often it must be differentiated, where that is said.
     """
@@ -110,7 +110,7 @@ class Description:
     states : tuple of str
         Names of the variables that are continuous states, in the order of the derivatives.
     dependencies : mapping of output or derivative name to variable names, or to None
-        What each depends on directly; None: not said.
+        What each depends on directly; None: not declared.
     initial_dependencies : mapping of unknown name to variable names, or to None
         The same in Initialization Mode (InitialUnknowns), for the unknowns that are listed there.
     unnamed_states : int
@@ -161,7 +161,7 @@ class Description:
         object.__setattr__(self, "_named", named)
 
     def __contains__(self, name: str) -> bool:
-        """Whether there is a variable of that name."""
+        """Return whether there is a variable of that name."""
         return name in self._named
 
     def __getitem__(self, name: str) -> Variable:
@@ -252,7 +252,7 @@ class Description:
         return Interface(input_signals, output_signals, feedthrough, initial_feedthrough)
 
     def _direct(self, variable: Variable) -> tuple[str, ...] | None:
-        """Return what an output depends on directly: a state on nothing; None: not said."""
+        """Return what an output depends on directly: a state on nothing; None: not declared."""
         return () if variable.name in self.states else self.dependencies.get(variable.name)
 
     def resized(self, structural: Mapping[str, int]) -> Description:
@@ -340,7 +340,7 @@ def _inputs_behind(
     dependencies: VariableDependencies,
     input_of: Mapping[str, str],
 ) -> tuple[str, ...] | None:
-    """Return the inputs on which a group of variables depends; None: not said of one of them."""
+    """Return the inputs on which a group of variables depends; None: not declared for one."""
     inputs: set[str] = set()
     for variable in group:
         names = dependencies[variable.name]
@@ -396,7 +396,7 @@ def _families(variables: Sequence[Variable]) -> dict[str, dict[int, Variable]]:
 
 
 def _is_vector(family: Mapping[int, Variable]) -> bool:
-    """Whether scalars, by their numbers, are the elements of one vector."""
+    """Return whether scalars, by their numbers, are the elements of one vector."""
     first = min(family)
     has_gaps = max(family) - first >= len(family)
     types = {(v.signal_type, v.unit, v.base, v.variability) for v in family.values()}

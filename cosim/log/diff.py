@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Matrix, Nanoseconds, as_columns
 from cosim.core.contracts import Recording
+from cosim.core.port import Port
 from cosim.core.signals import Signal
 
 DifferenceStatus: TypeAlias = Literal[
@@ -171,7 +172,7 @@ def _signals(run: Recording) -> dict[str, Signal]:
 
 
 def _component_of(name: str) -> str:
-    return name.partition(".")[0]  # the signal's own name may have further dots
+    return Port.parse(name).component
 
 
 def _not_compared(name: str, a: Recording | None, b: Recording | None) -> SignalDifference:

@@ -134,7 +134,13 @@ class Log:
 
     @property
     def result(self) -> Mapping[str, Any]:
-        """The content of ``result.json``; empty if there is none."""
+        """The content of ``result.json``; empty if there is none.
+
+        Raises
+        ------
+        LogError
+            If it is no valid JSON, or damaged.
+        """
         if RESULT_FILE not in self._attachments:
             return {}
         try:
@@ -152,7 +158,7 @@ class Log:
 
     @property
     def held(self) -> Mapping[str, Mask]:
-        """Which input elements of every component held their value over a step."""
+        """Which input elements of every component had a zero-order hold."""
         held: dict[str, Mask] = {}
         for name, channel in self._channels.items():
             none_held = np.zeros(channel.interface.n_u, dtype=np.bool_)
@@ -207,14 +213,26 @@ class Log:
         self._rows.update(self._read_rows(missing))
 
     def attachment(self, name: str) -> bytes:
-        """Return the content of an attachment."""
+        """Return the content of an attachment.
+
+        Raises
+        ------
+        LogError
+            If there is none of that name, or it is damaged.
+        """
         if name not in self._attachments:
             nearest_names = nearest(name, self._attachments)
             raise LogError(f"{self.path} has no attachment {name!r}; {nearest_names}")
         return self._file.attachment(self._attachments[name])
 
     def messages(self) -> list[LogMessage]:
-        """Return the messages of the run and its components, in the order of time."""
+        """Return the messages of the run and its components, in the order of time.
+
+        Raises
+        ------
+        LogError
+            If the file is damaged.
+        """
         channel_ids = set()
         for number, channel in self._declared.items():
             if channel.topic == LOG_TOPIC:

@@ -108,7 +108,7 @@ class McapRecorder:
 
     def __exit__(
         self,
-        kind: type[BaseException] | None,
+        error_type: type[BaseException] | None,
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
@@ -246,7 +246,7 @@ class McapRecorder:
         self._messages.clear()
 
     def _add_checkpoint(self) -> None:
-        """Remember what the file holds now, and when."""
+        """Store what the file holds now, and when."""
         assert self._sink is not None
         mark = self._sink.mark()
         hashes = _copied(self._hashes)  # the originals go on

@@ -23,9 +23,10 @@ from cosim.scenario.execution import load
 from cosim.scenario.kinds import EXPORTABLE, DescriptorKind, ExportableKind
 from cosim.scenario.parsing import Scenario
 
-HELD_OUTPUTS = (
-    "its inputs are held over a step here, so its outputs are too; co-simulation in FMI 2.0 has no "
-    "events to say so, and they are declared continuous: FMI 3.0 declares them discrete"
+ZERO_ORDER_HOLD_OUTPUTS = (
+    "its inputs have a zero-order hold over a step here, so its outputs have one too; "
+    "co-simulation in FMI 2.0 has no events, and they are declared continuous: FMI 3.0 declares "
+    "them discrete"
 )
 
 
@@ -77,7 +78,7 @@ def export_component(
     except OSError as error:
         raise UsageError(f"{out} cannot be written: {error.strerror or error}") from error
     if has_held_outputs and fmi == "2":
-        return [*exported.lines, HELD_OUTPUTS]
+        return [*exported.lines, ZERO_ORDER_HOLD_OUTPUTS]
     return exported.lines
 
 
@@ -107,21 +108,21 @@ def _descriptor_model(scenario: Scenario, component: str, resources: ExitStack) 
 
 
 def _model(scenario: Scenario, component: str, resources: ExitStack) -> tuple[Exportable, bool]:
-    """Return the model of a component, and whether its outputs are held as its inputs are."""
+    """Return the model of a component, and whether all its signals have a zero-order hold."""
     spec = scenario.specs[component]
     if not isinstance(spec, ExportableKind):
         raise UsageError(
             f"{component!r} is of kind {spec.kind!r}, which cannot be exported; "
             f"what can be: {', '.join(EXPORTABLE)}"
         )
-    wiring = _Wiring(scenario, component, resources)
+    wiring = _GraphWiring(scenario, component, resources)
     model = spec.exportable(component, build_context(scenario, resources), wiring)
     inherits = any(signal.variability == "inherited" for signal in model.interface.outputs)
     return model, inherits and wiring.is_discrete
 
 
 @final
-class _Wiring:
+class _GraphWiring:
     """How a component is connected; what drives it is built when that is needed, nothing else."""
 
     def __init__(self, scenario: Scenario, component: str, resources: ExitStack) -> None:
@@ -149,7 +150,7 @@ class _Wiring:
 
 
 def _discrete(model: Exportable) -> Exportable:
-    """Return the model with discrete signals only: all are held over a step."""
+    """Return the model with discrete signals only: all have a zero-order hold over a step."""
     inputs = _discrete_signals(model.interface.inputs)
     outputs = _discrete_signals(model.interface.outputs)
     interface = replace(model.interface, inputs=inputs, outputs=outputs)

@@ -128,12 +128,12 @@ def design(
     fixed_modes = _sorted_eigenvalues(V.T @ M @ V)
     check_detectable(fixed_modes, M)
     observable = W.T @ M @ W
-    seen = C3 @ W
+    C_observable = C3 @ W
     if poles is not None:
-        gain = W @ place(observable, seen, poles, fixed_modes)
+        gain = W @ place(observable, C_observable, poles, fixed_modes)
     else:
         gain = _given_gain(L, C3.T.shape)
-    correction = W.T @ gain @ seen
+    correction = W.T @ gain @ C_observable
     movable = _sorted_eigenvalues(observable - correction)
     closed = M - gain @ C3
     check_hurwitz(movable, closed, fixed_modes)

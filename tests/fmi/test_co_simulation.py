@@ -193,8 +193,9 @@ def test_an_fmu_that_never_asks_for_inputs_gets_their_mean(opened, can):
     assert fed[1] == pytest.approx(U0 + SLOPE * 0.1 if can else U0, abs=ROUNDING)
     warning = (
         "lag: asked for no inputs in the step from t = 0.0 s, though it says it can "
-        "(providesIntermediateUpdate): they stayed at their start there; from then on it gets "
-        "their mean, and what outputs show of inputs directly belongs to that"
+        "(providesIntermediateUpdate): they kept their value from the start of that "
+        "step; from then on it gets their mean, and the direct feedthrough to outputs belongs to "
+        "that"
     )
     assert fmu.drain() == [(0.0, "warning", "", warning)]
     assert np.array_equal(run(fmu), y)

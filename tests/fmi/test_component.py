@@ -174,9 +174,9 @@ def test_an_interpolating_fmu_without_D_warns_of_held_inputs_at_any_time(edited)
         fmu.component.prepare(1e-3, np.array([True, False]), {})
         assert fmu.component.notes == before
     assert before == (
-        "academic: y, x_b depend directly on inputs; where inputs are held, what is read belongs "
-        "to their value inside the step, not at its end (first order in the step), as the FMU has "
-        "no directional derivatives",
+        "academic: y, x_b depend directly on inputs; where inputs have a zero-order hold, what "
+        "is read belongs to their value inside the step, not at its end (first order in the step), "
+        "as the FMU has no directional derivatives",
     )
 
 

@@ -154,7 +154,7 @@ def test_states_that_are_no_outputs_units_and_calculated_states(tmp_path):
         assert run(fmu.component, step=0.01, held=np.array([False]), u=force)[
             :, :2
         ] == pytest.approx(expected, abs=1e-8)
-    with pytest.raises(FmuError, match="'position' cannot be set at the start"):
+    with pytest.raises(FmuError, match="'position' has no start value that can be set"):
         load(path, FmuOptions(start={"position": 1.0}))
 
 

@@ -93,14 +93,18 @@ def test_arrays_may_be_flat():
         ("file", "a\0b", "needed a text without the character 0"),
         ("key", 12, "found 12, needed a text of hexadecimal digits"),
         ("key", "123", "found '123', needed hexadecimal digits, two for every byte"),
-        ("tick", True, r"'tick' cannot be set at the start \(causality input"),
+        ("tick", True, r"'tick' has no start value that can be set \(causality input"),
         (
             "y",
             1.0,
-            r"'y' cannot be set at the start \(causality output, variability continuous, "
+            r"'y' has no start value that can be set \(causality output, variability continuous, "
             r"initial calculated\)",
         ),
-        ("g", 1.0, r"'g' cannot be set at the start \(causality local, variability constant"),
+        (
+            "g",
+            1.0,
+            r"'g' has no start value that can be set \(causality local, variability constant",
+        ),
         ("table", 1.0, "found one value, needed a list of 6 values"),
         ("table", [1.0] * 5, "found 5 values, needed a list of 6 values"),
         (

@@ -26,13 +26,13 @@ MOVING = np.sin(STEPS)
 
 @given(n=st.integers(2, 35), moves=st.booleans(), rest=st.integers(0, 30))
 def test_an_inner_step_is_detected_once(n, moves, rest):
-    """Whatever the inputs do: with the spell that eight others have equaled.
+    """Whatever the inputs do: with the interval that eight others have equaled.
 
-    After a rest the first spell does not count.
+    After a rest the first interval does not count.
     """
-    spells = np.maximum((STEPS - rest) // n, 0)
+    intervals = np.maximum((STEPS - rest) // n, 0)
     k = rest + 10 * n if rest else 9 * n
-    assert detections(np.exp(-0.1 * spells), MOVING if moves else STILL) == [(k, n)]
+    assert detections(np.exp(-0.1 * intervals), MOVING if moves else STILL) == [(k, n)]
 
 
 @pytest.mark.parametrize(
@@ -50,11 +50,11 @@ def test_an_inner_step_is_detected_once(n, moves, rest):
     ids=[
         "rest, moved",
         "rest",
-        "lively",
-        "held input",
-        "held input, delayed",
+        "changes in every step",
+        "zero-order hold of the input",
+        "zero-order hold of the input, delayed",
         "pulse",
-        "creeping",
+        "slow decay",
         "irregular",
     ],
 )

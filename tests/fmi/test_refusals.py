@@ -230,7 +230,7 @@ def test_binary_of_another_model(edited):
         ({"x_a[9]": 1.0}, r"no variable 'x_a\[9\]'; did you mean 'x_a\[\d\]'"),
         (
             {"y": 1.0},
-            "'y' cannot be set at the start .causality output, variability continuous, "
+            "'y' has no start value that can be set .causality output, variability continuous, "
             "initial calculated.",
         ),
         ({"x_a[0]": float("nan")}, r"start value of 'x_a\[0\]': found nan, needed a finite number"),
@@ -247,7 +247,7 @@ def test_start_value_outside_its_range(edited):
 
 
 def test_all_wrong_start_values_are_reported_together(exported):
-    with pytest.raises(FmuError, match=r"(?s)'nothing'.*'y' cannot be set"):
+    with pytest.raises(FmuError, match=r"(?s)'nothing'.*'y' has no start value"):
         load(exported, FmuOptions(start={"nothing": 1.0, "y": 1.0}))
 
 

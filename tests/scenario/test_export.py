@@ -398,7 +398,7 @@ def test_parts_that_inherit_discrete_variability_are_discrete(tmp_path):
         assert np.array_equal(run["after.y"], expected["after.y"]), name
         assert not [m for m in run.messages() if "first order in the step" in m.text], name
     lines = export_component(str(scenario), "gain", tmp_path / "gain2.fmu", fmi="2")
-    assert "co-simulation in FMI 2.0 has no events to say so" in lines[-1]
+    assert "co-simulation in FMI 2.0 has no events, and" in lines[-1]
 
 
 def test_what_a_component_does_not_rest_on_need_not_be_there(tmp_path):

@@ -576,7 +576,7 @@ def lagging(folder, start):
 
 
 def test_what_a_run_shows_about_an_fmu_is_in_the_log(tmp_path):
-    """An inner step of 10 ms under steps of 1 ms is told by the 10th spell of equal outputs.
+    """An inner step of 10 ms under steps of 1 ms shows by the 10th interval of equal outputs.
 
     Within a block of the run.
     """

@@ -61,7 +61,7 @@ def test_an_exported_plant_takes_the_plants_place(plant, generated, interface_ty
 
 
 def test_model_exchange_with_the_same_solver_has_the_same_bits(plant, generated):
-    """One arithmetic in two homes: the generated unit and the FMU call the same C."""
+    """The generated instance and the FMU have the same arithmetic: they call the same C."""
     run = cosim.run(
         "academic", swap={"plant": plant}, set={"plant.solver": "rk4", "scenario.stop": 10.0}
     )

@@ -186,7 +186,7 @@ class Fmi1:
             )
 
     def enter_initialization_mode(self, t: float) -> None:
-        """Remember the start time ``t`` [s]."""
+        """Store the start time ``t`` [s]."""
         self._start_time = t
 
     def exit_initialization_mode(self) -> None:

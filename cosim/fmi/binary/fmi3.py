@@ -238,7 +238,7 @@ class Fmi3:
         self._interpolation.size = len(slopes)  # not 0: switched on for one step
 
     def _prepare_interpolation(self, group: Group, size: int) -> None:
-        """Point C to the memory to interpolate in, and to the inputs to set."""
+        """Set C's pointers to the memory to interpolate in, and to the inputs to set."""
         interpolation = self._interpolation
         self._interpolated = group
         self._start = np.empty(size)

@@ -32,7 +32,7 @@ _Memory = c_uint8 * 1
 
 
 def pointer(array: NDArray[Any]) -> Any:
-    """Point to a contiguous array's memory; quicker than ``array.ctypes``."""
+    """Return a pointer to a contiguous array's memory; quicker than ``array.ctypes``."""
     memory: Any = array
     return _Memory.from_buffer(memory) if array.size else None
 
@@ -108,12 +108,25 @@ class Library:
     def status_call(self, name: str, *types: Any) -> Callable[..., int]:
         """Return a function of the instance that returns its status.
 
-        It raises RunError for a status above discard.
+        Raises
+        ------
+        FmuError
+            If there is none of that name.
+        RunError
+            From the returned function: a status above discard, or a call after a fatal one.
         """
         return self._checked(name, DISCARD, types)
 
     def call(self, name: str, *types: Any) -> Call:
-        """Return a function of the instance that raises RunError for a status above warning."""
+        """Return a function of the instance.
+
+        Raises
+        ------
+        FmuError
+            If there is none of that name.
+        RunError
+            From the returned function: a status above warning, or a call after a fatal one.
+        """
         return self._checked(name, WARNING, types)
 
     def _checked(self, name: str, worst: int, types: tuple[Any, ...]) -> Callable[..., Any]:
@@ -132,7 +145,13 @@ class Library:
         return checked
 
     def unavailable(self, reason: str) -> Call:
-        """Return a function that raises RunError: the FMU or its version does not have it."""
+        """Return a function in the place of one that the FMU or its version does not have.
+
+        Raises
+        ------
+        RunError
+            From the returned function, at every call.
+        """
 
         def refused(*_: Any) -> None:
             raise RunError(f"{self.name}: {reason}")

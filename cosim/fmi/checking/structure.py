@@ -24,8 +24,13 @@ Severity: TypeAlias = Literal["error", "warning", "note"]
 class Finding(NamedTuple):
     """Something that a check found.
 
-    level: "error", "warning" or "note". where: archive, XML, structure, a variable, a binary, a
-    trial. text: what was found, what was needed.
+    Parameters
+    ----------
+    level : {"error", "warning", "note"}
+    where : str
+        Archive, XML, structure, a variable, a binary, a trial.
+    text : str
+        What was found, what was needed.
     """
 
     level: Severity

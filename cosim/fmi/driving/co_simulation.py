@@ -74,7 +74,7 @@ class CoSimulation:
         self._stepper = Stepper(instance, self._diagnostics)
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
-        """Take which inputs are held; nothing is designed.
+        """Take which inputs have a zero-order hold; nothing is designed.
 
         Raises
         ------
@@ -104,7 +104,7 @@ class CoSimulation:
             verb = "may depend"
         where = "what is read belongs to the inputs"
         if self._stepper.state.interpolates:
-            where = "where inputs are held, what is read belongs to their value"
+            where = "where inputs have a zero-order hold, what is read belongs to their value"
         why = "the FMU has no directional derivatives"
         if self._feedthrough:
             why = "directional derivatives are for real variables"
@@ -124,7 +124,7 @@ class CoSimulation:
         return names
 
     def initialize(self, t: float, u: Vector) -> Vector:
-        """Start at ``t``; stays in initialization mode until the first advance."""
+        """Initialize at ``t``; stays in initialization mode until the first advance."""
         u = np.array(u, np.float64)
         y = self._initialization.enter(t, u)
         self._stepper.begin(u, y)

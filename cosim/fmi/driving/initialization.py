@@ -186,7 +186,9 @@ def _settable(description: Description, name: str) -> Variable:
             f"causality {variable.causality}, variability {variable.variability}, "
             f"initial {variable.initial}"
         )
-        raise FmuError(f"{description.name}: {name!r} cannot be set at the start ({attributes})")
+        raise FmuError(
+            f"{description.name}: {name!r} has no start value that can be set ({attributes})"
+        )
     return variable
 
 

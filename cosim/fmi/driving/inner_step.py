@@ -5,14 +5,14 @@ one only, n > 1. What looks alike is distinguished:
 
 * at rest: nothing ever changes;
 * it follows an input that itself changes at every n-th step only, directly or with a delay: only
-  spells count in which the inputs move in every step, or in none;
-* rounding, creeping towards a rest: a change counts from ``RELATIVE`` of the value on;
+  intervals count in which the inputs change in every step, or in none;
+* rounding, slow decay towards a rest: a change counts from ``RELATIVE`` of the value on;
 * a switch between two values (a pulse): a change back to the value before the last one does not
   count.
 
-``REPEATS`` spells in a row that equal the one before are needed, as chance gives a few; ``LIVELY``
-changes in successive steps show that there is no inner step. A quantized output that moves steadily
-looks the same: what is detected is a suspicion.
+``REPEATS`` intervals in a row that equal the one before are needed, as chance gives a few;
+``CHANGES_IN_A_ROW`` changes in successive steps show that there is no inner step. A quantized
+output that changes steadily looks the same: what is detected is an indication, no proof.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from cosim.arrays import Vector
 
 REPEATS: Final = 8
-LIVELY: Final = 20
+CHANGES_IN_A_ROW: Final = 20
 RELATIVE: Final = 1e-9
 
 
@@ -36,7 +36,7 @@ class StepHistory(NamedTuple):
     inputs: Vector | None = None
     outputs_before: Vector | None = None  # their last change
     steps: int = 0  # since the last change
-    moves: int = 0  # how many of them had other inputs than the step before
+    input_changes: int = 0  # how many of them had other inputs than the step before
     period: int = 0  # steps between the last two changes
     repeats: int = 0  # how often in a row that period came again
 
@@ -82,18 +82,18 @@ class InnerStep:
             self.history = StepHistory(watched, inputs)
             return 0
         steps = past.steps + 1
-        moves = past.moves + (inputs.tobytes() != past.inputs.tobytes())
+        input_changes = past.input_changes + (inputs.tobytes() != past.inputs.tobytes())
         if watched.tobytes() == past.outputs.tobytes():
-            self.history = past._replace(inputs=inputs, steps=steps, moves=moves)
+            self.history = past._replace(inputs=inputs, steps=steps, input_changes=input_changes)
             return 0
         repeats = 0
-        if steps == past.period and moves in (0, steps):
+        if steps == past.period and input_changes in (0, steps):
             significant = _is_significant(watched, past.outputs, past.outputs_before)
             repeats = past.repeats + significant
         self.history = StepHistory(
             watched, inputs, outputs_before=past.outputs, period=steps, repeats=repeats
         )
-        if repeats < (LIVELY if steps == 1 else REPEATS):
+        if repeats < (CHANGES_IN_A_ROW if steps == 1 else REPEATS):
             return 0
         self.history = None
         return steps if steps > 1 else 0

@@ -102,7 +102,7 @@ class ModelExchange:
         The numbers of a known model are recorded, and taken from the record.
         """
         held = held | self._discrete
-        # With the exact solver the jump of a held input is in the matrices.
+        # With the exact solver the jump of an input with a zero-order hold is in the matrices.
         in_events = self._discrete if self.solver == "exact" else held
         self._integrator.event_inputs = np.flatnonzero(in_events)
         model = self._instance.linear
@@ -117,7 +117,7 @@ class ModelExchange:
         return self._exact.prepare(h, held, recorded)
 
     def initialize(self, t: float, u: Vector) -> Vector:
-        """Start at ``t``; stays in initialization mode until the first advance."""
+        """Initialize at ``t``; stays in initialization mode until the first advance."""
         self._integrator.state = IntegratorState(t, inputs=np.array(u, np.float64))
         return self._initialization.enter(t, u)
 

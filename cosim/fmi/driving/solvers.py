@@ -162,7 +162,13 @@ class Adaptive:
         self._solver: Any = None  # made at the first step, whose bound it wants
 
     def step(self, t_end: float) -> float:
-        """Take one step, to ``t_end`` at most."""
+        """Take one step, to ``t_end`` at most.
+
+        Raises
+        ------
+        RunError
+            If scipy's solver fails.
+        """
         try:
             solver = self._bounded(t_end)
             message = solver.step()
@@ -231,7 +237,7 @@ def _copied(attributes: dict[str, Any]) -> dict[str, Any]:
 
 @final
 class Stateless:
-    """The solver of a model without continuous states: time just moves."""
+    """The solver of a model without continuous states: only time advances."""
 
     def start(self, t: float, x: Vector, nominals: Vector) -> None:
         """Begin anywhere."""

@@ -258,8 +258,9 @@ class Stepper:
             t,
             "interpolation",
             f"asked for no inputs in the step from t = {t} s, though it says it can "
-            "(providesIntermediateUpdate): they stayed at their start there; from then on it gets "
-            "their mean, and what outputs show of inputs directly belongs to that",
+            "(providesIntermediateUpdate): they kept their value from the start of "
+            "that step; from then on it gets their mean, and the direct feedthrough to outputs "
+            "belongs to that",
         )
 
     def _reached(

@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
+from cosim.core.port import split_element
 from cosim.fmi.description import Dae, Description, Formulation, VariableDependencies
 from cosim.fmi.variable import Variable
 
@@ -121,7 +122,7 @@ def _derivatives_continue(
 
 def _array_name(group: Sequence[Variable]) -> str:
     name = group[0].name
-    return name if len(group) == 1 else name.rpartition("[")[0]
+    return name if len(group) == 1 else split_element(name)[0]
 
 
 def _join(group: Sequence[Variable], array_of: Mapping[str, str]) -> Variable:

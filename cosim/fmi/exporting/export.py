@@ -9,7 +9,7 @@ The parts of the C source, each in ``c/``::
     residual.c                    the equations of the algebraic variables that were eliminated from
                                   a linear model (FMI 3.0)
     model.c                       written here: the numbers
-    cosim/native/*.c              the steps, as they run in the package: one arithmetic in two homes
+    cosim/native/*.c              the steps: the same arithmetic in the package and in the FMU
 
 A linear model is for model exchange and for co-simulation; a discrete one for co-simulation only.
 """
@@ -233,7 +233,7 @@ def _check_specification(specification: ExportSpecification, version: Version) -
 
 
 @dataclass(frozen=True, slots=True)
-class _Fmu:
+class _ArchiveContent:
     """The content of an FMU.
 
     Parameters
@@ -297,12 +297,14 @@ class _Fmu:
         return tuple(notes)
 
 
-def _assemble(specification: ExportSpecification, version: Version, *, summary: str) -> _Fmu:
+def _assemble(
+    specification: ExportSpecification, version: Version, *, summary: str
+) -> _ArchiveContent:
     """Build the content of an FMU, identified by a digest of all that decides its results."""
     main = (version.source, "instance.c", *specification.sources, "model.c", *specification.natives)
     sources = _sources(specification, version)
     description = version.arrange(_with_identifier(specification.description, version))
-    draft = _Fmu(specification, version, description, summary, sources, main)
+    draft = _ArchiveContent(specification, version, description, summary, sources, main)
     constants = _constants(specification, description, stamp=0)
     content = [constants.encode(), draft.xml.encode(), *sources.values()]
     digest = hashlib.sha256(b"\0".join(content)).digest()

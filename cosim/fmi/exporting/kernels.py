@@ -64,7 +64,7 @@ class DiscreteModel:
     reason : str
         Why it is for co-simulation only.
     steps_per_sample : int
-        Communication steps between two samples of its outputs, which are held between.
+        Communication steps between two samples of its outputs; a zero-order hold between them.
     zero_order_hold : bool
         It samples its inputs with its outputs and holds them too, so that all these steps are one;
         else it takes every communication step.
@@ -213,13 +213,13 @@ def sampled(discrete: DiscretizedDynamics, *, C: Matrix, D: Matrix, X0: Vector) 
     matrices = []
     for letter, array in arrays.items():
         lines.append(f"static {doubles(letter, array)}")
-        if letter != "B1":  # zero, with held inputs
+        if letter != "B1":  # zero, with a zero-order hold of the inputs
             matrices.append(f"{letter} = {array.tolist()}")
     lines.append(doubles("kernel_X0", X0))
     lines.append(f"const cosim_linear kernel_constants = {{{n}, {m}, {p}, Ad, B0, B1, C, D, 0}};")
     equations = (
-        "x_next = Ad x + B0 u, y = C x + D u, with u sampled at the start of its own step and y "
-        f"held over it; {'; '.join(matrices)}"
+        "x_next = Ad x + B0 u, y = C x + D u, with u sampled at the start of its own step and a "
+        f"zero-order hold of y over it; {'; '.join(matrices)}"
     )
     return Kernel("sampled.c", ("linear.c",), 2 * n, tuple(lines), equations)
 

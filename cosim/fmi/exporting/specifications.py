@@ -309,7 +309,10 @@ def _discrete_equations(model: DiscreteModel) -> str:
         step = f"Its communication step is {model.step_ns / NANOSECONDS} s, and no other. "
     period = ""
     if model.steps_per_sample > 1:
-        period = f"Its outputs change every {model.steps_per_sample} steps and are held between. "
+        period = (
+            f"Its outputs change every {model.steps_per_sample} steps, with a zero-order hold "
+            "between. "
+        )
     reason = f"Co-simulation only: {escape(model.reason)}."
     return f"<p>{escape(model.kernel.equations)}</p>\n<p>{step}{period}{reason}</p>"
 

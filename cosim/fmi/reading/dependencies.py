@@ -125,7 +125,7 @@ class _UnknownsReader:
 def known_names(
     element: Element, names: Mapping[int, str], where: str, attributes: Attributes
 ) -> tuple[str, ...] | None:
-    """Return the names of what an unknown depends on; None: not said."""
+    """Return the names of what an unknown depends on; None: not declared."""
     numbers = attributes.integers(element, "dependencies", where)
     if numbers is None:
         return None

@@ -1,4 +1,4 @@
-/* A linear model discretized for its own step, with inputs that are held over it (cosim_linear).
+/* A linear model discretized for its own step, with a zero-order hold of its inputs (cosim_linear).
  * memory: x, then scratch. */
 #include "discrete.h"
 
