@@ -18,9 +18,11 @@ from cosim.report.recorded import (
     rows_of,
     run_metadata,
     signal_of,
+    stacked_rows_of,
     time_ns_of,
     truth_of,
 )
+from cosim.scenario.schema import truth_ports
 
 if TYPE_CHECKING:
     from cosim.report.comparing import Comparison
@@ -201,17 +203,20 @@ def _styles(count: int) -> Iterator[Style]:
 
 
 def _draw_truth(axis: Any, recording: Recording | None, estimate: str, true: Any) -> None:
-    if not isinstance(true, str):
+    true_ports = truth_ports(true)
+    if not true_ports:
         for value in np.atleast_1d(true):
             axis.axhline(value, **TRUTH)
     elif recording is not None:
-        _draw(axis, recording, true, TRUTH, like=estimate)
+        for port in true_ports:
+            _draw(axis, recording, port, TRUTH, like=estimate)
 
 
 def _limit(axis: Any, recording: Recording, estimate: str, true: Any) -> None:
     """Limit the axis to the truth and the second half of an estimate: a transient would hide it."""
-    if isinstance(true, str):
-        truth = rows_of(recording, true, like=estimate)
+    true_ports = truth_ports(true)
+    if true_ports:
+        _, truth = stacked_rows_of(recording, true_ports, like=estimate)
     else:
         truth = np.atleast_1d(np.array(true, dtype=np.float64))
     estimates = rows_of(recording, estimate)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -29,7 +30,7 @@ def component_metadata(recording: Recording, component: str) -> dict[str, Any]:
 
 
 def truth_of(recording: Recording) -> dict[str, Any]:
-    """Return what each estimate of a run should equal: the name of a signal, or values."""
+    """Return what each estimate of a run should equal: a port, a list of ports, or values."""
     truth: dict[str, Any] = json.loads(run_metadata(recording).get("truth", "{}"))
     return truth
 
@@ -85,6 +86,26 @@ def rows_of(recording: Recording, port: str, *, like: str | None = None) -> Matr
     convert = conversion(unit, wanted_unit)
     assert convert is not None, "units of [truth] are checked before the run"
     return convert(rows)
+
+
+def stacked_rows_of(
+    recording: Recording, ports: Sequence[str], *, like: str
+) -> tuple[Nanoseconds, Matrix]:
+    """Return several ports side by side, in the unit of another, at the instants that they share.
+
+    Returns
+    -------
+    tuple
+        The instants [ns], shape (N,), and the rows there, shape (N, size of all).
+    """
+    times = time_ns_of(recording, ports[0])
+    rows = rows_of(recording, ports[0], like=like)
+    for port in ports[1:]:
+        port_times = time_ns_of(recording, port)
+        port_rows = rows_of(recording, port, like=like)
+        times, shared, port_shared = np.intersect1d(times, port_times, return_indices=True)
+        rows = np.hstack([rows[shared], port_rows[port_shared]])
+    return times, rows
 
 
 def difference(first: Recording, other: Recording, port: str) -> tuple[Matrix, Matrix]:

@@ -6,7 +6,7 @@ Errors against the truth, estimates, start times of identifiers, and what their 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -18,9 +18,11 @@ from cosim.report.recorded import (
     component_metadata,
     rows_of,
     run_metadata,
+    stacked_rows_of,
     time_ns_of,
     truth_of,
 )
+from cosim.scenario.schema import truth_ports
 from cosim.theory.uncertainty import information, verdict
 
 
@@ -29,7 +31,7 @@ class SignalError:
     """An estimated signal against the signal it should equal."""
 
     estimate: str
-    truth: str
+    truth: str  # a port, or several that are stacked
     since: float  # s
     largest: float  # |error| from there on
     rms: float
@@ -106,8 +108,9 @@ def summarize(recording: Recording) -> Summary:
     signals: list[SignalError] = []
     values: list[ValueOutcome] = []
     for estimate, true in truth.items():
-        if isinstance(true, str):
-            signals.append(_signal_error(recording, estimate, true, since))
+        true_ports = truth_ports(true)
+        if true_ports:
+            signals.append(_signal_error(recording, estimate, true_ports, since))
         else:
             true_values = np.atleast_1d(np.array(true, dtype=np.float64))
             values += _value_outcomes(recording, estimate, true_values)
@@ -143,12 +146,15 @@ def _last_values(recording: Recording) -> dict[str, float | list[float]]:
     return last
 
 
-def _signal_error(recording: Recording, estimate: str, true: str, since: float) -> SignalError:
+def _signal_error(
+    recording: Recording, estimate: str, true_ports: Sequence[str], since: float
+) -> SignalError:
+    true_ns, true_signals = stacked_rows_of(recording, true_ports, like=estimate)
     shared_ns, estimate_rows, true_rows = np.intersect1d(
-        time_ns_of(recording, estimate), time_ns_of(recording, true), return_indices=True
+        time_ns_of(recording, estimate), true_ns, return_indices=True
     )
     estimated_values = rows_of(recording, estimate)[estimate_rows]
-    true_values = rows_of(recording, true, like=estimate)[true_rows]
+    true_values = true_signals[true_rows]
     error: Matrix = np.abs(estimated_values - true_values)
     time = shared_ns / 1e9
     if not time.size or time[-1] < since:  # the run ended before the identification began
@@ -160,7 +166,7 @@ def _signal_error(recording: Recording, estimate: str, true: str, since: float) 
     if len(error):
         last = float(error[-1].max())
     largest = float(window.max(initial=0.0))
-    return SignalError(estimate, true, since, largest, rms, last)
+    return SignalError(estimate, ", ".join(true_ports), since, largest, rms, last)
 
 
 def _value_outcomes(recording: Recording, estimate: str, truth: Vector) -> list[ValueOutcome]:

@@ -31,6 +31,7 @@ from cosim.scenario.port_comparison import (
     compare_sides,
     propose,
 )
+from cosim.scenario.schema import truth_ports
 from cosim.scenario.swap import ports_in
 from cosim.scenario.swap_report import SwapReport, SwapReports
 
@@ -334,7 +335,7 @@ def _connected_ports(scenario: Scenario, name: str) -> set[str]:
     for connection in scenario.connections.values():
         ports += connection.sources
     for estimate, truth in scenario.file.truth.items():
-        ports += ports_in([estimate, truth])
+        ports += ports_in([estimate, *truth_ports(truth)])
     return _names_of(ports, name)
 
 
@@ -351,7 +352,7 @@ def _refused_ports(builder: Builder, name: str) -> set[str]:
                     ports += connections[to].sources
         elif key[:1] == ("truth",):
             estimate = str(key[-1])
-            ports += ports_in([estimate, truths.get(estimate)])
+            ports += ports_in([estimate, *truth_ports(truths.get(estimate))])
     return _names_of(ports, name)
 
 

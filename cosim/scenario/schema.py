@@ -84,8 +84,17 @@ class File(TomlTable):
     models: dict[str, DescriptorTable] = {}
     components: dict[Annotated[str, Field(pattern=NAME)], dict[str, Any]]
     connections: dict[str, str | list[str] | ConnectionTable] = {}
-    truth: dict[str, str | Number | NumberRow] = {}
+    truth: dict[str, str | tuple[str, ...] | Number | NumberRow] = {}
     swap: dict[str, SwapTable] = {}
+
+
+def truth_ports(truth: Any) -> list[str]:
+    """Return the ports that a value of [truth] lists, one or several; none where it is numbers."""
+    if isinstance(truth, str):
+        return [truth]
+    if isinstance(truth, list | tuple):
+        return [value for value in truth if isinstance(value, str)]
+    return []
 
 
 def matrix(rows: NumberRows, name: str) -> np.ndarray[Any, np.dtype[np.float64]]:

@@ -25,6 +25,7 @@ from cosim.blocks.port_map import Causality, Renaming
 from cosim.core.port import Port
 from cosim.errors import GraphError, UsageError, nearest
 from cosim.scenario.problems import Key, Problem
+from cosim.scenario.schema import truth_ports
 
 Tables: TypeAlias = dict[str, Any]
 PortNames: TypeAlias = str | Sequence[str]  # ports of the new component; or as text: "[s1, s2]"
@@ -255,7 +256,7 @@ class WrittenPorts:
             self._outputs += ports
         self._compared: list[Port] = []
         for estimate, true in _table(tree, "truth").items():
-            self._compared += ports_in([estimate, true])
+            self._compared += ports_in([estimate, *truth_ports(true)])
 
     def of(self, component: str) -> list[str]:
         """Return the ports that a map of a component may name."""

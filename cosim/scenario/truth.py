@@ -13,7 +13,7 @@ from cosim.core.port import Port
 from cosim.core.signals import Signal
 from cosim.errors import GraphError, nearest
 from cosim.scenario.problems import Problem
-from cosim.scenario.schema import File
+from cosim.scenario.schema import File, truth_ports
 from cosim.units import conversion
 
 
@@ -42,13 +42,13 @@ def check_truth(
     missing : set of names
         Of components that are not right: truths with their signals are not checked.
     warn : callable
-        Told of the truths that a swap leaves out, as (component, text).
+        Called with the truths that a swap leaves out, as (component, text).
     """
     kept: dict[str, Any] = {}
     problems: list[Problem] = []
     signals = _Signals(components)
     for estimate, truth in file.truth.items():
-        texts = [estimate, truth] if isinstance(truth, str) else [estimate]
+        texts = [estimate, *truth_ports(truth)]
         try:
             ports = [Port.parse(text) for text in texts]
             if not missing.isdisjoint(port.component for port in ports):
@@ -59,8 +59,10 @@ def check_truth(
                 text = f"has no {str(dropped[0])!r}: the report leaves out {estimate!r}"
                 warn(dropped[0].component, text)
                 continue
-            compared = [signals.find(port) for port in ports]
-            _check_match(estimate, truth, compared)
+            estimated, *true_signals = [signals.find(port) for port in ports]
+            _check_size(estimate, truth, estimated, true_signals)
+            for port, true in zip(ports[1:], true_signals, strict=True):
+                _check_unit(estimate, port, estimated, true)
         except GraphError as error:
             problems.append((("truth", estimate), str(error)))
         else:
@@ -102,27 +104,39 @@ class _Signals:
         return port.find(self._signals.get(port.component, ()))
 
 
-def _check_match(estimate: str, truth: Any, compared: Sequence[ComparedSignal]) -> None:
-    """Check that an estimate can be compared with its truth.
+def _check_size(
+    estimate: str, truth: Any, estimated: ComparedSignal, true_signals: Sequence[ComparedSignal]
+) -> None:
+    """Check that an estimate has as many elements as its truth: all signals of it, or numbers.
 
     Raises
     ------
     GraphError
-        If their sizes differ, or their units are of different kinds.
+        If it has not.
     """
-    estimated = compared[0]
-    true = compared[-1] if isinstance(truth, str) else None
-    true_size = len(np.atleast_1d(truth)) if true is None else true.size
+    true_size = sum(true.size for true in true_signals)
+    if not true_signals:
+        true_size = len(np.atleast_1d(truth))
     if estimated.size != true_size:
+        shown_truth = list(truth) if isinstance(truth, tuple) else truth
         raise GraphError(
-            f"{estimate!r} has size {estimated.size}, its truth {truth!r} has size {true_size}"
+            f"{estimate!r} has size {estimated.size}, "
+            f"its truth {shown_truth!r} has size {true_size}"
         )
-    if true is None:
-        return
+
+
+def _check_unit(estimate: str, port: Port, estimated: ComparedSignal, true: ComparedSignal) -> None:
+    """Check that the unit of a true signal can be converted to that of the estimate.
+
+    Raises
+    ------
+    GraphError
+        If it cannot.
+    """
     unit = estimated.signal.measure
     true_unit = true.signal.measure
     if conversion(true_unit, unit) is None:
         raise GraphError(
-            f"{estimate!r} has unit {unit.name!r}, its truth {truth!r} has unit "
+            f"{estimate!r} has unit {unit.name!r}, its truth {str(port)!r} has unit "
             f"{true_unit.name!r}; needed units of one kind"
         )

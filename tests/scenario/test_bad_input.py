@@ -220,7 +220,7 @@ CASES = {
     ),
     "truth of another size": (
         [("[-0.1, -0.3]", "[-0.1]")],
-        r"'identifier\.theta' has size 2, its truth \(-0\.1,\) has size 1",
+        r"'identifier\.theta' has size 2, its truth \[-0\.1\] has size 1",
     ),
     "no TOML": ([("stop = 40.0 ", "stop = = ")], r"/mine\.toml:8: not TOML: "),
     "name with a dot": (
