@@ -349,7 +349,7 @@ def plot(
 def list_(as_json: JsonOption = False) -> None:
     """List the shipped scenarios and the component kinds.
 
-    Each kind with its parameters and their defaults.
+    Each kind is listed with its parameters and their defaults.
     """
     from cosim.report.tables.contents import print_catalogue
 
@@ -390,7 +390,7 @@ def export(
 ) -> None:
     """Export a component as an FMU, C source and binary.
 
-    For model exchange and co-simulation; a discrete component for co-simulation only.
+    It has both interface types; that of a discrete component is for co-simulation only.
     """
     from cosim.scenario.exporting import export_component
 

@@ -173,7 +173,7 @@ def test_info_of_a_log_a_scenario_and_an_fmu(call):
 
 
 def test_info_of_fmus_of_every_version(call, tmp_path):
-    """Units in SI, ranges, items, sizes, states and dependencies, in lines of 118 columns at most.
+    """Text has units in SI, ranges, items, sizes, states and dependencies in 118 columns at most.
 
     JSON has every field.
     """
@@ -478,7 +478,7 @@ def test_without_truth_the_last_values_are_shown(call, tmp_path):
 
 
 def test_a_run_that_an_fmu_ends_says_why(call, tmp_path):
-    """Requested at 0.325 s: the last row is that of 0.3 s.
+    """The FMU requests the end at 0.325 s, so the last row is that of 0.3 s.
 
     The reason is in the table, in JSON, in the log and in a run in memory.
     """
@@ -594,7 +594,7 @@ def test_an_output_that_cannot_be_written_is_one_line(call, tmp_path):
 
 
 def test_a_sampled_controller_is_exported_for_co_simulation_only(call):
-    """A discrete component would be another one as a continuous FMU; the answer says so."""
+    """A discrete component would be another one as a continuous FMU; the message says so."""
     code, out, _ = call(
         "export",
         "closed-loop",
@@ -643,7 +643,7 @@ def test_a_refused_run_leaves_the_old_log_as_it_was(call, tmp_path):
 def test_linearize_prints_matrices_poles_and_gain(call, tmp_path):
     """The reduced plant (28): A, its poles -1.5 +- 0.866i, the static gain -4/3 and 2/3.
 
-    As tables and as JSON.
+    Tables and JSON have the same numbers.
     """
     call("export", "academic", "--component", "plant", "--out", "plant.fmu")
     code, out, err = call("linearize", "plant.fmu", "--output", "y", "--set", "x_a[0]=0.5")

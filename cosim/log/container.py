@@ -114,7 +114,7 @@ class Container:
     def channels(self) -> Mapping[int, records.Channel]:
         """Return the channels by id.
 
-        From the summary, or else from outside the chunks, or else from inside.
+        They come from the summary, or else from outside the chunks, or else from inside.
 
         Raises
         ------

@@ -343,7 +343,8 @@ def build_context(scenario: Scenario, resources: ExitStack) -> BuildContext:
 def fingerprint(scenario: Scenario, name: str, reads: frozenset[str]) -> str:
     """Hash everything that the design of a component rests on.
 
-    Its table, the tables that it read, communication step, input interpolation and coupling.
+    This is its table, the tables that it read, communication step, input interpolation and
+    coupling.
     """
     settings = scenario.file.scenario
     names = sorted({f"components.{name}", *reads})

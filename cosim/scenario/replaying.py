@@ -23,9 +23,7 @@ RECORDED = (
 def valid_designs(
     experiment: Experiment, source: Log, changed: Mapping[str, Any]
 ) -> dict[str, Design]:
-    """Return the recorded designs that still hold.
-
-    Nothing that they rest on has changed, nor which inputs have a zero-order hold.
+    """Return the recorded designs that still hold: those that rest on nothing that changed.
 
     Raises
     ------

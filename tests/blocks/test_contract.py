@@ -157,9 +157,10 @@ ROLLBACK = [
 
 @pytest.mark.parametrize("name", COMPONENTS)
 def test_every_block_keeps_the_contract(name):
-    """Blocks of any size, outputs that change nothing, an initialization that forgets.
+    """Every block keeps the contract, bit for bit.
 
-    Declared feedthrough, extrapolated inputs: bit for bit.
+    The checks are blocks of any size, outputs that change nothing, an initialization that forgets,
+    declared feedthrough, and extrapolated inputs.
     """
     check_component(COMPONENTS[name], h=H)
 

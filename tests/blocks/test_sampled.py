@@ -1,4 +1,4 @@
-"""Components that answer less often than every communication step."""
+"""Components that sample less often than every communication step."""
 
 import numpy as np
 import pytest
@@ -85,7 +85,7 @@ def test_decimated_holds_its_sample_between(held):
 
 
 def test_decimated_declares_the_feedthrough_of_its_component():
-    """At the instant of an answer the input matters; a loop must know."""
+    """At a sample instant the outputs depend on the input; a loop must know."""
     assert Decimated(through(), 4).interface.feeds("y") == ("u",)
     assert Decimated(Linear(lag(time_constant=1.0)), 4).interface.feeds("y") == ()
 
@@ -112,7 +112,7 @@ def test_a_period_of_nothing_is_refused(kind):
 def test_a_slow_component_with_feedthrough_works_in_a_loop(kind, coupling):
     """The output of the slow component is 2 u of the sample instant, for every size of the blocks.
 
-    Also where u is extrapolated first.
+    This holds too where u is extrapolated first.
     """
     tables = []
     for block in (1, 1000):

@@ -32,10 +32,7 @@ def times(K: float):
 
 
 def half_through() -> Linear:
-    """Return a plant x' = -3 x + u with the outputs v = x, without feedthrough.
-
-    And y = 2 x + 0.5 u, with it.
-    """
+    """Return a plant x' = -3 x + u with v = x, and y = 2 x + 0.5 u, which feeds through."""
     interface = Interface((Signal("u"),), (Signal("v"), Signal("y")), {"v": (), "y": ("u",)})
     C, D = np.array([[1.0], [2.0]]), np.array([[0.0], [0.5]])
     return Linear(
@@ -46,9 +43,9 @@ def half_through() -> Linear:
 
 
 class Scripted:
-    """Gives ``values[k]`` at step k, and raises what stands there if it is an exception.
+    """A component with the output ``values[k]`` at step k, whatever its inputs.
 
-    Takes any inputs.
+    It raises the value of a step if that is an exception.
     """
 
     def __init__(self, values, *, optional=False, inputs=0):
@@ -81,9 +78,9 @@ class Scripted:
 
 
 class Starter:
-    """Starts at ``y = function(u1, u2, ...)`` and stays there: no feedthrough.
+    """A component that stays at its initial ``y = function(u1, u2, ...)``, without feedthrough.
 
-    Notes the inputs of every start.
+    It records the inputs of every initialization.
     """
 
     def __init__(

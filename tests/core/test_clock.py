@@ -14,7 +14,7 @@ from cosim.errors import ClockError
 
 @given(st.integers(-(10**15), 10**15))
 def test_nanoseconds_are_exact(ns):
-    """From decimal text, and from a float that prints as it.
+    """Decimal text, and the float that prints as it, give the exact number.
 
     15 digits survive in a double, and 16 to 17 in its repr.
     """
@@ -69,7 +69,7 @@ def test_seconds_are_never_accumulated():
     st.integers(1, 4000),
 )
 def test_blocks_cover_the_grid_once_whatever_their_size(steps, step_ns, size, limit):
-    """Each begins at the last point of the one before.
+    """Each block begins at the last point of the one before.
 
     None is longer than the limit or the size.
     """

@@ -118,8 +118,8 @@ def interface(inputs, **outputs):
     return Interface(tuple(map(Signal, inputs)), tuple(map(Signal, outputs)), outputs)
 
 
-def test_gauss_seidel_has_as_few_late_inputs_as_possible():
-    """Who needs no input at the end of the step goes first.
+def test_gauss_seidel_extrapolates_as_few_inputs_as_possible():
+    """Components that need no input at the end of the step go first.
 
     Only the input that closes the cycle is extrapolated.
     """
@@ -138,10 +138,10 @@ def test_gauss_seidel_has_as_few_late_inputs_as_possible():
     assert order.extrapolated == {"lag": {"u"}, "gain": set(), "sum": set()}
 
 
-def test_an_output_is_evaluated_again_when_a_late_input_feeds_through():
-    """Plant with v = x and y = C x + D u, gain from v to u.
+def test_an_output_is_evaluated_again_when_an_extrapolated_input_feeds_through():
+    """A plant has the outputs v = x and y = C x + D u, and a gain leads from v to u.
 
-    Y waits for the gain, and is refreshed once.
+    The output y waits for the gain, and is evaluated again once.
     """
     interfaces = {"plant": interface(["u"], v=(), y=("u",)), "gain": interface(["u"], y=("u",))}
     sources = {"plant": {"u": (Port("gain", "y"),)}, "gain": {"u": (Port("plant", "v"),)}}
@@ -150,10 +150,10 @@ def test_an_output_is_evaluated_again_when_a_late_input_feeds_through():
     assert order.extrapolated == {"plant": {"u"}, "gain": set()}
 
 
-def test_jacobi_takes_every_input_from_inside_as_late():
-    """All advance on the values of the start of the step.
+def test_jacobi_extrapolates_every_input_from_inside():
+    """All components advance with the values of the start of the step.
 
-    What feeds through is evaluated again, in order.
+    Outputs that feed through are evaluated again, in order.
     """
     interfaces = {
         "gain": interface(["u"], y=("u",)),
@@ -218,9 +218,9 @@ def test_cycles_are_what_reaches_itself(edges):
 
 
 def test_unknown_feedthrough_counts_where_it_closes_no_cycle():
-    """Plant, unknown, behind a lag.
+    """A plant of unknown feedthrough behind a lag waits for its input.
 
-    It waits for its input, and is refreshed where that is extrapolated.
+    Its outputs are evaluated again where that input is extrapolated.
     """
     interfaces = {"plant": interface(["u"], y=None), "lag": interface(["u"], y=())}
     sources = {"plant": {"u": (Port("lag", "y"),)}, "lag": {"u": (Port("plant", "y"),)}}
@@ -260,7 +260,7 @@ def test_unknown_feedthrough_that_closes_a_cycle_is_taken_as_not_there():
 def test_what_feeds_through_all_the_same_is_a_step_late(coupling):
     """y = x + 0.5 u with u = -y / 2 of the step before, as the warning says.
 
-    The gain is of the same instant.
+    The output of the gain is of the same instant.
     """
     plant = through(0.5)
     plant.interface = Interface(
@@ -278,10 +278,7 @@ def test_what_feeds_through_all_the_same_is_a_step_late(coupling):
 
 @pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
 def test_what_feeds_through_in_a_loop_belongs_to_the_same_instant(coupling):
-    """At every row the static equations hold with the recorded values of that row.
-
-    None is stale.
-    """
+    """The static equations hold at every row with the recorded values of that row."""
     log = record(loop(coupling))
     assert (log["k.y"] == 2.0 * log["plant.v"]).all()
     assert (log["s.y"] == log["r.y"] - log["k.y"]).all()
@@ -305,7 +302,7 @@ def error(graph, step):
 
 @pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
 def test_loops_are_first_order(coupling):
-    """Late inputs hold: halving the communication step halves the error, up to the next order."""
+    """Extrapolated inputs hold: halving the step halves the error, up to the next order."""
     coarse, fine = (error(two_lags(coupling), step) for step in (4e-3, 2e-3))
     assert 1.9 < coarse / fine < 2.1
 
@@ -325,9 +322,9 @@ def cascade_error(step, **options):
 
 
 def test_cascades_are_second_order():
-    """Straight lines between communication points: halving the step quarters the error.
+    """With linear interpolation of the inputs, halving the step quarters the error.
 
-    Held inputs halve it.
+    With a zero-order hold it halves the error.
     """
     assert 3.5 < cascade_error(0.02) / cascade_error(0.01) < 4.5
     assert (
@@ -339,10 +336,7 @@ def test_cascades_are_second_order():
 
 
 def noisy_loop(coupling):
-    """Return a loop with discrete inputs, a delay, a slow component with feedthrough.
-
-    And an element of a vector.
-    """
+    """Return a loop of noise, a delay, a plant, and a slow component with feedthrough."""
     components = {
         "n": Noise(deviation=1.0, seed=2),
         "s": sum_of([1.0, -1.0]),
@@ -374,10 +368,7 @@ def test_the_size_of_the_blocks_does_not_matter(name):
 
 @pytest.mark.parametrize("name", GRAPHS)
 def test_every_component_can_be_verified_alone(name):
-    """Fed with its recorded inputs and its recorded mask of held ones.
-
-    It gives its recorded outputs bit for bit.
-    """
+    """Recorded inputs and the mask of held inputs give the recorded outputs bit for bit."""
     memory = record(GRAPHS[name]())
     for component, alone in GRAPHS[name]().components.items():
         channel, plan = memory.channels[component], memory.plan

@@ -47,7 +47,7 @@ def test_elimination_needs_its_pivots():
 def test_a_linear_loop_has_its_closed_form(n, seed):
     """``w = G v + b``: v = (1 - G)^-1 b to 1e-13, from any start.
 
-    Sizes of the unknowns differ by 1e8.
+    The sizes of the unknowns differ by up to 1e8.
     """
     random = np.random.default_rng(seed)
     G, b, size = (
@@ -70,7 +70,7 @@ def test_a_linear_loop_has_its_closed_form(n, seed):
 def test_a_nonlinear_loop_is_solved():
     """v = cos v has the root 0.7390851332151607 (Dottie's number, OEIS A003957).
 
-    V^2 = 2 by a slope that repels sweeps.
+    The root of v^2 = 2 is found although the slope there repels sweeps.
     """
     assert abs(newton(np.cos, np.zeros(1), lambda: 1.0).v[0] - 0.7390851332151607) <= 2e-16
     assert (
@@ -88,7 +88,7 @@ def test_a_solution_at_zero_is_measured_by_the_values_involved():
 
 
 def test_what_has_no_solution_is_not_found():
-    """No root: the residual of v^2 + 1 stays above 0.75; a singular matrix is told apart."""
+    """No root: the residual of v^2 + 1 stays above 0.75; a singular matrix is distinguished."""
     found = newton(lambda v: v * v + 1.0, np.array([0.2]), lambda: 1.0)
     assert found.residual >= 0.75
     assert found.excess > 1.0

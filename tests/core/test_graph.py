@@ -144,7 +144,7 @@ def test_an_optional_output_drives_only_what_takes_no_value():
 def test_elements_gains_offsets_and_matrices_reach_the_input():
     """`x[1]` is one element; a gain and an offset act on each; a matrix maps.
 
-    A name that looks like an element is a name.
+    A signal whose name looks like an element is found by that name.
     """
     odd = Interface((), (Signal("x[1]"), Signal("x", 2)), {})
     memory = Memory()
@@ -303,9 +303,9 @@ def test_a_definition_tells_what_a_name_does_not():
 
 
 def test_an_algebraic_loop_names_every_port():
-    """In the order of the signal's way, closed.
+    """The ports stand in the order of the signal flow, and the last is the first again.
 
-    Also through a connection of a component to itself.
+    A connection of a component to itself is an algebraic loop too.
     """
     with pytest.raises(AlgebraicLoopError) as error:
         Graph(
@@ -370,9 +370,9 @@ def test_a_lag_that_chases_its_own_tail_is_refused():
 
 
 def test_what_holds_over_a_step_follows_variability():
-    """Discrete sources hold, continuous ones are lines, inherited ones are what drives them.
+    """Discrete outputs are held, continuous ones interpolated; others inherit from their inputs.
 
-    `hold = "start"` holds all.
+    With ``input_interpolation = "zero-order"`` all inputs are held.
     """
     components = {
         "line": sine(amplitude=1.0, rate=1.0, phase=0.0, offset=0.0),

@@ -1,6 +1,6 @@
-"""The start: every input has what drives it, whatever the order of the components.
+"""Initial values: every input has what drives it, whatever the order of the components.
 
-Loops are solved or named.
+Algebraic loops are solved, or refused by name.
 """
 
 import numpy as np
@@ -38,9 +38,9 @@ def start(components, connections):
 
 
 def test_a_chain_starts_in_its_order():
-    """Everything once, with what drives it.
+    """Every component is initialized once, with the outputs that drive it.
 
-    An output that does not depend on an input is there before it.
+    An output that does not depend on an input is known before it.
     """
     parts = {
         "c": Starter(lambda u: 2.0 * u),
@@ -64,14 +64,14 @@ def test_a_chain_starts_in_its_order():
 
 def test_an_input_that_nothing_drives_yet_has_its_start_value():
     """v = 2 w is taken before u is known; then the component starts again with u, and v stays."""
-    face = Interface(
+    interface = Interface(
         (Signal("u", start=(5.0,)), Signal("w")),
         (Signal("v"), Signal("y")),
         {"v": (), "y": ()},
         {"v": ("w",), "y": ("u",)},
     )
     part = Starter(lambda u, w: np.concatenate([2.0 * w, u]), ("u", "w"))
-    part.interface = face
+    part.interface = interface
     found = start(
         {"part": part, "k": times(10.0), "one": constant([1.0])},
         {"part.u": "k.y", "part.w": "one.y", "k.u": "part.v"},
@@ -89,7 +89,7 @@ def test_start_values_have_the_size_of_their_signal():
 def network():
     """Return a chain with branches and a loop of lags that start at their inputs.
 
-    X = 1 - 3 z, z = 2 x.
+    The loop is x = 1 - 3 z, z = 2 x.
     """
     components = {
         "one": constant([1.0]),
@@ -151,9 +151,9 @@ def test_linear_loops_of_vectors_have_their_closed_form(n, seed):
 
 
 def test_a_nonlinear_loop_starts_from_the_start_values():
-    """x = z^2, z = x / 4 + 1 / 2, so x^2 - 12 x + 4 = 0.
+    """x = z^2, z = x / 4 + 1 / 2, so x^2 - 12 x + 4 = 0 with the roots 6 +- 4 sqrt(2).
 
-    Of 6 + 4 sqrt(2) and 6 - 4 sqrt(2) the one where they lead.
+    The start values decide which of the two is found.
     """
     for value, root in ((10.0, 6.0 + 4.0 * np.sqrt(2.0)), (0.3, 6.0 - 4.0 * np.sqrt(2.0))):
         parts = {
@@ -167,7 +167,7 @@ def test_a_nonlinear_loop_starts_from_the_start_values():
 def test_two_loops_are_solved_one_after_the_other():
     """x = -2 x + 3 gives 1; behind it y = x - 4 y gives 1/5.
 
-    Nobody behind a loop starts with a trial value of it.
+    No component behind a loop is initialized with a trial value of it.
     """
     seen = Starter(lambda u: u)
     parts = {
@@ -205,9 +205,9 @@ def refused(components, connections, text):
 
 
 def test_a_loop_without_a_solution_is_named():
-    """Every port of it, the residual and what is needed.
+    """The message has every port of the loop, the residual and what is needed.
 
-    Also of more than one loop through a port.
+    It has them too where several loops share a port.
     """
     chase = {"lag": Linear(lag(time_constant=1.0))}
     name = (
@@ -243,15 +243,12 @@ def test_a_loop_without_a_solution_is_named():
 
 
 def test_missing_values_are_kept_only_where_they_may_be_missing():
-    """NaN is no solution of an equation between numbers.
-
-    "no value yet" is one of optional signals.
-    """
-    face = Interface(
+    """NaN solves no equation between numbers; in optional signals it means "no value yet"."""
+    interface = Interface(
         (Signal("u", optional=True),), (Signal("y", optional=True),), {"y": ()}, {"y": ("u",)}
     )
     part = Starter(lambda u: np.full(1, NAN))
-    part.interface = face
+    part.interface = interface
     assert np.isnan(start({"p": part}, {"p.u": "p.y"})["p.u"])
     root = {"x": Starter(lambda u: np.sqrt(u - 1.0) - 3.0)}
     refused(root, {"x.u": Connection("x.y", 1.0, 0.5)}, "Newton's method ended with a residual of ")
@@ -271,7 +268,7 @@ def test_discrete_signals_in_a_loop_converge_or_are_refused():
 
 
 def test_a_dependency_that_is_not_declared_is_followed_or_refused():
-    """Beyond what is declared, rounds go on until nothing moves.
+    """Initialization is repeated beyond what is declared until nothing changes.
 
     A chain converges, a loop that grows does not.
     """
@@ -289,9 +286,9 @@ def test_a_dependency_that_is_not_declared_is_followed_or_refused():
 
 
 def test_every_input_is_what_its_connection_gives():
-    """With gain, offset, an element and units, also inside a loop.
+    """A matrix, an offset and units act at initialization too, also inside a loop.
 
-    The recorded start keeps all equations.
+    The recorded initial values satisfy all equations.
     """
     celsius, kelvin = (
         BaseUnit((0, 0, 0, 0, 1, 0, 0, 0), 1.0, 273.15),
@@ -320,9 +317,9 @@ def test_a_run_goes_on_from_the_start_that_was_found():
 
 
 def test_our_models_say_what_their_start_depends_on():
-    """A lag without a start follows its input.
+    """A lag without ``initial`` starts at its input, a lag with ``initial`` does not.
 
-    One with a start does not, nor what merely feeds through.
+    Mere feedthrough adds no dependency at initialization.
     """
     assert lag(time_constant=1.0).interface.feeds_initially("y") == ("u",)
     assert lag(time_constant=1.0, initial=0.0).interface.feeds_initially("y") == ()

@@ -37,7 +37,7 @@ class Guarded(Memory):
 
 
 def attempt(components, connections, expected=None, *, block=None, steps=10, text=".*", **options):
-    """Run for ``steps`` of 0.1 s; give the recorder, which was closed."""
+    """Run for ``steps`` of 0.1 s; return the recorder, which was closed."""
     memory = Guarded()
     clock = Clock(steps / 10, 0.1, block)
     if expected is None:
@@ -47,7 +47,7 @@ def attempt(components, connections, expected=None, *, block=None, steps=10, tex
             run(Graph(components, connections, **options), clock, memory)
     assert memory.calls in (
         [["enter", expected]] if expected else [["enter", None], ["enter", Stopped]]
-    )  # a regular stop is told
+    )  # a recorder sees a regular stop, too
     return memory
 
 
@@ -62,7 +62,7 @@ def stop(*, failed=True, done=()):
 
 @pytest.mark.parametrize("block", BLOCKS)
 def test_a_stop_cuts_the_block_for_all(block):
-    """Before, beside and behind the component that stops.
+    """Components before, beside and behind the one that stops end at the same row.
 
     Everything up to there is recorded, nothing after it.
     """
@@ -135,7 +135,7 @@ def test_the_first_of_two_stops_counts(block):
 def test_a_loop_stops_with_everything_before(block, coupling):
     """A failed step is not recorded.
 
-    A step completed before a regular end is, for every component of the loop.
+    A step completed before a regular end is recorded, for every component of the loop.
     """
     for failed, done, rows in ((True, [], 5), (False, [], 5), (False, [7.0], 6)):
         components = {
@@ -241,7 +241,7 @@ class Fussy(Scripted):
 def test_the_cause_is_named_not_who_suffers(block):
     """A component behind never sees the value that is not finite.
 
-    So that its complaint does not hide where it arose.
+    Its own complaint would hide where that value arose.
     """
     components = {"x": script(np.nan, 5), "fussy": Fussy(list(range(12)), inputs=1)}
     attempt(
@@ -286,7 +286,7 @@ def small():
 
 
 def test_memory_keeps_the_rows_of_a_period():
-    """Every third row of a component that answers at every third."""
+    """A component with a period of three steps keeps every third row."""
     memory = Memory({"name": "small"})
     run(small(), Clock(1.0, 0.1, 4), memory)
     assert memory.time_ns("u").tolist() == [k * 10**8 for k in range(11)]
@@ -316,12 +316,12 @@ def test_nothing_keeps_nothing():
 
 
 @pytest.mark.parametrize("block", BLOCKS)
-def test_watched_tells_after_recording_and_may_end_the_run(block):
-    """What was told is recorded, and the recorder is closed."""
-    memory, told = Guarded(), []
+def test_watched_reports_after_recording_and_may_end_the_run(block):
+    """What was reported is recorded, and the recorder is closed."""
+    memory, instants = Guarded(), []
 
     def reached(block):
-        told.append(block.time_ns[-1])
+        instants.append(block.time_ns[-1])
         assert memory._times[-1][-1] == block.time_ns[-1]
         if block.time_ns[-1] >= 5 * 10**8:
             raise RunError("that will do")
@@ -329,14 +329,14 @@ def test_watched_tells_after_recording_and_may_end_the_run(block):
     with pytest.raises(RunError, match="that will do"):
         run(small(), Clock(1.0, 0.1, block), Watched(memory, reached))
     assert memory.calls == ["enter", RunError]
-    assert memory.time_ns("u")[-1] == told[-1]
-    assert told[-1] == {1: 5, 3: 6, 1000: 10}[block] * 10**8
+    assert memory.time_ns("u")[-1] == instants[-1]
+    assert instants[-1] == {1: 5, 3: 6, 1000: 10}[block] * 10**8
 
 
 class Refusing:
-    """Counts its steps; refuses to be asked for outputs, or to advance, from t = 0.5 s on.
+    """A component that counts its steps, and refuses its outputs or a step from t = 0.5 s on.
 
-    Without saying how far it came.
+    Its refusal of outputs does not say how far it came.
     """
 
     interface = Interface((), (Signal("y"),))
@@ -376,9 +376,9 @@ class Refusing:
     ],
 )
 def test_what_a_failing_component_leaves_does_not_depend_on_the_block(wrap, asked):
-    """An error of a component behind a period keeps the rows before it, whatever the block.
+    """An error of a component with a period keeps the rows before it, whatever the block size.
 
-    And names component and time.
+    The message names component and time.
     """
     kept = []
     for block in (1, 7, 1000):

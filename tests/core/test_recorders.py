@@ -14,7 +14,7 @@ from cosim.errors import LogError
 def memory(first=0, offset=0, period=3, sizes=(4, 4)):
     """Keep rows that hold the numbers of their steps, in blocks of some sizes.
 
-    Each at ``offset`` [ns] behind its grid point.
+    Each row is ``offset`` [ns] behind its grid point.
     """
     channel = Channel("c", Interface((), (Signal("n"), Signal("p.q", 2))), 0, period)
     kept = Memory()
@@ -38,10 +38,10 @@ def test_rows_are_kept_by_the_number_of_their_step(offset):
     assert memory(first=5)["c.n"].tolist() == [6.0, 9.0, 12.0]
 
 
-def test_the_end_of_a_run_is_told():
-    """The last step, kept or not; a block that stopped at once adds nothing.
+def test_the_end_of_a_run_is_known():
+    """The end is the last step, kept or not; a block that stopped at once adds nothing.
 
-    Without rows there is 0.
+    Without rows it is 0.
     """
     assert (memory().steps, memory().end_ns) == (8, 80)
     assert (memory(sizes=(4, 4, 0)).steps, memory(sizes=(4, 4, 0)).end_ns) == (8, 80)
@@ -52,7 +52,7 @@ def test_the_end_of_a_run_is_told():
     )
 
 
-def test_signal_names_may_have_dots_and_unknown_ones_are_answered_with_the_nearest():
+def test_signal_names_may_have_dots_and_unknown_ones_name_the_nearest():
     """The first dot ends the component's name."""
     kept = memory(period=1)
     assert kept["c.p.q"].shape == (9, 2)

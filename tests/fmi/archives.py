@@ -68,7 +68,7 @@ def directory_header(entry: Entry, offset: int) -> bytes:
 def fields(entry: Entry) -> tuple[int, ...]:
     """Return what both headers have.
 
-    Flags, method, time, date, sum, sizes, lengths of name and extra.
+    These are flags, method, time, date, sum, sizes, and the lengths of name and extra.
     """
     flags = entry.flags | 0x800 if isinstance(entry.name, str) else entry.flags
     crc = zlib.crc32(entry.content) if entry.crc is None else entry.crc

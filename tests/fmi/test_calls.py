@@ -1,4 +1,4 @@
-"""Every call of the protocol reaches a loaded FMU, and what it answers comes back."""
+"""Every call of the protocol reaches a loaded FMU, and what it returns comes back."""
 
 import numpy as np
 import pytest

@@ -163,7 +163,7 @@ def test_what_hangs(rogue):
 
 
 def test_whether_an_fmu_can_go_back(rogue, exported, monkeypatch):
-    """Tried once for each file; inside a trial the answer is yes, or it would never end."""
+    """Tried once for each file; inside a trial the result is yes, or it would never end."""
     good = read(exported)
     bad = read(rogue("LIES"))
     assert find_rollback_problems(good, "me") == find_rollback_problems(good, "cs") == ()

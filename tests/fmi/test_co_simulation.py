@@ -31,7 +31,7 @@ Z = 3
 def path(tmp_path_factory):
     """Return the path of the lag of a version with some capabilities.
 
-    One file each, as those that can save states are tried when first loaded.
+    Each is a file of its own, as those that can save states are tried when first loaded.
     """
     folder = tmp_path_factory.mktemp("lag")
     compiled = {version: lag.build(folder, version) for version in "123"}
@@ -111,7 +111,7 @@ def reference(h):
 
 
 @pytest.mark.parametrize("version", ["1", "2", "3"])
-def test_feedthrough_without_D_is_first_order_and_said_to_be(opened, version):
+def test_feedthrough_without_D_is_first_order_and_reported(opened, version):
     """y belongs to the mean input: on a ramp it is wrong by slope h/2, and x by second order."""
     for h in (0.1, 0.05):
         error = run(opened(version), step=h)[1:, :2] - exact(h)[1:]

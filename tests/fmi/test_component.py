@@ -342,7 +342,7 @@ def test_a_pythonfmu3_fmu_is_run_through_both_interfaces(foreign3, capfd):
 def test_a_step_that_does_not_end_keeps_what_was_before(foreign2, limit, capfd):
     """The block stops with the completed rows.
 
-    At the FMU's own request, or naming the FMU, the call and its status.
+    The reason is the FMU's own request, or names the FMU, the call and its status.
     """
     with load(foreign2, FmuOptions(start={"limit": limit})) as fmu, pytest.raises(Stopped) as stop:
         run(fmu.component, step=0.01, held=HELD, u=foreign_inputs)

@@ -22,7 +22,7 @@ def outputs(*names, **changes):
 
 
 def test_vectors_are_put_together_again():
-    """Consecutive numbers from 0 or 1, whatever the order in the file.
+    """Consecutive numbers from 0 or 1 make a vector, whatever their order in the file.
 
     Gaps, other first numbers and names that are taken stand alone.
     """
@@ -39,7 +39,7 @@ def test_arrays_of_fmi_3_are_vectors():
     assert outputs("x", size=6) == [("x", 6)]
 
 
-def test_feedthrough_is_unknown_where_nothing_is_said():
+def test_feedthrough_is_unknown_where_nothing_is_declared():
     """An output may depend on every input unless its dependencies are listed."""
     variables = (Variable("u", 0, "input"), Variable("y", 1, "output"), Variable("z", 2, "output"))
     unknown = Description("m", "", "2.0", variables).interface

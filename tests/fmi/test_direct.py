@@ -1,4 +1,4 @@
-"""The correction of outputs by D asks for what an FMU can answer."""
+"""The correction of outputs by D asks only for derivatives that an FMU provides."""
 
 from types import SimpleNamespace
 

@@ -1,7 +1,4 @@
-"""Events of loaded model exchange FMUs, against closed forms.
-
-FMI 2 and FMI 3, with every solver.
-"""
+"""Events of loaded model exchange FMUs (FMI 2 and 3), with every solver, against closed forms."""
 
 import math
 import sys
@@ -108,7 +105,7 @@ def test_coulomb_friction_sticks_and_slips(solver, version):
 def test_of_several_crossings_in_one_step_the_earliest_comes_first(solver):
     """Three indicators in one step of 1 s: one at 0.51 s, two at 0.53 s together.
 
-    Whatever their order in the FMU.
+    Their order in the FMU does not matter.
     """
     with Run("TWO", solver, rtol=tolerance(solver)) as run:
         rows = run(1.0, 1.0)
@@ -263,7 +260,7 @@ def test_the_end_of_the_run_is_requested_in_an_event(version):
 
 
 def test_events_are_in_the_log(tmp_path):
-    """On /cosim/log, at level debug, at their time, however long the block.
+    """Events are on /cosim/log, at level debug, at their time, however long the block.
 
     A fall of 1 m takes sqrt(2 / 9.81) s.
     """
@@ -432,9 +429,9 @@ def test_completed_integrator_step_is_called_after_every_step_of_the_solver():
     [("RK45", 1.2), ("DOP853", 1.1), ("Radau", 1.1), ("BDF", 2.0), ("CVode", 2.0)],
 )
 def test_solvers_run_on_over_communication_points(solver, ratio):
-    """Evaluations over 0.2 s in steps of 1 ms.
+    """Compare the evaluations over 0.2 s in steps of 1 ms with and without jumps of the input.
 
-    Against those where the input jumps by 1e-12 at every point.
+    The input jumps by 1e-12 at every communication point.
     """
 
     def evaluations(wobble):

@@ -111,7 +111,7 @@ def test_export_is_deterministic(exported, tmp_path):
 def test_states_that_are_no_outputs_units_and_calculated_states(tmp_path):
     """A model with a hidden state, units, and an initial state that follows the input.
 
-    It is valid, and the same in both homes.
+    Its FMU is valid, and computes the same as the model in the package.
     """
     interface = Interface(
         (Signal("force", unit="N", role="input"),),

@@ -26,9 +26,9 @@ MOVING = np.sin(STEPS)
 
 @given(n=st.integers(2, 35), moves=st.booleans(), rest=st.integers(0, 30))
 def test_an_inner_step_is_detected_once(n, moves, rest):
-    """Whatever the inputs do: with the interval that eight others have equaled.
+    """It is detected at the spell that eight others have equaled, whatever the inputs do.
 
-    After a rest the first interval does not count.
+    After a rest the first spell does not count.
     """
     intervals = np.maximum((STEPS - rest) // n, 0)
     k = rest + 10 * n if rest else 9 * n

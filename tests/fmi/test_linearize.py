@@ -158,9 +158,9 @@ def test_ports_are_chosen_as_a_whole(exported):
 
 
 def test_an_instance_is_linearized_like_its_fmu_and_left_as_it_was(exported):
-    """A generated instance, and that of an opened FMU, fresh or in a run.
+    """A generated instance, and that of an opened FMU, fresh or in a run, give equal numbers.
 
-    The numbers are the same, and so is the run after it.
+    The run after it has equal numbers, too.
     """
     reference = cosim.linearize(exported)
     instance = GeneratedInstance.of(plant.model())
@@ -237,9 +237,9 @@ def test_the_static_gain_is_missing_where_there_is_none():
 
 
 def test_constants_are_what_the_matrices_leave_out(swinging):
-    """None of a linear model away from zero.
+    """A linear model away from zero has no constants.
 
-    Of the pendulum G (cos(theta) theta - sin(theta)) and torque times omega.
+    Those of the pendulum are G (cos(theta) theta - sin(theta)) and -torque omega.
     """
     assert not np.concatenate(still([[-0.3, 0.7], [0.1, -0.9]]).constants).any()
     c, d = cosim.linearize(

@@ -170,7 +170,7 @@ def test_two_instances_keep_their_messages_apart(probe2, probe3):
 
 @pytest.mark.parametrize("probe", ["probe2", "probe3"])
 def test_the_time_is_that_of_the_simulation(probe, request):
-    """That of the initialization, of ``set_time``, of the begin of the step.
+    """The time is that of the initialization, of ``set_time``, or of the begin of the step.
 
     The probe logs that it allocates a state.
     """
@@ -213,7 +213,7 @@ def test_the_time_is_that_of_the_simulation_in_fmi_1(slave1):
 
 @pytest.mark.parametrize("block", [1000, 7, 1])
 def test_messages_have_the_time_in_the_log_at_which_they_came(tmp_path, block):
-    """However long the block, and in the order in which they came.
+    """Messages keep their time and their order, however long the block.
 
     The FMU logs where each of its steps begins.
     """

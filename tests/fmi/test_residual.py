@@ -34,7 +34,7 @@ def run(
 ):
     """Return the outputs at every communication point, and the times of the state events.
 
-    The outputs: x (where there is one), z, q, y.
+    The outputs are x (where there is one), z, q, y.
     """
     steps = round(stop / h)
     t = np.arange(steps + 1) * round(h * 1e9) / 1e9

@@ -125,7 +125,7 @@ def test_states_within_a_step_are_the_same_after_going_back(method):
     ("method", "ratio"), [("RK45", 1.3), ("DOP853", 1.15), ("Radau", 1.2), ("BDF", 3.0)]
 )
 def test_running_on_needs_fewer_evaluations_than_starting_anew(method, ratio):
-    """100 stretches of 1 ms, counted.
+    """Count the evaluations in 100 stretches of 1 ms.
 
     A start costs RK45 and DOP853 two evaluations beside the 6 and 12 of a step, Radau a Jacobian
     matrix too, BDF all the steps that it takes from order 1 on. LSODA is not among them: it starts

@@ -91,7 +91,7 @@ def assert_whole(path, rows, instant):
 def test_an_interrupt_at_any_instant_keeps_every_row_once(tmp_path, monkeypatch, functions, stride):
     """The file is whole or does not exist, and no other is left.
 
-    At some instants around the writing of a chunk, and of all others.
+    Ctrl-C comes at some of the instants around the writing of a chunk, and at some of all others.
     """
     monkeypatch.setattr(row_buffer, "CHUNK_BYTES", 700)
     rows = table(layout(), 12)

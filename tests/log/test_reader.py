@@ -213,7 +213,7 @@ def test_no_flipped_bit_goes_unnoticed(path, compression):
 def test_every_bit_of_chunk_and_metadata_is_guarded(path):
     """A flip in a chunk, a metadata record or an attachment is refused.
 
-    Or it is in a length that the reading does not need.
+    The exception is a flip in a length that the reading does not need.
     """
     record(path, steps=50)
     data = bytearray(path.read_bytes())
@@ -406,7 +406,7 @@ def test_files_that_are_no_logs_are_named(path):
         open_log(path)
 
 
-def test_unknown_names_are_answered_with_the_nearest(tmp_path):
+def test_unknown_names_name_the_nearest(tmp_path):
     """Signals, components and attachments."""
     record(tmp_path / "a.mcap", steps=5)
     log = open_log(tmp_path / "a.mcap")

@@ -171,7 +171,7 @@ def test_chunks_are_written_after_a_second(tmp_path, monkeypatch):
     ],
 )
 def test_an_error_in_the_run_leaves_a_whole_file(tmp_path, error, status):
-    """Everything written so far is there, and why it ended."""
+    """Everything written so far is there, with the stop reason."""
     rows = table(layout(), 100)
 
     def fail():

@@ -65,9 +65,10 @@ def test_exponential_agrees_with_scipy():
 
 @given(st.floats(-50.0, 50.0))
 def test_exponential_of_a_rotation_is_a_rotation(angle):
-    """Cosine and sine.
+    """The entries are cosine and sine of the angle.
 
-    The angle's own last bit, and one rounding in each squaring, which doubles the errors before.
+    Their error is the angle's own last bit, and one rounding in each squaring, which doubles the
+    errors before.
     """
     computed = matrix_exponential(np.array([[0.0, -angle], [angle, 0.0]]))
     expected = [[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]]

@@ -72,7 +72,7 @@ def test_rms_error_of_the_reconstruction_is_the_methods_own(fine, case):
 
 
 # The derivative filter reads y by linear interpolation, filter_rate h^2 / 12 y'' = 8e-7 y'' off at
-# 0.1 ms, and at t = 10 s theta2 still answers to that with 4e-5, twice the tolerance; a quarter of
+# 0.1 ms, and at t = 10 s theta2 still responds to that with 4e-5, twice the tolerance; a quarter of
 # the error at half the step is within it.
 @pytest.mark.parametrize(
     ("name", "key", "P0", "step", "times"),
@@ -105,7 +105,7 @@ def test_least_squares_as_printed_gives_the_exact_estimates(name, key, P0, step,
 def test_errors_at_one_millisecond_stay_what_they_are(case):
     """At 1 ms linear interpolation errs by up to 16 times its error at 0.25 ms.
 
-    States to 16e-8, delta_hat to 16e-5.
+    The tolerance is 16e-8 for the states, and 16e-5 for delta_hat.
     """
     reference = case("C02")
     run = cosim.run("academic", set={"observer.q0": [0.0]})

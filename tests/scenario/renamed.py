@@ -1,7 +1,4 @@
-"""The example's plant as FMUs whose ports have other names, in another order.
-
-For tests of maps and proposals.
-"""
+"""FMUs of the example's plant with other port names in another order, for tests of maps."""
 
 from pathlib import Path
 
@@ -17,7 +14,7 @@ PACKED = {"plant.u": "force", "plant.delta": "push", "plant.y": "out[2]", "plant
 
 
 def renamed(path: Path) -> Path:
-    """Export it with inputs push and force for delta and u.
+    """Export the plant with inputs push and force for delta and u.
 
     Its outputs are aux, s and out1 for x_b, x_a and y.
     """

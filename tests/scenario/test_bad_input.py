@@ -1,6 +1,6 @@
 """Every bad input gets one clear error before the first step.
 
-The place, what was found, what was needed, the nearest name.
+The error has the place, what was found, what was needed, and the nearest name.
 """
 
 import re
@@ -278,7 +278,7 @@ def test_bad_input_is_refused_with_its_place(name, tmp_path):
 
 
 def test_all_errors_of_a_file_come_together(tmp_path):
-    """Errors of values, keys, assumptions and connections are told in one go, each once."""
+    """Errors of values, keys, assumptions and connections are reported together, each once."""
     message = refused(
         tmp_path,
         ("amplitude = 1.0", "amplitude = nan"),
@@ -298,18 +298,15 @@ def test_all_errors_of_a_file_come_together(tmp_path):
 
 
 def test_an_algebraic_loop_names_every_port(tmp_path):
-    """A static gain from y to u closes a path without delay through the plant.
-
-    Whose y feeds through from u.
-    """
+    """A static gain from y to u closes a path without delay, as y of the plant feeds through."""
     message = refused(
         tmp_path,
         ('"plant.u" = "u.y"', '"plant.u" = "k.y"\n"k.u" = "plant.y"'),
         ("[connections]", '[components.k]\nkind = "gain"\nK = 0.5\n\n[connections]'),
     )
-    circle = re.search(r"((?:\S+ -> )+\S+): every output here feeds through", message)
-    assert circle, message
-    assert set(circle[1].split(" -> ")) == {"plant.y", "k.u", "k.y", "plant.u"}
+    cycle = re.search(r"((?:\S+ -> )+\S+): every output here feeds through", message)
+    assert cycle, message
+    assert set(cycle[1].split(" -> ")) == {"plant.y", "k.u", "k.y", "plant.u"}
 
 
 def test_units_must_agree_or_be_converted(tmp_path):

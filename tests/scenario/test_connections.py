@@ -1,6 +1,6 @@
-"""Connections of a scenario.
+"""Connections of a scenario: conversion of units, and loops through FMUs.
 
-Units that are converted, and loops through FMUs that do not say what feeds through.
+These FMUs do not declare what feeds through.
 """
 
 import json
@@ -74,9 +74,9 @@ def units(tmp_path):
 
 
 def test_units_are_converted_on_the_way(units):
-    """The room in degC, the sensor in K, its readout in degC.
+    """The room in degC drives the sensor in K, and that its readout in degC.
 
-    By the documented formula, bit for bit.
+    Both are converted by the documented formula, bit for bit.
     """
     log = cosim.run(units)
     assert (log["sensor.u"] == log["room.y"] + 273.15).all()
@@ -84,9 +84,9 @@ def test_units_are_converted_on_the_way(units):
 
 
 def test_a_conversion_is_recorded_and_replayed_bit_for_bit(units, tmp_path):
-    """The log says how; a replay computes the same.
+    """The log has the conversion, and a replay computes the same.
 
-    Also where the source comes from the recording.
+    This holds too where the source comes from the recording.
     """
     path = tmp_path / "units.mcap"
     log = cosim.run(units, out=path)
@@ -146,7 +146,7 @@ unit = "mm"
 
 
 def test_units_of_an_fmu_are_what_it_defines(tmp_path):
-    """Names say nothing there: a temperature u by factor and offset, a length y.
+    """The definitions count, not the names: a temperature u by factor and offset, a length y.
 
     A replay takes both from the log.
     """
@@ -178,8 +178,10 @@ def test_an_exported_fmu_defines_its_units(units, tmp_path):
     """Factor and offset too: the readout in degC is connected to K as the component is."""
     path = tmp_path / "readout.fmu"
     export_component(str(units), "readout", path)
-    face = read(path).description.interface
-    assert [signal.base for signal in (*face.inputs, *face.outputs)] == [base_unit("degC")] * 2
+    interface = read(path).description.interface
+    assert [signal.base for signal in (*interface.inputs, *interface.outputs)] == [
+        base_unit("degC")
+    ] * 2
     assert base_unit("degC").offset == 273.15
 
 
@@ -194,7 +196,7 @@ def test_units_that_cannot_be_converted_are_refused(units):
 
 
 def test_a_unit_that_is_not_known_is_called_so(units):
-    """At either end, with what can be done about it.
+    """The message names the unit at either end, and what can be done about it.
 
     The gain and offset that it asks for are the way out.
     """
@@ -215,12 +217,10 @@ def test_a_unit_that_is_not_known_is_called_so(units):
 def test_a_loop_through_an_fmu_without_dependencies_runs_with_a_warning(
     coupling, foreign2, tmp_path, capsys
 ):
-    """pythonfmu writes none.
+    """pythonfmu writes no dependencies, but its y = x1 - u does feed through.
 
-    Its y = x1 - u does feed through: solved at initialization, one step late afterwards, and said
-    so.
-
-    At the start u = y / 2 and y = 1 - u, so y = 2 / 3.
+    The loop is solved at initialization and one step late afterwards, which a warning reports. At
+    the start u = y / 2 and y = 1 - u, so y = 2 / 3.
     """
     (tmp_path / "loop.toml").write_text(LOOP.format(coupling=coupling, path=foreign2))
     path = tmp_path / "loop.mcap"
@@ -243,9 +243,9 @@ def test_a_loop_through_an_fmu_without_dependencies_runs_with_a_warning(
     assert cosim.diff(log, cosim.replay(path)).equal
 
 
-CIRCLE = """
+INITIAL_LOOP = """
 [scenario]
-name = "circle"
+name = "initial-loop"
 stop = 0.1
 step = 0.01
 [components.r]
@@ -272,10 +272,10 @@ K = 3.3
 def test_a_loop_at_initialization_through_an_fmu_is_solved_and_replayed(interface_type, tmp_path):
     """The lag starts at its input, y = 1.1 - 3.3 y = 1.1 / 4.3.
 
-    As a component and as an FMU by its InitialUnknowns.
+    This holds for the component, and for its FMU by InitialUnknowns.
     """
-    scenario, fmu, path = tmp_path / "circle.toml", tmp_path / "lag.fmu", tmp_path / "circle.mcap"
-    scenario.write_text(CIRCLE)
+    scenario, fmu, path = tmp_path / "loop.toml", tmp_path / "lag.fmu", tmp_path / "loop.mcap"
+    scenario.write_text(INITIAL_LOOP)
     export_component(str(scenario), "lag", fmu)
     own = cosim.run(scenario)
     run = cosim.run(

@@ -243,9 +243,9 @@ def test_adjoint_derivatives_are_the_transposed_matrices(folder):
 
 
 def test_every_fmu_takes_its_component_place(folder):
-    """The whole method as FMUs, FMI 2 and 3 mixed: the bits of the run with the components.
+    """The whole method as FMUs, FMI 2 and 3 mixed, has the bits of the run with the components.
 
-    NaN for no value yet included.
+    NaN, which is no value yet, is compared too.
     """
     changes = {"scenario.stop": STOP, "identifier.start": 3.5}
     expected = cosim.run("academic", set=changes)
@@ -375,7 +375,7 @@ HELD = PARTS.replace(
 
 
 def test_parts_that_inherit_discrete_variability_are_discrete(tmp_path):
-    """What they drive must hold it (zero-order hold).
+    """The inputs that they drive must be held (zero-order hold).
 
     Linear interpolation is off by half a step's change. The inputs jump in an event at each
     communication point, and outputs that they feed show that there, bit for bit.

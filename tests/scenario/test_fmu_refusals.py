@@ -1,6 +1,6 @@
 """A damaged or alien .fmu in a plant's place gets one clear error before the first step.
 
-And nothing is written.
+No file is written.
 """
 
 import re
@@ -67,12 +67,12 @@ def test_an_fmu_that_is_none_is_refused(name, tmp_path):
     with pytest.raises(ScenarioError) as caught:
         cosim.run("academic", swap={"plant": path}, out=out)
     assert caught.value.exit_code == 2
-    said = str(caught.value)
+    message = str(caught.value)
     assert re.search(
         rf"--swap plant: components\.plant: {re.escape(str(path))}: {re.escape(text)}",
-        said.replace(f"{path} ", f"{path}: "),
-    ), said
-    assert said.count("\n") == 0, "one error, one line"
+        message.replace(f"{path} ", f"{path}: "),
+    ), message
+    assert message.count("\n") == 0, "one error, one line"
     assert sorted(tmp_path.rglob("*")) == before, "nothing is written"
 
 

@@ -30,7 +30,7 @@ def folder(tmp_path_factory):
 def test_an_observer_designed_on_the_fmu_is_the_one_of_the_matrices(folder):
     """The exported plant holds the reduced matrices bit for bit and linearizing it rounds nothing.
 
-    So theta has the same bits.
+    Therefore theta has the same bits.
     """
     scenario = folder / "academic.toml"
     matrices = cosim.run(scenario)

@@ -37,9 +37,9 @@ time_constant = 0.5
 
 @pytest.mark.parametrize("n", [1, 5])
 def test_a_controller_with_a_period_samples_and_holds(tmp_path, n):
-    """Also where its period is the communication step.
+    """Between its samples y is held, so the lag sees steps; a period may be one communication step.
 
-    X+ = x exp(-20 T) + u (1 - exp(-20 T)), y held, so the lag sees steps.
+    At a sample instant x+ = x exp(-20 T) + u (1 - exp(-20 T)).
     """
     T = 0.01 * n
     run = cosim.run(parse(Document(SAMPLED.format(period=T), "sampled", tmp_path)))

@@ -39,7 +39,7 @@ def verdicts(before, after, **options):
 
 
 def test_every_aspect_has_a_verdict():
-    """An error only where a connection is refused.
+    """The verdict is an error only where a connection is refused.
 
     Units that convert differ, units of one meaning do not.
     """

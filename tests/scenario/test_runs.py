@@ -33,9 +33,9 @@ def logged(request, tmp_path_factory):
 )
 @pytest.mark.parametrize("name", shipped())
 def test_blocks_do_not_change_a_bit(name, changes, tmp_path):
-    """One call of 1000 steps, 1000 calls of one step, blocks of 7.
+    """One call of 1000 steps, 1000 calls of one step, and blocks of 7 give equal logs.
 
-    Equal bits in the log, identification included.
+    Every bit is equal, identification included.
     """
     logs = [
         cosim.run(name, out=tmp_path / f"{block}.mcap", block=block, set=changes)
@@ -126,7 +126,7 @@ def test_two_runs_have_one_content_hash(logged, tmp_path):
 
 
 def test_replay_is_bit_exact(logged):
-    """The recorded plant in the plant's place, everything else computed again.
+    """The recorded plant stands in the plant's place, and everything else is computed again.
 
     Every signal has the same bits.
     """
@@ -193,10 +193,7 @@ def test_replay_needs_nothing_but_the_log(tmp_path, monkeypatch):
 
 
 def test_replay_with_other_parameters_changes_what_depends_on_them(logged):
-    """Another filter changes the reconstruction and what follows it.
-
-    And leaves the recorded plant as it was.
-    """
+    """Another filter changes the reconstruction and what follows it, not the recorded plant."""
     _, path, log = logged
     again = cosim.replay(path, set={"observer.filter_rate": 500.0})
     changed = {row.signal for row in cosim.diff(log, again).rows if row.status != "equal"}
@@ -265,9 +262,9 @@ def test_both_spellings_of_a_recorded_parameter_are_refused(logged, prefix):
 
 
 def test_a_design_is_not_reused_where_an_input_is_held_now(tmp_path):
-    """A recorded discretization is for straight lines.
+    """A recorded discretization is for inputs that are linearly interpolated.
 
-    What if u were discrete is computed anew, and equals a run.
+    If u is discrete, it is computed anew, and the replay equals a run.
     """
     smooth = {"components.u": {"kind": "expression", "y": "sin(t)"}, "scenario.stop": 8.0}
     cosim.run("academic", out=tmp_path / "a.mcap", set=smooth)
@@ -378,7 +375,7 @@ def test_a_non_finite_value_stops_the_run_and_keeps_what_was_before(tmp_path):
 
 
 def test_a_replay_says_where_the_recording_cuts_a_loop(tmp_path):
-    """A changed controller drives a recorded plant that does not answer: the replay says so.
+    """A changed controller drives a recorded plant that does not respond, which is a warning.
 
     An identifier drives nothing.
     """
@@ -400,7 +397,7 @@ def test_a_replay_says_where_the_recording_cuts_a_loop(tmp_path):
 def test_a_log_is_never_written_over_what_is_no_log(tmp_path):
     """A log ends in .mcap, so a slip of the hand does not replace a scenario or an FMU.
 
-    Nor the log that is being replayed.
+    The log that is being replayed is not replaced either.
     """
     with pytest.raises(UsageError, match=r"mine\.toml: a log needs a path that ends in \.mcap"):
         cosim.run("academic", out=tmp_path / "mine.toml", set={"scenario.stop": 0.1}, force=True)
@@ -506,9 +503,9 @@ def test_values_from_numpy_can_be_set():
 
 
 def test_a_recording_must_cover_the_run_and_is_not_written_over(tmp_path):
-    """Too short, without a row, or the very log that is to be written.
+    """A recording that is too short or has no row is refused, and so is writing over it.
 
-    Known before the first step.
+    The error comes before the first step.
     """
     path, empty = tmp_path / "a.mcap", tmp_path / "empty.mcap"
     cosim.run("academic", out=path, set={"scenario.stop": 0.1})
@@ -576,14 +573,14 @@ def lagging(folder, start):
 
 
 def test_what_a_run_shows_about_an_fmu_is_in_the_log(tmp_path):
-    """An inner step of 10 ms under steps of 1 ms shows by the 10th interval of equal outputs.
+    """An inner step of 10 ms in steps of 1 ms is detected at the 10th spell of equal outputs.
 
-    Within a block of the run.
+    That is within a block of the run.
     """
     cosim.run(lagging(tmp_path, "{ inner = 0.01 }"), out=(out := tmp_path / "a.mcap"), block=1000)
-    (told,) = [m for m in open_log(out).messages() if "inner step" in m.text]
-    assert (told.time_ns, told.level, told.source) == (100_000_000, "warning", "lag")
-    assert told.text.startswith("lag: its outputs change at every 10th communication step only")
+    (message,) = [m for m in open_log(out).messages() if "inner step" in m.text]
+    assert (message.time_ns, message.level, message.source) == (100_000_000, "warning", "lag")
+    assert message.text.startswith("lag: its outputs change at every 10th communication step only")
 
 
 def test_what_an_fmu_says_of_its_failure_has_the_time_of_the_step_that_failed(tmp_path):

@@ -1,6 +1,6 @@
 """Nothing computed changes.
 
-Times and rows of every signal against hashes that were taken before words and lines changed.
+Times and rows of every signal are compared with recorded hashes.
 """
 
 import hashlib
@@ -48,23 +48,26 @@ def runs(folder, foreign2, foreign3):
     for version in "23":
         path = folder / f"fmi{version}.fmu"
         export_component("academic", "plant", path, fmi=version)
-        for kind in ("me", "cs"):
-            swap = {"plant": f"{path}#{kind}"}
+        for interface_type in ("me", "cs"):
+            swap = {"plant": f"{path}#{interface_type}"}
             yield (
-                f"academic, FMI {version} {kind}",
+                f"academic, FMI {version} {interface_type}",
                 lambda swap=swap: cosim.run("academic", set=SHORT, swap=swap),
             )
             yield (
-                f"closed-loop, FMI {version} {kind}",
+                f"closed-loop, FMI {version} {interface_type}",
                 lambda swap=swap: cosim.run("closed-loop", set=SHORT, swap=swap),
             )
     other = renamed(folder / "x.fmu")
     yield "other names", lambda: cosim.run("academic", set=SHORT, swap={"plant": other}, map=MAP)
     vector = packed(folder / "y.fmu")
     yield "packed", lambda: cosim.run("academic", set=SHORT, swap={"plant": vector}, map=PACKED)
-    for kind in ("me", "cs"):
-        swap = {"plant": f"{foreign3}#{kind}"}
-        yield f"pythonfmu3 {kind}", lambda swap=swap: cosim.run("academic", set=SHORT, swap=swap)
+    for interface_type in ("me", "cs"):
+        swap = {"plant": f"{foreign3}#{interface_type}"}
+        yield (
+            f"pythonfmu3 {interface_type}",
+            lambda swap=swap: cosim.run("academic", set=SHORT, swap=swap),
+        )
 
 
 @pytest.fixture(scope="module")

@@ -43,12 +43,10 @@ def relative(run, other, signal):
 
 @pytest.mark.parametrize("interface_type", ["me", "cs"])
 def test_an_exported_plant_takes_the_plants_place(plant, generated, interface_type):
-    """The plant's outputs within 1e-12 of each signal's largest value.
+    """The plant's outputs agree within 1e-12 of each signal's largest value.
 
-    Delta_hat multiplies the last bit of y by 1000.
-
-    Model exchange with the same solver, rk4; co-simulation solves exactly, which rk4 at 1 ms misses
-    by (3 h)^4 / 120 = 7e-13 h.
+    In delta_hat the last bit of y is multiplied by 1000. Model exchange uses the same solver, rk4;
+    co-simulation solves exactly, which rk4 at 1 ms misses by (3 h)^4 / 120 = 7e-13 h.
     """
     run = cosim.run(
         "academic",
@@ -78,12 +76,10 @@ def test_co_simulation_has_the_bits_of_the_exact_solver(plant):
 
 
 def test_a_model_exchange_fmu_that_others_made_takes_the_plants_place(foreign3):
-    """FMI 3 model exchange by pythonfmu3: our solver, its derivatives.
+    """FMI 3 model exchange by pythonfmu3: the derivatives are its own, the solver is ours.
 
-    The results differ by rounding.
-
-    Rounding in y, 1e-16, times filter_rate is 1e-13 in delta_hat, and theta2 answers to that with
-    less than 1e2 times as much.
+    The results differ by rounding: 1e-16 in y times filter_rate is 1e-13 in delta_hat, and theta2
+    responds to that with less than 1e2 times as much.
     """
     run = cosim.run(
         "academic",
@@ -103,13 +99,13 @@ def test_a_model_exchange_fmu_that_others_made_takes_the_plants_place(foreign3):
 def test_a_co_simulation_fmu_that_others_made_takes_the_plants_place(make, changes, request):
     """Without input interpolation and dependencies, y = x1 - u belongs to the mean input.
 
-    Known, first order, and reported.
+    The error is known, of first order, and reported.
 
     The generated plant with just that error added to y, (u(t) - u(t - h))/2, identifies the same
     theta. What remains is of second order: the mean of the inputs, h^2/12, and the FMU's own
-    solver, h^2/6 at most (Heun), for signals up to 2.7 in all 7e-7. Theta2 answers to an error of y
-    at the rates of these signals with about nine times as much (5e-4 moves it by 6e-3, as 7e-4 in
-    delta_hat): 6e-6.
+    solver, h^2/6 at most (Heun), for signals up to 2.7 in all 7e-7. To an error of y at the rates
+    of these signals theta2 responds with about nine times as much (5e-4 moves it by 6e-3, as 7e-4
+    in delta_hat): 6e-6.
     """
     run = cosim.run("academic", swap={"plant": request.getfixturevalue(make)}, set=changes)
     late = {
@@ -131,7 +127,7 @@ def test_a_co_simulation_fmu_that_others_made_takes_the_plants_place(make, chang
 
 
 def test_an_fmu_without_dependencies_is_warned_of(foreign2):
-    """What is not known about feedthrough is said, not guessed."""
+    """Unknown feedthrough is reported, not guessed."""
     run = cosim.run("academic", swap={"plant": foreign2}, set={**FOREIGN2, "scenario.stop": 0.01})
     warnings = json.loads(run.metadata["cosim.run"]["warnings"])
     assert any(
@@ -171,7 +167,7 @@ def test_an_fmu_keeps_the_tolerance_of_its_table(plant):
     assert json.loads(tight.metadata["cosim.component.plant"]["metadata"])["tolerance"] == 1e-11
 
 
-def test_a_sampled_fmu_answers_at_its_own_step(plant, tmp_path):
+def test_a_sampled_fmu_responds_at_its_own_step(plant, tmp_path):
     """With a period the FMU lives on that step.
 
     Its outputs hold between, and its channel keeps the rows of that step.
@@ -216,7 +212,7 @@ def test_a_dry_run_compares_port_by_port(plant, foreign2, tmp_path, monkeypatch,
 def test_a_missing_output_is_refused_before_the_run(plant, tmp_path):
     """An FMU without the port that the scenario connects cannot stand there.
 
-    The nearest is named.
+    The message has the nearest name.
     """
     path = rewritten(plant, tmp_path / "renamed.fmu", ('name="y"', 'name="y_m"'))
     with pytest.raises(

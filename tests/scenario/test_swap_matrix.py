@@ -1,6 +1,6 @@
 """One scenario on nine plants and one of other names.
 
-The theta of each within the tolerance derived for it.
+The theta of each is within the tolerance derived for it.
 """
 
 from dataclasses import replace
@@ -24,7 +24,7 @@ INPUTS = {
     "connections.plant.gain": "one.y",
     "connections.plant.sign": "one.y",
 }
-# y = x1 - u of a unit that holds its inputs belongs to their mean: late by half a step
+# y = x1 - u of an FMU that holds its inputs belongs to their mean: late by half a step
 LATE = {
     "components.late": {
         "kind": "expression",
@@ -72,7 +72,7 @@ def files(tmp_path_factory, foreign2, foreign3):
 def generated():
     """Return the runs of the generated plant.
 
-    Solved exactly, by rk4, and with y late by half a step.
+    One solves it exactly, one by rk4, and one has y late by half a step.
     """
     text = find("academic")
     measured = replace(
@@ -87,16 +87,16 @@ def generated():
 
 @pytest.mark.parametrize("plant", MATRIX)
 def test_a_plant_of_another_make_identifies_the_same(plant, files, generated):
-    """Equal bits where the arithmetic is the same.
+    """The bits of theta are equal where the arithmetic is the same.
 
-    Rk4 on our derivatives, the exact discretization, what was recorded.
+    This is so for rk4 on our derivatives, the exact discretization, and what was recorded.
 
     With the inputs added in another order, and with pythonfmu3's derivatives, y differs by
     rounding: 2e-16, which the filter makes 1e3 times as much in delta_hat. In 2.5 s that is 3e-13,
     which the smallest eigenvalue of the information, 1.9e-5, makes 7e-11 in eta at most, and theta
     is its logarithm over 0.2 s or more: 1e-9 with room. The mean of the inputs leaves h^2/12 and
     pythonfmu's own solvers h^2/6 at most of signals up to 2.7: 7e-7 in y beside what is late. Both
-    are at the rates of these signals, as the 5e-4 that are late: theta answers to both alike.
+    are at the rates of these signals, as the 5e-4 that are late: theta responds to both alike.
     """
     file, changes, like, tolerance = MATRIX[plant]
     names = MAP if file == "renamed" else {}
@@ -111,7 +111,7 @@ def test_a_plant_of_another_make_identifies_the_same(plant, files, generated):
 def test_rk4_identifies_what_the_exact_solver_does(generated):
     """The eigenvalues of A are -1.5 +- 0.87i.
 
-    So rk4 errs by (sqrt(3) h)^4/120 = 8e-14 of signals up to 2.7, which theta2 answers tenfold:
+    So rk4 errs by (sqrt(3) h)^4/120 = 8e-14 of signals up to 2.7, to which theta2 responds tenfold:
     2e-12.
     """
     assert abs(theta(generated["rk4"]) - theta(generated["exact"])).max() <= 3e-12

@@ -1,6 +1,6 @@
 """Before a run: how a swapped component compares with the one that it replaces.
 
-Also what stops the run, and which ports may have been meant.
+The report has what stops the run, too, and which ports may have been meant.
 """
 
 import json
@@ -66,7 +66,7 @@ def test_an_exported_plant_differs_in_nothing(folder):
     assert rows["y", "static gain"] == pytest.approx([-4 / 3, 2 / 3])  # D - C A^-1 B of (28)
 
 
-def test_another_mode_and_start_are_listed_and_warned_of_in_one_line(folder, tmp_path):
+def test_another_interface_type_and_start_are_listed_and_warned_of_in_one_line(folder, tmp_path):
     """Only what is connected; the run goes on, and its log keeps the whole report."""
     changes = {"plant.start": {"x_a[0]": 1.5}}
     found = report(folder, "plant.fmu#cs", **changes)

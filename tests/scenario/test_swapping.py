@@ -1,7 +1,4 @@
-"""Swapped components with other port names.
-
-What a map means in each of its forms, and every wrong one.
-"""
+"""Swapped components with other port names: each form of a map, and every wrong one."""
 
 import json
 import re
@@ -145,10 +142,7 @@ def test_a_port_has_one_name(other):
 
 @pytest.mark.parametrize("names", [["s[0]", "s[1]"], ["s[0:2]"], "[s[0], s[1]]"])
 def test_a_vector_may_be_made_of_elements(names, by_hand, other, tmp_path):
-    """As a list in Python and in the file, or as text on the command line.
-
-    The bits are the same.
-    """
+    """A list in Python and in the file, or text on the command line, give the same bits."""
     maps = {**MAP, "plant.x_a": names}
     runs = [cosim.run("academic", swap={"plant": other}, map=maps, set=SHORT)]
     if not isinstance(names, str):
@@ -181,8 +175,10 @@ def test_a_recorded_plant_may_be_mapped(by_hand, other, tmp_path):
     assert run["observer.delta"].tolist() == by_hand["observer.delta"].tolist()
 
 
-def test_a_swap_of_the_file_may_choose_the_mode_and_give_way_to_an_option(other, by_hand, tmp_path):
-    """x.fmu#cs in the file; a path is taken from the file's folder.
+def test_a_swap_of_the_file_may_choose_the_interface_type_and_give_way_to_an_option(
+    other, by_hand, tmp_path
+):
+    """x.fmu#cs in the file is co-simulation; a path is taken from the file's folder.
 
     An option replaces the entry, its map too.
     """
@@ -291,14 +287,14 @@ WRONG = {
 
 
 @pytest.mark.parametrize("case", WRONG)
-def test_a_wrong_map_is_told(case, other):
+def test_a_wrong_map_is_reported(case, other):
     """The option, what was found, the nearest."""
     swapped, maps, text = WRONG[case]
     with pytest.raises(ScenarioError, match=text):
         cosim.run("academic", swap={"plant": other} if swapped else {}, map=maps, set=SHORT)
 
 
-def test_all_that_is_wrong_is_told_at_once(other):
+def test_all_that_is_wrong_is_reported_at_once(other):
     """Swap, map, set and file in one report."""
     with pytest.raises(ScenarioError) as caught:
         cosim.load("academic").edit(
@@ -343,7 +339,7 @@ def test_all_that_is_wrong_is_told_at_once(other):
         ('plant = { path = "x.fmu", mode = "cs" }', r"swap\.plant\.mode: unknown key 'mode'"),
     ],
 )
-def test_a_wrong_entry_of_the_file_is_told_with_its_line(swap, text):
+def test_a_wrong_entry_of_the_file_is_reported_with_its_line(swap, text):
     """As everything else in a file."""
     with pytest.raises(ScenarioError, match=text):
         parse(text_with(swap))

@@ -102,7 +102,7 @@ COMPONENTS = {
 def test_recovery_inverts_the_expansion(name, data):
     """From theta to chi to eta and back is the identity.
 
-    Also where the delays of the first term are not equally spaced.
+    It is where the delays of the first term are not equally spaced, too.
     """
     alphas, kinds = COMPONENTS[name]
     thetas = [data.draw(rates if kind == "s" else decays) for kind in kinds]
@@ -137,9 +137,9 @@ def test_delays_may_come_in_any_order():
 
 
 def test_an_eta_that_belongs_to_no_theta_gives_nan():
-    """Logarithm of a non-positive number, complex roots, a cosine beyond one, NaN: no value.
+    """The logarithm of a non-positive number, complex roots, a cosine beyond one and NaN: no value.
 
-    Group by group.
+    Other groups keep their values.
     """
     _, _, two = recovery(["a", "b"], [Exponential()] * 2, DELAYS)
     computed = recover(two, np.array([1.0, -1.0, 1.0, 1.0, math.exp(0.3)]))

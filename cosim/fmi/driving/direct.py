@@ -17,8 +17,8 @@ from cosim.fmi.references import ReferenceMap
 class DirectFeedthrough:
     """D times a change of the inputs, by directional derivatives.
 
-    From real inputs to continuous outputs, all of them Float64, which directional derivatives are
-    for.
+    It leads from real inputs to continuous outputs, all of them Float64, which directional
+    derivatives are for.
 
     Parameters
     ----------

@@ -171,7 +171,7 @@ class ResidualForm:
     def jacobian(self, w: Vector, equations: Callable[[Vector], Vector], scale: Vector) -> Matrix:
         """Return the derivatives of x' and g by x and z at ``w``, which the FMU has.
 
-        From the FMU, where it knows them, else by central differences.
+        They come from the FMU where it provides them, else from central differences.
         """
         if self._has_derivatives:
             return self._derivatives(self._unknowns, self._knowns)
@@ -396,7 +396,7 @@ class RadauIIA:
     def _solve_stages(self, t: float, iterations: int) -> Solution:
         """Iterate for (Y_i, z_i), one stage after the other.
 
-        A few times with the matrix that is kept, or many times with new ones.
+        There are few iterations with the matrix that is kept, or many with new ones.
         """
         t_begin, w_begin = self._begin
         n = self._n
