@@ -204,13 +204,20 @@ def replay(
 def diff(
     a: Annotated[Path, typer.Argument(metavar="A", help="A log.")],
     b: Annotated[Path, typer.Argument(metavar="B", help="Another log.")],
+    signals: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[SIGNAL]...",
+            help="Signals to compare, or elements: plant.y plant.x_a[0:2]. All by default.",
+        ),
+    ] = None,
     atol: Annotated[float, typer.Option(min=0.0, help="Absolute tolerance.")] = 0.0,
     rtol: Annotated[
         float, typer.Option(min=0.0, help="Tolerance relative to each signal's largest value.")
     ] = 0.0,
     as_json: JsonOption = False,
 ) -> None:
-    """Compare two logs signal by signal.
+    """Compare two logs signal by signal, or only the SIGNALs given.
 
     Exit 1 outside the tolerance.
     """
@@ -218,7 +225,8 @@ def diff(
     from cosim.log.diff import diff as compare_logs
     from cosim.report.tables.comparison import print_difference
 
-    difference = compare_logs(open_log(a), open_log(b), atol=atol, rtol=rtol)
+    logs = open_log(a), open_log(b)
+    difference = compare_logs(*logs, atol=atol, rtol=rtol, signals=signals or ())
     print_difference(difference, as_json=as_json)
     if not difference.within:
         raise typer.Exit(1)

@@ -157,6 +157,21 @@ def test_diff_is_exit_1_outside_the_tolerance(call):
     assert json.loads(out)
 
 
+def test_diff_compares_only_the_signals_given(call):
+    """Elements too; one that is in neither log is named, with the nearest."""
+    call("run", "academic", *SHORT, "--out", "a.mcap")
+    call("run", "academic", *SHORT, "--out", "b.mcap", "--set", "plant.x_a0=[1.0, -1.001]")
+    code, out, _ = call("diff", "a.mcap", "b.mcap", "u.y", "delta.y")
+    assert code == 0
+    assert "plant" not in out
+    code, out, _ = call("diff", "a.mcap", "b.mcap", "plant.x_a[1]", "u.y", "--json")
+    assert code == 1
+    assert [row["signal"] for row in json.loads(out)["signals"]] == ["plant.x_a[1]", "u.y"]
+    code, _, err = call("diff", "a.mcap", "b.mcap", "plant.x_c")
+    assert code != 0
+    assert "'plant' has no signal 'x_c'; did you mean 'x_b'?" in err
+
+
 def test_info_of_a_log_a_scenario_and_an_fmu(call):
     """info shows what each contains, as tables and as JSON."""
     call("run", "academic", *SHORT, "--out", "a.mcap")

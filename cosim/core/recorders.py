@@ -5,7 +5,7 @@ Also: how a run ended, and how recorded signals are found by their names.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from types import TracebackType
@@ -14,8 +14,8 @@ from typing import Any, Literal, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.arrays import Matrix, Nanoseconds
-from cosim.core.contracts import Block, MessageLevel, Plan, Recorder, Stopped
+from cosim.arrays import Matrix, Nanoseconds, as_columns
+from cosim.core.contracts import Block, MessageLevel, Plan, Recorder, Recording, Stopped
 from cosim.core.port import Port
 from cosim.core.signals import Channel
 from cosim.errors import GraphError, Interrupted, LogError, nearest
@@ -70,6 +70,38 @@ def find_channel(channels: Mapping[str, Channel], component: str, *, source: str
         suggestion = nearest(component, channels)
         raise LogError(f"{source} has no component {component!r}; {suggestion}")
     return channels[component]
+
+
+def stacked_signals(recording: Recording, signals: Sequence[str], *, source: str) -> Matrix:
+    """Return several signals of a recording side by side, shape (N, sum of their sizes).
+
+    Parameters
+    ----------
+    recording : Recording
+    signals : sequence of str
+        As of ``recording``: signals, or elements of them.
+    source : str
+        What was recorded to, for the message.
+
+    Raises
+    ------
+    LogError
+        If there is none, if one is unknown, or if they have not the same instants.
+    """
+    if not signals:
+        raise LogError(f"{source}: found an empty list of signals; needed at least one")
+    columns = [as_columns(recording[signal]) for signal in signals]
+    first = signals[0]
+    times = recording.time_ns(Port.parse(first).component)
+    for signal in signals[1:]:
+        other_times = recording.time_ns(Port.parse(signal).component)
+        if not np.array_equal(times, other_times):
+            raise LogError(
+                f"{source}: {first!r} has {len(times)} rows and {signal!r} has "
+                f"{len(other_times)}, at other instants; needed the same to stack them: "
+                "read each by itself, with its own time()"
+            )
+    return np.hstack(columns)
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,8 +216,13 @@ class Memory:
         kept: NDArray[np.bool_] = steps % channel.period == 0
         return kept
 
-    def __getitem__(self, signal: str | Port) -> NDArray[np.float64]:
-        """Return a signal at every recorded row: shape (N,) for one element, else (N, size)."""
+    def __getitem__(self, signal: str | Port | Sequence[str]) -> NDArray[np.float64]:
+        """Return a signal at every recorded row: shape (N,) for one element, else (N, size).
+
+        Several signals of the same instants are stacked: shape (N, sum of their sizes).
+        """
+        if not isinstance(signal, str | Port):
+            return stacked_signals(self, signal, source="the run")
         channel, columns = find_signal(self.channels, signal, source="the run")
         rows, _, _ = self._table
         values = rows[self._is_kept(channel), columns]

@@ -7,7 +7,8 @@ elements, or where both are NaN.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -16,7 +17,8 @@ from numpy.typing import NDArray
 from cosim.arrays import Mask, Matrix, Nanoseconds, as_columns
 from cosim.core.contracts import Recording
 from cosim.core.port import Port
-from cosim.core.signals import Signal
+from cosim.core.recorders import find_signal
+from cosim.errors import LogError
 
 DifferenceStatus: TypeAlias = Literal[
     "equal", "within", "outside", "other times", "other size", "only in a", "only in b"
@@ -126,7 +128,14 @@ class LogDifference:
         }
 
 
-def diff(a: Recording, b: Recording, *, atol: float = 0.0, rtol: float = 0.0) -> LogDifference:
+def diff(
+    a: Recording,
+    b: Recording,
+    *,
+    atol: float = 0.0,
+    rtol: float = 0.0,
+    signals: Sequence[str] = (),
+) -> LogDifference:
     """Compare two runs signal by signal.
 
     Parameters
@@ -137,9 +146,18 @@ def diff(a: Recording, b: Recording, *, atol: float = 0.0, rtol: float = 0.0) ->
         In the unit of each signal.
     rtol : float
         As a part of each signal's largest |a|.
+    signals : sequence of str
+        The signals to compare, or elements of them, ``plant.x_a[0:2]``; none: all.
+
+    Raises
+    ------
+    LogError
+        If one of ``signals`` is in neither run; names the nearest.
     """
-    signals_a = _signals(a)
-    signals_b = _signals(b)
+    sizes_a = _sizes(a)
+    sizes_b = _sizes(b)
+    if signals:
+        sizes_a, sizes_b = _chosen(a, b, signals)
     # Once per component: its signals have the same instants.
     shared_rows: dict[str, SharedRows] = {}
     for component in a.channels:
@@ -148,27 +166,53 @@ def diff(a: Recording, b: Recording, *, atol: float = 0.0, rtol: float = 0.0) ->
             times_b = b.time_ns(component)
             shared_rows[component] = _shared_rows(times_a, times_b)
     rows = []
-    for name in {**signals_a, **signals_b}:
-        in_a = signals_a.get(name)
-        in_b = signals_b.get(name)
-        if in_a is not None and in_b is not None and in_a.size == in_b.size:
+    for name in dict.fromkeys(signals or [*sizes_a, *sizes_b]):
+        size_a = sizes_a.get(name)
+        size_b = sizes_b.get(name)
+        if size_a is not None and size_a == size_b:
             shared = shared_rows[_component_of(name)]
             row = _compare(name, a, b, shared=shared, atol=atol, rtol=rtol)
         else:
-            run_a = None if in_a is None else a
-            run_b = None if in_b is None else b
+            run_a = None if size_a is None else a
+            run_b = None if size_b is None else b
             row = _not_compared(name, run_a, run_b)
         rows.append(row)
     return LogDifference(tuple(rows), atol, rtol)
 
 
-def _signals(run: Recording) -> dict[str, Signal]:
-    """Return all signals by ``component.signal``."""
-    signals = {}
+def _sizes(run: Recording) -> dict[str, int]:
+    """Return the sizes of all signals by ``component.signal``."""
+    sizes = {}
     for channel in run.channels.values():
         for signal in channel.signals:
-            signals[f"{channel.name}.{signal.name}"] = signal
-    return signals
+            sizes[f"{channel.name}.{signal.name}"] = signal.size
+    return sizes
+
+
+def _chosen(
+    a: Recording, b: Recording, signals: Sequence[str]
+) -> tuple[dict[str, int], dict[str, int]]:
+    """Return the sizes of the chosen signals in a and in b, where these have them.
+
+    Raises
+    ------
+    LogError
+        If a signal is in neither of them.
+    """
+    sizes_a: dict[str, int] = {}
+    sizes_b: dict[str, int] = {}
+    for signal in signals:
+        problem: LogError | None = None
+        for run, sizes in ((a, sizes_a), (b, sizes_b)):
+            try:
+                _, columns = find_signal(run.channels, signal, source="the first run")
+            except LogError as error:
+                problem = problem or error  # of the reference, where neither has it
+            else:
+                sizes[signal] = columns.stop - columns.start
+        if problem is not None and signal not in sizes_a and signal not in sizes_b:
+            raise problem
+    return sizes_a, sizes_b
 
 
 def _component_of(name: str) -> str:
@@ -278,7 +322,15 @@ def _first_outside(
         return None
     size = outside.shape[1]
     row, column = divmod(int(outside.argmax()), size)
-    element = name if size == 1 else f"{name}[{column}]"
+    element = name if size == 1 else _element(name, column)
     value_a = float(a[row, column])
     value_b = float(b[row, column])
     return ElementDifference(element, int(times[row]), value_a, value_b)
+
+
+def _element(name: str, column: int) -> str:
+    """Return the name of an element of a signal, or of a slice of one."""
+    port = Port.parse(name)
+    if isinstance(port.element, range):
+        return str(replace(port, element=port.element[column]))
+    return f"{name}[{column}]"

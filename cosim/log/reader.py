@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Matrix, Nanoseconds, Vector
 from cosim.core.contracts import Design, MessageLevel
-from cosim.core.recorders import find_channel, find_signal
+from cosim.core.recorders import find_channel, find_signal, stacked_signals
 from cosim.core.signals import Channel
 from cosim.errors import GraphError, LogError, nearest
 from cosim.log.columns import SignalRows
@@ -173,12 +173,17 @@ class Log:
                 names.append(f"{component}.{signal.name}")
         return names
 
-    def __getitem__(self, signal: str) -> NDArray[np.float64]:
+    def __getitem__(self, signal: str | Sequence[str]) -> NDArray[np.float64]:
         """Return ``component.signal`` at every recorded row; read-only.
 
-        Shape (N,) for size 1, else (N, size).
+        Shape (N,) for size 1, else (N, size). Several signals of the same instants are stacked:
+        shape (N, sum of their sizes).
         """
         source = str(self.path)
+        if not isinstance(signal, str):
+            stacked = stacked_signals(self, signal, source=source)
+            stacked.flags.writeable = False
+            return stacked
         channel, columns = find_signal(self._channels, signal, source=source)
         first = columns.start - channel.start
         stop = columns.stop - channel.start

@@ -7,7 +7,10 @@ import json
 import numpy as np
 import pytest
 
+from cosim.core.contracts import Block, Plan
+from cosim.core.recorders import Memory
 from cosim.core.signals import Channel, Interface, Layout, Signal
+from cosim.errors import LogError
 from cosim.log import open_log
 from cosim.log.diff import ElementDifference, diff
 
@@ -164,3 +167,38 @@ def test_the_ratio_without_a_scale_is_infinite():
     """Any difference is large beside a signal that is zero."""
     row = only_row(Run({"y": [0.0]}), Run({"y": [1.0]}))
     assert row.ratio == np.inf
+
+
+def test_only_the_signals_given_are_compared():
+    """Signals, elements and slices by their names; what differs elsewhere does not matter."""
+    a = Memory()
+    b = Memory()
+    for run, shift in ((a, 0.0), (b, 1.0)):
+        channel = Channel("c", Interface((), (Signal("p"), Signal("x", 3))), 0)
+        run.begin(Plan(Layout((channel,)), STEP_NS, {}, {}, ()))
+        steps = np.arange(5)
+        rows = np.repeat(steps[:, np.newaxis], 4, axis=1).astype(float)
+        rows[3, 3] += shift
+        run.write(Block(0, steps * STEP_NS, steps * STEP_NS / 1e9, STEP_NS / 1e9), rows)
+    assert not diff(a, b).equal
+    chosen = diff(a, b, signals=["c.x[0:2]", "c.p", "c.x[0]"])
+    assert chosen.equal
+    assert [row.signal for row in chosen.rows] == ["c.x[0:2]", "c.p", "c.x[0]"]
+    (row,) = diff(a, b, signals=["c.x[1:3]"]).rows
+    assert row.status == "outside"
+    assert row.first == ElementDifference("c.x[2]", 3 * STEP_NS, 3.0, 4.0)
+    assert row.scale == 4.0
+
+
+def test_signals_that_neither_run_has_are_refused():
+    """With the nearest; one that a single run has is a row as without a choice."""
+    a = Run({"p": np.zeros(4), "x": np.zeros((4, 3))})
+    b = Run({"p": np.zeros(4), "x": np.zeros((4, 2)), "q": np.zeros(4)})
+    rows = diff(a, b, signals=["c.q", "c.x[2]", "c.x"]).rows
+    assert [row.status for row in rows] == ["only in b", "only in a", "other size"]
+    with pytest.raises(LogError, match=r"the first run has no 'c\.y': .*; There is: p, x"):
+        diff(a, b, signals=["c.p", "c.y"])
+    with pytest.raises(LogError, match="has no component 'd'"):
+        diff(a, b, signals=["d.p"])
+    with pytest.raises(LogError, match=r"'c\.x' has 3 elements"):
+        diff(a, b, signals=["c.x[3]"])

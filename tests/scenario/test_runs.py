@@ -494,6 +494,27 @@ def test_a_run_has_one_recorder(tmp_path):
     assert not out.exists()
 
 
+@pytest.mark.parametrize("in_memory", [True, False], ids=["memory", "log"])
+def test_several_signals_of_a_recording_are_stacked(in_memory, tmp_path):
+    """Elements and slices too, of one component or several, where their instants are the same."""
+    changes = {"identifier.period": 0.01, "scenario.stop": 0.1}
+    out = None if in_memory else tmp_path / "a.mcap"
+    run = cosim.run("academic", set=changes, out=out)
+    stacked = run[["plant.x_a[1]", "observer.x_a", "plant.y"]]
+    columns = [run["plant.x_a"][:, 1:], run["observer.x_a"], run["plant.y"][:, np.newaxis]]
+    assert np.array_equal(stacked, np.hstack(columns))
+    assert run[["plant.y"]].shape == (101, 1)
+    with pytest.raises(
+        LogError,
+        match=r"'plant\.y' has 101 rows and 'identifier\.theta' has 11, at other instants; needed",
+    ):
+        run[["plant.y", "identifier.theta"]]
+    with pytest.raises(LogError, match=r"did you mean 'x_a'|did you mean 'x_b'"):
+        run[["plant.y", "plant.x_c"]]
+    with pytest.raises(LogError, match="found an empty list of signals; needed at least one"):
+        run[[]]
+
+
 def test_values_from_numpy_can_be_set():
     """Arrays and numpy numbers mean what they hold."""
     run = cosim.run(
