@@ -354,14 +354,23 @@ def plot(
 
 
 @app.command(name="list")
-def list_(as_json: JsonOption = False) -> None:
+def list_(
+    kind: Annotated[
+        str | None,
+        typer.Argument(metavar="KIND", help="A component kind, to explain its parameters."),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
     """List the shipped scenarios and the component kinds.
 
-    Each kind is listed with its parameters and their defaults.
+    Each kind is listed with its parameters; KIND explains those of one.
     """
-    from cosim.report.tables.contents import print_catalogue
+    from cosim.report.tables.catalog import print_catalog, print_kind
 
-    print_catalogue(as_json=as_json)
+    if kind is None:
+        print_catalog(as_json=as_json)
+    else:
+        print_kind(kind, as_json=as_json)
 
 
 @app.command()

@@ -287,11 +287,40 @@ def test_list_names_scenarios_and_kinds_with_their_parameters(call):
     assert code == 0
     assert set(found["scenarios"]) == {"academic", "academic-as-printed", "closed-loop"}
     parameters = found["kinds"]["unknown-input-observer"]["parameters"]
-    assert (parameters["filter_rate"], parameters["L"]) == ("required", "optional")
-    assert found["kinds"]["descriptor"]["parameters"]["solver"] == "'exact'"
+    filter_rate, L = parameters["filter_rate"], parameters["L"]
+    assert (filter_rate["required"], filter_rate["default"]) == (True, None)
+    assert filter_rate["description"] == "lambda_f of the derivative filter (19) [rad/s]"
+    assert (L["required"], L["default"]) == (False, None)
+    assert found["kinds"]["descriptor"]["parameters"]["solver"]["default"] == "exact"
     table = call("list")[1]
-    for text in ("closed-loop", "L (optional)", "solver = 'exact'"):
+    for text in ("closed-loop", "model, filter_rate, [L]", "[solver]", "cosim list KIND"):
         assert text in table
+
+
+def test_list_explains_the_parameters_of_a_kind(call):
+    """Each with its default, its meaning and its unit, keys of inner tables too."""
+    code, out, _ = call("list", "identifier")
+    assert code == 0
+    assert out.startswith("identifier: Identifier of theta by least squares (33)-(35).\n")
+    rows = {line.split()[0]: line for line in out.splitlines()[2:]}
+    assert re.match(r"P0 +optional +P\(0\) = P0 I \(34\); default: no prior", rows["P0"])
+    assert re.match(r"start\.epsilon_filter +required +fraction of", rows["start.epsilon_filter"])
+    assert re.search(r"^time +\"t\" +column of the instants", call("list", "table")[1], re.M)
+    kind = json.loads(call("list", "step", "--json")[1])
+    assert kind["parameters"]["time"]["description"] == "when it jumps [s]"
+    assert kind["parameters"]["after"]["default"] == 1.0
+    code, out, err = call("list", "tabel")
+    assert (code, out) == (2, "")
+    assert "unknown kind 'tabel'; did you mean 'table'?" in err
+
+
+def test_without_matplotlib_a_plot_names_the_way_out(call, tmp_path, monkeypatch):
+    """Before anything is run for it."""
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    code, _, err = call("run", "academic", "--out", "a.mcap", "--plot", "a.png")
+    assert code == 2
+    assert "pip install -e '.[plot]'" in err
+    assert not (tmp_path / "a.mcap").exists()
 
 
 def test_show_gives_a_scenario_to_start_from(call, tmp_path):
@@ -508,6 +537,7 @@ def test_a_run_that_an_fmu_ends_says_why(call, tmp_path):
     words = " ".join(out.split())
     assert "x: 0.3 s in 3 steps" in words
     assert f"stop reason {reason}" in words
+    assert f"stop reason {reason}" in " ".join(call("info", "x.mcap")[1].split())
     found = json.loads(call("run", "x.toml", "--json")[1])
     recordings = (cosim.open_log("x.mcap"), cosim.run("x.toml"))
     for status in (

@@ -36,7 +36,7 @@ def describe_log(path: str) -> Section:
     about = {
         "scenario": run_metadata(log).get("scenario", ""),
         "status": log.status,
-        "reason": result.get("reason") or None,
+        "stop reason": result.get("reason") or None,
         "end": f"{end} s in {result['steps']} steps of {step} s",
         "content hash": result["content_hash"],
         "schedule": ", ".join(stages),

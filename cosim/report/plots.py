@@ -240,7 +240,10 @@ def _panels(count: int, columns: int = 1) -> tuple[Any, list[Any]]:
     try:
         from matplotlib.figure import Figure
     except ImportError as error:
-        raise UsageError("plots need matplotlib: pip install 'cosim[plot]'") from error
+        raise UsageError(
+            "plots need matplotlib, which is not installed: pip install matplotlib, or, "
+            "in a clone of cosim, pip install -e '.[plot]'"
+        ) from error
     width, row_height = (9.0, 1.9) if columns == 1 else (13.0, 2.6)
     figure = Figure(figsize=(width, 1.2 + row_height * count), layout="constrained")
     return figure, list(np.ravel(figure.subplots(count, columns, sharex=True)))

@@ -117,16 +117,16 @@ def _fields(table: type[BaseModel], path: Key) -> dict[str, FieldInfo]:
     for part in path:
         field = table.model_fields.get(str(part))
         if field is not None:
-            table = _table_in(field.annotation) or table
+            table = table_in(field.annotation) or table
     return {field.alias or name: field for name, field in table.model_fields.items()}
 
 
-def _table_in(annotation: Any) -> type[BaseModel] | None:
+def table_in(annotation: Any) -> type[BaseModel] | None:
     """Return the first table among the alternatives of a type."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
     for inner in getattr(annotation, "__args__", ()):
-        table = _table_in(inner)
+        table = table_in(inner)
         if table is not None:
             return table
     return None

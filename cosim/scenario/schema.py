@@ -98,7 +98,7 @@ def truth_ports(truth: Any) -> list[str]:
 
 
 def matrix(rows: NumberRows, name: str) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """Turn rows into a matrix.
+    """Convert rows to a matrix.
 
     Raises
     ------

@@ -35,7 +35,7 @@ class SumKind(ExportableKind):
     kind: Literal["sum"]
     signs: NumberRow = Field(description="one number an input, like [1, -1]")
     size: Whole = Field(1, ge=1, le=100_000, description="number of elements of every signal")
-    unit: str | None = None
+    unit: str | None = Field(None, description="unit of y and all inputs")
 
     def build(self, name: str, context: BuildContext) -> Component:
         return arithmetic.sum_of(self.signs, size=self.size, unit=self.unit)
@@ -50,7 +50,7 @@ class GainKind(ExportableKind):
 
     kind: Literal["gain"]
     K: Number | NumberRows = Field(description="a number, or a matrix")
-    unit: str | None = None
+    unit: str | None = Field(None, description="unit of y")
 
     def build(self, name: str, context: BuildContext) -> Component:
         return arithmetic.gain(self._matrix, unit=self.unit)
@@ -72,7 +72,7 @@ class LimitKind(ExportableKind):
     lower: Number = Field(description="lower limit")
     upper: Number = Field(description="upper limit")
     size: Whole = Field(1, ge=1, le=100_000, description="number of elements")
-    unit: str | None = None
+    unit: str | None = Field(None, description="unit of u and y")
 
     def build(self, name: str, context: BuildContext) -> Component:
         return arithmetic.limit(lower=self.lower, upper=self.upper, size=self.size, unit=self.unit)
@@ -91,7 +91,7 @@ class LagKind(LinearKind):
     time_constant: Number = Field(description="time constant [s]")
     initial: Number | None = Field(None, description="y(0); default: u(0)")
     size: Whole = Field(1, ge=1, le=100_000, description="number of elements")
-    unit: str | None = None
+    unit: str | None = Field(None, description="unit of u and y")
 
     def linear_model(self, name: str, context: BuildContext) -> LinearModel:
         return dynamics.lag(
@@ -106,7 +106,7 @@ class DelayKind(ExportableKind):
     delay: Number = Field(description="a whole number of communication steps [s]")
     initial: Number | None = Field(None, description="y until then; default: u(0)")
     size: Whole = Field(1, ge=1, le=100_000, description="number of elements")
-    unit: str | None = None
+    unit: str | None = Field(None, description="unit of u and y")
 
     def build(self, name: str, context: BuildContext) -> Component:
         return dynamics.Delay(
@@ -131,7 +131,7 @@ class ControllerKind(PeriodicKind, LinearKind):
     C: NumberRows = Field(description="matrix (outputs, n)")
     D: NumberRows | None = Field(None, description="matrix (outputs, inputs); default: zero")
     x0: NumberRow | None = Field(None, description="x(0); default: zero")
-    unit: str | None = None
+    unit: str | None = Field(None, description="unit of y")
 
     def with_period(self, component: Component, n: int) -> Component:
         # A period of one communication step still holds u over it.

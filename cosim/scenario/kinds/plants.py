@@ -79,10 +79,12 @@ class FmuKind(PlantKind, PeriodicKind):
     kind: Literal["fmu"]
     path: str = Field(description="path of the .fmu")
     interface_type: Literal["me", "cs"] | None = Field(
-        None, description="model exchange or co-simulation; default: me where the FMU offers it"
+        None,
+        description='"me" (model exchange) or "cs" (co-simulation); '
+        "default: me where the FMU offers it",
     )
     solver: str | None = Field(
-        None, description=f"for model exchange, one of: {', '.join(STEPPING)}"
+        None, description=f"for model exchange, one of: {', '.join(STEPPING)}; default: RK45"
     )
     tolerance: Number | None = Field(
         None,
@@ -91,7 +93,7 @@ class FmuKind(PlantKind, PeriodicKind):
     dae: Literal["ode", "residual"] = Field(
         "ode",
         description="with a residual form (FMI-LS-DAE), for model exchange: "
-        "whether the FMU or this solver solves for it",
+        'the FMU ("ode") or this solver ("residual") solves for it',
     )
     start: dict[str, StartField] = Field(
         {},

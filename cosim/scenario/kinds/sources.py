@@ -33,7 +33,7 @@ class ConstantKind(Kind):
 
     kind: Literal["constant"]
     value: Flag | Number | NumberRow = Field(description="value, values, or true or false")
-    unit: str | None = None
+    unit: str | None = Field(None, description="unit of y")
 
     def build(self, name: str, context: BuildContext) -> Component:
         signal_type: SignalType = "boolean" if isinstance(self.value, bool) else "real"
@@ -45,9 +45,9 @@ class StepKind(Kind):
 
     kind: Literal["step"]
     time: Number = Field(description="when it jumps [s]")
-    before: Number = 0.0
-    after: Number = 1.0
-    unit: str | None = None
+    before: Number = Field(0.0, description="y before that")
+    after: Number = Field(1.0, description="y from then on")
+    unit: str | None = Field(None, description="unit of y")
 
     def build(self, name: str, context: BuildContext) -> Component:
         whole_steps(self.time, context.step_ns, "time")
@@ -58,10 +58,10 @@ class RampKind(Kind):
     """y = offset + slope max(0, t - start_time)."""
 
     kind: Literal["ramp"]
-    slope: Number = Field(description="slope [1/s]")
+    slope: Number = Field(description="growth of y [1/s]")
     start_time: Number = Field(0.0, description="when it begins [s]")
-    offset: Number = 0.0
-    unit: str | None = None
+    offset: Number = Field(0.0, description="constant part of y")
+    unit: str | None = Field(None, description="unit of y")
 
     def build(self, name: str, context: BuildContext) -> Component:
         return source.ramp(
@@ -73,11 +73,11 @@ class SineKind(Kind):
     """y = offset + amplitude sin(rate t + phase)."""
 
     kind: Literal["sine"]
-    amplitude: Number = 1.0
+    amplitude: Number = Field(1.0, description="amplitude")
     rate: Number = Field(description="angular rate [rad/s]")
     phase: Number = Field(0.0, description="phase [rad]")
-    offset: Number = 0.0
-    unit: str | None = None
+    offset: Number = Field(0.0, description="constant part of y")
+    unit: str | None = Field(None, description="unit of y")
 
     def build(self, name: str, context: BuildContext) -> Component:
         return source.sine(
@@ -93,11 +93,11 @@ class ChirpKind(Kind):
     """y = offset + amplitude sin(rate t + sweep t^2 / 2)."""
 
     kind: Literal["chirp"]
-    amplitude: Number = 1.0
+    amplitude: Number = Field(1.0, description="amplitude")
     rate: Number = Field(description="angular rate at t = 0 [rad/s]")
     sweep: Number = Field(description="growth of the rate [rad/s^2]")
-    offset: Number = 0.0
-    unit: str | None = None
+    offset: Number = Field(0.0, description="constant part of y")
+    unit: str | None = Field(None, description="unit of y")
 
     def build(self, name: str, context: BuildContext) -> Component:
         return source.chirp(
@@ -117,7 +117,7 @@ class ExpressionKind(Kind):
         description='an expression, like "1 + 0.5*sin(2*t)", or several'
     )
     discrete: Flag = Field(False, description="zero-order hold over a step")
-    unit: str | None = None
+    unit: str | None = Field(None, description="unit of y")
 
     def build(self, name: str, context: BuildContext) -> Component:
         texts = [self.y] if isinstance(self.y, str) else list(self.y)
@@ -129,7 +129,7 @@ class TableKind(Kind):
     """y = given points, interpolated: arrays, or a CSV file with a header line."""
 
     kind: Literal["table"]
-    t: NumberRow | None = Field(None, description="instants [s]")
+    t: NumberRow | None = Field(None, description="instants [s], increasing")
     y: NumberRow | NumberRows | None = Field(
         None, description="values, or rows of values, at those instants"
     )
@@ -140,9 +140,9 @@ class TableKind(Kind):
     )
     interpolation: Literal["linear", "zero-order"] = Field(
         "linear",
-        description="between the instants: linear interpolation, or zero-order hold of each value",
+        description='between the instants: "linear" interpolation, or "zero-order" hold',
     )
-    unit: str | None = None
+    unit: str | None = Field(None, description="unit of y")
 
     @property
     def computable(self) -> bool:
@@ -224,7 +224,7 @@ class NoiseKind(Kind):
     deviation: Number = Field(ge=0.0, description="standard deviation")
     seed: Whole = Field(ge=0, description="seed of the generator")
     size: Whole = Field(1, ge=1, le=100_000, description="number of elements")
-    unit: str | None = None
+    unit: str | None = Field(None, description="unit of y")
 
     def build(self, name: str, context: BuildContext) -> Component:
         return source.Noise(
@@ -238,7 +238,7 @@ class DisturbanceTerm(TomlTable):
     alpha: str = Field("1", description="known function of t")
     family: str = Field(description="exponential or sine")
     theta: Number = Field(description="the parameter: exponent [1/s], or rate [rad/s]")
-    amplitude: Number = 1.0
+    amplitude: Number = Field(1.0, description="amplitude")
     phase: Number = Field(0.0, description="of a sine [rad]")
 
 
@@ -247,7 +247,7 @@ class DisturbanceKind(Kind):
 
     kind: Literal["disturbance"]
     terms: tuple[DisturbanceTerm, ...] = Field(description="list of { alpha, family, theta }")
-    unit: str | None = None
+    unit: str | None = Field(None, description="unit of y")
 
     def build(self, name: str, context: BuildContext) -> Component:
         texts = [_term_expression(term) for term in self.terms]

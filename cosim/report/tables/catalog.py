@@ -1,0 +1,95 @@
+"""What a scenario can be made of: the shipped scenarios, the component kinds, their parameters."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+from cosim.errors import UsageError, nearest
+from cosim.report.tables.console import new_table, print_json, print_table
+
+if TYPE_CHECKING:
+    from cosim.scenario.kinds import Kind
+    from cosim.scenario.kinds.parameters import Parameter
+
+KINDS_TITLE = "component kinds; [optional parameters]; 'cosim list KIND' explains the parameters"
+
+
+def print_catalog(*, as_json: bool) -> None:
+    """Print the shipped scenarios and the component kinds with their parameters."""
+    from cosim.scenario.document import shipped
+    from cosim.scenario.execution import load
+    from cosim.scenario.kinds import KINDS
+    from cosim.scenario.kinds.parameters import parameters_of
+
+    scenarios = {name: load(name).file.scenario.description for name in shipped()}
+    if as_json:
+        kinds = {name: _plain(kind) for name, kind in KINDS.items()}
+        print_json({"scenarios": scenarios, "kinds": kinds})
+        return
+    table = new_table("shipped scenarios", ("name", "description"))
+    for name, description in scenarios.items():
+        table.add_row(name, description or name)
+    print_table(table)
+    table = new_table(KINDS_TITLE, ("kind", "parameters", "description"))
+    for name, kind in KINDS.items():
+        table.add_row(name, _names(parameters_of(kind)), _description(kind))
+    print_table(table)
+
+
+def print_kind(name: str, *, as_json: bool) -> None:
+    """Print the parameters of a component kind, with their defaults and what they mean.
+
+    Raises
+    ------
+    UsageError
+        If there is no such kind.
+    """
+    from cosim.scenario.kinds import KINDS
+    from cosim.scenario.kinds.parameters import parameters_of
+
+    if name not in KINDS:
+        raise UsageError(f"unknown kind {name!r}; {nearest(name, KINDS)}")
+    kind = KINDS[name]
+    if as_json:
+        print_json(_plain(kind))
+        return
+    table = new_table(f"{name}: {_description(kind)}", ("parameter", "default", "meaning"))
+    for parameter in parameters_of(kind):
+        table.add_row(parameter.name, _presence(parameter), parameter.description)
+    print_table(table)
+
+
+def _plain(kind: type[Kind]) -> dict[str, Any]:
+    """Return a kind as JSON shows it."""
+    from cosim.scenario.kinds.parameters import parameters_of
+
+    parameters = {}
+    for parameter in parameters_of(kind):
+        entry = asdict(parameter)
+        parameters[entry.pop("name")] = entry
+    return {"description": _description(kind), "parameters": parameters}
+
+
+def _description(kind: type[Kind]) -> str:
+    return (kind.__doc__ or "").splitlines()[0]
+
+
+def _presence(parameter: Parameter) -> str:
+    """Return ``required``, ``optional``, or the default as TOML writes it."""
+    if parameter.required:
+        return "required"
+    if parameter.default is None or parameter.default == {}:
+        return "optional"
+    return json.dumps(parameter.default)
+
+
+def _names(parameters: Iterable[Parameter]) -> str:
+    """Return the names of the keys of a table, the optional ones in brackets."""
+    names = []
+    for parameter in parameters:
+        if "." not in parameter.name:
+            names.append(parameter.name if parameter.required else f"[{parameter.name}]")
+    return ", ".join(names)

@@ -1,0 +1,55 @@
+"""The parameters of a component kind: the keys of its table and what they mean."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from pydantic import BaseModel
+
+from cosim.scenario.kinds.base import Kind
+from cosim.scenario.problems import table_in
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """A key of a component's table.
+
+    Parameters
+    ----------
+    name : str
+        ``key.inner`` for a key of a table inside.
+    required : bool
+    default : object
+        None where it is required, or where its description tells what holds without it.
+    description : str
+    """
+
+    name: str
+    required: bool
+    default: Any
+    description: str
+
+
+def parameters_of(kind: type[Kind]) -> list[Parameter]:
+    """Return the parameters of a kind, the required ones first, each with those inside it."""
+    required: list[Parameter] = []
+    optional: list[Parameter] = []
+    for name, field in kind.model_fields.items():
+        if name != "kind":
+            group = required if field.is_required() else optional
+            group += _with_inner(name, kind)
+    return required + optional
+
+
+def _with_inner(name: str, table: type[BaseModel], prefix: str = "") -> Iterator[Parameter]:
+    """Yield a field of a table, then the fields of the table that it may be."""
+    field = table.model_fields[name]
+    required = field.is_required()
+    default = None if required else field.default
+    yield Parameter(prefix + name, required, default, field.description or "")
+    inner = table_in(field.annotation)
+    if inner is not None:
+        for inner_name in inner.model_fields:
+            yield from _with_inner(inner_name, inner, f"{prefix}{name}.")
