@@ -10,7 +10,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from cosim.blocks.port_map import PortMap, resolve
+from cosim.blocks.port_map import PortMap
+from cosim.blocks.renaming import resolve
 from cosim.blocks.renamed import Renamed
 from cosim.blocks.replay import Replay
 from cosim.core.clock import Clock

@@ -21,7 +21,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from cosim.blocks.port_map import Causality, Renaming
+from cosim.blocks.port_map import Causality
+from cosim.blocks.renaming import Renaming
 from cosim.core.port import Port
 from cosim.errors import GraphError, UsageError, nearest
 from cosim.scenario.problems import Key, Problem

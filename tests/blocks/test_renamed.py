@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cosim.blocks.port_map import Renaming, port_map
+from cosim.blocks.renaming import Renaming, port_map
 from cosim.blocks.renamed import Renamed
 from cosim.blocks.replay import Replay
 from cosim.blocks.source import Expression

@@ -1,0 +1,347 @@
+"""From written names to a map of ports: renamings are resolved and checked.
+
+Every input element of the component is shown once. An output that no renaming covers keeps its own
+name, so that every output stays visible; where that name is taken, ``_`` is appended to it. An
+element that is shown, ``plant.x[1] <- plant.speed``, is a signal of that name beside the vector
+``x``, if there is one: such names come first (:mod:`cosim.core.port`). Elements from 0 on make a
+vector.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from cosim.blocks.port_map import Causality, PortElement, PortMap, ShownPort, names_of
+from cosim.core.port import Port
+from cosim.core.signals import Interface, Signal
+from cosim.errors import GraphError, nearest
+from cosim.units import Unit, conversion
+
+
+@dataclass(frozen=True, slots=True)
+class Renaming:
+    """A name under which ports of a component are shown.
+
+    Parameters
+    ----------
+    port : Port
+        As it is shown.
+    sources : tuple of Port
+        Ports of the component, or elements of them, in the order of the shown elements.
+    causality : {"input", "output"} or None
+        What they must be; None: either.
+    """
+
+    port: Port
+    sources: tuple[Port, ...]
+    causality: Causality | None = None
+
+
+def port_map(
+    interface: Interface, renamings: Iterable[Renaming], replaced: Interface | None = None
+) -> PortMap:
+    """Return the map of ports for renamings, parameters as of :func:`resolve`.
+
+    Raises
+    ------
+    GraphError
+        With every problem of the renamings.
+    """
+    ports, problems = resolve(interface, renamings, replaced)
+    if problems:
+        raise GraphError("\n".join(problems.values()))
+    return ports
+
+
+def resolve(
+    interface: Interface, renamings: Iterable[Renaming], replaced: Interface | None = None
+) -> tuple[PortMap, dict[Port, str]]:
+    """Return the map of ports for the renamings that hold, and the problems of the others.
+
+    Parameters
+    ----------
+    interface : Interface
+        Of the component.
+    renamings : iterable of Renaming
+        Each port once; ports that are not named keep their own names.
+    replaced : Interface or None
+        Of the component that has the shown names: a vector made of elements of different units
+        is shown in the unit of its port there, where that is declared.
+
+    Returns
+    -------
+    PortMap
+    dict of Port to str
+        Problems, by the port of a renaming.
+    """
+    resolver = _Resolver(interface, replaced)
+    own = _signals(interface)
+    for renaming in _vectors(renamings, own):
+        resolver.show(renaming)
+    resolver.check_inputs()
+    return resolver.port_map(), resolver.problems
+
+
+def _vectors(renamings: Iterable[Renaming], own: Mapping[str, Signal]) -> list[Renaming]:
+    """Join renamings of elements from 0 on to one of a vector, where there is no such port yet."""
+    groups: dict[Port, list[Renaming]] = {}
+    for renaming in renamings:
+        whole = renaming.port.whole
+        groups.setdefault(whole, []).append(renaming)
+    joined = []
+    for whole, parts in groups.items():
+        parts.sort(key=lambda part: _positions(part.port).start)
+        positions: list[int] = []
+        sources: list[Port] = []
+        for part in parts:
+            positions += _positions(part.port)
+            sources += part.sources
+        from_zero = positions == list(range(len(positions)))
+        elements_only = all(part.port != whole for part in parts)
+        if positions and from_zero and elements_only and whole.signal not in own:
+            vector = Renaming(whole, tuple(sources), parts[0].causality)
+            joined.append(vector)
+        else:
+            joined += parts
+    return joined
+
+
+def _positions(port: Port) -> range:
+    """Return the positions of the elements that a port names; none where it is the whole."""
+    match port.element:
+        case None:
+            return range(0)
+        case int(index):
+            return range(index, index + 1)
+        case positions:
+            return positions
+
+
+class _Resolver:
+    """The shown ports, and the problems of renamings, both by port."""
+
+    def __init__(self, interface: Interface, replaced: Interface | None) -> None:
+        self.problems: dict[Port, str] = {}
+        self._interface = interface
+        self._replaced = {} if replaced is None else _signals(replaced)
+        inputs = _elements(interface.inputs, "input")
+        outputs = _elements(interface.outputs, "output")
+        self._elements = {**inputs, **outputs}
+        self._shown: dict[Port, ShownPort] = {}
+
+    def show(self, renaming: Renaming) -> None:
+        """Show ports of the component under another name."""
+        port = renaming.port
+        try:
+            elements: list[PortElement] = []
+            for source in renaming.sources:
+                elements += self._find(source, renaming.causality)
+            _check_size(port, elements)
+            _check_alike(port, elements)
+            unit = self._unit(port, elements)
+        except GraphError as error:
+            self.problems[port] = str(error)
+            return
+        signal = _shown_signal(port.name, elements, unit)
+        self._shown[port] = ShownPort(signal, tuple(elements))
+
+    def _find(self, source: Port, causality: Causality | None) -> list[PortElement]:
+        """Return the elements of a port of the component.
+
+        Raises
+        ------
+        GraphError
+            If there is no such port of this causality, or no such element.
+        """
+        known = [name for name in self._elements if self._is(name, causality)]
+        own = _signals(self._interface)
+        match = source.find(own.values())
+        if match is None:
+            needed = causality or "input or output"
+            nearest_name = nearest(source.signal, known)
+            raise GraphError(
+                f"'{source}': {source.component!r} has no {needed} {source.signal!r}; "
+                f"{nearest_name}"
+            )
+        signal, part = match
+        elements = self._elements[signal.name]
+        if not self._is(signal.name, causality):
+            other = elements[0].causality
+            listed = ", ".join(known) or "none"
+            raise GraphError(
+                f"'{source}' is an {other} of {source.component!r}; needed an {causality}. "
+                f"There is: {listed}"
+            )
+        return elements[part]
+
+    def _is(self, name: str, causality: Causality | None) -> bool:
+        first = self._elements[name][0]
+        return causality in (None, first.causality)
+
+    def _unit(self, port: Port, elements: Sequence[PortElement]) -> Unit:
+        """Return the unit in which elements are shown.
+
+        Raises
+        ------
+        GraphError
+            If the unit of one of them cannot be converted to it.
+        """
+        measures = {element.signal.measure for element in elements}
+        if len(measures) == 1:
+            return measures.pop()
+        replaced = self._replaced.get(port.signal)
+        if replaced is not None and replaced.unit is not None:
+            unit = replaced.measure
+        else:
+            unit = elements[0].signal.measure
+        for element in elements:
+            signal = element.signal
+            own = signal.measure
+            if conversion(own, unit) is None:
+                names = ", ".join(names_of(elements))
+                way_out = _way_out(port, elements)
+                raise GraphError(
+                    f"'{port}' cannot be made of {names}: unit {own.name!r} of {signal.name!r} "
+                    f"cannot be converted to {unit.name!r}; {way_out}"
+                )
+        return unit
+
+    def check_inputs(self) -> None:
+        """Check that the component's input elements are shown once, all of an input or none."""
+        driven: dict[int, Port] = {}
+        shown_ports = self._shown.items()
+        inputs = {port: shown for port, shown in shown_ports if shown.causality == "input"}
+        for port, shown in inputs.items():
+            for element in shown.elements:
+                column = element.column
+                if column in driven:
+                    first = driven[column]
+                    name = f"{port.component}.{element.name}"
+                    self._drop(port, f"{name!r} is given twice, for '{first}' and '{port}'")
+                driven[column] = port
+        for port, shown in inputs.items():
+            for name in shown.sources:
+                elements = self._elements[name]
+                missing = [element.name for element in elements if element.column not in driven]
+                if missing:
+                    listed = ", ".join(missing)
+                    self._drop(
+                        port,
+                        f"'{port}' is a part of the input {name!r}; needed ports for the rest "
+                        f"too: {listed}",
+                    )
+
+    def _drop(self, port: Port, problem: str) -> None:
+        self.problems.setdefault(port, problem)
+        self._shown.pop(port, None)
+
+    def port_map(self) -> PortMap:
+        """Return the map: the shown ports, and those of the component that none of them covers."""
+        ports = list(self._shown.values())
+        taken = {port.signal.name for port in ports}
+        covered: set[PortElement] = set()
+        for port in ports:
+            covered.update(port.elements)
+        for own_name, elements in self._elements.items():
+            if not covered.issuperset(elements):
+                name = own_name
+                while name in taken:
+                    name += "_"
+                taken.add(name)
+                signal = replace(elements[0].signal, name=name)
+                port = ShownPort(signal, tuple(elements))
+                ports.append(port)
+        ports.sort(key=lambda port: port.elements[0].column)
+        inputs = tuple(port for port in ports if port.causality == "input")
+        outputs = tuple(port for port in ports if port.causality == "output")
+        return PortMap(self._interface, inputs, outputs)
+
+
+def _signals(interface: Interface) -> dict[str, Signal]:
+    signals = (*interface.inputs, *interface.outputs)
+    return {signal.name: signal for signal in signals}
+
+
+def _elements(signals: Iterable[Signal], causality: Causality) -> dict[str, list[PortElement]]:
+    """Return the elements of every signal by its name, columns counted from 0."""
+    elements: dict[str, list[PortElement]] = {}
+    column = 0
+    for signal in signals:
+        own = []
+        for index in range(signal.size):
+            own.append(PortElement(signal, causality, index, column))
+            column += 1
+        elements[signal.name] = own
+    return elements
+
+
+def _shown_signal(name: str, elements: Sequence[PortElement], unit: Unit) -> Signal:
+    """Return the signal that is shown for elements of one kind, variability and causality."""
+    first = elements[0].signal
+    roles = {element.signal.role for element in elements}
+    role = first.role if len(roles) == 1 else "output"
+    size = len(elements)
+    start = _start(elements, unit)
+    return replace(
+        first, name=name, size=size, unit=unit.name, base=unit.base, role=role, start=start
+    )
+
+
+def _start(elements: Sequence[PortElement], unit: Unit) -> tuple[float, ...]:
+    """Return the values of a shown input that nothing drives yet; empty: zeros."""
+    if not any(element.signal.start for element in elements):
+        return ()
+    values = []
+    for element in elements:
+        to_shown = conversion(element.signal.measure, unit)
+        assert to_shown is not None
+        value = float(to_shown(element.start))
+        values.append(value)
+    return tuple(values)
+
+
+def _check_size(port: Port, elements: Sequence[PortElement]) -> None:
+    needed = len(_positions(port))
+    size = len(elements)
+    if needed and size != needed:
+        names = ", ".join(names_of(elements))
+        raise GraphError(f"'{port}' has size {needed}; found size {size}: {names}")
+
+
+def _check_alike(port: Port, elements: Sequence[PortElement]) -> None:
+    """Check that elements can be one signal: of one causality, type and variability.
+
+    Raises
+    ------
+    GraphError
+        If they differ, with the way out.
+    """
+    first = elements[0]
+    for element in elements:
+        natures = zip(_nature(first), _nature(element), strict=True)
+        for own, other in natures:
+            if own != other:
+                names = ", ".join(names_of(elements))
+                way_out = _way_out(port, elements)
+                raise GraphError(
+                    f"'{port}' cannot be made of {names}: {first.name!r} is {own}, "
+                    f"{element.name!r} is {other}, and all of a signal is one or the other; "
+                    f"{way_out}"
+                )
+
+
+def _nature(element: PortElement) -> tuple[str, ...]:
+    """Return what all elements of a signal have in common, in words."""
+    signal = element.signal
+    value = "optional (may be NaN)" if signal.optional else "never NaN"
+    return element.causality, signal.type, signal.variability, value
+
+
+def _way_out(port: Port, elements: Sequence[PortElement]) -> str:
+    """Return how elements reach what the port drives, each as a port of its own."""
+    names = names_of(elements)
+    sources = ", ".join(f'"{port.component}.{name}"' for name in names)
+    if elements[0].causality == "input":
+        return f"leave '{port}' out of the map and connect each of them: {sources}"
+    return f"leave '{port}' out of the map and list them in the connection: [{sources}]"
