@@ -30,7 +30,8 @@ TABLE = {  # factor to the base unit, and the base unit itself
 def test_names_are_exact(name):
     """The factor is the double nearest to the definition; the powers are those of the base unit."""
     factor, base = TABLE[name]
-    computed, plain = base_unit(name), base_unit(base)
+    computed = base_unit(name)
+    plain = base_unit(base)
     assert (computed.factor, computed.exponents, computed.offset) == (factor, plain.exponents, 0.0)
     assert plain.factor == 1.0
 

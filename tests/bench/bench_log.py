@@ -22,13 +22,15 @@ from cosim.core.signals import Channel, Interface, Layout, Signal
 from cosim.log import McapRecorder, open_log
 from cosim.log.schema import component_schema
 
-STEPS, STEP_NS = 60_000, 1_000_000
+STEPS = 60_000
+STEP_NS = 1_000_000
 COMPONENTS = {"plant": 6, "observer": 5, "identifier": 13}
 
 
 def layout() -> Layout:
     """Lay out three components of 6, 5 and 13 elements."""
-    channels, start = [], 0
+    channels = []
+    start = 0
     for name, size in COMPONENTS.items():
         channels.append(Channel(name, Interface((), (Signal("y", size),)), start))
         start += size
@@ -57,7 +59,9 @@ def stock(path: Path, rows: np.ndarray, compression: str) -> None:
     """Record with mcap's Writer and protobuf's SerializeToString."""
     kind = {"zstd": CompressionType.ZSTD, "none": CompressionType.NONE}[compression]
     with path.open("wb") as stream:
-        writer, targets, start = Writer(stream, compression=kind), [], 0
+        writer = Writer(stream, compression=kind)
+        targets = []
+        start = 0
         writer.start()
         for name, size in COMPONENTS.items():
             names = [f"y{i}" for i in range(size)]
@@ -107,19 +111,20 @@ def timed(task, *arguments, repeat: int = 3) -> float:
 
 def main() -> None:
     """Print rates and ratios."""
-    count, rows, out = STEPS * len(COMPONENTS), table(), sys.stdout.write
+    count = STEPS * len(COMPONENTS)
+    rows = table()
+    out = sys.stdout.write
     with tempfile.TemporaryDirectory() as folder:
-        mine, theirs = Path(folder) / "ours.mcap", Path(folder) / "stock.mcap"
+        mine = Path(folder) / "ours.mcap"
+        theirs = Path(folder) / "stock.mcap"
         floor = timed(raw, mine, rows)
         out(
             f"{count} messages of 8 doubles on average; "
             f"bare bytes to a file: {floor * 1e9 / count:.0f} ns a message\n"
         )
         for compression in ("none", "zstd"):
-            fast, slow = (
-                timed(ours, mine, rows, compression),
-                timed(stock, theirs, rows, compression, repeat=1),
-            )
+            fast = timed(ours, mine, rows, compression)
+            slow = timed(stock, theirs, rows, compression, repeat=1)
             single = timed(ours, mine, rows, compression, 1, repeat=1)
             out(
                 f"write, {compression}: {slow / fast:.1f}x stock, "
@@ -128,7 +133,8 @@ def main() -> None:
             out(f"in blocks of one step {slow / single:.1f}x stock; ")
             size = mine.stat().st_size / theirs.stat().st_size
             out(f"{fast * 1e9 / count:.0f} ns a message, size {size:.2f} of stock\n")
-            fast, slow = timed(read_ours, mine), timed(read_stock, mine, repeat=1)
+            fast = timed(read_ours, mine)
+            slow = timed(read_stock, mine, repeat=1)
             out(
                 f"read, {compression}: {slow / fast:.1f}x stock, "
                 f"{fast * 1e9 / count:.0f} ns a message\n"

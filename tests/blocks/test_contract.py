@@ -185,7 +185,8 @@ class Broken(Static):
             ),
             None,
         )
-        self.fault, self.steps = fault, 0
+        self.fault = fault
+        self.steps = 0
         self.made = Broken.count = getattr(Broken, "count", 0) + 1
 
     def prepare(self, h, held, recorded):

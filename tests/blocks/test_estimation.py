@@ -18,7 +18,8 @@ from tests.blocks.stepping import drive, times
 
 STEP_NS = 10_000_000
 H = 0.01
-A, B = "1.35 + 0.25*sin(1.7*t)", "1.1 + 0.2*cos(2.3*t)"
+A = "1.35 + 0.25*sin(1.7*t)"
+B = "1.1 + 0.2*cos(2.3*t)"
 
 
 def amplitude(text, t):
@@ -35,7 +36,8 @@ class Example:
     """A disturbance, its regression and its plan of recovery."""
 
     def __init__(self, alphas, families, thetas, delays, stop):
-        self.delays, self.thetas = delays, thetas
+        self.delays = delays
+        self.thetas = thetas
         self.groups = group_by_alpha(alphas, families)
         self.terms = expand(tuple(group.size for group in self.groups))
         self.recovery = plan(self.terms, self.groups, delays)

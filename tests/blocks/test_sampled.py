@@ -57,7 +57,8 @@ def test_what_a_sampled_component_holds_follows_an_input_that_was_extrapolated()
 
     The extrapolated input leaves no trace.
     """
-    sampled, right = Sampled(through(), 3), drive(Sampled(through(), 3), U[:13], held=True)
+    sampled = Sampled(through(), 3)
+    right = drive(Sampled(through(), 3), U[:13], held=True)
     sampled.prepare(1e-3, np.array([True]), {})
     sampled.initialize(0.0, U[0])
     for k in range(12):
@@ -92,7 +93,8 @@ def test_decimated_declares_the_feedthrough_of_its_component():
 
 def test_decimated_passes_a_stop_on():
     """With the rows up to there."""
-    t, y = np.array([0.0, 0.01]), np.array([[0.0], [10.0]])
+    t = np.array([0.0, 0.01])
+    y = np.array([[0.0], [10.0]])
     with pytest.raises(Stopped, match=r"was asked for 0.011 s") as stop:
         drive(Decimated(Table(t, y), 4), np.zeros((31, 0)))
     np.testing.assert_allclose(

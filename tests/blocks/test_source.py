@@ -112,7 +112,8 @@ def test_a_table_refuses_beyond_its_ends(hold):
 
 def test_a_table_does_not_change_with_the_arrays_it_was_made_from():
     """It keeps copies."""
-    t, y = np.array([0.0, 1.0]), np.array([[1.0], [2.0]])
+    t = np.array([0.0, 1.0])
+    y = np.array([[1.0], [2.0]])
     source = Table(t, y)
     y[:] = 7.0
     t[:] = 9.0

@@ -34,7 +34,8 @@ def times(K: float):
 def half_through() -> Linear:
     """Return a plant x' = -3 x + u with v = x, and y = 2 x + 0.5 u, which feeds through."""
     interface = Interface((Signal("u"),), (Signal("v"), Signal("y")), {"v": (), "y": ("u",)})
-    C, D = np.array([[1.0], [2.0]]), np.array([[0.0], [0.5]])
+    C = np.array([[1.0], [2.0]])
+    D = np.array([[0.0], [0.5]])
     return Linear(
         LinearModel(
             interface, ("x",), -3.0 * np.eye(1), np.eye(1), C, D, np.array([1.0]), np.zeros((1, 1))
@@ -86,7 +87,8 @@ class Starter:
     def __init__(
         self, function, inputs=("u",), *, declared=..., size=1, signal_type="real", start=()
     ):
-        self.function, self.calls = function, []
+        self.function = function
+        self.calls = []
         signals = tuple(Signal(name, size, type=signal_type, start=start) for name in inputs)
         initial = {"y": tuple(inputs) if declared is ... else declared}
         self.interface = Interface(

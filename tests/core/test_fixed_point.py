@@ -50,11 +50,9 @@ def test_a_linear_loop_has_its_closed_form(n, seed):
     The sizes of the unknowns differ by up to 1e8.
     """
     random = np.random.default_rng(seed)
-    G, b, size = (
-        random.uniform(-3.0, 3.0, (n, n)),
-        random.uniform(-1.0, 1.0, n),
-        10.0 ** random.uniform(-4.0, 4.0, n),
-    )
+    G = random.uniform(-3.0, 3.0, (n, n))
+    b = random.uniform(-1.0, 1.0, n)
+    size = 10.0 ** random.uniform(-4.0, 4.0, n)
     if np.linalg.cond(np.eye(n) - G) > 50.0:
         return
     found = newton(

@@ -279,7 +279,8 @@ def test_values_are_converted_between_units():
 
 def test_a_definition_tells_what_a_name_does_not():
     """Also for the unit that a connection names: it is that of the port with this name."""
-    feet, sink = constant([3.0], unit="ft"), Delay(1)
+    feet = constant([3.0], unit="ft")
+    sink = Delay(1)
     sink.interface = Interface((Signal("u", 1, "m"),), sink.interface.outputs)
     with pytest.raises(
         GraphError,
@@ -329,7 +330,8 @@ def test_an_algebraic_loop_names_every_port():
 def unknown(D):
     """Return a component with a state and ``y = x + D u`` that does not say what feeds through."""
     component = through(D)
-    inputs, outputs = component.interface.inputs, component.interface.outputs
+    inputs = component.interface.inputs
+    outputs = component.interface.outputs
     component.interface = Interface(inputs, outputs, {o.name: None for o in outputs})
     return component
 

@@ -30,11 +30,11 @@ def start(components, connections):
     found.prepare(10**7)
     row = np.full(found.layout.width, 7.0)
     found.initialize(0.0, row)
-    return {
-        f"{c.name}.{s.name}": row[columns]
-        for c in found.layout.channels
-        for s, columns in c.signal_columns()
-    }
+    values = {}
+    for channel in found.layout.channels:
+        for signal, columns in channel.signal_columns():
+            values[f"{channel.name}.{signal.name}"] = row[columns]
+    return values
 
 
 def test_a_chain_starts_in_its_order():
@@ -183,7 +183,8 @@ def test_two_loops_are_solved_one_after_the_other():
 
 def test_dependencies_that_are_unknown_are_tried():
     """A chain that looks like a loop has its exact bits; a loop in truth is solved: x = 1 - 3 x."""
-    one, chain = constant([1.0]), Starter(lambda a, b: 3.0 * a, ("a", "b"), declared=None)
+    one = constant([1.0])
+    chain = Starter(lambda a, b: 3.0 * a, ("a", "b"), declared=None)
     found = start(
         {"one": one, "p": chain, "k": times(0.1)}, {"p.a": "one.y", "p.b": "k.y", "k.u": "p.y"}
     )
@@ -290,10 +291,8 @@ def test_every_input_is_what_its_connection_gives():
 
     The recorded initial values satisfy all equations.
     """
-    celsius, kelvin = (
-        BaseUnit((0, 0, 0, 0, 1, 0, 0, 0), 1.0, 273.15),
-        BaseUnit((0, 0, 0, 0, 1, 0, 0, 0)),
-    )
+    celsius = BaseUnit((0, 0, 0, 0, 1, 0, 0, 0), 1.0, 273.15)
+    kelvin = BaseUnit((0, 0, 0, 0, 1, 0, 0, 0))
     part = Starter(lambda u: 0.5 * u + np.array([1.0, 2.0]), size=2)
     part.interface = Interface(
         (Signal("u", 2, "K", base=kelvin),),

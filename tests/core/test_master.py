@@ -118,9 +118,11 @@ def test_a_regular_end_is_no_error(block):
 @pytest.mark.parametrize("block", BLOCKS)
 def test_the_first_of_two_stops_counts(block):
     """By time, whoever is asked first."""
-    late, early = script(stop(), 6), script(stop(failed=False), 4)
+    late = script(stop(), 6)
+    early = script(stop(failed=False), 4)
     assert len(attempt({"late": late, "early": early}, {}, block=block)["late.y"]) == 4
-    late, early = script(stop(failed=False), 6), script(stop(), 4)
+    late = script(stop(failed=False), 6)
+    early = script(stop(), 4)
     attempt(
         {"late": late, "early": early},
         {},
@@ -318,7 +320,8 @@ def test_nothing_keeps_nothing():
 @pytest.mark.parametrize("block", BLOCKS)
 def test_watched_reports_after_recording_and_may_end_the_run(block):
     """What was reported is recorded, and the recorder is closed."""
-    memory, instants = Guarded(), []
+    memory = Guarded()
+    instants = []
 
     def reached(block):
         instants.append(block.time_ns[-1])
@@ -394,7 +397,8 @@ def test_a_simulation_stands_still_between_blocks():
     graph = Graph({"u": sine(rate=1.0), "x": integrator()}, {"x.u": "u.y"})
     memory = Memory()
     run(graph, Clock(0.1, 1e-3, block=7), memory)
-    times, rows = [], []
+    times = []
+    rows = []
     for block, signals in simulate(graph, Clock(0.1, 1e-3, block=7)):
         times += block.time[1:].tolist()
         rows.append(signals[1:].copy())

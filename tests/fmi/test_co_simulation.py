@@ -174,10 +174,10 @@ def test_an_input_that_cannot_be_set_inside_a_step_has_its_mean(opened):
 
 @pytest.mark.parametrize("can", [(), ("D",)])
 def test_an_fmu_that_never_asks_for_inputs_gets_their_mean(opened, can):
-    """Its inputs stayed at u0 in the first step; from the second on it is as any other.
+    """Its inputs stay at u0 in the first step; from the second on it gets their mean.
 
-    That is reported once. The outputs are right in the first step too, where D is known: what is
-    read belongs to u0.
+    A warning reports that once. The outputs are right in the first step too, where D is known: what
+    is read belongs to u0.
     """
     fmu = opened("3", "lines", *can, asks=0.0)
     y = run(fmu)

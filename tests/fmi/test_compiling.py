@@ -19,7 +19,9 @@ from tests.fmi.plant import model, run
 
 needs_zig = pytest.mark.skipif(importlib.util.find_spec("ziglang") is None, reason="no ziglang")
 HERE = f"{ARCHITECTURE}-{SYSTEM}"
-ELF, PE, MACH_O = b"\x7fELF", b"MZ", struct.pack("<I", 0xFEEDFACF)
+ELF = b"\x7fELF"
+PE = b"MZ"
+MACH_O = struct.pack("<I", 0xFEEDFACF)
 MACHINES = {  # e_machine of ELF; Machine of PE; cputype of Mach-O
     "x86_64-linux": (ELF, 62),
     "aarch64-linux": (ELF, 183),

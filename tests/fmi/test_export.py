@@ -374,7 +374,9 @@ def test_the_archive_names_the_sources_that_are_there(fmi, tmp_path, monkeypatch
     monkeypatch.setattr(build, "compiler", list)
     path = export(model(), tmp_path / "x.fmu", name="x", fmi=fmi).path
     (configuration,) = fmpy.read_model_description(str(path)).buildConfigurations
-    named = {file for group in configuration.sourceFileSets for file in group.sourceFiles}
+    named = set()
+    for group in configuration.sourceFileSets:
+        named.update(group.sourceFiles)
     with zipfile.ZipFile(path) as archive:
         in_archive = {
             name.removeprefix("sources/") for name in archive.namelist() if name.endswith(".c")

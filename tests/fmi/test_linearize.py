@@ -22,7 +22,8 @@ from tests.fmi.compiled import compile_fmu
 from tests.fmi.pendulum import FRICTION, OUTPUTS, G, jacobian, pendulum
 
 LETTERS = ("A", "B", "C", "D")
-DIRECTIONAL, DIFFERENCES = "directional derivatives", "central differences"
+DIRECTIONAL = "directional derivatives"
+DIFFERENCES = "central differences"
 POINTS = (
     {},
     {"theta": 1.1, "omega": -0.7, "torque": 3.0, "length": 0.7},
@@ -216,7 +217,8 @@ def test_a_model_that_is_not_linear_is_linearized_by_differences():
 def still(A) -> Linearization:
     """Linearize a linear model with one input and the first state as output."""
     n = len(A)
-    B, C = np.eye(n, 1), np.eye(1, n)
+    B = np.eye(n, 1)
+    C = np.eye(1, n)
     interface = Interface((Signal("u", role="input"),), (Signal("y"),))
     states = tuple(f"x{i}" for i in range(n))
     return linearize(

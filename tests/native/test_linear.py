@@ -55,7 +55,8 @@ def test_exponential_agrees_with_exact_arithmetic(M):
 
 def test_exponential_agrees_with_scipy():
     """A symmetric matrix with the eigenvalues 0 and 4: (e^4 + 1)/2 and (e^4 - 1)/2, too."""
-    computed, e4 = matrix_exponential(np.full((2, 2), 2.0)), math.exp(4.0)
+    computed = matrix_exponential(np.full((2, 2), 2.0))
+    e4 = math.exp(4.0)
     expected = [[(e4 + 1) / 2, (e4 - 1) / 2], [(e4 - 1) / 2, (e4 + 1) / 2]]
     np.testing.assert_allclose(computed, expected, rtol=32 * EPS)  # norm 4: three squarings
     np.testing.assert_allclose(
@@ -119,7 +120,8 @@ def test_first_order_hold_is_the_closed_form(rate):
 
     Zero-order hold: B0 = (1 - e^-z)/a; linear interpolation: B1 = (z - 1 + e^-z)/(a z).
     """
-    h, n = 0.01, 2
+    h = 0.01
+    n = 2
     z = rate * h
     computed = first_order_hold(np.array([[-rate]]), np.ones((1, n)), h, np.array([False, True]))
     whole = -math.expm1(-z) / rate
@@ -154,15 +156,18 @@ def test_first_order_hold_agrees_with_quadrature(A, data):
 
     The integrals are computed by Gauss-Legendre.
     """
-    n, h = len(A), 0.25
+    n = len(A)
+    h = 0.25
     B = data.draw(arrays(np.float64, (n, 2), elements=finite))
     computed = first_order_hold(A, B, h, np.array([False, True]))
     x, w = np.polynomial.legendre.leggauss(
         20
     )  # 20 points are exact to degree 39: (norm h)^40 / 40! < 1e-16
-    nodes, weights = h * (x + 1) / 2, h * w / 2
+    nodes = h * (x + 1) / 2
+    weights = h * w / 2
     flows = np.array([exact_exponential(A * s) @ B for s in nodes])
-    whole, end = np.tensordot(weights, flows, 1), np.tensordot(weights * (1 - nodes / h), flows, 1)
+    whole = np.tensordot(weights, flows, 1)
+    end = np.tensordot(weights * (1 - nodes / h), flows, 1)
     atol = (
         64
         * EPS

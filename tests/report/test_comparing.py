@@ -1,6 +1,7 @@
 """One scenario on several plants: their estimates, the differences, and one that fails."""
 
 import json
+from itertools import product
 
 import pytest
 
@@ -51,9 +52,7 @@ def test_four_plants_are_one_scenario(four):
         "identifier.theta": [-0.1, -0.3],
     }
     apart = {(row.estimate, row.label): max(row.largest) for row in four.differences}
-    assert set(apart) == {
-        (estimate, label) for estimate in four.estimates for label in ("plant", "plant#cs", "log")
-    }
+    assert set(apart) == set(product(four.estimates, ("plant", "plant#cs", "log")))
     for estimate in four.estimates:
         assert apart[estimate, "plant#cs"] == apart[estimate, "log"] == 0.0
     assert 0.0 < apart["observer.x_a", "plant"] <= 1e-11
@@ -62,11 +61,9 @@ def test_four_plants_are_one_scenario(four):
 
 def test_a_failed_plant_does_not_lose_the_others(folder, tmp_path, capsys):
     """It stands in the table with its reason; exit 1; the logs of the others are there."""
-    swaps = [
-        option
-        for name in ("plant.fmu#cs", "other.fmu", "nix.fmu")
-        for option in ("--swap", f"plant={folder / name}")
-    ]
+    swaps = []
+    for name in ("plant.fmu#cs", "other.fmu", "nix.fmu"):
+        swaps += ["--swap", f"plant={folder / name}"]
     with pytest.raises(SystemExit) as left:
         main(
             [

@@ -150,7 +150,9 @@ def test_units_of_an_fmu_are_what_it_defines(tmp_path):
 
     A replay takes both from the log.
     """
-    plain, path, log = tmp_path / "plain.fmu", tmp_path / "units.fmu", tmp_path / "fmu.mcap"
+    plain = tmp_path / "plain.fmu"
+    path = tmp_path / "units.fmu"
+    log = tmp_path / "fmu.mcap"
     export_component("academic", "plant", plain)
     definitions = (
         '</CoSimulation><UnitDefinitions><Unit name="F"><BaseUnit K="1" factor="0.5" '
@@ -274,7 +276,9 @@ def test_a_loop_at_initialization_through_an_fmu_is_solved_and_replayed(interfac
 
     This holds for the component, and for its FMU by InitialUnknowns.
     """
-    scenario, fmu, path = tmp_path / "loop.toml", tmp_path / "lag.fmu", tmp_path / "loop.mcap"
+    scenario = tmp_path / "loop.toml"
+    fmu = tmp_path / "lag.fmu"
+    path = tmp_path / "loop.mcap"
     scenario.write_text(INITIAL_LOOP)
     export_component(str(scenario), "lag", fmu)
     own = cosim.run(scenario)

@@ -63,7 +63,8 @@ def test_an_fmu_that_is_none_is_refused(name, tmp_path):
     """The component, the file, the reason."""
     make, text = CASES[name]
     make(path := tmp_path / "plant.fmu")
-    before, out = sorted(tmp_path.rglob("*")), tmp_path / "run.mcap"
+    before = sorted(tmp_path.rglob("*"))
+    out = tmp_path / "run.mcap"
     with pytest.raises(ScenarioError) as caught:
         cosim.run("academic", swap={"plant": path}, out=out)
     assert caught.value.exit_code == 2

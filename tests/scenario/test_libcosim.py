@@ -23,7 +23,8 @@ from libcosimpy.CosimSlave import CosimLocalSlave
 STOP = 2.0  # s
 INPUTS = np.array([0.5, -1.0])  # u and delta of the plant
 CHANGES = {"observer.filter_rate": 10.0}  # slow against the step, so that the order shows
-PLANT, OBSERVER = range(4), range(2, 9)  # y, x_a, x_b from reference 2 on; x_a, delta, x_b, z, q
+PLANT = range(4)  # y, x_a, x_b, whose references begin at 2
+OBSERVER = range(2, 9)  # references of x_a, delta, x_b, z, q
 
 
 @pytest.fixture(scope="module")
@@ -71,8 +72,10 @@ def solution(models):
 
     The connected system x' = F x + G u has a constant input, so one exponential.
     """
-    plant, observer = models["plant"], models["observer"]
-    n, k = len(plant.A), len(observer.A)
+    plant = models["plant"]
+    observer = models["observer"]
+    n = len(plant.A)
+    k = len(observer.A)
     sees = np.vstack([np.zeros(n), plant.C[0]])  # its inputs u, y from the plant's states ...
     fed = np.vstack([[1.0, 0.0], plant.D[0]])  # ... and from the plant's inputs
     F = np.block([[plant.A, np.zeros((n, k))], [observer.B @ sees, observer.A]])
@@ -98,7 +101,8 @@ def test_a_plant_and_its_observer_are_first_order_in_the_step(models, fmus):
 
     Halving the step halves the error in x_a.
     """
-    expected, errors = solution(models)[1], []
+    expected = solution(models)[1]
+    errors = []
     for step in (0.02, 0.01, 0.005):
         run = Run(step)
         plant = run.add(fmus["plant"], dict(enumerate(INPUTS)))

@@ -528,7 +528,8 @@ def test_a_recording_must_cover_the_run_and_is_not_written_over(tmp_path):
 
     The error comes before the first step.
     """
-    path, empty = tmp_path / "a.mcap", tmp_path / "empty.mcap"
+    path = tmp_path / "a.mcap"
+    empty = tmp_path / "empty.mcap"
     cosim.run("academic", out=path, set={"scenario.stop": 0.1})
     with pytest.raises(UsageError, match=r"ends at 0\.1 s; needed 0\.2 s, the whole run"):
         cosim.run("academic", swap={"plant": path}, set={"scenario.stop": 0.2})

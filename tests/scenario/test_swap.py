@@ -162,7 +162,9 @@ def test_an_fmu_keeps_the_tolerance_of_its_table(plant):
             set={**changes, "plant.solver": "RK45", "plant.tolerance": tolerance},
         )
 
-    exact, loose, tight = cosim.run("academic", set=changes)["plant.y"], run(1e-3), run(1e-11)
+    exact = cosim.run("academic", set=changes)["plant.y"]
+    loose = run(1e-3)
+    tight = run(1e-11)
     assert abs(tight["plant.y"] - exact).max() < 1e-9 < 1e-8 < abs(loose["plant.y"] - exact).max()
     assert json.loads(tight.metadata["cosim.component.plant"]["metadata"])["tolerance"] == 1e-11
 

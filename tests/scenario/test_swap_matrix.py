@@ -14,11 +14,9 @@ from cosim.scenario.exporting import export_component
 from tests.scenario.renamed import MAP, renamed
 
 SHORT = {"scenario.stop": 9.0}  # theta is there from 6.5 s on
-RK4, ME, CS = (
-    {"plant.solver": "rk4"},
-    {"plant.interface_type": "me", "plant.solver": "rk4"},
-    {"plant.interface_type": "cs"},
-)
+RK4 = {"plant.solver": "rk4"}
+ME = {"plant.interface_type": "me", "plant.solver": "rk4"}
+CS = {"plant.interface_type": "cs"}
 INPUTS = {
     "components.one": {"kind": "constant", "value": 1.0},
     "connections.plant.gain": "one.y",

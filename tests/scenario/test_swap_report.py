@@ -178,7 +178,9 @@ def test_a_dry_run_has_rows_proposals_and_problems_for_programs(folder, capsys):
         "plant.push": "error",
     }
     assert {one["option"] for one in found["swaps"]["plant"]["proposals"]} >= {"--map plant.y=out1"}
-    options = [option for port, name in MAP.items() for option in ("--map", f"{port}={name}")]
+    options = []
+    for port, name in MAP.items():
+        options += ["--map", f"{port}={name}"]
     with pytest.raises(SystemExit) as left:
         main(
             [

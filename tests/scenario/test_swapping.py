@@ -58,7 +58,9 @@ def text_with(swap):
 def test_a_map_means_what_was_edited_by_hand(other, by_hand, tmp_path, monkeypatch):
     """Python, command line and file give the same bits, under the scenario's names, truth too."""
     monkeypatch.chdir(tmp_path)
-    options = [option for port, name in MAP.items() for option in ("--map", f"{port}={name}")]
+    options = []
+    for port, name in MAP.items():
+        options += ["--map", f"{port}={name}"]
     with pytest.raises(SystemExit) as left:
         main(
             [

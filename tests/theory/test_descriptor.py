@@ -23,7 +23,8 @@ TOLERANCE = 1e-12
 
 def test_the_reduction_is_the_papers(case):
     """(8)-(12) give the matrices of (28)."""
-    expected, reduced = case("C01")["expected"], reduce(academic())
+    expected = case("C01")["expected"]
+    reduced = reduce(academic())
     for name in ("A_a", "B_1a", "B_2a", "C3", "C4", "C5"):
         computed = getattr(reduced, name)
         np.testing.assert_allclose(
@@ -33,7 +34,9 @@ def test_the_reduction_is_the_papers(case):
 
 def test_the_structure_is_the_papers(case):
     """Eigenvalues, invariant zero, index and transfer of the example."""
-    expected, reduced, tol = case("C01")["expected"], reduce(academic()), case("C01")["tol"]
+    expected = case("C01")["expected"]
+    reduced = reduce(academic())
+    tol = case("C01")["tol"]
     eigenvalues = np.sort_complex(np.array([complex(*pair) for pair in expected["eig_A_a"]]))
     np.testing.assert_allclose(
         np.sort_complex(np.linalg.eigvals(reduced.A_a)), eigenvalues, rtol=0, atol=tol
@@ -70,7 +73,9 @@ def test_the_reduced_system_satisfies_the_descriptor_equations(A, B, C):
     A[3:, 3:] = np.eye(2) * 20.0 + A[3:, 3:]  # diagonally dominant: regular
     system = DescriptorSystem(A=A, Bu=B[:, :2], Bd=B[:, 2:], C=C, n_a=3)
     reduced = reduce(system)
-    x_a, u, delta = np.array([1.0, -2.0, 0.5]), np.array([0.25, 3.0]), np.array([-1.5])
+    x_a = np.array([1.0, -2.0, 0.5])
+    u = np.array([0.25, 3.0])
+    delta = np.array([-1.5])
     x = np.concatenate([x_a, algebraic_state(reduced, x_a, u=u, delta=delta)])
     full = system.A @ x + system.Bu @ u + system.Bd @ delta
     # sums of 8 products of at most 24 * 10

@@ -27,9 +27,11 @@ from cosim.theory.disturbance import (
 )
 def test_a_delayed_component_is_K_times_the_basis(name, theta, D, a, b):
     """(5): f(t - D) = K(theta, D)' beta(t), for the closed forms of the families."""
-    family, t = FAMILIES[name], 1.7
+    family = FAMILIES[name]
+    t = 1.7
     if name == "exponential":
-        beta, delayed = [a * math.exp(theta * t)], a * math.exp(theta * (t - D))
+        beta = [a * math.exp(theta * t)]
+        delayed = a * math.exp(theta * (t - D))
     else:
         beta = [
             a * math.sin(theta * t) + b * math.cos(theta * t),

@@ -24,7 +24,9 @@ def reduced_system(A, B, C) -> ReducedSystem:
 
 def test_the_observer_is_the_papers(case):
     """(16), the fixed mode and the eigenvalues of the example."""
-    expected, tol, reduced = case("C01")["expected"], case("C01")["tol"], reduce(academic())
+    expected = case("C01")["expected"]
+    tol = case("C01")["tol"]
+    reduced = reduce(academic())
     observer = design(reduced, L=case("C01")["system"]["L"], filter_rate=1e3)
     np.testing.assert_allclose(observer.F[:, 0], expected["F"], rtol=0, atol=tol)
     np.testing.assert_allclose(observer.M, expected["M_a"], rtol=0, atol=tol)
@@ -66,9 +68,16 @@ def test_the_realization_is_the_papers(case):
     """(29)-(30) written out by hand: z' , delta_hat and x_b_hat of the example."""
     reduced = reduce(academic())
     system = realize(reduced, design(reduced, L=[4, 0], filter_rate=1e3))
-    z1, z2, q, u, y = 0.3, -0.7, 0.2, 0.9, -1.1
-    x1, x2, w = z1 + y + u, z2, y + u
-    states, inputs = np.array([z1, z2, q]), np.array([u, y])
+    z1 = 0.3
+    z2 = -0.7
+    q = 0.2
+    u = 0.9
+    y = -1.1
+    x1 = z1 + y + u
+    x2 = z2
+    w = y + u
+    states = np.array([z1, z2, q])
+    inputs = np.array([u, y])
     rates = [-4 * x1 + 4 * w, -x1 - 2 * x2 + u, 1e3 * (w - q)]
     delta = 1e3 * (w - q) + x1 - x2 + u
     outputs = [x1, x2, delta, -x1 - u, z1, z2, q]
@@ -91,7 +100,8 @@ def test_the_default_initial_state_is_consistent_with_the_output():
     reduced = reduce(academic())
     observer = design(reduced, L=[4, 0], filter_rate=1e3)
     X0, Xw = initial_state_map(reduced, observer)
-    u, y = 0.9, -1.1
+    u = 0.9
+    y = -1.1
     state = X0 + Xw @ [u, y]
     system = realize(reduced, observer)
     outputs = system.C @ state + system.D @ [u, y]
@@ -172,8 +182,10 @@ def test_several_inputs_and_outputs_converge_to_the_truth():
         atol=1e-9,
     )
     assert observer.fixed_modes.size == 0
-    system, s = realize(reduced, observer), 0.4
-    u, delta = np.array([1.0, -0.5]), np.array([0.7])
+    system = realize(reduced, observer)
+    s = 0.4
+    u = np.array([1.0, -0.5])
+    delta = np.array([0.7])
     x = np.linalg.solve(s * np.eye(4) - reduced.A_a, reduced.B_1a @ u + reduced.B_2a @ delta)
     w = reduced.C3 @ x
     inputs = np.concatenate([u, w + reduced.C4 @ u])

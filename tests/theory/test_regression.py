@@ -46,7 +46,8 @@ def test_two_exponentials_give_the_papers_six_terms():
 
 def test_the_papers_signals_and_constants_are_reproduced(case):
     """The signals at t = 10, eta_2..eta_6, and the residual of (26)."""
-    expected, tol = case("C03")["expected"], case("C03")["tol"]
+    expected = case("C03")["expected"]
+    tol = case("C03")["tol"]
     terms = expand((1, 1))
     signals = mu(terms, *delayed(np.array([10.0])))[0]
     np.testing.assert_allclose(signals, expected["mu_1_to_6_at_t10_true_delta"], rtol=tol["rel"])
@@ -153,11 +154,9 @@ def test_the_expansion_is_the_determinant(sizes, random):
     def normal(*shape):
         return np.array([random.uniform(-1, 1) for _ in range(math.prod(shape))]).reshape(shape)
 
-    delta, alphas, K = (
-        normal(rows),
-        normal(rows, len(sizes)),
-        [normal(rows, size) for size in sizes],
-    )
+    delta = normal(rows)
+    alphas = normal(rows, len(sizes))
+    K = [normal(rows, size) for size in sizes]
     terms = expand(tuple(sizes))
     computed = float(mu(terms, delta[None], alphas[None])[0] @ chi(terms, K))
     matrix = np.column_stack([delta, *(alphas[:, [b]] * K[b] for b in range(len(sizes)))])

@@ -13,7 +13,8 @@ def papers_information(case, steps):
 
 def test_the_information_is_the_papers(case):
     """Eigenvalues and condition over [T_id, 40] from exact delta."""
-    expected, rel = case("C03")["expected"], case("C03")["tol"]["rel"]
+    expected = case("C03")["expected"]
+    rel = case("C03")["tol"]["rel"]
     # Richardson's step on the trapezoid rule leaves order h^4: h = 4 ms, derivatives of order
     # 10^4 / 180, far below 1e-6 * 1.7e-3
     matrix = (4.0 * papers_information(case, 8192) - papers_information(case, 4096)) / 3.0
