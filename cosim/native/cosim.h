@@ -1,11 +1,12 @@
 /* The native step: one C signature for everything that advances over communication steps.
  *
- * A step function advances its component from t0 to t1 (h seconds apart), with inputs u0 at t0 and u1 at t1, and writes the
- * outputs at t1. What it needs stands behind `self`: constants, and one flat `memory` of doubles that holds the whole state, so
- * that saving and restoring a component is one copy. Arrays are row-major. No allocation, no globals, no input or output.
+ * A step function advances its component from t0 to t1 (h seconds apart), with inputs u0 at t0 and
+ * u1 at t1, and writes the outputs at t1. What it needs stands behind `self`: constants, and one
+ * flat `memory` of doubles that holds the whole state, so that saving and restoring a component is
+ * one copy. Arrays are row-major. No allocation, no globals, no input or output.
  *
- * Every sum runs in a fixed order and every file is compiled with -ffp-contract=off: the same arithmetic gives the same bits in
- * the package and in an exported FMU. */
+ * Every sum runs in a fixed order and every file is compiled with -ffp-contract=off: the same
+ * arithmetic gives the same bits in the package and in an exported FMU. */
 #ifndef COSIM_H
 #define COSIM_H
 
@@ -14,43 +15,49 @@
 #define COSIM_OK 0
 #define COSIM_NO_VALUE 1 /* an input that was needed carries no value (NaN) */
 
-typedef int32_t (*cosim_step)(void *self, double t0, double t1, double h, const double *u0, const double *u1, double *y);
+typedef int32_t (*cosim_step)(void *self, double t0, double t1, double h, const double *u0,
+                              const double *u1, double *y);
 
-/* Advance one component over `steps` communication steps: times t[0..steps], inputs u (one row a time, `u_stride` doubles
- * apart), outputs y (one row a step, `y_stride` doubles apart). Returns the number of steps completed; *status says why it
- * stopped early. */
-int64_t cosim_cascade(cosim_step step, void *self, int64_t steps, const double *t, double h, const double *u, int64_t u_stride,
-                      double *y, int64_t y_stride, int32_t *status);
+/* Advance one component over `steps` communication steps: times t[0..steps], inputs u (one row a
+ * time, `u_stride` doubles apart), outputs y (one row a step, `y_stride` doubles apart). Returns
+ * the number of steps completed; *status says why it stopped early. */
+int64_t cosim_cascade(cosim_step step, void *self, int64_t steps, const double *t, double h,
+                      const double *u, int64_t u_stride, double *y, int64_t y_stride,
+                      int32_t *status);
 
-/* --- linear.c ------------------------------------------------------------------------------------------------------------ */
+/* --- linear.c --- */
 
 /* y = M v (set) or y += M v (add), M of shape (rows, columns). */
 void cosim_multiply(int32_t rows, int32_t columns, const double *M, const double *v, double *y);
 void cosim_multiply_add(int32_t rows, int32_t columns, const double *M, const double *v, double *y);
 
-/* E = exp(M) for M of shape (n, n), by scaling, a Taylor series and squaring; `work` has 2 n n doubles. */
+/* E = exp(M) for M of shape (n, n), by scaling, a Taylor series and squaring; `work` has 2 n n
+ * doubles. */
 void cosim_exponential(int32_t n, const double *M, double *E, double *work);
 
-/* Exact discretization of x' = A x + B u for inputs that are interpolated linearly over the step (the triangle, or first-order,
- * hold): x(t+h) = Ad x + B0 u(t) + B1 u(t+h). held[j] != 0: zero-order hold of input j at u(t). `work` has 4 N N doubles, N = n + 2 m. */
-void cosim_first_order_hold(int32_t n, int32_t m, const double *A, const double *B, double h, const uint8_t *held, double *Ad,
-                            double *B0, double *B1, double *work);
+/* Exact discretization of x' = A x + B u for inputs that are interpolated linearly over the step
+ * (the triangle, or first-order, hold): x(t+h) = Ad x + B0 u(t) + B1 u(t+h). held[j] != 0:
+ * zero-order hold of input j at u(t). `work` has 4 N N doubles, N = n + 2 m. */
+void cosim_first_order_hold(int32_t n, int32_t m, const double *A, const double *B, double h,
+                            const uint8_t *held, double *Ad, double *B0, double *B1, double *work);
 
 typedef struct {
     int32_t n, m, p;                    /* states, inputs, outputs */
     const double *Ad, *B0, *B1, *C, *D; /* (n, n), (n, m), (n, m), (p, n), (p, m) */
     double *memory;                     /* x, then n doubles of scratch */
 } cosim_linear;
-int32_t cosim_linear_step(void *self, double t0, double t1, double h, const double *u0, const double *u1, double *y);
+int32_t cosim_linear_step(void *self, double t0, double t1, double h, const double *u0,
+                          const double *u1, double *y);
 
 /* y(t) = u(t - steps h); memory: the row that is due now, then `steps` rows of `width`. */
 typedef struct {
     int32_t steps, width;
     double *memory;
 } cosim_delay;
-int32_t cosim_delay_step(void *self, double t0, double t1, double h, const double *u0, const double *u1, double *y);
+int32_t cosim_delay_step(void *self, double t0, double t1, double h, const double *u0,
+                         const double *u1, double *y);
 
-/* --- expression.c -------------------------------------------------------------------------------------------------------- */
+/* --- expression.c --- */
 
 /* An expression in t as a postfix program; see expression.py for the language. */
 typedef struct {
@@ -65,25 +72,30 @@ typedef struct {
     int32_t count;
     const cosim_program *programs;
 } cosim_expression;
-int32_t cosim_expression_step(void *self, double t0, double t1, double h, const double *u0, const double *u1, double *y);
+int32_t cosim_expression_step(void *self, double t0, double t1, double h, const double *u0,
+                              const double *u1, double *y);
 
-/* --- estimate.c ---------------------------------------------------------------------------------------------------------- */
+/* --- estimate.c --- */
 
 /* The products mu of (21)-(25): mu_c = sign_c delta(t - D_row) prod alpha_b(t - D_i). */
 typedef struct {
-    int32_t rows, groups, terms, factors; /* delays, distinct alphas, q + 1, alpha factors of one term */
-    const int32_t *steps;                 /* (rows) delays in communication steps */
-    const double *delays;                 /* (rows) [s] */
-    const cosim_program *alphas;          /* (groups) */
-    const int32_t *row;                   /* (terms) row of delta */
-    const int32_t *factor;                /* (terms, factors) group * rows + row */
-    const double *sign;                   /* (terms) */
-    double *memory;                       /* number of samples before now, ring of the longest delay, (groups, rows) of scratch */
+    /* delays, distinct alphas, q + 1, alpha factors of one term */
+    int32_t rows, groups, terms, factors;
+    const int32_t *steps;        /* (rows) delays in communication steps */
+    const double *delays;        /* (rows) [s] */
+    const cosim_program *alphas; /* (groups) */
+    const int32_t *row;          /* (terms) row of delta */
+    const int32_t *factor;       /* (terms, factors) group * rows + row */
+    const double *sign;          /* (terms) */
+    /* number of samples before now, ring of the longest delay, (groups, rows) of scratch */
+    double *memory;
 } cosim_regressor;
-int32_t cosim_regressor_step(void *self, double t0, double t1, double h, const double *u0, const double *u1, double *y);
+int32_t cosim_regressor_step(void *self, double t0, double t1, double h, const double *u0,
+                             const double *u1, double *y);
 void cosim_regressor_outputs(const cosim_regressor *self, double t, double delta, double *y);
 
-/* How theta of one group follows from the estimates: the recurrence sum_k c_k f(t - D - k spacing) = 0. */
+/* How theta of one group follows from the estimates: the recurrence
+ * sum_k c_k f(t - D - k spacing) = 0. */
 #define COSIM_EXPONENTIAL 1  /* V = 1: one exponential */
 #define COSIM_EXPONENTIALS 2 /* V = 2: two exponentials, the larger parameter first */
 #define COSIM_SINE 3         /* V = 2: one sine */
@@ -95,7 +107,8 @@ typedef struct {
     double spacing; /* [s] */
 } cosim_recovery;
 
-/* Least squares (33)-(34) in information form: R'R = prior + integral of m m' dt, accumulated by Givens rotations. */
+/* Least squares (33)-(34) in information form: R'R = prior + integral of m m' dt, accumulated by
+ * Givens rotations. */
 typedef struct {
     int32_t unknowns, groups, parameters, held;
     double start; /* [s] */
@@ -103,7 +116,8 @@ typedef struct {
     const cosim_recovery *recovery;
     double *memory; /* R (q+1, q+1), then q + 1 of scratch */
 } cosim_least_squares;
-int32_t cosim_least_squares_step(void *self, double t0, double t1, double h, const double *u0, const double *u1, double *y);
+int32_t cosim_least_squares_step(void *self, double t0, double t1, double h, const double *u0,
+                                 const double *u1, double *y);
 void cosim_least_squares_start(cosim_least_squares *self, double *y);
 
 #endif

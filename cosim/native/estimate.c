@@ -4,17 +4,19 @@
 #include <math.h>
 #include <string.h>
 
-#define RANK_TOLERANCE 0x1p-26 /* pivot over the largest one: below it R'R, the information, is singular to rounding */
+/* pivot over the largest one: below it R'R, the information, is singular to rounding */
+#define RANK_TOLERANCE 0x1p-26
 
 static double no_value(void)
 {
-    const uint64_t bits = UINT64_C(0x7FF8000000000000); /* the one NaN: equal runs have equal bits */
+    /* the one NaN: equal runs have equal bits */
+    const uint64_t bits = UINT64_C(0x7FF8000000000000);
     double value;
     memcpy(&value, &bits, sizeof value);
     return value;
 }
 
-/* --- regressor (21)-(25) ------------------------------------------------------------------------------------------------- */
+/* --- regressor (21)-(25) --- */
 
 static int32_t longest_delay(const cosim_regressor *s)
 {
@@ -48,8 +50,10 @@ void cosim_regressor_outputs(const cosim_regressor *s, double t, double delta, d
     }
 }
 
-/* Only samples before t1 enter the ring, so that an input that is extrapolated first and corrected later does no harm. */
-int32_t cosim_regressor_step(void *self, double t0, double t1, double h, const double *u0, const double *u1, double *y)
+/* Only samples before t1 enter the ring, so that an input that is extrapolated first and corrected
+ * later does no harm. */
+int32_t cosim_regressor_step(void *self, double t0, double t1, double h, const double *u0,
+                             const double *u1, double *y)
 {
     (void)t0, (void)h;
     const cosim_regressor *s = self;
@@ -62,7 +66,7 @@ int32_t cosim_regressor_step(void *self, double t0, double t1, double h, const d
     return COSIM_OK;
 }
 
-/* --- least squares (33)-(35) --------------------------------------------------------------------------------------------- */
+/* --- least squares (33)-(35) --- */
 
 /* Rotate `row` (destroyed) into the upper triangular R of shape (n, n). */
 static void rotate_in(int32_t n, double *R, double *row)
@@ -83,7 +87,8 @@ static void rotate_in(int32_t n, double *R, double *row)
     }
 }
 
-/* Rows (m', p) with p = -mu_0 and m = mu_1..mu_q, times the square root of the quadrature weight. */
+/* Rows (m', p) with p = -mu_0 and m = mu_1..mu_q, times the square root of the quadrature
+ * weight. */
 static void accumulate(const cosim_least_squares *s, double weight, const double *mu)
 {
     const int32_t n = s->unknowns + 1;
@@ -130,15 +135,18 @@ static void recover(const cosim_recovery *r, const double *eta, double *theta)
         theta[r->theta[0]] = exponent(-c[0] / c[1], r->spacing);
     } else if (r->kind == COSIM_EXPONENTIALS) {
         const double discriminant = c[1] * c[1] - 4.0 * c[0] * c[2];
-        /* the root of the larger magnitude first, the other from the product of both: no cancellation */
+        /* the root of the larger magnitude first, the other from the product of both: no
+         * cancellation */
         const double big = -0.5 * (c[1] + copysign(sqrt(discriminant), c[1]));
-        const double first = exponent(big / c[2], r->spacing), second = exponent(c[0] / big, r->spacing);
+        const double first = exponent(big / c[2], r->spacing);
+        const double second = exponent(c[0] / big, r->spacing);
         const int known = discriminant >= 0.0 && !isnan(first) && !isnan(second);
         theta[r->theta[0]] = known ? fmax(first, second) : no_value();
         theta[r->theta[1]] = known ? fmin(first, second) : no_value();
     } else {
         const double cosine = -0.5 * c[1] / c[0];
-        theta[r->theta[0]] = cosine >= -1.0 && cosine <= 1.0 ? acos(cosine) / r->spacing : no_value();
+        theta[r->theta[0]] =
+            cosine >= -1.0 && cosine <= 1.0 ? acos(cosine) / r->spacing : no_value();
     }
 }
 
@@ -165,7 +173,8 @@ void cosim_least_squares_start(cosim_least_squares *self, double *y)
         y[i] = no_value();
 }
 
-int32_t cosim_least_squares_step(void *self, double t0, double t1, double h, const double *u0, const double *u1, double *y)
+int32_t cosim_least_squares_step(void *self, double t0, double t1, double h, const double *u0,
+                                 const double *u1, double *y)
 {
     const cosim_least_squares *s = self;
     if (t0 < s->start) {

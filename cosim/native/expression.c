@@ -3,8 +3,11 @@
 #include <math.h>
 
 /* The order is that of OPERATIONS in expression.py. */
-enum { T, ADD, SUBTRACT, MULTIPLY, DIVIDE, POWER, MINIMUM, MAXIMUM, NEGATE, SIN, COS, TAN, ASIN, ACOS, ATAN, SINH, COSH, TANH,
-       EXP, LOG, SQRT, ABS, SIGN, STEP, OPERATIONS };
+enum {
+    T, ADD, SUBTRACT, MULTIPLY, DIVIDE, POWER, MINIMUM, MAXIMUM, NEGATE,
+    SIN, COS, TAN, ASIN, ACOS, ATAN, SINH, COSH, TANH, EXP, LOG, SQRT, ABS, SIGN, STEP,
+    OPERATIONS
+};
 
 static double binary(int32_t operation, double a, double b)
 {
@@ -60,7 +63,8 @@ double cosim_evaluate(const cosim_program *program, double t)
     return stack[0];
 }
 
-int32_t cosim_expression_step(void *self, double t0, double t1, double h, const double *u0, const double *u1, double *y)
+int32_t cosim_expression_step(void *self, double t0, double t1, double h, const double *u0,
+                              const double *u1, double *y)
 {
     (void)t0, (void)h, (void)u0, (void)u1;
     const cosim_expression *s = self;

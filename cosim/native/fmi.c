@@ -6,7 +6,8 @@
 #include <stdlib.h>
 #include <string.h>
 
-static atomic_flag busy = ATOMIC_FLAG_INIT; /* guards the list and every ring in it; held for a few copies only */
+/* guards the list and every ring in it; held for a few copies only */
+static atomic_flag busy = ATOMIC_FLAG_INIT;
 static cosim_messages *list;
 
 static void lock(void)
@@ -15,10 +16,7 @@ static void lock(void)
     }
 }
 
-static void unlock(void)
-{
-    atomic_flag_clear_explicit(&busy, memory_order_release);
-}
+static void unlock(void) { atomic_flag_clear_explicit(&busy, memory_order_release); }
 
 void cosim_messages_open(cosim_messages *self)
 {
@@ -79,7 +77,8 @@ void cosim_log_text(void *key, int status, const char *category, const char *tex
     unlock();
 }
 
-void cosim_log(void *key, const char *instance, int status, const char *category, const char *format, ...)
+void cosim_log(void *key, const char *instance, int status, const char *category,
+               const char *format, ...)
 {
     (void)instance;
     char text[COSIM_TEXT] = "";
@@ -124,8 +123,9 @@ int64_t cosim_messages_dropped(cosim_messages *self)
     return dropped;
 }
 
-void cosim_intermediate_update(void *environment, double t, bool set_requested, bool get_allowed, bool step_finished,
-                               bool can_return_early, bool *early_return_requested, double *early_return_time)
+void cosim_intermediate_update(void *environment, double t, bool set_requested, bool get_allowed,
+                               bool step_finished, bool can_return_early,
+                               bool *early_return_requested, double *early_return_time)
 {
     (void)get_allowed, (void)step_finished, (void)can_return_early;
     cosim_interpolation *self = environment;
@@ -135,21 +135,17 @@ void cosim_intermediate_update(void *environment, double t, bool set_requested, 
         *early_return_time = t;
     if (!self || !set_requested || self->size == 0)
         return;
-    const double elapsed = t == self->t0 + self->h ? self->h : t - self->t0; /* at the end without the rounding of t */
+    /* at the end without the rounding of t */
+    const double elapsed = t == self->t0 + self->h ? self->h : t - self->t0;
     self->last_request = t;
     for (size_t i = 0; i < self->size; ++i)
         self->values[i] = self->start[i] + self->slope[i] * elapsed;
-    const int status = self->set(self->instance, self->references, self->count, self->values, self->size);
+    const int status =
+        self->set(self->instance, self->references, self->count, self->values, self->size);
     if (status > self->status)
         self->status = status;
 }
 
-void *cosim_allocate(size_t n, size_t size)
-{
-    return calloc(n, size);
-}
+void *cosim_allocate(size_t n, size_t size) { return calloc(n, size); }
 
-void cosim_free(void *memory)
-{
-    free(memory);
-}
+void cosim_free(void *memory) { free(memory); }

@@ -1,7 +1,8 @@
 /* What a loaded FMU calls back: none of it runs Python or prints.
  *
- * An FMU may log from any thread, and FMI 1.0 names only its own component: every ring of messages is in one list, found by a key
- * under one lock, so that an FMU that names something else reaches none of them. The memory belongs to the caller. */
+ * An FMU may log from any thread, and FMI 1.0 names only its own component: every ring of messages
+ * is in one list, found by a key under one lock, so that an FMU that names something else reaches
+ * none of them. The memory belongs to the caller. */
 #ifndef COSIM_FMI_H
 #define COSIM_FMI_H
 
@@ -24,39 +25,50 @@ typedef struct cosim_messages {
     const void *key;             /* the environment given to the FMU; its component in FMI 1.0 */
     cosim_message *ring;
     int32_t size, first, count;
-    int32_t accepts_unknown; /* also takes the messages of an unknown key: while an FMU of FMI 1.0 is instantiated */
+    /* also takes the messages of an unknown key: while an FMU of FMI 1.0 is instantiated */
+    int32_t accepts_unknown;
     int64_t dropped;
-    double now; /* time of the simulation [s], written between the calls of the FMU; NaN: it did not begin */
+    /* time of the simulation [s], written between the calls of the FMU; NaN: it did not begin */
+    double now;
 } cosim_messages;
 
-void cosim_messages_open(cosim_messages *self);  /* put into the list */
-void cosim_messages_close(cosim_messages *self); /* take out of it: after this no FMU reaches the memory */
+/* Put into the list. */
+void cosim_messages_open(cosim_messages *self);
+/* Take out of the list: after this no FMU reaches the memory. */
+void cosim_messages_close(cosim_messages *self);
 
 /* Copy the oldest message and drop it (last: the newest one, which stays); 0: there is none. */
 int32_t cosim_messages_take(cosim_messages *self, cosim_message *out);
 int32_t cosim_messages_last(cosim_messages *self, cosim_message *out);
-int64_t cosim_messages_dropped(cosim_messages *self); /* how many were dropped since the last call */
+/* How many were dropped since the last call. */
+int64_t cosim_messages_dropped(cosim_messages *self);
 
 /* The loggers of FMI 1.0 and 2.0 (a printf format and its arguments), and of FMI 3.0 (a text). */
-void cosim_log(void *key, const char *instance, int status, const char *category, const char *format, ...);
+void cosim_log(void *key, const char *instance, int status, const char *category,
+               const char *format, ...);
 void cosim_log_text(void *key, int status, const char *category, const char *text);
 
-/* Linear interpolation of the inputs inside a step of FMI 3.0: u(t) = start + slope (t - t0), set by fmi3SetFloat64. */
+/* Linear interpolation of the inputs inside a step of FMI 3.0: u(t) = start + slope (t - t0), set
+ * by fmi3SetFloat64. */
 typedef struct {
-    int (*set)(void *instance, const uint32_t *references, size_t n, const double *values, size_t n_values);
+    int (*set)(void *instance, const uint32_t *references, size_t n, const double *values,
+               size_t n_values);
     void *instance;
     const uint32_t *references;
     size_t count, size; /* of references, of values; size 0: no interpolation */
     const double *start, *slope;
-    double *values;      /* scratch */
-    double t0, h;        /* start of the step, and its size */
-    double last_request; /* time of the last update that requested inputs; -infinity before the step */
-    int32_t status;      /* the worst status that `set` returned */
+    double *values; /* scratch */
+    double t0, h;   /* start of the step, and its size */
+    /* time of the last update that requested inputs; -infinity before the step */
+    double last_request;
+    int32_t status; /* the worst status that `set` returned */
 } cosim_interpolation;
 
-/* fmi3IntermediateUpdateCallback, the environment being a cosim_interpolation; never asks for an early return. */
-void cosim_intermediate_update(void *environment, double t, bool set_requested, bool get_allowed, bool step_finished,
-                               bool can_return_early, bool *early_return_requested, double *early_return_time);
+/* fmi3IntermediateUpdateCallback, the environment being a cosim_interpolation; never asks for an
+ * early return. */
+void cosim_intermediate_update(void *environment, double t, bool set_requested, bool get_allowed,
+                               bool step_finished, bool can_return_early,
+                               bool *early_return_requested, double *early_return_time);
 
 /* Of FMI 1.0 and 2.0. */
 void *cosim_allocate(size_t n, size_t size);

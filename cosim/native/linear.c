@@ -54,8 +54,9 @@ void cosim_exponential(int32_t n, const double *M, double *E, double *work)
 
     for (int32_t i = 0; i < n * n; ++i)
         scaled[i] = M[i] * scale;
-    /* F = exp(S) - I, not exp(S): squaring doubles the relative error of I + F, so that a slow mode beside one a million times
-     * faster would lose six digits; (I + F)^2 - I = 2 F + F F keeps them. Horner: F = S/1 (I + S/2 (I + ...)) */
+    /* F = exp(S) - I, not exp(S): squaring doubles the relative error of I + F, so that a slow mode
+     * beside one a million times faster would lose six digits; (I + F)^2 - I = 2 F + F F keeps
+     * them. Horner: F = S/1 (I + S/2 (I + ...)) */
     for (int32_t i = 0; i < n * n; ++i)
         E[i] = 0.0;
     for (int32_t k = TAYLOR_TERMS; k >= 1; --k) {
@@ -74,11 +75,11 @@ void cosim_exponential(int32_t n, const double *M, double *E, double *work)
         E[i * (n + 1)] += 1.0;
 }
 
-/* With v = du/ds constant over the unit interval s = (t - t0)/h, the state (x, u, v) has the generator
- * [[h A, h B, 0], [0, 0, I], [0, 0, 0]]; the first block row of its exponential is (Ad, G1, G2), and
- * x(t+h) = Ad x + G1 u0 + G2 (u1 - u0). */
-void cosim_first_order_hold(int32_t n, int32_t m, const double *A, const double *B, double h, const uint8_t *held, double *Ad,
-                            double *B0, double *B1, double *work)
+/* With v = du/ds constant over the unit interval s = (t - t0)/h, the state (x, u, v) has
+ * the generator [[h A, h B, 0], [0, 0, I], [0, 0, 0]]; the first block row of its exponential is
+ * (Ad, G1, G2), and x(t+h) = Ad x + G1 u0 + G2 (u1 - u0). */
+void cosim_first_order_hold(int32_t n, int32_t m, const double *A, const double *B, double h,
+                            const uint8_t *held, double *Ad, double *B0, double *B1, double *work)
 {
     const int32_t N = n + 2 * m;
     double *M = work, *E = work + N * N;
@@ -104,7 +105,8 @@ void cosim_first_order_hold(int32_t n, int32_t m, const double *A, const double 
     }
 }
 
-int32_t cosim_linear_step(void *self, double t0, double t1, double h, const double *u0, const double *u1, double *y)
+int32_t cosim_linear_step(void *self, double t0, double t1, double h, const double *u0,
+                          const double *u1, double *y)
 {
     (void)t0, (void)t1, (void)h;
     const cosim_linear *s = self;
@@ -119,7 +121,8 @@ int32_t cosim_linear_step(void *self, double t0, double t1, double h, const doub
     return COSIM_OK;
 }
 
-int32_t cosim_delay_step(void *self, double t0, double t1, double h, const double *u0, const double *u1, double *y)
+int32_t cosim_delay_step(void *self, double t0, double t1, double h, const double *u0,
+                         const double *u1, double *y)
 {
     (void)t0, (void)t1, (void)h, (void)u1;
     const cosim_delay *s = self;

@@ -1,7 +1,8 @@
 #include "cosim.h"
 
-int64_t cosim_cascade(cosim_step step, void *self, int64_t steps, const double *t, double h, const double *u, int64_t u_stride,
-                      double *y, int64_t y_stride, int32_t *status)
+int64_t cosim_cascade(cosim_step step, void *self, int64_t steps, const double *t, double h,
+                      const double *u, int64_t u_stride, double *y, int64_t y_stride,
+                      int32_t *status)
 {
     for (int64_t k = 0; k < steps; ++k) {
         const double *u0 = u + k * u_stride;
