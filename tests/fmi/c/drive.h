@@ -1,4 +1,5 @@
-/* What both drivers need: exact heap arrays, so that the address sanitizer finds one element too many. */
+/* What both drivers need: exact heap arrays, so that the address sanitizer finds one element too
+ * many. */
 #ifndef DRIVE_H
 #define DRIVE_H
 
@@ -9,12 +10,12 @@
 #include <stdlib.h>
 #include <string.h>
 
-#define CHECK(condition)                                                                                                        \
-    do {                                                                                                                        \
-        if (!(condition)) {                                                                                                     \
-            printf("%s:%d: %s\n", __FILE__, __LINE__, #condition);                                                              \
-            exit(1);                                                                                                            \
-        }                                                                                                                       \
+#define CHECK(condition)                                           \
+    do {                                                           \
+        if (!(condition)) {                                        \
+            printf("%s:%d: %s\n", __FILE__, __LINE__, #condition); \
+            exit(1);                                               \
+        }                                                          \
     } while (0)
 
 typedef struct {

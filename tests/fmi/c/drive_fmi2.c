@@ -4,7 +4,8 @@
 
 static int errors = 0;
 
-static void logger(fmi2ComponentEnvironment environment, fmi2String name, fmi2Status status, fmi2String category, fmi2String message, ...)
+static void logger(fmi2ComponentEnvironment environment, fmi2String name, fmi2Status status,
+                   fmi2String category, fmi2String message, ...)
 {
     (void)environment, (void)category;
     CHECK(strcmp(name, "one") == 0 && status == fmi2Error && strchr(message, '%') == NULL);
@@ -14,16 +15,17 @@ static void logger(fmi2ComponentEnvironment environment, fmi2String name, fmi2St
 static const fmi2CallbackFunctions functions = {.logger = logger}, silent = {0};
 static references u, y, dx, wrong;
 
-#define REFUSED(call)                                                                                                           \
-    do {                                                                                                                        \
-        const int before = errors;                                                                                              \
-        CHECK((call) == fmi2Error && errors == before + 1);                                                                     \
+#define REFUSED(call)                                       \
+    do {                                                    \
+        const int before = errors;                          \
+        CHECK((call) == fmi2Error && errors == before + 1); \
     } while (0)
 #define DONE(call) CHECK((call) == fmi2OK)
 
 static fmi2Component begin(fmi2Type kind)
 {
-    fmi2Component c = fmi2Instantiate("one", kind, model_token, "", &functions, fmi2False, fmi2False);
+    fmi2Component c =
+        fmi2Instantiate("one", kind, model_token, "", &functions, fmi2False, fmi2False);
     double *values = some(u.elements, 1.0);
     CHECK(c);
     REFUSED(fmi2ExitInitializationMode(c));
@@ -40,7 +42,8 @@ static fmi2Component begin(fmi2Type kind)
 
 static void values(fmi2Component c)
 {
-    double *in = some(u.elements, 2.0), *out = some(y.elements, 0.0), *back = some(u.elements, 0.0), one = 1.0;
+    double *in = some(u.elements, 2.0), *out = some(y.elements, 0.0), *back = some(u.elements, 0.0),
+           one = 1.0;
     const int32_t settable = model_state_of[0] >= 0 && model_is_exact[model_state_of[0]];
     fmi2Integer integer = 0;
     fmi2Boolean boolean = 0;
@@ -203,17 +206,22 @@ static void co_simulation(void)
 
 int main(void)
 {
-    u = take(0, model_m), y = take(model_m, model_p), dx = take(model_m + model_p, model_n), wrong = take(0, 1);
+    u = take(0, model_m), y = take(model_m, model_p), dx = take(model_m + model_p, model_n),
+    wrong = take(0, 1);
     wrong.of[0] = 12345;
     CHECK(strcmp(fmi2GetVersion(), "2.0") == 0 && strcmp(fmi2GetTypesPlatform(), "default") == 0);
     if (model_has_derivatives)
         model_exchange();
     else
-        CHECK(!fmi2Instantiate("one", fmi2ModelExchange, model_token, "", &functions, fmi2False, fmi2False));
+        CHECK(!fmi2Instantiate("one", fmi2ModelExchange, model_token, "", &functions, fmi2False,
+                               fmi2False));
     co_simulation();
-    CHECK(!fmi2Instantiate("one", fmi2CoSimulation, "another GUID", "", &functions, fmi2False, fmi2False));
-    CHECK(!fmi2Instantiate("one", fmi2CoSimulation, "another GUID", "", &silent, fmi2False, fmi2False));
-    CHECK(!fmi2Instantiate(NULL, fmi2CoSimulation, model_token, "", &functions, fmi2False, fmi2False));
+    CHECK(!fmi2Instantiate("one", fmi2CoSimulation, "another GUID", "", &functions, fmi2False,
+                           fmi2False));
+    CHECK(!fmi2Instantiate("one", fmi2CoSimulation, "another GUID", "", &silent, fmi2False,
+                           fmi2False));
+    CHECK(!fmi2Instantiate(NULL, fmi2CoSimulation, model_token, "", &functions, fmi2False,
+                           fmi2False));
     CHECK(!fmi2Instantiate("one", fmi2CoSimulation, model_token, "", NULL, fmi2False, fmi2False));
     fmi2FreeInstance(NULL);
     free(u.of), free(y.of), free(dx.of), free(wrong.of);

@@ -6,29 +6,32 @@ static int errors = 0, updates = 0;
 static references u, y, dx, wrong;
 static fmi3Instance stepping;
 
-static void log_message(fmi3InstanceEnvironment environment, fmi3Status status, fmi3String category, fmi3String message)
+static void log_message(fmi3InstanceEnvironment environment, fmi3Status status, fmi3String category,
+                        fmi3String message)
 {
     (void)category, (void)message;
     CHECK(environment == &errors && status == fmi3Error);
     ++errors;
 }
 
-#define REFUSED(call)                                                                                                           \
-    do {                                                                                                                        \
-        const int before = errors;                                                                                              \
-        CHECK((call) == fmi3Error && errors == before + 1);                                                                     \
+#define REFUSED(call)                                       \
+    do {                                                    \
+        const int before = errors;                          \
+        CHECK((call) == fmi3Error && errors == before + 1); \
     } while (0)
 #define DONE(call) CHECK((call) == fmi3OK)
 
 /* Sets the inputs at the end of the step, and tries what is not allowed there. */
-static void update(fmi3InstanceEnvironment environment, fmi3Float64 t, fmi3Boolean set, fmi3Boolean get, fmi3Boolean finished,
-                   fmi3Boolean early, fmi3Boolean *early_requested, fmi3Float64 *early_time)
+static void update(fmi3InstanceEnvironment environment, fmi3Float64 t, fmi3Boolean set,
+                   fmi3Boolean get, fmi3Boolean finished, fmi3Boolean early,
+                   fmi3Boolean *early_requested, fmi3Float64 *early_time)
 {
     double *in = some(u.elements, 1.0 + t), *out = some(y.elements, 0.0);
     fmi3Boolean flag;
     fmi3Float64 time;
     fmi3FMUState state = NULL;
-    CHECK(environment == &errors && set && !get && !finished && !early && early_requested && early_time);
+    CHECK(environment == &errors && set && !get && !finished && !early && early_requested &&
+          early_time);
     DONE(fmi3SetFloat64(stepping, u.of, u.count, in, u.elements));
     REFUSED(fmi3GetFloat64(stepping, y.of, y.count, out, y.elements));
     REFUSED(fmi3GetFMUState(stepping, &state));
@@ -39,7 +42,8 @@ static void update(fmi3InstanceEnvironment environment, fmi3Float64 t, fmi3Boole
 
 static fmi3Instance co_simulation_instance(fmi3Boolean event_mode)
 {
-    return fmi3InstantiateCoSimulation("one", model_token, "", 0, 0, event_mode, 0, u.of, u.count, &errors, log_message, update);
+    return fmi3InstantiateCoSimulation("one", model_token, "", 0, 0, event_mode, 0, u.of, u.count,
+                                       &errors, log_message, update);
 }
 
 static void begin(fmi3Instance c)
@@ -60,13 +64,13 @@ static void begin(fmi3Instance c)
     free(values);
 }
 
-#define NO_VARIABLES(Type)                                                                                                      \
-    do {                                                                                                                        \
-        fmi3##Type value = 0;                                                                                                   \
-        DONE(fmi3Get##Type(c, NULL, 0, NULL, 0));                                                                               \
-        DONE(fmi3Set##Type(c, NULL, 0, NULL, 0));                                                                               \
-        REFUSED(fmi3Get##Type(c, u.of, 1, &value, 1));                                                                          \
-        REFUSED(fmi3Set##Type(c, u.of, 1, &value, 1));                                                                          \
+#define NO_VARIABLES(Type)                             \
+    do {                                               \
+        fmi3##Type value = 0;                          \
+        DONE(fmi3Get##Type(c, NULL, 0, NULL, 0));      \
+        DONE(fmi3Set##Type(c, NULL, 0, NULL, 0));      \
+        REFUSED(fmi3Get##Type(c, u.of, 1, &value, 1)); \
+        REFUSED(fmi3Set##Type(c, u.of, 1, &value, 1)); \
     } while (0)
 
 static void other_types(fmi3Instance c)
@@ -107,7 +111,8 @@ static void other_types(fmi3Instance c)
 
 static void values(fmi3Instance c)
 {
-    double *in = some(u.elements, 2.0), *out = some(y.elements, 0.0), *back = some(u.elements, 0.0), time;
+    double *in = some(u.elements, 2.0), *out = some(y.elements, 0.0), *back = some(u.elements, 0.0),
+           time;
     const uint32_t clock = (uint32_t)(model_m + model_p + 2 * model_n);
     const fmi3Int32 order = 1;
     DONE(fmi3SetFloat64(c, u.of, u.count, in, u.elements));
@@ -121,18 +126,25 @@ static void values(fmi3Instance c)
     REFUSED(fmi3SetFloat64(c, u.of, u.count, in, u.elements - 1));
     REFUSED(fmi3GetFloat64(c, wrong.of, 1, out, 1));
     REFUSED(fmi3SetFloat64(c, wrong.of, 1, in, 1));
-    DONE(fmi3GetDirectionalDerivative(c, y.of, y.count, u.of, u.count, in, u.elements, out, y.elements));
-    DONE(fmi3GetAdjointDerivative(c, y.of, y.count, u.of, u.count, out, y.elements, in, u.elements));
-    REFUSED(fmi3GetDirectionalDerivative(c, y.of, y.count, u.of, u.count, in, u.elements + 1, out, y.elements));
-    REFUSED(fmi3GetDirectionalDerivative(c, y.of, y.count, u.of, u.count, in, u.elements, out, y.elements + 1));
-    REFUSED(fmi3GetAdjointDerivative(c, y.of, y.count, u.of, u.count, out, y.elements + 1, in, u.elements));
-    REFUSED(fmi3GetDirectionalDerivative(c, u.of, u.count, u.of, u.count, in, u.elements, back, u.elements));
+    DONE(fmi3GetDirectionalDerivative(c, y.of, y.count, u.of, u.count, in, u.elements, out,
+                                      y.elements));
+    DONE(
+        fmi3GetAdjointDerivative(c, y.of, y.count, u.of, u.count, out, y.elements, in, u.elements));
+    REFUSED(fmi3GetDirectionalDerivative(c, y.of, y.count, u.of, u.count, in, u.elements + 1, out,
+                                         y.elements));
+    REFUSED(fmi3GetDirectionalDerivative(c, y.of, y.count, u.of, u.count, in, u.elements, out,
+                                         y.elements + 1));
+    REFUSED(fmi3GetAdjointDerivative(c, y.of, y.count, u.of, u.count, out, y.elements + 1, in,
+                                     u.elements));
+    REFUSED(fmi3GetDirectionalDerivative(c, u.of, u.count, u.of, u.count, in, u.elements, back,
+                                         u.elements));
     REFUSED(fmi3GetOutputDerivatives(c, y.of, 1, &order, out, 1));
     DONE(fmi3GetOutputDerivatives(c, NULL, 0, NULL, NULL, 0));
     free(in), free(out), free(back);
 }
 
-/* Gives algebraic variables: the residual shows it, y and x' follow, and their derivatives by them are told. */
+/* Gives algebraic variables: the residual shows it, y and x' follow, and their derivatives by them
+ * are told. */
 static void algebraic(fmi3Instance c, int may_be_set)
 {
     const int32_t n_z = model_residual_form->n_z;
@@ -140,7 +152,8 @@ static void algebraic(fmi3Instance c, int may_be_set)
     while (model_residual_form->of_output[first] < 0)
         ++first;
     references z = take(model_m + first, n_z), r = take(model_m + model_p + 2 * model_n + 1, n_z);
-    double *given = some(z.elements, 3.0), *back = some(z.elements, 0.0), *rest = some(r.elements, 0.0), *found = some(dx.elements, 0.0);
+    double *given = some(z.elements, 3.0), *back = some(z.elements, 0.0),
+           *rest = some(r.elements, 0.0), *found = some(dx.elements, 0.0);
     if (may_be_set)
         DONE(fmi3SetFloat64(c, z.of, z.count, given, z.elements));
     else
@@ -151,10 +164,14 @@ static void algebraic(fmi3Instance c, int may_be_set)
     DONE(fmi3GetFloat64(c, r.of, r.count, rest, r.elements));
     CHECK((fabs(rest[0]) > 1e-9) == may_be_set);
     REFUSED(fmi3GetFloat64(c, r.of, r.count, rest, r.elements + 1));
-    DONE(fmi3GetDirectionalDerivative(c, r.of, r.count, z.of, z.count, given, z.elements, rest, r.elements));
-    DONE(fmi3GetDirectionalDerivative(c, dx.of, dx.count, z.of, z.count, given, z.elements, found, dx.elements));
-    DONE(fmi3GetAdjointDerivative(c, r.of, r.count, z.of, z.count, rest, r.elements, back, z.elements));
-    REFUSED(fmi3GetDirectionalDerivative(c, r.of, r.count, r.of, r.count, rest, r.elements, rest, r.elements));
+    DONE(fmi3GetDirectionalDerivative(c, r.of, r.count, z.of, z.count, given, z.elements, rest,
+                                      r.elements));
+    DONE(fmi3GetDirectionalDerivative(c, dx.of, dx.count, z.of, z.count, given, z.elements, found,
+                                      dx.elements));
+    DONE(fmi3GetAdjointDerivative(c, r.of, r.count, z.of, z.count, rest, r.elements, back,
+                                  z.elements));
+    REFUSED(fmi3GetDirectionalDerivative(c, r.of, r.count, r.of, r.count, rest, r.elements, rest,
+                                         r.elements));
     free(z.of), free(r.of), free(given), free(back), free(rest), free(found);
 }
 
@@ -169,7 +186,8 @@ static void event_iteration(fmi3Instance c)
 static void model_exchange(void)
 {
     size_t n = 99, indicators = 99;
-    fmi3Instance c = fmi3InstantiateModelExchange("one", model_token, "", 0, 0, &errors, log_message);
+    fmi3Instance c =
+        fmi3InstantiateModelExchange("one", model_token, "", 0, 0, &errors, log_message);
     fmi3Boolean event = 1, terminate = 1;
     begin(c);
     REFUSED(fmi3SetTime(c, 1.0));
@@ -317,7 +335,8 @@ static void co_simulation(fmi3Boolean event_mode)
 
 int main(void)
 {
-    u = take(0, model_m), y = take(model_m, model_p), dx = take(model_m + model_p, model_n), wrong = take(0, 1);
+    u = take(0, model_m), y = take(model_m, model_p), dx = take(model_m + model_p, model_n),
+    wrong = take(0, 1);
     wrong.of[0] = 12345;
     CHECK(strncmp(fmi3GetVersion(), "3.0", 3) == 0);
     if (model_has_derivatives)
@@ -329,7 +348,8 @@ int main(void)
     CHECK(!fmi3InstantiateModelExchange("one", "another token", "", 0, 0, &errors, log_message));
     CHECK(!fmi3InstantiateModelExchange("one", "another token", "", 0, 0, NULL, NULL));
     CHECK(!fmi3InstantiateModelExchange(NULL, model_token, "", 0, 0, &errors, log_message));
-    CHECK(!fmi3InstantiateScheduledExecution("one", model_token, "", 0, 0, &errors, log_message, NULL, NULL, NULL));
+    CHECK(!fmi3InstantiateScheduledExecution("one", model_token, "", 0, 0, &errors, log_message,
+                                             NULL, NULL, NULL));
     fmi3FreeInstance(NULL);
     free(u.of), free(y.of), free(dx.of), free(wrong.of);
     return 0;

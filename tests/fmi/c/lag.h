@@ -1,23 +1,30 @@
-/* A lag with feedthrough for co-simulation, x' = u + d - x, y = x + u, that can be told to misbehave. Its own step is exact for
- * inputs that are straight lines. What it shows is computed at the end of a step (an eager unit): read after setting inputs without
- * a step between, it would be stale, so that is answered with an error. */
+/* A lag with feedthrough for co-simulation, x' = u + d - x, y = x + u, that can be made to
+ * misbehave. Its own step is exact for linearly interpolated inputs. What it shows is computed at
+ * the end of a step (an eager instance): read after setting inputs without a step between, it would
+ * be stale, so that is answered with an error. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
 enum {
-    U, D, X, Y, CALLS,
-    Z,              /* z = d */
-    LONGEST,        /* longer steps are refused that overlap ... */
-    FROM, TO,       /* ... this time */
-    INNER,          /* the inner step, if there is one */
-    RETURNS,        /* returns early at the multiples of it; negative: so much before the start of the step */
-    EVENT,          /* a time event, where x grows by 1, at the multiples of it ... */
-    ANNOUNCES,      /* ... which is announced, or only met (0); one more is at the start (2) */
-    ITERATIONS,     /* of an event */
-    END, FAIL,      /* times of the wish to end, and of the failure */
-    STATUS,         /* of the failure */
-    ASKS,           /* for inputs in a step: how often (FMI 3) */
+    U,
+    D,
+    X,
+    Y,
+    CALLS,
+    Z,       /* z = d */
+    LONGEST, /* longer steps are refused that overlap ... */
+    FROM,
+    TO,         /* ... this time */
+    INNER,      /* the inner step, if there is one */
+    RETURNS,    /* returns early at the multiples of it; negative: that long before the step */
+    EVENT,      /* a time event, where x grows by 1, at the multiples of it ... */
+    ANNOUNCES,  /* ... which is announced, or only met (0); one more is at the start (2) */
+    ITERATIONS, /* of an event */
+    END,        /* time of the wish to end */
+    FAIL,       /* time of the failure */
+    STATUS,     /* of the failure */
+    ASKS,       /* for inputs in a step: how often (FMI 3) */
     VALUES
 };
 
@@ -30,7 +37,8 @@ typedef struct {
     Mode mode;
 } Lag;
 
-static const double start[VALUES] = {[TO] = 1e9, [LONGEST] = 1e9, [END] = 1e9, [FAIL] = 1e9, [ITERATIONS] = 1, [ASKS] = 2};
+static const double start[VALUES] = {[TO] = 1e9,   [LONGEST] = 1e9,  [END] = 1e9,
+                                     [FAIL] = 1e9, [ITERATIONS] = 1, [ASKS] = 2};
 
 static void lag_reset(Lag *lag)
 {
@@ -61,14 +69,18 @@ static int lag_get(Lag *lag, unsigned reference, double *value)
 {
     if (lag->mode != STEP)
         lag_show(lag);
-    *value = reference == X || reference == Y || reference == Z ? lag->shown[reference] : lag->value[reference];
+    *value = reference == X || reference == Y || reference == Z ? lag->shown[reference]
+                                                                : lag->value[reference];
     return !lag->stale || reference < X;
 }
 
 /* The next multiple of a period after t. */
-static double lag_next(double period, double t) { return (floor(t / period + 1e-9) + 1.0) * period; }
+static double lag_next(double period, double t)
+{
+    return (floor(t / period + 1e-9) + 1.0) * period;
+}
 
-/* Give how the step from t to *end would go, and where it would really end. */
+/* Return how the step from t to *end would go, and where it would really end. */
 static Outcome lag_outcome(Lag *lag, double t, double *end)
 {
     const double *p = lag->value, close = 1e-9;
@@ -94,7 +106,7 @@ static Outcome lag_outcome(Lag *lag, double t, double *end)
     return DONE;
 }
 
-/* x - v + slope decays, v = u + d: exact for a straight line. */
+/* x - v + slope decays, v = u + d: exact for a linearly interpolated input. */
 static void lag_cross(Lag *lag, double h)
 {
     double *value = lag->value, v = value[U] + value[D], slope = lag->slope;

@@ -1,4 +1,4 @@
-/* lag.h as FMI 2.0. A step that is discarded leaves the state spoilt: only a saved one helps. */
+/* lag.h as FMI 2.0. A step that is discarded leaves the state spoiled: only a saved one helps. */
 #include "fmi2Functions.h"
 #include "lag.h"
 
@@ -6,38 +6,59 @@ typedef struct {
     Lag lag;
     Outcome last;
     const fmi2CallbackFunctions *functions;
-} Unit;
+} Instance;
 
-static fmi2Status complain(Unit *unit, const char *text)
+static fmi2Status complain(Instance *instance, const char *text)
 {
-    unit->functions->logger(unit->functions->componentEnvironment, "lag", fmi2Error, "error", text);
+    instance->functions->logger(instance->functions->componentEnvironment, "lag", fmi2Error,
+                                "error", text);
     return fmi2Error;
 }
 
 fmi2Component fmi2Instantiate(fmi2String name, fmi2Type kind, fmi2String guid, fmi2String resources,
-                              const fmi2CallbackFunctions *functions, fmi2Boolean visible, fmi2Boolean logging)
+                              const fmi2CallbackFunctions *functions, fmi2Boolean visible,
+                              fmi2Boolean logging)
 {
     (void)name, (void)kind, (void)guid, (void)resources, (void)visible, (void)logging;
-    Unit *unit = calloc(1, sizeof(Unit));
-    lag_reset(&unit->lag);
-    unit->functions = functions;
-    return unit;
+    Instance *instance = calloc(1, sizeof(Instance));
+    lag_reset(&instance->lag);
+    instance->functions = functions;
+    return instance;
 }
 
 void fmi2FreeInstance(fmi2Component c) { free(c); }
-fmi2Status fmi2Reset(fmi2Component c) { lag_reset(&((Unit *)c)->lag); return fmi2OK; }
-fmi2Status fmi2Terminate(fmi2Component c) { (void)c; return fmi2OK; }
-fmi2Status fmi2EnterInitializationMode(fmi2Component c) { (void)c; return fmi2OK; }
-fmi2Status fmi2ExitInitializationMode(fmi2Component c) { lag_show(c); ((Unit *)c)->lag.mode = STEP; return fmi2OK; }
-
-fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean tolerant, fmi2Real tolerance, fmi2Real t, fmi2Boolean stops, fmi2Real stop)
+fmi2Status fmi2Reset(fmi2Component c)
 {
-    (void)tolerant, (void)tolerance, (void)stops, (void)stop;
-    ((Unit *)c)->lag.t = t;
+    lag_reset(&((Instance *)c)->lag);
+    return fmi2OK;
+}
+fmi2Status fmi2Terminate(fmi2Component c)
+{
+    (void)c;
+    return fmi2OK;
+}
+fmi2Status fmi2EnterInitializationMode(fmi2Component c)
+{
+    (void)c;
+    return fmi2OK;
+}
+fmi2Status fmi2ExitInitializationMode(fmi2Component c)
+{
+    lag_show(c);
+    ((Instance *)c)->lag.mode = STEP;
     return fmi2OK;
 }
 
-fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2Real values[])
+fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean tolerant, fmi2Real tolerance,
+                               fmi2Real t, fmi2Boolean stops, fmi2Real stop)
+{
+    (void)tolerant, (void)tolerance, (void)stops, (void)stop;
+    ((Instance *)c)->lag.t = t;
+    return fmi2OK;
+}
+
+fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_t n,
+                       const fmi2Real values[])
 {
     for (size_t i = 0; i < n; ++i)
         lag_set(c, vr[i], values[i], 0);
@@ -52,17 +73,18 @@ fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t n,
     return fmi2OK;
 }
 
-fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2Integer order[],
-                                       const fmi2Real values[])
+fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t n,
+                                       const fmi2Integer order[], const fmi2Real values[])
 {
     if (n != 1 || vr[0] != U || order[0] != 1)
         return complain(c, "needed the first derivative of u, which alone is continuous");
-    ((Unit *)c)->lag.slope = values[0];
+    ((Instance *)c)->lag.slope = values[0];
     return fmi2OK;
 }
 
-fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReference unknowns[], size_t n, const fmi2ValueReference knowns[],
-                                        size_t m, const fmi2Real seed[], fmi2Real result[])
+fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReference unknowns[],
+                                        size_t n, const fmi2ValueReference knowns[], size_t m,
+                                        const fmi2Real seed[], fmi2Real result[])
 {
     if (n != 1 || m != 1 || unknowns[0] != Y || knowns[0] != U)
         return complain(c, "only y depends on an input");
@@ -72,28 +94,21 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReferenc
 
 fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no_way_back)
 {
-    Unit *unit = c;
+    Instance *instance = c;
     double end = t + h;
     (void)no_way_back;
-    unit->last = lag_outcome(&unit->lag, t, &end);
-    switch (unit->last) {
-    case FAILED:
-        complain(c, "out of petrol");
-        return (fmi2Status)unit->lag.value[STATUS];
-    case DISCARDED:
-        unit->lag.value[X] = 1e6;
-        return fmi2Discard;
-    case ENDED:
-        return fmi2Discard;
-    default:
-        lag_advance(&unit->lag, t, t + h);
-        return fmi2OK;
+    instance->last = lag_outcome(&instance->lag, t, &end);
+    switch (instance->last) {
+    case FAILED: complain(c, "out of petrol"); return (fmi2Status)instance->lag.value[STATUS];
+    case DISCARDED: instance->lag.value[X] = 1e6; return fmi2Discard;
+    case ENDED: return fmi2Discard;
+    default: lag_advance(&instance->lag, t, t + h); return fmi2OK;
     }
 }
 
 fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Boolean *value)
 {
-    *value = ((Unit *)c)->last == ENDED;
+    *value = ((Instance *)c)->last == ENDED;
     return kind == fmi2Terminated ? fmi2OK : fmi2Discard;
 }
 
@@ -106,14 +121,14 @@ fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Rea
 fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *state)
 {
     if (*state == NULL)
-        *state = malloc(sizeof(Unit));
-    memcpy(*state, c, sizeof(Unit));
+        *state = malloc(sizeof(Instance));
+    memcpy(*state, c, sizeof(Instance));
     return fmi2OK;
 }
 
 fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate state)
 {
-    memcpy(c, state, sizeof(Unit));
+    memcpy(c, state, sizeof(Instance));
     return fmi2OK;
 }
 
@@ -126,11 +141,19 @@ fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *state)
 }
 
 /* The lag has no variables of other types. */
-#define NONE(name, type) \
-    fmi2Status fmi2Set##name(fmi2Component c, const fmi2ValueReference vr[], size_t n, const type values[]) \
-    { (void)vr, (void)n, (void)values; return complain(c, "no variables of this type"); } \
-    fmi2Status fmi2Get##name(fmi2Component c, const fmi2ValueReference vr[], size_t n, type values[]) \
-    { (void)vr, (void)n, (void)values; return complain(c, "no variables of this type"); }
+#define NONE(name, type)                                                               \
+    fmi2Status fmi2Set##name(fmi2Component c, const fmi2ValueReference vr[], size_t n, \
+                             const type values[])                                      \
+    {                                                                                  \
+        (void)vr, (void)n, (void)values;                                               \
+        return complain(c, "no variables of this type");                               \
+    }                                                                                  \
+    fmi2Status fmi2Get##name(fmi2Component c, const fmi2ValueReference vr[], size_t n, \
+                             type values[])                                            \
+    {                                                                                  \
+        (void)vr, (void)n, (void)values;                                               \
+        return complain(c, "no variables of this type");                               \
+    }
 NONE(Integer, fmi2Integer)
 NONE(Boolean, fmi2Boolean)
 NONE(String, fmi2String)

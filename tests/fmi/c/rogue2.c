@@ -1,4 +1,5 @@
-/* An FMI 2 co-simulation FMU, x' = u - x by Euler's method, y = x, that does one thing wrong: -DROGUE=<one of these>. */
+/* An FMI 2 co-simulation FMU, x' = u - x by Euler's method, y = x, that does one thing wrong:
+ * -DROGUE=<one of these>. */
 #include <math.h>
 #include <signal.h>
 #include <stdio.h>
@@ -6,7 +7,10 @@
 #include <unistd.h>
 #include "fmi2Functions.h"
 
-enum { GOOD, CRASH, HANG, EXITS, REFUSES, NAN_OUTPUT, OTHER_START, LIES, FORGETS, HANGS_BACK, CRASHES_FREE, FAILS_STEP, LOUD, LITTERS, PRINTS };
+enum {
+    GOOD, CRASH, HANG, EXITS, REFUSES, NAN_OUTPUT, OTHER_START, LIES, FORGETS,
+    HANGS_BACK, CRASHES_FREE, FAILS_STEP, LOUD, LITTERS, PRINTS
+};
 
 typedef struct {
     double x, u, memory;
@@ -14,20 +18,33 @@ typedef struct {
 
 const char *fmi2GetTypesPlatform(void) { return fmi2TypesPlatform; }
 const char *fmi2GetVersion(void) { return fmi2Version; }
-fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean on, size_t n, const fmi2String names[]) { return fmi2OK; }
+fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean on, size_t n, const fmi2String names[])
+{
+    return fmi2OK;
+}
 
 fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, fmi2String place,
-                              const fmi2CallbackFunctions *functions, fmi2Boolean visible, fmi2Boolean on) {
-    if (ROGUE == EXITS) exit(3);
-    if (ROGUE == REFUSES) return NULL;
-    if (ROGUE == LITTERS) fclose(fopen("litter", "w"));
+                              const fmi2CallbackFunctions *functions, fmi2Boolean visible,
+                              fmi2Boolean on)
+{
+    if (ROGUE == EXITS)
+        exit(3);
+    if (ROGUE == REFUSES)
+        return NULL;
+    if (ROGUE == LITTERS)
+        fclose(fopen("litter", "w"));
     return calloc(1, sizeof(Model));
 }
 
 void fmi2FreeInstance(fmi2Component c) { free(c); }
-fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean a, fmi2Real b, fmi2Real t, fmi2Boolean d, fmi2Real e) { return fmi2OK; }
+fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean a, fmi2Real b, fmi2Real t,
+                               fmi2Boolean d, fmi2Real e)
+{
+    return fmi2OK;
+}
 
-fmi2Status fmi2EnterInitializationMode(fmi2Component c) {
+fmi2Status fmi2EnterInitializationMode(fmi2Component c)
+{
     ((Model *)c)->x = ROGUE == OTHER_START ? 2.0 : 1.0;
     return fmi2OK;
 }
@@ -36,18 +53,25 @@ fmi2Status fmi2ExitInitializationMode(fmi2Component c) { return fmi2OK; }
 fmi2Status fmi2Terminate(fmi2Component c) { return fmi2OK; }
 fmi2Status fmi2Reset(fmi2Component c) { return fmi2OK; }
 
-fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference r[], size_t n, fmi2Real v[]) {
-    for (size_t i = 0; i < n; i++) v[i] = r[i] ? ((Model *)c)->x : ((Model *)c)->u;
+fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference r[], size_t n, fmi2Real v[])
+{
+    for (size_t i = 0; i < n; i++)
+        v[i] = r[i] ? ((Model *)c)->x : ((Model *)c)->u;
     return fmi2OK;
 }
 
-fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference r[], size_t n, const fmi2Real v[]) {
-    for (size_t i = 0; i < n; i++) ((Model *)c)->u = v[i];
+fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference r[], size_t n, const fmi2Real v[])
+{
+    for (size_t i = 0; i < n; i++)
+        ((Model *)c)->u = v[i];
     return fmi2OK;
 }
 
-#define NOTHING(name, type) \
-    fmi2Status name(fmi2Component c, const fmi2ValueReference r[], size_t n, type v[]) { return fmi2OK; }
+#define NOTHING(name, type)                                                            \
+    fmi2Status name(fmi2Component c, const fmi2ValueReference r[], size_t n, type v[]) \
+    {                                                                                  \
+        return fmi2OK;                                                                 \
+    }
 NOTHING(fmi2GetInteger, fmi2Integer)
 NOTHING(fmi2GetBoolean, fmi2Boolean)
 NOTHING(fmi2GetString, fmi2String)
@@ -55,42 +79,69 @@ NOTHING(fmi2SetInteger, const fmi2Integer)
 NOTHING(fmi2SetBoolean, const fmi2Boolean)
 NOTHING(fmi2SetString, const fmi2String)
 
-fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *s) {
-    if (!*s) *s = malloc(sizeof(Model));
+fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *s)
+{
+    if (!*s)
+        *s = malloc(sizeof(Model));
     *(Model *)*s = *(Model *)c;
     return fmi2OK;
 }
 
-fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate s) {
+fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate s)
+{
     Model *m = c, *saved = s;
     double memory = m->memory;
-    if (ROGUE == HANGS_BACK) for (;;) pause();
-    if (ROGUE != LIES) *m = *saved;
-    if (ROGUE == FORGETS) m->memory = memory;
+    if (ROGUE == HANGS_BACK)
+        for (;;)
+            pause();
+    if (ROGUE != LIES)
+        *m = *saved;
+    if (ROGUE == FORGETS)
+        m->memory = memory;
     return fmi2OK;
 }
 
-fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *s) {
-    if (ROGUE == CRASHES_FREE) raise(SIGSEGV);
+fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *s)
+{
+    if (ROGUE == CRASHES_FREE)
+        raise(SIGSEGV);
     free(*s);
     *s = NULL;
     return fmi2OK;
 }
 
 #ifndef WITHOUT_STEP
-fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no_way_back) {
+fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no_way_back)
+{
     Model *m = c;
-    if (ROGUE == CRASH) raise(SIGSEGV);
-    if (ROGUE == HANG) for (;;) pause();
-    if (ROGUE == FAILS_STEP) return fmi2Error;
-    if (ROGUE == LOUD) for (int i = 0; i < 100000; i++) puts("a line that nobody asked for, and many more of them");
-    if (ROGUE == PRINTS) puts("a line that nobody asked for");
+    if (ROGUE == CRASH)
+        raise(SIGSEGV);
+    if (ROGUE == HANG)
+        for (;;)
+            pause();
+    if (ROGUE == FAILS_STEP)
+        return fmi2Error;
+    if (ROGUE == LOUD)
+        for (int i = 0; i < 100000; i++)
+            puts("a line that nobody asked for, and many more of them");
+    if (ROGUE == PRINTS)
+        puts("a line that nobody asked for");
     m->memory += m->u;
-    m->x = ROGUE == NAN_OUTPUT ? NAN : m->x + h * (m->u - m->x) + (ROGUE == FORGETS ? m->memory : 0.0);
+    m->x =
+        ROGUE == NAN_OUTPUT ? NAN : m->x + h * (m->u - m->x) + (ROGUE == FORGETS ? m->memory : 0.0);
     return fmi2OK;
 }
 #endif
 
-fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind k, fmi2Status *v) { return fmi2Discard; }
-fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind k, fmi2Real *v) { return fmi2Discard; }
-fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind k, fmi2Boolean *v) { return fmi2Discard; }
+fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind k, fmi2Status *v)
+{
+    return fmi2Discard;
+}
+fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind k, fmi2Real *v)
+{
+    return fmi2Discard;
+}
+fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind k, fmi2Boolean *v)
+{
+    return fmi2Discard;
+}
