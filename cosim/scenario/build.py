@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from cosim.blocks.port_map import PortMap
-from cosim.blocks.renaming import resolve
 from cosim.blocks.renamed import Renamed
+from cosim.blocks.renaming import resolve
 from cosim.blocks.replay import Replay
 from cosim.core.clock import Clock
 from cosim.core.connections import Connection, check_connections, layout_of

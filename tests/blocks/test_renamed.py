@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from cosim.blocks.renaming import Renaming, port_map
 from cosim.blocks.renamed import Renamed
+from cosim.blocks.renaming import Renaming, port_map
 from cosim.blocks.replay import Replay
 from cosim.blocks.source import Expression
 from cosim.core.clock import Clock
