@@ -1,15 +1,16 @@
 """From written names to a map of ports: renamings are resolved and checked.
 
+A shown port may be given element by element, ``plant.x[1] <- plant.speed``: elements from 0 on make
+the port. They do not overlap, and are all of it where its size is known. Where it is not, an
+element without those before it is a signal of that name (:mod:`cosim.core.port`).
+
 Every input element of the component is shown once. An output that no renaming covers keeps its own
-name, so that every output stays visible; where that name is taken, ``_`` is appended to it. An
-element that is shown, ``plant.x[1] <- plant.speed``, is a signal of that name beside the vector
-``x``, if there is one: such names come first (:mod:`cosim.core.port`). Elements from 0 on make a
-vector.
+name, so that every output stays visible; where that name is taken, ``_`` is appended to it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from cosim.blocks.port_map import Causality, PortElement, PortMap, ShownPort, names_of
@@ -30,7 +31,7 @@ class Renaming:
     sources : tuple of Port
         Ports of the component, or elements of them, in the order of the shown elements.
     causality : {"input", "output"} or None
-        What they must be; None: either.
+        What they must be; None: that of the port in the component that has the shown names.
     """
 
     port: Port
@@ -66,8 +67,9 @@ def resolve(
     renamings : iterable of Renaming
         Each port once; ports that are not named keep their own names.
     replaced : Interface or None
-        Of the component that has the shown names: a vector made of elements of different units
-        is shown in the unit of its port there, where that is declared.
+        Of the component that has the shown names. A port that is given in parts has the size of
+        its port there; a vector made of elements of different units is shown in the unit of that
+        port, where it is declared.
 
     Returns
     -------
@@ -76,35 +78,26 @@ def resolve(
         Problems, by the port of a renaming.
     """
     resolver = _Resolver(interface, replaced)
-    own = _signals(interface)
-    for renaming in _vectors(renamings, own):
-        resolver.show(renaming)
+    for port, parts in _by_port(renamings, replaced).items():
+        resolver.show(port, parts)
     resolver.check_inputs()
     return resolver.port_map(), resolver.problems
 
 
-def _vectors(renamings: Iterable[Renaming], own: Mapping[str, Signal]) -> list[Renaming]:
-    """Join renamings of elements from 0 on to one of a vector, where there is no such port yet."""
-    groups: dict[Port, list[Renaming]] = {}
+def _by_port(
+    renamings: Iterable[Renaming], replaced: Interface | None
+) -> dict[Port, list[Renaming]]:
+    """Return the renamings of every port: of all of it, or of its elements in rising order."""
+    # a port whose own name looks like that of an element, such as x[1], is no part of another
+    names = set() if replaced is None else set(_signals(replaced))
+    by_port: dict[Port, list[Renaming]] = {}
     for renaming in renamings:
-        whole = renaming.port.whole
-        groups.setdefault(whole, []).append(renaming)
-    joined = []
-    for whole, parts in groups.items():
+        port = renaming.port
+        whole = port if port.name in names else port.whole
+        by_port.setdefault(whole, []).append(renaming)
+    for parts in by_port.values():
         parts.sort(key=lambda part: _positions(part.port).start)
-        positions: list[int] = []
-        sources: list[Port] = []
-        for part in parts:
-            positions += _positions(part.port)
-            sources += part.sources
-        from_zero = positions == list(range(len(positions)))
-        elements_only = all(part.port != whole for part in parts)
-        if positions and from_zero and elements_only and whole.signal not in own:
-            vector = Renaming(whole, tuple(sources), parts[0].causality)
-            joined.append(vector)
-        else:
-            joined += parts
-    return joined
+    return by_port
 
 
 def _positions(port: Port) -> range:
@@ -124,20 +117,66 @@ class _Resolver:
     def __init__(self, interface: Interface, replaced: Interface | None) -> None:
         self.problems: dict[Port, str] = {}
         self._interface = interface
-        self._replaced = {} if replaced is None else _signals(replaced)
+        self._replaced: dict[str, Signal] = {}
+        self._replaced_causalities: dict[str, Causality] = {}
+        if replaced is not None:
+            self._replaced = _signals(replaced)
+            self._replaced_causalities |= {signal.name: "input" for signal in replaced.inputs}
+            self._replaced_causalities |= {signal.name: "output" for signal in replaced.outputs}
         inputs = _elements(interface.inputs, "input")
         outputs = _elements(interface.outputs, "output")
         self._elements = {**inputs, **outputs}
         self._shown: dict[Port, ShownPort] = {}
 
-    def show(self, renaming: Renaming) -> None:
-        """Show ports of the component under another name."""
-        port = renaming.port
+    def show(self, port: Port, parts: Sequence[Renaming]) -> None:
+        """Show elements of the component as a port, which is given as a whole or in parts."""
+        problems = self._check_parts(port, parts)
+        if problems:
+            self.problems |= problems
+            return
+        positions: list[int] = []
+        for part in parts:
+            positions += _positions(part.port)
+        if positions == list(range(len(positions))):
+            self._show(port, parts)
+        else:  # elements of a port of unknown size: each is a signal of its name
+            for part in parts:
+                self._show(part.port, [part])
+
+    def _check_parts(self, port: Port, parts: Sequence[Renaming]) -> dict[Port, str]:
+        """Return why parts do not make a port, by part: they overlap, or some are missing."""
+        if parts[0].port == port and len(parts) == 1:
+            return {}
+        problems: dict[Port, str] = {}
+        covered: dict[int, Renaming] = {}
+        whole = [part for part in parts if part.port == port]
+        for part in parts:
+            overlapped = [covered[i] for i in _positions(part.port) if i in covered]
+            if part.port != port:
+                overlapped += whole
+            if overlapped:
+                problems[part.port] = (
+                    f"{_given(part)} overlaps {_given(overlapped[0])}; needed '{port}' as a "
+                    "whole, or each of its elements once"
+                )
+            covered |= dict.fromkeys(_positions(part.port), part)
+        replaced = self._replaced.get(port.signal)
+        if problems or replaced is None:
+            return problems
+        return _check_complete(parts, covered, replaced)
+
+    def _show(self, port: Port, parts: Sequence[Renaming]) -> None:
+        elements: list[PortElement] = []
+        failed = False
+        for part in parts:
+            try:
+                elements += self._part(part)
+            except GraphError as error:
+                self.problems[part.port] = str(error)
+                failed = True
+        if failed:
+            return
         try:
-            elements: list[PortElement] = []
-            for source in renaming.sources:
-                elements += self._find(source, renaming.causality)
-            _check_size(port, elements)
             _check_alike(port, elements)
             unit = self._unit(port, elements)
         except GraphError as error:
@@ -145,6 +184,23 @@ class _Resolver:
             return
         signal = _shown_signal(port.name, elements, unit)
         self._shown[port] = ShownPort(signal, tuple(elements))
+
+    def _part(self, part: Renaming) -> list[PortElement]:
+        """Return the elements of the component that a renaming names.
+
+        Raises
+        ------
+        GraphError
+            If one of them is not there, or their number is not that of the part.
+        """
+        port = part.port
+        causalities = self._replaced_causalities
+        of_replaced = causalities.get(port.name) or causalities.get(port.signal)
+        elements: list[PortElement] = []
+        for source in part.sources:
+            elements += self._find(source, part.causality or of_replaced)
+        _check_size(part.port, elements)
+        return elements
 
     def _find(self, source: Port, causality: Causality | None) -> list[PortElement]:
         """Return the elements of a port of the component.
@@ -240,6 +296,8 @@ class _Resolver:
         """Return the map: the shown ports, and those of the component that none of them covers."""
         ports = list(self._shown.values())
         taken = {port.signal.name for port in ports}
+        # an element that is a signal beside its vector would be found in the vector's place
+        taken |= {port.signal for port in self._shown}
         covered: set[PortElement] = set()
         for port in ports:
             covered.update(port.elements)
@@ -307,6 +365,35 @@ def _check_size(port: Port, elements: Sequence[PortElement]) -> None:
     if needed and size != needed:
         names = ", ".join(names_of(elements))
         raise GraphError(f"'{port}' has size {needed}; found size {size}: {names}")
+
+
+def _check_complete(
+    parts: Sequence[Renaming], covered: Collection[int], replaced: Signal
+) -> dict[Port, str]:
+    """Return why parts are not the whole of a port of known size, by part."""
+    size = replaced.size
+    count = "1 element" if size == 1 else f"{size} elements"
+    problems: dict[Port, str] = {}
+    for part in parts:
+        port = part.port
+        if _positions(port).stop > size:
+            problems[port] = f"{_given(part)}: '{port.whole}' has {count}, numbered from 0"
+    missing = [str(replace(parts[0].port, element=i)) for i in range(size) if i not in covered]
+    if missing and not problems:
+        part = parts[0]
+        port = part.port.whole
+        names = ", ".join(["NAME"] * size)
+        problems[part.port] = (
+            f"{_given(part)} is a part of '{port}', which has {count}; needed entries for the rest "
+            f"too: {', '.join(missing)}, or one for the whole: {port}=[{names}]"
+        )
+    return problems
+
+
+def _given(renaming: Renaming) -> str:
+    """Return a renaming as its problems name it."""
+    names = ", ".join(source.name for source in renaming.sources)
+    return f"'{renaming.port}' (as {names})"
 
 
 def _check_alike(port: Port, elements: Sequence[PortElement]) -> None:

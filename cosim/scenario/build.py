@@ -31,7 +31,7 @@ from cosim.scenario.document import Document
 from cosim.scenario.kinds import BuildContext, Kind
 from cosim.scenario.parsing import Scenario, read
 from cosim.scenario.problems import Problem
-from cosim.scenario.swap import MapEntry
+from cosim.scenario.swap import MapEntry, unknown_ports
 from cosim.scenario.truth import check_truth
 
 
@@ -131,6 +131,9 @@ class Builder:
         self._periods: dict[str, int] = {}
         self._invalid: set[str] = set()  # components whose connections are not checked
         self._check_models()
+        for name, interface in self._replaced.items():
+            entries = scenario.maps.get(name, [])
+            self.problems += unknown_ports(scenario.tree, entries, interface)
         for name, spec in scenario.specs.items():
             self._build(name, spec)
         names = set(scenario.file.components)

@@ -25,7 +25,7 @@ from cosim.scenario.parsing import Scenario, read
 from cosim.scenario.profile import Timed
 from cosim.scenario.records import SCENARIO_FILE, MessageRecorder, attachments_of, metadata_of
 from cosim.scenario.replaying import unaffected_warnings, valid_designs
-from cosim.scenario.swap import PortNames
+from cosim.scenario.swap import PortNames, is_map_key
 from cosim.scenario.swap_report import SwapReports
 
 Progress = Callable[[float, float], None]  # simulated time, end [s]
@@ -176,6 +176,8 @@ def replay(
     _check_path(out)
     with ExitStack() as resources:
         scenario, problems = read(document, parse)
+        # recorded ports have the scenario's names: a map need not fit changed connections
+        problems = [(key, text) for key, text in problems if not is_map_key(key)]
         builder = Builder(scenario, resources, problems=problems, recording=source, block=block)
         experiment = builder.experiment()
         warnings = (*experiment.warnings, *unaffected_warnings(experiment, set or {}))

@@ -24,6 +24,7 @@ from typing import Any, TypeAlias
 from cosim.blocks.port_map import Causality
 from cosim.blocks.renaming import Renaming
 from cosim.core.port import Port
+from cosim.core.signals import Interface
 from cosim.errors import GraphError, UsageError, nearest
 from cosim.scenario.problems import Key, Problem
 from cosim.scenario.schema import truth_ports
@@ -225,6 +226,42 @@ def _sources(component: str, names: PortNames) -> tuple[Port, ...]:
     return tuple(Port.parse(f"{component}.{name}") for name in listed)
 
 
+def is_map_key(key: Key) -> bool:
+    """Return whether a problem's key is that of an entry of a map."""
+    return key[:1] == (MAP,) or (key[:1] == ("swap",) and key[2:3] == ("map",))
+
+
+def unknown_ports(
+    tree: Mapping[str, Any], entries: Iterable[MapEntry], replaced: Interface
+) -> list[Problem]:
+    """Return the problems of entries for ports that nothing knows.
+
+    Parameters
+    ----------
+    tree : mapping
+        Tables of a scenario, swaps applied.
+    entries : iterable of MapEntry
+        Of the map of one component.
+    replaced : Interface
+        Of the component that is replaced.
+    """
+    ports = WrittenPorts(tree)
+    own_names = [signal.name for signal in replaced.signals]
+    problems: list[Problem] = []
+    for entry in entries:
+        port = entry.renaming.port
+        if ports.has(port) or not {port.name, port.signal}.isdisjoint(own_names):
+            continue
+        own_ports = [f"{port.component}.{name}" for name in own_names]
+        known = dict.fromkeys([*ports.of(port.component), *own_ports])
+        text = (
+            f"the scenario connects no '{port}', and the component that is replaced has no such "
+            f"port; {nearest(str(port), known)}"
+        )
+        problems.append((entry.key, text))
+    return problems
+
+
 def port_names(names: PortNames) -> list[str]:
     """Return the names in an entry of a map: one, a list, or a text such as ``[s1, s2]``."""
     if not isinstance(names, str):
@@ -285,13 +322,15 @@ class WrittenPorts:
         Raises
         ------
         GraphError
-            If the scenario writes no such port of it, or it drives it by several.
+            If it is a port of another component that this one does not drive, or drives by
+            several. Whether there is a port of this one, :func:`unknown_ports` tells.
         """
-        if not self._writes(written, component):
+        ports = ports_in([written])
+        if ports and ports[0].component == component:
+            return ports[0]
+        if not self._writes(written, component) or ports[0] not in self._sources:
             raise GraphError(self.unknown(written, [component]))
-        port = Port.parse(written)
-        if port.component == component:
-            return port
+        port = ports[0]
         sources = [source for source in self._sources[port] if source.component == component]
         if len(sources) > 1:
             names = ", ".join(map(str, sources))
@@ -306,7 +345,7 @@ class WrittenPorts:
 
     def causality(self, port: Port) -> Causality | None:
         """Return what a port must be where the scenario connects it; None: anything."""
-        if port in self._sources:
+        if port in self._sources or port.whole in self._sources:
             return "input"
         wholes = [output.whole for output in self._outputs]
         return "output" if port.whole in wholes else None
@@ -335,6 +374,10 @@ class WrittenPorts:
                 f"{nearest(written, known)}"
             )
         return f"the scenario connects no {written!r}; {nearest(written, known)}"
+
+    def has(self, port: Port) -> bool:
+        """Return whether the scenario writes a port or one with elements of the same signal."""
+        return not {str(port), str(port.whole)}.isdisjoint(self.of(port.component))
 
 
 def ports_in(values: Iterable[Any]) -> list[Port]:

@@ -146,18 +146,80 @@ def test_a_vector_of_two_units_is_converted_element_by_element():
     check_component(lambda: renamed(names, Gauge(), replaced))
 
 
-def test_elements_of_a_vector_that_is_not_there_make_one():
-    """From 0 on; another element is a signal of its name."""
+def test_elements_from_0_on_make_a_port():
+    """One that was not there, or one in the place of a port of the component."""
     whole = port_map(INTERFACE, renamings({"y[1]": ["s[0]"], "y[0]": ["v"]}))
     assert [signal.name for signal in whole.interface.outputs] == ["s", "out", "y"]
     assert whole.names == {"y": "v, s[0]"}
-    single = port_map(INTERFACE, renamings({"y[1]": ["v"], "s[0]": ["out[1]"]}))
+    single = port_map(INTERFACE, renamings({"s[0]": ["out[1]"], "push[0]": ["push"]}))
+    assert single.names == {"s": "out[1]", "s_": "s"}
+    names = {"f[0]": ["f[1]"], "f[1]": ["f[0]"]}
+    turned = renamed(names)
+    assert [(signal.name, signal.size) for signal in turned.interface.inputs] == [
+        ("push", 1),
+        ("f", 2),
+        ("g", 1),
+    ]
+    assert port_map(INTERFACE, renamings(names)).names == {"f": "f[1], f[0]"}
+    check_component(lambda: renamed(names))
+
+
+def test_a_single_element_of_a_port_of_unknown_size_is_a_signal():
+    """No vector of the component is beside it, where it would be in the place of an element."""
+    single = port_map(INTERFACE, renamings({"s[1]": ["v"], "y[1]": ["v"]}))
     assert [(s.name, s.size) for s in single.interface.outputs] == [
-        ("s", 2),
+        ("s_", 2),
         ("out", 3),
-        ("s[0]", 1),
+        ("s[1]", 1),
         ("y[1]", 1),
     ]
+
+
+REPLACED = Interface((), (Signal("x", 2), Signal("y"), Signal("z"), Signal("z[1]")))
+PARTS = {
+    "an element beside the whole": (
+        {"x": ["s"], "x[0]": ["s[1]"]},
+        r"'plant\.x\[0\]' \(as s\[1\]\) overlaps 'plant\.x' \(as s\); needed 'plant\.x' as a "
+        r"whole, or each of its elements once",
+    ),
+    "an element beside a slice": (
+        {"x[0]": ["v"], "x[0:2]": ["s"]},
+        r"'plant\.x\[0:2\]' \(as s\) overlaps 'plant\.x\[0\]' \(as v\)",
+    ),
+    "an element beside the scalar": (
+        {"y[0]": ["v"], "y": ["s[0]"]},
+        r"'plant\.y\[0\]' \(as v\) overlaps 'plant\.y' \(as s\[0\]\)",
+    ),
+    "the second element alone": (
+        {"x[1]": ["v"]},
+        r"'plant\.x\[1\]' \(as v\) is a part of 'plant\.x', which has 2 elements; needed entries "
+        r"for the rest too: plant\.x\[0\], or one for the whole: plant\.x=\[NAME, NAME\]",
+    ),
+    "the first element alone": ({"x[0]": ["v"]}, r"needed entries for the rest too: plant\.x\[1\]"),
+    "an element that is not there": (
+        {"x[5]": ["v"]},
+        r"'plant\.x\[5\]' \(as v\): 'plant\.x' has 2 elements, numbered from 0",
+    ),
+    "a vector for an element": (
+        {"x[0]": ["s"], "x[1]": ["v"]},
+        r"'plant\.x\[0\]' has size 1; found size 2: s",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", PARTS)
+def test_parts_of_a_port_make_the_whole_of_it(case):
+    """They neither overlap nor leave out an element."""
+    names, text = PARTS[case]
+    with pytest.raises(GraphError, match=text):
+        port_map(INTERFACE, renamings(names), REPLACED)
+
+
+def test_a_name_in_brackets_may_be_that_of_a_port():
+    """It is no element of another then; y[0] is the scalar y."""
+    names = {"z[1]": ["v"], "z": ["s[0]"], "y[0]": ["s[1]"]}
+    ports = port_map(INTERFACE, renamings(names), REPLACED)
+    assert ports.names == {"z[1]": "v", "z": "s[0]", "y": "s[1]"}
 
 
 def test_a_recording_may_be_renamed_and_ends_where_it_ends():

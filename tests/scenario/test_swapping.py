@@ -4,11 +4,15 @@ import json
 import re
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 import cosim
 from cosim.cli import main
+from cosim.core.linear import LinearModel
+from cosim.core.signals import Interface, Signal
 from cosim.errors import ScenarioError, UsageError
+from cosim.fmi.exporting.export import export
 from cosim.report.summary import summarize
 from cosim.scenario.build import parse
 from cosim.scenario.document import find
@@ -207,6 +211,7 @@ def test_a_component_that_is_swapped_too_has_a_map_of_its_own(other, tmp_path):
     assert found == {port: [name] for port, name in maps.items()}
 
 
+MAP_OF_Y = {port: name for port, name in MAP.items() if port != "plant.x_a"}
 WRONG = {
     "a map without a swap": (
         {},
@@ -222,7 +227,8 @@ WRONG = {
     "no such port": (
         True,
         {"plant.uu": "force"},
-        r"--map plant\.uu: the scenario connects no 'plant\.uu'; did you mean 'plant\.u'\?",
+        r"--map plant\.uu: the scenario connects no 'plant\.uu', and the component that is "
+        r"replaced has no such port; did you mean 'plant\.u'\?",
     ),
     "another component's port": (
         True,
@@ -243,7 +249,7 @@ WRONG = {
     "no such output there, for the truth": (
         True,
         {**MAP, "plant.x_a": "t"},
-        r"--map plant\.x_a: 'plant\.t': 'plant' has no input or output 't'; There is",
+        r"--map plant\.x_a: 'plant\.t': 'plant' has no output 't'; There is",
     ),
     "no such element": (
         True,
@@ -279,6 +285,31 @@ WRONG = {
         True,
         {**MAP, "observer.y": "s"},
         r"connections\.observer\.y: plant\.y -> observer\.y: size 2 cannot drive size 1",
+    ),
+    "an element beside its vector": (
+        True,
+        {**MAP, "plant.x_a[0]": "s[1]"},
+        r"--map plant\.x_a\[0\]: 'plant\.x_a\[0\]' \(as s\[1\]\) overlaps 'plant\.x_a' \(as s\)",
+    ),
+    "an element beside a slice": (
+        True,
+        {**MAP_OF_Y, "plant.x_a[0]": "s[1]", "plant.x_a[0:2]": "s"},
+        r"--map plant\.x_a\[0:2\]: 'plant\.x_a\[0:2\]' \(as s\) overlaps 'plant\.x_a\[0\]'",
+    ),
+    "an element alone": (
+        True,
+        {**MAP_OF_Y, "plant.x_a[1]": "s[1]"},
+        r"--map plant\.x_a\[1\]: .* is a part of 'plant\.x_a', which has 2 elements; needed",
+    ),
+    "an element that the replaced has not": (
+        True,
+        {**MAP_OF_Y, "plant.x_a[5]": "s[1]"},
+        r"--map plant\.x_a\[5\]: .*: 'plant\.x_a' has 2 elements, numbered from 0",
+    ),
+    "an element beside its scalar": (
+        True,
+        {**MAP, "plant.y[0]": "s[1]"},
+        r"--map plant\.y\[0\]: 'plant\.y\[0\]' \(as s\[1\]\) overlaps 'plant\.y' \(as out1\)",
     ),
     "no name": (
         True,
@@ -331,8 +362,12 @@ def test_all_that_is_wrong_is_reported_at_once(other):
             r"or '#cs' \(co-simulation\)",
         ),
         (
-            'plant = { path = "x.fmu", map = { "plant.z" = "x" } }',
-            r"academic:\d+: swap\.plant\.map\.plant\.z: the scenario c",
+            'plant = { path = "x.fmu", map = { "regressor.z" = "x" } }',
+            r"academic:\d+: swap\.plant\.map\.regressor\.z: the scenario connects no 'regr",
+        ),
+        (
+            'plant = { path = "x.fmu", map = { "observer.y[0]" = "x" } }',
+            r"swap\.plant\.map\.observer\.y\[0\]: 'observer\.y\[0\]' does not belong to 'plant'",
         ),
         (
             'plant = { path = "x.fmu", map = { plant.u = 1 } }',
@@ -378,6 +413,85 @@ def test_who_is_swapped_again_loses_its_own_map_only():
         **swapped.maps,
         "regressor.mu": "m",
     }
+
+
+def test_elements_of_an_input_may_be_turned_round(tmp_path):
+    """As the list form does; an input is no output."""
+    inputs = (Signal("u", 2, role="input"),)
+    outputs = (Signal("y", 2, role="state"),)
+    gains = np.array([[1.0, 0.0], [0.0, 10.0]])
+    zeros = np.zeros((2, 2))
+    model = LinearModel(
+        Interface(inputs, outputs, {"y": ()}),
+        ("y[0]", "y[1]"),
+        zeros,
+        gains,
+        np.eye(2),
+        zeros,
+        np.zeros(2),
+        zeros,
+    )
+    path = export(model, tmp_path / "k.fmu", name="k", fmi="3").path
+    (tmp_path / "k.toml").write_text(
+        f"""
+        [scenario]
+        name = "k"
+        stop = 0.2
+        step = 0.1
+        [components.u]
+        kind = "expression"
+        y = ["1", "2"]
+        [components.k]
+        kind = "fmu"
+        path = "{path}"
+        [connections]
+        "k.u" = "u.y"
+        """
+    )
+    scenario = str(tmp_path / "k.toml")
+    maps = [
+        {"k.u": ["u[1]", "u[0]"]},
+        {"k.u[0]": "u[1]", "k.u[1]": "u[0]"},
+    ]
+    runs = [cosim.run(scenario, swap={"k": path}, map=names) for names in maps]
+    assert runs[0]["k.u"].tolist() == runs[1]["k.u"].tolist() == [[1.0, 2.0]] * 3
+    assert runs[0]["k.y"].tolist() == runs[1]["k.y"].tolist()
+    assert runs[0]["k.y"][-1] == pytest.approx([0.4, 2.0])
+    wrong = {"k.u[0]": "y[1]", "k.u[1]": "y[0]"}
+    with pytest.raises(ScenarioError, match=r"'k\.y\[1\]' is an output of 'k'; needed an input"):
+        cosim.run(scenario, swap={"k": path}, map=wrong)
+
+
+def test_a_port_that_nothing_connects_may_be_mapped(other, by_hand, tmp_path):
+    """The replaced component has it; an output there is no input here.
+
+    A replay may rewire away from a port, or from an input that named it.
+    """
+    names = {**MAP, "plant.x_b": "aux"}
+    log = cosim.run(
+        "academic", swap={"plant": other}, map=names, set=SHORT, out=tmp_path / "a.mcap"
+    )
+    assert log["plant.x_b"].tolist() == by_hand["plant.aux"].tolist()
+    assert "aux" not in [signal.name for signal in log.channels["plant"].signals]
+    for driver in ("plant.x_a[1]", "u.y"):
+        rewired = cosim.replay(tmp_path / "a.mcap", set={"connections.observer.y": driver})
+        assert rewired["observer.y"].tolist() == log[driver].tolist()
+    wrong = {**MAP, "plant.x_b": "push"}
+    with pytest.raises(ScenarioError, match=r"--map plant\.x_b: 'plant\.push' is an input of 'pl"):
+        cosim.run("academic", swap={"plant": other}, map=wrong, set=SHORT)
+
+
+def test_where_the_replaced_is_unknown_a_map_may_name_its_ports(other, by_hand):
+    """It cannot be built; what the entry stands for is still checked."""
+    text = find("academic").text.replace("x_a0 = [1.0, -1.0]", "x_a0 = [1.0]")
+    document = replace(find("academic"), text=text)
+    swaps = {"plant": str(other)}
+    names = {**MAP, "plant.x_b": "aux"}
+    run = cosim.run(parse(document.with_swaps(swaps, names).with_changes(SHORT)))
+    assert run["plant.x_b"].tolist() == by_hand["plant.aux"].tolist()
+    wrong = {**MAP, "plant.x_b": "auxx"}
+    with pytest.raises(ScenarioError, match=r"--map plant\.x_b: 'plant\.auxx': 'plant' has no"):
+        cosim.run(parse(document.with_swaps(swaps, wrong).with_changes(SHORT)))
 
 
 def test_a_comparison_takes_lists_of_ports_too(other):
