@@ -10,7 +10,7 @@ name, so that every output stays visible; where that name is taken, ``_`` is app
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from cosim.blocks.port_map import Causality, PortElement, PortMap, ShownPort, names_of
