@@ -479,8 +479,10 @@ def linearize(
 
     Print A, B, C and D, the poles and the static gain.
     """
+    from cosim.fmi.linearizing.linearize import linearize_file
+    from cosim.fmi.linearizing.request import LinearizationRequest
     from cosim.report.tables.fmu import print_linearization
-    from cosim.scenario.linearizing import linearize_file, model_table
+    from cosim.scenario.linearizing import model_table
 
     if as_toml and as_json:
         raise UsageError("--toml and --json: give one of them")
@@ -489,9 +491,14 @@ def linearize(
             "--toml and --disturbance NAME go together: "
             "a table of [models] separates known inputs from unknown ones"
         )
-    linearization = linearize_file(
-        fmu, at=at, start=_edits(values), inputs=inputs, outputs=outputs, differences=differences
+    request = LinearizationRequest(
+        at=at,
+        start=_edits(values),
+        inputs=inputs,
+        outputs=outputs,
+        method="central differences" if differences else None,
     )
+    linearization = linearize_file(fmu, request)
     if disturbances:
         for note in linearization.notes:
             typer.echo(f"note: {note}", err=True)

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from cosim.blocks.port_map import PortMap
 from cosim.blocks.renamed import Renamed
@@ -21,18 +21,16 @@ from cosim.core.graph import Graph
 from cosim.core.port import Port
 from cosim.core.signals import Interface
 from cosim.errors import CosimError
-from cosim.scenario.context import (
-    DependsOnInvalidComponent,
-    FmuMessage,
-    MessageSource,
-    ScenarioBuildContext,
-)
+from cosim.scenario.context import DependsOnInvalidComponent, MessageSource, ScenarioBuildContext
 from cosim.scenario.document import Document
 from cosim.scenario.kinds import BuildContext, Kind
 from cosim.scenario.parsing import Scenario, read
 from cosim.scenario.problems import Problem
 from cosim.scenario.swap import MapEntry, unknown_ports
 from cosim.scenario.truth import check_truth
+
+if TYPE_CHECKING:
+    from cosim.fmi.binary.messages import Message
 
 
 @dataclass(frozen=True)
@@ -59,7 +57,7 @@ class Experiment:
         What is read beside the scenario.
     plan : Plan or None
         Of the graph, where it was prepared already.
-    messages : mapping of component name to FmuMessages
+    messages : mapping of component name to list of Message
         What was drained from ``fmus`` already.
     """
 
@@ -74,7 +72,7 @@ class Experiment:
     fmus: Mapping[str, MessageSource]
     files: frozenset[Path]
     plan: Plan | None = None
-    messages: Mapping[str, Sequence[FmuMessage]] = field(default_factory=dict)
+    messages: Mapping[str, Sequence[Message]] = field(default_factory=dict)
 
 
 class Builder:

@@ -6,9 +6,9 @@ import json
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, Protocol
 
-from cosim.core.contracts import Component, MessageLevel, Recording
+from cosim.core.contracts import Component, Recording
 from cosim.core.port import Port
 from cosim.errors import UsageError, nearest
 from cosim.scenario.kinds import Kind
@@ -17,19 +17,17 @@ from cosim.scenario.schema import matrix
 from cosim.theory.descriptor import DescriptorSystem
 
 if TYPE_CHECKING:
+    from cosim.fmi.binary.messages import Message
     from cosim.fmi.component import Fmu
     from cosim.fmi.linearizing.linearization import Linearization
+    from cosim.fmi.linearizing.request import LinearizationRequest
     from cosim.fmi.options import FmuOptions
-
-
-# time [s] or None, level, category, text
-FmuMessage: TypeAlias = tuple[float | None, MessageLevel, str, str]
 
 
 class MessageSource(Protocol):
     """The messages of an opened FMU."""
 
-    def drain(self) -> Sequence[FmuMessage]:
+    def drain(self) -> Sequence[Message]:
         """Return the messages since the last call."""
         ...
 
@@ -113,20 +111,11 @@ class ScenarioBuildContext:
             )
         return log
 
-    def fmu(
-        self,
-        name: str,
-        path: str,
-        options: FmuOptions,
-    ) -> Component:
+    def fmu(self, name: str, path: str, options: FmuOptions) -> Component:
         """Load an FMU; it is freed at the end of the run."""
         from cosim.fmi.component import load
 
-        opened = load(
-            self.file(path),
-            options,
-            instance_name=name,
-        )
+        opened = load(self.file(path), options, instance_name=name)
         loaded = self._resources.enter_context(opened)
         metadata = loaded.metadata
         self.attachments[f"{name}/modelDescription.xml"] = metadata.pop("model_description")
@@ -140,30 +129,15 @@ class ScenarioBuildContext:
         """Return the FMU that was loaded for a component."""
         return self.fmus[name]
 
-    def linearization(
-        self,
-        name: str,
-        path: str,
-        *,
-        at: float,
-        start: Mapping[str, Any],
-        inputs: Sequence[str] | None,
-        outputs: Sequence[str],
-    ) -> Linearization:
+    def linearization(self, name: str, path: str, request: LinearizationRequest) -> Linearization:
         """Linearize an FMU for a component, or take the recorded result of the same request."""
         from cosim.fmi.linearizing.linearization import Linearization
 
         if name not in self._linearized:
-            request = {
-                "fmu": path,
-                "at": at,
-                "start": dict(start),
-                "inputs": None if inputs is None else list(inputs),
-                "outputs": list(outputs),
-            }
+            request_record = {"fmu": path, **request.to_dict()}
             record = self._recorded_metadata(name).get("linearization", {})
-            if record.get("request") != request:
-                record = self._linearize(path, request)
+            if record.get("request") != request_record:
+                record = {"request": request_record, **self._linearize(path, request)}
             linearization = Linearization.of(record["result"])
             self._linearized[name] = linearization
             self.add_metadata(name, {"linearization": record})
@@ -171,15 +145,14 @@ class ScenarioBuildContext:
                 self.warn(name, note)
         return self._linearized[name]
 
-    def _linearize(self, path: str, request: Mapping[str, Any]) -> dict[str, Any]:
-        from cosim.fmi.linearizing.linearize import linearize
+    def _linearize(self, path: str, request: LinearizationRequest) -> dict[str, Any]:
+        from cosim.fmi.linearizing.linearize import linearize_file
         from cosim.fmi.reading.model_description import read
 
         file = self.file(path)
         sha256 = read(file).sha256
-        arguments = {key: value for key, value in request.items() if key != "fmu"}
-        result = linearize(file, **arguments)
-        return {"request": request, "sha256": sha256, "result": result.to_dict()}
+        result = linearize_file(file, request)
+        return {"sha256": sha256, "result": result.to_dict()}
 
     def _recorded_metadata(self, name: str) -> dict[str, Any]:
         if self._recording is None:

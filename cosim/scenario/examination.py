@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,7 +22,6 @@ from cosim.core.signals import Interface
 from cosim.errors import CosimError, ScenarioError
 from cosim.fmi.description import INTERFACE_TYPE_NAMES, Description, InterfaceType
 from cosim.scenario.build import Builder, Experiment, parse
-from cosim.scenario.context import FmuMessage
 from cosim.scenario.kinds import Kind
 from cosim.scenario.parsing import Scenario, read
 from cosim.scenario.port_comparison import (
@@ -34,6 +34,9 @@ from cosim.scenario.port_comparison import (
 from cosim.scenario.schema import truth_ports
 from cosim.scenario.swap import ports_in
 from cosim.scenario.swap_report import SwapReport, SwapReports
+
+if TYPE_CHECKING:
+    from cosim.fmi.binary.messages import Message
 
 
 def examine(scenario: Scenario) -> SwapReports:
@@ -162,7 +165,7 @@ class _Examination:
         builder = self._builder()
         fmus = builder.context.fmus
         # What an FMU says when it is loaded belongs to the run, what it says here does not.
-        self._messages: dict[str, Sequence[FmuMessage]] = {}
+        self._messages: dict[str, Sequence[Message]] = {}
         for name, fmu in fmus.items():
             self._messages[name] = fmu.drain()
         self._initial = _InitialState(builder)

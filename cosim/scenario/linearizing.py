@@ -5,9 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -19,23 +18,7 @@ from cosim.theory.descriptor import ReducedSystem
 from cosim.units import Unit
 
 if TYPE_CHECKING:
-    from cosim.fmi.linearizing.linearization import Linearization, Method
-
-
-def linearize_file(
-    path: Path,
-    *,
-    at: float,
-    start: Mapping[str, Any],
-    inputs: Sequence[str] | None,
-    outputs: Sequence[str] | None,
-    differences: bool,
-) -> Linearization:
-    """Linearize an FMU, as :func:`cosim.linearize`."""
-    from cosim.fmi.linearizing.linearize import linearize
-
-    method: Method | None = "central differences" if differences else None
-    return linearize(path, at=at, start=start, inputs=inputs, outputs=outputs, method=method)
+    from cosim.fmi.linearizing.linearization import Linearization
 
 
 class DesignModel(NamedTuple):

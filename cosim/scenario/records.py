@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from types import TracebackType
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from cosim.arrays import Matrix, Vector
 from cosim.core.connections import Connection
@@ -16,8 +16,10 @@ from cosim.errors import Interrupted
 from cosim.log import Attachment
 from cosim.log.interrupts import uninterrupted
 from cosim.scenario.build import Experiment, fingerprint
-from cosim.scenario.context import FmuMessage
 from cosim.units import Conversion
+
+if TYPE_CHECKING:
+    from cosim.fmi.binary.messages import Message
 
 SCENARIO_FILE = "scenario.toml"
 
@@ -88,7 +90,7 @@ class MessageRecorder:
         for name, fmu in self._experiment.fmus.items():
             self._record(name, fmu.drain())
 
-    def _record(self, name: str, messages: Sequence[FmuMessage]) -> None:
+    def _record(self, name: str, messages: Sequence[Message]) -> None:
         """Record messages at their own time; where there is none, at the time reached before."""
         for time, level, category, text in messages:
             time_ns = self._reached_ns if time is None else round(time * 1e9)

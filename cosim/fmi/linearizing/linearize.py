@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
@@ -30,6 +30,7 @@ from cosim.fmi.instance import ModelExchangeInstance
 from cosim.fmi.linearizing.elements import Element, Selection
 from cosim.fmi.linearizing.linearization import METHODS, Linearization, Method
 from cosim.fmi.linearizing.operating_point import OperatingPoint
+from cosim.fmi.linearizing.request import LinearizationRequest
 from cosim.fmi.options import FmuOptions
 from cosim.fmi.reading.model_description import read
 from cosim.units import BaseUnit
@@ -47,71 +48,13 @@ def linearize(
     states: Sequence[str] | None = None,
     method: Method | None = None,
 ) -> Linearization:
-    """Linearize an .fmu, or an instance for model exchange; see :func:`linearize_instance`.
+    """Linearize an .fmu, or an instance for model exchange.
 
     Parameters
     ----------
     fmu : str, Path or ModelExchangeInstance
-        The path of an .fmu; or an instance: of an opened FMU its ``instance``.
-    at, start, inputs, outputs, states, method
-        As in :func:`linearize_instance`.
-
-    Raises
-    ------
-    FmuError
-        As :func:`linearize_instance`, or if the file cannot be used; co-simulation alone does not
-        show the states.
-    RunError
-        As :func:`linearize_instance`.
-    """
-    with ExitStack() as resources:
-        if isinstance(fmu, str | Path):
-            opened = resources.enter_context(_open(fmu, start or {}))
-            instance = opened.instance
-        else:
-            instance = fmu
-        return linearize_instance(
-            instance,
-            at=at,
-            start=start,
-            inputs=inputs,
-            outputs=outputs,
-            states=states,
-            method=method,
-        )
-
-
-def _open(path: str | Path, start: Starts) -> Fmu:
-    """Open an FMU for model exchange with its structural parameters, which size its arrays."""
-    description = read(path).description
-    if "me" not in description.capabilities:
-        raise FmuError(
-            f"{path}: is for co-simulation only, which does not show the states; linearizing needs "
-            "model exchange: export it for that too"
-        )
-    structural = {}
-    for name, value in start.items():
-        if name in description and description[name].causality == "structuralParameter":
-            structural[name] = value
-    options = FmuOptions(interface_type="me", start=structural)
-    return load(path, options)
-
-
-def linearize_instance(
-    instance: ModelExchangeInstance,
-    *,
-    at: float = 0.0,
-    start: Starts | None = None,
-    inputs: Sequence[str] | None = None,
-    outputs: Sequence[str] | None = None,
-    states: Sequence[str] | None = None,
-    method: Method | None = None,
-) -> Linearization:
-    """Linearize an instance for model exchange; it is reset before and after.
-
-    Parameters
-    ----------
-    instance : ModelExchangeInstance
+        The path of an .fmu; or an instance: of an opened FMU its ``instance``. It is reset before
+        and after.
     at : float
         The operating point is where the instance is at this time [s], from t = 0 with constant
         inputs.
@@ -131,18 +74,61 @@ def linearize_instance(
     ------
     FmuError
         If a name or a value is wrong, there is no such method, or something is not finite at the
-        operating point.
+        operating point; or if the file cannot be used: co-simulation alone does not show the
+        states.
     RunError
         If the instance cannot go on.
     """
+    request = LinearizationRequest(
+        at=at,
+        start=start or {},
+        inputs=inputs,
+        outputs=outputs,
+        states=states,
+        method=method,
+    )
+    if isinstance(fmu, str | Path):
+        return linearize_file(fmu, request)
+    return linearize_instance(fmu, request)
+
+
+def linearize_file(path: str | Path, request: LinearizationRequest) -> Linearization:
+    """Linearize an .fmu for model exchange; raises as :func:`linearize`."""
+    with _open(path, request.start) as opened:
+        return linearize_instance(opened.instance, request)
+
+
+def _open(path: str | Path, start: Starts) -> Fmu:
+    """Open an FMU for model exchange with its structural parameters, which size its arrays."""
+    description = read(path).description
+    if "me" not in description.capabilities:
+        raise FmuError(
+            f"{path}: is for co-simulation only, which does not show the states; linearizing needs "
+            "model exchange: export it for that too"
+        )
+    structural = {}
+    for name, value in start.items():
+        if name in description and description[name].causality == "structuralParameter":
+            structural[name] = value
+    options = FmuOptions(interface_type="me", start=structural)
+    return load(path, options)
+
+
+def linearize_instance(
+    instance: ModelExchangeInstance, request: LinearizationRequest
+) -> Linearization:
+    """Linearize an instance for model exchange, reset before and after; raises as `linearize`."""
     description = instance.description
+    at = request.at
     if not (math.isfinite(at) and at >= 0.0):
         raise FmuError(f"{description.name}: linearized at t = {at} s; needed a time from 0 on")
-    method = _choose_method(description, method)
-    selection = Selection.of(description, states=states, inputs=inputs, outputs=outputs)
+    method = _choose_method(description, request.method)
+    selection = Selection.of(
+        description, states=request.states, inputs=request.inputs, outputs=request.outputs
+    )
     instance.reset()
     try:
-        point = OperatingPoint(instance, selection, at, start or {})
+        point = OperatingPoint(instance, selection, at, request.start)
         if method == METHODS[0]:
             jacobian = point.directional()
             error = None

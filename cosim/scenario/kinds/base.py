@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from cosim.fmi.component import Fmu
     from cosim.fmi.description import Description, InterfaceType
     from cosim.fmi.linearizing.linearization import Linearization
+    from cosim.fmi.linearizing.request import LinearizationRequest
     from cosim.fmi.options import FmuOptions
 
 
@@ -70,12 +71,7 @@ class BuildContext(Protocol):
         """Open a log."""
         ...
 
-    def fmu(
-        self,
-        name: str,
-        path: str,
-        options: FmuOptions,
-    ) -> Component:
+    def fmu(self, name: str, path: str, options: FmuOptions) -> Component:
         """Load an FMU; it is freed at the end of the run."""
         ...
 
@@ -83,16 +79,7 @@ class BuildContext(Protocol):
         """Return the FMU that was loaded for a component."""
         ...
 
-    def linearization(
-        self,
-        name: str,
-        path: str,
-        *,
-        at: float,
-        start: Mapping[str, Any],
-        inputs: Sequence[str] | None,
-        outputs: Sequence[str],
-    ) -> Linearization:
+    def linearization(self, name: str, path: str, request: LinearizationRequest) -> Linearization:
         """Linearize an FMU for a component and record the result; a replay takes it from there."""
         ...
 

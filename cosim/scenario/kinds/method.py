@@ -132,15 +132,18 @@ class UnknownInputObserverKind(LinearKind):
         return DesignedObserver(model, design)
 
     def _design_model(self, name: str, context: BuildContext) -> DesignModel:
+        from cosim.fmi.linearizing.request import LinearizationRequest
+
         model = self.model
         if isinstance(model, str):
             return DesignModel(reduce(context.model(model)))
         inputs = None
         if model.inputs is not None:
             inputs = (*model.inputs, *model.disturbances)
-        linearization = context.linearization(
-            name, model.fmu, at=model.at, start=model.start, inputs=inputs, outputs=model.outputs
+        request = LinearizationRequest(
+            at=model.at, start=model.start, inputs=inputs, outputs=model.outputs
         )
+        linearization = context.linearization(name, model.fmu, request)
         return design_model(linearization, model.disturbances)
 
 
