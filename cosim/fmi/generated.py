@@ -347,12 +347,14 @@ class GeneratedInstance:
     def get_fmu_state(self, into: object | None = None) -> object:
         """Copy the whole state; the memory of an earlier copy is of no use."""
         self._require("get_fmu_state")
-        return _State(self._mode, self._t, self._x.copy(), self._u.copy(), dict(self._starts))
+        return _GeneratedState(
+            self._mode, self._t, self._x.copy(), self._u.copy(), dict(self._starts)
+        )
 
     def set_fmu_state(self, state: object) -> None:
         """Go back to a copied state."""
         self._require("set_fmu_state")
-        assert isinstance(state, _State)
+        assert isinstance(state, _GeneratedState)
         self._mode = state.mode
         self._t = state.t
         self._x = state.x.copy()
@@ -364,7 +366,7 @@ class GeneratedInstance:
         """Do nothing: a copy holds nothing that must be freed."""
 
 
-class _State(NamedTuple):
+class _GeneratedState(NamedTuple):
     """A copy of an instance's state."""
 
     mode: Mode

@@ -28,13 +28,13 @@ WARNING: Final = 1
 DISCARD: Final = 2
 ERROR: Final = 3
 FATAL: Final = 4
-_Memory = c_uint8 * 1
+_ArrayMemory = c_uint8 * 1
 
 
 def pointer(array: NDArray[Any]) -> Any:
     """Return a pointer to a contiguous array's memory; quicker than ``array.ctypes``."""
     memory: Any = array
-    return _Memory.from_buffer(memory) if array.size else None
+    return _ArrayMemory.from_buffer(memory) if array.size else None
 
 
 def import_declarations(version: str) -> Any:
