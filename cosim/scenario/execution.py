@@ -20,12 +20,12 @@ from cosim.errors import Interrupted, LogError, UsageError
 from cosim.log import Log, McapRecorder, open_log
 from cosim.scenario.build import Builder, Experiment, parse
 from cosim.scenario.document import Document, find, short
-from cosim.scenario.examination import build_swapped
 from cosim.scenario.parsing import Scenario, read
 from cosim.scenario.profile import Timed
 from cosim.scenario.records import SCENARIO_FILE, MessageRecorder, attachments_of, metadata_of
 from cosim.scenario.replaying import unaffected_warnings, valid_designs
 from cosim.scenario.swap import PortNames, is_map_key
+from cosim.scenario.swap_comparison import build_swapped
 from cosim.scenario.swap_report import SwapReports
 
 Progress = Callable[[float, float], None]  # simulated time, end [s]

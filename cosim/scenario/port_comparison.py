@@ -1,8 +1,8 @@
 """Compare two components, before one takes the other's place: port by port, then as a whole.
 
-A row has one aspect of one port on both sides. Its verdict is "error" where the difference stops
-the run, "differs" where it does not, "unknown" where one side does not declare it, and "ok". For
-ports that are missing, ports of other names are proposed.
+A row has one aspect of one port in both components. Its verdict is "error" where the difference
+stops the run, "differs" where it does not, "unknown" where one of them does not declare it, and
+"ok". For ports that are missing, ports of other names are proposed.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from cosim.arrays import Matrix, Vector
 from cosim.blocks.port_map import Causality
 from cosim.core.signals import Interface, Signal
-from cosim.fmi.linearizing.linearization import poles, static_gain
+from cosim.fmi.description import INTERFACE_TYPE_NAMES
+from cosim.fmi.linearizing.linearization import pole_text, poles, static_gain
 from cosim.scenario.kinds.base import LinearSystem
 from cosim.units import Conversion, conversion
 
@@ -28,7 +29,7 @@ SAME = 1e-9  # relative difference up to which two numbers are the same
 
 
 @dataclass(frozen=True, slots=True)
-class Ability:
+class ComponentCapabilities:
     """What a component can do for the master; None: unknown.
 
     Parameters
@@ -46,6 +47,11 @@ class Ability:
     variable_step: bool | None = None
     interpolation: bool | None = None
     directional_derivatives: bool | None = None
+
+    @property
+    def of_fmu(self) -> bool:
+        """Whether they are those of an FMU; ``kind`` is then its interface type."""
+        return self.kind in INTERFACE_TYPE_NAMES.values()
 
     def items(self) -> list[tuple[str, Any]]:
         """Return (aspect, value)."""
@@ -85,13 +91,13 @@ class LinearBehavior:
 
 
 @dataclass(frozen=True, slots=True)
-class Side:
+class ComparedComponent:
     """What is known of a component before it runs.
 
     Parameters
     ----------
     interface : Interface
-    ability : Ability
+    capabilities : ComponentCapabilities
     start : mapping of input name to Vector
         Values of inputs that nothing drives; unknown where not named.
     initial : mapping of output name to Vector
@@ -101,7 +107,7 @@ class Side:
     """
 
     interface: Interface
-    ability: Ability
+    capabilities: ComponentCapabilities
     start: Mapping[str, Vector] = field(default_factory=dict)
     initial: Mapping[str, Vector] = field(default_factory=dict)
     linear: LinearBehavior | None = None
@@ -124,9 +130,9 @@ class Side:
 
 @dataclass(frozen=True, slots=True)
 class ComparedPort:
-    """A port of a side, or one element of it."""
+    """A port of a compared component, or one element of it."""
 
-    side: Side
+    component: ComparedComponent
     signal: Signal
     causality: Causality
     element: int | None = None
@@ -139,19 +145,19 @@ class ComparedPort:
     @property
     def start(self) -> list[float] | None:
         """Value of an input that nothing drives; None: unknown."""
-        values = self.side.start.get(self.signal.name)
+        values = self.component.start.get(self.signal.name)
         return self._elements_of(values)
 
     @property
     def initial(self) -> list[float] | None:
         """Initial value of an output; None: unknown."""
-        values = self.side.initial.get(self.signal.name)
+        values = self.component.initial.get(self.signal.name)
         return self._elements_of(values)
 
     @property
     def feedthrough(self) -> tuple[str, ...] | None:
         """Inputs with direct feedthrough to an output, or outputs of an input; None: unknown."""
-        interface = self.side.interface
+        interface = self.component.interface
         if self.causality == "output":
             known = interface.knows(self.signal.name)
             return interface.feeds(self.signal.name) if known else None
@@ -164,8 +170,8 @@ class ComparedPort:
     @property
     def gains(self) -> list[float] | None:
         """Static gains to or from it, in rising order; None: unknown."""
-        interface = self.side.interface
-        linear = self.side.linear
+        interface = self.component.interface
+        linear = self.component.linear
         if linear is None or linear.gain is None:
             return None
         gain = linear.gain
@@ -209,9 +215,9 @@ class ComparedAspect:
     connected: bool
 
 
-def compare_sides(
-    before: Side,
-    after: Side,
+def compare_components(
+    before: ComparedComponent,
+    after: ComparedComponent,
     *,
     names: Mapping[str, str] | None = None,
     connected: Collection[str] = (),
@@ -221,7 +227,7 @@ def compare_sides(
 
     Parameters
     ----------
-    before, after : Side
+    before, after : ComparedComponent
     names : mapping of port to str, optional
         What ports of ``after`` stand for in the new component, where that is no port of its name.
     connected : collection of str
@@ -275,7 +281,7 @@ def _output_aspects(old: ComparedPort, new: ComparedPort) -> Iterator[Aspect]:
     verdict = _same_values(old.initial, initial)
     yield "initial output", old.initial, new.initial, verdict
     if old.gains is not None or new.gains is not None:
-        error = _error(old.side, new.side)
+        error = _error(old.component, new.component)
         verdict = _same_values(old.gains, new.gains, error)
         yield "static gain", old.gains, new.gains, verdict
 
@@ -285,11 +291,13 @@ def _inputs_of(output: ComparedPort) -> str | list[str]:
     return "unknown" if output.feedthrough is None else sorted(output.feedthrough)
 
 
-def _whole_aspects(before: Side, after: Side) -> Iterator[Aspect]:
-    new_abilities = dict(after.ability.items())
-    for aspect, old in before.ability.items():
-        new = new_abilities[aspect]
+def _whole_aspects(before: ComparedComponent, after: ComparedComponent) -> Iterator[Aspect]:
+    new_capabilities = dict(after.capabilities.items())
+    for aspect, old in before.capabilities.items():
+        new = new_capabilities[aspect]
         unknown = old is not new and (old is None or new is None)
+        if aspect == "kind" and before.capabilities.of_fmu and after.capabilities.of_fmu:
+            aspect = "interface type"
         yield _equal(aspect, old, new, "unknown" if unknown else "differs")
     if before.linear is not None or after.linear is not None:
         old_poles = None if before.linear is None else before.linear.pairs
@@ -302,9 +310,12 @@ def _equal(aspect: str, old: Any, new: Any, severity: Verdict = "differs") -> As
     return aspect, old, new, "ok" if old == new else severity
 
 
-def _error(*sides: Side) -> float:
+def _error(*components: ComparedComponent) -> float:
     """Return how far numbers may be apart: ten times the error of the derivatives."""
-    errors = [10.0 * side.linear.error for side in sides if side.linear is not None]
+    errors = []
+    for component in components:
+        if component.linear is not None:
+            errors.append(10.0 * component.linear.error)
     return max([SAME, *errors])
 
 
@@ -367,7 +378,9 @@ class Proposal:
     reasons: tuple[str, ...]
 
 
-def propose(before: Side, after: Side, missing: Collection[str]) -> tuple[Proposal, ...]:
+def propose(
+    before: ComparedComponent, after: ComparedComponent, missing: Collection[str]
+) -> tuple[Proposal, ...]:
     """Propose ports of ``after`` alone for those of ``before`` that are ``missing`` there.
 
     A candidate has the causality, size and type of the missing port and a unit that converts to
@@ -392,7 +405,7 @@ def propose(before: Side, after: Side, missing: Collection[str]) -> tuple[Propos
 
 
 def _candidates(
-    after: Side, free: Sequence[str], old: ComparedPort
+    after: ComparedComponent, free: Sequence[str], old: ComparedPort
 ) -> Iterator[tuple[str, ComparedPort]]:
     """Yield ports, and for a missing scalar the elements of vectors too."""
     for name in free:
@@ -419,16 +432,16 @@ def _reasons(old: ComparedPort, new: ComparedPort) -> tuple[str, ...]:
     if old.signal.unit is not None and signal.unit is not None:
         reasons.append(f"unit {signal.unit!r}")
     if _same_count(old.feedthrough, new.feedthrough):
-        reasons.append(_feedthrough_text(new.causality, new.feedthrough or ()))
+        reasons.append(feedthrough_text(new.causality, new.feedthrough or ()))
     initial = new.initial
     converted = _in_unit_of(old, new, initial)
     same_initial = _same_values(old.initial, converted) == "ok"
     if initial is not None and same_initial:
-        reasons.append(f"initial output {_shown(initial)}")
+        reasons.append(f"initial output {shown(initial)}")
     gains = new.gains
-    error = _error(old.side, new.side)
+    error = _error(old.component, new.component)
     if old.gains and gains and _close(old.gains, gains, error):
-        reasons.append(f"static gains {_shown(gains)}")
+        reasons.append(f"static gains {shown(gains)}")
     return tuple(reasons)
 
 
@@ -436,12 +449,30 @@ def _same_count(old: Sequence[str] | None, new: Sequence[str] | None) -> bool:
     return old is not None and new is not None and len(old) == len(new)
 
 
-def _feedthrough_text(causality: Causality, names: Sequence[str]) -> str:
-    if not names:
+# --- values as people read them ---
+
+
+def feedthrough_text(causality: Causality, ports: str | Sequence[str]) -> str:
+    """Return a sentence on the direct feedthrough from inputs to an output, or back."""
+    if not ports:
         return "no direct feedthrough"
     preposition = "from" if causality == "output" else "to"
-    return f"direct feedthrough {preposition} {', '.join(names)}"
+    names = ports if isinstance(ports, str) else ", ".join(ports)
+    return f"direct feedthrough {preposition} {names}"
 
 
-def _shown(values: Sequence[float]) -> str:
-    return " ".join(f"{value:.6g}" for value in values)
+def shown(value: Any) -> str:
+    """Return a value of a row as people read it."""
+    match value:
+        case None:
+            return "-"
+        case bool():
+            return "yes" if value else "no"
+        case float():
+            return f"{value:.6g}"
+        case [[_, _], *_]:
+            return ", ".join(pole_text(complex(real, imag)) for real, imag in value)
+        case [*values]:
+            return " ".join(map(shown, values)) or "nothing"
+        case _:
+            return str(value)

@@ -15,8 +15,7 @@ from cosim.scenario.document import short
 
 EVERYWHERE = {"scenario.input_interpolation", "scenario.coupling"}  # keys that matter to all
 RECORDED = (
-    "is taken from the recording: it does not answer to what was changed before it; "
-    "run the scenario for that"
+    "is taken from the recording: it does not follow changes upstream; run the scenario for that"
 )
 
 

@@ -8,7 +8,7 @@ from itertools import groupby
 from typing import Any
 
 from cosim.errors import ScenarioError
-from cosim.scenario.port_comparison import ComparedAspect, Proposal
+from cosim.scenario.port_comparison import ComparedAspect, Proposal, feedthrough_text, shown
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class SwapReport:
     def lines(self) -> list[dict[str, str]]:
         """Return the report for people.
 
-        One line for a port in which both sides agree, else one for each aspect that is not ok.
+        One line for a port in which both components agree, else one for each aspect that is not ok.
         """
         lines = []
         for _, group in groupby(self.rows, key=lambda row: row.port):
@@ -81,7 +81,7 @@ class SwapReport:
 
 
 def _agreed(rows: Sequence[ComparedAspect]) -> ComparedAspect:
-    """Return one row for all that both sides of a port agree in."""
+    """Return one row for all that both components agree in at a port."""
     first = rows[0]
     values = {row.aspect: row.before for row in rows}
     if not first.port:
@@ -91,34 +91,9 @@ def _agreed(rows: Sequence[ComparedAspect]) -> ComparedAspect:
     if values["unit"]:
         text += f" [{values['unit']}]"
     if first.before == "output":
-        text += f", {_feedthrough(values['feedthrough'])}"
+        text += f", {feedthrough_text('output', values['feedthrough'])}"
         text += f", initial output {shown(values['initial output'])}"
     return replace(first, aspect=first.before, before=text)
-
-
-def _feedthrough(inputs: str | Sequence[str]) -> str:
-    return f"direct feedthrough from {shown(inputs)}" if inputs else "no direct feedthrough"
-
-
-def shown(value: Any) -> str:
-    """Return a value of a row as people read it."""
-    match value:
-        case None:
-            return "-"
-        case bool():
-            return "yes" if value else "no"
-        case float():
-            return f"{value:.6g}"
-        case [[_, _], *_]:
-            return ", ".join(_complex(real, imaginary) for real, imaginary in value)
-        case [*values]:
-            return " ".join(map(shown, values)) or "nothing"
-        case _:
-            return str(value)
-
-
-def _complex(real: float, imaginary: float) -> str:
-    return f"{real:.6g}{imaginary:+.6g}i" if imaginary else f"{real:.6g}"
 
 
 @dataclass(frozen=True)
@@ -128,7 +103,7 @@ class SwapReports:
     Parameters
     ----------
     reports : mapping of component name to SwapReport
-        Of those of which both sides could be built.
+        Of those of which both components could be built.
     problems : tuple of str
         Found before the first step.
     failure : str

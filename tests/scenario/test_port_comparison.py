@@ -6,14 +6,14 @@ import pytest
 from cosim.core.signals import Interface, Signal
 from cosim.scenario.kinds.base import LinearSystem
 from cosim.scenario.port_comparison import (
-    Ability,
+    ComparedComponent,
+    ComponentCapabilities,
     LinearBehavior,
-    Side,
-    compare_sides,
+    compare_components,
     propose,
 )
 
-ABLE = Ability("model exchange", True, True, True, True)
+ABLE = ComponentCapabilities("model exchange", True, True, True, True)
 BEFORE = Interface(
     (Signal("u", unit="N"), Signal("delta")),
     (
@@ -34,7 +34,7 @@ AFTER = Interface(
 
 def verdicts(before, after, **options):
     """Compare by name; return the verdicts by (port, aspect)."""
-    rows = compare_sides(before, after, **options)
+    rows = compare_components(before, after, **options)
     return {(row.port, row.aspect): row.verdict for row in rows}
 
 
@@ -43,10 +43,12 @@ def test_every_aspect_has_a_verdict():
 
     Units that convert differ, units of one meaning do not.
     """
-    before = Side(BEFORE, ABLE, start={"u": np.array([1.0])}, initial={"s": np.array([2.0])})
-    after = Side(
+    before = ComparedComponent(
+        BEFORE, ABLE, start={"u": np.array([1.0])}, initial={"s": np.array([2.0])}
+    )
+    after = ComparedComponent(
         AFTER,
-        Ability("co-simulation", False, None, True, True),
+        ComponentCapabilities("co-simulation", False, None, True, True),
         start={"u": np.array([2.0])},
         initial={"s": np.array([2e3])},
     )
@@ -62,7 +64,7 @@ def test_every_aspect_has_a_verdict():
         ("n", "type"): "differs",
         ("n", "unit"): "unknown",
         ("k", "causality"): "differs",
-        ("", "kind"): "differs",
+        ("", "interface type"): "differs",
         ("", "rollback"): "differs",
         ("", "variable step"): "unknown",
     }
@@ -71,9 +73,9 @@ def test_every_aspect_has_a_verdict():
 
 def test_values_are_compared_in_one_unit():
     """2 m are 2000 mm; 2 mm are not 2 m."""
-    before = Side(BEFORE, ABLE, initial={"s": np.array([2.0])})
+    before = ComparedComponent(BEFORE, ABLE, initial={"s": np.array([2.0])})
     for millimetres, verdict in ((2e3, "ok"), (2.0, "differs")):
-        after = Side(AFTER, ABLE, initial={"s": np.array([millimetres])})
+        after = ComparedComponent(AFTER, ABLE, initial={"s": np.array([millimetres])})
         assert verdicts(before, after)["s", "initial output"] == verdict
 
 
@@ -94,17 +96,17 @@ def test_gain_and_poles_are_compared_within_their_error():
     assert exact.poles == pytest.approx(-2.0, abs=1e-15)
     for error, verdict in ((0.0, "differs"), (1e-7, "ok")):
         behavior = LinearBehavior(close.poles, close.gain, error)
-        other = Side(interface, ABLE, linear=behavior)
-        found = verdicts(Side(interface, ABLE, linear=exact), other)
+        other = ComparedComponent(interface, ABLE, linear=behavior)
+        found = verdicts(ComparedComponent(interface, ABLE, linear=exact), other)
         assert found["y", "static gain"] == found["", "poles"] == verdict
     assert LinearBehavior.of(first_order(0.0, gain=1.0)).gain is None
 
 
 def test_a_row_shows_what_its_port_stands_for():
     """Ports are paired by name; after it stands what the map makes it of."""
-    before = Side(BEFORE, ABLE)
-    after = Side(AFTER, ABLE)
-    rows = compare_sides(before, after, names={"u": "k", "x_a": "s1, s2"}, connected={"u"})
+    before = ComparedComponent(BEFORE, ABLE)
+    after = ComparedComponent(AFTER, ABLE)
+    rows = compare_components(before, after, names={"u": "k", "x_a": "s1, s2"}, connected={"u"})
     labels = list(dict.fromkeys(row.port for row in rows))
     assert labels == ["u -> k", "delta", "y", "x_a -> s1, s2", "x_b", "s", "n", "k", ""]
     assert {row.port for row in rows if row.connected} == {"u -> k", ""}
@@ -115,7 +117,7 @@ def test_what_fits_best_is_proposed_with_its_reasons():
 
     Several that are equal are all proposed, elements too.
     """
-    before = Side(
+    before = ComparedComponent(
         Interface((Signal("u"),), (Signal("y", unit="V"), Signal("z")), {"y": ("u",)}),
         ABLE,
         initial={"y": np.array([1.0]), "z": np.array([5.0])},
@@ -128,7 +130,7 @@ def test_what_fits_best_is_proposed_with_its_reasons():
         Signal("i", type="integer"),
     )
     values = {"a": [1.0], "b": [2.0], "c": [1.0], "d": [1.0, 3.0], "i": [5.0]}
-    after = Side(
+    after = ComparedComponent(
         Interface((Signal("f"), Signal("g")), outputs, {"a": ("f",), "d": ("f",)}),
         ABLE,
         initial={name: np.array(value) for name, value in values.items()},

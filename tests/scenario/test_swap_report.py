@@ -19,9 +19,9 @@ from cosim.fmi.binary.loaded import LoadedInstance
 from cosim.fmi.reading import model_description
 from cosim.scenario.build import build_context, parse
 from cosim.scenario.document import find
-from cosim.scenario.examination import examine
 from cosim.scenario.exporting import export_component
 from cosim.scenario.kinds.plants import FmuKind
+from cosim.scenario.swap_comparison import compare_swaps
 from tests.scenario.renamed import MAP, packed, renamed
 from tests.scenario.test_swap import rewritten
 
@@ -41,7 +41,7 @@ def folder(tmp_path_factory):
 
 def report(folder, name, maps=None, **changes):
     swap = {"plant": folder / name}
-    return examine(cosim.load("academic").edit(swap=swap, map=maps, set={**SHORT, **changes}))
+    return compare_swaps(cosim.load("academic").edit(swap=swap, map=maps, set={**SHORT, **changes}))
 
 
 def verdicts(reports, *kept):
@@ -74,11 +74,11 @@ def test_another_interface_type_and_start_are_listed_and_warned_of_in_one_line(f
         ("y", "initial output"),
         ("x_a", "initial output"),
         ("x_b", "initial output"),
-        ("", "kind"),
+        ("", "interface type"),
     }
     text = (
         "differs from what it replaces: y initial output 1.5 (was 1); x_a initial output 1.5 -1 "
-        "(was 1 -1); kind co-simulation (was model exchange)"
+        "(was 1 -1); interface type co-simulation (was model exchange)"
     )
     log = cosim.run(
         "academic",
@@ -151,7 +151,7 @@ def test_what_is_replaced_need_not_work(folder):
     document = find("academic")
     text = document.text.replace("x_a0 = [1.0, -1.0]", "x_a0 = [1.0]")
     swapped = replace(document, text=text).with_swaps({"plant": str(folder / "plant.fmu")})
-    found = examine(parse(swapped))
+    found = compare_swaps(parse(swapped))
     assert (found.reports, found.problems) == ({}, ())
 
 
@@ -214,7 +214,8 @@ def test_a_run_with_a_swap_says_what_differs_on_stderr(folder, tmp_path, capsys)
         )
     assert not left.value.code
     warned = (
-        "warning: plant: differs from what it replaces: kind co-simulation (was model exchange)\n"
+        "warning: plant: differs from what it replaces: interface type co-simulation "
+        "(was model exchange)\n"
     )
     assert capsys.readouterr().err == warned
     with pytest.raises(SystemExit):

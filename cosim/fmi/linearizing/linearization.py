@@ -20,6 +20,11 @@ EPSILON: Final = np.finfo(np.float64).eps
 NAMES: Final = ("states", "inputs", "outputs", "notes")
 
 
+def pole_text(pole: complex) -> str:
+    """Return a pole with six digits; a real one without its imaginary part."""
+    return f"{pole.real:.6g}" if pole.imag == 0.0 else f"{pole:.6g}"
+
+
 def poles(A: Matrix) -> NDArray[np.complex128]:
     """Return the eigenvalues of A [1/s], shape (n_x,), sorted by real part."""
     return np.sort_complex(np.linalg.eigvals(A).astype(np.complex128))

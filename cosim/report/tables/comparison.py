@@ -51,9 +51,9 @@ def print_dry_run(scenario: Scenario, *, as_json: bool) -> None:
     UsageError
         If the scenario cannot run with them.
     """
-    from cosim.scenario.examination import examine
+    from cosim.scenario.swap_comparison import compare_swaps
 
-    reports = examine(scenario)
+    reports = compare_swaps(scenario)
     problems = list(reports.problems)
     if reports.failure:
         problems.append(reports.failure)

@@ -179,6 +179,8 @@ def _count(number: int, word: str) -> list[str]:
 
 def print_linearization(linearization: Linearization, *, as_json: bool) -> None:
     """Print a linearization: operating point, matrices, poles, static gain, origin."""
+    from cosim.fmi.linearizing.linearization import pole_text
+
     gain = linearization.static_gain
     if as_json:
         content = linearization.to_dict()
@@ -192,7 +194,7 @@ def print_linearization(linearization: Linearization, *, as_json: bool) -> None:
         outputs = linearization.outputs
         _print_matrix("static gain D - C A^-1 B", gain, outputs, linearization.inputs)
     table = new_table("", ("", ""))
-    poles = [_pole(pole) for pole in linearization.poles.tolist()]
+    poles = [pole_text(pole) for pole in linearization.poles.tolist()]
     table.add_row("poles", ", ".join(poles) or "none")
     if gain is None:
         table.add_row("static gain", "none, as A is singular")
@@ -201,10 +203,6 @@ def print_linearization(linearization: Linearization, *, as_json: bool) -> None:
     for note in linearization.notes:
         table.add_row("note", note)
     print_table(table)
-
-
-def _pole(pole: complex) -> str:
-    return f"{pole.real:.6g}" if pole.imag == 0.0 else f"{pole:.6g}"
 
 
 def _print_operating_point(linearization: Linearization) -> None:

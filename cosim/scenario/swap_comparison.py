@@ -25,10 +25,10 @@ from cosim.scenario.build import Builder, Experiment, parse
 from cosim.scenario.kinds import Kind
 from cosim.scenario.parsing import Scenario, read
 from cosim.scenario.port_comparison import (
-    Ability,
+    ComparedComponent,
+    ComponentCapabilities,
     LinearBehavior,
-    Side,
-    compare_sides,
+    compare_components,
     propose,
 )
 from cosim.scenario.schema import truth_ports
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from cosim.fmi.binary.messages import Message
 
 
-def examine(scenario: Scenario) -> SwapReports:
+def compare_swaps(scenario: Scenario) -> SwapReports:
     """Compare every swapped component with the one it replaces; nothing runs or stays open.
 
     Raises
@@ -48,7 +48,7 @@ def examine(scenario: Scenario) -> SwapReports:
         If nothing of the scenario can be built.
     """
     with ExitStack() as resources:
-        return _Examination(scenario, resources, None).reports
+        return _SwapComparison(scenario, resources, None).reports
 
 
 def build_swapped(
@@ -61,9 +61,9 @@ def build_swapped(
     ScenarioError
         With every problem of the scenario, and the ports that may have been meant.
     """
-    examination = _Examination(scenario, resources, block)
-    examination.reports.check()
-    return examination.experiment(), examination.reports
+    comparison = _SwapComparison(scenario, resources, block)
+    comparison.reports.check()
+    return comparison.experiment(), comparison.reports
 
 
 @dataclass(frozen=True)
@@ -83,10 +83,10 @@ class _InitialSignals:
 
 
 @dataclass(frozen=True)
-class _ReplacedSide:
+class _ReplacedComponent:
     """A replaced component, and its initial signals where it could be initialized."""
 
-    side: Side
+    component: ComparedComponent
     initial: _InitialSignals | None
 
 
@@ -153,18 +153,19 @@ class _InitialState:
         return row.tobytes() == self._row.tobytes()
 
 
-class _Examination:
+class _SwapComparison:
     """A swapped scenario that was built, initialized and compared with the one before."""
 
     def __init__(self, scenario: Scenario, resources: ExitStack, block: int | None) -> None:
         self._scenario = scenario
         self._resources = resources
         self._block = block
-        before = _replaced_sides(scenario)
-        self._interfaces = {name: part.side.interface for name, part in before.items()}
+        before = _replaced_components(scenario)
+        self._interfaces = {name: part.component.interface for name, part in before.items()}
         builder = self._builder()
         fmus = builder.context.fmus
-        # What an FMU says when it is loaded belongs to the run, what it says here does not.
+        # The messages of FMUs from when they are loaded belong to the run, those of the comparison
+        # do not.
         self._messages: dict[str, Sequence[Message]] = {}
         for name, fmu in fmus.items():
             self._messages[name] = fmu.drain()
@@ -184,21 +185,23 @@ class _Examination:
             self._scenario, self._resources, block=self._block, replaced=self._interfaces
         )
 
-    def _compare(self, builder: Builder, name: str, before: _ReplacedSide) -> SwapReport:
+    def _compare(self, builder: Builder, name: str, before: _ReplacedComponent) -> SwapReport:
         initial = self._initial.signals(name)
         if initial is None and before.initial is not None:
             initial = _initialize_alone(builder, name, before.initial)
         self._initial.leave_initialization(name)
-        after = _side(builder, name, initial)
+        after = _compared_component(builder, name, initial)
         names = builder.port_maps[name].names if name in builder.port_maps else {}
         connected = _connected_ports(builder.scenario, name)
         refused = _refused_ports(builder, name)
-        rows = compare_sides(before.side, after, names=names, connected=connected, refused=refused)
+        rows = compare_components(
+            before.component, after, names=names, connected=connected, refused=refused
+        )
         missing = []
-        for port in before.side.ports:
+        for port in before.component.ports:
             if port in connected and after.port(port) is None:
                 missing.append(port)
-        return SwapReport(name, rows, propose(before.side, after, missing))
+        return SwapReport(name, rows, propose(before.component, after, missing))
 
     def experiment(self) -> Experiment:
         """Return the experiment; it is built again where the first one cannot run any more.
@@ -215,9 +218,9 @@ class _Examination:
         return replace(experiment, plan=self._initial.plan, messages=self._messages)
 
 
-def _replaced_sides(scenario: Scenario) -> dict[str, _ReplacedSide]:
+def _replaced_components(scenario: Scenario) -> dict[str, _ReplacedComponent]:
     """Build the scenario without its swaps, as far as it can be; its problems do not matter."""
-    sides: dict[str, _ReplacedSide] = {}
+    components: dict[str, _ReplacedComponent] = {}
     with ExitStack() as resources, suppress(CosimError):
         original, problems = read(scenario.document.unswapped(), parse)
         builder = Builder(original, resources, problems=problems)
@@ -226,9 +229,9 @@ def _replaced_sides(scenario: Scenario) -> dict[str, _ReplacedSide]:
             if name in builder.components:
                 initial = state.signals(name)
                 state.leave_initialization(name)
-                side = _side(builder, name, initial)
-                sides[name] = _ReplacedSide(side, initial)
-    return sides
+                component = _compared_component(builder, name, initial)
+                components[name] = _ReplacedComponent(component, initial)
+    return components
 
 
 def _initialize_alone(
@@ -252,40 +255,44 @@ def _initialize_alone(
     return None
 
 
-# --- one side ---
+# --- one component ---
 
 
-def _side(builder: Builder, name: str, initial: _InitialSignals | None) -> Side:
+def _compared_component(
+    builder: Builder, name: str, initial: _InitialSignals | None
+) -> ComparedComponent:
     """Return what is known of a component that was built."""
     spec = builder.scenario.specs[name]
     described = spec.description(name, builder.context)
     interface = builder.components[name].interface
-    ability = _ability(spec, described)
+    capabilities = _capabilities(spec, described)
     linear = _linear_behavior(builder, name)
-    side = Side(interface, ability, linear=linear)
+    compared = ComparedComponent(interface, capabilities, linear=linear)
     if initial is not None:
-        side = replace(side, initial=initial.outputs)
+        compared = replace(compared, initial=initial.outputs)
     if described is not None:
         start = _start_values(builder, name, described[1])
-        side = replace(side, start=start)
-    return side
+        compared = replace(compared, start=start)
+    return compared
 
 
-def _ability(spec: Kind, described: tuple[InterfaceType, Description] | None) -> Ability:
+def _capabilities(
+    spec: Kind, described: tuple[InterfaceType, Description] | None
+) -> ComponentCapabilities:
     if described is None:
-        return Ability(spec.kind)
+        return ComponentCapabilities(spec.kind)
     interface_type, description = described
-    capabilities = description.capabilities[interface_type]
-    ability = Ability(
+    declared = description.capabilities[interface_type]
+    capabilities = ComponentCapabilities(
         INTERFACE_TYPE_NAMES[interface_type],
-        rollback=capabilities.saves_state,
-        variable_step=capabilities.variable_step,
-        interpolation=capabilities.interpolates_inputs,
-        directional_derivatives=capabilities.directional_derivatives,
+        rollback=declared.saves_state,
+        variable_step=declared.variable_step,
+        interpolation=declared.interpolates_inputs,
+        directional_derivatives=declared.directional_derivatives,
     )
     if interface_type == "me":  # our solver takes any step and interpolates its inputs
-        return replace(ability, variable_step=True, interpolation=True)
-    return ability
+        return replace(capabilities, variable_step=True, interpolation=True)
+    return capabilities
 
 
 def _start_values(builder: Builder, name: str, description: Description) -> dict[str, Vector]:
