@@ -30,7 +30,7 @@ from cosim.scenario.swap_report import SwapReports
 
 Progress = Callable[[float, float], None]  # simulated time, end [s]
 
-_Recorder = TypeVar("_Recorder", bound=Recorder)
+OwnRecorder = TypeVar("OwnRecorder", bound=Recorder)
 
 
 def load(name: str | Path) -> Scenario:
@@ -70,8 +70,8 @@ def run(
     block: int | None = None,
     progress: Progress | None = None,
     profile: dict[str, float] | None = None,
-    recorder: _Recorder,
-) -> _Recorder: ...
+    recorder: OwnRecorder,
+) -> OwnRecorder: ...
 
 
 def run(
@@ -125,24 +125,32 @@ def run(
     CosimError
         UsageError before the first step, RunError after it; see :mod:`cosim.errors`.
     """
+    _check_target(out, recorder)
+    loaded = scenario if isinstance(scenario, Scenario) else load(scenario)
+    edited = loaded.edit(swap=swap, map=map, set=set)
+    with ExitStack() as resources:
+        experiment = _built(edited, resources, block)
+        if recorder is not None:
+            _run_into(recorder, experiment, {}, progress=progress, profile=profile)
+            return recorder
+        return _record(experiment, {}, out=out, force=force, progress=progress, profile=profile)
+
+
+def _check_target(out: str | Path | None, recorder: Recorder | None) -> None:
     if out is not None and recorder is not None:
         raise UsageError(
             f"found both out={str(out)!r} and a recorder; needed one of them: "
             "out writes a log file, recorder takes the run itself"
         )
     _check_path(out)
-    loaded = scenario if isinstance(scenario, Scenario) else load(scenario)
-    edited = loaded.edit(swap=swap, map=map, set=set)
-    with ExitStack() as resources:
-        if edited.file.swap:
-            experiment, reports = build_swapped(edited, resources, block)
-            experiment = _with_reports(experiment, reports)
-        else:
-            experiment = Builder(edited, resources, block=block).experiment()
-        if recorder is not None:
-            _run_into(recorder, experiment, {}, progress=progress, profile=profile)
-            return recorder
-        return _record(experiment, {}, out=out, force=force, progress=progress, profile=profile)
+
+
+def _built(scenario: Scenario, resources: ExitStack, block: int | None) -> Experiment:
+    """Build a scenario; one with swaps is compared with what it was, for its log and warnings."""
+    if not scenario.file.swap:
+        return Builder(scenario, resources, block=block).experiment()
+    experiment, reports = build_swapped(scenario, resources, block)
+    return _with_reports(experiment, reports)
 
 
 def replay(

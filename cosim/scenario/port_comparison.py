@@ -299,11 +299,16 @@ def _whole_aspects(before: ComparedComponent, after: ComparedComponent) -> Itera
         if aspect == "kind" and before.capabilities.of_fmu and after.capabilities.of_fmu:
             aspect = "interface type"
         yield _equal(aspect, old, new, "unknown" if unknown else "differs")
-    if before.linear is not None or after.linear is not None:
-        old_poles = None if before.linear is None else before.linear.pairs
-        new_poles = None if after.linear is None else after.linear.pairs
-        verdict = _same_values(old_poles, new_poles, _error(before, after))
-        yield "poles", _complex_pairs(old_poles), _complex_pairs(new_poles), verdict
+    yield from _poles(before, after)
+
+
+def _poles(before: ComparedComponent, after: ComparedComponent) -> Iterator[Aspect]:
+    if before.linear is None and after.linear is None:
+        return
+    old_poles = None if before.linear is None else before.linear.pairs
+    new_poles = None if after.linear is None else after.linear.pairs
+    verdict = _same_values(old_poles, new_poles, _error(before, after))
+    yield "poles", _complex_pairs(old_poles), _complex_pairs(new_poles), verdict
 
 
 def _equal(aspect: str, old: Any, new: Any, severity: Verdict = "differs") -> Aspect:

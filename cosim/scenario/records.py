@@ -39,7 +39,7 @@ class MessageRecorder:
 
     def __exit__(
         self,
-        kind: type[BaseException] | None,
+        error_type: type[BaseException] | None,
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
@@ -47,7 +47,7 @@ class MessageRecorder:
             with uninterrupted():
                 self._conclude(error)
         finally:
-            self._recorder.__exit__(kind, error, trace)
+            self._recorder.__exit__(error_type, error, trace)
 
     def _conclude(self, error: BaseException | None) -> None:
         """Record what is known at the end: last messages, the error, the last row."""

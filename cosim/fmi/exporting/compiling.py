@@ -78,7 +78,7 @@ def check_platforms(platforms: Sequence[str]) -> None:
     if platforms and not build.cross_compiler(""):
         raise FmuError(
             f"platform {', '.join(platforms)}: other machines are compiled for with ziglang, which "
-            "is not installed; pip install 'cosim[build]', or leave --platform out to compile for "
+            "is not installed; pip install ziglang, or leave --platform out to compile for "
             "this machine with its own compiler"
         )
 
