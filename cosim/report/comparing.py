@@ -288,7 +288,13 @@ def _maps_by_path(
 
 
 def _unknown_names(known: Collection[str], listed: PortNames) -> list[str]:
-    """Return the names in an entry of a map that are no known ports or elements of them."""
+    """Return the names in an entry of a map that are no known ports or elements of them.
+
+    Raises
+    ------
+    GraphError
+        If the entry is a list that is not closed.
+    """
     unknown = []
     for name in port_names(listed):
         signal, _ = split_element(name)

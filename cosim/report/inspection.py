@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 Section = dict[str, Any]
 
+DIFFERENCES = "differences from the replaced component"  # end of the title of their section
+
 
 def describe_log(path: str) -> Section:
     """Describe a log: the run, its components and their signals, metadata and messages."""
@@ -50,7 +52,7 @@ def describe_log(path: str) -> Section:
     for name in log.channels:
         entry = component_metadata(log, name)
         report = entry.pop("swap_report", {})
-        differences[f"{name}: differences from the replaced component"] = _differences(report)
+        differences[f"{name}: {DIFFERENCES}"] = _differences(report)
         if entry:
             metadata[name] = entry
     content = {"run": about, "signals": signals, "metadata": metadata, **differences}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -43,6 +44,21 @@ def signal_of(recording: Recording, port: str) -> Signal:
     assert match is not None, f"{port} is recorded"
     signal, _ = match
     return signal
+
+
+def element_names(port: str, size: int) -> list[str]:
+    """Return the names of the elements of a port, numbered as in its signal; a scalar's is its own.
+
+    Parameters
+    ----------
+    port : str
+    size : int
+        Number of its elements.
+    """
+    parsed = Port.parse(port)
+    if isinstance(parsed.element, range):
+        return [str(replace(parsed, element=i)) for i in parsed.element]
+    return [port] if size == 1 else [f"{port}[{i}]" for i in range(size)]
 
 
 def has_signal(recording: Recording, port: str) -> bool:

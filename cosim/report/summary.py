@@ -16,6 +16,7 @@ from cosim.arrays import Matrix, Vector, as_columns
 from cosim.core.contracts import Recording
 from cosim.report.recorded import (
     component_metadata,
+    element_names,
     rows_of,
     run_metadata,
     stacked_rows_of,
@@ -172,9 +173,9 @@ def _signal_error(
 def _value_outcomes(recording: Recording, estimate: str, truth: Vector) -> list[ValueOutcome]:
     rows = rows_of(recording, estimate)
     last = rows[-1] if len(rows) else np.full(len(truth), np.nan)
+    names = element_names(estimate, len(truth))
     outcomes = []
-    for i, (value, true) in enumerate(zip(last, truth, strict=True)):
-        name = estimate if len(truth) == 1 else f"{estimate}[{i}]"
+    for name, value, true in zip(names, last, truth, strict=True):
         if np.isnan(value):
             outcomes.append(ValueOutcome(name, None, float(true), None))
         else:

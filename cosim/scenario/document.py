@@ -92,7 +92,8 @@ class Document:
         for key, value in self.changes.items():
             if not key.startswith(tuple(prefixes)):
                 changes[key] = value
-        return replace(self, changes=changes, swapped=False)
+        # a map without its swap would be a problem, which keeps the scenario from being initialized
+        return replace(self, swaps={}, maps={}, changes=changes, swapped=False)
 
     def swapped_components(self) -> list[str]:
         """Return the names of the swapped components."""

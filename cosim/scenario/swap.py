@@ -263,13 +263,29 @@ def unknown_ports(
 
 
 def port_names(names: PortNames) -> list[str]:
-    """Return the names in an entry of a map: one, a list, or a text such as ``[s1, s2]``."""
+    """Return the names in an entry of a map: one, a list, or a text such as ``[s1, s2]``.
+
+    Names in a text may be in quotes, as they are in a file.
+
+    Raises
+    ------
+    GraphError
+        If a list is not closed.
+    """
     if not isinstance(names, str):
         return list(names)
-    listed = re.fullmatch(r"\[(.*)\]", names.strip())
+    text = names.strip()
+    if text.startswith("[") and text.count("[") != text.count("]"):
+        raise GraphError(f"found {names!r}, a list that is not closed; needed [NAME, NAME]")
+    listed = re.fullmatch(r"\[(.*)\]", text)
     if listed is None:
         return [names]
-    return [name.strip() for name in listed[1].split(",")]
+    return [_unquoted(name.strip()) for name in listed[1].split(",")]
+
+
+def _unquoted(name: str) -> str:
+    quoted = re.fullmatch(r"""(["'])(.*)\1""", name)
+    return name if quoted is None else quoted[2]
 
 
 class WrittenPorts:

@@ -44,11 +44,7 @@ class SwapReport:
         return lines
 
     def _line(self, row: ComparedAspect) -> dict[str, str]:
-        line = {"": self._port(row.port), "aspect": row.aspect, "before": shown(row.before)}
-        line["after"] = "the same" if row.verdict == "ok" else shown(row.after)
-        line["verdict"] = row.verdict
-        line["connected"] = shown(row.connected) if row.port else ""
-        return line
+        return row_texts({**asdict(row), "port": self._port(row.port)}, whole=not row.port)
 
     @property
     def differences(self) -> str:
@@ -56,7 +52,9 @@ class SwapReport:
         texts = []
         for row in self.rows:
             if row.verdict == "differs" and row.connected:
-                values = f"{shown(row.after)} (was {shown(row.before)})"
+                before = _aspect_text(row.aspect, row.before)
+                after = _aspect_text(row.aspect, row.after)
+                values = f"{after} (was {before})"
                 subject = f"{row.port} {row.aspect}".strip()
                 texts.append(f"{subject} {values}")
         return "; ".join(texts)
@@ -94,6 +92,33 @@ def _agreed(rows: Sequence[ComparedAspect]) -> ComparedAspect:
         text += f", {feedthrough_text('output', values['feedthrough'])}"
         text += f", initial output {shown(values['initial output'])}"
     return replace(first, aspect=first.before, before=text)
+
+
+def row_texts(row: Mapping[str, Any], *, whole: bool) -> dict[str, str]:
+    """Return a row of :meth:`SwapReport.to_dict` as people read it.
+
+    Parameters
+    ----------
+    row : mapping
+    whole : bool
+        Whether it is of the component as a whole, which nothing connects.
+    """
+    aspect = row["aspect"]
+    verdict = row["verdict"]
+    same = verdict == "ok"
+    return {
+        "": row["port"],
+        "aspect": aspect,
+        "before": _aspect_text(aspect, row["before"]),
+        "after": "the same" if same else _aspect_text(aspect, row["after"]),
+        "verdict": verdict,
+        "connected": "" if whole else shown(row["connected"]),
+    }
+
+
+def _aspect_text(aspect: str, value: Any) -> str:
+    no_feedthrough = aspect == "feedthrough" and value in ([], ())
+    return "no direct feedthrough" if no_feedthrough else shown(value)
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,9 @@ from cosim.scenario.build import build_context, parse
 from cosim.scenario.document import find
 from cosim.scenario.exporting import export_component
 from cosim.scenario.kinds.plants import FmuKind
+from cosim.scenario.port_comparison import ComparedAspect
 from cosim.scenario.swap_comparison import compare_swaps
+from cosim.scenario.swap_report import SwapReport, row_texts
 from tests.scenario.renamed import MAP, packed, renamed
 from tests.scenario.test_swap import rewritten
 
@@ -128,6 +130,9 @@ def test_a_mapped_port_is_compared_with_the_one_it_replaces(folder):
     """Under both names; it is shown with the scenario's."""
     found = report(folder, "other.fmu", MAP)
     assert not found.problems
+    rows = {(row.port, row.aspect): row for row in found.reports["plant"].rows}
+    initial = rows["y -> out1", "initial output"]
+    assert (initial.before, initial.verdict) == ([1.0], "ok")
     ports = {row.port: row for row in found.reports["plant"].rows}
     assert {"u -> force", "delta -> push", "y -> out1", "x_a -> s"} <= set(ports)
     assert set(verdicts(found, "differs", "error")) == {
@@ -220,7 +225,21 @@ def test_a_run_with_a_swap_says_what_differs_on_stderr(folder, tmp_path, capsys)
     assert capsys.readouterr().err == warned
     with pytest.raises(SystemExit):
         main(["info", str(tmp_path / "a.mcap")])
-    assert "plant: differences from the replaced component" in capsys.readouterr().out
+    shown = capsys.readouterr().out
+    assert "plant: differences from the replaced component" in shown
+    row = next(line for line in shown.splitlines() if "model exchange" in line)
+    aspect = "plant interface type"
+    assert " ".join(row.split()) == f"{aspect} model exchange co-simulation differs"
+
+
+def test_no_direct_feedthrough_is_said_so():
+    """In rows and warnings; the values stay plain for programs."""
+    row = ComparedAspect("y", "feedthrough", [], "unknown", "differs", True)
+    report = SwapReport("plant", (row,), ())
+    assert report.lines[0]["before"] == "no direct feedthrough"
+    assert report.differences == "y feedthrough unknown (was no direct feedthrough)"
+    assert report.to_dict()["ports"][0]["before"] == []
+    assert row_texts(report.to_dict()["ports"][0], whole=False) == report.lines[0]
 
 
 def test_what_cannot_be_linearized_is_unknown(folder, tmp_path):

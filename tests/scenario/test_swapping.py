@@ -146,7 +146,9 @@ def test_a_port_has_one_name(other):
     assert run["observer.y"].tolist() == run["plant.y"].tolist()
 
 
-@pytest.mark.parametrize("names", [["s[0]", "s[1]"], ["s[0:2]"], "[s[0], s[1]]"])
+@pytest.mark.parametrize(
+    "names", [["s[0]", "s[1]"], ["s[0:2]"], "[s[0], s[1]]", """["s[0]",'s[1]']"""]
+)
 def test_a_vector_may_be_made_of_elements(names, by_hand, other, tmp_path):
     """A list in Python and in the file, or text on the command line, give the same bits."""
     maps = {**MAP, "plant.x_a": names}
@@ -310,6 +312,11 @@ WRONG = {
         True,
         {**MAP, "plant.y[0]": "s[1]"},
         r"--map plant\.y\[0\]: 'plant\.y\[0\]' \(as s\[1\]\) overlaps 'plant\.y' \(as out1\)",
+    ),
+    "a list that is not closed": (
+        True,
+        {**MAP, "plant.x_a": "[s[0], s[1]"},
+        r"--map plant\.x_a: found '\[s\[0\], s\[1\]', a list that is not closed; needed \[NAME",
     ),
     "no name": (
         True,

@@ -76,6 +76,14 @@ def test_elements_and_slices_are_compared_too(tmp_path):
         cosim.run(with_truth('"observer.x_a[0]" = "plant.x_a[2]"'))
 
 
+def test_values_of_a_slice_are_named_as_elements_of_the_signal():
+    """They keep their numbers."""
+    entries = '"observer.x_a[0:2]" = [1.0, 2.0]\n"observer.x_a[1:2]" = 3.0'
+    run = cosim.run(with_truth(entries))
+    names = [value.estimate for value in summarize(run).values if "x_a" in value.estimate]
+    assert names == ["observer.x_a[0]", "observer.x_a[1]", "observer.x_a[1]"]
+
+
 def test_a_truth_may_be_stacked(tmp_path):
     """Ports in the order of the elements are compared as one signal would be, also in pictures."""
     path = tmp_path / "a.mcap"

@@ -107,10 +107,13 @@ def _largest_differences(difference: EstimateDifference) -> dict[tuple[str, str]
 
     Elements without a value are left out.
     """
+    from cosim.report.recorded import element_names
+
     elements: dict[tuple[str, str], float] = {}
-    for i, largest in enumerate(difference.largest):
+    names = element_names(difference.estimate, len(difference.largest))
+    for name, largest in zip(names, difference.largest, strict=True):
         if largest is not None:
-            elements[f"{difference.estimate}[{i}]", difference.label] = largest
+            elements[name, difference.label] = largest
     if not elements:
         return {}
     return elements | {(difference.estimate, difference.label): max(elements.values())}

@@ -11,6 +11,7 @@ def print_contents(source: str, *, as_json: bool) -> None:
     """Print what a log, an FMU or a scenario contains."""
     from cosim.report import inspection
     from cosim.report.tables.fmu import print_fmu
+    from cosim.scenario.swap_report import row_texts
 
     suffix = Path(source).suffix.lower()
     match suffix:
@@ -26,4 +27,8 @@ def print_contents(source: str, *, as_json: bool) -> None:
         print_fmu(content)
     else:
         for title, section in content.items():
-            print_section(title, section)
+            component, _, subject = title.partition(": ")
+            rows = section
+            if subject == inspection.DIFFERENCES:
+                rows = [row_texts(row, whole=row["port"] == component) for row in section]
+            print_section(title, rows)
