@@ -3,6 +3,7 @@
 import json
 from itertools import product
 
+import numpy as np
 import pytest
 
 import cosim
@@ -118,6 +119,20 @@ def test_a_map_is_for_those_that_have_its_names(folder):
             swap={"plant": [folder / "plant.fmu", folder / "other.fmu"]},
             map={"plant.u": "forse"},
         )
+
+
+def test_a_map_may_list_ports(folder):
+    """As texts on the command line, as lists in Python; each listed name is checked."""
+    plants = {"plant": [folder / "plant.fmu", folder / "other.fmu"]}
+    short = {"scenario.stop": 0.1}
+    for elements in ("[s[0],s[1]]", ["s[0]", "s[1]"]):
+        maps = {**MAP, "plant.x_a": elements}
+        found = compare("academic", swap=plants, map=maps, set=short, base=False)
+        assert [outcome.error for outcome in found.outcomes] == ["", ""]
+        plain, renamed_plant = found.recordings.values()
+        assert np.array_equal(plain["plant.x_a"], renamed_plant["plant.x_a"])
+    with pytest.raises(UsageError, match=r"--map plant\.x_a: no alternative has a port 'q\[1\]'"):
+        compare("academic", swap=plants, map={**MAP, "plant.x_a": ["s[0]", "q[1]"]})
 
 
 def test_a_picture_shows_all_of_them(four, tmp_path):
