@@ -83,19 +83,18 @@ def _joined(sources: Sequence[Source]) -> Columns:
 
 @dataclass(frozen=True, slots=True)
 class Member:
-    """A component with its columns and the wires that feed each of its inputs."""
+    """A component with its columns and the wires that feed its inputs."""
 
     name: str
     component: Component
     inputs: slice
     outputs: slice
-    wires: tuple[tuple[Wire, ...], ...]
+    wires: tuple[Wire, ...]
 
     def gather(self, signals: Matrix, rows: slice) -> None:
         """Bring the inputs of some rows up to date."""
-        for wires in self.wires:
-            for wire in wires:
-                wire.copy(signals, rows)
+        for wire in self.wires:
+            wire.copy(signals, rows)
 
     def perform(self, kind: OperationKind, time: Vector, h: float, rows: Matrix) -> None:
         """Carry out one operation of a loop over one step, from row 0 to row 1."""

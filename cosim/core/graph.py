@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from graphlib import TopologicalSorter
+from itertools import chain
 from typing import Literal
 
 import numpy as np
@@ -23,7 +24,7 @@ from cosim.core.connections import (
     layout_of,
 )
 from cosim.core.contracts import Component, Design, Plan, prepare
-from cosim.core.coupling import Cascade, Loop, Member, Stage, wires_of
+from cosim.core.coupling import Cascade, Loop, Member, Stage, Wire, wires_of
 from cosim.core.initial_values import InitialValues
 from cosim.core.order import order_loop, strongly_connected
 from cosim.core.port import Port
@@ -95,14 +96,19 @@ class Graph:
         self._sources = {
             channel.name: self._sources_of(channel) for channel in self.layout.channels
         }
-        self._members = {name: self._member(name) for name in self.components}
+        wires: dict[Port, tuple[Wire, ...]] = {}
+        self._members: dict[str, Member] = {}
+        for name in self.components:
+            wires_of_inputs = self._wires_of(name)
+            wires.update(wires_of_inputs)
+            self._members[name] = self._member(name, wires_of_inputs)
         self.stages = self._order()
         self.initializations = 0
-        self._initial_values = InitialValues(self.layout, self._members, self._sources)
+        self._initial_values = InitialValues(self.layout, self._members, self._sources, wires)
         self.held: dict[str, Mask] = {}
         for stage in self.stages:
             for name in stage.names:
-                self.held[name] = self._held(name, stage.extrapolated.get(name, frozenset()))
+                self.held[name] = self._held(name, stage)
 
     def prepare(self, step_ns: int, recorded: Mapping[str, Design] | None = None) -> Plan:
         """Prepare every component for the communication step; return what is fixed by that."""
@@ -210,9 +216,10 @@ class Graph:
             sources[signal.name] = tuple(dict.fromkeys(ports))
         return sources
 
-    def _member(self, name: str) -> Member:
+    def _wires_of(self, name: str) -> dict[Port, tuple[Wire, ...]]:
+        """Return the wires that feed each input of a component."""
+        wires = {}
         channel = self.layout[name]
-        wires = []
         for signal, columns in channel.signal_columns():
             port = Port(name, signal.name)
             connection = self.connections.get(port)
@@ -221,9 +228,14 @@ class Graph:
             sources = [self._ports.source(source) for source in connection.sources]
             copies = (Conversion(),) * len(sources)
             conversions = self.conversions.get(port, copies)
-            wires.append(wires_of(columns, connection, sources, conversions))
+            wires[port] = wires_of(columns, connection, sources, conversions)
+        return wires
+
+    def _member(self, name: str, wires: Mapping[Port, tuple[Wire, ...]]) -> Member:
+        channel = self.layout[name]
+        flat = chain.from_iterable(wires.values())
         component = self.components[name]
-        return Member(name, component, channel.inputs, channel.outputs, tuple(wires))
+        return Member(name, component, channel.inputs, channel.outputs, tuple(flat))
 
     def _drivers(self, name: str) -> set[str]:
         """Return the components that drive an input of this one."""
@@ -262,31 +274,33 @@ class Graph:
             self.coupling, tuple(members), tuple(operations), order.extrapolated, tuple(warnings)
         )
 
-    def _held(self, name: str, extrapolated: frozenset[str]) -> Mask:
+    def _held(self, name: str, stage: Stage) -> Mask:
         """Return which input elements of a component have a zero-order hold."""
+        extrapolated = stage.extrapolated.get(name, frozenset())
         held: list[bool] = []
         for signal in self.layout[name].interface.inputs:
             zero_order = (
-                self.input_interpolation == "zero-order"
-                or signal.variability == "discrete"
-                or signal.name in extrapolated
+                self.input_interpolation == "zero-order" or signal.variability == "discrete"
             )
             if zero_order:
                 held += [True] * signal.size
             else:
-                held += self._discrete_elements(Port(name, signal.name), signal.size)
+                # Of an extrapolated input only what comes from inside the loop is extrapolated.
+                loop = stage.names if signal.name in extrapolated else ()
+                held += self._held_elements(Port(name, signal.name), signal.size, loop)
         return np.array(held, dtype=np.bool_)
 
-    def _discrete_elements(self, to: Port, size: int) -> list[bool]:
-        """Return which elements of an input are driven by discrete signals."""
+    def _held_elements(self, to: Port, size: int, loop: tuple[str, ...]) -> list[bool]:
+        """Return which elements of an input are driven by discrete signals, or from a loop."""
         connection = self.connections[to]
         sources = [self._ports.source(port) for port in connection.sources]
+        inside = [source.port.component in loop for source in sources]
         discrete = [self.variability(source.port) == "discrete" for source in sources]
         if connection.matrix.ndim == 2:  # every element may be a sum of all sources
-            return [all(discrete)] * size
+            return [any(inside) or all(discrete)] * size
         elements: list[bool] = []
-        for source, is_discrete in zip(sources, discrete, strict=True):
-            elements += [is_discrete] * source.size
+        for source, from_loop, is_discrete in zip(sources, inside, discrete, strict=True):
+            elements += [from_loop or is_discrete] * source.size
         return elements
 
     def variability(self, output: Port, visited: frozenset[str] = frozenset()) -> Variability:

@@ -82,9 +82,17 @@ class InitialValues:
     members : mapping of component name to Member
     sources : mapping of component name to mapping of input to tuple of Port
         What drives each input.
+    wires : mapping of Port to tuple of Wire
+        What feeds each input.
     """
 
-    def __init__(self, layout: Layout, members: Mapping[str, Member], sources: Sources) -> None:
+    def __init__(
+        self,
+        layout: Layout,
+        members: Mapping[str, Member],
+        sources: Sources,
+        wires: Mapping[Port, tuple[Wire, ...]],
+    ) -> None:
         self.layout = layout
         self.members = members
         self.columns: dict[Port, slice] = {}
@@ -94,7 +102,7 @@ class InitialValues:
                 port = Port(channel.name, signal.name)
                 self.columns[port] = columns
                 self._signals[port] = signal
-        self.wires = dict(_wires(layout, members))
+        self.wires = wires
         self.order = self._ordered(_dependencies(layout.channels, sources))
         self.outputs_outside_loops = self._outputs_outside_loops()
 
@@ -287,15 +295,6 @@ def _need_small_residual(loop: AlgebraicLoop, candidate: Candidate) -> Vector:
         residual = _residual_text(loop, candidate)
         raise _unsolved(loop, f"Newton's method ended with a {residual}")
     return candidate.v
-
-
-def _wires(
-    layout: Layout, members: Mapping[str, Member]
-) -> Iterator[tuple[Port, tuple[Wire, ...]]]:
-    for channel in layout.channels:
-        wires = members[channel.name].wires
-        for signal, wires_of_input in zip(channel.interface.inputs, wires, strict=True):
-            yield Port(channel.name, signal.name), wires_of_input
 
 
 def _dependencies(channels: Iterable[Channel], sources: Sources) -> PortDependencies:

@@ -12,7 +12,7 @@ from cosim.log.metadata import add_checksum, compact, encode_design
 from cosim.log.schema import LOG_SCHEMA, component_schema, identifiers, log_schema
 from cosim.log.sink import Sink
 
-FORMAT = "1"
+FORMAT = "2"
 LOG_TOPIC = "/cosim/log"
 
 

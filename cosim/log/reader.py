@@ -27,7 +27,7 @@ from cosim.log.container import MALFORMED, Container
 from cosim.log.content import combine_hashes, hash_input
 from cosim.log.layout import Part, read_part, record_dtype, signals_json
 from cosim.log.metadata import decode_design, verify_checksum
-from cosim.log.preamble import LOG_TOPIC
+from cosim.log.preamble import FORMAT, LOG_TOPIC
 from cosim.log.result import RESULT, RESULT_FILE
 from cosim.log.scan import OtherRecord, scan
 from cosim.log.schema import decode_log
@@ -78,9 +78,10 @@ class Log:
         self.path = path
         self._file = Container(path)
         self._declared = self._file.channels()
+        self._metadata = self._read_metadata()
+        self._check_format()
         self._parts = self._read_parts()
         self._channels = self._read_channels()
-        self._metadata = self._read_metadata()
         self._attachments = self._file.attachments()
         self._rows: dict[str, tuple[Nanoseconds, Matrix]] = {}
 
@@ -348,6 +349,14 @@ class Log:
 
     def _dtypes(self) -> dict[int, np.dtype[np.void]]:
         return {number: record_dtype(part.size) for number, part in self._parts.items()}
+
+    def _check_format(self) -> None:
+        found = self._metadata.get("cosim.run", {}).get("format", FORMAT)
+        if found != FORMAT:
+            raise LogError(
+                f"{self.path}: written in log format {found!r}, by another version of cosim; "
+                f"needed format {FORMAT!r}: run its scenario again"
+            )
 
     def _read_parts(self) -> dict[int, Part]:
         """Read the parts of the components from their channels' metadata, by channel id."""

@@ -415,3 +415,25 @@ def test_what_holds_over_a_step_follows_variability():
         .prepare(10**6)
         .held.values()
     )
+
+
+@pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
+def test_a_stack_extrapolates_only_what_comes_from_its_loop(coupling):
+    """Elements from outside a loop are interpolated, beside one that is extrapolated."""
+    components = {
+        "s": sine(rate=1.0),
+        "sum": sum_of([1.0, 1.0], size=2),
+        "d": gain(np.array([[0.5, 0.5]])),
+        "lag": Linear(lag(time_constant=1.0)),
+        "one": constant([1.0, 1.0]),
+    }
+    connections = {
+        "sum.u1": ["lag.y", "s.y"],
+        "sum.u2": "one.y",
+        "d.u": "sum.y",
+        "lag.u": "d.y",
+    }
+    graph = Graph(components, connections, coupling=coupling)
+    expected = [coupling == "jacobi", False, False, False]
+    assert graph.held["sum"].tolist() == expected
+    assert graph.held["lag"].tolist() == [True]

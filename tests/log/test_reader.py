@@ -21,7 +21,7 @@ from cosim.core.contracts import Recording
 from cosim.core.recorders import Memory
 from cosim.core.signals import Channel, Interface, Layout, Signal
 from cosim.errors import LogError
-from cosim.log import McapRecorder, open_log
+from cosim.log import McapRecorder, open_log, preamble
 from cosim.log import buffer as row_buffer
 
 from .recordings import STEP_NS, blocks, layout, plan, record, same_bits, table
@@ -451,3 +451,13 @@ def test_a_chunk_record_is_what_mcap_says(tmp_path):
         chunk.write(builder)
         stream.seek(index.chunk_start_offset)
         assert stream.read(index.chunk_length) == builder.end()
+
+
+def test_a_log_of_another_format_is_refused(tmp_path, monkeypatch):
+    """Where the format has changed, the reader says so before it reads what it would misread."""
+    path = tmp_path / "old.mcap"
+    monkeypatch.setattr(preamble, "FORMAT", "1")
+    record(path, steps=10)
+    text = r"old\.mcap: written in log format '1', .*; needed format '2': run its scenario"
+    with pytest.raises(LogError, match=text):
+        open_log(path)
