@@ -395,19 +395,17 @@ class _Bench:
 
     def fed_by(self, name: str) -> Mask:
         """Return which output elements an input is declared to feed through to."""
-        fed: list[bool] = []
-        for output in self.interface.outputs:
-            feeds = name in self.interface.feeds(output.name)
-            fed += [feeds] * output.size
-        return np.array(fed, np.bool_)
+        return self._output_mask(name, self.interface.feeds)
 
     def fed_initially(self, name: str) -> Mask:
         """Return which initial output elements are declared to depend on an input."""
-        fed: list[bool] = []
+        return self._output_mask(name, self.interface.feeds_initially)
+
+    def _output_mask(self, name: str, inputs_of: Callable[[str], tuple[str, ...]]) -> Mask:
+        mask: list[bool] = []
         for output in self.interface.outputs:
-            feeds = name in self.interface.feeds_initially(output.name)
-            fed += [feeds] * output.size
-        return np.array(fed, np.bool_)
+            mask += [name in inputs_of(output.name)] * output.size
+        return np.array(mask, np.bool_)
 
     def compare(self, law: str, rows: Matrix, expected: Matrix, first: int = 0) -> None:
         """Require equal bits of rows, the first of them at row ``first``."""

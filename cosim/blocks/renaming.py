@@ -317,8 +317,7 @@ class _Resolver:
 
 
 def _signals(interface: Interface) -> dict[str, Signal]:
-    signals = (*interface.inputs, *interface.outputs)
-    return {signal.name: signal for signal in signals}
+    return {signal.name: signal for signal in interface.signals}
 
 
 def _elements(signals: Iterable[Signal], causality: Causality) -> dict[str, list[PortElement]]:

@@ -309,7 +309,7 @@ def _port_names(component: str, path: str) -> list[str]:
         interface = _interface(component, path)
     except CosimError:
         return []
-    return [signal.name for signal in (*interface.inputs, *interface.outputs)]
+    return [signal.name for signal in interface.signals]
 
 
 def _interface(component: str, path: str) -> Interface:
