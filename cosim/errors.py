@@ -25,6 +25,8 @@ from collections.abc import Iterable
 from difflib import get_close_matches
 from typing import ClassVar
 
+MOST_NAMES = 100  # that a message lists
+
 
 class CosimError(Exception):
     """Base of every deliberate error; ``exit_code`` is what the command line returns."""
@@ -85,10 +87,16 @@ class Interrupted(RunError):
 
 
 def nearest(name: str, known_names: Iterable[str]) -> str:
-    """Return the end of a message about an unknown name: the name probably meant, and all names."""
+    """Return the end of a message about an unknown name: the name probably meant, and all names.
+
+    Of very many names it lists the first.
+    """
     names = list(known_names)
     if not names:
         return "there are none"
     close = get_close_matches(name, names, n=1, cutoff=0.5)
     guess = f"did you mean {close[0]!r}? " if close else ""
-    return f"{guess}There is: {', '.join(names)}"
+    listed = ", ".join(names[:MOST_NAMES])
+    more = len(names) - MOST_NAMES
+    rest = f", and {more} more" if more > 0 else ""
+    return f"{guess}There is: {listed}{rest}"

@@ -10,10 +10,11 @@ import pytest
 import cosim
 
 ROOT = Path(cosim.__file__).parent
-BASE = {"errors", "arrays", "units", "version", "lazy"}
+BASE = {"errors", "arrays", "files", "units", "version", "lazy"}
 ALLOWED = {
     "errors": set(),
     "arrays": set(),
+    "files": set(),
     "units": set(),
     "version": set(),
     "lazy": set(),

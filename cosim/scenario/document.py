@@ -17,10 +17,12 @@ from typing import Any
 import numpy as np
 
 from cosim.errors import ScenarioError, nearest
+from cosim.files import read_bounded
 from cosim.scenario.problems import Key, Problem
 from cosim.scenario.swap import MAP, PortNames, owner_of, replace_components, swapped_components
 
 SUFFIX = ".toml"
+LARGEST = 2**26  # bytes of a scenario
 SET = "--set"  # first part of the key of a problem with a --set option, which stands in no file
 FLAT = ("connections", "truth")  # tables whose keys are the names of ports
 TABLES = ("scenario", "models", *FLAT)  # what a dotted key may begin with, beside a component
@@ -234,7 +236,8 @@ def find(name: str) -> Document:
 
 def _read_text(name: str) -> str:
     try:
-        return Path(name).read_text(encoding="utf-8")
+        text = read_bounded(Path(name), LARGEST).decode("utf-8-sig")
+        return text.replace("\r\n", "\n")
     except OSError as error:
         names = ", ".join(shipped())
         raise ScenarioError(
@@ -242,7 +245,7 @@ def _read_text(name: str) -> str:
         ) from error
     except UnicodeDecodeError as error:
         raise ScenarioError(
-            f"{name}: is no text in UTF-8 ({error}); needed a scenario in TOML"
+            f"{name}: is no text in UTF-8 (byte {error.start}); needed a scenario in TOML"
         ) from error
 
 

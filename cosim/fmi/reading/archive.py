@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import io
+import os
 import re
 import stat
 import unicodedata
@@ -19,8 +20,9 @@ from pathlib import Path
 from typing import Final
 
 from cosim.errors import FmuError
+from cosim.files import check_size, regular
 
-LARGEST: Final = 2**30  # bytes, unpacked
+LARGEST: Final = 2**30  # bytes, packed and unpacked
 MOST: Final = 10_000  # entries
 # Bytes of the list of entries, which zipfile reads in one piece before it can be counted.
 DIRECTORY: Final = 2**24
@@ -103,7 +105,8 @@ class _BoundedFile(io.FileIO):
 def _open(path: Path) -> Iterator[tuple[zipfile.ZipFile, str]]:
     """Open an archive; yield it with the SHA-256 of the file. Whatever fails is an FmuError."""
     try:
-        with _BoundedFile(path) as file:
+        with _BoundedFile(path, opener=regular) as file:
+            check_size(path, os.fstat(file.fileno()).st_size, LARGEST)
             sha256 = hashlib.file_digest(file, "sha256").hexdigest()
             with zipfile.ZipFile(file) as archive:
                 try:

@@ -102,7 +102,7 @@ def open_description(path: Path, into: Path | None = None) -> tuple[Element, Arc
 
 
 def need_file(path: Path) -> None:
-    """Refuse what is no file.
+    """Refuse a path without a file.
 
     Raises
     ------
@@ -111,7 +111,7 @@ def need_file(path: Path) -> None:
     """
     if not path.exists():
         raise FmuError(f"{path}: there is no such file")
-    if not path.is_file():
+    if path.is_dir():
         raise FmuError(f"{path}: needed an .fmu file, found a folder")
 
 

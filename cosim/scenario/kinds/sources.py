@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
@@ -15,8 +14,9 @@ from cosim.blocks import source
 from cosim.core.clock import whole_steps
 from cosim.core.contracts import Component
 from cosim.core.signals import SignalType, Variability
-from cosim.errors import UsageError, nearest
+from cosim.errors import UsageError
 from cosim.native.expression import compile_expression
+from cosim.scenario.csv_file import read_csv
 from cosim.scenario.kinds.base import BuildContext, Kind
 from cosim.scenario.schema import Flag, Number, NumberRow, NumberRows, TomlTable, Whole, matrix
 from cosim.theory.disturbance import family_named
@@ -169,52 +169,11 @@ class TableKind(Kind):
         return np.array(self.t), matrix(rows, "y")
 
     def _read(self, path: Path) -> tuple[Vector, Matrix]:
-        file = repr(str(path))
-        header, values = _read_csv(path)
-        if self.columns is not None:
-            value_columns = list(self.columns)
-        else:
-            value_columns = [column for column in header if column != self.time]
-        for column in (self.time, *value_columns):
-            if column not in header:
-                suggestion = nearest(column, header)
-                raise UsageError(f"file {file} has no column {column!r}; {suggestion}")
-        names = len(header)
-        columns = values.shape[1]
-        if columns != names:
-            raise UsageError(
-                f"file {file} has {names} names and {columns} columns; needed as many of both"
-            )
-        t = values[:, header.index(self.time)]
-        y = values[:, [header.index(column) for column in value_columns]]
-        return t, y
-
-
-def _read_csv(path: Path) -> tuple[list[str], Matrix]:
-    """Read the names of the columns and the rows of numbers of a CSV file."""
-    file = repr(str(path))
-    try:
-        with path.open(encoding="utf-8-sig") as stream:  # Excel writes a byte order mark
-            first_row = next(csv.reader([stream.readline()]), [])
-            lines = [line for line in stream if line.strip()]
-        if not lines:
-            raise UsageError(
-                f"file {file} has no rows of numbers; needed a line of names and at least two rows"
-            )
-        values: Matrix = np.loadtxt(lines, delimiter=",", ndmin=2)
-    except OSError as error:
-        raise UsageError(f"file {file} cannot be read: {error.strerror}") from error
-    except ValueError as error:
-        raise UsageError(
-            f"file {file} is no table of numbers separated by commas: {error}"
-        ) from error
-    header = [cell.strip() for cell in first_row]
-    duplicates = sorted({name for name in header if header.count(name) > 1})
-    if duplicates:
-        raise UsageError(
-            f"file {file} has two columns {duplicates[0]!r}; needed a name of its own for each"
-        )
-    return header, values
+        table = read_csv(path)
+        names = self.columns
+        if names is None:
+            names = tuple(name for name in table.names if name != self.time)
+        return table.column(self.time), table.columns(names)
 
 
 class NoiseKind(Kind):

@@ -1,0 +1,79 @@
+"""Files that are read: regular ones, of a bounded size.
+
+A device, a pipe or a socket may never end, or never begin; what a user names must not stop the
+program there. Whatever is refused is an ``OSError``, as every other reason why a file cannot be
+read: who opens a file catches that, and names the file and what was needed.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+from pathlib import Path
+from typing import Final
+
+# Opening a pipe waits for its other end; on Windows there are none among the files.
+_NO_WAITING: Final = getattr(os, "O_NONBLOCK", 0)
+_TYPES: Final = (
+    (stat.S_ISDIR, "a folder"),
+    (stat.S_ISCHR, "a device"),
+    (stat.S_ISBLK, "a device"),
+    (stat.S_ISFIFO, "a pipe"),
+    (stat.S_ISSOCK, "a socket"),
+)
+
+
+def regular(path: str, flags: int) -> int:
+    """Open a regular file and return its descriptor: an ``opener`` for :func:`open`.
+
+    Raises
+    ------
+    OSError
+        If it is something else, or cannot be opened.
+    """
+    _check_type(path, os.stat(path))  # before it is opened: that may wake what is behind a device
+    descriptor = os.open(path, flags | _NO_WAITING)
+    try:
+        _check_type(path, os.fstat(descriptor))  # what was opened may be another file by now
+    except BaseException:
+        os.close(descriptor)
+        raise
+    return descriptor
+
+
+def read_bounded(path: Path, largest: int) -> bytes:
+    """Read a regular file of at most ``largest`` bytes.
+
+    Raises
+    ------
+    OSError
+        If it is no regular file, is larger, or cannot be read.
+    """
+    if "\0" in str(path):
+        raise OSError(errno.EINVAL, "its name has the character 0", str(path))
+    with open(path, "rb", opener=regular) as file:
+        check_size(path, os.fstat(file.fileno()).st_size, largest)
+        content = file.read(largest + 1)  # it may have grown; some files say that they are empty
+    check_size(path, len(content), largest)
+    return content
+
+
+def check_size(path: Path, size: int, largest: int) -> None:
+    """Check the size of a file [bytes].
+
+    Raises
+    ------
+    OSError
+        If it is too large.
+    """
+    if size > largest:
+        text = f"it is too large: more than {largest} bytes"
+        raise OSError(errno.EFBIG, text, str(path))
+
+
+def _check_type(path: str, status: os.stat_result) -> None:
+    for is_type, name in _TYPES:
+        if is_type(status.st_mode):
+            text = f"it is {name}, not a regular file"
+            raise OSError(errno.EINVAL, text, str(path))

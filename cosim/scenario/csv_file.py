@@ -1,0 +1,181 @@
+"""Tables of numbers from CSV files: a line of names, then rows of numbers separated by commas.
+
+A message tells where a file is no such table, and never what stands there: whoever runs a scenario
+of another may be able to read what that other is not.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from cosim.arrays import Matrix, Vector
+from cosim.errors import UsageError, nearest
+from cosim.files import read_bounded
+
+LARGEST: Final = 2**28  # bytes
+MOST_COLUMNS: Final = 100_000
+SEPARATORS: Final = {";": "semicolons", "\t": "tabs", "|": "bars"}
+
+
+@dataclass(frozen=True, slots=True)
+class NamedColumns:
+    """Columns of numbers by name.
+
+    Parameters
+    ----------
+    file : str
+        As it is named in messages.
+    names : tuple of str
+    values : Matrix, shape (N, number of names)
+    """
+
+    file: str
+    names: tuple[str, ...]
+    values: Matrix
+
+    def column(self, name: str) -> Vector:
+        """Return a column, shape (N,).
+
+        Raises
+        ------
+        UsageError
+            If there is none of that name, or there are several.
+        """
+        return self.columns([name])[:, 0]
+
+    def columns(self, names: Sequence[str]) -> Matrix:
+        """Return columns side by side, shape (N, number of ``names``).
+
+        Raises
+        ------
+        UsageError
+            If there is none of a name, or there are several.
+        """
+        position = {name: index for index, name in enumerate(self.names)}
+        for name in names:
+            if name not in position:
+                suggestion = nearest(name, self.names)
+                raise UsageError(f"file {self.file} has no column {name!r}; {suggestion}")
+        selected: Matrix = self.values[:, [position[name] for name in names]]
+        return selected
+
+
+def read_csv(path: Path) -> NamedColumns:
+    """Read a table of numbers in UTF-8; empty lines are left out.
+
+    Raises
+    ------
+    UsageError
+        If the file cannot be read, or is no such table.
+    """
+    file = repr(str(path))
+    lines = _lines(path, file)
+    names = _names(lines[0], file)
+    rows = [line for line in lines[1:] if line.strip()]
+    if not rows:
+        raise UsageError(
+            f"file {file} has no rows of numbers; needed a line of names and rows of numbers"
+        )
+    try:
+        values = np.loadtxt(rows, delimiter=",", ndmin=2, comments=None, quotechar='"')
+    except ValueError:
+        values = np.empty((0, 0))  # its message would quote the file
+    if values.shape != (len(rows), len(names)):
+        problem = _first_problem(lines, len(names))
+        raise UsageError(f"file {file} is no table of numbers separated by commas: {problem}")
+    _check_names(names, file)
+    return NamedColumns(file, names, values)
+
+
+def _lines(path: Path, file: str) -> list[str]:
+    try:
+        content = read_bounded(path, LARGEST)
+        text = content.decode("utf-8-sig")  # Excel writes a byte order mark
+    except OSError as error:
+        raise UsageError(f"file {file} cannot be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        # not "from error": that one holds the content
+        raise UsageError(
+            f"file {file} is no text in UTF-8 (byte {error.start}); save it in that encoding"
+        ) from None
+    if "\0" in text:
+        raise UsageError(f"file {file} is no text: it has the character 0; needed a table in UTF-8")
+    return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+
+
+def _names(line: str, file: str) -> tuple[str, ...]:
+    cells = _cells(line)
+    if cells is None:
+        raise UsageError(
+            f"file {file} is no table of numbers separated by commas: line 1 cannot be split"
+        )
+    if len(cells) > MOST_COLUMNS:
+        raise UsageError(f"file {file} has {len(cells)} columns; needed at most {MOST_COLUMNS}")
+    if len(cells) == 1:
+        for separator, name in SEPARATORS.items():
+            if separator in line:
+                raise UsageError(
+                    f"file {file} is no table of numbers separated by commas: line 1 has {name}; "
+                    "save it with commas, and points in the numbers"
+                )
+        raise UsageError(f"file {file} has one column; needed at least two, separated by commas")
+    return tuple(cell.strip() for cell in cells)
+
+
+def _check_names(names: tuple[str, ...], file: str) -> None:
+    """Refuse rows of numbers without names that tell them apart."""
+    if all(_is_number(name) for name in names):
+        raise UsageError(
+            f"file {file} has numbers in line 1; needed the names of its {len(names)} columns there"
+        )
+    name, count = Counter(names).most_common(1)[0]
+    if count > 1:
+        raise UsageError(
+            f"file {file} has {count} columns {name!r}; needed a name of its own for each"
+        )
+
+
+def _first_problem(lines: Sequence[str], columns: int) -> str:
+    """Return where a table is none, as line and column, both from 1."""
+    for number, line in enumerate(lines[1:], start=2):
+        if line.strip():
+            for problem in _problems(line, columns):
+                return f"line {number}{problem}"
+    return "a cell reaches over several lines"
+
+
+def _problems(line: str, columns: int) -> Iterator[str]:
+    cells = _cells(line)
+    if cells is None:
+        yield " cannot be split"
+        return
+    for column, cell in enumerate(cells, start=1):
+        if not _is_number(cell):
+            found = "text" if cell.strip() else "nothing"
+            yield f", column {column} has {found}, needed a number"
+    if len(cells) != columns:
+        yield f" has {len(cells)} columns, line 1 has {columns}"
+
+
+def _cells(line: str) -> list[str] | None:
+    """Split a line; None: it cannot be split, because of its quotes or a cell beyond all size."""
+    try:
+        return next(csv.reader([line], strict=True), [])
+    except csv.Error:
+        return None
+
+
+def _is_number(cell: str) -> bool:
+    """Return whether a cell is a number as numpy reads it: as Python, but without underscores."""
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return "_" not in cell and cell.isascii()

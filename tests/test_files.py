@@ -1,0 +1,99 @@
+"""Files that are read: regular ones, of a bounded size."""
+
+import os
+import socket
+
+import pytest
+
+import cosim
+from cosim.errors import ScenarioError
+from cosim.files import read_bounded, regular
+from cosim.scenario.build import parse
+from cosim.scenario.document import Document
+
+SCENARIO = '[scenario]\nname = "a"\nstop = 1.0\nstep = 0.5\n[components.u]\n'
+
+
+def read(path):
+    """Read a file as what its suffix says."""
+    match path.suffix:
+        case ".toml":
+            cosim.load(path)
+        case ".csv":
+            text = f'{SCENARIO}kind = "table"\nfile = {str(path)!r}\n'
+            cosim.run(parse(Document(text, "a", path.parent)))
+        case ".fmu":
+            cosim.run("academic", swap={"plant": path})
+
+
+@pytest.fixture
+def special(tmp_path):
+    """Return a function that makes a file of a type, with a suffix."""
+    opened = []
+
+    def make(kind, suffix):
+        path = tmp_path / f"special{suffix}"
+        if kind == "a pipe":
+            os.mkfifo(path)
+        elif kind == "a socket":
+            opened.append(socket.socket(socket.AF_UNIX))
+            opened[-1].bind(str(path))
+        elif kind == "a device":
+            path.symlink_to("/dev/zero")
+        else:
+            path.mkdir()
+        return path
+
+    yield make
+    for one in opened:
+        one.close()
+
+
+@pytest.mark.parametrize("kind", ["a pipe", "a socket", "a device", "a folder"])
+@pytest.mark.parametrize("suffix", [".toml", ".csv", ".fmu"])
+def test_only_regular_files_are_read(special, kind, suffix):
+    """A device never ends and a pipe never begins: each is refused at once, by its name."""
+    with pytest.raises(ScenarioError, match=rf"special{suffix}.*{kind}"):
+        read(special(kind, suffix))
+
+
+@pytest.mark.parametrize("suffix", [".toml", ".csv", ".fmu"])
+def test_a_file_beyond_all_size_is_refused_before_it_is_read(tmp_path, suffix):
+    """A sparse file of 1 TiB takes no room on the disk, and would take hours to read."""
+    path = tmp_path / f"large{suffix}"
+    with path.open("wb") as file:
+        file.truncate(2**40)
+    with pytest.raises(ScenarioError, match=r"too large: more than \d+ bytes"):
+        read(path)
+
+
+def test_a_file_that_hides_its_size_is_bounded_all_the_same(tmp_path):
+    """What counts is what comes out: files of the kernel say that they are empty."""
+    path = tmp_path / "a"
+    path.write_bytes(b"12345")
+    assert read_bounded(path, 5) == b"12345"
+    with pytest.raises(OSError, match="too large: more than 4 bytes"):
+        read_bounded(path, 4)
+    if os.path.exists("/proc/self/status"):
+        with pytest.raises(OSError, match="too large: more than 10 bytes"):
+            read_bounded("/proc/self/status", 10)
+
+
+def test_a_file_that_is_refused_is_not_left_open(tmp_path, monkeypatch):
+    """Also one that became a pipe after it was looked at."""
+    path = tmp_path / "pipe"
+    os.mkfifo(path)
+    status = os.stat(__file__)
+    closed = []
+    close = os.close
+    monkeypatch.setattr(os, "stat", lambda path: status)
+    monkeypatch.setattr(os, "close", lambda descriptor: [closed.append(1), close(descriptor)])
+    with pytest.raises(OSError, match="it is a pipe, not a regular file"):
+        regular(str(path), os.O_RDONLY)
+    assert closed == [1]
+
+
+def test_a_name_with_the_character_0_is_no_name(tmp_path):
+    """TOML can write it; the system cannot open it."""
+    with pytest.raises(OSError, match="its name has the character 0"):
+        read_bounded(tmp_path / "a\0b", 5)
