@@ -190,6 +190,13 @@ class ModelExchangeInstance(Instance, Protocol):
 class CoSimulationInstance(Instance, Protocol):
     """An FMU or a generated model with a solver of its own."""
 
+    def renew(self) -> None:
+        """Replace it by a new instance, in the state after instantiation; it may have failed.
+
+        FMU states of the old one are lost.
+        """
+        ...
+
     def set_input_derivatives(self, references: ReferenceMap, slopes: Vector) -> None:
         """Set du/dt for the next step, which begins at the values set last.
 

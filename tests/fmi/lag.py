@@ -21,8 +21,17 @@ PARAMETERS = (
     "fail",
     "status",
     "asks",
+    "no_slopes",
 )
-STARTS = {"longest": 1e9, "until": 1e9, "iterations": 1.0, "end": 1e9, "fail": 1e9, "asks": 2.0}
+STARTS = {
+    "longest": 1e9,
+    "until": 1e9,
+    "iterations": 1.0,
+    "end": 1e9,
+    "fail": 1e9,
+    "asks": 2.0,
+    "no_slopes": 1e9,
+}
 VARIABLES = (  # name, causality, variability, initial, start
     ("u", "input", "continuous", None, 0.0),
     ("d", "input", "discrete", None, 0.0),

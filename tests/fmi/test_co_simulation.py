@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cosim.core.contracts import Stopped
-from cosim.errors import FmuError
+from cosim.errors import FmuError, RunError
 from cosim.fmi.component import load
 from cosim.fmi.options import FmuOptions
 from cosim.testing import check_component, check_rollback
@@ -236,6 +236,53 @@ def test_a_held_input_that_loses_its_value_at_the_end_kept_it_until_then(opened)
     u = np.array([[1.0, 0.0], [np.nan, 0.0]])
     y = component.advance(np.array([0.0, 0.1]), 0.1, u)
     assert y[0, X] == pytest.approx(1.0 - np.exp(-0.1), abs=ROUNDING)
+
+
+@pytest.mark.parametrize("version", ["1", "2"])
+def test_slopes_that_are_refused_at_once_begin_the_run_again_with_means(opened, version):
+    """A new instance takes the place of the one that failed; that is reported once.
+
+    The rows are those of an FMU that does not interpolate; also at another initialization.
+    """
+    fmu = opened(version, "lines", no_slopes=0.0)
+    expected = run(opened(version))
+    assert np.array_equal(run(fmu), expected)
+    (message,) = [text for _, level, _, text in fmu.drain() if level == "warning"]
+    assert "SetRealInputDerivatives returned 3 (error)" in message
+    assert "the run began again with a new instance, which gets the mean of both ends" in message
+    assert np.array_equal(run(fmu, blocks=3), expected)
+    assert fmu.drain() == []
+
+
+@pytest.mark.parametrize("version", ["1", "2"])
+def test_slopes_that_are_refused_later_stop_the_run(opened, version):
+    """After a step that was completed, with its rows; the instance that failed is not replaced."""
+    fmu = opened(version, "lines", no_slopes=0.1)
+    with pytest.raises(Stopped, match=r"SetRealInputDerivatives returned 3 \(error\)") as stop:
+        run(fmu)
+    assert (stop.value.steps, stop.value.failed) == (1, True)
+
+
+def test_states_of_an_instance_that_was_replaced_are_lost(opened):
+    """What was saved before the first step cannot be restored: the FMU's memory is no more."""
+    component = opened("2", "lines", "state", no_slopes=0.0).component
+    component.prepare(0.1, HELD, {})
+    component.initialize(0.0, line(times())[0])
+    component.outputs(0.0, line(times())[0])
+    saved = component.save()
+    component.advance(times(), 0.1, line(times()))
+    with pytest.raises(RunError, match=r"a saved state was lost, as the instance that it was"):
+        component.restore(saved)
+
+
+def test_an_initialization_with_other_inputs_needs_no_reset(opened):
+    """FMI 1.0: the reset of the lag sets its parameters to zero, so it would end at once."""
+    component = opened("1").component
+    component.prepare(0.1, HELD, {})
+    for u in (2.0, U0):
+        assert component.initialize(0.0, np.array([u, 0.0]))[Y] == u
+    y = component.advance(times(), 0.1, line(times()))
+    assert y == pytest.approx(run(opened("1"))[1:], abs=ROUNDING)
 
 
 # --- discarded steps ---

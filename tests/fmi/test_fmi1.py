@@ -28,7 +28,7 @@ def test_initial_outputs_belong_to_the_inputs_that_were_set(probe1):
 
 
 def test_equal_inputs_do_not_restart(probe1):
-    """The probe counts instances, and a slave is reset: neither happens twice for equal values."""
+    """The probe says where it is initialized, and counts instances: once for equal values."""
     with opened(probe1) as (fmu, instance):
         instance.enter_initialization_mode(0.0)
         for _ in range(3):

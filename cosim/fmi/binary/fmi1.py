@@ -3,10 +3,11 @@
 FMI 1.0 has no initialization mode: ``fmiInitialize`` (``fmiInitializeSlave``) takes the start
 values and inputs that were set before it, and only after it can anything be read. Between
 ``enter_initialization_mode`` and ``exit_initialization_mode`` therefore the first reading
-initializes, and another value that is set after it restarts the instance: a slave is reset, a model
-is freed and instantiated again, and all that was set is set again. Exit initializes where no
-reading did. So every output that is read belongs to the inputs that were set, as in the
-initialization mode of FMI 2.
+initializes, and another value that is set after it restarts: the instance is freed, a new one is
+instantiated, and all that was set is set again. Exit initializes where no reading did. So every
+output that is read belongs to the inputs that were set, as in the initialization mode of FMI 2.
+``fmiResetSlave`` is never called: masters have no need of it, so that in many FMUs it was never
+tried, and leaves parameters at zero or a solver that never returns.
 
 It has no FMU state, no directional derivatives and no event mode in co-simulation either: those
 calls raise. Event mode and continuous-time mode of model exchange are states in which the same
@@ -24,7 +25,6 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from cosim.arrays import Vector
-from cosim.errors import RunError
 from cosim.fmi.binary.binding import NO_INPUT_DERIVATIVES, InstanceSpecification
 from cosim.fmi.binary.library import DISCARD, WARNING, Call, Library, import_declarations, pointer
 from cosim.fmi.instance import DiscreteStates, StepEnd
@@ -119,7 +119,6 @@ class Fmi1:
         self.enter_event_mode = no_events
         self.enter_step_mode = no_events
         self._update = no_events
-        self._reset_slave = call("ResetSlave")
         self._initialize_slave = call("InitializeSlave", c_double, c_int8, c_double)
         self._step = self.library.status_call("DoStep", c_double, c_double, c_int8)
         self._real_status = self.library.status_call("GetRealStatus", c_int, c_void_p)
@@ -131,6 +130,15 @@ class Fmi1:
             self._set_slopes = self.library.unavailable(NO_INPUT_DERIVATIVES)
 
     def instantiate(self) -> None:
+        """Create the instance, and forget all that was set."""
+        self._set_values.clear()
+        self._set_texts.clear()
+        self._start_time = None
+        self._initializing = True
+        self._initialized = False
+        self._create_instance()
+
+    def _create_instance(self) -> None:
         """Create the instance.
 
         The logger gets no environment in FMI 1.0: messages are known by the instance's own
@@ -165,25 +173,16 @@ class Fmi1:
     # --- from instantiation to the end of initialization ---
 
     def reset(self) -> None:
-        """Go back to the state after instantiation."""
-        self._restart()
-        self._set_values.clear()
-        self._set_texts.clear()
-        self._start_time = None
-        self._initializing = True
-
-    def _restart(self) -> None:
-        self._initialized = False
-        if self._specification.interface_type == "cs":
-            self._reset_slave()
-            return
-        self.free()
+        """Replace the instance by a new one."""
+        self._end()
         self.instantiate()
-        if not self.library.instance:
-            last_message = self.library.messages.last_as_suffix
-            raise RunError(
-                f"{self.library.name}: refuses to be instantiated a second time{last_message}"
-            )
+        self.library.check_renewed()
+
+    def _end(self) -> None:
+        """Terminate, as only then an initialized instance may be freed; free."""
+        if self._initialized and not self.library.failed:
+            self.terminate()
+        self.free()
 
     def enter_initialization_mode(self, t: float) -> None:
         """Store the start time ``t`` [s]."""
@@ -208,7 +207,10 @@ class Fmi1:
     def _restart_if_initialized(self) -> None:
         """Restart with all that was set, as a value is about to differ from the initial one."""
         if self._initialized:
-            self._restart()
+            self._end()
+            self._initialized = False
+            self._create_instance()
+            self.library.check_renewed()
             for (variable_type, reference), value in self._set_values.items():
                 self._access["Set", variable_type](byref(c_uint(reference)), 1, pointer(value))
             for variable, texts in self._set_texts.values():

@@ -86,6 +86,20 @@ class Library:
             f"{self.messages.last_as_suffix}"
         )
 
+    def check_renewed(self) -> None:
+        """Check that there is an instance after another one was freed.
+
+        Raises
+        ------
+        RunError
+            If the FMU refused.
+        """
+        if not self.instance:
+            raise RunError(
+                f"{self.name}: refuses to be instantiated a second time"
+                f"{self.messages.last_as_suffix}"
+            )
+
     def function(self, name: str, result: Any, *types: Any) -> Any:
         """Return a function of the library.
 
@@ -173,6 +187,17 @@ class Library:
             f"{self.name}: {full_name} returned {status} ({status_name})"
             f"{self.messages.last_as_suffix}"
         )
+
+    def check_allowed(self, what: str) -> None:
+        """Check that calls are allowed.
+
+        Raises
+        ------
+        RunError
+            If a fatal status forbids them.
+        """
+        if self._forbidden:
+            raise RunError(f"{self.name}: cannot {what}: {self._forbidden}")
 
     @property
     def forbids_calls(self) -> bool:

@@ -93,6 +93,7 @@ class LoadedInstance:
         self._running = False
         self._states: list[c_void_p] = []  # all that the FMU allocated
         self._spare_states: list[c_void_p] = []  # the released ones of them
+        self._lost_states: list[c_void_p] = []  # of an instance that was replaced
         self._n_states = description.n_states
         self._n_indicators = description.event_indicators
         self._x = np.empty(self._n_states)
@@ -133,6 +134,25 @@ class LoadedInstance:
         self._running = False
         self._calls.reset()
 
+    def renew(self) -> None:
+        """Replace the instance by a new one; FMU states of the old one are lost.
+
+        Raises
+        ------
+        RunError
+            If no call is allowed any more, or the FMU refuses.
+        """
+        self._library.check_allowed("be instantiated again")
+        self._running = False
+        self._free_states()
+        self._lost_states += self._states
+        self._states = []
+        self._spare_states = []
+        self._calls.free()
+        self._library.failed = False
+        self._calls.instantiate()
+        self._library.check_renewed()
+
     def enter_initialization_mode(self, t: float) -> None:
         """Enter it with the start time ``t`` [s]."""
         self.messages.clock.value = t
@@ -153,12 +173,15 @@ class LoadedInstance:
         """Free the instance and unload the library; once."""
         if not self._freed:
             self._freed = True
-            for state in self._states:
-                with suppress(RunError):  # one that cannot be freed does not keep the rest
-                    self._calls.free_state(byref(state))
+            self._free_states()
             self._calls.free()
             self._library.unload()
             SINGLE_INSTANCES.discard(self._specification.key)
+
+    def _free_states(self) -> None:
+        for state in self._states:
+            with suppress(RunError):  # one that cannot be freed does not keep the rest
+                self._calls.free_state(byref(state))
 
     def set_time(self, t: float) -> None:
         """Set the time [s], in model exchange."""
@@ -271,7 +294,18 @@ class LoadedInstance:
         return state
 
     def set_fmu_state(self, state: object) -> None:
-        """Go back to a copied state."""
+        """Go back to a copied state.
+
+        Raises
+        ------
+        RunError
+            If the instance that it was copied from was replaced.
+        """
+        if any(lost is state for lost in self._lost_states):
+            raise RunError(
+                f"{self._library.name}: a saved state was lost, as the instance that it was saved "
+                "of was replaced by a new one"
+            )
         self._calls.set_state(state)
 
     def free_fmu_state(self, state: object) -> None:

@@ -22,7 +22,7 @@ from cosim.fmi.driving.direct import DirectFeedthrough
 from cosim.fmi.driving.initialization import Initialization, Starts
 from cosim.fmi.driving.inner_step import InnerStep, StepHistory
 from cosim.fmi.driving.saved import SavedState, save
-from cosim.fmi.driving.stepping import Stepper, StepperState
+from cosim.fmi.driving.stepping import InputDerivativesFailed, Stepper, StepperState
 from cosim.fmi.instance import TERMINATED, CoSimulationInstance
 
 
@@ -151,7 +151,7 @@ class CoSimulation:
             self._leave_initialization(times[0])
             for k, t1 in enumerate(times[1:]):
                 u1 = inputs[k + 1]
-                completed = stepper.step(times[k], h, inputs[k], u1)
+                completed = self._step(times[k], h, inputs[k], u1)
                 if completed:
                     self._look_for_inner_step(t1, h)
                     # An event at the end of the block is left to the next advance: a loop may still
@@ -166,6 +166,22 @@ class CoSimulation:
         except RunError as error:
             raise Stopped(y[:k].copy(), str(error)) from error
         return y
+
+    def _step(self, t: float, h: float, u0: Vector, u1: Vector) -> bool:
+        """Do one communication step; return False where the FMU requests the end inside it."""
+        try:
+            return self._stepper.step(t, h, u0, u1)
+        except InputDerivativesFailed as error:
+            # After an error an FMU cannot go on. Nothing is lost with it before the end of the
+            # first step; later it would be the past.
+            if self._stepper.state.stepped:
+                raise
+            self._instance.renew()
+            self._fmu_state = None
+            y = self._initialization.repeat()
+            self._stepper.begin_without_slopes(t, u0, y, str(error))
+            self._stepper.leave_initialization(t)
+            return self._stepper.step(t, h, u0, u1)
 
     def _leave_initialization(self, t: float) -> None:
         if self._initialization.leave():

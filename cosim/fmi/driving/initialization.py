@@ -55,6 +55,7 @@ class Initialization:
         self._inputs = instance.description.references("input")
         self._outputs = instance.description.references("output")
         self._instantiated = True  # and no more than that
+        self._last: tuple[float, Vector] | None = None  # time and inputs of the last enter
         self.mode_time: float | None = None
 
     def enter(self, t: float, u: Vector) -> Vector:
@@ -76,7 +77,19 @@ class Initialization:
             self.mode_time = t
         # Inputs have no attribute initial, so their place is the initialization mode itself. Here
         # they may be set and outputs read in turns, which algebraic loops need.
-        self._instance.set_float64(self._inputs, np.array(u, np.float64))
+        u = np.array(u, np.float64)
+        self._last = (t, u)
+        self._instance.set_float64(self._inputs, u)
+        return self._instance.get_float64(self._outputs)
+
+    def repeat(self) -> Vector:
+        """Initialize a new instance as the last one was, to the end; return the outputs."""
+        assert self._last is not None  # there was one
+        t, u = self._last
+        self._instantiated = True
+        self.mode_time = None
+        self.enter(t, u)
+        self.leave()
         return self._instance.get_float64(self._outputs)
 
     def _set_start_values(self) -> None:

@@ -49,6 +49,10 @@ HALVINGS: Final = 10  # of a step that is discarded
 CLOSE: Final = 1e-9  # of a communication step: times that are the same
 
 
+class InputDerivativesFailed(RunError):
+    """The FMU does not take the slopes of its inputs, though it says that it can."""
+
+
 @dataclass(slots=True)
 class StepperState:
     """The state of an FMU at one time.
@@ -60,6 +64,7 @@ class StepperState:
     inputs: Vector  # that those outputs belong to
     event_inputs: Vector  # those that are set in events, as the FMU has them
     interpolates: bool
+    stepped: bool = False  # a communication step was completed
     next_event: float | None = None  # [s]
     ended: bool = False  # the FMU requested the end of the run
 
@@ -133,6 +138,9 @@ class Stepper:
             and not description.undoes_discarded_steps
         )
         self._fmu_state: object | None = None  # before the last part; its memory is used again
+        self._can_interpolate = (
+            capabilities.interpolates_inputs and self._interpolated_inputs.size > 0
+        )
         self.hold(discrete)
         self.begin(np.zeros(len(discrete)), np.zeros(self._outputs.size))
 
@@ -143,13 +151,25 @@ class Stepper:
 
     def begin(self, u: Vector, y: Vector) -> None:
         """Begin anew, with these inputs and outputs; the FMU is in initialization mode."""
-        interpolates = self._capabilities.interpolates_inputs and self._interpolated_inputs.size > 0
         self.state = StepperState(
             outputs=y,
             inputs=u,
             event_inputs=self._event_inputs.take(u),
-            interpolates=interpolates,
+            interpolates=self._can_interpolate,
         )
+
+    def begin_without_slopes(self, t: float, u: Vector, y: Vector, reason: str) -> None:
+        """Begin anew with an FMU that was instantiated anew, which gets no slopes any more."""
+        self._diagnostics.add(
+            t,
+            "interpolation",
+            f"{reason}, though it says that it interpolates inputs (canInterpolateInputs): the run "
+            "began again with a new instance, which gets the mean of both ends of a step as its "
+            "input, and the direct feedthrough to outputs belongs to that",
+        )
+        self._can_interpolate = False
+        self._fmu_state = None
+        self.begin(u, y)
 
     def leave_initialization(self, t: float) -> None:
         """Handle the event that the initialization ends with, if the FMU has event mode.
@@ -179,6 +199,7 @@ class Stepper:
         if self._advance(ramp, 0.0, 1.0, 0) < 1.0:
             return False
         self.state.outputs = self._instance.get_float64(self._outputs)
+        self.state.stepped = True
         return True
 
     def _advance(self, ramp: _InputRamp, s0: float, s1: float, halvings: int) -> float:
@@ -236,7 +257,10 @@ class Stepper:
         inputs = self._interpolated_at(ramp, s0, mean)
         instance.set_float64(self._step_inputs, self._step_inputs.take(inputs))
         slopes = self._interpolated_inputs.take(ramp.change) / ramp.h
-        instance.set_input_derivatives(self._interpolated_inputs, slopes)
+        try:
+            instance.set_input_derivatives(self._interpolated_inputs, slopes)
+        except RunError as error:
+            raise InputDerivativesFailed(str(error)) from error
         end = instance.do_step(t, h)
         if end.interpolated_until == -math.inf and slopes.any():
             self._stop_interpolating(t)

@@ -25,6 +25,7 @@ enum {
     FAIL,       /* time of the failure */
     STATUS,     /* of the failure */
     ASKS,       /* for inputs in a step: how often (FMI 3) */
+    NO_SLOPES,  /* from this time on input derivatives are refused (FMI 1 and 2) */
     VALUES
 };
 
@@ -38,7 +39,8 @@ typedef struct {
 } Lag;
 
 static const double start[VALUES] = {[TO] = 1e9,   [LONGEST] = 1e9,  [END] = 1e9,
-                                     [FAIL] = 1e9, [ITERATIONS] = 1, [ASKS] = 2};
+                                     [FAIL] = 1e9, [ITERATIONS] = 1, [ASKS] = 2,
+                                     [NO_SLOPES] = 1e9};
 
 static void lag_reset(Lag *lag)
 {
@@ -72,6 +74,16 @@ static int lag_get(Lag *lag, unsigned reference, double *value)
     *value = reference == X || reference == Y || reference == Z ? lag->shown[reference]
                                                                 : lag->value[reference];
     return !lag->stale || reference < X;
+}
+
+/* 0: refused, and nothing that is read from now on is a number. */
+static int lag_set_slope(Lag *lag, double slope)
+{
+    lag->slope = slope;
+    if (lag->t < lag->value[NO_SLOPES] - 1e-9)
+        return 1;
+    lag->value[X] = NAN;
+    return 0;
 }
 
 /* The next multiple of a period after t. */

@@ -36,9 +36,10 @@ fmi1Status FUNCTION(TerminateSlave)(fmi1Component c)
     (void)c;
     return fmi1OK;
 }
+/* Like those of many tools: it was never tried. */
 fmi1Status FUNCTION(ResetSlave)(fmi1Component c)
 {
-    lag_reset(&((Instance *)c)->lag);
+    memset(&((Instance *)c)->lag, 0, sizeof(Lag));
     return fmi1OK;
 }
 
@@ -77,7 +78,8 @@ fmi1Status FUNCTION(SetRealInputDerivatives)(fmi1Component c, const fmi1ValueRef
 {
     if (n != 1 || vr[0] != U || order[0] != 1)
         return complain(c, "needed the first derivative of u, which alone is continuous");
-    ((Instance *)c)->lag.slope = values[0];
+    if (!lag_set_slope(c, values[0]))
+        return complain(c, "slopes are too steep");
     return fmi1OK;
 }
 

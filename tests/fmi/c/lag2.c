@@ -78,7 +78,8 @@ fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference
 {
     if (n != 1 || vr[0] != U || order[0] != 1)
         return complain(c, "needed the first derivative of u, which alone is continuous");
-    ((Instance *)c)->lag.slope = values[0];
+    if (!lag_set_slope(c, values[0]))
+        return complain(c, "slopes are too steep");
     return fmi2OK;
 }
 
