@@ -563,12 +563,16 @@ def _progress(hidden: bool) -> Iterator[Progress | None]:
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("", total=None, clock="", speed="")
         began = perf_counter()
+        first: float | None = None
 
         def update(time: float, end: float) -> None:
+            nonlocal first
+            if first is None:
+                first = time  # after one step, or a fixed block
             elapsed = max(perf_counter() - began, 1e-9)
             clock = f"t = {time:.2f} of {end:g} s"
-            speed = f"{time / elapsed:.3g} x real time"
-            bar.update(task, completed=time, total=end, clock=clock, speed=speed)
+            speed = f"{(time - first) / elapsed:.3g} x real time"
+            bar.update(task, completed=time - first, total=end - first, clock=clock, speed=speed)
 
         yield update
 

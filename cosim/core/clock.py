@@ -45,43 +45,71 @@ def nanoseconds(seconds: float | str) -> int:
     return whole
 
 
+def start_nanoseconds(start_time: float) -> int:
+    """Convert the start of a run [s] to nanoseconds.
+
+    Raises
+    ------
+    ClockError
+        If it is not a whole number of nanoseconds, or negative.
+    """
+    ns = nanoseconds(start_time)
+    if ns < 0:
+        raise ClockError(
+            f"start_time: found {start_time} s, needed 0 s or later: the times of a log begin at 0"
+        )
+    return ns
+
+
 def seconds(ns: Nanoseconds) -> Vector:
     """Convert nanoseconds to seconds, each from its integer: nothing accumulates."""
     return ns / NANOSECONDS
 
 
-def whole_steps(duration: float | str, step_ns: int, what: str) -> int:
-    """Return ``duration`` [s] in communication steps.
+def whole_steps(time: float | str, step_ns: int, what: str, *, start_ns: int = 0) -> int:
+    """Return a duration, or an instant after ``start_ns``, in communication steps.
+
+    Parameters
+    ----------
+    time : float or str
+        Seconds.
+    step_ns, start_ns : int
+        Communication step, and the start of the run where ``time`` is an instant [ns].
+    what : str
+        Names the time in the message.
 
     Raises
     ------
     ClockError
-        If it is not a whole number of them; ``what`` names the duration in the message.
+        If it is not a whole number of them.
     """
-    ns = nanoseconds(duration)
+    ns = nanoseconds(time) - start_ns
     steps, rest = divmod(ns, step_ns)
     if rest:
         nearest_steps = max(1, round(ns / step_ns))
-        nearest = nearest_steps * step_ns / NANOSECONDS
+        nearest = (start_ns + nearest_steps * step_ns) / NANOSECONDS
         step = step_ns / NANOSECONDS
+        since = f" after the start at {start_ns / NANOSECONDS} s" if start_ns else ""
         raise ClockError(
-            f"{what}: {duration} s is not a whole number of {step} s steps; nearest: {nearest} s"
+            f"{what}: {time} s is not a whole number of {step} s steps{since}; nearest: {nearest} s"
         )
     return steps
 
 
 @dataclass(frozen=True, slots=True)
 class Clock:
-    """A regular grid of communication points from 0 to ``stop``.
+    """A regular grid of communication points from ``start_time`` to ``stop``.
 
     Parameters
     ----------
     stop, step : float
         End of the run and communication step [s], whole nanoseconds; ``stop`` a whole number of
-        steps.
+        steps after ``start_time``.
     block : int or None
         Communication steps in one block; None: as many as make about 50 ms of work. Results do not
         depend on it.
+    start_time : float
+        First communication point [s], whole nanoseconds from 0 on: the times of a log are unsigned.
 
     Raises
     ------
@@ -92,13 +120,17 @@ class Clock:
     stop: float
     step: float
     block: int | None = None
+    start_time: float = 0.0
 
     def __post_init__(self) -> None:
         if nanoseconds(self.step) <= 0:
             raise ClockError(f"step: found {self.step} s, needed a positive time")
-        if nanoseconds(self.stop) <= 0:
-            raise ClockError(f"stop: found {self.stop} s, needed a positive time")
-        whole_steps(self.stop, self.step_ns, "stop")
+        if nanoseconds(self.stop) <= self.start_ns:
+            needed = f"a time after start_time, {self.start_time} s"
+            if self.start_ns == 0:
+                needed = "a positive time"
+            raise ClockError(f"stop: found {self.stop} s, needed {needed}")
+        self.steps_until(self.stop, "stop")
         if self.block is not None and self.block < 1:
             raise ClockError(f"block: found {self.block} steps, needed at least 1")
 
@@ -108,9 +140,24 @@ class Clock:
         return nanoseconds(self.step)
 
     @property
+    def start_ns(self) -> int:
+        """First communication point [ns]."""
+        return start_nanoseconds(self.start_time)
+
+    @property
     def steps(self) -> int:
         """Number of communication steps of the run."""
-        return nanoseconds(self.stop) // self.step_ns
+        return (nanoseconds(self.stop) - self.start_ns) // self.step_ns
+
+    def steps_until(self, time: float | str, what: str) -> int:
+        """Return the number of the communication point at an instant [s].
+
+        Raises
+        ------
+        ClockError
+            If there is none; ``what`` names the instant in the message.
+        """
+        return whole_steps(time, self.step_ns, what, start_ns=self.start_ns)
 
     def blocks(self, limit: int) -> Iterator[Block]:
         """Yield the blocks of the run, none longer than ``limit`` steps.
@@ -122,7 +169,7 @@ class Clock:
         while index < self.steps:
             size = min(size, self.steps - index)
             numbers = np.arange(index, index + size + 1, dtype=np.int64)
-            ns = numbers * self.step_ns
+            ns = self.start_ns + numbers * self.step_ns
             began = perf_counter()
             yield Block(index, ns, seconds(ns), self.step_ns / NANOSECONDS)
             index += size

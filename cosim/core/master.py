@@ -41,7 +41,7 @@ def run(
     designs: Mapping[str, Design] | None = None,
     plan: Plan | None = None,
 ) -> None:
-    """Run a graph from 0 to ``clock.stop``.
+    """Run a graph from ``clock.start_time`` to ``clock.stop``.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ def simulate(
         graph.prepare(clock.step_ns)
     limit = max(1, BLOCK_BYTES // (8 * graph.layout.width + 8))
     signals = np.zeros((min(limit, clock.steps) + 1, graph.layout.width))
-    graph.initialize(0.0, signals[0])
+    graph.initialize(clock.start_time, signals[0])
     initialization = graph.initializations
     for block in clock.blocks(limit):
         if graph.initializations != initialization:

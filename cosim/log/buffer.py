@@ -161,16 +161,19 @@ def _capacity(layout: Layout, parts: Sequence[Part]) -> int:
 
 
 def message_batch(
-    messages: Sequence[tuple[int, bytes]], *, channel_id: int, step_ns: int
+    messages: Sequence[tuple[int, bytes]], *, channel_id: int, start_ns: int, step_ns: int
 ) -> MessageBatch:
-    """Return the message records of (time [ns], data) pairs of any size."""
+    """Return the message records of (time [ns], data) pairs of any size.
+
+    Their sequence is the number of the communication step since ``start_ns``.
+    """
     records = []
     times = []
     offsets = []
     size = 0
     for time_ns, data in messages:
         length = _MESSAGE.size - HEADER + len(data)
-        sequence = time_ns // step_ns & _SEQUENCE_MASK
+        sequence = (time_ns - start_ns) // step_ns & _SEQUENCE_MASK
         header = _MESSAGE.pack(Opcode.MESSAGE, length, channel_id, sequence, time_ns, time_ns)
         records.append(header + data)
         times.append(time_ns)

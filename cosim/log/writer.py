@@ -165,6 +165,7 @@ class McapRecorder:
         numbered_parts = list(zip(channel_ids, parts, strict=True))
         self._buffer = RowBuffer(plan.layout, numbered_parts)
         self._step_ns = plan.step_ns
+        self._start_ns = 0  # the first row says it
         # Last: with a sink the file is completed, and that needs everything above.
         self._sink = sink
         self._add_checkpoint()
@@ -192,6 +193,7 @@ class McapRecorder:
             )
         is_first = not self._file.published
         if is_first:
+            self._start_ns = int(block.time_ns[0]) - block.index * self._step_ns
             with uninterrupted():
                 self._file.publish()
         row = 0 if is_first and block.index == 0 else 1
@@ -232,7 +234,10 @@ class McapRecorder:
         batches = self._buffer.message_batches()
         if self._messages:
             batch = message_batch(
-                self._messages, channel_id=self._log_channel_id, step_ns=self._step_ns
+                self._messages,
+                channel_id=self._log_channel_id,
+                start_ns=self._start_ns,
+                step_ns=self._step_ns,
             )
             batches.append(batch)
         if batches:

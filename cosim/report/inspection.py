@@ -33,13 +33,15 @@ def describe_log(path: str) -> Section:
     log = open_log(path)
     result = log.result
     end = int(result["end_ns"]) / 1e9
+    start = float(run_metadata(log).get("start_time", 0.0))
+    since = f"{start} s to " if start else ""
     step = log.step_ns / 1e9
     stages = json.loads(log.metadata["cosim.schedule"]["stages"])
     about = {
         "scenario": run_metadata(log).get("scenario", ""),
         "status": log.status,
         "stop reason": result.get("reason") or None,
-        "end": f"{end} s in {result['steps']} steps of {step} s",
+        "end": f"{since}{end} s in {result['steps']} steps of {step} s",
         "content hash": result["content_hash"],
         "schedule": ", ".join(stages),
         "attachments": ", ".join(log.attachments),
@@ -84,11 +86,12 @@ def describe_scenario(name: str) -> Section:
         graph = experiment.graph
         settings = loaded.file.scenario
         steps = experiment.clock.steps
+        since = f"{settings.start_time} s to " if settings.start_time else ""
         stages = [stage.description for stage in graph.stages]
         about = {
             "name": settings.name,
             "description": settings.description or None,
-            "clock": f"{settings.stop} s in {steps} steps of {settings.step} s",
+            "clock": f"{since}{settings.stop} s in {steps} steps of {settings.step} s",
             "schedule": ", ".join(stages),
         }
         signals: list[Section] = []

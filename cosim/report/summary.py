@@ -68,8 +68,8 @@ class Summary:
     Parameters
     ----------
     scenario : str
-    end : float
-        Last communication point [s].
+    start, end : float
+        First and last communication point [s].
     steps : int
     status : str
     reason : str
@@ -84,6 +84,7 @@ class Summary:
     """
 
     scenario: str
+    start: float
     end: float
     steps: int
     status: str = "complete"
@@ -124,6 +125,7 @@ def summarize(recording: Recording) -> Summary:
     last = {} if truth else _last_values(recording)
     return Summary(
         scenario=run.get("scenario", ""),
+        start=float(run.get("start_time", 0.0)),
         end=recording.end_ns / 1e9,
         steps=recording.steps,
         status=recording.status,
@@ -204,3 +206,8 @@ def _identification(
     times = {key: metadata[key] for key in keys}
     notes = tuple(metadata.get("notes", ()))
     return Identification(component, start_time, times, eigenvalues, sentence, notes)
+
+
+def span(start: float, end: float) -> str:
+    """Return the time of a run as text: its length, or both ends where it does not start at 0."""
+    return f"{start:g} s to {end:g} s" if start else f"{end:g} s"

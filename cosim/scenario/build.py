@@ -14,7 +14,7 @@ from cosim.blocks.port_map import PortMap
 from cosim.blocks.renamed import Renamed
 from cosim.blocks.renaming import resolve
 from cosim.blocks.replay import Replay
-from cosim.core.clock import Clock
+from cosim.core.clock import Clock, start_nanoseconds
 from cosim.core.connections import Connection, check_connections, layout_of
 from cosim.core.contracts import Component, Plan, Recording
 from cosim.core.graph import Graph
@@ -119,9 +119,8 @@ class Builder:
     ) -> None:
         self.scenario = scenario
         self.problems = list(problems)
-        self.context = ScenarioBuildContext(scenario, resources, recording)
         self.clock = self._clock(block)
-        self.context.step_ns = self.clock.step_ns
+        self.context = ScenarioBuildContext(scenario, self.clock, resources, recording)
         self.components: dict[str, Component] = {}
         self.port_maps: dict[str, PortMap] = {}
         self._recording = recording
@@ -145,13 +144,16 @@ class Builder:
     def _clock(self, block: int | None) -> Clock:
         """Return the clock; without one nothing else can be checked."""
         settings = self.scenario.file.scenario
-        for key, stop in (("step", settings.step), ("stop", settings.stop)):
-            try:
-                Clock(stop, settings.step)
-            except CosimError as error:
-                self.problems.append((("scenario", key), str(error)))
-                raise self.scenario.document.report(self.problems) from error
-        return Clock(settings.stop, settings.step, block)
+        key = "step"
+        try:
+            Clock(settings.step, settings.step)
+            key = "start_time"
+            start_nanoseconds(settings.start_time)
+            key = "stop"
+            return _clock_of(self.scenario, block)
+        except CosimError as error:
+            self.problems.append((("scenario", key), str(error)))
+            raise self.scenario.document.report(self.problems) from error
 
     # --- components ---
 
@@ -336,10 +338,12 @@ def build(scenario: Scenario, resources: ExitStack) -> Experiment:
 
 def build_context(scenario: Scenario, resources: ExitStack) -> BuildContext:
     """Return what a single kind needs to build its component, outside a run."""
-    context = ScenarioBuildContext(scenario, resources, None)
+    return ScenarioBuildContext(scenario, _clock_of(scenario), resources, None)
+
+
+def _clock_of(scenario: Scenario, block: int | None = None) -> Clock:
     settings = scenario.file.scenario
-    context.step_ns = Clock(settings.stop, settings.step).step_ns
-    return context
+    return Clock(settings.stop, settings.step, block, settings.start_time)
 
 
 def fingerprint(scenario: Scenario, name: str, reads: frozenset[str]) -> str:

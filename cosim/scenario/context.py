@@ -8,6 +8,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
+from cosim.core.clock import Clock
 from cosim.core.contracts import Component, Recording
 from cosim.core.port import Port
 from cosim.errors import UsageError, nearest
@@ -42,17 +43,19 @@ class ScenarioBuildContext:
     See :class:`cosim.scenario.kinds.BuildContext`.
     """
 
-    step_ns: int
-    stop: float
-
     def __init__(
-        self, scenario: Scenario, resources: ExitStack, recording: Recording | None
+        self,
+        scenario: Scenario,
+        clock: Clock,
+        resources: ExitStack,
+        recording: Recording | None,
     ) -> None:
         self._scenario = scenario
         self._resources = resources
         self._recording = recording
         self._current = ""
-        self.stop = scenario.file.scenario.stop
+        self.clock = clock
+        self.step_ns = clock.step_ns
         self.metadata: dict[str, dict[str, Any]] = {}
         self.warnings: list[tuple[str, str]] = []
         self.reads: dict[str, frozenset[str]] = {"": frozenset()}

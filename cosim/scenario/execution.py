@@ -202,7 +202,7 @@ def _replay_changes(source: Log, wanted: Mapping[str, Any]) -> dict[str, Any]:
     LogError
         If there is no step in it.
     UsageError
-        If they change the communication step, or go beyond the recording.
+        If they change the communication points, or go beyond the recording.
     """
     changes = {short(key): value for key, value in wanted.items()}
     if "scenario.step" in changes:
@@ -211,8 +211,13 @@ def _replay_changes(source: Log, wanted: Mapping[str, Any]) -> dict[str, Any]:
             f"scenario.step: found {changes['scenario.step']} s, a replay keeps the recorded "
             f"{recorded_step} s; run the scenario to change it"
         )
+    if "scenario.start_time" in changes:
+        raise UsageError(
+            f"scenario.start_time: found {changes['scenario.start_time']} s, a replay keeps the "
+            "recorded one; run the scenario to change it"
+        )
     recorded_end = source.end_ns / 1e9
-    if recorded_end == 0.0:
+    if source.steps == 0:
         raise LogError("the log has no step to replay; it ends where it begins")
     stop = changes.setdefault("scenario.stop", recorded_end)
     if isinstance(stop, (int, float)) and stop > recorded_end:

@@ -30,7 +30,7 @@ class MessageRecorder:
     def __init__(self, recorder: Recorder, experiment: Experiment) -> None:
         self._recorder = recorder
         self._experiment = experiment
-        self._reached_ns = 0
+        self._reached_ns = experiment.clock.start_ns
         self._last: Vector | None = None
 
     def __enter__(self) -> Self:
@@ -66,7 +66,7 @@ class MessageRecorder:
         """Pass on, then record the warnings, and the messages of FMUs when they were loaded."""
         self._recorder.begin(plan)
         for name, text in self._experiment.warnings:
-            self._recorder.message(0, "warning", name, text)
+            self._recorder.message(self._reached_ns, "warning", name, text)
         for name, messages in self._experiment.messages.items():
             self._record(name, messages)
 
@@ -119,6 +119,7 @@ def metadata_of(experiment: Experiment) -> dict[str, dict[str, str]]:
     run = {
         "scenario": scenario.name,
         "edits": scenario.document.edits(),
+        "start_time": repr(settings.start_time),
         "stop": repr(settings.stop),
         "step": repr(settings.step),
         "truth": json.dumps(experiment.truth),

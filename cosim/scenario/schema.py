@@ -26,7 +26,8 @@ class Settings(TomlTable):
     """The table [scenario]."""
 
     name: Annotated[str, Field(pattern=NAME)]
-    stop: Number = Field(description="end of the run [s]")
+    start_time: Number = Field(0.0, description="start of the run [s]")
+    stop: Number = Field(description="end of the run, an instant [s]")
     step: Number = Field(description="communication step [s]")
     coupling: Literal["gauss-seidel", "jacobi"] = Field(
         "gauss-seidel", description="how the components of a loop advance"

@@ -116,7 +116,7 @@ class _InitialState:
         self._row = np.zeros(graph.layout.width)
         try:
             self.plan = graph.prepare(self.experiment.clock.step_ns)
-            graph.initialize(0.0, self._row)
+            graph.initialize(self.experiment.clock.start_time, self._row)
         except CosimError as error:
             self.failure = str(error)
 
@@ -138,8 +138,9 @@ class _InitialState:
         signals = self.signals(component)
         if self.experiment is not None and signals is not None:
             u = np.concatenate([np.zeros(0), *signals.inputs.values()])
+            t = self.experiment.clock.start_time
             with suppress(CosimError):  # then it does not repeat either
-                self.experiment.graph.components[component].outputs(0.0, u)
+                self.experiment.graph.components[component].outputs(t, u)
 
     def repeats(self) -> bool:
         """Return whether the scenario can be initialized again, to the same bits."""
@@ -147,7 +148,7 @@ class _InitialState:
             return False
         row = np.zeros_like(self._row)
         try:
-            self.experiment.graph.initialize(0.0, row)
+            self.experiment.graph.initialize(self.experiment.clock.start_time, row)
         except CosimError:
             return False
         return row.tobytes() == self._row.tobytes()
@@ -251,7 +252,8 @@ def _initialize_alone(
     held = np.zeros(len(u), np.bool_)
     with suppress(CosimError):
         prepare(component, builder.clock.step_ns / 1e9, held, {})
-        return _InitialSignals.of(interface, u, component.initialize(0.0, u))
+        y = component.initialize(builder.clock.start_time, u)
+        return _InitialSignals.of(interface, u, y)
     return None
 
 

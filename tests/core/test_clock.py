@@ -127,3 +127,18 @@ def test_a_duration_off_the_grid_is_refused_by_name():
         match=r"period: 0.0003 s is not a whole number of 0.001 s steps; nearest: 0.001 s",
     ):
         whole_steps(3e-4, 1_000_000, "period")
+
+
+@given(st.integers(0, 10**12), st.integers(1, 200), st.integers(1, 10**7))
+def test_a_grid_may_begin_later(start_ns, steps, step_ns):
+    """Its points are whole steps after the start, and the instants before and between are none."""
+    start_time = start_ns / 10**9
+    stop = (start_ns + steps * step_ns) / 10**9
+    clock = Clock(stop, step_ns / 10**9, start_time=start_time)
+    assert clock.steps == steps
+    block = list(clock.blocks(10**6))[-1]
+    assert block.time_ns[-1] == start_ns + steps * step_ns
+    assert clock.steps_until(stop, "time") == steps
+    if step_ns > 1:
+        with pytest.raises(ClockError, match="time: .* is not a whole number of"):
+            clock.steps_until((start_ns + 1) / 10**9, "time")

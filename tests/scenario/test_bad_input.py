@@ -438,7 +438,7 @@ def test_a_table_must_cover_the_whole_run(start, end):
     table = {"kind": "table", "t": [start, end], "y": [0.0, 1.0]}
     with pytest.raises(
         ScenarioError,
-        match=rf"components\.u: table: covers {start} s to {end} s; needed 0 s to 40\.0 s, the "
+        match=rf"components\.u: table: covers {start} s to {end} s; needed 0\.0 s to 40\.0 s, the "
         rf"whole run",
     ):
         cosim.run("academic", set={"components.u": table})

@@ -529,7 +529,7 @@ def test_a_recording_must_cover_the_run_and_is_not_written_over(tmp_path):
     path = tmp_path / "a.mcap"
     empty = tmp_path / "empty.mcap"
     cosim.run("academic", out=path, set={"scenario.stop": 0.1})
-    with pytest.raises(UsageError, match=r"ends at 0\.1 s; needed 0\.2 s, the whole run"):
+    with pytest.raises(UsageError, match=r"covers 0\.0 s to 0\.1 s; needed 0\.0 s to 0\.2 s"):
         cosim.run("academic", swap={"plant": path}, set={"scenario.stop": 0.2})
     with pytest.raises(UsageError, match="is read in this run; choose another path for the log"):
         cosim.run(

@@ -12,7 +12,7 @@ from rich.table import Table
 
 from cosim.core.contracts import Recording
 from cosim.report.recorded import run_metadata, signal_of
-from cosim.report.summary import Identification, Summary, summarize
+from cosim.report.summary import Identification, Summary, span, summarize
 from cosim.report.tables.console import new_table, print_json, print_table
 
 
@@ -53,7 +53,7 @@ def print_summary(
         typer.echo(f"warning: {component}: {text}", err=True)
     table = _summary_table(summary, recording)
     table.add_section()
-    _add_wall_time(table, wall, simulated=summary.end)
+    _add_wall_time(table, wall, simulated=summary.end - summary.start)
     if path is not None:
         table.add_row("log", "", "", str(path))
     print_table(table)
@@ -62,7 +62,8 @@ def print_summary(
 
 
 def _summary_table(summary: Summary, recording: Recording) -> Table:
-    title = f"{summary.scenario}: {summary.end:g} s in {summary.steps} steps"
+    simulated = span(summary.start, summary.end)
+    title = f"{summary.scenario}: {simulated} in {summary.steps} steps"
     if summary.signals or summary.values:
         table = _error_table(title, summary)
     else:
@@ -70,7 +71,8 @@ def _summary_table(summary: Summary, recording: Recording) -> Table:
     if summary.reason:
         table.add_row("stop reason", "", "", summary.reason)
     for identification in summary.identifications:
-        _add_identification(table, identification, single=len(summary.identifications) == 1)
+        single = len(summary.identifications) == 1
+        _add_identification(table, identification, summary.start, single=single)
     for loop in summary.loops:
         text = "step by step, so with an error of first order in the step; compare with --step"
         table.add_row("loop", "", "", f"{loop}: {text}")
@@ -99,7 +101,9 @@ def _last_value_table(title: str, summary: Summary, recording: Recording) -> Tab
     return table
 
 
-def _add_identification(table: Table, identification: Identification, *, single: bool) -> None:
+def _add_identification(
+    table: Table, identification: Identification, start: float, *, single: bool
+) -> None:
     table.add_section()
     label = "identification start time T_id"
     if not single:
@@ -108,7 +112,8 @@ def _add_identification(table: Table, identification: Identification, *, single:
     origin = "given"
     if "T_id" in times:
         terms = f"T_obs {times['T_obs']:.4f} + T_f {times['T_f']:.4f} + D_max {times['D_max']:g}"
-        origin = f"{terms} = {times['T_id']:.4f} s (36)"
+        since = f"start {start:g} + " if start else ""
+        origin = f"{since}{terms} = {start + times['T_id']:.4f} s (36)"
     table.add_row(label, f"{identification.start_time:g} s", "", origin)
     if identification.eigenvalues:
         eigenvalues = ", ".join(f"{value:.3g}" for value in identification.eigenvalues)

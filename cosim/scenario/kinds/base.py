@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from pydantic import Field
 
 from cosim.arrays import Mask, Matrix
-from cosim.core.clock import whole_steps
+from cosim.core.clock import Clock, whole_steps
 from cosim.core.contracts import Component, Recording
 from cosim.core.linear import Linear, LinearModel
 from cosim.core.port import Port
@@ -48,8 +48,8 @@ class LinearSystem:
 class BuildContext(Protocol):
     """What a kind may ask of the scenario that it is built in."""
 
+    clock: Clock
     step_ns: int
-    stop: float
 
     def model(self, name: str) -> DescriptorSystem:
         """Return a model of [models]."""

@@ -266,21 +266,28 @@ class IdentifierKind(PeriodicKind, ExportableKind):
     def _start_time(
         self, name: str, regressor_name: str, regressor: RegressorKind, context: BuildContext
     ) -> float:
-        """Return the first communication point not before T_id."""
+        """Return the first communication point not before T_id.
+
+        A computed T_id is counted from the start of the run.
+        """
+        clock = context.clock
         if isinstance(self.start, StartTable):
             T_id = self._computed_start_time(self.start, name, regressor_name, regressor, context)
+            elapsed_ns = T_id * 1e9
         else:
             T_id = float(self.start)
+            elapsed_ns = T_id * 1e9 - clock.start_ns
+        # Rounded to 1e-3 ns: a T_id on a communication point must not become the next one.
+        elapsed_ns = round(elapsed_ns, 3)
         longest = max(regressor.delays)
-        if T_id < longest:
+        if elapsed_ns < round(longest * 1e9, 3):
+            since = f" after start_time, {clock.start_time} s" if clock.start_ns else ""
             raise AssumptionError(
-                f"start: found {T_id} s, needed at least the longest delay, {longest} s: "
+                f"start: found {T_id} s, needed at least the longest delay, {longest} s{since}: "
                 "before it the regressor has no value"
             )
-        # Rounded to 1e-3 ns: a T_id on a communication point must not become the next one.
-        T_id_ns = round(T_id * 1e9, 3)
-        steps = math.ceil(T_id_ns / context.step_ns)
-        start_time = steps * context.step_ns / 1e9
+        steps = math.ceil(elapsed_ns / clock.step_ns)
+        start_time = (clock.start_ns + steps * clock.step_ns) / 1e9
         context.add_metadata(name, {"start_time": start_time})
         return start_time
 

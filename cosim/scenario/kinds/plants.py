@@ -11,6 +11,7 @@ from pydantic import Field, StrictBool, StrictInt, StrictStr
 from cosim.blocks.plant import descriptor_form, descriptor_model
 from cosim.blocks.replay import Replay
 from cosim.blocks.sampled import Sampled
+from cosim.core.clock import NANOSECONDS
 from cosim.core.contracts import Component
 from cosim.core.linear import DescriptorModel, LinearModel
 from cosim.errors import UsageError, nearest
@@ -174,9 +175,20 @@ class RecordingKind(PlantKind):
 
     def build(self, name: str, context: BuildContext) -> Component:
         recording = context.recording(self.log)
-        end = recording.end_ns / 1e9
-        if end < context.stop:
+        replay = Replay(recording, self.component)
+        clock = context.clock
+        begin_ns = int(recording.time_ns(self.component)[0])
+        begin = begin_ns / NANOSECONDS
+        end = recording.end_ns / NANOSECONDS
+        if begin_ns > clock.start_ns or end < clock.stop:
             raise UsageError(
-                f"log {self.log!r} ends at {end} s; needed {context.stop} s, the whole run"
+                f"log {self.log!r} covers {begin} s to {end} s; "
+                f"needed {clock.start_time} s to {clock.stop} s, the whole run"
             )
-        return Replay(recording, self.component)
+        if (clock.start_ns - begin_ns) % clock.step_ns:
+            raise UsageError(
+                f"log {self.log!r} has rows at {begin} s and whole steps of "
+                f"{clock.step_ns / NANOSECONDS} s after it, so none at start_time, "
+                f"{clock.start_time} s; needed a whole number of steps between them"
+            )
+        return replay

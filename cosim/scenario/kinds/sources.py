@@ -11,7 +11,6 @@ from pydantic import Field
 
 from cosim.arrays import Matrix, Vector
 from cosim.blocks import source
-from cosim.core.clock import whole_steps
 from cosim.core.contracts import Component
 from cosim.core.signals import SignalType, Variability
 from cosim.errors import UsageError
@@ -50,7 +49,7 @@ class StepKind(Kind):
     unit: str | None = Field(None, description="unit of y")
 
     def build(self, name: str, context: BuildContext) -> Component:
-        whole_steps(self.time, context.step_ns, "time")
+        context.clock.steps_until(self.time, "time")
         return source.step(time=self.time, before=self.before, after=self.after, unit=self.unit)
 
 
@@ -156,10 +155,11 @@ class TableKind(Kind):
             t, y = self._read(context.file(self.file))
         else:
             t, y = self._arrays()
-        if len(t) and not t[0] <= 0.0 <= context.stop <= t[-1]:
+        clock = context.clock
+        if len(t) and not t[0] <= clock.start_time <= clock.stop <= t[-1]:
             raise UsageError(
                 f"table: covers {t[0]} s to {t[-1]} s; "
-                f"needed 0 s to {context.stop} s, the whole run"
+                f"needed {clock.start_time} s to {clock.stop} s, the whole run"
             )
         hold = self.interpolation == "zero-order"
         return source.Table(t, y, hold=hold, unit=self.unit)
