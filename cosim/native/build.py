@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 HERE = Path(__file__).resolve().parent
-SOURCES = ("loops.c", "linear.c", "expression.c", "estimate.c", "fmi.c")
+SOURCES = ("loops.c", "linear.c", "elementary.c", "expression.c", "estimate.c", "fmi.c")
 FLAGS = ("-std=c11", "-O2", "-ffp-contract=off", "-fPIC", "-shared")
 LIBRARY = f"_cosim{'.dll' if sys.platform == 'win32' else '.so'}"
 _ZIG_SYSTEMS = {"linux": "linux-gnu", "darwin": "macos", "win32": "windows-gnu"}
@@ -46,6 +46,12 @@ def cross_compiler(target: str) -> list[str]:
     if importlib.util.find_spec("ziglang") is None:
         return []
     return [sys.executable, "-m", "ziglang", "cc", "-target", target]
+
+
+def headers(sources: Iterable[str]) -> tuple[str, ...]:
+    """Return the headers that these of ``SOURCES`` include."""
+    tables = ("tables.h",) if "elementary.c" in sources else ()
+    return ("cosim.h", *tables)
 
 
 def compile_library(

@@ -57,6 +57,23 @@ typedef struct {
 int32_t cosim_delay_step(void *self, double t0, double t1, double h, const double *u0,
                          const double *u1, double *y);
 
+/* --- elementary.c --- */
+
+/* As in C11 annex F, right to less than 0.6 units in the last place (0.75 where the result is
+ * subnormal), with the same bits on every machine that rounds as IEEE 754 says. */
+double cosim_sin(double x);
+double cosim_cos(double x);
+double cosim_tan(double x);
+double cosim_asin(double x);
+double cosim_acos(double x);
+double cosim_atan(double x);
+double cosim_sinh(double x);
+double cosim_cosh(double x);
+double cosim_tanh(double x);
+double cosim_exp(double x);
+double cosim_ln(double x);
+double cosim_pow(double x, double y);
+
 /* --- expression.c --- */
 
 /* An expression in t as a postfix program; see expression.py for the language. */

@@ -100,13 +100,16 @@ static void accumulate(const cosim_least_squares *s, double weight, const double
     rotate_in(n, R, row);
 }
 
+static double larger(double a, double b) { return a > b ? a : b; }
+static double smaller(double a, double b) { return a < b ? a : b; }
+
 static int solve(const cosim_least_squares *s, double *eta)
 {
     const int32_t n = s->unknowns + 1;
     const double *R = s->memory;
     double largest = 0.0;
     for (int32_t i = 0; i < s->unknowns; ++i)
-        largest = fmax(largest, fabs(R[i * n + i]));
+        largest = larger(largest, fabs(R[i * n + i]));
     for (int32_t i = s->unknowns - 1; i >= 0; --i) {
         if (!(fabs(R[i * n + i]) > RANK_TOLERANCE * largest))
             return 0;
@@ -121,7 +124,7 @@ static int solve(const cosim_least_squares *s, double *eta)
 /* exp(-s spacing) = w gives s = -ln(w)/spacing; there is none where w is not positive. */
 static double exponent(double w, double spacing)
 {
-    return w > 0.0 && w <= DBL_MAX ? -log(w) / spacing : no_value();
+    return w > 0.0 && w <= DBL_MAX ? -cosim_ln(w) / spacing : no_value();
 }
 
 static void recover(const cosim_recovery *r, const double *eta, double *theta)
@@ -141,12 +144,12 @@ static void recover(const cosim_recovery *r, const double *eta, double *theta)
         const double first = exponent(big / c[2], r->spacing);
         const double second = exponent(c[0] / big, r->spacing);
         const int known = discriminant >= 0.0 && !isnan(first) && !isnan(second);
-        theta[r->theta[0]] = known ? fmax(first, second) : no_value();
-        theta[r->theta[1]] = known ? fmin(first, second) : no_value();
+        theta[r->theta[0]] = known ? larger(first, second) : no_value();
+        theta[r->theta[1]] = known ? smaller(first, second) : no_value();
     } else {
         const double cosine = -0.5 * c[1] / c[0];
         theta[r->theta[0]] =
-            cosine >= -1.0 && cosine <= 1.0 ? acos(cosine) / r->spacing : no_value();
+            cosine >= -1.0 && cosine <= 1.0 ? cosim_acos(cosine) / r->spacing : no_value();
     }
 }
 

@@ -16,7 +16,7 @@ static double binary(int32_t operation, double a, double b)
     case SUBTRACT: return a - b;
     case MULTIPLY: return a * b;
     case DIVIDE: return a / b;
-    case POWER: return pow(a, b);
+    case POWER: return cosim_pow(a, b);
     case MINIMUM: return isnan(a) || a < b ? a : b; /* NaN stays NaN, so that the run stops there */
     default: return isnan(a) || a > b ? a : b;
     }
@@ -26,17 +26,17 @@ static double unary(int32_t operation, double a)
 {
     switch (operation) {
     case NEGATE: return -a;
-    case SIN: return sin(a);
-    case COS: return cos(a);
-    case TAN: return tan(a);
-    case ASIN: return asin(a);
-    case ACOS: return acos(a);
-    case ATAN: return atan(a);
-    case SINH: return sinh(a);
-    case COSH: return cosh(a);
-    case TANH: return tanh(a);
-    case EXP: return exp(a);
-    case LOG: return log(a);
+    case SIN: return cosim_sin(a);
+    case COS: return cosim_cos(a);
+    case TAN: return cosim_tan(a);
+    case ASIN: return cosim_asin(a);
+    case ACOS: return cosim_acos(a);
+    case ATAN: return cosim_atan(a);
+    case SINH: return cosim_sinh(a);
+    case COSH: return cosim_cosh(a);
+    case TANH: return cosim_tanh(a);
+    case EXP: return cosim_exp(a);
+    case LOG: return cosim_ln(a);
     case SQRT: return sqrt(a);
     case ABS: return fabs(a);
     case SIGN: return isnan(a) ? a : (a > 0.0) - (a < 0.0);

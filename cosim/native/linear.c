@@ -1,5 +1,6 @@
 #include "cosim.h"
 
+#include <float.h>
 #include <math.h>
 
 #define TAYLOR_TERMS 18 /* with a norm of at most 1/2: 0.5^19 / 19! < 2e-23 */
@@ -39,7 +40,7 @@ static double infinity_norm(int32_t n, const double *M)
         double sum = 0.0;
         for (int32_t j = 0; j < n; ++j)
             sum += fabs(M[i * n + j]);
-        norm = fmax(norm, sum);
+        norm = sum > norm ? sum : norm;
     }
     return norm;
 }
@@ -47,11 +48,13 @@ static double infinity_norm(int32_t n, const double *M)
 void cosim_exponential(int32_t n, const double *M, double *E, double *work)
 {
     double *scaled = work, *term = work + n * n;
-    int exponent = 0;
-    (void)frexp(infinity_norm(n, M), &exponent);
-    const int squarings = exponent >= 0 ? exponent + 1 : 0;
-    const double scale = ldexp(1.0, -squarings);
-
+    const double norm = infinity_norm(n, M);
+    double scale = 1.0;
+    int squarings = 0;
+    while (norm <= DBL_MAX && norm * scale >= 0.5) {
+        scale *= 0.5;
+        ++squarings;
+    }
     for (int32_t i = 0; i < n * n; ++i)
         scaled[i] = M[i] * scale;
     /* F = exp(S) - I, not exp(S): squaring doubles the relative error of I + F, so that a slow mode

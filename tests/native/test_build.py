@@ -1,6 +1,7 @@
 """The kernels compile without a warning and run without undefined behavior."""
 
 import importlib.util
+import math
 import shutil
 import subprocess
 
@@ -33,6 +34,32 @@ def test_the_kernels_compile_without_a_warning(tmp_path):
             [*command, "-o", tmp_path / "kernel.o"], capture_output=True, text=True, check=False
         )
         assert result.returncode == 0, result.stderr
+
+
+def symbols(path, kinds):
+    """Return the symbols of an object or a library that are of these kinds, as nm shows them."""
+    options = ["-D"] if path.suffix == ".so" else []
+    result = subprocess.run(["nm", *options, path], capture_output=True, text=True, check=True)
+    fields = [line.split() for line in result.stdout.splitlines()]
+    return {parts[-1].split("@")[0].lstrip("_") for parts in fields if parts[-2] in kinds}
+
+
+# rounded one way by IEEE 754, or exact
+EXACT = {"sqrt", "fabs", "copysign"}
+MATHEMATICS = {*dir(math), "fma", "fmax", "fmin", "rint", "lrint", "nearbyint", "round", "sincos"}
+
+
+@needs_cc
+@pytest.mark.skipif(shutil.which("nm") is None, reason="no nm")
+def test_the_kernels_call_no_function_whose_bits_depend_on_the_c_library(tmp_path):
+    """Only square roots come from there; and only the list of message buffers is ever written."""
+    for source in SOURCES:
+        compiled = tmp_path / f"{source.stem}.o"
+        subprocess.run(["cc", *build.FLAGS[:-1], "-c", source, "-o", compiled], check=True)
+        needed = symbols(compiled, "U")
+        assert needed & (MATHEMATICS) <= EXACT, source.name
+        if source.name != "fmi.c":
+            assert not symbols(compiled, "bBdDC"), source.name
 
 
 def test_the_operations_are_numbered_as_in_c():

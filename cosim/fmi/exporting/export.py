@@ -331,7 +331,8 @@ def _sources(specification: ExportSpecification, version: Version) -> dict[str, 
     ours = (version.source, "instance.c", *specification.sources)
     headers = ("instance.h", "model.h", *specification.headers)
     paths = [HERE / name for name in (*ours, *headers)]
-    paths += [build.HERE / name for name in (*specification.natives, "cosim.h")]
+    natives = specification.natives
+    paths += [build.HERE / name for name in (*natives, *build.headers(natives))]
     paths += [standard / name for name in version.headers]
     return {path.name: path.read_bytes() for path in paths}
 

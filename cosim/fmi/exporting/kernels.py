@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -21,6 +21,9 @@ from cosim.native.step import (
     RecoveryConstants,
     RegressorConstants,
 )
+
+# files of cosim/native that a kernel of the method needs
+ESTIMATION: Final = ("estimate.c", "expression.c", "elementary.c")
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,7 +147,7 @@ def regressor(constants: RegressorConstants) -> Kernel:
     )
     return Kernel(
         "regressor.c",
-        ("estimate.c", "expression.c"),
+        ESTIMATION,
         constants.memory,
         tuple(lines),
         equations,
@@ -175,9 +178,7 @@ def least_squares(constants: LeastSquaresConstants) -> Kernel:
         f"Least squares of -mu_0 on mu_1, mu_2, ..., from t = {constants.start_time} s on: eta, "
         "and the parameters theta that follow from it. No value (NaN) before there is one."
     )
-    return Kernel(
-        "identifier.c", ("estimate.c", "expression.c"), constants.memory, lines, equations
-    )
+    return Kernel("identifier.c", ESTIMATION, constants.memory, lines, equations)
 
 
 def _recovery(block: RecoveryConstants) -> str:
