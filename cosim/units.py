@@ -9,8 +9,9 @@ takes rad as 1 (FMI 3.0 section 2.4.4). A conversion computes, in this order,
 
 and copies the bits where both units are the same. The meaning of a unit is its definition where
 there is one, else that of its name: ``m/s2``, ``kN.m``, ``kg.m2/s^2``, ``degC``. A ``/`` divides by
-the one factor after it. A temperature in degC has an offset; in a product, such as W/degC, it is a
-difference and has none.
+the one factor after it. A temperature in degC or degF has an offset; in a product, such as W/degC,
+it is a difference and has none. A unit whose name says nothing is not known: nothing is compared
+with it, and nothing converted.
 """
 
 from __future__ import annotations
@@ -31,10 +32,15 @@ BASE: Final = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 _ONE: Final = Fraction(1)
 _DERIVED: Final[Mapping[str, tuple[Fraction, Mapping[str, int]]]] = {
     "1": (_ONE, {}),
+    "%": (Fraction(1, 100), {}),
     "g": (Fraction(1, 1000), {"kg": 1}),
+    "t": (Fraction(1000), {"kg": 1}),
+    "l": (Fraction(1, 1000), {"m": 3}),
+    "L": (Fraction(1, 1000), {"m": 3}),
     "min": (Fraction(60), {"s": 1}),
     "h": (Fraction(3600), {"s": 1}),
     "deg": (Fraction(1, 180), {"rad": 1}),  # times pi
+    "rev": (Fraction(2), {"rad": 1}),  # times pi
     "rpm": (Fraction(2, 60), {"rad": 1, "s": -1}),  # times pi
     "Hz": (_ONE, {"s": -1}),
     "N": (_ONE, {"kg": 1, "m": 1, "s": -2}),
@@ -51,9 +57,14 @@ _DERIVED: Final[Mapping[str, tuple[Fraction, Mapping[str, int]]]] = {
     "Wb": (_ONE, {"kg": 1, "m": 2, "s": -2, "A": -1}),
     "T": (_ONE, {"kg": 1, "s": -2, "A": -1}),
     "degC": (_ONE, {"K": 1}),
+    "degF": (Fraction(5, 9), {"K": 1}),
 }
-_TIMES_PI: Final = ("deg", "rpm")
-_CELSIUS: Final = 273.15  # K at 0 degC
+_TIMES_PI: Final = ("deg", "rev", "rpm")
+_ICE_POINT: Final = Fraction(27315, 100)  # K at 0 degC and at 32 degF
+_OFFSETS: Final = {
+    "degC": float(_ICE_POINT),
+    "degF": float(_ICE_POINT - 32 * Fraction(5, 9)),
+}
 _PREFIX: Final = {
     "p": Fraction(1, 10**12),
     "n": Fraction(1, 10**9),
@@ -65,11 +76,12 @@ _PREFIX: Final = {
     "M": Fraction(10**6),
     "G": Fraction(10**9),
 }
-# only what is in use, and has one reading: no Gs (gauss), no cd (candela), no min
+# only what is in use, and has one reading: no Gs (gauss), no cd (candela), no min, no kt (knot)
 _PREFIXED: Final[Mapping[str, str]] = {
     "m": "pnumck", "s": "num", "g": "num", "A": "pnumk", "K": "m", "mol": "umk", "rad": "um",
     "Hz": "mkMG", "N": "umkM", "Pa": "hkMG", "bar": "m", "J": "mkMG", "W": "numkMG", "C": "pnum",
     "V": "numkM", "Ohm": "mkMG", "S": "um", "F": "pnum", "H": "num", "Wb": "m", "T": "num",
+    "l": "um", "L": "um",
 }  # fmt: skip
 _ROUNDED: Final = 1e-9  # definitions of one name differ only by the digits that were written
 
@@ -152,19 +164,41 @@ class Conversion:
 def conversion(first: Unit, second: Unit) -> Conversion | None:
     """Return the conversion of a value in ``first`` to one in ``second``; None where there is none.
 
-    Where a unit is not declared there is nothing to compare. One name is one unit where at most one
-    of the two is defined, or both are, equal to their written digits. Different names need a
-    meaning each, and the same powers of the base units.
+    Units that are not :func:`comparable` are copied. One name is one unit where at most one of the
+    two is defined, or both are, equal to their written digits. Different names need the same powers
+    of the base units.
     """
-    if first.name is None or second.name is None:
-        return Conversion()
-    if first.name == second.name and _agree(first.base, second.base):
+    if _same_name(first, second):
         return Conversion()
     source = first.si
     target = second.si
-    if source is None or target is None or source.exponents != target.exponents:
+    if source is None or target is None:
+        return Conversion()
+    if source.exponents != target.exponents:
         return None
     return Conversion(source.factor, source.offset, target.offset, target.factor)
+
+
+def comparable(first: Unit, second: Unit) -> bool:
+    """Return whether it can be said if values in both units mean the same.
+
+    It cannot where one of them is not declared, or not known and of another name.
+    """
+    if _same_name(first, second):
+        return True
+    return first.si is not None and second.si is not None
+
+
+def _same_name(first: Unit, second: Unit) -> bool:
+    return first.name is not None and first.name == second.name and _agree(first.base, second.base)
+
+
+def unknown_unit(name: str) -> str:
+    """Return what is wrong with a unit that is not known, and what is needed."""
+    return (
+        f"{name!r} is not known; needed a product of units, such as mm, kN.m, kg/m3, degC or "
+        "rev/min, or none at all"
+    )
 
 
 def base_unit(unit: str) -> BaseUnit | None:
@@ -189,7 +223,7 @@ def base_unit(unit: str) -> BaseUnit | None:
     size = _rounded(factor, pi_power)
     if size is None:
         return None
-    offset = _CELSIUS if unit.strip() == "degC" else 0.0
+    offset = _OFFSETS.get(unit.strip(), 0.0)
     return BaseUnit(tuple(exponents.values()), size, offset)
 
 
@@ -204,7 +238,7 @@ class _Symbol:
 
 def _parse_factor(part: str) -> tuple[_Symbol, int] | None:
     """Read one factor of a unit, like ``mm``, ``s2`` or ``s^-1``: its symbol and its exponent."""
-    match = re.fullmatch(r"([A-Za-z]+|1)\^?(-?\d)?", part.strip())
+    match = re.fullmatch(r"([A-Za-z]+|1|%)\^?(-?\d)?", part.strip())
     symbol = _parse_symbol(match[1]) if match else None
     if match is None or symbol is None:
         return None

@@ -9,7 +9,7 @@ import scipy.constants as si
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from cosim.units import BASE, BaseUnit, Conversion, Unit, base_unit, conversion
+from cosim.units import BASE, BaseUnit, Conversion, Unit, base_unit, comparable, conversion
 
 TABLE = {  # factor to the base unit, and the base unit itself
     "mm": (si.milli, "m"), "km": (si.kilo, "m"), "um": (si.micro, "m"), "cm": (si.centi, "m"),
@@ -22,7 +22,10 @@ TABLE = {  # factor to the base unit, and the base unit itself
     "mV": (si.milli, "W/A"), "uF": (si.micro, "C/V"), "MOhm": (si.mega, "V/A"),
     "mmol": (si.milli, "mol"), "mH": (si.milli, "V.s/A"), "mT": (1e-3, "Wb/m2"),
     "S": (1.0, "A/V"), "mm2": (1e-6, "m2"), "mm3": (1e-9, "m^3"), "1/ms": (1e3, "Hz"),
-    "W/degC": (1.0, "W/K"), "mK": (1e-3, "K"),
+    "W/degC": (1.0, "W/K"), "mK": (1e-3, "K"), "%": (0.01, "1"), "%/s": (0.01, "1/s"),
+    "t": (1e3, "kg"), "L": (si.liter, "m3"), "mL": (1e-6, "m3"), "ul": (1e-9, "m3"),
+    "l/min": (1e-3 / 60.0, "m3/s"), "kg/L": (1e3, "kg/m3"), "rev": (2.0 * si.pi, "rad"),
+    "rev/min": (2.0 * si.pi / si.minute, "rad/s"), "W/degF": (1.8, "W/K"),
 }  # fmt: skip
 
 
@@ -52,6 +55,8 @@ def test_what_has_more_than_one_reading_is_not_read():
         "kkg",
         "mmin",
         "ft",
+        "kt",
+        "m%",
         "m99",
         "",
         "m/",
@@ -84,6 +89,9 @@ def test_values_are_converted_by_definition():
     assert between("deg", "rad")(90.0) == 90.0 * (math.pi / 180.0)
     assert between("km/h", "m/s")(36.0) == pytest.approx(10.0, rel=2e-16)
     assert between("W/degC", "W/K").copies
+    assert between("degF", "degC")(212.0) == pytest.approx(100.0, abs=1e-13)
+    assert between("degC", "degF")(0.0) == pytest.approx(32.0, abs=1e-13)
+    assert between("%", "1")(50.0) == 0.5
 
 
 def test_an_angle_is_no_number():
@@ -94,11 +102,15 @@ def test_an_angle_is_no_number():
 
 
 def test_names_that_mean_nothing_equal_only_themselves():
-    """And where one is not declared there is nothing to compare."""
+    """With all others, and where one is not declared, there is nothing to compare."""
     assert between("furlong", "furlong").copies
     assert between("furlong", None).copies
     assert between(None, "m").copies
-    assert between("furlong", "m") is None
+    assert between("furlong", "m").copies
+    assert comparable(Unit("furlong"), Unit("furlong"))
+    assert not comparable(Unit("furlong"), Unit("m"))
+    assert not comparable(Unit(None), Unit(None))
+    assert comparable(Unit("m"), Unit("s"))
 
 
 LENGTH = tuple(int(base == "m") for base in BASE)

@@ -17,7 +17,7 @@ from cosim.blocks.port_map import Causality, PortElement, PortMap, ShownPort, na
 from cosim.core.port import Port
 from cosim.core.signals import Interface, Signal
 from cosim.errors import GraphError, nearest
-from cosim.units import Unit, conversion
+from cosim.units import Unit, comparable, conversion
 
 
 @dataclass(frozen=True, slots=True)
@@ -254,7 +254,8 @@ class _Resolver:
         for element in elements:
             signal = element.signal
             own = signal.measure
-            if conversion(own, unit) is None:
+            unlike = own.name is not None and not comparable(own, unit)
+            if unlike or conversion(own, unit) is None:
                 names = ", ".join(names_of(elements))
                 way_out = _way_out(port, elements)
                 raise GraphError(

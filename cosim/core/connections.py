@@ -13,7 +13,7 @@ from cosim.core.contracts import Component
 from cosim.core.port import Port
 from cosim.core.signals import Channel, Layout, Signal
 from cosim.errors import GraphError, nearest
-from cosim.units import BASE, Conversion, Unit, conversion
+from cosim.units import BASE, BaseUnit, Conversion, Unit, comparable, conversion, unknown_unit
 
 SourceText: TypeAlias = str | Port | Sequence[str | Port]
 
@@ -258,17 +258,14 @@ def _one_conversion(connection: Connection, target: Signal, sources: Sequence[So
 
 def _unit_mismatches(connection: Connection, source: Signal, target: Signal) -> Iterator[str]:
     reached = unit_reached(connection, source, target)
-    if conversion(reached, target.measure) is None:
-        wanted = [repr(unit.name) for unit in (reached, target.measure) if unit.si is None]
-        remedy = (
-            f"convert with {{ from = {connection.label!r}, gain = ..., unit = {target.unit!r} }}"
+    used = connection.unit in (None, source.unit, target.unit)
+    if not used and reached.si is None:
+        yield f"unit = {connection.unit!r}: {unknown_unit(str(connection.unit))}"
+    elif conversion(reached, target.measure) is None:
+        yield (
+            f"unit {_unit_text(reached)} cannot drive unit {_unit_text(target.measure)}; convert "
+            f"with {{ from = {connection.label!r}, gain = ..., unit = {target.unit!r} }}"
         )
-        if wanted:
-            remedy = (
-                f"unknown unit {' and '.join(wanted)}; {remedy}, and offset = ... "
-                "where it has one, or define it in its FMU"
-            )
-        yield f"unit {_unit_text(reached)} cannot drive unit {_unit_text(target.measure)}; {remedy}"
     if _is_identity(connection) and not _same_unit(source.measure, reached):
         yield (
             f"the source has unit {source.unit!r}; unit = {connection.unit!r} needs its gain; "
@@ -296,6 +293,47 @@ def unit_reached(connection: Connection, source: Signal, target: Signal) -> Unit
 
 def _conversion(connection: Connection, source: Signal, target: Signal) -> Conversion | None:
     return conversion(unit_reached(connection, source, target), target.measure)
+
+
+def unit_warnings(
+    layout: Layout, connections: Mapping[Port, Connection]
+) -> Iterator[tuple[str, str]]:
+    """Yield (component, text) for units of checked connections that cannot be compared."""
+    ports = Ports(layout)
+    for to, connection in connections.items():
+        _, target = ports.input(to)
+        units = []
+        for port in connection.sources:
+            reached = unit_reached(connection, ports.source(port).signal, target)
+            units.append(reached)
+            for text in incomparable(reached, target.measure):
+                yield to.component, f"{port} -> {to}: {text}"
+        if target.unit is None and not _all_same(units):
+            names = ", ".join(_unit_text(unit) for unit in units)
+            yield (
+                to.component,
+                f"{connection.label} -> {to}: the input has no unit, so values in {names} are "
+                "stacked as they are",
+            )
+
+
+def incomparable(reached: Unit, target: Unit) -> Iterator[str]:
+    """Yield, where one of two declared units is not known, what is done with values."""
+    if reached.name is None or target.name is None or comparable(reached, target):
+        return
+    unknown = [repr(unit.name) for unit in (reached, target) if unit.si is None]
+    verb = "are" if len(unknown) > 1 else "is"
+    yield (
+        f"{' and '.join(unknown)} {verb} not known, so values in {reached.name!r} are taken as "
+        f"{target.name!r}, as they are"
+    )
+
+
+def _all_same(units: Sequence[Unit]) -> bool:
+    """Return whether no two units of one dimension are of different size."""
+    known = [unit.si for unit in units if unit.si is not None]
+    sizes: dict[tuple[int, ...], BaseUnit] = {}
+    return all(sizes.setdefault(base.exponents, base) == base for base in known)
 
 
 def conversions_of(ports: Ports, to: Port, connection: Connection) -> tuple[Conversion, ...]:

@@ -22,6 +22,7 @@ from cosim.core.connections import (
     check_connections,
     conversions_of,
     layout_of,
+    unit_warnings,
 )
 from cosim.core.contracts import Component, Design, Plan, prepare
 from cosim.core.coupling import Cascade, Loop, Member, Stage, Wire, wires_of
@@ -167,7 +168,7 @@ class Graph:
     @property
     def warnings(self) -> list[tuple[str, str]]:
         """What holds only if something unknown is as it was assumed, as (component, text)."""
-        warnings: list[tuple[str, str]] = []
+        warnings = list(unit_warnings(self.layout, self.connections))
         for stage in self.stages:
             warnings += stage.warnings
         return warnings

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from cosim.blocks.declared import with_units
 from cosim.blocks.port_map import PortMap
 from cosim.blocks.renamed import Renamed
 from cosim.blocks.renaming import resolve
@@ -182,7 +183,9 @@ class Builder:
             return Replay(self._recording, name)  # recorded under the scenario's names
         component = spec.build(name, self.context)
         entries = self.scenario.maps.get(name)
-        return self._renamed(name, component, entries) if entries else component
+        if entries:
+            component = self._renamed(name, component, entries)
+        return with_units(component, spec.units)
 
     def _renamed(self, name: str, component: Component, entries: Sequence[MapEntry]) -> Component:
         """Show a swapped component under the scenario's names; add the problems of its map."""

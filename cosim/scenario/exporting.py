@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, final
 
 from cosim.arrays import Mask
+from cosim.blocks.declared import declare_units
 from cosim.core.graph import Graph
 from cosim.core.linear import DescriptorModel
 from cosim.core.port import Port
@@ -117,6 +118,8 @@ def _model(scenario: Scenario, component: str, resources: ExitStack) -> tuple[Ex
         )
     wiring = _GraphWiring(scenario, component, resources)
     model = spec.exportable(component, build_context(scenario, resources), wiring)
+    interface = declare_units(model.interface, spec.units)
+    model = replace(model, interface=interface)
     inherits = any(signal.variability == "inherited" for signal in model.interface.outputs)
     return model, inherits and wiring.is_discrete
 

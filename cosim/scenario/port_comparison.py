@@ -2,7 +2,10 @@
 
 A row has one aspect of one port in both components. Its verdict is "error" where the difference
 stops the run, "differs" where it does not, "unknown" where one of them does not declare it, and
-"ok". For ports that are missing, ports of other names are proposed.
+"ok". Numbers are compared in the unit of the component before; where one of the units is not
+declared or not known, as they are. Where they are then more than ten times as large, or less than a
+tenth, the units are probably not what they seem. For ports that are missing, ports of other names
+are proposed.
 """
 
 from __future__ import annotations
@@ -20,12 +23,12 @@ from cosim.core.signals import Interface, Signal
 from cosim.fmi.description import INTERFACE_TYPE_NAMES
 from cosim.fmi.linearizing.linearization import pole_text, poles, static_gain
 from cosim.scenario.kinds.base import LinearSystem
-from cosim.units import Conversion, conversion
+from cosim.units import Conversion, comparable, conversion
 
 Verdict: TypeAlias = Literal["ok", "unknown", "differs", "error"]
-Aspect: TypeAlias = tuple[str, Any, Any, Verdict]  # its name, before, after
 
 SAME = 1e-9  # relative difference up to which two numbers are the same
+SAME_SIZE = 10.0  # factor up to which two numbers are of one size
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,6 +105,8 @@ class ComparedComponent:
         Values of inputs that nothing drives; unknown where not named.
     initial : mapping of output name to Vector
         Initial outputs for the scenario's inputs; unknown where not named.
+    nominal : mapping of port to Vector
+        Typical sizes that an FMU declares (FMI: nominal); unknown where not named.
     linear : LinearBehavior or None
         None: it cannot be linearized.
     """
@@ -110,6 +115,7 @@ class ComparedComponent:
     capabilities: ComponentCapabilities
     start: Mapping[str, Vector] = field(default_factory=dict)
     initial: Mapping[str, Vector] = field(default_factory=dict)
+    nominal: Mapping[str, Vector] = field(default_factory=dict)
     linear: LinearBehavior | None = None
 
     def port(self, name: str) -> ComparedPort | None:
@@ -155,6 +161,12 @@ class ComparedPort:
         return self._elements_of(values)
 
     @property
+    def nominal(self) -> list[float] | None:
+        """Typical size; None: unknown."""
+        values = self.component.nominal.get(self.signal.name)
+        return self._elements_of(values)
+
+    @property
     def feedthrough(self) -> tuple[str, ...] | None:
         """Inputs with direct feedthrough to an output, or outputs of an input; None: unknown."""
         interface = self.component.interface
@@ -170,11 +182,17 @@ class ComparedPort:
     @property
     def gains(self) -> list[float] | None:
         """Static gains to or from it, in rising order; None: unknown."""
+        return self.gains_as(self.component)
+
+    def gains_as(self, other: ComparedComponent) -> list[float] | None:
+        """Return the static gains in the units of the ports of another component."""
         interface = self.component.interface
         linear = self.component.linear
         if linear is None or linear.gain is None:
             return None
-        gain = linear.gain
+        output_factors = _factors(interface.outputs, other)
+        input_factors = _factors(interface.inputs, other)
+        gain = linear.gain * output_factors[:, np.newaxis] / input_factors
         if self.causality == "output":
             columns = interface.output_columns()[self.signal.name]
         else:
@@ -192,6 +210,37 @@ class ComparedPort:
         return numbers if self.element is None else [numbers[self.element]]
 
 
+def _factors(signals: Sequence[Signal], other: ComparedComponent) -> Vector:
+    """Return the factor of each element from its unit to that of the port of its name."""
+    factors: list[float] = []
+    for signal in signals:
+        port = other.port(signal.name)
+        convert = None if port is None else conversion(signal.measure, port.signal.measure)
+        factor = 1.0 if convert is None else convert.factor1 / convert.factor2
+        factors += [factor] * signal.size
+    return np.array(factors)
+
+
+@dataclass(frozen=True, slots=True)
+class Aspect:
+    """One aspect of a port or a component, before and after.
+
+    Parameters
+    ----------
+    name : str
+    before, after : plain value; None: unknown, or there is none
+    verdict : Verdict
+    ratio : float or None
+        Size of the numbers after to that before, in the same unit; None: no numbers, or zeros.
+    """
+
+    name: str
+    before: Any
+    after: Any
+    verdict: Verdict
+    ratio: float | None = None
+
+
 @dataclass(frozen=True, slots=True)
 class ComparedAspect:
     """One aspect of a port, or of the whole component where ``port`` is empty.
@@ -205,6 +254,8 @@ class ComparedAspect:
     verdict : Verdict
     connected : bool
         Whether the scenario names the port.
+    ratio : float or None
+        Size of the numbers after to that before, in the same unit; None: no numbers, or zeros.
     """
 
     port: str
@@ -213,6 +264,12 @@ class ComparedAspect:
     after: Any
     verdict: Verdict
     connected: bool
+    ratio: float | None = None
+
+    @property
+    def of_another_size(self) -> bool:
+        """Whether the numbers differ by so much that the unit is probably another."""
+        return self.ratio is not None and _same_size(self.ratio) == "differs"
 
 
 def compare_components(
@@ -244,10 +301,22 @@ def compare_components(
         old = before.port(port)
         new = after.port(port)
         for aspect in _port_aspects(old, new, severity):
-            rows.append(ComparedAspect(label, *aspect, port in connected))
+            rows.append(_row(label, aspect, port in connected))
     for aspect in _whole_aspects(before, after):
-        rows.append(ComparedAspect("", *aspect, True))
+        rows.append(_row("", aspect, True))
     return tuple(rows)
+
+
+def _row(port: str, aspect: Aspect, connected: bool) -> ComparedAspect:
+    return ComparedAspect(
+        port,
+        aspect.name,
+        aspect.before,
+        aspect.after,
+        aspect.verdict,
+        connected,
+        aspect.ratio,
+    )
 
 
 def _port_aspects(
@@ -257,20 +326,23 @@ def _port_aspects(
     if old is None or new is None:
         old_causality = None if old is None else old.causality
         new_causality = None if new is None else new.causality
-        yield "causality", old_causality, new_causality, severity
+        yield Aspect("causality", old_causality, new_causality, severity)
         return
     yield _equal("causality", old.causality, new.causality, severity)
     yield _equal("type", old.signal.type, new.signal.type)
     yield _equal("size", old.size, new.size, severity)
     unit_verdict = _unit(old.signal, new.signal, severity)
-    yield "unit", old.signal.unit, new.signal.unit, unit_verdict
+    yield Aspect("unit", old.signal.unit, new.signal.unit, unit_verdict)
     yield _equal("variability", old.signal.variability, new.signal.variability)
+    nominal = _in_unit_of(old, new, new.nominal)
+    ratio = _ratio(old.nominal, nominal)
+    verdict = "ok" if ratio is None else _same_size(ratio)
+    yield Aspect("nominal", old.nominal, new.nominal, verdict, ratio)
     if old.causality != new.causality:
         return
     if old.causality == "input":
         start = _in_unit_of(old, new, new.start)
-        verdict = _same_values(old.start, start)
-        yield "start value", old.start, new.start, verdict
+        yield _numbers("start value", old.start, new.start, start)
     else:
         yield from _output_aspects(old, new)
 
@@ -278,12 +350,44 @@ def _port_aspects(
 def _output_aspects(old: ComparedPort, new: ComparedPort) -> Iterator[Aspect]:
     yield _equal("feedthrough", _inputs_of(old), _inputs_of(new))
     initial = _in_unit_of(old, new, new.initial)
-    verdict = _same_values(old.initial, initial)
-    yield "initial output", old.initial, new.initial, verdict
+    yield _numbers("initial output", old.initial, new.initial, initial)
     if old.gains is not None or new.gains is not None:
         error = _error(old.component, new.component)
-        verdict = _same_values(old.gains, new.gains, error)
-        yield "static gain", old.gains, new.gains, verdict
+        gains = new.gains_as(old.component)
+        yield _numbers("static gain", old.gains, new.gains, gains, error)
+
+
+def _numbers(
+    aspect: str,
+    before: Sequence[float] | None,
+    after: Sequence[float] | None,
+    converted: Sequence[float] | Vector | None,
+    error: float = SAME,
+) -> Aspect:
+    """Compare numbers; ``converted`` are those after in the unit of those before."""
+    verdict = _same_values(before, converted, error)
+    return Aspect(aspect, before, after, verdict, _ratio(before, converted))
+
+
+def _ratio(
+    before: Sequence[float] | None, converted: Sequence[float] | Vector | None
+) -> float | None:
+    """Return the ratio of the largest numbers; None: one of them is zero, or not known."""
+    if before is None or converted is None:
+        return None
+    old = _largest(before)
+    new = _largest(converted)
+    return new / old if old > 0.0 and new > 0.0 else None
+
+
+def _largest(values: Sequence[float] | Vector) -> float:
+    """Return the largest finite absolute value; 0: there is none."""
+    sizes = np.abs(np.array(values))
+    return float(np.max(sizes, initial=0.0, where=np.isfinite(sizes)))
+
+
+def _same_size(ratio: float) -> Verdict:
+    return "ok" if 1.0 / SAME_SIZE <= ratio <= SAME_SIZE else "differs"
 
 
 def _inputs_of(output: ComparedPort) -> str | list[str]:
@@ -308,11 +412,11 @@ def _poles(before: ComparedComponent, after: ComparedComponent) -> Iterator[Aspe
     old_poles = None if before.linear is None else before.linear.pairs
     new_poles = None if after.linear is None else after.linear.pairs
     verdict = _same_values(old_poles, new_poles, _error(before, after))
-    yield "poles", _complex_pairs(old_poles), _complex_pairs(new_poles), verdict
+    yield Aspect("poles", _complex_pairs(old_poles), _complex_pairs(new_poles), verdict)
 
 
 def _equal(aspect: str, old: Any, new: Any, severity: Verdict = "differs") -> Aspect:
-    return aspect, old, new, "ok" if old == new else severity
+    return Aspect(aspect, old, new, "ok" if old == new else severity)
 
 
 def _error(*components: ComparedComponent) -> float:
@@ -329,7 +433,9 @@ def _complex_pairs(poles: Vector | None) -> list[list[float]] | None:
 
 
 def _unit(old: Signal, new: Signal, severity: Verdict) -> Verdict:
-    if (old.unit is None) != (new.unit is None):
+    if old.unit is None and new.unit is None:
+        return "ok"
+    if not comparable(old.measure, new.measure):
         return "unknown"
     converted = _conversion(old, new)
     if converted is None:

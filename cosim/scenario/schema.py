@@ -5,13 +5,24 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+
+from cosim.units import base_unit, unknown_unit
 
 Number = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 Whole = Annotated[int, Field(strict=True)]
 Flag = Annotated[bool, Field(strict=True)]
 NumberRow = tuple[Number, ...]
 NumberRows = tuple[NumberRow, ...]
+
+
+def _known_unit(name: str) -> str:
+    if base_unit(name) is None:
+        raise ValueError(unknown_unit(name))
+    return name
+
+
+UnitName = Annotated[str, AfterValidator(_known_unit)]
 
 NAME = r"^[A-Za-z][A-Za-z0-9_-]*$"
 

@@ -8,7 +8,7 @@ built anew only if its FMUs do not come back from that as they were.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cosim.arrays import Vector
+from cosim.blocks.port_map import Causality
 from cosim.core.contracts import Plan, prepare
 from cosim.core.port import Port
 from cosim.core.signals import Interface
@@ -37,6 +38,7 @@ from cosim.scenario.swap_report import SwapReport, SwapReports
 
 if TYPE_CHECKING:
     from cosim.fmi.binary.messages import Message
+    from cosim.fmi.variable import Variable
 
 
 def compare_swaps(scenario: Scenario) -> SwapReports:
@@ -202,7 +204,8 @@ class _SwapComparison:
         for port in before.component.ports:
             if port in connected and after.port(port) is None:
                 missing.append(port)
-        return SwapReport(name, rows, propose(before.component, after, missing))
+        proposals = propose(before.component, after, missing)
+        return SwapReport(name, rows, proposals, _unconverted_ports(builder, name))
 
     def experiment(self) -> Experiment:
         """Return the experiment; it is built again where the first one cannot run any more.
@@ -273,8 +276,11 @@ def _compared_component(
     if initial is not None:
         compared = replace(compared, initial=initial.outputs)
     if described is not None:
-        start = _start_values(builder, name, described[1])
-        compared = replace(compared, start=start)
+        _, description = described
+        start = _declared(builder, name, description, "input", _start)
+        nominal = _declared(builder, name, description, "input", _nominal)
+        nominal |= _declared(builder, name, description, "output", _nominal)
+        compared = replace(compared, start=start, nominal=nominal)
     return compared
 
 
@@ -297,24 +303,40 @@ def _capabilities(
     return capabilities
 
 
-def _start_values(builder: Builder, name: str, description: Description) -> dict[str, Vector]:
-    """Return the start values of the inputs that have them."""
+def _declared(
+    builder: Builder,
+    name: str,
+    description: Description,
+    causality: Causality,
+    values_of: Callable[[Variable], Vector],
+) -> dict[str, Vector]:
+    """Return what an FMU declares of its inputs or outputs, by port; not where that is NaN."""
     parts = [np.zeros(0)]
-    for _, variables in description.ports("input"):
-        for variable in variables:
-            if variable.start is None:
-                parts.append(np.full(variable.size, np.nan))
-            else:
-                parts.append(np.array(variable.start, np.float64))
+    for _, variables in description.ports(causality):
+        parts += [values_of(variable) for variable in variables]
     values = np.concatenate(parts)
-    if name in builder.port_maps:
-        values = builder.port_maps[name].shown_inputs(values)
-    start = {}
     interface = builder.components[name].interface
-    for port, columns in interface.input_columns().items():
+    columns_of = interface.input_columns() if causality == "input" else interface.output_columns()
+    if name in builder.port_maps:
+        ports = builder.port_maps[name]
+        is_input = causality == "input"
+        values = ports.shown_inputs(values) if is_input else ports.shown_outputs(values)
+    declared = {}
+    for port, columns in columns_of.items():
         if not np.isnan(values[columns]).any():
-            start[port] = values[columns]
-    return start
+            declared[port] = values[columns]
+    return declared
+
+
+def _start(variable: Variable) -> Vector:
+    if variable.start is None:
+        return np.full(variable.size, np.nan)
+    return np.array(variable.start, np.float64).reshape(-1)
+
+
+def _nominal(variable: Variable) -> Vector:
+    nominal = np.nan if variable.nominal is None else variable.nominal
+    return np.full(variable.size, nominal)
 
 
 def _linear_behavior(builder: Builder, name: str) -> LinearBehavior | None:
@@ -366,6 +388,26 @@ def _refused_ports(builder: Builder, name: str) -> set[str]:
             estimate = str(key[-1])
             ports += ports_in([estimate, *truth_ports(truths.get(estimate))])
     return _names_of(ports, name)
+
+
+def _unconverted_ports(builder: Builder, name: str) -> frozenset[str]:
+    """Return the ports of a component that are connected to one without a unit."""
+    ports: list[Port] = []
+    for to, connection in builder.scenario.connections.items():
+        if not _has_unit(builder, to):
+            ports += connection.sources
+        if connection.unit is None and not all(
+            _has_unit(builder, source) for source in connection.sources
+        ):
+            ports.append(to)
+    return frozenset(_names_of(ports, name))
+
+
+def _has_unit(builder: Builder, port: Port) -> bool:
+    """Return whether a port that there is declares its unit."""
+    component = builder.components.get(port.component)
+    match = None if component is None else port.find(component.interface.signals)
+    return match is not None and match[0].unit is not None
 
 
 def _names_of(ports: Iterable[Port], component: str) -> set[str]:

@@ -13,11 +13,21 @@ from cosim.scenario.port_comparison import ComparedAspect, Proposal, feedthrough
 
 @dataclass(frozen=True)
 class SwapReport:
-    """How a swapped component compares with the one it replaces."""
+    """How a swapped component compares with the one it replaces.
+
+    Parameters
+    ----------
+    component : str
+    rows : tuple of ComparedAspect
+    proposals : tuple of Proposal
+    unconverted : frozenset of str
+        Ports that are connected to one without a unit, so that values are not converted there.
+    """
 
     component: str
     rows: tuple[ComparedAspect, ...]
     proposals: tuple[Proposal, ...]
+    unconverted: frozenset[str] = frozenset()
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values; ports by their full names."""
@@ -47,17 +57,34 @@ class SwapReport:
         return row_texts({**asdict(row), "port": self._port(row.port)}, whole=not row.port)
 
     @property
-    def differences(self) -> str:
-        """What differs on the ports that are connected, and in the whole; empty: nothing."""
-        texts = []
-        for row in self.rows:
-            if row.verdict == "differs" and row.connected:
-                before = _aspect_text(row.aspect, row.before)
-                after = _aspect_text(row.aspect, row.after)
-                values = f"{after} (was {before})"
-                subject = f"{row.port} {row.aspect}".strip()
-                texts.append(f"{subject} {values}")
-        return "; ".join(texts)
+    def warnings(self) -> list[str]:
+        """What differs or cannot be compared on connected ports, and in the whole."""
+        rows = [row for row in self.rows if row.connected]
+        differences = [_change_text(row) for row in rows if row.verdict == "differs"]
+        units = [_change_text(row) for row in rows if self._is_taken_as_it_is(row)]
+        sizes = [_size_text(row) for row in rows if row.of_another_size]
+        warnings = []
+        if differences:
+            warnings.append(f"differs from what it replaces: {'; '.join(differences)}")
+        if units:
+            warnings.append(
+                f"units that cannot be compared with what is connected: {'; '.join(units)}; "
+                "values are taken as they are"
+            )
+        if sizes:
+            warnings.append(
+                f"of another size than what it replaces: {'; '.join(sizes)}; is it in other units? "
+                f"{self.component}.unit declares them, a connection converts them"
+            )
+        return warnings
+
+    def _is_taken_as_it_is(self, row: ComparedAspect) -> bool:
+        """Return whether a row has another unit which nothing converts."""
+        if row.aspect != "unit":
+            return False
+        own_port = row.port.split(" ")[0]
+        unconverted = row.verdict == "differs" and own_port in self.unconverted
+        return row.verdict == "unknown" or unconverted
 
     @property
     def hints(self) -> list[str]:
@@ -76,6 +103,19 @@ class SwapReport:
 
     def _port(self, port: str) -> str:
         return f"{self.component}.{port}" if port else self.component
+
+
+def _change_text(row: ComparedAspect) -> str:
+    before = _aspect_text(row.aspect, row.before)
+    after = _aspect_text(row.aspect, row.after)
+    subject = f"{row.port} {row.aspect}".strip()
+    return f"{subject} {after} (was {before})"
+
+
+def _size_text(row: ComparedAspect) -> str:
+    assert row.ratio is not None
+    factor = f"{row.ratio:.3g}" if row.ratio > 1.0 else f"1/{1.0 / row.ratio:.3g}"
+    return f"{row.port} {row.aspect} {factor} times as large"
 
 
 def _agreed(rows: Sequence[ComparedAspect]) -> ComparedAspect:
@@ -160,10 +200,9 @@ class SwapReports:
 
     @property
     def warnings(self) -> list[tuple[str, str]]:
-        """The differences, by component."""
+        """What differs or cannot be compared, by component."""
         warnings = []
         for name, report in self.reports.items():
-            if report.differences:
-                text = f"differs from what it replaces: {report.differences}"
+            for text in report.warnings:
                 warnings.append((name, text))
         return warnings

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from cosim.core.connections import incomparable
 from cosim.core.contracts import Component
 from cosim.core.port import Port
 from cosim.core.signals import Signal
@@ -62,7 +63,7 @@ def check_truth(
             estimated, *true_signals = [signals.find(port) for port in ports]
             _check_size(estimate, truth, estimated, true_signals)
             for port, true in zip(ports[1:], true_signals, strict=True):
-                _check_unit(estimate, port, estimated, true)
+                _check_unit(estimate, port, estimated, true, warn)
         except GraphError as error:
             problems.append((("truth", estimate), str(error)))
         else:
@@ -125,8 +126,16 @@ def _check_size(
         )
 
 
-def _check_unit(estimate: str, port: Port, estimated: ComparedSignal, true: ComparedSignal) -> None:
+def _check_unit(
+    estimate: str,
+    port: Port,
+    estimated: ComparedSignal,
+    true: ComparedSignal,
+    warn: Callable[[str, str], None],
+) -> None:
     """Check that the unit of a true signal can be converted to that of the estimate.
+
+    Warn where nobody can say.
 
     Raises
     ------
@@ -140,3 +149,5 @@ def _check_unit(estimate: str, port: Port, estimated: ComparedSignal, true: Comp
             f"{estimate!r} has unit {unit.name!r}, its truth {str(port)!r} has unit "
             f"{true_unit.name!r}; needed units of one kind"
         )
+    for text in incomparable(true_unit, unit):
+        warn(Port.parse(estimate).component, f"{estimate}, its truth {port}: {text}")

@@ -16,6 +16,7 @@ from cosim.errors import ScenarioError
 from cosim.fmi.reading.model_description import read
 from cosim.scenario.exporting import export_component
 from cosim.units import base_unit
+from tests.scenario.test_swap import rewritten
 
 UNITS = """
 [scenario]
@@ -197,22 +198,67 @@ def test_units_that_cannot_be_converted_are_refused(units):
         cosim.run(units)
 
 
-def test_a_unit_that_is_not_known_is_called_so(units):
-    """The message names the unit at either end, and what can be done about it.
-
-    The gain and offset that it asks for are the way out.
-    """
+@pytest.mark.parametrize(
+    ("key", "value", "name"),
+    [
+        ("sensor.unit", "parsec", "parsec"),
+        ("room.unit", "degK", "degK"),
+        ("sensor.unit", {"u": "degF", "y": "furlong"}, "furlong"),
+        ("connections.readout.u", {"from": "sensor.y", "gain": 2.0, "unit": "Nm"}, "Nm"),
+    ],
+)
+def test_a_unit_that_is_not_known_is_refused_where_it_is_written(units, key, value, name):
+    """In a table, by port, and in a connection; with what would do."""
     units.write_text(UNITS.format(readout="degF"))
-    text = (
-        "sensor.y -> readout.u: unit 'K' cannot drive unit 'degF'; unknown unit 'degF'; "
-        "convert with { from = 'sensor.y', gain = ..., unit = 'degF' }, and offset = ... "
-        "where it has one, or define it in its FMU"
-    )
+    text = f"{name!r} is not known; needed a product of units, such as mm, kN.m, kg/m3, degC"
     with pytest.raises(ScenarioError, match=re.escape(text)):
-        cosim.run(units)
-    fahrenheit = {"from": "sensor.y", "gain": 1.8, "offset": -459.67, "unit": "degF"}
-    log = cosim.run(units, set={"connections.readout.u": fahrenheit})
-    assert (log["readout.u"] == 1.8 * log["sensor.y"] - 459.67).all()
+        cosim.run(units, set={key: value})
+
+
+def test_a_unit_that_an_fmu_declares_is_not_refused_for_being_unknown(tmp_path):
+    """It may drive any input; a warning says that nothing was converted. Its name may be used."""
+    plain = tmp_path / "plain.fmu"
+    path = tmp_path / "widgets.fmu"
+    export_component("academic", "plant", plain)
+    rewritten(plain, path, ("<Real />", '<Real unit="widget"/>'))
+    file = tmp_path / "fmu.toml"
+    file.write_text(FMU.format(path=path))
+    log = cosim.run(file, out=tmp_path / "fmu.mcap")
+    assert log["readout.u"].tobytes() == log["plant.y"].tobytes()
+    text = "plant.y -> readout.u: 'widget' is not known, so values in 'widget' are taken as 'mm'"
+    assert any(text in message.text for message in log.messages())
+    named = {"from": "plant.y", "gain": 2.0, "unit": "widget"}
+    again = cosim.run(file, set={"connections.readout.u": named})
+    assert (again["readout.u"] == 2.0 * again["plant.y"]).all()
+
+
+def test_a_stack_of_lengths_in_several_units_is_warned_of(tmp_path):
+    """An input without a unit takes both as they are; one with a unit converts each."""
+    file = tmp_path / "stack.toml"
+    file.write_text(
+        """
+        [scenario]
+        name = "stack"
+        stop = 0.1
+        step = 0.01
+        [components]
+        a = { kind = "constant", value = 1.0, unit = "m" }
+        b = { kind = "constant", value = 1.0, unit = "mm" }
+        c = { kind = "constant", value = 1.0, unit = "s" }
+        lag = { kind = "lag", time_constant = 1.0, size = 2 }
+        [connections]
+        "lag.u" = ["a.y", "b.y"]
+        """
+    )
+    text = "a.y, b.y -> lag.u: the input has no unit, so values in 'm', 'mm' are stacked"
+    mixed = cosim.run(file)
+    assert any(text in message.text for message in mixed.messages)
+    assert mixed["lag.u"][0].tolist() == [1.0, 1.0]
+    declared = cosim.run(file, set={"lag.unit": "m"})
+    assert declared["lag.u"][0].tolist() == [1.0, 1e-3]
+    assert not any("stacked" in message.text for message in declared.messages)
+    unlike = cosim.run(file, set={"connections.lag.u": ["a.y", "c.y"]})
+    assert not any("stacked" in message.text for message in unlike.messages)
 
 
 @pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])

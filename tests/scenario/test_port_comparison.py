@@ -79,6 +79,17 @@ def test_values_are_compared_in_one_unit():
         assert verdicts(before, after)["s", "initial output"] == verdict
 
 
+def test_sizes_are_compared_in_one_unit():
+    """A factor of ten is the limit; zeros and what is not known have no size."""
+    before = ComparedComponent(BEFORE, ABLE, nominal={"s": np.array([2.0])})
+    for millimetres, another in ((2e3, False), (2e4, False), (2.1e4, True), (1.9e2, True), (0, 0)):
+        after = ComparedComponent(AFTER, ABLE, nominal={"s": np.array([millimetres])})
+        rows = compare_components(before, after)
+        (row,) = [row for row in rows if (row.port, row.aspect) == ("s", "nominal")]
+        assert row.of_another_size == another
+        assert row.verdict == ("differs" if another else "ok")
+
+
 def first_order(a, *, gain):
     """x' = a x + u, y = gain x."""
     return LinearSystem(np.array([[a]]), np.eye(1), gain * np.eye(1), np.zeros((1, 1)), error=0.0)

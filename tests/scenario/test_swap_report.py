@@ -169,7 +169,7 @@ def test_a_dry_run_has_rows_proposals_and_problems_for_programs(folder, capsys):
     assert set(found) == {"swaps", "problems"}
     assert set(found["swaps"]["plant"]) == {"ports", "proposals"}
     assert {frozenset(row) for row in found["swaps"]["plant"]["ports"]} == {
-        frozenset({"port", "aspect", "before", "after", "verdict", "connected"})
+        frozenset({"port", "aspect", "before", "after", "verdict", "connected", "ratio"})
     }
     assert {
         row["port"]: row["verdict"]
@@ -237,9 +237,65 @@ def test_no_direct_feedthrough_is_said_so():
     row = ComparedAspect("y", "feedthrough", [], "unknown", "differs", True)
     report = SwapReport("plant", (row,), ())
     assert report.lines[0]["before"] == "no direct feedthrough"
-    assert report.differences == "y feedthrough unknown (was no direct feedthrough)"
+    assert report.warnings == [
+        "differs from what it replaces: y feedthrough unknown (was no direct feedthrough)"
+    ]
     assert report.to_dict()["ports"][0]["before"] == []
     assert row_texts(report.to_dict()["ports"][0], whole=False) == report.lines[0]
+
+
+@pytest.fixture(scope="module")
+def milli(folder):
+    """Write the plant with its output in mm."""
+    matrix = {"models.academic.C": [[2000, 0, 1000]], "plant.unit": {"y": "mm"}}
+    export_component("academic", "plant", folder / "milli.fmu", set=matrix)
+    return folder
+
+
+def swap_warnings(folder, **changes):
+    return [text for _, text in report(folder, "milli.fmu", **changes).warnings]
+
+
+def test_a_unit_on_one_side_only_is_said_and_its_size_warned_of(milli, capsys):
+    """1 m and 1000 mm: without a unit before, only the sizes show that they are not the same.
+
+    The dry run says so too.
+    """
+    differences, units, sizes = swap_warnings(milli)
+    assert differences.startswith("differs from what it replaces: y initial output 1000 (was 1)")
+    assert "units that cannot be compared" in units
+    assert "y unit mm (was -)" in units
+    assert "y initial output 1e+03 times as large; y static gain 1e+03 times as large" in sizes
+    with pytest.raises(SystemExit) as ended:
+        main(["run", "academic", "--swap", f"plant={milli / 'milli.fmu'}", "--dry-run"])
+    assert ended.value.code in (0, None)
+    assert f"warning: plant: {sizes}" in capsys.readouterr().err
+
+
+def test_units_that_convert_leave_no_warning_but_that_of_the_unit(milli):
+    """The old plant in m, the new one in mm, an observer that takes m: all is converted.
+
+    An observer without a unit would take one for the other, which is said.
+    """
+    text = cosim.load("academic").document.text
+    file = milli / "metres.toml"
+    file.write_text(text.replace('kind = "descriptor"', 'kind = "descriptor"\nunit = "m"'))
+    original = cosim.load(file)
+    swap = {"plant": milli / "milli.fmu"}
+    unconverted = compare_swaps(original.edit(swap=swap)).warnings
+    assert [text.partition(":")[0] for _, text in unconverted] == [
+        "differs from what it replaces",
+        "units that cannot be compared with what is connected",
+    ]
+    converted = original.set({"observer.unit": {"y": "m"}}).edit(swap=swap)
+    assert [text for _, text in compare_swaps(converted).warnings] == [
+        "differs from what it replaces: y unit mm (was m)"
+    ]
+    metres = cosim.run(original.set(SHORT))
+    millimetres = cosim.run(converted.set(SHORT))
+    worst = abs(metres["observer.delta"] - millimetres["observer.delta"]).max()
+    # y is rounded twice more, and delta_hat multiplies that by the filter rate of 1000
+    assert worst <= 1e3 * 8 * 2.3e-16 * abs(metres["plant.y"]).max()
 
 
 def test_what_cannot_be_linearized_is_unknown(folder, tmp_path):

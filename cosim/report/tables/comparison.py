@@ -64,6 +64,8 @@ def print_dry_run(scenario: Scenario, *, as_json: bool) -> None:
         for report in reports.reports.values():
             print_section(report.component, report.lines)
         if not problems:
+            for component, text in reports.warnings:
+                typer.echo(f"warning: {component}: {text}", err=True)
             typer.echo("dry run: the scenario can run")
     if problems:
         raise UsageError("\n".join([*problems, *reports.hints]))

@@ -22,13 +22,12 @@ package, and add it to ``KINDS`` below. A dead zone, for example::
 
         kind: Literal["dead-zone"]
         width: Number = Field(description="half the width of the zone")
-        unit: str | None = None
 
         def build(self, name: str, context: BuildContext) -> Component:
             if self.width < 0.0:
                 raise UsageError(f"width: found {self.width}, needed 0 or more")
-            u = Signal("u", unit=self.unit)
-            y = Signal("y", unit=self.unit, variability="inherited")
+            u = Signal("u", unit=self.unit_name)
+            y = Signal("y", unit=self.unit_name, variability="inherited")
             return Static(Interface((u,), (y,), {"y": ("u",)}), self._reduced)
 
         def _reduced(self, u: Matrix) -> Matrix:
@@ -42,6 +41,8 @@ may say ``dead = { kind = "dead-zone", width = 0.1 }`` under ``[components]``.
   ``NumberRows``, of :mod:`cosim.scenario.schema`: they accept no other type. Tables inside derive
   from ``TomlTable``. The ``description`` of a field stands in ``cosim list`` and in the message
   where the key is missing.
+* Every kind has the key ``unit``: units by port, or one, which is that of ``y``. A kind where one
+  unit is that of other ports too, as here, gives it to them: ``unit_name``.
 * The first line of the docstring is the description in ``cosim list``.
 * ``build`` returns the component (:class:`cosim.core.contracts.Component`). ``name`` is its name,
   ``context`` gives what else it needs: communication step, models, files, logs, other components

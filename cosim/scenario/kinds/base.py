@@ -6,7 +6,7 @@ from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 from pydantic import Field
 
@@ -16,7 +16,7 @@ from cosim.core.contracts import Component, Recording
 from cosim.core.linear import Linear, LinearModel
 from cosim.core.port import Port
 from cosim.fmi.exporting.specifications import Exportable
-from cosim.scenario.schema import Number, TomlTable
+from cosim.scenario.schema import Number, TomlTable, UnitName
 from cosim.theory.descriptor import DescriptorSystem
 
 if TYPE_CHECKING:
@@ -101,10 +101,31 @@ class Wiring(Protocol):
         ...
 
 
+PortUnits: TypeAlias = UnitName | dict[str, UnitName] | None
+
+
+def unit_of(ports: str) -> str:
+    """Return the description of the key ``unit``, for kinds where one unit is that of ``ports``."""
+    return f'unit of {ports}, or by port, like {{ u = "N", y = "mm" }}'
+
+
 class Kind(TomlTable):
     """A component's table."""
 
     kind: str
+    unit: PortUnits = Field(None, description=unit_of("y"))
+
+    @property
+    def unit_name(self) -> str | None:
+        """The one unit of the table; None: there is none, or units by port."""
+        return self.unit if isinstance(self.unit, str) else None
+
+    @property
+    def units(self) -> Mapping[str, str]:
+        """The units of the table by port; of ``y`` where there is one."""
+        if isinstance(self.unit, str):
+            return {"y": self.unit}
+        return self.unit or {}
 
     @property
     def computable(self) -> bool:

@@ -33,14 +33,22 @@ class Parameter:
 
 
 def parameters_of(kind: type[Kind]) -> list[Parameter]:
-    """Return the parameters of a kind, the required ones first, each with those inside it."""
+    """Return the parameters of a kind, each with those inside it.
+
+    The required ones come first, those that every kind has last.
+    """
     required: list[Parameter] = []
     optional: list[Parameter] = []
+    shared: list[Parameter] = []
     for name, field in kind.model_fields.items():
-        if name != "kind":
-            group = required if field.is_required() else optional
-            group += _with_inner(name, kind)
-    return required + optional
+        parameters = list(_with_inner(name, kind))
+        if field.is_required():
+            required += parameters
+        elif name in Kind.model_fields:
+            shared += parameters
+        else:
+            optional += parameters
+    return [parameter for parameter in required if parameter.name != "kind"] + optional + shared
 
 
 def _with_inner(name: str, table: type[BaseModel], prefix: str = "") -> Iterator[Parameter]:

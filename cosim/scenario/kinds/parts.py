@@ -24,7 +24,9 @@ from cosim.scenario.kinds.base import (
     ExportableKind,
     LinearKind,
     PeriodicKind,
+    PortUnits,
     Wiring,
+    unit_of,
 )
 from cosim.scenario.schema import Number, NumberRow, NumberRows, Whole, matrix
 
@@ -35,10 +37,10 @@ class SumKind(ExportableKind):
     kind: Literal["sum"]
     signs: NumberRow = Field(description="one number an input, like [1, -1]")
     size: Whole = Field(1, ge=1, le=100_000, description="number of elements of every signal")
-    unit: str | None = Field(None, description="unit of y and all inputs")
+    unit: PortUnits = Field(None, description=unit_of("y and all inputs"))
 
     def build(self, name: str, context: BuildContext) -> Component:
-        return arithmetic.sum_of(self.signs, size=self.size, unit=self.unit)
+        return arithmetic.sum_of(self.signs, size=self.size, unit=self.unit_name)
 
     def exportable(self, name: str, context: BuildContext, wiring: Wiring) -> Exportable:
         D = np.kron(np.array([self.signs]), np.eye(self.size))
@@ -50,10 +52,9 @@ class GainKind(ExportableKind):
 
     kind: Literal["gain"]
     K: Number | NumberRows = Field(description="a number, or a matrix")
-    unit: str | None = Field(None, description="unit of y")
 
     def build(self, name: str, context: BuildContext) -> Component:
-        return arithmetic.gain(self._matrix, unit=self.unit)
+        return arithmetic.gain(self._matrix, unit=self.unit_name)
 
     def exportable(self, name: str, context: BuildContext, wiring: Wiring) -> Exportable:
         return _static_model(self.build(name, context).interface, self._matrix)
@@ -72,10 +73,12 @@ class LimitKind(ExportableKind):
     lower: Number = Field(description="lower limit")
     upper: Number = Field(description="upper limit")
     size: Whole = Field(1, ge=1, le=100_000, description="number of elements")
-    unit: str | None = Field(None, description="unit of u and y")
+    unit: PortUnits = Field(None, description=unit_of("u and y"))
 
     def build(self, name: str, context: BuildContext) -> Component:
-        return arithmetic.limit(lower=self.lower, upper=self.upper, size=self.size, unit=self.unit)
+        return arithmetic.limit(
+            lower=self.lower, upper=self.upper, size=self.size, unit=self.unit_name
+        )
 
     def exportable(self, name: str, context: BuildContext, wiring: Wiring) -> Exportable:
         interface = self.build(name, context).interface
@@ -91,11 +94,14 @@ class LagKind(LinearKind):
     time_constant: Number = Field(description="time constant [s]")
     initial: Number | None = Field(None, description="y(0); default: u(0)")
     size: Whole = Field(1, ge=1, le=100_000, description="number of elements")
-    unit: str | None = Field(None, description="unit of u and y")
+    unit: PortUnits = Field(None, description=unit_of("u and y"))
 
     def linear_model(self, name: str, context: BuildContext) -> LinearModel:
         return dynamics.lag(
-            time_constant=self.time_constant, initial=self.initial, size=self.size, unit=self.unit
+            time_constant=self.time_constant,
+            initial=self.initial,
+            size=self.size,
+            unit=self.unit_name,
         )
 
 
@@ -106,11 +112,11 @@ class DelayKind(ExportableKind):
     delay: Number = Field(description="a whole number of communication steps [s]")
     initial: Number | None = Field(None, description="y until then; default: u(0)")
     size: Whole = Field(1, ge=1, le=100_000, description="number of elements")
-    unit: str | None = Field(None, description="unit of u and y")
+    unit: PortUnits = Field(None, description=unit_of("u and y"))
 
     def build(self, name: str, context: BuildContext) -> Component:
         return dynamics.Delay(
-            self._steps(context), initial=self.initial, size=self.size, unit=self.unit
+            self._steps(context), initial=self.initial, size=self.size, unit=self.unit_name
         )
 
     def exportable(self, name: str, context: BuildContext, wiring: Wiring) -> Exportable:
@@ -131,7 +137,6 @@ class ControllerKind(PeriodicKind, LinearKind):
     C: NumberRows = Field(description="matrix (outputs, n)")
     D: NumberRows | None = Field(None, description="matrix (outputs, inputs); default: zero")
     x0: NumberRow | None = Field(None, description="x(0); default: zero")
-    unit: str | None = Field(None, description="unit of y")
 
     def with_period(self, component: Component, n: int) -> Component:
         # A period of one communication step still holds u over it.
@@ -143,7 +148,7 @@ class ControllerKind(PeriodicKind, LinearKind):
         A = matrix(self.A, "A")
         B = matrix(self.B, "B")
         C = matrix(self.C, "C")
-        return controller(A=A, B=B, C=C, D=D, x0=x0, unit=self.unit)
+        return controller(A=A, B=B, C=C, D=D, x0=x0, unit=self.unit_name)
 
     def exportable(self, name: str, context: BuildContext, wiring: Wiring) -> Exportable:
         model = self.linear_model(name, context)

@@ -32,11 +32,10 @@ class ConstantKind(Kind):
 
     kind: Literal["constant"]
     value: Flag | Number | NumberRow = Field(description="value, values, or true or false")
-    unit: str | None = Field(None, description="unit of y")
 
     def build(self, name: str, context: BuildContext) -> Component:
         signal_type: SignalType = "boolean" if isinstance(self.value, bool) else "real"
-        return source.constant(_vector(self.value), unit=self.unit, signal_type=signal_type)
+        return source.constant(_vector(self.value), unit=self.unit_name, signal_type=signal_type)
 
 
 class StepKind(Kind):
@@ -46,11 +45,12 @@ class StepKind(Kind):
     time: Number = Field(description="when it jumps [s]")
     before: Number = Field(0.0, description="y before that")
     after: Number = Field(1.0, description="y from then on")
-    unit: str | None = Field(None, description="unit of y")
 
     def build(self, name: str, context: BuildContext) -> Component:
         context.clock.steps_until(self.time, "time")
-        return source.step(time=self.time, before=self.before, after=self.after, unit=self.unit)
+        return source.step(
+            time=self.time, before=self.before, after=self.after, unit=self.unit_name
+        )
 
 
 class RampKind(Kind):
@@ -60,11 +60,10 @@ class RampKind(Kind):
     slope: Number = Field(description="growth of y [1/s]")
     start_time: Number = Field(0.0, description="when it begins [s]")
     offset: Number = Field(0.0, description="constant part of y")
-    unit: str | None = Field(None, description="unit of y")
 
     def build(self, name: str, context: BuildContext) -> Component:
         return source.ramp(
-            slope=self.slope, start_time=self.start_time, offset=self.offset, unit=self.unit
+            slope=self.slope, start_time=self.start_time, offset=self.offset, unit=self.unit_name
         )
 
 
@@ -76,7 +75,6 @@ class SineKind(Kind):
     rate: Number = Field(description="angular rate [rad/s]")
     phase: Number = Field(0.0, description="phase [rad]")
     offset: Number = Field(0.0, description="constant part of y")
-    unit: str | None = Field(None, description="unit of y")
 
     def build(self, name: str, context: BuildContext) -> Component:
         return source.sine(
@@ -84,7 +82,7 @@ class SineKind(Kind):
             rate=self.rate,
             phase=self.phase,
             offset=self.offset,
-            unit=self.unit,
+            unit=self.unit_name,
         )
 
 
@@ -96,7 +94,6 @@ class ChirpKind(Kind):
     rate: Number = Field(description="angular rate at t = 0 [rad/s]")
     sweep: Number = Field(description="growth of the rate [rad/s^2]")
     offset: Number = Field(0.0, description="constant part of y")
-    unit: str | None = Field(None, description="unit of y")
 
     def build(self, name: str, context: BuildContext) -> Component:
         return source.chirp(
@@ -104,7 +101,7 @@ class ChirpKind(Kind):
             rate=self.rate,
             sweep=self.sweep,
             offset=self.offset,
-            unit=self.unit,
+            unit=self.unit_name,
         )
 
 
@@ -116,12 +113,11 @@ class ExpressionKind(Kind):
         description='an expression, like "1 + 0.5*sin(2*t)", or several'
     )
     discrete: Flag = Field(False, description="zero-order hold over a step")
-    unit: str | None = Field(None, description="unit of y")
 
     def build(self, name: str, context: BuildContext) -> Component:
         texts = [self.y] if isinstance(self.y, str) else list(self.y)
         variability: Variability = "discrete" if self.discrete else "continuous"
-        return source.Expression(texts, variability=variability, unit=self.unit)
+        return source.Expression(texts, variability=variability, unit=self.unit_name)
 
 
 class TableKind(Kind):
@@ -141,7 +137,6 @@ class TableKind(Kind):
         "linear",
         description='between the instants: "linear" interpolation, or "zero-order" hold',
     )
-    unit: str | None = Field(None, description="unit of y")
 
     @property
     def computable(self) -> bool:
@@ -162,7 +157,7 @@ class TableKind(Kind):
                 f"needed {clock.start_time} s to {clock.stop} s, the whole run"
             )
         hold = self.interpolation == "zero-order"
-        return source.Table(t, y, hold=hold, unit=self.unit)
+        return source.Table(t, y, hold=hold, unit=self.unit_name)
 
     def _arrays(self) -> tuple[Vector, Matrix]:
         rows = tuple(row if isinstance(row, tuple) else (row,) for row in self.y or ())
@@ -183,11 +178,10 @@ class NoiseKind(Kind):
     deviation: Number = Field(ge=0.0, description="standard deviation")
     seed: Whole = Field(ge=0, description="seed of the generator")
     size: Whole = Field(1, ge=1, le=100_000, description="number of elements")
-    unit: str | None = Field(None, description="unit of y")
 
     def build(self, name: str, context: BuildContext) -> Component:
         return source.Noise(
-            deviation=self.deviation, seed=self.seed, size=self.size, unit=self.unit
+            deviation=self.deviation, seed=self.seed, size=self.size, unit=self.unit_name
         )
 
 
@@ -206,12 +200,11 @@ class DisturbanceKind(Kind):
 
     kind: Literal["disturbance"]
     terms: tuple[DisturbanceTerm, ...] = Field(description="list of { alpha, family, theta }")
-    unit: str | None = Field(None, description="unit of y")
 
     def build(self, name: str, context: BuildContext) -> Component:
         texts = [_term_expression(term) for term in self.terms]
         context.add_metadata(name, {"theta": [term.theta for term in self.terms]})
-        return source.Expression([" + ".join(texts)], unit=self.unit)
+        return source.Expression([" + ".join(texts)], unit=self.unit_name)
 
 
 def _term_expression(term: DisturbanceTerm) -> str:

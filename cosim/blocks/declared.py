@@ -1,0 +1,96 @@
+"""Units that a scenario declares for ports whose component does not."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import cast, final
+
+from cosim.arrays import Mask, Matrix, Vector
+from cosim.core.contracts import Component, Design, Rollback, prepare
+from cosim.core.signals import Interface, Signal
+from cosim.errors import GraphError, nearest
+from cosim.units import Unit
+
+
+def with_units(component: Component, units: Mapping[str, str]) -> Component:
+    """Return a component whose ports have the units given; itself, where they have them already.
+
+    Raises
+    ------
+    GraphError
+        If there is no such port, or it has another unit that is known.
+    """
+    interface = declare_units(component.interface, units)
+    return component if interface == component.interface else Declared(component, interface)
+
+
+def declare_units(interface: Interface, units: Mapping[str, str]) -> Interface:
+    """Return an interface with the units given, by port.
+
+    Raises
+    ------
+    GraphError
+        If there is no such port, or it has another unit that is known: values in it would be taken
+        for what they are not.
+    """
+    names = [signal.name for signal in interface.signals]
+    for port in units:
+        if port not in names:
+            raise GraphError(f"unit: there is no port {port!r}; {nearest(port, names)}")
+    inputs = tuple(_declared(signal, units) for signal in interface.inputs)
+    outputs = tuple(_declared(signal, units) for signal in interface.outputs)
+    return replace(interface, inputs=inputs, outputs=outputs)
+
+
+def _declared(signal: Signal, units: Mapping[str, str]) -> Signal:
+    unit = units.get(signal.name)
+    if unit is None or unit == signal.unit:
+        return signal
+    if signal.measure.si is not None:
+        raise GraphError(
+            f"unit of {signal.name!r}: found {unit!r}, but the component itself declares "
+            f"{signal.unit!r}; leave it out, connections convert the unit"
+        )
+    measure = Unit(unit)
+    return replace(signal, unit=measure.name, base=measure.base)
+
+
+@final
+class Declared:
+    """A component with another declaration of its ports.
+
+    Parameters
+    ----------
+    component : Component
+    interface : Interface
+        That of the component, but for the units.
+    """
+
+    def __init__(self, component: Component, interface: Interface) -> None:
+        self.interface = interface
+        self._component = component
+
+    def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
+        """Prepare the component."""
+        return prepare(self._component, h, held, recorded)
+
+    def initialize(self, t: float, u: Vector) -> Vector:
+        """Initialize the component."""
+        return self._component.initialize(t, u)
+
+    def outputs(self, t: float, u: Vector) -> Vector:
+        """Return the outputs of the component."""
+        return self._component.outputs(t, u)
+
+    def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
+        """Advance the component."""
+        return self._component.advance(t, h, u)
+
+    def save(self) -> object:
+        """Copy the state of the component."""
+        return cast(Rollback[object], self._component).save()
+
+    def restore(self, state: object) -> None:
+        """Go back to a saved state of the component."""
+        cast(Rollback[object], self._component).restore(state)
