@@ -319,6 +319,13 @@ def info(
 @app.command()
 def check(
     fmu: Annotated[Path, typer.Argument(metavar="FMU", help="An FMU (.fmu).")],
+    strict: Annotated[
+        bool,
+        typer.Option(
+            "--strict",
+            help="Exit 1 also for a warning: what is against the standard, but runs here.",
+        ),
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Report every problem of an FMU.
@@ -327,7 +334,7 @@ def check(
     """
     from cosim.report.tables.fmu import print_check
 
-    print_check(str(fmu), as_json=as_json)
+    print_check(str(fmu), strict=strict, as_json=as_json)
 
 
 @app.command()

@@ -21,11 +21,11 @@ Every message names the thing, what was found, what was needed and the way out.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
-from typing import ClassVar
+from typing import ClassVar, Final
 
-MOST_NAMES = 100  # that a message lists
+MOST_NAMES: Final = 100  # that a message about an unknown name lists
 
 
 class CosimError(Exception):
@@ -96,7 +96,11 @@ def nearest(name: str, known_names: Iterable[str]) -> str:
         return "there are none"
     close = get_close_matches(name, names, n=1, cutoff=0.5)
     guess = f"did you mean {close[0]!r}? " if close else ""
-    listed = ", ".join(names[:MOST_NAMES])
-    more = len(names) - MOST_NAMES
-    rest = f", and {more} more" if more > 0 else ""
-    return f"{guess}There is: {listed}{rest}"
+    return f"{guess}There is: {listing(names, MOST_NAMES)}"
+
+
+def listing(names: Sequence[str], most: int = 5) -> str:
+    """Return names in one line: the first of them, and how many more there are."""
+    text = ", ".join(names[:most])
+    omitted = len(names) - most
+    return f"{text} and {omitted} more" if omitted > 0 else text

@@ -27,6 +27,9 @@ TRIAL: Final = "cosim.fmi.checking.trial"
 TIMEOUT: Final = 20.0  # [s] of wall time
 CHILD_VARIABLE: Final = "COSIM_TRIAL"  # of the environment; set in a child, which starts no other
 MISSING_FUNCTION: Final = "missing function"
+REFUSED: Final = "is declared and then refused:"  # get or set FMU state
+INEXACT: Final = "goes back inexactly"
+WRONG: Final = "goes back wrongly"
 ROOT: Final = Path(__file__).parents[2]
 
 
@@ -56,7 +59,16 @@ def _try_rollback(
     path: Path, sha256: str, interface_type: InterfaceType, timeout: float
 ) -> tuple[str, ...]:
     """Try it once for each content of the file: ``sha256`` is part of the cache's key."""
-    return attempt("rollback", str(path), interface_type, timeout=timeout)
+    return try_fmu("rollback", path, interface_type, timeout=timeout)
+
+
+def try_fmu(
+    task: TrialTask, path: Path, interface_type: InterfaceType, *, timeout: float = TIMEOUT
+) -> tuple[str, ...]:
+    """Do a task with an FMU in a child process; return the problems, without its path."""
+    absolute_path = str(path.resolve())
+    problems = attempt(task, absolute_path, interface_type, timeout=timeout)
+    return tuple(problem.replace(f"{absolute_path}: ", "") for problem in problems)
 
 
 def attempt(task: TrialTask, *arguments: str, timeout: float = TIMEOUT) -> tuple[str, ...]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -32,6 +32,7 @@ from cosim.fmi.reading.model_description import Archive, read
 
 __all__ = ["CoSimulation", "Fmu", "ModelExchange", "load"]
 
+MOST_WARNINGS: Final = 5  # of one file, in the notes of a run
 OUR_TOOL: Final = "cosim"  # the tests prove that its FMUs do what their descriptions say
 
 
@@ -288,7 +289,7 @@ def _reliable(
     been instantiated without event mode.
     """
     capabilities = description.capabilities[interface_type]
-    notes = []
+    notes = [f"{description.name}: {text}" for text in _shortened(archive.warnings)]
     if description.clocks:
         capabilities = replace(capabilities, event_mode=False)
         notes.append(_note_on_clocks(archive, description, interface_type))
@@ -302,6 +303,15 @@ def _reliable(
             )
     all_capabilities = {**description.capabilities, interface_type: capabilities}
     return replace(description, capabilities=all_capabilities), tuple(notes)
+
+
+def _shortened(warnings: Sequence[str]) -> list[str]:
+    """Return the first of the warnings, and how many more there are."""
+    shown = list(warnings[:MOST_WARNINGS])
+    omitted = len(warnings) - len(shown)
+    if omitted:
+        shown.append(f"and {omitted} more warnings; 'cosim check' lists all")
+    return shown
 
 
 def _note_on_clocks(

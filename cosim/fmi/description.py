@@ -18,6 +18,7 @@ from cosim.fmi.references import ReferenceMap
 from cosim.fmi.variable import Variable
 
 InterfaceType: TypeAlias = Literal["me", "cs"]  # model exchange, co-simulation
+PortVariables: TypeAlias = tuple[tuple[Signal, tuple[Variable, ...]], ...]
 VariableDependencies: TypeAlias = Mapping[str, tuple[str, ...] | None]  # None: not declared
 INTERFACE_TYPES: tuple[InterfaceType, ...] = ("me", "cs")
 INTERFACE_TYPE_NAMES: Mapping[InterfaceType, str] = {"me": "model exchange", "cs": "co-simulation"}
@@ -155,10 +156,14 @@ class Description:
     tool: str = ""
     dae: Dae | None = None
     _named: dict[str, Variable] = field(init=False, repr=False, compare=False)
+    _ports: dict[str, PortVariables] = field(
+        init=False, repr=False, compare=False
+    )  # those asked for
 
     def __post_init__(self) -> None:
         named = {variable.name: variable for variable in self.variables}
         object.__setattr__(self, "_named", named)
+        object.__setattr__(self, "_ports", {})
 
     def __contains__(self, name: str) -> bool:
         """Return whether there is a variable of that name."""
@@ -177,15 +182,19 @@ class Description:
             raise FmuError(f"{self.name}: no variable {name!r}; {nearest(name, self._named)}")
         return variable
 
-    def ports(self, causality: str) -> tuple[tuple[Signal, tuple[Variable, ...]], ...]:
+    def ports(self, causality: str) -> PortVariables:
         """Return the signals of one causality, in order, with the variables of their elements.
 
         The local states stand behind the outputs. Aliases (``alias_of``) are left out.
         """
+        if causality not in self._ports:
+            self._ports[causality] = self._find_ports(causality)
+        return self._ports[causality]
+
+    def _find_ports(self, causality: str) -> PortVariables:
         variables = []
         for variable in self.variables:
-            is_alias = variable.alias_of is not None
-            if variable.causality == causality and variable.is_signal and not is_alias:
+            if variable.causality == causality and variable.is_signal and variable.alias_of is None:
                 variables.append(variable)
         if causality == "output":
             variables += [self[name] for name in self.local_states]

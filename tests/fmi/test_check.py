@@ -15,6 +15,7 @@ from cosim.fmi.binary.headers import built_for
 from cosim.fmi.checking.binaries import machine_of, required_functions
 from cosim.fmi.checking.check import check
 from cosim.fmi.child_process import attempt, find_rollback_problems
+from cosim.fmi.component import load
 from cosim.fmi.platforms import SUFFIX, folders
 from cosim.fmi.reading.model_description import read
 from cosim.native import build
@@ -129,7 +130,8 @@ ROGUES = {
     "NAN_OUTPUT": f"{RUN}: output 'y' is nan after a step",
     "OTHER_START": f"{RUN}: 'y' starts at 2; the file says exactly 1",
     "FAILS_STEP": f"{RUN}: fmi2DoStep returned 3 (error)",
-    "LIES": f"{BACK}: goes back wrongly: after steps the same steps give other outputs",
+    "LIES": f"{BACK}: goes back wrongly: after steps the same steps give other outputs, "
+    "'y' by 1 of its change",
     "FORGETS": f"{BACK}: goes back wrongly: after steps with other inputs the same steps give "
     "other outputs",
     "CRASHES_FREE": f"{BACK}: crashes: SIGSEGV at: terminate and free",
@@ -142,6 +144,25 @@ def test_rogues(rogue, what, text):
     problems = problems_of(rogue(what))
     assert len(problems) == 1 + (what == "NAN_OUTPUT")  # there both outputs are
     assert problems[0].startswith(text)
+
+
+@pytest.mark.parametrize(
+    ("what", "text"),
+    [
+        ("REFUSES_STATE", "is declared and then refused: fmi2GetFMUstate returned 3 (error)"),
+        ("REFUSES_BACK", "is declared and then refused: fmi2SetFMUstate returned 3 (error)"),
+        ("NEARLY", "goes back inexactly: after steps the same steps give other outputs, 'y' by"),
+    ],
+)
+def test_a_state_that_is_not_saved_is_a_warning(rogue, what, text):
+    """All else works; in a run the state is then not saved."""
+    path = rogue(what)
+    assert problems_of(path) == []
+    (warning,) = problems_of(path, "warning")
+    assert warning.startswith(f"{BACK}: {text}")
+    with load(path) as fmu:
+        assert not fmu.component.interface.rollback
+        assert text in " ".join(fmu.notes)
 
 
 def test_functions_that_nobody_calls(probe1):
@@ -167,8 +188,8 @@ def test_whether_an_fmu_can_go_back(rogue, exported, monkeypatch):
     good = read(exported)
     bad = read(rogue("LIES"))
     assert find_rollback_problems(good, "me") == find_rollback_problems(good, "cs") == ()
-    assert find_rollback_problems(bad, "cs") == (
-        "goes back wrongly: after steps the same steps give other outputs",
+    assert find_rollback_problems(bad, "cs")[0].startswith(
+        "goes back wrongly: after steps the same steps give other outputs"
     )
     monkeypatch.setattr(child_process, "attempt", lambda *_, **__: pytest.fail("tried again"))
     assert find_rollback_problems(good, "cs") == ()
@@ -221,9 +242,10 @@ def _described(xml):
     from xml.etree.ElementTree import fromstring
 
     from cosim.fmi.reading.archive import ArchiveContents
+    from cosim.fmi.reading.markup import Attributes
     from cosim.fmi.reading.model_description import describe_root
 
-    return describe_root(fromstring(xml), ArchiveContents("", frozenset(), {}), "x", [])
+    return describe_root(fromstring(xml), ArchiveContents("", frozenset(), {}), "x", Attributes())
 
 
 def test_a_library_that_is_missing_is_named(rogue, tmp_path):
@@ -340,7 +362,7 @@ def test_a_trial_that_cannot_be(tmp_path):
 
 FINDINGS = [
     ('start="2" min="0"', 'start="nan" min="0"', "error",
-     "variable 'k': start value: found nan, needed a number"),
+     "XML: variable 'k': start: found nan, needed a number"),
     ('start="2" min="0"', 'start="7" min="0"', "error",
      "variable 'k': start value: found 7, needed 0 to 5"),
     ('start="2" min="0" max="5"', 'start="2" min="4" max="1"', "error",
@@ -361,21 +383,25 @@ FINDINGS = [
      "together"),
     ('causality="input">', 'causality="input" variability="fixed">', "error",
      "variable 'u': causality input, variability fixed and initial exact do not go together"),
+    ('causality="input">', 'causality="input" initial="approx">', "warning",
+     "variable 'u': has the attribute initial, which causality input must not have"),
     ('variability="fixed">\n', 'variability="continuous">\n', "warning",
      "variable 'mode': variability continuous, which a variable of type Enumeration cannot have"),
     ('nominal="2"', 'nominal="0"', "warning",
      "variable 'z': nominal: found 0, needed a finite number that is not 0"),
     ('unit="m"', 'unit="km"', "warning",
      "variable 'u': unit 'km' is not defined in UnitDefinitions; it is understood by its name"),
-    ('<Unknown index="2" dependencies=""/>', "", "error",
+    ('unit="m"', 'unit="m" displayUnit="mm"', "warning",
+     "variable 'u': displayUnit 'mm' is not defined in unit 'm'"),
+    ('<Unknown index="2" dependencies=""/>', "", "warning",
      "outputs: not listed: y"),
-    ('<Unknown index="2" dependencies=""/>', '<Unknown index="2"/><Unknown index="3"/>', "error",
+    ('<Unknown index="2" dependencies=""/>', '<Unknown index="2"/><Unknown index="3"/>', "warning",
      "outputs: listed, and no output: k"),
-    ('<Unknown index="2" dependencies=""/>', '<Unknown index="2"/><Unknown index="2"/>', "error",
+    ('<Unknown index="2" dependencies=""/>', '<Unknown index="2"/><Unknown index="2"/>', "warning",
      "outputs: listed twice: y"),
-    ('dependencies="1" ', "", "error",
+    ('dependencies="1" ', "", "warning",
      "outputs: dependenciesKind needs as many entries as dependencies"),
-    ('dependenciesKind="dependent"', 'dependenciesKind="dependent fixed"', "error",
+    ('dependenciesKind="dependent"', 'dependenciesKind="dependent fixed"', "warning",
      "outputs: dependenciesKind needs as many entries"),
     ('dependencies="1" ', 'dependencies="2" ', "warning",
      "variable 'z': depends on y: neither an input, a parameter, a state nor the time"),
@@ -472,7 +498,7 @@ def test_all_problems_at_once(rogue):
     xml = xml.replace('unit="m"', 'unit="km"').replace('guid="rogue"', 'guid="rogue" color="red"')
     findings = check(rogue("CRASH", xml))
     assert {finding.where for finding in findings if finding.level == "error"} == {
-        "schema", "variable 'k'", "outputs", RUN,
+        "schema", "variable 'k'", RUN,
     }  # fmt: skip
     levels = [("error", "warning", "note").index(finding.level) for finding in findings]
     assert levels == sorted(levels)

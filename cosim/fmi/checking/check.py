@@ -16,7 +16,14 @@ from cosim.errors import FmuError
 from cosim.fmi.binary.headers import built_for
 from cosim.fmi.checking.binaries import machine_of, required_functions
 from cosim.fmi.checking.structure import Finding, Severity, check_structure
-from cosim.fmi.child_process import MISSING_FUNCTION, TIMEOUT, TrialTask, attempt
+from cosim.fmi.child_process import (
+    INEXACT,
+    MISSING_FUNCTION,
+    REFUSED,
+    TIMEOUT,
+    attempt,
+    try_fmu,
+)
 from cosim.fmi.description import INTERFACE_TYPE_NAMES, Description, InterfaceType
 from cosim.fmi.platforms import ARCHITECTURE, SUFFIX, SYSTEM, folders
 from cosim.fmi.reading.archive import ArchiveContents
@@ -88,15 +95,15 @@ def _prevents_trials(finding: Finding) -> bool:
 def _check_description(
     path: Path, root: Element, contents: ArchiveContents
 ) -> tuple[Description, list[Finding]]:
-    problems: list[str] = []
-    description = describe_root(root, contents, path.stem, problems)
-    definitions = read_definitions(root, Attributes([]))  # its problems are known by now
+    attributes = Attributes()
+    description = describe_root(root, contents, path.stem, attributes)
+    definitions = read_definitions(root, Attributes())  # its problems are known by now
     xml = contents.wanted[XML]
-    findings = [Finding("error", "XML", problem) for problem in problems]
+    findings = [Finding("error", "XML", problem) for problem in attributes.problems]
+    findings += [Finding("warning", "archive", text) for text in contents.warnings]
+    findings += [Finding("warning", "XML", text) for text in attributes.warnings]
     findings += _validate_schema(xml, major(root))
     findings += check_structure(root, description, definitions)
-    if not any(finding.level in ("error", "warning") for finding in findings):
-        findings += _validate_with_fmpy(xml)
     return description, findings
 
 
@@ -120,24 +127,6 @@ def _validate_schema(xml: bytes, version: int) -> list[Finding]:
         omitted = len(texts) - MAX_SCHEMA_FINDINGS
         texts = [*texts[:MAX_SCHEMA_FINDINGS], f"and {omitted} more"]
     return [Finding("error", "schema", text) for text in texts]
-
-
-def _validate_with_fmpy(xml: bytes) -> list[Finding]:
-    """Validate with fmpy, where nothing else was found."""
-    from fmpy.model_description import read_model_description
-    from fmpy.validation import validate_model_description
-
-    with TemporaryDirectory(prefix="cosim-xml-") as folder:
-        file = Path(folder) / XML
-        file.write_bytes(xml)
-        try:
-            description = read_model_description(str(file), validate=False)
-            problems = validate_model_description(
-                description, validate_variable_names=False, validate_model_structure=True
-            )
-        except Exception as error:  # fmpy raises what its parsing happens to raise
-            problems = [f"cannot read it: {type(error).__name__}: {error}"]
-    return [Finding("warning", "fmpy", problem) for problem in problems]
 
 
 # --- binaries ---
@@ -195,12 +184,14 @@ def _run_trials(
         # It may run all the same where all that is wrong is a missing function: nobody may call it.
         if not all(problem.startswith(MISSING_FUNCTION) for problem in problems):
             continue
-        problems = _try_fmu("run", path, interface_type, timeout)
+        problems = try_fmu("run", path, interface_type, timeout=timeout)
         findings += [Finding("error", f"trial run, {name}", problem) for problem in problems]
         if capabilities.saves_state and not problems:
             where = f"trial save and restore, {name}"
-            problems = _try_fmu("rollback", path, interface_type, timeout)
-            findings += [Finding("error", where, problem) for problem in problems]
+            for problem in try_fmu("rollback", path, interface_type, timeout=timeout):
+                # Its state is not saved then, and all else works.
+                harmless = problem.startswith((REFUSED, INEXACT))
+                findings.append(Finding("warning" if harmless else "error", where, problem))
     return findings
 
 
@@ -215,11 +206,3 @@ def _try_symbols(
         if file.is_file():
             return attempt("symbols", str(file), *names, timeout=timeout)
     return ()
-
-
-def _try_fmu(
-    task: TrialTask, path: Path, interface_type: InterfaceType, timeout: float
-) -> tuple[str, ...]:
-    absolute_path = str(path.resolve())
-    problems = attempt(task, absolute_path, interface_type, timeout=timeout)
-    return tuple(problem.replace(f"{absolute_path}: ", "") for problem in problems)

@@ -2,21 +2,25 @@
 
 For FMI 2 and 3: FMI 2.0.4 sections 2.2.7 and 2.2.8, FMI 3.0 sections 2.4.7 and 2.4.8. Of FMI 1 only
 what a user should know. An error is what no importer can rely on; a warning what is against the
-standard, and does no harm here.
+standard, and does no harm here: what ModelStructure does not say is taken as unknown.
 """
 
 from __future__ import annotations
 
 import math
 import re
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Final, Literal, NamedTuple, TypeAlias
 from xml.etree.ElementTree import Element
 
+from cosim.errors import listing
 from cosim.fmi.description import INTERFACE_TYPE_NAMES, Description
 from cosim.fmi.reading.dae import MANIFEST
 from cosim.fmi.reading.variables import FLOATS, Definitions, major
 from cosim.fmi.variable import Variable
+
+MOST_NAMES: Final = 100  # of variables in one finding
 
 Severity: TypeAlias = Literal["error", "warning", "note"]
 
@@ -73,6 +77,7 @@ SECTIONS: Final[Mapping[str, Mapping[int, str]]] = {
 }
 """Of ModelStructure: the elements by major version."""
 
+NO_INITIAL: Final = ("input", "independent")
 ALWAYS_KNOWN: Final = ("input", "independent", "parameter", "structuralParameter")
 NEVER_KNOWN: Final = "neither an input, a parameter, a state nor the time"
 NEVER_KNOWN_INITIALLY: Final = (
@@ -92,12 +97,16 @@ def check_structure(
     if major(root) == 1:
         findings += _check_negated_aliases(root)
         return findings
-    elements = _elements_by_name(root)
-    for variable in description.variables:
-        where = _where(variable.name)
-        element = elements.get(variable.alias_of or variable.name, root)
+    elements = _typed_elements(root)
+    by_name = {element.get("name", ""): element for element in reversed(elements)}
+    for position, variable in enumerate(description.variables):
+        # Aliases of FMI 3 stand behind all elements, and have none of their own.
+        if position < len(elements):
+            element = elements[position]
+        else:
+            element = by_name.get(variable.alias_of or "", root)
         for level, text in _check_variable(variable, element, definitions):
-            findings.append(Finding(level, where, text))
+            findings.append(Finding(level, _where(variable.name), text))
     findings += _check_model_structure(root, description)
     findings += _check_residual_form(description)
     findings += _check_names(root, description)
@@ -109,13 +118,11 @@ def _where(name: str | None) -> str:
     return f"variable {name!r}"
 
 
-def _elements_by_name(root: Element) -> dict[str, Element]:
-    """Return the element with the attributes of each variable's type."""
-    elements = {}
-    for element in root.iterfind("ModelVariables/*"):
-        if major(root) == 2:
-            element = _with_type_attributes(element)
-        elements[element.get("name", "")] = element
+def _typed_elements(root: Element) -> list[Element]:
+    """Return the elements of the variables, each with the attributes of its type."""
+    elements = list(root.iterfind("ModelVariables/*"))
+    if major(root) == 2:
+        return [_with_type_attributes(element) for element in elements]
     return elements
 
 
@@ -142,6 +149,9 @@ def _check_causality(variable: Variable, element: Element) -> VariableProblems:
     causality = variable.causality
     variability = variable.variability
     initial = variable.initial
+    if causality in NO_INITIAL and element.get("initial") is not None:
+        yield "warning", f"has the attribute initial, which causality {causality} must not have"
+        initial = None if causality == "independent" else "exact"
     if (variability, initial) not in ALLOWED.get(causality, set()):
         yield (
             "error",
@@ -172,8 +182,6 @@ def _check_start_values(variable: Variable) -> VariableProblems:
         return
     low = variable.minimum
     high = variable.maximum
-    if any(math.isnan(value) for value in variable.start):
-        yield "error", "start value: found nan, needed a number"
     outside = [value for value in variable.start if value < low or value > high]
     if outside:
         yield "error", f"start value: found {outside[0]:g}, needed {low:g} to {high:g}"
@@ -207,6 +215,11 @@ def _check_definitions(
             "warning",
             f"unit {unit!r} is not defined in UnitDefinitions; it is understood by its name",
         )
+    display_unit = element.get("displayUnit")
+    if display_unit is not None and display_unit not in definitions.display_units.get(
+        unit or "", ()
+    ):
+        yield "warning", f"displayUnit {display_unit!r} is not defined in unit {unit!r}"
 
 
 # --- ModelStructure ---
@@ -221,9 +234,10 @@ def _check_model_structure(root: Element, description: Description) -> Iterator[
     for section, paths in SECTIONS.items():
         unknowns = root.findall(f"ModelStructure/{paths[version]}")
         listed = [names.get(unknown.get(attribute, "").strip(), "") for unknown in unknowns]
-        duplicates = sorted({name for name in listed if listed.count(name) > 1})
+        counts = Counter(listed)
+        duplicates = sorted(name for name, count in counts.items() if count > 1 and name)
         if duplicates:
-            yield Finding("error", section, f"listed twice: {', '.join(duplicates)}")
+            yield Finding("warning", section, f"listed twice: {listing(duplicates, MOST_NAMES)}")
         yield from _check_dependency_kinds(section, unknowns)
         if section in expected:
             yield from _compare_listed(section, set(listed) - {""}, expected[section])
@@ -249,7 +263,7 @@ def _check_dependency_kinds(section: str, unknowns: Sequence[Element]) -> Iterat
             continue
         if dependencies is None or len(kinds.split()) != len(dependencies.split()):
             text = "dependenciesKind needs as many entries as dependencies"
-            yield Finding("error", section, text)
+            yield Finding("warning", section, text)
 
 
 def _expected_unknowns(root: Element, description: Description) -> dict[str, set[str]]:
@@ -274,15 +288,15 @@ def _expected_unknowns(root: Element, description: Description) -> dict[str, set
 
 
 def _compare_listed(section: str, listed: set[str], expected: set[str]) -> Iterator[Finding]:
-    of_outputs = section == "outputs"
-    level: Severity = "error" if of_outputs else "warning"
     missing = sorted(expected - listed)
     if missing:
-        yield Finding(level, section, f"not listed: {', '.join(missing)}")
+        text = f"not listed: {listing(missing, MOST_NAMES)}"
+        yield Finding("warning", section, text)
     surplus = sorted(listed - expected)
     if surplus:
-        reason = "and no output" if of_outputs else "although known initially"
-        yield Finding(level, section, f"listed, {reason}: {', '.join(surplus)}")
+        reason = "and no output" if section == "outputs" else "although known initially"
+        text = f"listed, {reason}: {listing(surplus, MOST_NAMES)}"
+        yield Finding("warning", section, text)
 
 
 def _check_dependencies(description: Description) -> Iterator[Finding]:
@@ -307,7 +321,7 @@ def _compare_dependencies(
     for name, needed in dependencies.items():
         unknown = [other for other in needed or () if other not in known and other != name]
         if unknown:
-            text = f"depends on {', '.join(unknown)}: {reason}"
+            text = f"depends on {listing(unknown)}: {reason}"
             yield Finding("warning", _where(name), text)
 
 
@@ -368,7 +382,7 @@ def _check_support(description: Description) -> Iterator[Finding]:
     undeclared = _undeclared_feedthrough(description)
     has_inputs = any(variable.causality == "input" for variable in description.variables)
     if undeclared and has_inputs:
-        names = ", ".join(undeclared)
+        names = listing(undeclared, MOST_NAMES)
         text = f"the file does not say on which inputs these depend directly: {names}"
         yield Finding("note", "structure", text)
     if description.clocks:

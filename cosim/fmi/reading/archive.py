@@ -2,6 +2,10 @@
 
 FMI 2.0.4 section 2.3, FMI 3.0 section 2.5. The file is opened once: what is hashed is what is read.
 The sizes that entries declare are only a first reason to refuse; what counts is what comes out.
+
+What is dangerous is refused, and so is what has two meanings. What does no harm on this machine,
+but may on another, is a warning: names that Windows keeps for itself, names that are one where the
+case does not count. So is a folder that is listed twice.
 """
 
 from __future__ import annotations
@@ -13,14 +17,16 @@ import re
 import stat
 import unicodedata
 import zipfile
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from cosim.errors import FmuError
+from cosim.errors import FmuError, listing
 from cosim.files import check_size, regular
+from cosim.fmi.platforms import SYSTEM
 
 LARGEST: Final = 2**30  # bytes, packed and unpacked
 MOST: Final = 10_000  # entries
@@ -51,11 +57,14 @@ class ArchiveContents:
         Names of the files in it.
     wanted : mapping of str to bytes
         Content of the members that were asked for, where they are there.
+    warnings : tuple of str
+        What is wrong with it and does no harm here.
     """
 
     sha256: str
     members: frozenset[str]
     wanted: Mapping[str, bytes]
+    warnings: tuple[str, ...] = ()
 
 
 def read_archive(path: Path, wanted: Sequence[str], into: Path | None = None) -> ArchiveContents:
@@ -75,7 +84,7 @@ def read_archive(path: Path, wanted: Sequence[str], into: Path | None = None) ->
         If it is no zip archive, or one that must not or cannot be unpacked.
     """
     with _open(path) as (archive, sha256):
-        entries = _check_entries(path, archive)
+        entries, warnings = _check_entries(path, archive)
         contents = {}
         for member in wanted:
             if member in entries:
@@ -84,7 +93,7 @@ def read_archive(path: Path, wanted: Sequence[str], into: Path | None = None) ->
                 contents[member] = content.getvalue()
         if into is not None:
             _unpack(path, archive, entries, into)
-        return ArchiveContents(sha256, frozenset(entries), contents)
+        return ArchiveContents(sha256, frozenset(entries), contents, tuple(warnings))
 
 
 class _BoundedFile(io.FileIO):
@@ -129,8 +138,10 @@ def _open(path: Path) -> Iterator[tuple[zipfile.ZipFile, str]]:
 # --- checks before anything is unpacked ---
 
 
-def _check_entries(path: Path, archive: zipfile.ZipFile) -> Mapping[str, zipfile.ZipInfo]:
-    """Return the files by name, if the archive may be unpacked."""
+def _check_entries(
+    path: Path, archive: zipfile.ZipFile
+) -> tuple[Mapping[str, zipfile.ZipInfo], list[str]]:
+    """Return the files by name, if the archive may be unpacked, and warnings."""
     entries = archive.infolist()
     if len(entries) > MOST:
         raise FmuError(f"{path}: the archive has {len(entries)} entries; needed at most {MOST}")
@@ -145,15 +156,26 @@ def _check_entries(path: Path, archive: zipfile.ZipFile) -> Mapping[str, zipfile
         problem = _name_problem(name) or _type_problem(entry)
         if problem:
             raise FmuError(f"{path}: the archive has {problem}: {name!r}")
-    names = [entry.orig_filename for entry in entries]
-    _check_duplicates(path, names)
-    _check_clashes(path, names)
+    with_backslash = [entry.orig_filename for entry in entries if "\\" in entry.orig_filename]
+    warnings = []
+    if with_backslash:
+        text = "names with backslashes, where FMI needs '/'"
+        warnings.append(f"the archive has {text}: {listing(with_backslash)}")
+    names = [_member(entry.orig_filename) for entry in entries]
+    warnings += _check_duplicates(path, names)
+    warnings += _check_portability(path, names)
     _check_overlap(path, archive, entries)
-    return {entry.orig_filename: entry for entry in entries if not _is_folder(entry)}
+    files = {_member(entry.orig_filename): entry for entry in entries if not _is_folder(entry)}
+    return files, warnings
+
+
+def _member(name: str) -> str:
+    """Return the name of an entry with the separators that FMI needs."""
+    return name.replace("\\", "/")
 
 
 def _is_folder(entry: zipfile.ZipInfo) -> bool:
-    return entry.orig_filename.endswith("/")
+    return _member(entry.orig_filename).endswith("/")
 
 
 def _name_problem(name: str) -> str | None:
@@ -162,19 +184,15 @@ def _name_problem(name: str) -> str | None:
         return "an entry with an absolute path"
     if ".." in re.split(r"[/\\]", name):
         return "an entry that leads out of it"
-    if "\\" in name:
-        return "an entry with a backslash in its name, where FMI needs '/'"
     if _has_control_character(name):
         return "an entry with a control character in its name"
-    return _parts_problem(name.removesuffix("/").split("/"))
+    return _parts_problem(_member(name).removesuffix("/").split("/"))
 
 
 def _parts_problem(parts: list[str]) -> str | None:
     """Return what is wrong with the names of folders and of the file in a path."""
     if "" in parts or "." in parts:
         return "an entry with an empty part in its path"
-    if any(":" in part or WINDOWS.fullmatch(part) for part in parts):
-        return "an entry with a name that Windows keeps for devices or streams, or ends otherwise"
     longest_part = max(len(part.encode()) for part in parts)
     if len(parts) > DEEPEST or longest_part > LONGEST:
         return f"an entry whose path is too long (at most {DEEPEST} parts of {LONGEST} bytes)"
@@ -205,19 +223,60 @@ def _type_problem(entry: zipfile.ZipInfo) -> str | None:
     return None
 
 
-def _check_duplicates(path: Path, names: list[str]) -> None:
-    if len(set(names)) < len(names):
-        duplicate = next(name for name in names if names.count(name) > 1)
-        raise FmuError(f"{path}: the archive has two entries of one name: {duplicate!r}")
+def _check_duplicates(path: Path, names: list[str]) -> list[str]:
+    """Refuse a file that is there twice; return a warning where a folder is."""
+    counts = Counter(names)
+    duplicates = [name for name, count in counts.items() if count > 1]
+    files = [name for name in duplicates if not name.endswith("/")]
+    if files:
+        raise FmuError(f"{path}: the archive has two entries of one name: {files[0]!r}")
+    if not duplicates:
+        return []
+    return [f"the archive lists folders twice: {listing(duplicates)}"]
 
 
-def _check_clashes(path: Path, names: list[str]) -> None:
-    """Refuse names that are one file on some system, and a file where a folder is needed.
+def _check_portability(path: Path, names: list[str]) -> list[str]:
+    """Return warnings about names that cannot be unpacked on every system.
+
+    Raises
+    ------
+    FmuError
+        If they cannot be on this one, or a file stands where a folder is needed.
+    """
+    warnings = []
+    kept = [name for name in names if _is_kept_by_windows(name)]
+    if kept:
+        text = "names that Windows keeps for devices or streams, or ends otherwise"
+        if SYSTEM == "windows":
+            raise FmuError(f"{path}: the archive has {text}: {kept[0]!r}")
+        warnings.append(f"the archive has {text}: {listing(kept)}")
+    clashes = _clashes(path, names)
+    if clashes:
+        text = "names that are one on some systems"
+        if SYSTEM != "linux":
+            raise FmuError(f"{path}: the archive has {text}: {clashes[0]}")
+        warnings.append(f"the archive has {text}: {listing(clashes)}")
+    return warnings
+
+
+def _is_kept_by_windows(name: str) -> bool:
+    parts = name.removesuffix("/").split("/")
+    return any(":" in part or WINDOWS.fullmatch(part) for part in parts)
+
+
+def _clashes(path: Path, names: list[str]) -> list[str]:
+    """Return pairs of names that are one file on some system.
 
     Names are one where neither the case nor the composition of letters counts.
+
+    Raises
+    ------
+    FmuError
+        If a file stands where a folder is needed.
     """
     files = {name for name in names if not name.endswith("/")}
     spellings: dict[str, str] = {}
+    clashes: dict[str, None] = {}
     for name in names:
         for place in _places(name):
             if place in files and place != name:
@@ -226,10 +285,8 @@ def _check_clashes(path: Path, names: list[str]) -> None:
                 )
             other = spellings.setdefault(_normalized(place), place)
             if other != place:
-                raise FmuError(
-                    f"{path}: the archive has names that are one on some systems: "
-                    f"{other!r} and {place!r}"
-                )
+                clashes[f"{other!r} and {place!r}"] = None
+    return list(clashes)
 
 
 def _places(name: str) -> list[str]:
@@ -275,7 +332,7 @@ def _unpack(
         with target.open("xb") as file:
             size += _copy(path, archive, entry, file.write, LARGEST - size)
     for entry in archive.infolist():
-        target = folder / entry.orig_filename
+        target = folder / _member(entry.orig_filename)
         target.parent.mkdir(parents=True, exist_ok=True)
         if _is_folder(entry):
             target.mkdir(exist_ok=True)

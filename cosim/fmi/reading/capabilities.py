@@ -14,7 +14,8 @@ from cosim.fmi.description import Capabilities, InterfaceType
 from cosim.fmi.reading.markup import Attributes, flag
 from cosim.fmi.reading.variables import major
 
-IDENTIFIER: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+IDENTIFIER: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_]*", re.ASCII)
+LONGEST: Final = 200  # bytes of a modelIdentifier; a name of a file may have 255
 ELEMENTS: Final[Mapping[InterfaceType, str]] = {"me": "ModelExchange", "cs": "CoSimulation"}
 
 
@@ -42,11 +43,26 @@ def _identifier(element: Element, attributes: Attributes) -> str:
     identifier = element.get("modelIdentifier")
     if identifier is None:
         attributes.problems.append(f"{element.tag}: the attribute modelIdentifier is missing")
-    elif not IDENTIFIER.fullmatch(identifier) or not identifier.isascii():
+        return ""
+    where = f"{element.tag}: modelIdentifier {identifier[:LONGEST]!r}"
+    if not _is_file_name(identifier):
         attributes.problems.append(
-            f"{element.tag}: modelIdentifier {identifier!r} is no identifier of C"
+            f"{where} is no name of a file (no path, at most {LONGEST} bytes)"
         )
-    return identifier or ""
+        return ""
+    if not IDENTIFIER.fullmatch(identifier):
+        attributes.warnings.append(f"{where} is no identifier of C")
+    return identifier
+
+
+def _is_file_name(identifier: str) -> bool:
+    """Return whether a library can have that name, in the folder where it is looked for."""
+    return (
+        identifier.isprintable()
+        and identifier.strip(". ") != ""
+        and not any(letter in identifier for letter in "/\\:")
+        and len(identifier.encode()) <= LONGEST
+    )
 
 
 def _capabilities_1(implementation: Element, identifier: str) -> Capabilities:

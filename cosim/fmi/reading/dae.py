@@ -35,7 +35,7 @@ def read_dae(raw: bytes, variables: Sequence[Variable]) -> Dae | None:
         root = parse(raw)
     except ValueError as error:
         return Dae("", problems=(f"it is not well-formed: {error}",))
-    attributes = Attributes([])
+    attributes = Attributes()
     version = _read_version(root, attributes)
     structure = _child(root, "ModelStructure")
     algebraic_variables = _child(root, "AlgebraicVariables")
@@ -53,6 +53,7 @@ def read_dae(raw: bytes, variables: Sequence[Variable]) -> Dae | None:
             dependencies[unknown.name] = unknown.dependencies
     _check_variables("AlgebraicVariable", algebraic, reader)
     _check_residuals(structure, residuals, reader)
+    attributes.problems += attributes.warnings
     if not attributes.problems:
         _check_count(algebraic, residuals, reader)
     problems = tuple(attributes.problems)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from xml.etree.ElementTree import Element
 
+from cosim.errors import listing
 from cosim.fmi.description import VariableDependencies
-from cosim.fmi.reading.markup import Attributes
+from cosim.fmi.reading.markup import LONGEST_QUOTE, Attributes, integers, whole
 from cosim.fmi.reading.variables import major
 from cosim.fmi.variable import Variable
 
@@ -38,12 +40,13 @@ def read_structure(
 
 def _structure_1(root: Element, attributes: Attributes) -> Structure:
     """Read DirectDependency (FMI 1.0 section 3.2), the names of inputs; without it, all of them."""
-    outputs = {}
+    outputs: dict[str, tuple[str, ...]] = {}
     for element in root.iterfind("ModelVariables/ScalarVariable"):
         direct = element.find("DirectDependency")
         if direct is not None:
             inputs = [(name.text or "").strip() for name in direct.iterfind("Name")]
-            outputs[element.get("name", "")] = tuple(inputs)
+            # The first variable keeps a name that several have.
+            outputs.setdefault(element.get("name", ""), tuple(inputs))
     indicators = _count(root, "numberOfEventIndicators", attributes)
     states = _count(root, "numberOfContinuousStates", attributes)
     return Structure(outputs, {}, {}, indicators, unnamed_states=states)
@@ -56,7 +59,7 @@ def _structure_2(
     names = {number: variable.name for number, variable in enumerate(variables, 1)}
     reader = _UnknownsReader(root, "index", names, attributes)
     outputs = reader.unknowns("Outputs/Unknown")
-    derivatives = reader.unknowns("Derivatives/Unknown")
+    derivatives = reader.derivatives("Derivatives/Unknown")
     initial = reader.unknowns("InitialUnknowns/Unknown")
     indicators = _count(root, "numberOfEventIndicators", attributes)
     return Structure(outputs, derivatives, initial, indicators)
@@ -70,7 +73,7 @@ def _structure_3(
     names = {variable.reference: variable.name for variable in first_names}
     reader = _UnknownsReader(root, "valueReference", names, attributes)
     outputs = reader.unknowns("Output")
-    derivatives = reader.unknowns("ContinuousStateDerivative")
+    derivatives = reader.derivatives("ContinuousStateDerivative")
     initial = reader.unknowns("InitialUnknown")
     indicators = reader.unknowns("EventIndicator")
     count = sum(variable.size for variable in first_names if variable.name in indicators)
@@ -106,47 +109,77 @@ class _UnknownsReader:
         self._names = names
         self._attributes = attributes
 
+    def derivatives(self, section: str) -> VariableDependencies:
+        """Return the derivatives, as ``unknowns``; each must be a variable, as they are counted."""
+        return self._read(section, self._attributes.problems)
+
     def unknowns(self, section: str) -> VariableDependencies:
         """Return the unknowns of a section, and what each depends on."""
+        return self._read(section, self._attributes.warnings)
+
+    def _read(self, section: str, findings: list[str]) -> VariableDependencies:
         where = f"ModelStructure/{section}"
-        unknowns = {}
+        unknowns: dict[str, tuple[str, ...] | None] = {}
         for element in self._root.iterfind(where):
-            number = self._attributes.integer(element, self._key, where)
-            if number is None or number not in self._names:
-                found = element.get(self._key)
-                self._attributes.problems.append(f"{where}: {self._key}={found} is no variable")
+            name = self._names.get(self._number(element))
+            if name is None:
+                found = element.get(self._key, "")[:LONGEST_QUOTE]
+                findings.append(f"{where}: {self._key}={found} is no variable")
                 continue
-            name = self._names[number]
             which = f"{where} {name!r}"
-            unknowns[name] = known_names(element, self._names, which, self._attributes)
+            dependencies = known_names(element, self._names, which, self._attributes)
+            if unknowns.setdefault(name, dependencies) != dependencies:
+                unknowns[name] = None  # listed twice, with two meanings
         return unknowns
+
+    def _number(self, element: Element) -> int:
+        """Return which variable an unknown is; -1, which is none, where that is no number."""
+        with suppress(ValueError):
+            return whole(element.get(self._key, ""))
+        return -1
 
 
 def known_names(
     element: Element, names: Mapping[int, str], where: str, attributes: Attributes
 ) -> tuple[str, ...] | None:
-    """Return the names of what an unknown depends on; None: not declared."""
-    numbers = attributes.integers(element, "dependencies", where)
-    if numbers is None:
+    """Return the names of what an unknown depends on; None: not declared, or not clearly."""
+    text = element.get("dependencies")
+    if text is None:
+        return None
+    try:
+        numbers = integers(text)
+    except ValueError:
+        attributes.warnings.append(
+            f"{where}: dependencies: found {text[:LONGEST_QUOTE]!r}, needed integers"
+        )
         return None
     missing = [str(number) for number in numbers if number not in names]
     if missing:
-        attributes.problems.append(f"{where}: dependencies name no variable: {', '.join(missing)}")
-    return tuple(names[number] for number in numbers if number in names)
+        attributes.warnings.append(f"{where}: dependencies name no variable: {listing(missing)}")
+        return None
+    return tuple(names[number] for number in numbers)
 
 
 def name_states(
-    derivatives: VariableDependencies, named: Mapping[str, Variable], problems: list[str]
-) -> tuple[str, ...]:
-    """Return the names of the states, in the order of the derivatives."""
+    derivatives: VariableDependencies, named: Mapping[str, Variable], attributes: Attributes
+) -> tuple[tuple[str, ...], int]:
+    """Return the names of the states, in the order of the derivatives.
+
+    A derivative that names no state has one all the same. Where there is such a one, no state is
+    named, as the order would be lost: returned are no names, and the number of state elements.
+    """
     states = []
+    unnamed = []
     for name in derivatives:
         state = named[name].derivative_of
         if state is None:
-            problems.append(
-                f"{name!r} is listed as a derivative, but has no attribute derivative "
-                "that names its state"
-            )
+            unnamed.append(name)
         else:
             states.append(state)
-    return tuple(states)
+    if not unnamed:
+        return tuple(states), 0
+    attributes.warnings.append(
+        f"{listing(unnamed)}: listed as a derivative, without an attribute derivative that names "
+        "its state; so no state is known by its name, and none is recorded as one"
+    )
+    return (), sum(named[name].size for name in derivatives)

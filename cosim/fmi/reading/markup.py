@@ -3,30 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import chain
 from typing import Final, TypeVar, final
 from xml.etree.ElementTree import Element, ParseError, TreeBuilder, XMLParser
 
 DEEPEST: Final = 64  # elements in elements
+LONGEST_QUOTE: Final = 100  # characters of what was found, in a message
 CHUNK: Final = 2**16  # bytes: entities of a document type cannot grow large before it is refused
 
 Value = TypeVar("Value")
 
 
 @final
-class _BoundedTree(TreeBuilder):
-    """Builds the tree of a document that has no document type and is not deep."""
-
-    depth = 0
-
-    def start(self, tag: str, attrs: dict[str, str], /) -> Element:
-        self.depth += 1
-        if self.depth > DEEPEST:
-            raise ValueError(f"elements stand more than {DEEPEST} deep in each other")
-        return super().start(tag, attrs)
-
-    def end(self, tag: str, /) -> Element:
-        self.depth -= 1
-        return super().end(tag)
+class _PlainTree(TreeBuilder):
+    """Builds the tree of a document that has no document type."""
 
     def doctype(self, name: str, pubid: str | None, system: str | None) -> None:
         raise ValueError("it has a document type (<!DOCTYPE ...>), which FMI does not use")
@@ -41,28 +31,40 @@ def parse(raw: bytes) -> Element:
         If it is not well-formed, in an encoding that is not known, has a document type, or is too
         deep.
     """
-    parser = XMLParser(target=_BoundedTree())
+    parser = XMLParser(target=_PlainTree())
     try:
         for start in range(0, len(raw), CHUNK):
             parser.feed(raw[start : start + CHUNK])
         root: Element = parser.close()
     except (ParseError, LookupError) as error:  # the second: an unknown encoding
         raise ValueError(str(error)) from error
+    _check_depth(root)
     return root
+
+
+def _check_depth(root: Element) -> None:
+    level = [root]
+    for _ in range(DEEPEST):
+        level = list(chain.from_iterable(level))
+    if level:
+        raise ValueError(f"elements stand more than {DEEPEST} deep in each other")
 
 
 @final
 class Attributes:
     """Reads attributes by type; one that is not of its type goes to ``problems``, and is None.
 
-    Parameters
+    Attributes
     ----------
     problems : list of str
-        Is appended to.
+        Why the file is refused.
+    warnings : list of str
+        What is against the standard, and does not keep an FMU from running as it is meant.
     """
 
-    def __init__(self, problems: list[str]) -> None:
-        self.problems = problems
+    def __init__(self) -> None:
+        self.problems: list[str] = []
+        self.warnings: list[str] = []
 
     def report(self, where: str, found: object, needed: str) -> None:
         """Add a problem: what was found at a place, and what was needed."""
@@ -79,14 +81,34 @@ class Attributes:
         """Read an xs:double."""
         return self._convert(element.get(name), real, f"{where}: {name}", "a number")
 
+    def optional_number(self, element: Element, name: str, where: str) -> float | None:
+        """Read an xs:double that no run needs: what is none is a warning."""
+        text = element.get(name)
+        if text is None:
+            return None
+        try:
+            return real(text)
+        except ValueError:
+            self.warnings.append(
+                f"{where}: {name}: found {text[:LONGEST_QUOTE]!r}, needed a number"
+            )
+            return None
+
     def integer(self, element: Element, name: str, where: str) -> int | None:
         """Read an integer."""
         return self._convert(element.get(name), whole, f"{where}: {name}", "an integer")
 
     def reference(self, element: Element, name: str, where: str) -> int:
         """Read a value reference, which must be there."""
-        text = self.text(element, name, where) or None
-        reference = self._convert(text, whole, f"{where}: {name}", "an integer") or 0
+        text = element.get(name)
+        if text is not None and text.isdecimal() and len(text) < 10:
+            return int(text)
+        reference = (
+            self._convert(
+                self.text(element, name, where) or None, whole, f"{where}: {name}", "an integer"
+            )
+            or 0
+        )
         if not 0 <= reference < 2**32:
             self.report(f"{where}: {name}", reference, f"0 to {2**32 - 1}")
             return 0
@@ -108,7 +130,7 @@ class Attributes:
         try:
             return convert(text)
         except ValueError:
-            self.report(where, repr(text[:100]), needed)
+            self.report(where, repr(text[:LONGEST_QUOTE]), needed)
             return None
 
 
@@ -143,4 +165,7 @@ def integers(text: str) -> tuple[int, ...]:
 
 def reals(text: str) -> tuple[float, ...]:
     """Read a list of numbers or Booleans."""
-    return tuple(real(word) for word in text.split())
+    try:
+        return (real(text),)  # most are one number
+    except ValueError:
+        return tuple(map(real, text.split()))

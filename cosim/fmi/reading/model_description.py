@@ -25,6 +25,7 @@ from cosim.fmi.reading.markup import Attributes, parse
 from cosim.fmi.reading.variables import major, read_definitions, read_variables
 
 XML: Final = "modelDescription.xml"
+MOST_PROBLEMS: Final = 100  # of one file, in one error
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +42,8 @@ class Archive:
     members : frozenset of str
         Names of the files in it.
     description : Description
+    warnings : tuple of str
+        What is against the standard, and does not keep the FMU from running as it is meant.
     """
 
     path: Path
@@ -48,6 +51,7 @@ class Archive:
     xml: str
     members: frozenset[str]
     description: Description
+    warnings: tuple[str, ...] = ()
 
 
 def read(path: Path | str, into: Path | None = None) -> Archive:
@@ -68,13 +72,17 @@ def read(path: Path | str, into: Path | None = None) -> Archive:
     """
     path = Path(path)
     root, contents = open_description(path, into)
-    problems: list[str] = []
-    description = describe_root(root, contents, path.stem, problems)
-    if problems:
-        lines = [f"{path}: {XML}: {problem}" for problem in problems]
+    attributes = Attributes()
+    description = describe_root(root, contents, path.stem, attributes)
+    if attributes.problems:
+        lines = [f"{path}: {XML}: {problem}" for problem in attributes.problems[:MOST_PROBLEMS]]
+        omitted = len(attributes.problems) - len(lines)
+        if omitted:
+            lines.append(f"{path}: {XML}: and {omitted} more problems; 'cosim check' lists all")
         raise FmuError("\n".join(lines))
     xml = contents.wanted[XML].decode("utf-8", "replace")
-    return Archive(path, contents.sha256, xml, contents.members, description)
+    warnings = (*contents.warnings, *attributes.warnings)
+    return Archive(path, contents.sha256, xml, contents.members, description, warnings)
 
 
 def open_description(path: Path, into: Path | None = None) -> tuple[Element, ArchiveContents]:
@@ -116,19 +124,19 @@ def need_file(path: Path) -> None:
 
 
 def describe_root(
-    root: Element, contents: ArchiveContents, stem: str, problems: list[str]
+    root: Element, contents: ArchiveContents, stem: str, attributes: Attributes
 ) -> Description:
-    """Read the XML; problems are appended to ``problems``, and the result is then not to be used.
+    """Read the XML; what is wrong goes to ``attributes``.
 
-    Problems of the manifest of a residual form stay with that form: the FMU works without it.
+    Where there are problems, the result is not to be used. Problems of the manifest of a residual
+    form stay with that form: the FMU works without it.
     """
-    attributes = Attributes(problems)
     version = major(root)
     definitions = read_definitions(root, attributes)
     variables = read_variables(root, definitions, attributes)
     structure = read_structure(root, variables, attributes)
     named = {variable.name: variable for variable in variables}
-    states = name_states(structure.derivatives, named, problems)
+    states, unnamed_states = name_states(structure.derivatives, named, attributes)
     token_name = "instantiationToken" if version == 3 else "guid"
     token = attributes.text(root, token_name, root.tag)
     capabilities = read_capabilities(root, attributes)
@@ -144,7 +152,7 @@ def describe_root(
         states=states,
         dependencies={**structure.outputs, **structure.derivatives},
         initial_dependencies=structure.initial,
-        unnamed_states=structure.unnamed_states,
+        unnamed_states=structure.unnamed_states + unnamed_states,
         capabilities=capabilities,
         event_indicators=structure.event_indicators,
         indicators=structure.indicators,
@@ -163,8 +171,8 @@ def _read_experiment(root: Element, attributes: Attributes) -> tuple[float | Non
     experiment = root.find("DefaultExperiment")
     if experiment is None:
         return None, None
-    step = attributes.number(experiment, "stepSize", "DefaultExperiment")
-    tolerance = attributes.number(experiment, "tolerance", "DefaultExperiment")
+    step = attributes.optional_number(experiment, "stepSize", "DefaultExperiment")
+    tolerance = attributes.optional_number(experiment, "tolerance", "DefaultExperiment")
     return step, tolerance
 
 

@@ -10,11 +10,12 @@ another negated, which no call returns, and is left out.
 from __future__ import annotations
 
 import math
-from collections.abc import Container, Iterable, Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Final, cast
+from typing import Final, NamedTuple, cast
 from xml.etree.ElementTree import Element
 
+from cosim.errors import listing
 from cosim.fmi.reading.markup import Attributes, Value, flag
 from cosim.fmi.variable import LARGEST_EXACT, Initial, Variable, VariableType
 from cosim.units import BASE, BaseUnit, base_unit
@@ -58,11 +59,13 @@ class Definitions:
     ----------
     units : mapping of name to BaseUnit or None
         None: the file does not say what it is.
+    display_units : mapping of name of a unit to names
     types : mapping of name to Element
         With the attributes that a variable takes where it has none of its own.
     """
 
     units: Mapping[str, BaseUnit | None] = field(default_factory=dict)
+    display_units: Mapping[str, frozenset[str]] = field(default_factory=dict)
     types: Mapping[str, Element] = field(default_factory=dict)
 
 
@@ -78,6 +81,7 @@ def read_definitions(root: Element, attributes: Attributes) -> Definitions:
     """Read UnitDefinitions and TypeDefinitions."""
     version = major(root)
     units: list[tuple[str, BaseUnit | None]] = []
+    display_units: dict[str, frozenset[str]] = {}
     if version == 1:
         # The names of base units say what they are; all else is for display.
         for element in root.iterfind("UnitDefinitions/BaseUnit"):
@@ -85,14 +89,17 @@ def read_definitions(root: Element, attributes: Attributes) -> Definitions:
             units.append((name, base_unit(name)))
     else:
         for element in root.iterfind("UnitDefinitions/Unit"):
-            units.append((element.get("name", ""), _read_unit(element, attributes)))
-    for name in _duplicates(name for name, _ in units):
+            name = element.get("name", "")
+            units.append((name, _read_unit(element, attributes)))
+            display = element.iterfind("DisplayUnit")
+            display_units[name] = frozenset(unit.get("name", "") for unit in display)
+    for name in _ambiguous(units):
         attributes.problems.append(f"two units with the name {name!r}")
     types: dict[str, Element] = {}
     for element in root.iterfind("TypeDefinitions/*"):
         typed = element if version == 3 else next(iter(element), element)
         types[element.get("name", "")] = typed
-    return Definitions(dict(units), types)
+    return Definitions(dict(units), display_units, types)
 
 
 def _read_unit(unit: Element, attributes: Attributes) -> BaseUnit | None:
@@ -114,11 +121,10 @@ def _read_unit(unit: Element, attributes: Attributes) -> BaseUnit | None:
     return BaseUnit(exponents, factor, offset or 0.0)
 
 
-def _duplicates(names: Iterable[str]) -> list[str]:
-    counts: dict[str, int] = {}
-    for name in names:
-        counts[name] = counts.get(name, 0) + 1
-    return [name for name, count in counts.items() if count > 1]
+def _ambiguous(units: Sequence[tuple[str, BaseUnit | None]]) -> list[str]:
+    """Return the names of units that are defined twice, and not the same each time."""
+    definitions = dict(units)
+    return list(dict.fromkeys(name for name, unit in units if unit != definitions[name]))
 
 
 # --- variables ---
@@ -131,77 +137,130 @@ def read_variables(
     version = major(root)
     reader = _VariableReader(version, definitions, attributes)
     elements = list(root.iterfind("ModelVariables/*"))
-    # All variables come before the first size, which may be a structural parameter's value.
-    without_sizes = [reader.variable(element) for element in elements]
-    by_reference = {variable.reference: variable for variable in without_sizes}
-    variables: list[Variable] = []
-    aliases: list[Variable] = []
-    for element, without_size in zip(elements, without_sizes, strict=True):
-        variable = _with_size(without_size, element, by_reference, attributes)
-        if version > 1 or element.get("alias") != "negatedAlias":
-            variables.append(variable)
-        aliases += _aliases(variable, element)
-    variables += aliases
-    for name in _duplicates(variable.name for variable in variables):
-        attributes.problems.append(f"two variables with the name {name!r}")
-    if version == 1:
-        return tuple(variables)
-    return _with_derivatives(variables, elements, version, attributes)
+    variables = [reader.variable(element) for element in elements]
+    if version == 3:
+        # All variables come before the first size, which may be a structural parameter's value.
+        variables = _with_sizes(variables, elements, attributes)
+    elif version == 1:
+        pairs = zip(variables, elements, strict=True)
+        variables = [v for v, element in pairs if element.get("alias") != "negatedAlias"]
+    return _with_derivatives(_with_own_names(variables, attributes), reader, attributes)
+
+
+class _Roles(NamedTuple):
+    """What many variables have in common, and is read once."""
+
+    type: VariableType
+    causality: str
+    variability: str
+    initial: Initial | None
+    unit: str | None
+    base: BaseUnit | None
+    minimum: float
+    maximum: float
+    nominal: float | None
+    items: Mapping[str, int]
 
 
 class _VariableReader:
-    """Reads one variable after the other."""
+    """Reads one variable after the other.
+
+    Attributes
+    ----------
+    derivatives : dict of position to int
+        The attribute ``derivative`` of the variables that have it, by their positions from 0.
+    version : int
+    """
 
     def __init__(self, version: int, definitions: Definitions, attributes: Attributes) -> None:
-        self._version = version
+        self.derivatives: dict[int, int] = {}
+        self.version = version
         self._definitions = definitions
         self._attributes = attributes
+        self._roles: dict[tuple[str | None, ...], _Roles] = {}
+        self._count = 0
 
     def variable(self, element: Element) -> Variable:
         """Read a variable, as yet without its size and without what it is the derivative of."""
-        version = self._version
+        version = self.version
         attributes = self._attributes
-        typed = _typed(element, version, TYPES)
+        typed = element if version == 3 else _typed(element, TYPES)
         name = attributes.text(element, "name", "a variable")
         where = f"variable {name!r}"
-        known_type = (TYPES_3 if version == 3 else TYPES).get(typed.tag)
-        if known_type is None:
-            attributes.problems.append(f"{where}: its type is none of FMI {version}")
-        variable_type = known_type or "Float64"
-        declared_type = typed.get("declaredType", "")
-        declared = self._definitions.types.get(declared_type, Element("none"))
-        minimum = self._number(typed, declared, "min", where)
-        maximum = self._number(typed, declared, "max", where)
-        nominal = self._number(typed, declared, "nominal", where)
-        unit = typed.get("unit", declared.get("unit"))
-        roles = _roles_1 if version == 1 else _roles
-        causality, variability, initial = roles(element, typed, known_type in FLOATS)
-        reference = attributes.reference(element, "valueReference", where)
-        text = self._text(typed, variable_type, where)
-        start = self._start(typed, variable_type, where)
-        items = self._items(declared) if typed.tag == "Enumeration" else {}
+        roles = self._roles_of(element, typed, where)
+        derivative = attributes.integer(typed, "derivative", where)
+        if derivative is not None and version > 1:
+            self.derivatives[self._count] = derivative
+        self._count += 1
+        start = None
+        text = None
+        if roles.type in ("String", "Binary"):
+            text = self._text(typed, roles.type, where)
+        elif roles.type != "Clock":
+            start = self._start(typed, roles, where)
         return Variable(
             name=name,
-            reference=reference,
-            causality=causality,
-            type=variable_type,
-            variability=variability,
-            initial=initial,
-            unit=unit,
-            base=self._base(unit, typed, declared),
+            reference=attributes.reference(element, "valueReference", where),
+            causality=roles.causality,
+            type=roles.type,
+            variability=roles.variability,
+            initial=roles.initial,
+            unit=roles.unit,
+            base=roles.base,
             start=start,
             text=text,
-            minimum=-math.inf if minimum is None else minimum,
-            maximum=math.inf if maximum is None else maximum,
-            nominal=nominal,
-            items=items,
+            minimum=roles.minimum,
+            maximum=roles.maximum,
+            nominal=roles.nominal,
+            items=roles.items,
             inside_steps=version < 3 or flag(element, "intermediateUpdate"),
             doc=element.get("description", ""),
         )
 
-    def _number(self, typed: Element, declared: Element, key: str, where: str) -> float | None:
+    def _roles_of(self, element: Element, typed: Element, where: str) -> _Roles:
+        """Return what the attributes say that many variables share; ``where`` names the first."""
+        get = typed.get
+        key = (
+            *(typed.tag, element.get("causality"), element.get("variability")),
+            *(element.get("initial"), get("declaredType"), get("unit"), get("relativeQuantity")),
+            *(get("min"), get("max"), get("nominal"), get("fixed")),
+            "" if self.version == 1 and get("start") is not None else None,
+        )
+        roles = self._roles.get(key)
+        if roles is None:
+            roles = self._read_roles(element, typed, where)
+            self._roles[key] = roles
+        return roles
+
+    def _read_roles(self, element: Element, typed: Element, where: str) -> _Roles:
+        version = self.version
+        known_type = (TYPES_3 if version == 3 else TYPES).get(typed.tag)
+        if known_type is None:
+            self._attributes.problems.append(f"{where}: its type is none of FMI {version}")
+        declared_type = typed.get("declaredType", "")
+        declared = self._definitions.types.get(declared_type, Element("none"))
+        minimum = self._limit(typed, declared, "min", where)
+        maximum = self._limit(typed, declared, "max", where)
+        unit = typed.get("unit", declared.get("unit"))
+        read = _read_roles_1 if version == 1 else _read_roles
+        causality, variability, initial = read(element, typed, known_type in FLOATS)
+        return _Roles(
+            type=known_type or "Float64",
+            causality=causality,
+            variability=variability,
+            initial=initial,
+            unit=unit,
+            base=self._base(unit, typed, declared),
+            minimum=-math.inf if minimum is None else minimum,
+            maximum=math.inf if maximum is None else maximum,
+            nominal=self._limit(typed, declared, "nominal", where),
+            items=self._items(declared) if typed.tag == "Enumeration" else {},
+        )
+
+    def _limit(self, typed: Element, declared: Element, key: str, where: str) -> float | None:
+        """Return min, max or nominal; one that is no number is left out, with a warning."""
         source = declared if typed.get(key) is None else typed
-        return self._attributes.number(source, key, where)
+        return self._attributes.optional_number(source, key, where)
 
     def _base(self, unit: str | None, typed: Element, declared: Element) -> BaseUnit | None:
         """Return what a unit is in SI; a relative quantity has no offset."""
@@ -211,20 +270,29 @@ class _VariableReader:
             return replace(base, offset=0.0)
         return base
 
-    def _start(
-        self, typed: Element, variable_type: VariableType, where: str
-    ) -> tuple[float, ...] | None:
+    def _start(self, typed: Element, roles: _Roles, where: str) -> tuple[float, ...] | None:
         """Return start values that float64 carries exactly; any other is left to the FMU."""
-        if variable_type in ("String", "Binary", "Clock"):
+        start = typed.get("start")
+        if start is None:
             return None
-        if typed.tag in ("Real", "Boolean", *FLOATS):
-            return self._attributes.numbers(typed.get("start"), f"{where}: start")
+        values = self._start_values(start, typed, roles, where)
+        if values is not None and self.version < 3 and len(values) != 1:
+            _check_start_count(values, 1, where, self._attributes)
+        return values
+
+    def _start_values(
+        self, start: str, typed: Element, roles: _Roles, where: str
+    ) -> tuple[float, ...] | None:
+        if roles.type in (*FLOATS, "Boolean"):
+            values = self._attributes.numbers(start, f"{where}: start")
+            if values is not None and any(map(math.isnan, values)):
+                self._attributes.report(f"{where}: start", "nan", "a number")
+                return None
+            return values
         numbers = self._attributes.integers(typed, "start", where)
-        if numbers is None:
+        if numbers is None or any(abs(number) > LARGEST_EXACT for number in numbers):
             return None
-        if any(abs(number) > LARGEST_EXACT for number in numbers):
-            return None
-        return tuple(float(number) for number in numbers)
+        return tuple(map(float, numbers))
 
     def _items(self, declared: Element) -> dict[str, int]:
         """Return the items of an enumeration; in FMI 1 they count from 1."""
@@ -232,7 +300,7 @@ class _VariableReader:
         items: dict[str, int] = {}
         for position, item in enumerate(declared.findall("Item"), 1):
             value = position
-            if self._version > 1:
+            if self.version > 1:
                 value = self._attributes.integer(item, "value", where) or 0
             items[item.get("name", "")] = value
         return items
@@ -240,9 +308,7 @@ class _VariableReader:
     def _text(
         self, typed: Element, variable_type: VariableType, where: str
     ) -> tuple[str, ...] | None:
-        if variable_type not in ("String", "Binary"):
-            return None
-        if self._version < 3:
+        if self.version < 3:
             values = [typed.get("start")]
         else:
             values = [start.get("value") for start in typed.iterfind("Start")]
@@ -255,11 +321,12 @@ class _VariableReader:
         return texts or None
 
 
-def _typed(element: Element, version: int, tags: Container[str]) -> Element:
-    """Return the element with the attributes of a variable's type: before FMI 3, a child."""
-    if version == 3:
-        return element
-    return next((child for child in element if child.tag in tags), element)
+def _typed(element: Element, tags: Container[str]) -> Element:
+    """Return the child with the attributes of a variable's type; FMI 3 has none."""
+    for child in element:
+        if child.tag in tags:
+            return child
+    return element
 
 
 def _is_hexadecimal(text: str) -> bool:
@@ -270,7 +337,7 @@ def _is_hexadecimal(text: str) -> bool:
     return True
 
 
-def _roles(element: Element, typed: Element, is_real: bool) -> tuple[str, str, Initial | None]:
+def _read_roles(element: Element, typed: Element, is_real: bool) -> tuple[str, str, Initial | None]:
     """Return causality, variability and initial, with their defaults (FMI 2.0.4 section 2.2.7)."""
     causality = element.get("causality", "local")
     variability = element.get("variability")
@@ -294,7 +361,9 @@ def _initial(element: Element, causality: str, variability: str) -> Initial | No
     return "calculated" if is_calculated else "exact"
 
 
-def _roles_1(element: Element, typed: Element, is_real: bool) -> tuple[str, str, Initial | None]:
+def _read_roles_1(
+    element: Element, typed: Element, is_real: bool
+) -> tuple[str, str, Initial | None]:
     """Return in words of FMI 2 what FMI 1 says otherwise (parameter, internal, none, fixed)."""
     causality = element.get("causality", "internal")
     if causality in ("internal", "none"):
@@ -310,6 +379,22 @@ def _roles_1(element: Element, typed: Element, is_real: bool) -> tuple[str, str,
         return causality, variability, "calculated"
     is_guess = typed.get("fixed", "true") in ("false", "0")
     return causality, variability, "approx" if is_guess else "exact"
+
+
+def _with_sizes(
+    variables: Sequence[Variable], elements: Sequence[Element], attributes: Attributes
+) -> list[Variable]:
+    """Return the variables of FMI 3 with their sizes, and then their aliases."""
+    by_reference = {variable.reference: variable for variable in variables}
+    sized = []
+    aliases: list[Variable] = []
+    for without_size, element in zip(variables, elements, strict=True):
+        variable = without_size
+        if len(element) or variable.start is not None:
+            variable = _with_size(without_size, element, by_reference, attributes)
+            aliases += _aliases(variable, element)
+        sized.append(variable)
+    return sized + aliases
 
 
 def _with_size(
@@ -335,6 +420,8 @@ def _with_size(
     if len(attributes.problems) == problems_before:
         _check_start_count(start, size, where, attributes)
         _check_start_count(text, size, where, attributes)
+    if not dimensions:
+        return variable
     return replace(variable, dimensions=tuple(dimensions), size=size, start=start, text=text)
 
 
@@ -378,32 +465,60 @@ def _aliases(variable: Variable, element: Element) -> list[Variable]:
     return aliases
 
 
+def _with_own_names(variables: Sequence[Variable], attributes: Attributes) -> Sequence[Variable]:
+    """Return the variables with names that no other has: of two with one name, the first keeps it.
+
+    The others get a number: ``x#2``. One with the type and the reference of the first is the same
+    variable, and so an alias.
+    """
+    first_of = {variable.name: variable for variable in reversed(variables)}
+    if len(first_of) == len(variables):
+        return variables
+    names = set(first_of)
+    renamed: list[Variable] = []
+    shown = []
+    for variable in variables:
+        first = first_of[variable.name]
+        if variable is first:
+            renamed.append(variable)
+            continue
+        number = 2
+        while f"{variable.name}#{number}" in names:
+            number += 1
+        name = f"{variable.name}#{number}"
+        names.add(name)
+        shown.append(repr(name))
+        same = (variable.type, variable.reference) == (first.type, first.reference)
+        alias_of = variable.alias_of or (first.name if same else None)
+        renamed.append(replace(variable, name=name, alias_of=alias_of))
+    attributes.warnings.append(
+        f"variables have a name that another has before them, and are called: {listing(shown)}"
+    )
+    return renamed
+
+
 def _with_derivatives(
-    variables: Sequence[Variable],
-    elements: Sequence[Element],
-    version: int,
-    attributes: Attributes,
+    variables: Sequence[Variable], reader: _VariableReader, attributes: Attributes
 ) -> tuple[Variable, ...]:
     """Return the variables with the states that they are derivatives of.
 
     FMI 2 names a state by its position from 1, FMI 3 by its value reference, which is that of the
     first name and of its aliases.
     """
-    if version == 2:
+    if not reader.derivatives:
+        return tuple(variables)
+    if reader.version == 2:
         names = {position: variable.name for position, variable in enumerate(variables, 1)}
     else:
         # Reversed, so that the first name wins: aliases stand behind all others.
         names = {variable.reference: variable.name for variable in reversed(variables)}
     states: dict[str, str] = {}
-    # Aliases have no element of their own, and end what is longer.
-    for element, variable in zip(elements, variables, strict=False):
-        where = f"variable {variable.name!r}"
-        number = attributes.integer(_typed(element, version, ("Real",)), "derivative", where)
-        if number is None:
-            continue
+    for position, number in reader.derivatives.items():
+        name = variables[position].name
         if number in names:
-            states[variable.name] = names[number]
+            states[name] = names[number]
         else:
+            where = f"variable {name!r}"
             attributes.problems.append(f"{where}: derivative={number} is no variable")
     completed = []
     for variable in variables:

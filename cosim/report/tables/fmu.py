@@ -151,8 +151,8 @@ def _depends_on(variable: Row, dependencies: Mapping[str, list[str] | None]) -> 
     return _names(dependencies.get(variable["name"]))
 
 
-def print_check(path: str, *, as_json: bool) -> None:
-    """Print all problems of an FMU; exit 1 if there is an error."""
+def print_check(path: str, *, strict: bool, as_json: bool) -> None:
+    """Print all problems of an FMU; exit 1 if there is an error, or a warning where ``strict``."""
     from cosim.fmi.checking.check import check
 
     findings = [finding._asdict() for finding in check(path)]
@@ -166,7 +166,7 @@ def print_check(path: str, *, as_json: bool) -> None:
             typer.echo(f"{finding['level']}: {finding['where']}: {finding['text']}")
         counts = [*_count(errors, "error"), *_count(warnings, "warning")]
         typer.echo(f"{path}: {', '.join(counts) or 'no problems found'}")
-    if errors:
+    if errors or (strict and warnings):
         raise typer.Exit(1)
 
 

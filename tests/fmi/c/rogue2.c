@@ -9,7 +9,8 @@
 
 enum {
     GOOD, CRASH, HANG, EXITS, REFUSES, NAN_OUTPUT, OTHER_START, LIES, FORGETS,
-    HANGS_BACK, CRASHES_FREE, FAILS_STEP, LOUD, LITTERS, PRINTS
+    HANGS_BACK, CRASHES_FREE, FAILS_STEP, LOUD, LITTERS, PRINTS, REFUSES_STATE, REFUSES_BACK,
+    NEARLY
 };
 
 typedef struct {
@@ -81,6 +82,8 @@ NOTHING(fmi2SetString, const fmi2String)
 
 fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *s)
 {
+    if (ROGUE == REFUSES_STATE)
+        return fmi2Error;
     if (!*s)
         *s = malloc(sizeof(Model));
     *(Model *)*s = *(Model *)c;
@@ -94,8 +97,12 @@ fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate s)
     if (ROGUE == HANGS_BACK)
         for (;;)
             pause();
+    if (ROGUE == REFUSES_BACK)
+        return fmi2Error;
     if (ROGUE != LIES)
         *m = *saved;
+    if (ROGUE == NEARLY)
+        m->x += 1e-6;
     if (ROGUE == FORGETS)
         m->memory = memory;
     return fmi2OK;
