@@ -103,4 +103,4 @@ def listing(names: Sequence[str], most: int = 5) -> str:
     """Return names in one line: the first of them, and how many more there are."""
     text = ", ".join(names[:most])
     omitted = len(names) - most
-    return f"{text} and {omitted} more" if omitted > 0 else text
+    return f"{text}, and {omitted} more" if omitted > 0 else text
