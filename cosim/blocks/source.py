@@ -118,7 +118,7 @@ def _number(value: float) -> str:
 
 
 class Table:
-    """Linear interpolation between the points of a table; it refuses to extrapolate.
+    """Linear interpolation between the points of a table.
 
     Parameters
     ----------
@@ -127,22 +127,32 @@ class Table:
     y : Matrix, shape (N, n)
     hold : bool
         Zero-order hold instead: each value until the next instant (a discrete signal).
+    extrapolate : bool
+        Hold the first value before the first instant, and the last one after the last.
+    unit : str, optional
 
     Raises
     ------
     UsageError
-        If the points are no table, or the run starts outside it.
+        If the points are no table, or the run starts outside it without ``extrapolate``.
     Stopped
-        From ``advance``, where the table ends.
+        From ``advance``, where the table ends without ``extrapolate``.
     """
 
     def __init__(
-        self, t: Vector, y: Matrix, *, hold: bool = False, unit: str | None = None
+        self,
+        t: Vector,
+        y: Matrix,
+        *,
+        hold: bool = False,
+        extrapolate: bool = False,
+        unit: str | None = None,
     ) -> None:
-        _check_points(t, y)
+        check_points(t, y, hold=hold)
         self.t = frozen(t, 1)
         self.y = frozen(y, 2)
         self.hold = hold
+        self.extrapolate = extrapolate
         size = y.shape[1]
         signal = Signal("y", size, unit, "discrete" if hold else "continuous")
         self.interface = Interface(outputs=(signal,))
@@ -159,7 +169,7 @@ class Table:
         UsageError
             If ``t`` is outside the table.
         """
-        if not self.t[0] <= t <= self.t[-1]:
+        if not (self.extrapolate or self.t[0] <= t <= self.t[-1]):
             raise UsageError(self._beyond(t))
         rows = self._at(np.array([t]))
         y: Vector = rows[0]
@@ -174,7 +184,7 @@ class Table:
             Where the table ends; with the rows before it.
         """
         times = t[1:]
-        covered = times <= self.t[-1]
+        covered = times <= (np.inf if self.extrapolate else self.t[-1])
         y = self._at(times[covered])
         completed = len(y)
         if completed < len(times):
@@ -190,12 +200,19 @@ class Table:
     def _at(self, t: Vector) -> Matrix:
         if self.hold:
             index = np.searchsorted(self.t, t, side="right") - 1
-            return self.y[index]
+            return self.y[np.maximum(index, 0)]
         columns = [np.interp(t, self.t, column) for column in self.y.T]
         return np.column_stack(columns)
 
 
-def _check_points(t: Vector, y: Matrix) -> None:
+def check_points(t: Vector, y: Matrix, *, hold: bool) -> None:
+    """Check the points of a table; parameters as of :class:`Table`.
+
+    Raises
+    ------
+    UsageError
+        If they are none.
+    """
     instants = len(t)
     values = len(y)
     if instants < 2 or instants != values:
@@ -210,6 +227,13 @@ def _check_points(t: Vector, y: Matrix) -> None:
     if not_increasing.size:
         before = not_increasing[0]
         after = before + 1
+        if t[before] == t[after] and not hold:
+            raise UsageError(
+                f"table: t[{before}] and t[{after}] are both {t[after]} s, a jump, and what is "
+                "interpolated linearly cannot jump: its value at a communication point counts "
+                'before it and after it; use interpolation = "zero-order", or leave a '
+                "communication step between the two"
+            )
         raise UsageError(
             f"table: t[{after}] = {t[after]} s does not come after {t[before]} s; "
             "needed increasing instants"

@@ -140,5 +140,5 @@ def test_a_grid_may_begin_later(start_ns, steps, step_ns):
     assert block.time_ns[-1] == start_ns + steps * step_ns
     assert clock.steps_until(stop, "time") == steps
     if step_ns > 1:
-        with pytest.raises(ClockError, match="time: .* is not a whole number of"):
+        with pytest.raises(ClockError, match=r"time: .* is not a whole number of"):
             clock.steps_until((start_ns + 1) / 10**9, "time")
