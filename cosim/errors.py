@@ -11,6 +11,7 @@
     │   ├── AssumptionError   an assumption of the method that does not hold
     │   ├── FmuError          an FMU that cannot be used, or a model that cannot become one
     │   └── LogError          a log that cannot be read, or written
+    │       └── UnknownSignalError   what was not recorded; a KeyError too
     └── RunError              the run began and could not go on; exit 1
         ├── NonFiniteError    the first NaN or infinity, with component, signal and time
         ├── LogWriteError     a full disk, a lost file; what was written stays valid
@@ -66,6 +67,12 @@ class FmuError(UsageError):
 
 class LogError(UsageError):
     """A log that cannot be read, or written."""
+
+
+class UnknownSignalError(LogError, KeyError):
+    """A component, signal or element that was not recorded."""
+
+    __str__ = Exception.__str__  # not the repr that KeyError shows
 
 
 class RunError(CosimError):

@@ -118,7 +118,7 @@ def _number(value: float) -> str:
 
 
 class Table:
-    """Linear interpolation between the points of a table.
+    """Linear interpolation between the points of a table; it refuses to extrapolate.
 
     Parameters
     ----------
@@ -127,32 +127,22 @@ class Table:
     y : Matrix, shape (N, n)
     hold : bool
         Zero-order hold instead: each value until the next instant (a discrete signal).
-    extrapolate : bool
-        Hold the first value before the first instant, and the last one after the last.
-    unit : str, optional
 
     Raises
     ------
     UsageError
-        If the points are no table, or the run starts outside it without ``extrapolate``.
+        If the points are no table, or the run starts outside it.
     Stopped
-        From ``advance``, where the table ends without ``extrapolate``.
+        From ``advance``, where the table ends.
     """
 
     def __init__(
-        self,
-        t: Vector,
-        y: Matrix,
-        *,
-        hold: bool = False,
-        extrapolate: bool = False,
-        unit: str | None = None,
+        self, t: Vector, y: Matrix, *, hold: bool = False, unit: str | None = None
     ) -> None:
-        check_points(t, y, hold=hold)
+        _check_points(t, y)
         self.t = frozen(t, 1)
         self.y = frozen(y, 2)
         self.hold = hold
-        self.extrapolate = extrapolate
         size = y.shape[1]
         signal = Signal("y", size, unit, "discrete" if hold else "continuous")
         self.interface = Interface(outputs=(signal,))
@@ -169,7 +159,7 @@ class Table:
         UsageError
             If ``t`` is outside the table.
         """
-        if not (self.extrapolate or self.t[0] <= t <= self.t[-1]):
+        if not self.t[0] <= t <= self.t[-1]:
             raise UsageError(self._beyond(t))
         rows = self._at(np.array([t]))
         y: Vector = rows[0]
@@ -184,7 +174,7 @@ class Table:
             Where the table ends; with the rows before it.
         """
         times = t[1:]
-        covered = times <= (np.inf if self.extrapolate else self.t[-1])
+        covered = times <= self.t[-1]
         y = self._at(times[covered])
         completed = len(y)
         if completed < len(times):
@@ -200,19 +190,12 @@ class Table:
     def _at(self, t: Vector) -> Matrix:
         if self.hold:
             index = np.searchsorted(self.t, t, side="right") - 1
-            return self.y[np.maximum(index, 0)]
+            return self.y[index]
         columns = [np.interp(t, self.t, column) for column in self.y.T]
         return np.column_stack(columns)
 
 
-def check_points(t: Vector, y: Matrix, *, hold: bool) -> None:
-    """Check the points of a table; parameters as of :class:`Table`.
-
-    Raises
-    ------
-    UsageError
-        If they are none.
-    """
+def _check_points(t: Vector, y: Matrix) -> None:
     instants = len(t)
     values = len(y)
     if instants < 2 or instants != values:
@@ -227,13 +210,6 @@ def check_points(t: Vector, y: Matrix, *, hold: bool) -> None:
     if not_increasing.size:
         before = not_increasing[0]
         after = before + 1
-        if t[before] == t[after] and not hold:
-            raise UsageError(
-                f"table: t[{before}] and t[{after}] are both {t[after]} s, a jump, and what is "
-                "interpolated linearly cannot jump: its value at a communication point counts "
-                'before it and after it; use interpolation = "zero-order", or leave a '
-                "communication step between the two"
-            )
         raise UsageError(
             f"table: t[{after}] = {t[after]} s does not come after {t[before]} s; "
             "needed increasing instants"

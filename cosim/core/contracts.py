@@ -9,7 +9,7 @@ computes it for the inputs given, ``advance`` uses ``u[k + 1]`` for it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Any, Literal, Protocol, Self, TypeAlias, TypeVar, cast
@@ -299,8 +299,11 @@ class Recording(Protocol):
         """The recorded components by name."""
         ...
 
-    def __getitem__(self, signal: str) -> NDArray[np.float64]:
-        """Return a signal, or elements of it: shape (N,) for one element, else (N, size)."""
+    def __getitem__(self, signal: str | Sequence[str]) -> NDArray[np.float64]:
+        """Return a signal, or elements of it: shape (N,) for one element, else (N, size).
+
+        Several signals of the same instants are stacked: shape (N, sum of their sizes).
+        """
         ...
 
     def time_ns(self, component: str) -> Nanoseconds:

@@ -5,7 +5,7 @@ Also: how a run ended, and how recorded signals are found by their names.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from types import TracebackType
@@ -14,94 +14,11 @@ from typing import Any, Literal, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.arrays import Matrix, Nanoseconds, as_columns
-from cosim.core.contracts import Block, MessageLevel, Plan, Recorder, Recording, Stopped
-from cosim.core.port import Port
+from cosim.arrays import Matrix, Nanoseconds
+from cosim.core.contracts import Block, MessageLevel, Plan, Recorder, Stopped
+from cosim.core.recorded import RecordedSignals, find_channel
 from cosim.core.signals import Channel
-from cosim.errors import GraphError, Interrupted, LogError, nearest
-
-
-def find_signal(
-    channels: Mapping[str, Channel], signal: str | Port, *, source: str
-) -> tuple[Channel, slice]:
-    """Return the channel of a recorded signal, or of elements of it, and its columns in the row.
-
-    Parameters
-    ----------
-    channels : mapping of component name to Channel
-    signal : str or Port
-        ``component.signal``, ``component.signal[1]`` or ``component.signal[0:2]``.
-    source : str
-        What was recorded to, for the message.
-
-    Raises
-    ------
-    LogError
-        If there is no such component, signal or element; names the nearest.
-    """
-    try:
-        port = signal if isinstance(signal, Port) else Port.parse(signal)
-        channel = find_channel(channels, port.component, source=source)
-        match = port.find(channel.signals)
-    except GraphError as error:
-        raise LogError(f"{source}: {error}") from error
-    if match is None:
-        suggestion = nearest(port.signal, [known.name for known in channel.signals])
-        raise LogError(
-            f"{source} has no '{port}': {port.component!r} has no signal {port.signal!r}; "
-            f"{suggestion}"
-        )
-    meant, elements = match
-    for known, columns in channel.signal_columns():
-        if known is meant:
-            return channel, slice(columns.start + elements.start, columns.start + elements.stop)
-    raise AssertionError("the signal was found among those of the channel")
-
-
-def find_channel(channels: Mapping[str, Channel], component: str, *, source: str) -> Channel:
-    """Return a recorded component.
-
-    Raises
-    ------
-    LogError
-        If there is none of that name; names the nearest.
-    """
-    if component not in channels:
-        suggestion = nearest(component, channels)
-        raise LogError(f"{source} has no component {component!r}; {suggestion}")
-    return channels[component]
-
-
-def stacked_signals(recording: Recording, signals: Sequence[str], *, source: str) -> Matrix:
-    """Return several signals of a recording side by side, shape (N, sum of their sizes).
-
-    Parameters
-    ----------
-    recording : Recording
-    signals : sequence of str
-        As of ``recording``: signals, or elements of them.
-    source : str
-        What was recorded to, for the message.
-
-    Raises
-    ------
-    LogError
-        If there is none, if one is unknown, or if they have not the same instants.
-    """
-    if not signals:
-        raise LogError(f"{source}: found an empty list of signals; needed at least one")
-    columns = [as_columns(recording[signal]) for signal in signals]
-    first = signals[0]
-    times = recording.time_ns(Port.parse(first).component)
-    for signal in signals[1:]:
-        other_times = recording.time_ns(Port.parse(signal).component)
-        if not np.array_equal(times, other_times):
-            raise LogError(
-                f"{source}: {first!r} has {len(times)} rows and {signal!r} has "
-                f"{len(other_times)}, at other instants; needed the same to stack them: "
-                "read each by itself, with its own time()"
-            )
-    return np.hstack(columns)
+from cosim.errors import Interrupted
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,19 +51,18 @@ class RunMessage(NamedTuple):
     text: str
 
 
-class Memory:
+class Memory(RecordedSignals):
     """Keeps every row of a run in memory; implements Recorder and Recording.
 
     Attributes
     ----------
-    messages : list of RunMessage
     results : dict
         What was recorded of the end of the run.
     """
 
     def __init__(self, metadata: Mapping[str, Any] | None = None) -> None:
         self.metadata: Mapping[str, Any] = metadata or {}
-        self.messages: list[RunMessage] = []
+        self._messages: list[RunMessage] = []
         self.results: dict[str, Any] = {}
         self._rows: list[Matrix] = []
         self._times: list[Nanoseconds] = []
@@ -180,11 +96,20 @@ class Memory:
 
     def message(self, time_ns: int, level: MessageLevel, source: str, text: str) -> None:
         """Keep a message."""
-        self.messages.append(RunMessage(time_ns, level, source, text))
+        self._messages.append(RunMessage(time_ns, level, source, text))
 
     def result(self, values: Mapping[str, Any]) -> None:
         """Keep values of the end of the run."""
         self.results.update(values)
+
+    def messages(self) -> list[RunMessage]:
+        """Return the messages of the run and its components."""
+        return list(self._messages)
+
+    @property
+    def label(self) -> str:
+        """What was recorded to."""
+        return "the run"
 
     @property
     def status(self) -> str:
@@ -207,6 +132,7 @@ class Memory:
         no_rows = np.empty((0, self.plan.layout.width))
         no_numbers = np.empty(0, np.int64)
         rows = np.concatenate([no_rows, *self._rows])
+        rows.flags.writeable = False
         times = np.concatenate([no_numbers, *self._times])
         steps = np.concatenate([no_numbers, *self._steps])
         return rows, times, steps
@@ -216,30 +142,18 @@ class Memory:
         kept: NDArray[np.bool_] = steps % channel.period == 0
         return kept
 
-    def __getitem__(self, signal: str | Port | Sequence[str]) -> NDArray[np.float64]:
-        """Return a signal at every recorded row: shape (N,) for one element, else (N, size).
-
-        Several signals of the same instants are stacked: shape (N, sum of their sizes).
-        """
-        if not isinstance(signal, str | Port):
-            return stacked_signals(self, signal, source="the run")
-        channel, columns = find_signal(self.channels, signal, source="the run")
+    def rows(self, component: str) -> Matrix:
+        """Return all rows of a component: applied inputs, then outputs; shape (N, width)."""
+        channel = find_channel(self.channels, component, source=self.label)
         rows, _, _ = self._table
-        values = rows[self._is_kept(channel), columns]
-        return values[:, 0] if values.shape[1] == 1 else values
+        own_rows = rows[:, channel.columns]
+        return own_rows if channel.period == 1 else own_rows[self._is_kept(channel)]
 
     def time_ns(self, component: str) -> Nanoseconds:
         """Return the instants of a component's rows, shape (N,) [ns]."""
-        channel = find_channel(self.channels, component, source="the run")
+        channel = find_channel(self.channels, component, source=self.label)
         _, times, _ = self._table
         return times[self._is_kept(channel)]
-
-    def time(self, name: str) -> NDArray[np.float64]:
-        """Return the instants of a signal's or component's rows, shape (N,) [s]."""
-        if "." in name:
-            channel, _ = find_signal(self.channels, name, source="the run")
-            return self.time_ns(channel.name) / 1e9
-        return self.time_ns(name) / 1e9
 
     @property
     def end_ns(self) -> int:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from cosim.arrays import Mask, Matrix, Nanoseconds, as_columns
 from cosim.core.contracts import Recording
 from cosim.core.port import Port
-from cosim.core.recorders import find_signal
+from cosim.core.recorded import find_signal
 from cosim.errors import LogError
 
 DifferenceStatus: TypeAlias = Literal[

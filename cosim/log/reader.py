@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -15,11 +15,10 @@ from typing import Any, TypeVar, final
 
 import numpy as np
 from mcap.opcode import Opcode
-from numpy.typing import NDArray
 
-from cosim.arrays import Mask, Matrix, Nanoseconds, Vector
+from cosim.arrays import Mask, Matrix, Nanoseconds
 from cosim.core.contracts import Design, MessageLevel
-from cosim.core.recorders import find_channel, find_signal, stacked_signals
+from cosim.core.recorded import RecordedSignals, find_channel
 from cosim.core.signals import Channel
 from cosim.errors import GraphError, LogError, nearest
 from cosim.log.columns import SignalRows
@@ -61,7 +60,7 @@ def open_log(path: Path | str) -> Log:
 
 
 @final
-class Log:
+class Log(RecordedSignals):
     """A recorded run in an MCAP file.
 
     Parameters
@@ -84,6 +83,11 @@ class Log:
         self._channels = self._read_channels()
         self._attachments = self._file.attachments()
         self._rows: dict[str, tuple[Nanoseconds, Matrix]] = {}
+
+    @property
+    def label(self) -> str:
+        """The path."""
+        return str(self.path)
 
     @property
     def channels(self) -> Mapping[str, Channel]:
@@ -166,32 +170,6 @@ class Log:
             held[name] = self._component_metadata(name, "cosim.held", _read_mask, none_held)
         return held
 
-    def signals(self) -> list[str]:
-        """Return the names of all signals, ``component.signal``."""
-        names = []
-        for component, channel in self._channels.items():
-            for signal in channel.signals:
-                names.append(f"{component}.{signal.name}")
-        return names
-
-    def __getitem__(self, signal: str | Sequence[str]) -> NDArray[np.float64]:
-        """Return ``component.signal`` at every recorded row; read-only.
-
-        Shape (N,) for size 1, else (N, size). Several signals of the same instants are stacked:
-        shape (N, sum of their sizes).
-        """
-        source = str(self.path)
-        if not isinstance(signal, str):
-            stacked = stacked_signals(self, signal, source=source)
-            stacked.flags.writeable = False
-            return stacked
-        channel, columns = find_signal(self._channels, signal, source=source)
-        first = columns.start - channel.start
-        stop = columns.stop - channel.start
-        rows = self.rows(channel.name)
-        values = rows[:, first:stop]
-        return values[:, 0] if values.shape[1] == 1 else values
-
     def rows(self, component: str) -> Matrix:
         """Return all rows of a component: applied inputs, then outputs.
 
@@ -202,15 +180,6 @@ class Log:
     def time_ns(self, component: str) -> Nanoseconds:
         """Return the instants of a component's rows, shape (N,) [ns]; read-only."""
         return self._times_and_rows(component)[0]
-
-    def time(self, name: str) -> Vector:
-        """Return the instants of a signal's or component's rows, shape (N,) [s]."""
-        component = name
-        if "." in name:
-            source = str(self.path)
-            channel, _ = find_signal(self._channels, name, source=source)
-            component = channel.name
-        return self.time_ns(component) / 1e9
 
     def load(self, *components: str) -> None:
         """Read several components in one pass over the file; none named: all."""

@@ -12,7 +12,7 @@ import numpy as np
 from cosim.arrays import Matrix, Nanoseconds, as_columns
 from cosim.core.contracts import Recording
 from cosim.core.port import Port
-from cosim.core.recorders import find_channel
+from cosim.core.recorded import find_channel
 from cosim.core.signals import Signal
 from cosim.errors import GraphError
 from cosim.units import conversion

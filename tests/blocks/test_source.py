@@ -132,9 +132,9 @@ def test_a_table_does_not_change_with_the_arrays_it_was_made_from():
         ([0.0, np.nan], [[1.0], [2.0]], "found NaN or infinity, needed finite numbers"),
         ([0.0, 1.0], [[1.0], [np.inf]], "found NaN or infinity, needed finite numbers"),
         (
-            [0.0, 1.0, 0.5],
+            [0.0, 1.0, 1.0],
             [[1.0], [2.0], [3.0]],
-            r"t\[2\] = 0.5 s does not come after 1.0 s; needed increasing instants",
+            r"t\[2\] = 1.0 s does not come after 1.0 s; needed increasing instants",
         ),
     ],
 )

@@ -426,7 +426,7 @@ def test_memory_keeps_messages_and_results():
     memory.message(5, "warning", "plant", "slow")
     memory.result({"last": 1.0})
     memory.result({"steps": 2})
-    assert memory.messages == [(5, "warning", "plant", "slow")]
+    assert memory.messages() == [(5, "warning", "plant", "slow")]
     assert memory.results == {"last": 1.0, "steps": 2}
 
 

@@ -252,13 +252,13 @@ def test_a_stack_of_lengths_in_several_units_is_warned_of(tmp_path):
     )
     text = "a.y, b.y -> lag.u: the input has no unit, so values in 'm', 'mm' are stacked"
     mixed = cosim.run(file)
-    assert any(text in message.text for message in mixed.messages)
+    assert any(text in message.text for message in mixed.messages())
     assert mixed["lag.u"][0].tolist() == [1.0, 1.0]
     declared = cosim.run(file, set={"lag.unit": "m"})
     assert declared["lag.u"][0].tolist() == [1.0, 1e-3]
-    assert not any("stacked" in message.text for message in declared.messages)
+    assert not any("stacked" in message.text for message in declared.messages())
     unlike = cosim.run(file, set={"connections.lag.u": ["a.y", "c.y"]})
-    assert not any("stacked" in message.text for message in unlike.messages)
+    assert not any("stacked" in message.text for message in unlike.messages())
 
 
 @pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])

@@ -1,0 +1,223 @@
+"""Recorded signals by name, in memory and from file alike."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Iterator, Mapping, Sequence
+from html import escape
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.arrays import Matrix, Nanoseconds, Vector, as_columns
+from cosim.core.port import Port
+from cosim.core.signals import Channel
+from cosim.errors import GraphError, LogError, UnknownSignalError, nearest
+
+
+def find_signal(
+    channels: Mapping[str, Channel], signal: str | Port, *, source: str
+) -> tuple[Channel, slice]:
+    """Return the channel of a recorded signal, or of elements of it, and its columns in the row.
+
+    Parameters
+    ----------
+    channels : mapping of component name to Channel
+    signal : str or Port
+        ``component.signal``, ``component.signal[1]`` or ``component.signal[0:2]``.
+    source : str
+        What was recorded to, for the message.
+
+    Raises
+    ------
+    UnknownSignalError
+        If there is no such component, signal or element; names the nearest.
+    """
+    try:
+        port = signal if isinstance(signal, Port) else Port.parse(signal)
+        channel = find_channel(channels, port.component, source=source)
+        match = port.find(channel.signals)
+    except GraphError as error:
+        raise UnknownSignalError(f"{source}: {error}") from error
+    if match is None:
+        suggestion = nearest(port.signal, [known.name for known in channel.signals])
+        raise UnknownSignalError(
+            f"{source} has no '{port}': {port.component!r} has no signal {port.signal!r}; "
+            f"{suggestion}"
+        )
+    meant, elements = match
+    for known, columns in channel.signal_columns():
+        if known is meant:
+            return channel, slice(columns.start + elements.start, columns.start + elements.stop)
+    raise AssertionError("the signal was found among those of the channel")
+
+
+def find_channel(channels: Mapping[str, Channel], component: str, *, source: str) -> Channel:
+    """Return a recorded component.
+
+    Raises
+    ------
+    UnknownSignalError
+        If there is none of that name; names the nearest.
+    """
+    if component not in channels:
+        suggestion = nearest(component, channels)
+        raise UnknownSignalError(f"{source} has no component {component!r}; {suggestion}")
+    return channels[component]
+
+
+class RecordedSignals(Mapping[str, NDArray[np.float64]]):
+    """The signals of a finished run by name, ``component.signal``; arrays are read-only.
+
+    Iteration, length, ``keys``, ``values`` and ``items`` are of whole signals; elements of one, or
+    several side by side, can be asked for too: ``run["plant.x_a[1]"]``, ``run[["u.y", "y.y"]]``.
+    """
+
+    @property
+    @abstractmethod
+    def label(self) -> str:
+        """What was recorded to, for messages."""
+
+    @property
+    @abstractmethod
+    def channels(self) -> Mapping[str, Channel]:
+        """The recorded components by name, in the order of the row."""
+
+    @property
+    @abstractmethod
+    def status(self) -> str:
+        """How the run ended."""
+
+    @property
+    @abstractmethod
+    def steps(self) -> int:
+        """Number of the last recorded communication step."""
+
+    @property
+    @abstractmethod
+    def end_ns(self) -> int:
+        """The last recorded instant [ns]."""
+
+    @abstractmethod
+    def rows(self, component: str) -> Matrix:
+        """Return all rows of a component: applied inputs, then outputs; shape (N, width)."""
+
+    @abstractmethod
+    def time_ns(self, component: str) -> Nanoseconds:
+        """Return the instants of a component's rows, shape (N,) [ns]."""
+
+    def __getitem__(self, signal: str | Port | Sequence[str]) -> NDArray[np.float64]:
+        """Return a signal at every recorded row: shape (N,) for one element, else (N, size).
+
+        Several signals of the same instants are stacked: shape (N, sum of their sizes).
+
+        Raises
+        ------
+        UnknownSignalError
+            If there is no such component, signal or element; names the nearest.
+        """
+        if not isinstance(signal, str | Port):
+            return self._stacked(signal)
+        channel, columns = find_signal(self.channels, signal, source=self.label)
+        first = columns.start - channel.start
+        stop = columns.stop - channel.start
+        values = self.rows(channel.name)[:, first:stop]
+        return values[:, 0] if values.shape[1] == 1 else values
+
+    def _stacked(self, signals: Sequence[str]) -> Matrix:
+        """Return several signals of the same instants side by side.
+
+        Raises
+        ------
+        LogError
+            If there is none, if one is unknown, or if they have not the same instants.
+        """
+        if not isinstance(signals, Sequence) or not signals:
+            raise LogError(
+                f"{self.label}: found {signals!r}; needed the name of a signal, or a list of names"
+            )
+        columns = [as_columns(self[signal]) for signal in signals]
+        first = signals[0]
+        times = self.time_ns(Port.parse(first).component)
+        for signal in signals[1:]:
+            other_times = self.time_ns(Port.parse(signal).component)
+            if not np.array_equal(times, other_times):
+                raise LogError(
+                    f"{self.label}: {first!r} has {len(times)} rows and {signal!r} has "
+                    f"{len(other_times)}, at other instants; needed the same to stack them: "
+                    "read each by itself, with its own time()"
+                )
+        values = np.hstack(columns)
+        values.flags.writeable = False
+        return values
+
+    def __iter__(self) -> Iterator[str]:
+        for component, channel in self.channels.items():
+            for signal in channel.signals:
+                yield f"{component}.{signal.name}"
+
+    def __len__(self) -> int:
+        return sum(len(channel.signals) for channel in self.channels.values())
+
+    def __contains__(self, signal: object) -> bool:
+        if not isinstance(signal, str | Port):
+            return False
+        try:
+            find_signal(self.channels, signal, source=self.label)
+        except UnknownSignalError:
+            return False
+        return True
+
+    # as for arrays, equality of all values is asked for by name: cosim.diff
+    __eq__ = object.__eq__
+    __hash__ = object.__hash__
+
+    def signals(self) -> list[str]:
+        """Return the names of all signals, ``component.signal``."""
+        return list(self)
+
+    def time(self, name: str) -> Vector:
+        """Return the instants of a signal's or component's rows, shape (N,) [s].
+
+        Raises
+        ------
+        UnknownSignalError
+            If there is no such component, signal or element; names the nearest.
+        """
+        component = name
+        if "." in name:
+            channel, _ = find_signal(self.channels, name, source=self.label)
+            component = channel.name
+        return self.time_ns(component) / 1e9
+
+    def __repr__(self) -> str:
+        return f"<{self.label}: {self._overview()}>"
+
+    def _repr_html_(self) -> str:
+        """Return a table of the signals for notebooks."""
+        rows = []
+        for component, channel in self.channels.items():
+            for signal in channel.signals:
+                cells = (
+                    f"{component}.{signal.name}",
+                    str(signal.size),
+                    signal.unit or "",
+                    signal.role,
+                    signal.variability,
+                )
+                rows.append("".join(f"<td>{escape(cell)}</td>" for cell in cells))
+        names = ("signal", "size", "unit", "role", "variability")
+        header = "".join(f"<th>{name}</th>" for name in names)
+        body = "".join(f"<tr>{row}</tr>" for row in rows)
+        caption = escape(f"{self.label}: {self._overview()}")
+        return (
+            f"<table><caption>{caption}</caption><thead><tr>{header}</tr></thead>"
+            f"<tbody>{body}</tbody></table>"
+        )
+
+    def _overview(self) -> str:
+        end = self.end_ns / 1e9
+        return (
+            f"{self.status}, {self.steps} steps to {end:g} s, {len(self)} signals of "
+            f"{len(self.channels)} components"
+        )
