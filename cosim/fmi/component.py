@@ -16,7 +16,7 @@ from types import TracebackType
 from typing import Any, Final, Protocol, Self, final
 
 from cosim.core.contracts import Component, Preparable, Rollback
-from cosim.errors import FmuError, RunError
+from cosim.errors import FmuError, RunError, listing
 from cosim.fmi.binary.headers import built_for
 from cosim.fmi.binary.loaded import LoadedInstance
 from cosim.fmi.binary.messages import Message
@@ -191,6 +191,7 @@ def load(
         # Structural parameters first: they decide how many elements other start values have.
         description = resized(archive.description, options.start)
         check_start(description, options.start)
+        description = description.recording(options.outputs)
         description, notes = _reliable(archive, description, interface_type)
         instance = LoadedInstance(
             folder,
@@ -290,6 +291,7 @@ def _reliable(
     """
     capabilities = description.capabilities[interface_type]
     notes = [f"{description.name}: {text}" for text in _shortened(archive.warnings)]
+    notes += _notes_on_texts(description)
     if description.clocks:
         capabilities = replace(capabilities, event_mode=False)
         notes.append(_note_on_clocks(archive, description, interface_type))
@@ -312,6 +314,23 @@ def _shortened(warnings: Sequence[str]) -> list[str]:
     if omitted:
         shown.append(f"and {omitted} more warnings; 'cosim check' lists all")
     return shown
+
+
+def _notes_on_texts(description: Description) -> list[str]:
+    """Return which Strings and Binaries are outputs or inputs, as no signal carries them."""
+    notes = []
+    outputs = description.texts("output")
+    if outputs:
+        names = listing(outputs)
+        notes.append(f"{description.name}: outputs that are texts are not recorded: {names}")
+    inputs = description.texts("input")
+    if inputs:
+        names = listing(inputs)
+        notes.append(
+            f"{description.name}: inputs that are texts keep their start values: {names}; "
+            "'start' sets them"
+        )
+    return notes
 
 
 def _note_on_clocks(

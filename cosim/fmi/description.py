@@ -129,6 +129,9 @@ class Description:
     local_states : tuple of str
         Names of the states of a loaded FMU that are local variables. They are read with the
         outputs, since a log holds every state.
+    recorded : tuple of str
+        Names of further variables of a loaded FMU that are read with the outputs, since the user
+        asks for them.
     default_step, default_tolerance : float or None
         Of DefaultExperiment.
     tool : str
@@ -151,6 +154,7 @@ class Description:
     clocks: tuple[str, ...] = ()
     platforms: tuple[str, ...] = ()
     local_states: tuple[str, ...] = ()
+    recorded: tuple[str, ...] = ()
     default_step: float | None = None
     default_tolerance: float | None = None
     tool: str = ""
@@ -185,7 +189,8 @@ class Description:
     def ports(self, causality: str) -> PortVariables:
         """Return the signals of one causality, in order, with the variables of their elements.
 
-        The local states stand behind the outputs. Aliases (``alias_of``) are left out.
+        Local states, then other variables that are recorded, stand behind the outputs. Aliases
+        (``alias_of``) are left out, unless they are recorded.
         """
         if causality not in self._ports:
             self._ports[causality] = self._find_ports(causality)
@@ -197,9 +202,14 @@ class Description:
             if variable.causality == causality and variable.is_signal and variable.alias_of is None:
                 variables.append(variable)
         if causality == "output":
-            variables += [self[name] for name in self.local_states]
+            variables += [self[name] for name in (*self.local_states, *self.recorded)]
         groups = _vectors(variables)
         return tuple((self._signal(name, group), group) for name, group in groups.items())
+
+    def texts(self, causality: str) -> tuple[str, ...]:
+        """Return the names of the Strings and Binaries of one causality: they are no signals."""
+        variables = [v for v in self.variables if v.causality == causality and v.alias_of is None]
+        return tuple(v.name for v in variables if v.type in ("String", "Binary"))
 
     def references(self, causality: str) -> ReferenceMap:
         """Return all inputs or outputs with their value references, in the interface's order."""
@@ -261,8 +271,60 @@ class Description:
         return Interface(input_signals, output_signals, feedthrough, initial_feedthrough)
 
     def _direct(self, variable: Variable) -> tuple[str, ...] | None:
-        """Return what an output depends on directly: a state on nothing; None: not declared."""
-        return () if variable.name in self.states else self.dependencies.get(variable.name)
+        """Return what an output depends on directly: a state on nothing; None: not declared.
+
+        Nor does a parameter or a constant.
+        """
+        if variable.name in self.states:
+            return ()
+        is_constant = variable.variability in ("constant", "fixed", "tunable")
+        return self.dependencies.get(variable.name, () if is_constant else None)
+
+    def recording(self, names: Sequence[str]) -> Description:
+        """Return the description with further variables among the outputs.
+
+        Parameters
+        ----------
+        names : sequence of str
+            Of variables, or of vectors of which scalars ``n[1], n[2], ...`` are the elements.
+            Outputs may be among them.
+
+        Raises
+        ------
+        FmuError
+            If there is no such variable, it is an input or no number, or is named twice.
+        """
+        recorded: list[str] = []
+        for name in names:
+            variables = [self[name]] if name in self else self._vector(name)
+            for variable in variables:
+                problem = self._recording_problem(variable)
+                if problem:
+                    raise FmuError(f"{self.name}: outputs: {name!r} {problem}")
+                if variable.name in recorded:
+                    raise FmuError(f"{self.name}: outputs: {variable.name!r} is named twice")
+                is_output = variable.causality == "output" and variable.alias_of is None
+                if not is_output and variable.name not in self.local_states:
+                    recorded.append(variable.name)
+        return replace(self, recorded=tuple(recorded))
+
+    def _vector(self, name: str) -> list[Variable]:
+        """Return the elements of a vector of scalars; refuse a name that is none."""
+        prefix = f"{name}["
+        candidates = [v for v in self.variables if v.name.startswith(prefix) and v.is_signal]
+        for family in _families(candidates).values():
+            if next(iter(family.values())).name.startswith(prefix) and _is_vector(family):
+                return [family[number] for number in sorted(family)]
+        return [self[name]]
+
+    @staticmethod
+    def _recording_problem(variable: Variable) -> str | None:
+        """Return why a variable cannot be an output."""
+        if variable.causality == "input":
+            return "is an input, and recorded as one"
+        if not variable.is_signal:
+            return f"has the type {variable.type}, which is not recorded"
+        return None
 
     def resized(self, structural: Mapping[str, int]) -> Description:
         """Return the description with other values of structural parameters.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -12,7 +13,9 @@ from cosim.fmi.driving.residual import DaeForm
 
 @dataclass(frozen=True, slots=True)
 class FmuOptions:
-    """How an FMU is opened. All but ``interface_type`` and ``start`` are for model exchange.
+    """How an FMU is opened.
+
+    All but ``interface_type``, ``start`` and ``outputs`` are for model exchange.
 
     Parameters
     ----------
@@ -28,6 +31,8 @@ class FmuOptions:
     start : mapping of variable name to StartValue
         Values for the variables' ``start``, instead of the FMU's own: numbers, Booleans, items of
         enumerations, texts, lists; see ``cosim.fmi.driving.initialization``.
+    outputs : sequence of str
+        Names of local variables and parameters that become outputs too.
     """
 
     interface_type: InterfaceType | None = None
@@ -35,6 +40,7 @@ class FmuOptions:
     tolerance: float | None = None
     dae: DaeForm = "ode"
     start: Starts = field(default_factory=dict)
+    outputs: Sequence[str] = ()
 
 
 DEFAULT_OPTIONS: Final = FmuOptions()

@@ -67,10 +67,14 @@ class DirectFeedthrough:
 
 
 def _float64_signals(description: Description, causality: str) -> set[str]:
-    """Return the names of the signals all of whose variables are Float64."""
+    """Return the names of the signals all of whose variables are Float64.
+
+    Without local variables: directional derivatives are for those of ModelStructure (FMI 2.0.4
+    section 2.1.9).
+    """
     names = set()
     for signal, variables in description.ports(causality):
-        if all(variable.type == "Float64" for variable in variables):
+        if all(v.type == "Float64" and v.causality == causality for v in variables):
             names.add(signal.name)
     return names
 

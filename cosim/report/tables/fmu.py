@@ -104,6 +104,8 @@ def _variable_row(
         relation = f"alias {variable['alias_of']}"
     elif variable["derivative_of"]:
         relation = f"der {variable['derivative_of']}"
+    elif variable["type"] in ("String", "Binary", "Clock") and variable["causality"] == "output":
+        relation = "not recorded"
     depends_on = None
     if variable["name"] in states:
         relation = "state"

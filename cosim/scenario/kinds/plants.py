@@ -101,6 +101,11 @@ class FmuKind(PlantKind, PeriodicKind):
         description="start values by variable: number, Boolean, item of an enumeration, "
         "text (a Binary in hexadecimal), list",
     )
+    outputs: list[StrictStr] = Field(
+        [],
+        description="local variables and parameters that become outputs too, to record or connect "
+        "them; 'cosim info' lists what there is",
+    )
 
     def with_period(self, component: Component, n: int) -> Component:
         return component if n == 1 else Sampled(component, n)
@@ -114,6 +119,7 @@ class FmuKind(PlantKind, PeriodicKind):
             tolerance=self.tolerance,
             dae=self.dae,
             start=self.start,
+            outputs=self.outputs,
         )
         return context.fmu(name, self.path, options)
 

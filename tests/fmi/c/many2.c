@@ -87,6 +87,13 @@ fmi2Status fmi2GetStringStatus(fmi2Component c, const fmi2StatusKind k, fmi2Stri
 fmi2Status fmi2CancelStep(fmi2Component c) { return fmi2OK; }
 
 /* What no call leads to, and FMPy looks for. */
-#define NEVER(name)     fmi2Status name(void) { return fmi2Error; }
-NEVER(fmi2SetRealInputDerivatives)
-NEVER(fmi2GetRealOutputDerivatives)
+fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference r[], size_t n,
+                                       const fmi2Integer order[], const fmi2Real v[])
+{
+    return fmi2Error;
+}
+fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReference r[], size_t n,
+                                        const fmi2Integer order[], fmi2Real v[])
+{
+    return fmi2Error;
+}
