@@ -21,8 +21,8 @@ class Expression:
     ----------
     texts : sequence of str
         One expression an element of y.
-    variability : {"continuous", "discrete"}
-        "discrete" for signals that jump.
+    variability : {"continuous", "discrete", "inherited"}
+        "discrete" for signals that jump, "inherited" for constants.
     unit : str or None
     signal_type : {"real", "integer", "boolean"}
     """
@@ -58,7 +58,8 @@ def constant(
 ) -> Expression:
     """Build ``y = value``."""
     texts = [_number(element) for element in value]
-    return Expression(texts, unit=unit, signal_type=signal_type)
+    # what is added to it may hold or not
+    return Expression(texts, variability="inherited", unit=unit, signal_type=signal_type)
 
 
 def step(

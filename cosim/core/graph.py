@@ -6,7 +6,7 @@ whole block in one call. Feedthrough orders only the inside of loops and the ini
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from graphlib import TopologicalSorter
 from itertools import chain
@@ -167,8 +167,9 @@ class Graph:
 
     @property
     def warnings(self) -> list[tuple[str, str]]:
-        """What holds only if something unknown is as it was assumed, as (component, text)."""
+        """What was assumed, and where the interpolation of inputs errs, as (component, text)."""
         warnings = list(unit_warnings(self.layout, self.connections))
+        warnings += self._ramps()
         for stage in self.stages:
             warnings += stage.warnings
         return warnings
@@ -296,9 +297,10 @@ class Graph:
         connection = self.connections[to]
         sources = [self._ports.source(port) for port in connection.sources]
         inside = [source.port.component in loop for source in sources]
-        discrete = [self.variability(source.port) == "discrete" for source in sources]
         if connection.matrix.ndim == 2:  # every element may be a sum of all sources
-            return [any(inside) or all(discrete)] * size
+            together = self._combined([source.port for source in sources])
+            return [any(inside) or together == "discrete"] * size
+        discrete = [self.variability(source.port) == "discrete" for source in sources]
         elements: list[bool] = []
         for source, from_loop, is_discrete in zip(sources, inside, discrete, strict=True):
             elements += [from_loop or is_discrete] * source.size
@@ -307,7 +309,8 @@ class Graph:
     def variability(self, output: Port, visited: frozenset[str] = frozenset()) -> Variability:
         """Return the variability of an output.
 
-        An inherited one is discrete where every input of its component is.
+        An inherited one is discrete where every input of its component is. It stays inherited where
+        nothing is behind it that changes: constants hold and are interpolated alike.
         """
         name = output.component
         signal = self._ports.source(output).signal
@@ -315,10 +318,44 @@ class Graph:
             return signal.variability
         if name in visited:
             return "discrete"
-        behind: set[str] = set()
-        for ports in self._sources[name].values():
-            behind.update(self.variability(port, visited | {name}) for port in ports)
-        return "discrete" if behind == {"discrete"} else "continuous"
+        ports = chain.from_iterable(self._sources[name].values())
+        return self._combined(ports, visited | {name})
+
+    def _combined(
+        self, outputs: Iterable[Port], visited: frozenset[str] = frozenset()
+    ) -> Variability:
+        """Return the variability of what follows several outputs."""
+        found = {self.variability(port, visited) for port in outputs} - {"inherited"}
+        if not found:
+            return "inherited"
+        return "discrete" if found == {"discrete"} else "continuous"
+
+    def _ramps(self) -> Iterator[tuple[str, str]]:
+        """Yield (component, text) where jumps are interpolated with what is continuous."""
+        if self.input_interpolation == "zero-order":
+            return
+        for name, sources in self._sources.items():
+            outputs = self.layout[name].interface.outputs
+            if any(signal.variability == "inherited" for signal in outputs):
+                for text in self._ramps_of(chain.from_iterable(sources.values())):
+                    yield name, text
+        for to, connection in self.connections.items():
+            if connection.matrix.ndim == 2:
+                for text in self._ramps_of(self._sources[to.component][to.signal]):
+                    yield to.component, text
+
+    def _ramps_of(self, ports: Iterable[Port]) -> Iterator[str]:
+        """Yield what becomes of the jumps in a signal that follows several outputs."""
+        by_variability: dict[Variability, list[Port]] = {"discrete": [], "continuous": []}
+        for port in dict.fromkeys(ports):
+            by_variability.setdefault(self.variability(port), []).append(port)
+        if by_variability["discrete"] and by_variability["continuous"]:
+            jumping = ", ".join(map(str, by_variability["discrete"]))
+            yield (
+                f"{jumping}: interpolated linearly together with "
+                f"{', '.join(map(str, by_variability['continuous']))}, so that a jump becomes a "
+                "ramp over the step before it: an error of first order in the step"
+            )
 
 
 def _check_names(components: Mapping[str, Component]) -> None:

@@ -5,7 +5,7 @@ import pytest
 
 from cosim.blocks.arithmetic import gain, sum_of
 from cosim.blocks.dynamics import Delay, lag
-from cosim.blocks.source import Noise, Table, constant, sine
+from cosim.blocks.source import Noise, Table, constant, sine, step
 from cosim.core.clock import Clock
 from cosim.core.connections import Connection
 from cosim.core.graph import Graph
@@ -440,3 +440,44 @@ def test_a_stack_extrapolates_only_what_comes_from_its_loop(coupling):
     expected = [coupling == "jacobi", False, False, False]
     assert graph.held["sum"].tolist() == expected
     assert graph.held["lag"].tolist() == [True]
+
+
+def jumping():
+    """Return a graph whose sum adds a step to a sine, or to a constant."""
+    components = {
+        "step": step(time=0.5),
+        "line": sine(rate=1.0),
+        "one": constant([1.0]),
+        "sum": sum_of([1.0, 1.0]),
+        "lag": Linear(lag(time_constant=1.0, initial=0.0)),
+    }
+    return components, {"sum.u1": "step.y", "lag.u": "sum.y"}
+
+
+def test_a_constant_does_not_make_a_held_sum_continuous():
+    """A step plus a constant is a step: x' + x = 1 + step(t - 0.5), exactly at every point."""
+    components, connections = jumping()
+    del components["line"]
+    graph = Graph(components, {**connections, "sum.u2": "one.y"})
+    assert graph.held["lag"].tolist() == [True]
+    assert graph.warnings == []
+    memory = Memory()
+    run(graph, Clock(1.0, 0.25), memory)
+    t = memory.time("lag")
+    exact = (1.0 - np.exp(-t)) + np.where(t > 0.5, 1.0 - np.exp(0.5 - t), 0.0)
+    np.testing.assert_allclose(memory["lag.y"], exact, rtol=1e-14)
+
+
+def test_jumps_that_are_interpolated_with_what_is_continuous_are_said():
+    """Between two points one value cannot hold and be interpolated."""
+    components, connections = jumping()
+    del components["one"]
+    mixed = {**connections, "sum.u2": "line.y"}
+    ((name, text),) = Graph(components, mixed).warnings
+    assert name == "sum"
+    assert text.startswith("step.y: interpolated linearly together with line.y, so that a jump")
+    assert Graph(components, mixed, input_interpolation="zero-order").warnings == []
+    del components["sum"]
+    product = Connection(["step.y", "line.y"], ((1.0, 1.0),))
+    ((name, _),) = Graph(components, {"lag.u": product}).warnings
+    assert name == "lag"
