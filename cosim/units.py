@@ -263,13 +263,11 @@ def _plain_symbol(name: str) -> _Symbol:
 
 
 def _rounded(factor: Fraction, pi_power: int) -> float | None:
-    """Round ``factor * pi**pi_power``, once where there is no pi; None beyond ordinary sizes."""
-    if not Fraction(1, 10**100) < factor < 10**100:
+    """Round ``factor * pi**pi_power``, once, with the double pi; None beyond ordinary sizes."""
+    size = factor * Fraction(math.pi) ** pi_power
+    if not Fraction(1, 10**100) < size < 10**100:
         return None
-    if pi_power == 0:
-        return float(factor)
-    size = math.pi**pi_power * factor.numerator / factor.denominator
-    return size or None
+    return float(size)
 
 
 def _agree(first: BaseUnit | None, second: BaseUnit | None) -> bool:

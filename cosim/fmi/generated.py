@@ -319,7 +319,9 @@ class GeneratedInstance:
         no_feedthrough = np.zeros((self._n, self._m))
         by_u = np.vstack([model.D, model.B, no_feedthrough])
         if self._mode == "initialization":
-            by_u = by_u + np.einsum("ij,jk->ik", by_x, model.Xu)
+            # neither BLAS nor einsum, which fuse products and sums on some processors
+            products = by_x[:, :, np.newaxis] * model.Xu
+            by_u = by_u + products.sum(axis=1)
         return np.hstack([by_u, by_x])
 
     def _known(self, reference: int) -> int:

@@ -152,6 +152,7 @@ _SIGNATURES: dict[str, tuple[Any, tuple[Any, ...]]] = {
         ),
     ),
     "cosim_evaluate": (c_double, (POINTER(ProgramStruct), c_double)),
+    "cosim_normal": (None, (c_int64, _POINTER, _POINTER)),
     "cosim_regressor_outputs": (None, (_POINTER, c_double, c_double, _POINTER)),
     "cosim_least_squares_start": (None, (_POINTER, _POINTER)),
     "cosim_messages_open": (None, (POINTER(MessagesStruct),)),

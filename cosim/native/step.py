@@ -29,6 +29,7 @@ from cosim.native.library import (
 
 NO_VALUE = 1  # COSIM_NO_VALUE
 DOUBLE = 8  # bytes
+WORDS_PER_NORMAL = 2  # random words that one Gaussian number takes
 
 
 class NativeStep:
@@ -208,6 +209,14 @@ def evaluate(program: Program, t: float) -> float:
     return value
 
 
+def evaluate_at(programs: Sequence[Program], t: Vector) -> Matrix:
+    """Evaluate expressions at instants ``t (N,)`` [s], shape ``(N, len(programs))``."""
+    step = expression_step(programs)
+    no_inputs = np.zeros((len(t) + 1, 0))
+    ends_of_steps = np.concatenate([[0.0], t])  # where the first one begins does not matter
+    return step.advance(ends_of_steps, 0.0, no_inputs)
+
+
 def expression_step(programs: Sequence[Program]) -> NativeStep:
     """Build the step whose outputs are expressions in t; it has no memory."""
     n_y = len(programs)
@@ -217,6 +226,17 @@ def expression_step(programs: Sequence[Program]) -> NativeStep:
     no_memory = np.zeros(0)
     keep = (array, *programs)
     return NativeStep(function, state, n_y=n_y, memory=no_memory, keep=keep)
+
+
+def normal(words: NDArray[np.uint64]) -> Vector:
+    """Compute Gaussian numbers of mean 0 and deviation 1 from random words, two for each.
+
+    numpy's own take the logarithm of the C library, and may change with its version.
+    """
+    count = len(words) // WORDS_PER_NORMAL
+    y = np.empty(count)
+    library.cosim_normal(count, pointer(words), pointer(y))
+    return y
 
 
 def _contiguous(values: NDArray[Any]) -> NDArray[np.float64]:

@@ -44,8 +44,8 @@ def symbols(path, kinds):
     return {parts[-1].split("@")[0].lstrip("_") for parts in fields if parts[-2] in kinds}
 
 
-# rounded one way by IEEE 754, or exact
-EXACT = {"sqrt", "fabs", "copysign"}
+# rounded one way by IEEE 754, or exact; the maximum of zeros of both signs is asked for nowhere
+EXACT = {"sqrt", "fabs", "copysign", "fmax", "fmin"}
 MATHEMATICS = {*dir(math), "fma", "fmax", "fmin", "rint", "lrint", "nearbyint", "round", "sincos"}
 
 

@@ -3,13 +3,14 @@
 import ast
 import math
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from cosim.errors import UsageError
 from cosim.native.expression import FUNCTIONS, compile_expression
-from cosim.native.step import evaluate
+from cosim.native.step import evaluate, evaluate_at
 
 
 def of_numbers(function):
@@ -91,6 +92,17 @@ def test_every_expression_is_what_python_makes_of_it(text, t):
     except (ArithmeticError, ValueError):
         return  # an infinity inside may vanish again outside: 1/(1/0) is 0 in C
     assert computed == expected or (math.isnan(expected) and math.isnan(computed))
+
+
+def test_many_instants_at_once_give_the_same_bits():
+    """One call evaluates all expressions at all instants, in any order of the instants."""
+    texts = ["exp(-t)*sin(50*t)", "t**3", "2"]
+    programs = [compile_expression(text) for text in texts]
+    t = np.random.default_rng(0).uniform(-3.0, 3.0, 200)
+    rows = evaluate_at(programs, t)
+    for instant, row in zip(t.tolist(), rows, strict=True):
+        assert row.tolist() == [evaluate(program, instant) for program in programs]
+    assert evaluate_at(programs, t[:0]).shape == (0, 3)
 
 
 def test_powers_bind_as_in_python():

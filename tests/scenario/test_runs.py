@@ -175,6 +175,23 @@ def test_replay_is_bit_exact_with_another_blas(logged, core):
     assert "equals the log bit for bit" in done.stdout
 
 
+def test_a_start_calls_the_kernels_once_for_many_instants():
+    """No grid is sampled by a call an instant: the regressor's has 512 instants and 3 delays."""
+    calls = 0
+
+    def count(frame, event, argument):
+        nonlocal calls
+        native = f"native{os.sep}step.py" in frame.f_code.co_filename
+        calls += event == "call" and native
+
+    sys.setprofile(count)
+    try:
+        cosim.run("academic", set={"scenario.stop": 7.0}, block=7000)
+    finally:
+        sys.setprofile(None)
+    assert 0 < calls < 512
+
+
 def test_replay_needs_nothing_but_the_log(tmp_path, monkeypatch):
     """A scenario with a table from a file replays where the file is gone."""
     (tmp_path / "u.csv").write_text("t,u\n0,0\n1,1\n")

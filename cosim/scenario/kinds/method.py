@@ -24,7 +24,7 @@ from cosim.fmi.exporting import kernels
 from cosim.fmi.exporting.kernels import DiscreteModel
 from cosim.fmi.exporting.specifications import Exportable
 from cosim.native.expression import Program, compile_expression
-from cosim.native.step import evaluate
+from cosim.native.step import evaluate_at
 from cosim.scenario.kinds.base import (
     BuildContext,
     ExportableKind,
@@ -197,11 +197,9 @@ class RegressorKind(ExportableKind):
     def _alphas(self, programs: Sequence[Program]) -> Any:
         """Sample alpha_b(t - D_j) on a grid that no period of the alphas divides."""
         grid = np.arange(512) * math.sqrt(2.0) / 7.0
-        values = np.empty((len(grid), len(self.delays), len(programs)))
-        for i, t in enumerate(grid):
-            for j, D in enumerate(self.delays):
-                values[i, j] = [evaluate(program, t - D) for program in programs]
-        return values
+        times = grid[:, np.newaxis] - np.array(self.delays)
+        values = evaluate_at(programs, times.ravel())
+        return values.reshape(*times.shape, len(programs))
 
 
 class StartTable(TomlTable):
