@@ -338,6 +338,21 @@ def check(
 
 
 @app.command()
+def cache(
+    clear: Annotated[bool, typer.Option("--clear", help="Remove everything in it.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Show or clear the cache: what trials of FMUs found, by the content of their files.
+
+    It is in the user's cache folder, or in the one that the environment variable COSIM_CACHE names
+    (empty: no cache).
+    """
+    from cosim.report.tables.fmu import print_cache
+
+    print_cache(clear=clear, as_json=as_json)
+
+
+@app.command()
 def plot(
     log: LogArgument,
     signals: Annotated[

@@ -6,7 +6,7 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,14 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeat"))
 
 HERE = Path(__file__).parent
 REFERENCE = HERE / "reference" / "cases.json"
+
+
+@pytest.fixture(scope="session", autouse=True)
+def no_cache_of_the_user() -> Iterator[None]:
+    """Trials of FMUs are not kept beyond a test, in this process or in one that it starts."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("COSIM_CACHE", "")
+        yield
 
 
 @pytest.fixture(scope="session")
@@ -51,3 +59,23 @@ def foreign2(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def foreign3(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """FMI 3, model exchange and co-simulation, by pythonfmu3."""
     return _build("pythonfmu3", "foreign3.py", tmp_path_factory.mktemp("foreign3"))
+
+
+@pytest.fixture
+def call(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Callable[..., tuple[int, str, str]]:
+    """Run a command in a fresh folder; give exit code, stdout and stderr."""
+    from cosim.cli import main
+
+    monkeypatch.chdir(tmp_path)
+
+    def run(*arguments: object) -> tuple[int, str, str]:
+        with pytest.raises(SystemExit) as left:
+            main([str(argument) for argument in arguments])
+        output = capsys.readouterr()
+        code = left.value.code
+        assert code is None or isinstance(code, int)
+        return code or 0, output.out, output.err
+
+    return run

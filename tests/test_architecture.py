@@ -51,6 +51,7 @@ FMI_ROOMS = [
     "instance",
     "generated",
     "reading",
+    "trial_cache",
     "child_process",
     "binary",
     "driving",

@@ -16,7 +16,6 @@ import termios
 import pytest
 
 import cosim
-from cosim.cli import main
 from cosim.fmi.variable import Variable
 from tests.fmi.archives import write
 from tests.fmi.compiled import compile_fmu
@@ -26,20 +25,6 @@ from tests.fmi.test_reading import FMI1, FMI2, FMI3
 
 SHORT = ["--stop", "0.1"]
 HEAD = '[scenario]\nname = "x"\nstop = 0.2\nstep = 0.1\n'
-
-
-@pytest.fixture
-def call(tmp_path, monkeypatch, capsys):
-    """Run a command in a fresh folder; give exit code, stdout and stderr."""
-    monkeypatch.chdir(tmp_path)
-
-    def run(*arguments):
-        with pytest.raises(SystemExit) as left:
-            main([str(argument) for argument in arguments])
-        output = capsys.readouterr()
-        return left.value.code or 0, output.out, output.err
-
-    return run
 
 
 def test_run_writes_numbered_logs_and_says_where(call, tmp_path):

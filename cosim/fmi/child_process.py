@@ -17,6 +17,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Final, Literal, TypeAlias
 
+from cosim.fmi.trial_cache import keep_problems, read_problems
+
 if TYPE_CHECKING:
     from cosim.fmi.description import InterfaceType
     from cosim.fmi.reading.model_description import Archive
@@ -38,8 +40,9 @@ def find_rollback_problems(
 ) -> tuple[str, ...]:
     """Return why get and set FMU state of an FMU cannot be relied on; empty where they can.
 
-    The problems are kept for the life of the process: the trial starts a child, which takes about
-    half a second. Inside a child there are none, as a trial would start the next one without end.
+    The trial starts a child, which takes about a second, so its result is kept: for the life of the
+    process, and in the user's cache folder. Inside a child there are no problems, as a trial would
+    start the next one without end.
 
     Parameters
     ----------
@@ -59,7 +62,14 @@ def _try_rollback(
     path: Path, sha256: str, interface_type: InterfaceType, timeout: float
 ) -> tuple[str, ...]:
     """Try it once for each content of the file: ``sha256`` is part of the cache's key."""
-    return try_fmu("rollback", path, interface_type, timeout=timeout)
+    known_problems = read_problems("rollback", sha256, interface_type)
+    if known_problems is not None:
+        return known_problems
+    problems = try_fmu("rollback", path, interface_type, timeout=timeout)
+    # A hang or a missing library may belong to this moment and this machine.
+    if all(problem.startswith((REFUSED, INEXACT, WRONG)) for problem in problems):
+        keep_problems("rollback", sha256, interface_type, problems)
+    return problems
 
 
 def try_fmu(

@@ -179,6 +179,29 @@ def _count(number: int, word: str) -> list[str]:
     return [f"{number} {word}{'s' if number > 1 else ''}"]
 
 
+def print_cache(*, clear: bool, as_json: bool) -> None:
+    """Print where results of trials are kept, and how many; remove them where ``clear``."""
+    from cosim.fmi import trial_cache
+
+    folder = trial_cache.cache_folder()
+    removed = trial_cache.clear() if clear else 0
+    sizes = [size for _, size in trial_cache.cached_files()]
+    content = {
+        "folder": None if folder is None else str(folder),
+        "files": len(sizes),
+        "bytes": sum(sizes),
+        "removed": removed,
+    }
+    if as_json:
+        print_json(content)
+    elif folder is None:
+        typer.echo("no cache: COSIM_CACHE is empty")
+    elif clear:
+        typer.echo(f"{folder}: {removed} removed")
+    else:
+        typer.echo(f"{folder}: {len(sizes)} results of trials, {sum(sizes)} bytes")
+
+
 def print_linearization(linearization: Linearization, *, as_json: bool) -> None:
     """Print a linearization: operating point, matrices, poles, static gain, origin."""
     from cosim.fmi.linearizing.linearization import pole_text
