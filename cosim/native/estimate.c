@@ -16,6 +16,9 @@ static double no_value(void)
     return value;
 }
 
+/* The sign of a NaN that arithmetic makes depends on the processor. */
+static double one_nan(double x) { return isnan(x) ? no_value() : x; }
+
 /* --- regressor (21)-(25) --- */
 
 static int32_t longest_delay(const cosim_regressor *s)
@@ -46,7 +49,7 @@ void cosim_regressor_outputs(const cosim_regressor *s, double t, double delta, d
         double product = s->sign[c] * (steps == 0 ? delta : ring[(now - steps) % longest]);
         for (int32_t f = 0; f < s->factors; ++f)
             product *= alpha[s->factor[c * s->factors + f]];
-        y[c] = product;
+        y[c] = one_nan(product);
     }
 }
 
@@ -163,6 +166,8 @@ static void estimate(const cosim_least_squares *s, double *y)
     }
     for (int32_t b = 0; b < s->groups; ++b)
         recover(&s->recovery[b], eta, theta);
+    for (int32_t i = 0; i < s->parameters + s->unknowns; ++i)
+        y[i] = one_nan(y[i]);
 }
 
 void cosim_least_squares_start(cosim_least_squares *self, double *y)

@@ -108,6 +108,17 @@ def test_mu_is_that_of_the_theory(name):
     np.testing.assert_allclose(computed, example.mu, rtol=1e-15)
 
 
+def test_no_value_is_always_the_same_nan():
+    """Also where an alpha is none: the NaN of a processor's arithmetic has a sign of its own."""
+    alphas = ["sqrt(t - 5)", "0*log(t - 6)"]
+    example = Example(alphas, [Exponential()] * 2, [-0.1, -0.3], [1.0, 2.0, 3.0], 12.0)
+    computed = drive(example.regressor(), np.ones((1001, 1)), step_ns=STEP_NS)
+    without_value = np.isnan(computed)
+    assert without_value[400:800].any()
+    assert np.isfinite(computed[950:]).all()
+    assert set(computed[without_value].view(np.uint64).tolist()) == {0x7FF8000000000000}
+
+
 def test_mu_without_delay_follows_its_input():
     """Only a delay of nothing feeds through, and is declared to."""
     assert EXAMPLES["delays in another order"].regressor().interface.feeds("mu") == ("delta",)
