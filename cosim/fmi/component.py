@@ -62,7 +62,7 @@ class Fmu:
     folder : Path
         Where it was unpacked.
     solving : mapping
-        Of a model exchange FMU: its solver, and the tolerance where that keeps one.
+        Of a model exchange FMU: what is known of its solver.
     notes : tuple of str
         What is to be known about how it was opened.
     """
@@ -274,10 +274,7 @@ def _component(
         rtol=options.tolerance,
         dae=options.dae,
     )
-    solving: dict[str, str | float] = {"solver": component.solver}
-    if component.rtol is not None:
-        solving["tolerance"] = component.rtol
-    return component, solving
+    return component, component.metadata
 
 
 def _reliable(

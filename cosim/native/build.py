@@ -18,7 +18,16 @@ from pathlib import Path
 from typing import Any
 
 HERE = Path(__file__).resolve().parent
-SOURCES = ("loops.c", "linear.c", "elementary.c", "expression.c", "estimate.c", "noise.c", "fmi.c")
+SOURCES = (
+    "loops.c",
+    "linear.c",
+    "elementary.c",
+    "runge_kutta.c",
+    "expression.c",
+    "estimate.c",
+    "noise.c",
+    "fmi.c",
+)
 FLAGS = ("-std=c11", "-O2", "-ffp-contract=off", "-fPIC", "-shared")
 LIBRARY = f"_cosim{'.dll' if sys.platform == 'win32' else '.so'}"
 _ZIG_SYSTEMS = {"linux": "linux-gnu", "darwin": "macos", "win32": "windows-gnu"}

@@ -3,7 +3,17 @@
 from __future__ import annotations
 
 import ctypes
-from ctypes import POINTER, c_char, c_double, c_int32, c_int64, c_size_t, c_uint8, c_void_p
+from ctypes import (
+    POINTER,
+    c_char,
+    c_char_p,
+    c_double,
+    c_int32,
+    c_int64,
+    c_size_t,
+    c_uint8,
+    c_void_p,
+)
 from typing import Any
 
 import numpy as np
@@ -32,6 +42,27 @@ class DelayStruct(ctypes.Structure):
     """cosim_delay."""
 
     _fields_ = (("steps", c_int32), ("width", c_int32), ("memory", c_void_p))
+
+
+class MethodStruct(ctypes.Structure):
+    """cosim_method."""
+
+    _fields_ = (
+        *((name, c_int32) for name in ("stages", "extra", "dense", "root")),
+        *((name, c_void_p) for name in ("c", "a", "e", "e_low", "d")),
+    )
+
+
+class RungeKuttaStruct(ctypes.Structure):
+    """cosim_runge_kutta."""
+
+    _fields_ = (
+        *((name, c_void_p) for name in ("method", "f", "model")),
+        ("n", c_int32),
+        ("rtol", c_double),
+        ("evaluations", c_int64),
+        ("memory", c_void_p),
+    )
 
 
 class ExpressionStruct(ctypes.Structure):
@@ -135,6 +166,7 @@ _SIGNATURES: dict[str, tuple[Any, tuple[Any, ...]]] = {
     ),
     "cosim_multiply": (None, (_INT, _INT, _POINTER, _POINTER, _POINTER)),
     "cosim_multiply_add": (None, (_INT, _INT, _POINTER, _POINTER, _POINTER)),
+    "cosim_invert": (_INT, (_INT, _POINTER, _POINTER)),
     "cosim_exponential": (None, (_INT, _POINTER, _POINTER, _POINTER)),
     "cosim_first_order_hold": (
         None,
@@ -151,6 +183,11 @@ _SIGNATURES: dict[str, tuple[Any, tuple[Any, ...]]] = {
             _POINTER,
         ),
     ),
+    "cosim_method_named": (_INT, (c_char_p, POINTER(MethodStruct))),
+    "cosim_runge_kutta_memory": (c_int64, (POINTER(MethodStruct), _INT)),
+    "cosim_runge_kutta_start": (_INT, (_POINTER, c_double, _POINTER, _POINTER)),
+    "cosim_runge_kutta_step": (_INT, (_POINTER, c_double, POINTER(c_double))),
+    "cosim_runge_kutta_at": (_INT, (_POINTER, c_double, _POINTER)),
     "cosim_evaluate": (c_double, (POINTER(ProgramStruct), c_double)),
     "cosim_normal": (None, (c_int64, _POINTER, _POINTER)),
     "cosim_regressor_outputs": (None, (_POINTER, c_double, c_double, _POINTER)),

@@ -22,6 +22,38 @@ void cosim_multiply(int32_t rows, int32_t columns, const double *M, const double
     cosim_multiply_add(rows, columns, M, v, y);
 }
 
+int32_t cosim_invert(int32_t n, double *M, double *inverse)
+{
+    for (int32_t i = 0; i < n * n; ++i)
+        inverse[i] = i % (n + 1) ? 0.0 : 1.0;
+    for (int32_t k = 0; k < n; ++k) {
+        int32_t pivot = k;
+        for (int32_t i = k + 1; i < n; ++i)
+            if (fabs(M[i * n + k]) > fabs(M[pivot * n + k]))
+                pivot = i;
+        if (M[pivot * n + k] == 0.0)
+            return COSIM_SINGULAR;
+        for (int32_t j = 0; j < n; ++j) {
+            const double m = M[pivot * n + j], v = inverse[pivot * n + j];
+            M[pivot * n + j] = M[k * n + j], inverse[pivot * n + j] = inverse[k * n + j];
+            M[k * n + j] = m, inverse[k * n + j] = v;
+        }
+        const double divisor = M[k * n + k];
+        for (int32_t j = 0; j < n; ++j)
+            M[k * n + j] /= divisor, inverse[k * n + j] /= divisor;
+        for (int32_t i = 0; i < n; ++i) {
+            const double factor = M[i * n + k];
+            if (i == k || factor == 0.0)
+                continue;
+            for (int32_t j = 0; j < n; ++j) {
+                M[i * n + j] -= factor * M[k * n + j];
+                inverse[i * n + j] -= factor * inverse[k * n + j];
+            }
+        }
+    }
+    return COSIM_OK;
+}
+
 static void product(int32_t n, const double *P, const double *Q, double *R)
 {
     for (int32_t i = 0; i < n; ++i)

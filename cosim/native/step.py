@@ -160,6 +160,21 @@ def matrix_exponential(M: Matrix) -> Matrix:
     return E
 
 
+def invert(M: Matrix) -> Matrix:
+    """Compute the inverse of M, shape ``(n, n)``, in a fixed order.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If M is singular.
+    """
+    eliminated = np.array(M, np.float64, order="C")
+    inverse = np.empty_like(eliminated)
+    if library.cosim_invert(len(eliminated), pointer(eliminated), pointer(inverse)):
+        raise np.linalg.LinAlgError("singular matrix")
+    return inverse
+
+
 def affine(pairs: Sequence[tuple[Matrix, Vector]]) -> Vector:
     """Sum the products of matrices ``(n, m_i)`` and vectors ``(m_i,)`` in a fixed order.
 

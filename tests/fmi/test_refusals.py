@@ -251,12 +251,12 @@ def test_all_wrong_start_values_are_reported_together(exported):
         load(exported, FmuOptions(start={"nothing": 1.0, "y": 1.0}))
 
 
-TAKEN = "rk4, RK45, DOP853, Radau, BDF, LSODA, CVode"  # by an FMU
+TAKEN = "euler, rk4, RK23, RK45, DOP853, Radau, BDF, LSODA, CVode"  # by an FMU
 
 
 def test_solvers(exported):
     """Offered is only what an FMU takes."""
-    refused(exported, f"no solver 'euler'; There is: {TAKEN}$", solver="euler")
+    refused(exported, f"no solver 'heun'; There is: {TAKEN}$", solver="heun")
     refused(
         exported,
         "solver 'exact' needs the matrices of a linear model, an FMU does not show them; "

@@ -13,7 +13,7 @@ from hypothesis.extra.numpy import arrays
 from cosim.blocks.plant import linear_model
 from cosim.core.linear import Linear
 from cosim.core.signals import Signal
-from cosim.native.step import affine, first_order_hold, matrix_exponential
+from cosim.native.step import affine, first_order_hold, invert, matrix_exponential
 from tests.blocks.stepping import drive
 
 EPS = np.finfo(np.float64).eps
@@ -245,3 +245,18 @@ def test_affine_gives_the_bits_of_a_plain_loop(rows, columns, more, data):
                 total += float(M[i, j]) * float(v[j])
         expected.append(total)
     assert (affine(pairs).view(np.uint64) == np.array(expected).view(np.uint64)).all()
+
+
+def test_the_inverse_is_the_inverse():
+    """The product is I to the condition of the matrix times rounding; pivots may be zero."""
+    rng = np.random.default_rng(3)
+    for n in (1, 2, 5, 12):
+        M = rng.standard_normal((n, n))
+        M[0, 0] = 0.0 if n > 1 else 3.0
+        error = abs(M @ invert(M) - np.eye(n)).max()
+        assert error < 20.0 * n * np.linalg.cond(M) * np.finfo(np.float64).eps
+
+
+def test_a_singular_matrix_has_no_inverse():
+    with pytest.raises(np.linalg.LinAlgError, match="singular"):
+        invert(np.array([[1.0, 2.0], [2.0, 4.0]]))

@@ -14,7 +14,7 @@ import numpy as np
 
 from cosim.arrays import Vector
 from cosim.errors import FmuError, RunError
-from cosim.fmi.driving.solvers import RightHandSide
+from cosim.native.runge_kutta import RightHandSide
 
 ONE_STEP: Final = 2  # CV_ONE_STEP
 FAILED: Final = -1  # return value of a right-hand side that cannot go on
@@ -51,6 +51,7 @@ class CVode:
     """
 
     def __init__(self, f: RightHandSide, n: int, *, rtol: float) -> None:
+        self._context = c_void_p()  # first: whatever fails below, ``__del__`` finds it
         self._lib = _sundials()
         self._f = f
         self._n = n
@@ -58,8 +59,10 @@ class CVode:
         self._arrays: dict[int, Vector] = {}  # by address
         self._raised: BaseException | None = None
         self._last_message = ""
-        self._context = c_void_p()
         self._memory: Any = None  # of CVode itself, made at the first step
+        self._vectors: list[Any] = []
+        self._matrix: Any = None
+        self._linear_solver: Any = None
         self._create_context()
         self._declare_functions()
         self._create_vectors_and_matrix()
@@ -90,13 +93,18 @@ class CVode:
 
     def _create_vectors_and_matrix(self) -> None:
         lib = self._lib
-        self._x = lib.N_VNew_Serial(self._n, self._context)
-        self._atol = lib.N_VNew_Serial(self._n, self._context)
-        self._interpolated = lib.N_VNew_Serial(self._n, self._context)
+        self._x = self._new_vector()
+        self._atol = self._new_vector()
+        self._interpolated = self._new_vector()
         signature = CFUNCTYPE(c_int, c_double, c_void_p, c_void_p, c_void_p)
         self._callback = signature(self._right_hand_side)
         self._matrix = lib.SUNDenseMatrix(self._n, self._n, self._context)
         self._linear_solver = lib.SUNLinSol_Dense(self._x, self._matrix, self._context)
+
+    def _new_vector(self) -> Any:
+        vector = self._lib.N_VNew_Serial(self._n, self._context)
+        self._vectors.append(vector)
+        return vector
 
     def start(self, t: float, x: Vector, nominals: Vector) -> None:
         """Begin at ``t`` with ``x``."""
@@ -189,16 +197,18 @@ class CVode:
             raise RunError(f"solver CVode: {self._last_message or f'status {status}'}")
 
     def __del__(self) -> None:
-        lib = getattr(self, "_lib", None)
-        if lib is None or not self._context:
+        if not self._context:
             return
+        lib = self._lib
         core = lib.libraries.sundials_core
         if self._memory is not None:
             lib.CVodeFree(byref(c_void_p(self._memory)))
         # The context last: all the others were made in it.
-        core.SUNLinSolFree(c_void_p(self._linear_solver))
-        core.SUNMatDestroy(c_void_p(self._matrix))
-        for vector in (self._x, self._atol, self._interpolated):
+        if self._linear_solver is not None:
+            core.SUNLinSolFree(c_void_p(self._linear_solver))
+        if self._matrix is not None:
+            core.SUNMatDestroy(c_void_p(self._matrix))
+        for vector in self._vectors:
             lib.N_VDestroy_Serial(vector)
         core.SUNContext_Free(byref(self._context))
 

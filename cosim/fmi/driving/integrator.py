@@ -51,8 +51,9 @@ from cosim.fmi.driving.events import (
     locate,
 )
 from cosim.fmi.driving.residual import RADAU, RadauIIA, ResidualForm
-from cosim.fmi.driving.solvers import Adaptive, RightHandSide, RungeKutta, Solver, Stateless
+from cosim.fmi.driving.solvers import TOLERANT, Adaptive, Solver, Stateless
 from cosim.fmi.instance import ModelExchangeInstance
+from cosim.native.runge_kutta import EXPLICIT, RightHandSide, RungeKutta
 
 NONE: Final = np.empty(0)
 
@@ -138,7 +139,7 @@ class Integrator:
             self._solver = _build_solver(solver, self._derivatives, self._n_x, rtol)
         else:
             self._solver = RadauIIA(self._name, self._equations, self._jacobian, self._n_x)
-        self._uses_nominals = solver not in ("exact", "rk4") and self._n_x > 0
+        self._uses_nominals = solver in (*TOLERANT, RADAU) and self._n_x > 0
         # With the exact solver the model is linear: an event changes nothing but its inputs.
         self._rolls_back = self._capabilities.saves_state and solver != "exact"
         self._fmu_state: object | None = None  # before an event; its memory is used again
@@ -442,8 +443,8 @@ class Integrator:
 def _build_solver(name: str, f: RightHandSide, n: int, rtol: float) -> Solver[Any]:
     if name == "exact" or n == 0:
         return Stateless()
-    if name == "rk4":
-        return RungeKutta(f)
+    if name in EXPLICIT:
+        return RungeKutta(name, f, n, rtol=rtol)
     if name == "CVode":
         from cosim.fmi.driving.cvode import CVode
 

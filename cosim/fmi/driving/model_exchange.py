@@ -25,11 +25,12 @@ from cosim.fmi.driving.integrator import (
 )
 from cosim.fmi.driving.residual import FORMS, RADAU, DaeForm
 from cosim.fmi.driving.saved import SavedState, save
-from cosim.fmi.driving.solvers import SOLVERS, STEPPING, TOLERANT
+from cosim.fmi.driving.solvers import LIBRARIES, SOLVERS, STEPPING, TOLERANT
 from cosim.fmi.instance import TERMINATED, ModelExchangeInstance
 
 RTOL: Final = 1e-9
 CLOSEST: Final = 1e-13  # what rounding leaves of a relative tolerance
+DEPENDS: Final = "on another processor the last bits may differ"
 
 
 class ModelExchangeState(NamedTuple):
@@ -95,6 +96,17 @@ class ModelExchange:
         )
         self._integrator = Integrator(instance, self.solver, rtol=tolerance)
         self._exact: Linear | None = None
+
+    @property
+    def metadata(self) -> dict[str, str | float]:
+        """What a log keeps of the solver: its name, its tolerance, and what its bits depend on."""
+        metadata: dict[str, str | float] = {"solver": self.solver}
+        if self.rtol is not None:
+            metadata["tolerance"] = self.rtol
+        library = LIBRARIES.get(self.solver)
+        if library is not None:
+            metadata["bits"] = f"solver {self.solver} computes with {library}: {DEPENDS}"
+        return metadata
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Discretize for the exact solver.

@@ -18,7 +18,8 @@ stage at each iteration::
     [ I - h a (x) f_x    - h a (x) f_z ]
     [     I (x) g_x          I (x) g_z ]
 
-The iteration ends where what is left is rounding: the only error is that of the method.
+The iteration ends where what is left is rounding: the only error is that of the method. All sums
+run in a fixed order, without BLAS and LAPACK, which give other bits on other processors.
 """
 
 from __future__ import annotations
@@ -36,6 +37,7 @@ from cosim.fmi.driving.solvers import SolutionPoint
 from cosim.fmi.instance import ModelExchangeInstance
 from cosim.fmi.reading.dae import MANIFEST
 from cosim.fmi.references import ReferenceMap
+from cosim.native.step import affine, invert
 
 DaeForm: TypeAlias = Literal["ode", "residual"]
 FORMS: Final[tuple[DaeForm, ...]] = ("ode", "residual")
@@ -197,8 +199,7 @@ class ResidualForm:
         def correction(z: Vector) -> Vector:
             g = equations(z)
             derivatives = self._by_z(z, equations)
-            change: Vector = np.linalg.solve(derivatives, -g).astype(np.float64)
-            return change
+            return affine([(invert(derivatives), -g)])
 
         solution = newton(correction, z, self.nominals, MANY)
         if solution.problem:
@@ -412,15 +413,14 @@ class RadauIIA:
             stages = base + increments
             points = list(zip(times, stages, strict=True))
             residuals = np.array([self._f(time, stage) for time, stage in points])
-            slopes = WEIGHTS @ residuals[:, :n]
+            slopes = _weighted(residuals[:, :n])
             residuals[:, :n] = increments[:, :n] - h * slopes
             if iterations == FEW:
                 inverse = self._kept_inverse(h)
             else:
                 jacobians = [self._jacobian(time, stage, scale) for time, stage in points]
                 inverse = _inverse(jacobians, n, h)
-            change: Vector = inverse @ -residuals.ravel()
-            return change
+            return affine([(inverse, -residuals.ravel())])
 
         first_guess = np.tile(w_begin - base, len(times))
         return newton(correction, first_guess, np.tile(scale, len(times)), iterations)
@@ -445,6 +445,14 @@ class RadauIIA:
         return scale
 
 
+def _weighted(slopes: Matrix) -> Matrix:
+    """Return the sums of the stages' slopes, shape (3, n), for each stage; in a fixed order."""
+    total = np.zeros(slopes.shape)
+    for weights, slope in zip(WEIGHTS.T, slopes, strict=True):
+        total += np.multiply.outer(weights, slope)
+    return total
+
+
 def _inverse(jacobians: Sequence[Matrix], n: int, h: float) -> Matrix:
     """Return the inverse of Newton's matrix for the derivatives at each stage."""
     stages = len(jacobians)
@@ -454,5 +462,4 @@ def _inverse(jacobians: Sequence[Matrix], n: int, h: float) -> Matrix:
     identity = np.einsum("ij,kl->ikjl", np.eye(stages), np.eye(n, size))
     slopes = np.einsum("ij,jkl->ikjl", WEIGHTS, J[:, :n])
     matrix[:, :n] = identity - h * slopes
-    inverse = np.linalg.inv(matrix.reshape(stages * size, -1))
-    return inverse.astype(np.float64)
+    return invert(matrix.reshape(stages * size, -1))

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, Final, NamedTuple, Protocol, TypeAlias, TypeVar, final
 
 import numpy as np
 
 from cosim.arrays import Vector
 from cosim.errors import RunError
+from cosim.native.runge_kutta import EMBEDDED, EXPLICIT, RightHandSide
 
-ADAPTIVE: Final = ("RK45", "DOP853", "Radau", "BDF", "LSODA")  # scipy.integrate
-TOLERANT: Final = (*ADAPTIVE, "CVode")  # what keeps to a relative tolerance
-STEPPING: Final = ("rk4", *TOLERANT)  # for any model
+ADAPTIVE: Final = ("Radau", "BDF", "LSODA")  # scipy.integrate
+IMPLICIT: Final = (*ADAPTIVE, "CVode")
+TOLERANT: Final = (*EMBEDDED, *IMPLICIT)  # what keeps to a relative tolerance
+STEPPING: Final = (*EXPLICIT, *IMPLICIT)  # for any model
 SOLVERS: Final = ("exact", *STEPPING)
 
-RightHandSide: TypeAlias = Callable[[float, Vector], Vector]  # (t, x) -> x'
+LIBRARIES: Final = {"Radau": "LAPACK", "BDF": "LAPACK", "LSODA": "ODEPACK", "CVode": "SUNDIALS"}
+"""What the solvers compute with whose last bits depend on the processor."""
+
 SolutionPoint: TypeAlias = tuple[float, Vector]  # (t, x)
 SolverState = TypeVar("SolverState")
 
@@ -61,63 +64,6 @@ class Solver(Protocol[SolverState]):
         ...
 
 
-def rk4(f: RightHandSide, t0: float, t1: float, x: Vector) -> Vector:
-    """Integrate over one step with the classical Runge-Kutta method of order 4 (Kutta, 1901)."""
-    h = t1 - t0
-    middle = 0.5 * (t0 + t1)
-    k1 = f(t0, x)
-    k2 = f(middle, x + 0.5 * h * k1)
-    k3 = f(middle, x + 0.5 * h * k2)
-    k4 = f(t1, x + h * k3)
-    slope = k1 + 2.0 * k2 + 2.0 * k3 + k4
-    return x + h / 6.0 * slope
-
-
-@final
-class RungeKutta:
-    """``rk4``: one step to wherever the step may end; a state within it is that of a shorter step.
-
-    Parameters
-    ----------
-    f : callable
-        x' at t and x.
-    """
-
-    def __init__(self, f: RightHandSide) -> None:
-        self._f = f
-        self.start(0.0, np.empty(0), np.empty(0))
-
-    def start(self, t: float, x: Vector, nominals: Vector) -> None:
-        """Begin at ``t``; there are no tolerances to keep."""
-        self._begin: SolutionPoint = (t, x)
-        self._end: SolutionPoint = (t, x)
-
-    def step(self, t_end: float) -> float:
-        """Take one step to ``t_end``."""
-        self._begin = self._end
-        self._end = (t_end, self._integrate_to(t_end))
-        return t_end
-
-    def at(self, t: float) -> Vector:
-        """Return the state at a time within the last step."""
-        t_end, x_end = self._end
-        return x_end if t == t_end else self._integrate_to(t)
-
-    def save(self) -> SolutionPoint:
-        """Return where it is: it remembers nothing else."""
-        return self._end
-
-    def restore(self, state: SolutionPoint) -> None:
-        """Go back to a saved state."""
-        self._begin = state
-        self._end = state
-
-    def _integrate_to(self, t: float) -> Vector:
-        """Return the state after one step from where the last one began."""
-        t_begin, x_begin = self._begin
-        return rk4(self._f, t_begin, t, x_begin)
-
-
 class AdaptiveState(NamedTuple):
     """A copy of an ``Adaptive``."""
 
@@ -129,7 +75,7 @@ class AdaptiveState(NamedTuple):
 
 @final
 class Adaptive:
-    """One of scipy's error-controlled solvers.
+    """One of scipy's implicit solvers.
 
     scipy's object is kept, and its bound moved on from step to step. LSODA starts anew at every
     bound: before scipy 1.17 all LSODA solvers of a process share one memory, so that two of them
@@ -160,6 +106,7 @@ class Adaptive:
         self._start = (t, x)
         self._nominals = nominals
         self._solver: Any = None  # made at the first step, whose bound it wants
+        self._dense_output: Any = None  # made where it is asked for
 
     def step(self, t_end: float) -> float:
         """Take one step, to ``t_end`` at most.
@@ -177,7 +124,7 @@ class Adaptive:
             raise RunError(f"solver {self._method}: {error}") from error
         if solver.status == "failed":
             raise RunError(f"solver {self._method}: {message}")
-        self._dense_output: Any = None
+        self._dense_output = None
         return float(solver.t)
 
     def _bounded(self, t_end: float) -> Any:
@@ -219,6 +166,7 @@ class Adaptive:
         self._start = state.start
         self._nominals = state.nominals
         self._solver = state.solver
+        self._dense_output = None  # that of the step that was left
         if self._solver is not None:
             # Copied again: the solver writes to its arrays, and a state may be restored twice.
             vars(self._solver).update(_copied(state.attributes))
@@ -228,10 +176,6 @@ def _copied(attributes: dict[str, Any]) -> dict[str, Any]:
     copies = {}
     for name, value in attributes.items():
         copies[name] = value.copy() if isinstance(value, np.ndarray) else value
-    if "K_extended" in copies:
-        # DOP853 writes its stages to K and interpolates from K_extended, whose beginning K is:
-        # two copies would come apart.
-        copies["K"] = copies["K_extended"][: len(copies["K"])]
     return copies
 
 

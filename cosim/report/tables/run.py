@@ -11,7 +11,7 @@ import typer
 from rich.table import Table
 
 from cosim.core.contracts import Recording
-from cosim.report.recorded import run_metadata, signal_of
+from cosim.report.recorded import component_metadata, run_metadata, signal_of
 from cosim.report.summary import Identification, Summary, span, summarize
 from cosim.report.tables.console import new_table, print_json, print_table
 
@@ -173,3 +173,7 @@ def _warn_of_environment(source: Recording) -> None:
             "sin, exp and log may differ in their last bit",
             err=True,
         )
+    for name in source.channels:
+        bits = component_metadata(source, name).get("bits")
+        if bits is not None:
+            typer.echo(f"note: {name}: {bits}", err=True)

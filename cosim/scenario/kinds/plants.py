@@ -56,7 +56,9 @@ class DescriptorKind(PlantKind, LinearKind):
         if self.solver not in SOLVERS:
             raise UsageError(f"solver: found {self.solver!r}; {nearest(self.solver, SOLVERS)}")
         instance = GeneratedInstance.of(self.linear_model(name, context), name)
-        return ModelExchange(instance, solver=self.solver)
+        component = ModelExchange(instance, solver=self.solver)
+        context.add_metadata(name, component.metadata)
+        return component
 
     def description(
         self, name: str, context: BuildContext

@@ -1,0 +1,106 @@
+"""What the bits of a run depend on: not on BLAS, or the log says so."""
+
+import hashlib
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+import typer
+
+import cosim
+from cosim.native.runge_kutta import EXPLICIT
+from cosim.report.inspection import describe_log
+from cosim.report.tables.run import print_verification
+from cosim.scenario.exporting import export_component
+
+KERNELS = ("Haswell", "Nehalem", "SkylakeX")  # of OpenBLAS, with AVX2, SSE and AVX-512
+
+CHILD = """
+import json, sys
+from pathlib import Path
+import cosim
+fmu, folder, *solvers = sys.argv[1:]
+results = {}
+for solver in solvers:
+    settings = {"scenario.stop": 2.0, "scenario.step": 0.04, "plant.solver": solver}
+    if solver == "residual":
+        settings["plant.dae"] = settings.pop("plant.solver")
+    log = cosim.run(
+        "academic", swap={"plant": fmu + "#me"}, set=settings, out=Path(folder) / (solver + ".mcap")
+    )
+    signals = ("plant.y", "plant.x_a", "plant.x_b")
+    results[solver] = [log[signal].tobytes().hex() for signal in signals]
+print(json.dumps(results))
+"""
+
+
+@pytest.fixture(scope="module")
+def plant(tmp_path_factory):
+    path = tmp_path_factory.mktemp("fmus") / "academic.fmu"
+    export_component("academic", "plant", path, fmi="3", dae=True)
+    return path
+
+
+def test_explicit_methods_and_the_residual_form_give_the_same_bits_whatever_blas_computes_with(
+    plant, tmp_path
+):
+    """Of a model exchange FMU over 50 steps, in processes whose BLAS takes other instructions."""
+    results = {}
+    for kernel in KERNELS:
+        folder = tmp_path / kernel
+        folder.mkdir()
+        result = subprocess.run(
+            [sys.executable, "-c", CHILD, str(plant), str(folder), *EXPLICIT, "residual"],
+            env={**os.environ, "OPENBLAS_CORETYPE": kernel},
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        results[kernel] = json.loads(result.stdout)
+    first = results[KERNELS[0]]
+    assert len({hashlib.sha256("".join(rows).encode()).digest() for rows in first.values()}) == 6
+    for kernel in KERNELS:
+        assert results[kernel] == first
+
+
+@pytest.mark.parametrize(
+    ("solver", "library"),
+    [("Radau", "LAPACK"), ("BDF", "LAPACK"), ("LSODA", "ODEPACK"), ("CVode", "SUNDIALS")],
+)
+def test_a_log_says_what_the_bits_of_implicit_solvers_depend_on(solver, library, plant, tmp_path):
+    """Of an FMU and of a generated plant; ``info`` shows it."""
+    sentence = (
+        f"solver {solver} computes with {library}: on another processor the last bits may differ"
+    )
+    for name, swap in (("fmu", {"plant": f"{plant}#me"}), ("generated", {})):
+        log = tmp_path / f"{name}.mcap"
+        settings = {"scenario.stop": 0.02, "plant.solver": solver}
+        cosim.run("academic", swap=swap, set=settings, out=log)
+        assert describe_log(str(log))["metadata"]["plant"]["bits"] == sentence
+
+
+def test_a_replay_that_differs_names_what_its_log_depends_on(plant, tmp_path, capsys):
+    """Of two runs with different tolerances the first value that differs, and the solver's note."""
+    runs = []
+    for tolerance in (1e-6, 1e-9):
+        settings = {
+            "scenario.stop": 0.02,
+            "plant.solver": "BDF",
+            "plant.tolerance": tolerance,
+        }
+        log = tmp_path / f"{tolerance}.mcap"
+        runs.append(cosim.run("academic", swap={"plant": f"{plant}#me"}, set=settings, out=log))
+    with pytest.raises(typer.Exit):
+        print_verification(*runs, path=log, as_json=False, quiet=False)
+    message = capsys.readouterr().err
+    assert "the replay differs from the log; first: plant." in message
+    assert "note: plant: solver BDF computes with LAPACK: on another processor" in message
+
+
+@pytest.mark.parametrize("solver", ["exact", *EXPLICIT])
+def test_a_log_says_nothing_of_bits_where_they_depend_on_nothing(solver, tmp_path):
+    log = tmp_path / "x.mcap"
+    cosim.run("academic", set={"scenario.stop": 0.02, "plant.solver": solver}, out=log)
+    assert "bits" not in describe_log(str(log))["metadata"]["plant"]
