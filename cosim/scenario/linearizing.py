@@ -113,7 +113,7 @@ def split(linearization: Linearization, disturbances: Sequence[str]) -> tuple[li
     """
     unknown: list[int] = []
     for name in disturbances:
-        columns = _columns(linearization.inputs, name)
+        columns = _columns(linearization, name)
         if not columns:
             advice = nearest(name, linearization.inputs)
             raise UsageError(f"disturbance {name!r} is no input of {linearization.name}; {advice}")
@@ -124,11 +124,11 @@ def split(linearization: Linearization, disturbances: Sequence[str]) -> tuple[li
     return known, unknown
 
 
-def _columns(inputs: Sequence[str], name: str) -> list[int]:
+def _columns(linearization: Linearization, name: str) -> list[int]:
+    """Return the columns of an element or of all elements of a port."""
     columns = []
-    for i, element in enumerate(inputs):
-        port = element.rpartition("[")[0]
-        if name in (element, port):
+    for i, element in enumerate(linearization.inputs):
+        if name in (element, linearization.ports.get(element)):
             columns.append(i)
     return columns
 

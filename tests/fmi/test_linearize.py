@@ -2,10 +2,12 @@
 
 import json
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import cosim
 from cosim.core.linear import LinearModel
@@ -16,6 +18,7 @@ from cosim.fmi.generated import GeneratedInstance
 from cosim.fmi.linearizing.differences import differentiate
 from cosim.fmi.linearizing.linearization import Linearization
 from cosim.fmi.linearizing.linearize import linearize
+from cosim.fmi.linearizing.operating_point import OperatingPoint
 from cosim.fmi.options import FmuOptions
 from tests.fmi import plant
 from tests.fmi.compiled import compile_fmu
@@ -177,6 +180,84 @@ def test_an_instance_is_linearized_like_its_fmu_and_left_as_it_was(exported):
     with load(exported, FmuOptions(interface_type="me")) as fmu:
         linearize(fmu.instance)
         assert np.array_equal(plant.run(fmu.component, step=0.1), before)
+
+
+@pytest.mark.parametrize("method", [DIRECTIONAL, DIFFERENCES])
+def test_the_error_of_the_states_at_the_operating_point_is_among_the_errors(able, method):
+    """The matrices of the pendulum after some seconds, against those of a far finer solution.
+
+    At 8.2566 s the errors of two tolerances agree in theta, on which the matrices depend; the claim
+    must hold there too. It is no more than some thousand tolerances.
+    """
+    has_derivatives, path = able
+    if method == DIRECTIONAL and not has_derivatives:
+        return
+
+    def swing(t, x):
+        return [x[1], -G * math.sin(x[0]) - FRICTION * x[1]]
+
+    with load(path, FmuOptions(interface_type="me")) as fmu:
+        for at in (0.3, 1.0, 2.0, 3.7, 5.5, 8.256623255801623):
+            solution = solve_ivp(
+                swing, (0.0, at), [2.5, 0.0], method="DOP853", rtol=3e-14, atol=1e-14
+            )
+            theta, omega = solution.y[:, -1]
+            found = linearize(fmu.instance, at=at, start={"theta": 2.5}, method=method)
+            for letter, exact in zip(LETTERS, jacobian(theta, omega, 0.0), strict=True):
+                claimed = found.errors[letter] or 0.0
+                # the reference itself is off by some 1e-13
+                assert abs(getattr(found, letter) - exact).max() <= claimed + 1e-12, (at, letter)
+                assert claimed < 1e-6
+
+
+def test_the_operating_point_of_a_linear_fmu_adds_no_error(exported):
+    """Its derivatives are the same everywhere."""
+    assert cosim.linearize(exported, at=0.5).errors == dict.fromkeys(LETTERS)
+
+
+def test_states_stay_in_their_range_where_their_error_is_estimated(tmp_path, monkeypatch):
+    """The angle that is reached ends its range; the error is estimated on the near side."""
+    moved = []
+    original = OperatingPoint.moved_apart
+
+    def observed(point, x):
+        result = original(point, x)
+        moved.append((result.all_states - point.all_states)[0])
+        return result
+
+    monkeypatch.setattr(OperatingPoint, "moved_apart", observed)
+    path = pendulum(tmp_path / "p.fmu", derivatives=True)
+    angle = cosim.linearize(path, at=0.3).x.item(0)
+    for number, bound in enumerate(("min", "max")):
+
+        def narrow(xml, bound=bound):
+            return xml.replace('start="0.5"', f'start="0.5" {bound}="{angle!r}"')
+
+        path = pendulum(tmp_path / f"{number}.fmu", derivatives=True, edit=narrow)
+        errors = cosim.linearize(path, at=0.3).errors
+        assert errors["A"] is not None
+        assert 0.0 < errors["A"] < 1e-7
+    assert moved[1] > 0.0 > moved[2]
+
+
+def test_names_with_several_indices_are_no_elements_of_a_port(tmp_path):
+    """``q[1,1]`` and ``q[1,2]`` of FMI 2 are two states, and there is none of the name ``q``."""
+
+    def renamed(xml):
+        names = {"theta": "q[1,1]", "omega": "q[1,2]", "torque": "f[1].x", "wind": "f[2].x"}
+        for old, new in names.items():
+            xml = xml.replace(f'name="{old}"', f'name="{new}"')
+        return xml
+
+    path = pendulum(tmp_path / "names.fmu", derivatives=True, edit=renamed)
+    assert cosim.linearize(path, states=["q[1,2]"]).states == ("q[1,2]",)
+    assert cosim.linearize(path, inputs=["f[2].x"]).inputs == ("f[2].x",)
+    for name in ("q", "q[1", ""):
+        with pytest.raises(FmuError, match=f"no state {re.escape(repr(name))}"):
+            cosim.linearize(path, states=[name])
+    for name in ("f", ""):
+        with pytest.raises(FmuError, match=f"no input {name!r}"):
+            cosim.linearize(path, inputs=[name])
 
 
 class Lift:

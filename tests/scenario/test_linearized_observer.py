@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 import shutil
 
 import numpy as np
@@ -11,7 +12,7 @@ import cosim
 from cosim.errors import ScenarioError, UsageError
 from cosim.fmi.linearizing.linearize import linearize
 from cosim.scenario.exporting import export_component
-from cosim.scenario.linearizing import model_table
+from cosim.scenario.linearizing import model_table, split
 from tests.fmi.pendulum import jacobian, pendulum
 
 MODEL = {"fmu": "plant.fmu", "disturbance": "delta"}
@@ -262,3 +263,34 @@ def test_a_table_names_its_operating_point_and_what_it_lacks(folder):
         match="pendulum: a table of \\[models\\] needs a known input; inputs: torque, wind",
     ):
         model_table(linearization, ["torque", "wind"])
+
+
+def test_disturbances_are_named_by_elements_or_by_ports_that_exist(tmp_path):
+    """``f[1,1]`` and ``f[1,2]`` are two inputs: neither ``f`` nor an empty name is any."""
+
+    def renamed(xml):
+        for old, new in {"torque": "f[1,1]", "wind": "f[1,2]"}.items():
+            xml = xml.replace(f'name="{old}"', f'name="{new}"')
+        return xml
+
+    path = pendulum(tmp_path / "names.fmu", derivatives=True, edit=renamed)
+    linearization = linearize(path, outputs=["y"])
+    assert split(linearization, ["f[1,2]"]) == ([0], [1])
+    for name in ("f", "f[1", ""):
+        message = re.escape(f"disturbance {name!r} is no input of pendulum")
+        with pytest.raises(UsageError, match=message):
+            split(linearization, [name])
+
+
+def test_a_disturbance_may_be_a_whole_port(tmp_path):
+    """The two elements ``f[1]`` and ``f[2]`` are the port ``f``."""
+
+    def renamed(xml):
+        for old, new in {"torque": "f[1]", "wind": "f[2]"}.items():
+            xml = xml.replace(f'name="{old}"', f'name="{new}"')
+        return xml
+
+    path = pendulum(tmp_path / "names.fmu", derivatives=True, edit=renamed)
+    linearization = linearize(path, outputs=["y"])
+    assert split(linearization, ["f"]) == ([], [0, 1])
+    assert split(linearization, ["f[2]"]) == ([0], [1])

@@ -98,6 +98,8 @@ class LoadedInstance:
         self._n_indicators = description.event_indicators
         self._x = np.empty(self._n_states)
         self._x_pointer = pointer(self._x)
+        self._derivatives = np.empty(self._n_states)
+        self._derivatives_pointer = pointer(self._derivatives)
 
     def _bind(self, calls: Calls, interface_type: InterfaceType) -> None:
         self.enter_configuration_mode = calls.enter_configuration_mode
@@ -226,9 +228,8 @@ class LoadedInstance:
 
     def get_derivatives(self) -> Vector:
         """Return x', shape (n_x,)."""
-        derivatives = np.empty(self._n_states)
-        self._get_derivatives(pointer(derivatives), self._n_states)
-        return derivatives
+        self._get_derivatives(self._derivatives_pointer, self._n_states)
+        return self._derivatives.copy()
 
     def get_directional_derivative(
         self, unknowns: ReferenceMap, knowns: ReferenceMap, seed: Vector

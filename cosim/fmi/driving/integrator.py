@@ -91,6 +91,7 @@ class LinearInputs:
         self.t1 = t1
         self.u0 = u0
         self.u1 = u1
+        self._change = u1 - u0
 
     def __call__(self, t: float) -> Vector:
         """Return the inputs at ``t``; the values at the ends are exact."""
@@ -99,7 +100,7 @@ class LinearInputs:
         if t <= self.t0:
             return self.u0
         fraction = (t - self.t0) / (self.t1 - self.t0)
-        return self.u0 + fraction * (self.u1 - self.u0)
+        return self.u0 + fraction * self._change
 
 
 @final
@@ -270,7 +271,8 @@ class Integrator:
         """
         if t != self._inputs_time:
             self._instance.set_time(t)
-            self.set_continuous_inputs(self._step_inputs(t))
+            if self._continuous_inputs.size:
+                self.set_continuous_inputs(self._step_inputs(t))
             self._inputs_time = t
         if self._form is not None:
             self._form.set_variables(x)
@@ -299,7 +301,7 @@ class Integrator:
 
     def set_continuous_inputs(self, u: Vector) -> None:
         """Set the inputs that may change while time advances."""
-        if self._continuous_inputs.size or not self._continuous_inputs.is_part:
+        if self._continuous_inputs.size:
             self._instance.set_float64(self._continuous_inputs, self._continuous_inputs.take(u))
 
     def _jumps(self, u: Vector) -> bool:

@@ -132,9 +132,13 @@ def _all_states(description: Description) -> tuple[Element, ...]:
     variables = [description[name] for name in description.states]
     if description.unnamed_states:
         variables.append(Variable("state", NO_REFERENCE, "local", size=description.unnamed_states))
+    ports = {}
+    for signal, group in description.ports("output"):
+        for variable in group:
+            ports[variable.name] = signal.name
     elements: list[Element] = []
     for variable in variables:
-        elements += elements_of(variable.name.rpartition("[")[0], variable)
+        elements += elements_of(ports.get(variable.name, variable.name), variable)
     return tuple(elements)
 
 

@@ -54,6 +54,8 @@ class Linearization:
         Name of the model.
     states, inputs, outputs : tuple of str
         Names of the n_x, n_u and n_y elements.
+    ports : mapping of input name to str
+        Name of the port that the element belongs to.
     A, B, C, D : Matrix, shapes (n_x, n_x), (n_x, n_u), (n_y, n_x), (n_y, n_u)
     t : float
         Time of the operating point [s].
@@ -62,8 +64,8 @@ class Linearization:
     made : mapping of state or input name to Method
         Where its column comes from.
     errors : mapping of matrix name to float or None
-        Estimate of the largest error of an entry; None: all are the FMU's own derivatives, taken to
-        be exact.
+        Estimate of the largest error of an entry, that of the states at t included; None: all are
+        the FMU's own derivatives, taken to be exact.
     notes : tuple of str
         What is to be known about the result.
     units : mapping of element name to str
@@ -88,6 +90,7 @@ class Linearization:
     made: Mapping[str, Method]
     errors: Mapping[str, float | None]
     notes: tuple[str, ...] = ()
+    ports: Mapping[str, str] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
     bases: Mapping[str, BaseUnit] = field(default_factory=dict)
 
@@ -151,7 +154,9 @@ class Linearization:
             "y": (n_y,),
             "dx": (n_x,),
         }
-        values = {entry.name: plain[entry.name] for entry in fields(cls)}
+        # Earlier logs do not name the ports: there an input is named by its elements.
+        known = {"ports": {}, **plain}
+        values = {entry.name: known[entry.name] for entry in fields(cls)}
         for name in NAMES:
             values[name] = tuple(plain[name])
         for name, shape in shapes.items():

@@ -9,6 +9,12 @@ There, in continuous-time mode, the columns of A, B, C and D come from its direc
 by unit seeds (FMI 2.0.4 section 2.1.9, FMI 3.0 section 2.2.11: known are states and continuous
 inputs, unknown are derivatives and outputs), or from central differences where it has none. An
 output that is a state is known, not unknown: its row is completed from the structure.
+
+An operating point that a solver runs to is known up to the solver's error, and so are the matrices
+of a nonlinear model there. The instance runs to it with two tolerances, of which the finer is a
+hundred times smaller. How far apart the states are, at the most, relative to their size, is taken
+as the error of each: what the matrices change by where all states are so much off is added to the
+error of theirs. The difference of each state alone would not do, as it passes through zero.
 """
 
 from __future__ import annotations
@@ -21,7 +27,7 @@ from typing import Final
 
 import numpy as np
 
-from cosim.arrays import Matrix
+from cosim.arrays import Matrix, Vector
 from cosim.errors import FmuError, RunError, nearest
 from cosim.fmi.component import Fmu, load
 from cosim.fmi.description import Description
@@ -35,7 +41,9 @@ from cosim.fmi.options import FmuOptions
 from cosim.fmi.reading.model_description import read
 from cosim.units import BaseUnit
 
-GOOD: Final = 1e-7  # relative error from which on central differences are noted as poor
+GOOD: Final = 1e-7  # relative error from which on a matrix is noted as poor
+ROUGH: Final = 1e-9  # relative tolerances on the way to the operating point
+FINE: Final = 1e-11
 
 
 def linearize(
@@ -126,18 +134,45 @@ def linearize_instance(
     selection = Selection.of(
         description, states=request.states, inputs=request.inputs, outputs=request.outputs
     )
-    instance.reset()
+    rough_x = None
     try:
-        point = OperatingPoint(instance, selection, at, request.start)
-        if method == METHODS[0]:
-            jacobian = point.directional()
-            error = None
-        else:
-            jacobian, error = point.differences()
+        if at > 0.0:
+            rough_x = _reach(instance, selection, request, ROUGH).all_states
+        point = _reach(instance, selection, request, FINE)
+        jacobian, error = point.jacobian(method)
+        if rough_x is not None:
+            error = _with_error_of_states(point, method, rough_x, jacobian, error)
     finally:
         with suppress(RunError):  # an instance that has failed for good cannot be reset either
             instance.reset()
     return _result(point, jacobian, error, method)
+
+
+def _reach(
+    instance: ModelExchangeInstance,
+    selection: Selection,
+    request: LinearizationRequest,
+    rtol: float,
+) -> OperatingPoint:
+    """Reset the instance and run it to the operating point."""
+    instance.reset()
+    return OperatingPoint(instance, selection, request.at, request.start, rtol=rtol)
+
+
+def _with_error_of_states(
+    point: OperatingPoint,
+    method: Method,
+    rough_x: Vector,
+    jacobian: Matrix,
+    error: Matrix | None,
+) -> Matrix | None:
+    """Add what is due to the error of the states to that of the Jacobian; see the module."""
+    moved, _ = point.moved_apart(rough_x).jacobian(method)
+    change = np.abs(moved - jacobian)
+    if error is None:
+        # Where the states do not matter the derivatives are as exact as before.
+        return change if change.any() else None
+    return error + change
 
 
 def _choose_method(description: Description, method: Method | None) -> Method:
@@ -177,9 +212,10 @@ def _result(
         dx=point.dx,
         made=dict.fromkeys(_names(selection.columns), method),
         errors=errors,
+        ports={element.name: element.port for element in selection.inputs},
         units=_units(selection),
         bases=_bases(selection),
-        notes=(*_notes(point), *_notes_on_errors(matrices, errors)),
+        notes=(*_notes(point), *_notes_on_errors(matrices, errors, method)),
     )
 
 
@@ -224,7 +260,7 @@ def _notes(point: OperatingPoint) -> Iterator[str]:
 
 
 def _notes_on_errors(
-    matrices: Mapping[str, Matrix], errors: Mapping[str, float | None]
+    matrices: Mapping[str, Matrix], errors: Mapping[str, float | None], method: Method
 ) -> Iterator[str]:
     """Yield a note on each matrix whose error is large beside the derivatives or outputs."""
     derivatives = float(np.linalg.norm(np.hstack([matrices["A"], matrices["B"]])))
@@ -232,4 +268,4 @@ def _notes_on_errors(
     sizes = {"A": derivatives, "B": derivatives, "C": outputs, "D": outputs}
     for letter, error in errors.items():
         if error is not None and error > GOOD * sizes[letter] > 0.0:
-            yield f"{letter} by central differences: error up to {error:.1g}"
+            yield f"{letter} by {method}: error up to {error:.1g}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from copy import copy
 from typing import Final, final
 
 import numpy as np
@@ -15,6 +16,7 @@ from cosim.fmi.driving.model_exchange import ModelExchange
 from cosim.fmi.instance import ModelExchangeInstance
 from cosim.fmi.linearizing.differences import differentiate
 from cosim.fmi.linearizing.elements import Element, Selection, derivative_of, references_of
+from cosim.fmi.linearizing.linearization import METHODS, Method
 from cosim.fmi.references import ReferenceMap
 
 SOLVER: Final = "LSODA"  # to the operating point: stiff or not
@@ -32,6 +34,8 @@ class OperatingPoint:
     at : float
         Time of the operating point [s].
     start : mapping of variable or element name to StartValue
+    rtol : float
+        Relative tolerance of the states on the way there.
 
     Raises
     ------
@@ -42,7 +46,13 @@ class OperatingPoint:
     """
 
     def __init__(
-        self, instance: ModelExchangeInstance, selection: Selection, at: float, start: Starts
+        self,
+        instance: ModelExchangeInstance,
+        selection: Selection,
+        at: float,
+        start: Starts,
+        *,
+        rtol: float,
     ) -> None:
         self.instance = instance
         self.selection = selection
@@ -59,9 +69,13 @@ class OperatingPoint:
         array_elements = [e for e in selection.all_inputs if not e.is_variable]
         input_values = self._pop_elements(array_elements, values)
         self._u = self._constant_inputs(values, input_values)
-        self._x = self._reach(values)
+        self._x = self._reach(values, rtol)
         for element, value in state_values:
             self._x[selection.all_states.index(element)] = value
+        self._read()
+
+    def _read(self) -> None:
+        """Set the instance to the point and read what is selected there."""
         self.dx, self.y = self._evaluate(self._x, self._u)
         self.x = self._x[self._state_columns]
         self.u = self._u[self._input_columns]
@@ -111,9 +125,9 @@ class OperatingPoint:
             u[inputs.index(element)] = value
         return u
 
-    def _reach(self, values: Starts) -> Vector:
+    def _reach(self, values: Starts, rtol: float) -> Vector:
         """Initialize the instance and run it to the operating point; return its states there."""
-        driver = ModelExchange(self.instance, SOLVER, starts=values)
+        driver = ModelExchange(self.instance, SOLVER, starts=values, rtol=rtol)
         h = self.t or 1.0
         none_held = np.zeros(len(self._u), np.bool_)
         driver.prepare(h, none_held, {})
@@ -142,6 +156,30 @@ class OperatingPoint:
             y = instance.get_float64(self._outputs)[self._output_rows]
         return dx[self._state_columns], y
 
+    @property
+    def all_states(self) -> Vector:
+        """All states there, the selected ones among them."""
+        return self._x.copy()
+
+    def moved_apart(self, x: Vector) -> OperatingPoint:
+        """Return the point with all states moved as far as they are from ``x`` at the most.
+
+        How far is relative to the size of a state, its nominal value at the least; each goes the
+        way that ``x`` is, within its range. The instance is there then, at this point no more.
+        """
+        scale = np.maximum(np.abs(self._x), np.abs(self.instance.get_nominals()))
+        difference = x - self._x
+        distance = np.max(np.abs(difference) / scale, initial=0.0) * scale
+        step = np.copysign(distance, difference)
+        for i, element in enumerate(self.selection.all_states):
+            reached = self._x[i] + step[i]
+            if not element.variable.minimum <= reached <= element.variable.maximum:
+                step[i] = -step[i]
+        moved = copy(self)
+        moved._x = self._x + step
+        moved._read()
+        return moved
+
     def _check_finite(self, what: str, values: Vector) -> None:
         if not np.isfinite(values).all():
             raise FmuError(
@@ -150,6 +188,12 @@ class OperatingPoint:
             )
 
     # --- both ways to the Jacobian d(dx, y)/d(x, u), shape (n_x + n_y, n_x + n_u) ---
+
+    def jacobian(self, method: Method) -> tuple[Matrix, Matrix | None]:
+        """Compute the Jacobian and its error; None: there is none. Raises as both ways to it."""
+        if method == METHODS[0]:
+            return self.directional(), None
+        return self.differences()
 
     def directional(self) -> Matrix:
         """Compute the Jacobian from directional derivatives, column by column.
