@@ -15,6 +15,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Protocol, Self, final
 
+from cosim.arrays import Matrix, Vector
 from cosim.core.contracts import Component, Preparable, Rollback
 from cosim.errors import FmuError, RunError, listing
 from cosim.fmi.binary.headers import built_for
@@ -30,7 +31,7 @@ from cosim.fmi.options import DEFAULT_OPTIONS, FmuOptions
 from cosim.fmi.platforms import ARCHITECTURE, SUFFIX, folders
 from cosim.fmi.reading.model_description import Archive, read
 
-__all__ = ["CoSimulation", "Fmu", "ModelExchange", "load"]
+__all__ = ["CoSimulation", "DescribedFmu", "Fmu", "ModelExchange", "describe", "load"]
 
 MOST_WARNINGS: Final = 5  # of one file, in the notes of a run
 OUR_TOOL: Final = "cosim"  # the tests prove that its FMUs do what their descriptions say
@@ -183,15 +184,9 @@ def load(
     instance: LoadedInstance | None = None
     try:
         archive = read(path, into=folder)
-        interface_type = _choose_interface_type(archive, options.interface_type)
-        if interface_type == "cs":
-            _check_options_for_co_simulation(archive, options)
+        interface_type, description = _with_options(archive, options)
         library = folder / _library(archive, interface_type)
         _check_architecture(archive, library)
-        # Structural parameters first: they decide how many elements other start values have.
-        description = resized(archive.description, options.start)
-        check_start(description, options.start)
-        description = description.recording(options.outputs)
         description, notes = _reliable(archive, description, interface_type)
         instance = LoadedInstance(
             folder,
@@ -216,6 +211,68 @@ def load(
         solving=solving,
         notes=notes,
     )
+
+
+def describe(path: Path | str, options: FmuOptions = DEFAULT_OPTIONS) -> DescribedFmu:
+    """Read an FMU's description, without its binary: nothing of it runs.
+
+    Raises
+    ------
+    FmuError
+        If it is no FMU, or these options do not fit its description.
+    """
+    archive = read(path)
+    interface_type, description = _with_options(archive, options)
+    return DescribedFmu(archive, interface_type, description)
+
+
+@final
+class DescribedFmu:
+    """An FMU that shows its interface, and cannot run.
+
+    Parameters
+    ----------
+    archive : Archive
+    interface_type : {"me", "cs"}
+    description : Description
+        With the options that it would be opened with.
+    """
+
+    def __init__(
+        self, archive: Archive, interface_type: InterfaceType, description: Description
+    ) -> None:
+        rollback = description.capabilities[interface_type].saves_state
+        self.interface = replace(description.interface, rollback=rollback)
+        self.metadata: dict[str, Any] = {
+            "path": str(archive.path),
+            "sha256": archive.sha256,
+            "fmi_version": description.version,
+            "interface_type": interface_type,
+        }
+        self._refusal = FmuError(f"{archive.path}: only its description was read")
+
+    def initialize(self, t: float, u: Vector) -> Vector:
+        """Refuse."""
+        raise self._refusal
+
+    def outputs(self, t: float, u: Vector) -> Vector:
+        """Refuse."""
+        raise self._refusal
+
+    def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
+        """Refuse."""
+        raise self._refusal
+
+
+def _with_options(archive: Archive, options: FmuOptions) -> tuple[InterfaceType, Description]:
+    """Return the interface type that options ask for, and the description with them."""
+    interface_type = _choose_interface_type(archive, options.interface_type)
+    if interface_type == "cs":
+        _check_options_for_co_simulation(archive, options)
+    # Structural parameters first: they decide how many elements other start values have.
+    description = resized(archive.description, options.start)
+    check_start(description, options.start)
+    return interface_type, description.recording(options.outputs)
 
 
 def _choose_interface_type(archive: Archive, wanted: InterfaceType | None) -> InterfaceType:
