@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import cosim
 from cosim.blocks.source import Table
 from cosim.core.clock import Clock
-from cosim.errors import ScenarioError, UsageError
+from cosim.errors import CosimError, ScenarioError, UsageError
 from cosim.scenario.build import parse
 from cosim.scenario.document import Document
 from cosim.scenario.kinds.jumps import held_from_points
@@ -172,3 +172,58 @@ def test_a_regressor_refuses_alphas_that_jump():
     terms = [{"alpha": alpha, "family": "exponential"}]
     with pytest.raises(ScenarioError, match=r"step\(t - 1\) jumps at 1\.0 s.*continuous alpha"):
         cosim.run("academic", set={"regressor.terms": terms, "regressor.delays": [0.1, 0.2]})
+
+
+CELLS = st.one_of(
+    st.sampled_from([0.0, 0.125, 0.25, 0.3, 0.375, 0.5, 0.75, 1.0, 2.0, -1.0]).map(repr),
+    st.sampled_from(["nan", "-inf", "1e400", "", "x", "1e-320"]),
+)
+INSTANTS = st.lists(CELLS, min_size=1, max_size=6) | st.lists(
+    st.sampled_from([-1.0, 0.0, 0.125, 0.25, 0.3, 0.5, 1.0, 2.0]), min_size=2, unique=True
+).map(lambda instants: [repr(t) for t in sorted(instants)])
+
+
+def right_at(t, y, points, *, hold):
+    """Return a table at instants, searched row by row."""
+    found = []
+    for point in points:
+        if point <= t[0] or len(t) == 1:
+            found.append(y[0])
+        elif point >= t[-1]:
+            found.append(y[-1])
+        else:
+            i = max(i for i in range(len(t)) if t[i] <= point)
+            part = 0.0 if hold else (point - t[i]) / (t[i + 1] - t[i])
+            found.append(y[i] + part * (y[i + 1] - y[i]))
+    return found
+
+
+@given(INSTANTS, st.randoms(use_true_random=False), st.booleans(), st.booleans())
+@settings(max_examples=60)
+def test_a_crafted_table_is_right_or_refused(tmp_path_factory, instants, random, hold, beyond):
+    """Unsorted, twice, off the grid, no numbers, too short: one error, or the right values.
+
+    A held one is right between the points too: it jumps at none of the instants between.
+    """
+    folder = tmp_path_factory.getbasetemp()
+    values = [float(random.randint(0, 3)) for _ in instants]
+    rows = [f"{t},{value}" for t, value in zip(instants, values, strict=True)]
+    (folder / "crafted.csv").write_text("\n".join(["t,y", *rows]))
+    interpolation = "zero-order" if hold else "linear"
+    extrapolation = "hold" if beyond else "error"
+    table = (
+        f'kind = "table"\nfile = "crafted.csv"\ninterpolation = "{interpolation}"\n'
+        f'extrapolation = "{extrapolation}"'
+    )
+    try:
+        recording = run(folder, table)
+    except CosimError:
+        return
+    t = [float(text) for text in instants]
+    assert t == sorted(set(t))
+    assert beyond or t[0] <= 0.0 <= 1.0 <= t[-1]
+    found = recording["u.y"]
+    assert found == pytest.approx(right_at(t, values, recording.time("u"), hold=hold), abs=1e-12)
+    if hold:
+        between = np.arange(8) * H + H / 2
+        assert right_at(t, values, between, hold=True) == found[:-1].tolist()
