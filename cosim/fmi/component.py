@@ -13,17 +13,18 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Final, Protocol, Self, final
+from typing import Any, Final, Self, final
 
 from cosim.arrays import Matrix, Vector
-from cosim.core.contracts import Component, Preparable, Rollback
 from cosim.errors import FmuError, RunError, listing
 from cosim.fmi.binary.headers import built_for
 from cosim.fmi.binary.loaded import LoadedInstance
 from cosim.fmi.binary.messages import Message
+from cosim.fmi.binary.process import Process, describe
 from cosim.fmi.child_process import find_rollback_problems
 from cosim.fmi.description import INTERFACE_TYPE_NAMES, INTERFACE_TYPES, Description, InterfaceType
 from cosim.fmi.driving.co_simulation import CoSimulation
+from cosim.fmi.driving.guarded import FmuComponent, Guarded
 from cosim.fmi.driving.initialization import check_start, resized
 from cosim.fmi.driving.model_exchange import ModelExchange
 from cosim.fmi.instance import ModelExchangeInstance
@@ -37,19 +38,6 @@ MOST_WARNINGS: Final = 5  # of one file, in the notes of a run
 OUR_TOOL: Final = "cosim"  # the tests prove that its FMUs do what their descriptions say
 
 
-class FmuComponent(Component, Preparable, Rollback[Any], Protocol):
-    """What ``ModelExchange`` and ``CoSimulation`` have in common."""
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What is to be known about the results."""
-        ...
-
-    def drain(self) -> list[Message]:
-        """Return the events and warnings since the last call."""
-        ...
-
-
 @final
 class Fmu:
     """An FMU that was opened; a context manager that leaves nothing behind.
@@ -59,7 +47,7 @@ class Fmu:
     archive : Archive
     interface_type : {"me", "cs"}
     instance : LoadedInstance
-    component : FmuComponent
+    component : Guarded
     folder : Path
         Where it was unpacked.
     solving : mapping
@@ -74,7 +62,7 @@ class Fmu:
         interface_type: InterfaceType,
         *,
         instance: LoadedInstance,
-        component: FmuComponent,
+        component: Guarded,
         folder: Path,
         solving: Mapping[str, str | float],
         notes: tuple[str, ...] = (),
@@ -136,7 +124,7 @@ class Fmu:
         The level is "info", "warning", "error" or "fatal", from the FMI status, and "debug" of an
         event. Where messages were dropped, one says how many.
         """
-        return self._instance.messages.drain() + self.component.drain()
+        return self._instance.drain() + self.component.drain()
 
     def __enter__(self) -> Self:
         return self
@@ -147,14 +135,30 @@ class Fmu:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self.close()
+        try:
+            if error is None:
+                self.terminate()
+        finally:
+            self.close()
+
+    def terminate(self) -> None:
+        """End the run, unless it has ended or failed.
+
+        Raises
+        ------
+        RunError
+            If the FMU says that it failed.
+        """
+        with self.component.outside(None):
+            self._instance.terminate()
 
     def close(self) -> None:
         """End the run, free the instance, remove the temporary folder. Twice does no harm."""
         try:
             with suppress(RunError):  # an instance that cannot terminate is freed all the same
-                self._instance.terminate()
-            self._instance.free_instance()
+                self.terminate()
+            with self.component.outside(None):
+                self._instance.free_instance()
         finally:
             shutil.rmtree(self._folder, ignore_errors=True)
 
@@ -182,6 +186,8 @@ def load(
     """
     folder = Path(tempfile.mkdtemp(prefix="cosim-fmu-"))
     instance: LoadedInstance | None = None
+    process = Process()
+    process.save()
     try:
         archive = read(path, into=folder)
         interface_type, description = _with_options(archive, options)
@@ -201,12 +207,17 @@ def load(
         if instance is not None:
             instance.free_instance()
         shutil.rmtree(folder, ignore_errors=True)
+        process.restore()
         raise
+    changes = process.restore()
+    if changes:
+        text = f"{description.name}: changed {describe(changes)} when it was loaded"
+        notes = (*notes, f"{text}; it is as before again")
     return Fmu(
         archive,
         interface_type,
         instance=instance,
-        component=component,
+        component=Guarded(component, description.name),
         folder=folder,
         solving=solving,
         notes=notes,

@@ -26,7 +26,11 @@ if TYPE_CHECKING:
 
 
 class MessageSource(Protocol):
-    """The messages of an opened FMU."""
+    """An opened FMU, as a run sees it beside its component."""
+
+    def terminate(self) -> None:
+        """End the run; raise RunError where the FMU says that it failed."""
+        ...
 
     def drain(self) -> Sequence[Message]:
         """Return the messages since the last call."""

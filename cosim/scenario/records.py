@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any, Self
 from cosim.arrays import Matrix, Vector
 from cosim.core.connections import Connection
 from cosim.core.contracts import Block, MessageLevel, Plan, Recorder, Stopped
-from cosim.errors import Interrupted
+from cosim.core.recorders import end_of_run
+from cosim.errors import Interrupted, RunError
 from cosim.log import Attachment
 from cosim.log.interrupts import uninterrupted
 from cosim.scenario.build import Experiment, fingerprint
@@ -43,11 +44,30 @@ class MessageRecorder:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
+        ended = self._terminate(error)
         try:
             with uninterrupted():
-                self._conclude(error)
+                self._conclude(ended)
         finally:
-            self._recorder.__exit__(error_type, error, trace)
+            self._recorder.__exit__(None if ended is None else type(ended), ended, trace)
+        if ended is not None and ended is not error:
+            raise ended
+
+    def _terminate(self, error: BaseException | None) -> BaseException | None:
+        """End the run of every FMU; return what the run as a whole ended with."""
+        try:
+            for name, fmu in self._experiment.fmus.items():
+                try:
+                    fmu.terminate()
+                except RunError as failure:
+                    text = f"{name!r} failed at the end of the run: {failure}"
+                    if end_of_run(error).status == "complete":
+                        error = RunError(text)
+                    else:
+                        self._recorder.message(self._reached_ns, "error", name, text)
+        except KeyboardInterrupt as interruption:  # an FMU may take long
+            return interruption
+        return error
 
     def _conclude(self, error: BaseException | None) -> None:
         """Record what is known at the end: last messages, the error, the last row."""

@@ -19,8 +19,9 @@ from cosim.fmi.child_process import INEXACT, MISSING_FUNCTION, REFUSED, WRONG
 
 if TYPE_CHECKING:
     from cosim.arrays import Matrix, Vector
-    from cosim.fmi.component import Fmu, FmuComponent
+    from cosim.fmi.component import Fmu
     from cosim.fmi.description import Description, InterfaceType
+    from cosim.fmi.driving.guarded import FmuComponent
 
 STEP: Final = 1e-3  # [s], where the FMU prefers none
 STEPS: Final = 3
