@@ -14,7 +14,8 @@
 enum {
     GOOD, CRASH, HANG, EXITS, REFUSES, NAN_OUTPUT, OTHER_START, LIES, FORGETS,
     HANGS_BACK, CRASHES_FREE, FAILS_STEP, LOUD, LITTERS, PRINTS, REFUSES_STATE, REFUSES_BACK,
-    NEARLY, FAILS_END, WARNS, ROUNDS, FLUSHES, TRAPS, SPEAKS, MOVES, CATCHES, CLOSES
+    NEARLY, FAILS_END, WARNS, ROUNDS, FLUSHES, TRAPS, SPEAKS, MOVES, CATCHES, CLOSES,
+    ABORTS_LATER
 };
 enum { INSTANTIATE, INITIALIZE, STEP, TERMINATE };
 #ifndef WHERE
@@ -59,6 +60,8 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
         return NULL;
     if (ROGUE == LITTERS)
         fclose(fopen("litter", "w"));
+    if (ROGUE == ABORTS_LATER)
+        on_exit((void (*)(int, void *))abort, NULL); /* of the C library, so it is not unloaded */
     change(INSTANTIATE);
     return calloc(1, sizeof(Model));
 }
