@@ -20,7 +20,7 @@ from cosim.errors import FmuError, RunError, listing
 from cosim.fmi.binary.headers import built_for
 from cosim.fmi.binary.loaded import LoadedInstance
 from cosim.fmi.binary.messages import Message
-from cosim.fmi.binary.process import Process, describe
+from cosim.fmi.binary.process import Process, describe_changes
 from cosim.fmi.child_process import find_rollback_problems
 from cosim.fmi.description import INTERFACE_TYPE_NAMES, INTERFACE_TYPES, Description, InterfaceType
 from cosim.fmi.driving.co_simulation import CoSimulation
@@ -211,7 +211,7 @@ def load(
         raise
     changes = process.restore()
     if changes:
-        text = f"{description.name}: changed {describe(changes)} when it was loaded"
+        text = f"{description.name}: changed {describe_changes(changes)} when it was loaded"
         notes = (*notes, f"{text}; it is as before again")
     return Fmu(
         archive,
@@ -282,7 +282,7 @@ def _with_options(archive: Archive, options: FmuOptions) -> tuple[InterfaceType,
         _check_options_for_co_simulation(archive, options)
     # Structural parameters first: they decide how many elements other start values have.
     description = resized(archive.description, options.start)
-    check_start(description, options.start)
+    description = description.with_inputs(check_start(description, options.start).numbers)
     return interface_type, description.recording(options.outputs)
 
 

@@ -101,6 +101,8 @@ def describe_scenario(name: str) -> Section:
     connections = []
     for to, connection in loaded.connections.items():
         connections.append(_connection_row(graph, to, connection))
+    for to, values in graph.unconnected.items():
+        connections.append(_start_row(graph, to, values))
     return {
         "scenario": about,
         "signals": signals,
@@ -128,6 +130,19 @@ def _connection_row(graph: Graph, to: Port, connection: Connection) -> Section:
         "map": _map(connection),
         "unit": unit,
         "conversion": ", ".join(conversions) or None,
+    }
+
+
+def _start_row(graph: Graph, to: Port, values: tuple[float, ...]) -> Section:
+    """Describe an input that nothing drives."""
+    _, target = Ports(graph.layout).input(to)
+    value = ", ".join(f"{value:.6g}" for value in values)
+    return {
+        "to": str(to),
+        "from": f"start value {value}",
+        "map": None,
+        "unit": target.unit,
+        "conversion": None,
     }
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
@@ -83,8 +83,13 @@ class MessageRecorder:
             self._recorder.result({"last": last})
 
     def begin(self, plan: Plan) -> None:
-        """Pass on, then record the warnings, and the messages of FMUs when they were loaded."""
+        """Pass on, then record what is known before the run.
+
+        The warnings, the inputs that nothing drives, the messages of FMUs when they were loaded.
+        """
         self._recorder.begin(plan)
+        for name, text in _start_values(self._experiment):
+            self._recorder.message(self._reached_ns, "info", name, text)
         for name, text in self._experiment.warnings:
             self._recorder.message(self._reached_ns, "warning", name, text)
         for name, messages in self._experiment.messages.items():
@@ -116,6 +121,16 @@ class MessageRecorder:
             time_ns = self._reached_ns if time is None else round(time * 1e9)
             labelled = f"{category}: {text}" if category else text
             self._recorder.message(time_ns, level, name, labelled)
+
+
+def _start_values(experiment: Experiment) -> Iterator[tuple[str, str]]:
+    """Yield the components with inputs that nothing drives, and the values that these keep."""
+    texts: dict[str, list[str]] = {}
+    for port, values in experiment.graph.unconnected.items():
+        value = ", ".join(map(repr, values))
+        texts.setdefault(port.component, []).append(f"{port.signal} = {value}")
+    for name, inputs in texts.items():
+        yield name, f"not connected, so at their start values: {'; '.join(inputs)}"
 
 
 def _level(error: BaseException) -> MessageLevel:

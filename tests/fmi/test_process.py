@@ -77,7 +77,7 @@ def process_stays():
 
 
 def texts(recording):
-    return [text for *_, text in recording.messages]
+    return [text for *_, text in recording.messages()]
 
 
 def euler():
@@ -217,7 +217,7 @@ def started(fmu, other_error=""):
 
 def test_a_warning_is_reported_once(rogue):
     memory = cosim.run(rogue("WARNS"), recorder=Memory())
-    found = [m for m in memory.messages if "fmi2DoStep returned 1 (warning)" in m.text]
+    found = [m for m in memory.messages() if "fmi2DoStep returned 1 (warning)" in m.text]
     assert [(m.time_ns, m.level, m.source) for m in found] == [(0, "warning", "plant")]
     assert memory["plant.y"] == pytest.approx(euler(), rel=1e-15)
 

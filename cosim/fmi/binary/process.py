@@ -57,6 +57,6 @@ class Process:
         return changes
 
 
-def describe(changes: int) -> str:
+def describe_changes(changes: int) -> str:
     """Return what changed, in words."""
     return ", ".join(text for bit, text in CHANGES.items() if changes & bit)

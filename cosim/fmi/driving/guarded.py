@@ -11,7 +11,7 @@ from cosim.core.contracts import Component, Design, Preparable, Rollback
 from cosim.core.signals import Interface
 from cosim.errors import RunError
 from cosim.fmi.binary.messages import Message
-from cosim.fmi.binary.process import ROUNDING, Process, describe
+from cosim.fmi.binary.process import ROUNDING, Process, describe_changes
 from cosim.fmi.driving.diagnostics import Diagnostics
 
 
@@ -128,14 +128,14 @@ class Guarded:
         changes = self._put_back(t)
         if changes & ROUNDING:
             raise RunError(
-                f"{self._name}: changed {describe(ROUNDING)} in a call at t = {t} s or after it; "
-                "it is as before again, but what was computed since then is not to be relied on, "
-                "and left out"
+                f"{self._name}: changed {describe_changes(ROUNDING)} in a call at t = {t} s or "
+                "after it; it is as before again, but what was computed since then is not to be "
+                "relied on, and left out"
             )
 
     def _put_back(self, t: float | None) -> int:
         changes = self._process.restore()
         if changes:
-            what = describe(changes)
+            what = describe_changes(changes)
             self._diagnostics.add(t, what, f"changed {what}; it is as before again")
         return changes
