@@ -9,23 +9,25 @@
  *
  *     result = hi + low,  |low| <= q |result|.
  *
- * With u = 2^-53, half a unit in the last place of 1, the last addition rounds by at most half a
- * unit in the last place (ulp), and low, computed with a few roundings, is wrong by no more than
- * about 3 u q |result|: 0.5 + 3 q ulp in all. Where q would be large, the first term of the series
- * is taken exactly too, into the pair. The bounds, truncation included, are
+ * The last addition rounds by at most half a unit in the last place (ulp). Each rounding in low is
+ * 2^-53 |low| at most, less than q ulp, as an ulp is more than 2^-53 |result|; at most four of them
+ * have that size: 0.5 + 4 q ulp in all. Where q would be large, the first term of the series is
+ * taken exactly too, into the pair. By that, with what the series leave out:
  *
- *     exp            q <= 0.0027: hi is the table's 2^(j/128)                        0.51 ulp
- *     log            q <= 2^-8 r^2-terms: log c + r is exact, 1/c has ten bits       0.52 ulp
- *     pow            exp of y log x, both pairs: 745 2^-67 beside exp                0.55 ulp
- *     sin, cos, tan  q <= 2^-12: C r is exact, 26 bits by 26                         0.51 ulp
- *     atan ...       q <= 2^-14: the quotient is a pair, asin's square root too      0.51 ulp
- *     sinh           q <= 0.017 below 0.3125, then a difference of pairs             0.54 ulp
- *     tanh           q <= 0.006 below 0.125, then a quotient of pairs                0.53 ulp
+ *     exp             low: the series times 2^(j/128), q = 0.0028                      0.52 ulp
+ *     log             low: r^2/2 beside log c + r, which is exact; q = 0.004           0.52 ulp
+ *     sin, cos, tan   low: r^2/2 beside S + C r, exact by 26 bits times 26; q = 0.001  0.51 ulp
+ *     atan            low: t^3/3 beside atan c + t, t a pair; q = 0.0001               0.51 ulp
+ *     asin, acos      low: d^3/6 beside n pi/64 + d, d a pair; q = 0.0002              0.51 ulp
+ *     sinh            low: x^3/6 below 0.3125, q = 0.017; then a difference of pairs   0.57 ulp
+ *     tanh            low: x^3/3 below 0.125, q = 0.0053; then a quotient of pairs     0.53 ulp
+ *     pow             exp of the pair y log x, whose error is 745 2^-67                0.55 ulp
  *
- * and 3/4 ulp where the result is subnormal. The tests measure them against mpmath.
+ * and 3/4 ulp where the result is subnormal: what is rounded to 53 bits is rounded once more. The
+ * tests measure these errors against mpmath; 0.52 ulp is the largest that they find.
  *
- * For a pair: with |a| >= |b|, s = a + b rounded, (a - s) + b is the rest exactly (Dekker 1971);
- * for any order Knuth's form needs six operations. A product is split after 26 bits. */
+ * Pairs: with |a| >= |b|, s = a + b rounded, (a - s) + b is the rest exactly (Dekker 1971); for any
+ * order Knuth's form needs six operations. Products are split after 26 bits. */
 #include "cosim.h"
 #include "tables.h"
 
@@ -361,7 +363,8 @@ static void multiply_turns(const uint32_t *frac, uint32_t factor, uint32_t *resu
 /* x = n pi/64 + r for |x| >= 2^15 (Payne and Hanek 1983). x = m 2^e with an integer m of 53 bits;
  * the bits of 1/(2 pi) above 2^-e make whole turns with m and are left out; 256 bits from there
  * on, times m, are the fraction of a turn to 2^-203. No double is nearer to a multiple of pi/64
- * than 2^-70 turns: r is right to 2^-126 of itself. */
+ * than 2^-62 of it, 2^-69 turns, as the continued fractions of all exponents show (the worst is
+ * 6381956970095103 2^792): r is right to 2^-105, by its pair. */
 static int32_t reduce_large(double x, pair *r)
 {
     const uint64_t bits = bits_of(x);
@@ -520,9 +523,9 @@ static pair other_leg(double x)
     return (pair){root, (error + square.lo) * inverse};
 }
 
-/* The angle of the first quadrant with this sine y and cosine x. With n pi/64 next to it, S its sine
- * and C its cosine, it is n pi/64 + asin d, d = y C - x S, |d| < 0.027. The products of 26 bits
- * each are exact. */
+/* The angle of the first quadrant with this sine y and cosine x. With n pi/64 next to it, S its
+ * sine and C its cosine, it is n pi/64 + asin d, d = y C - x S, |d| < 0.027. The products of 26
+ * bits each are exact. */
 static pair angle_of(pair y, pair x)
 {
     const double m = y.hi < x.hi ? y.hi : x.hi, m2 = m * m;

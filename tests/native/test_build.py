@@ -2,8 +2,10 @@
 
 import importlib.util
 import math
+import platform
 import shutil
 import subprocess
+import sys
 
 import pytest
 
@@ -60,6 +62,81 @@ def test_the_kernels_call_no_function_whose_bits_depend_on_the_c_library(tmp_pat
         assert needed & (MATHEMATICS) <= EXACT, source.name
         if source.name != "fmi.c":
             assert not symbols(compiled, "bBdDC"), source.name
+
+
+HASH = r"""
+#include "cosim.h"
+#include <stdio.h>
+#include <string.h>
+
+typedef double (*function)(double x);
+
+static uint64_t bits(double x)
+{
+    uint64_t word;
+    memcpy(&word, &x, sizeof word);
+    return word;
+}
+
+int main(void)
+{
+    const function functions[] = {cosim_sin, cosim_cos, cosim_tan, cosim_asin, cosim_acos,
+                                  cosim_atan, cosim_sinh, cosim_cosh, cosim_tanh, cosim_exp,
+                                  cosim_ln};
+    uint64_t word = 1, hash = 0;
+    for (int i = 0; i < 20000; ++i) {
+        word = word * UINT64_C(6364136223846793005) + UINT64_C(1442695040888963407);
+        const uint64_t wide = word ^ word >> 29;
+        const double small = (double)(int64_t)wide * 0x1p-60;
+        double any;
+        memcpy(&any, &wide, sizeof any);
+        for (size_t k = 0; k < sizeof functions / sizeof functions[0]; ++k) {
+            hash = hash * 31 + bits(functions[k](small));
+            hash = hash * 31 + bits(functions[k](any));
+        }
+        hash = hash * 31 + bits(cosim_pow(any, small));
+        hash = hash * 31 + bits(cosim_pow(small * small, 20.0 * small));
+    }
+    printf("%016llx\n", (unsigned long long)hash);
+    return 0;
+}
+"""
+COMPILERS = {
+    "cc without optimization": ["cc", "-O0"],
+    "cc for this processor": ["cc", "-O3", "-march=native"],
+    "zig": build.cross_compiler("x86_64-linux-gnu"),
+}
+
+
+@needs_cc
+@pytest.mark.parametrize(
+    "others",
+    [list(COMPILERS)[:2], pytest.param(list(COMPILERS)[2:], marks=pytest.mark.campaign)],
+    ids=["cc", "zig"],
+)
+def test_compilers_and_their_options_do_not_change_a_bit_of_the_elementary_functions(
+    others, tmp_path
+):
+    """Arguments of every size; also where the compiler may use every instruction it finds."""
+    (tmp_path / "main.c").write_text(HASH, encoding="utf-8")
+    flags = [flag for flag in build.FLAGS if flag not in ("-O2", "-shared")]
+    sources = [tmp_path / "main.c", build.HERE / "elementary.c"]
+    hashes = {}
+    commands = {"cc": ["cc", "-O2"]} | {name: COMPILERS[name] for name in others}
+    for name, command in commands.items():
+        if name == "zig" and not runs_here(command):
+            pytest.skip("zig is not there, or makes no program for this machine")
+        program = tmp_path / "program"
+        options = [*flags, f"-I{build.HERE}"]
+        subprocess.run([*command, *options, *sources, "-o", program, "-lm"], check=True)
+        result = subprocess.run([program], capture_output=True, text=True, check=True)
+        hashes[name] = result.stdout
+    assert len(set(hashes.values())) == 1, hashes
+
+
+def runs_here(command):
+    """Return whether there is this cross compiler, and its programs run on this machine."""
+    return bool(command) and sys.platform == "linux" and platform.machine() == "x86_64"
 
 
 def test_the_operations_are_numbered_as_in_c():

@@ -22,6 +22,7 @@ TINY = 5e-324
 LARGEST = sys.float_info.max
 INF = math.inf
 NAN = math.nan
+PRECISION = 100  # bits of the result; mpmath adds what arguments and cancellation take
 SHORT = 1_000
 LONG = 1_000_000
 
@@ -54,9 +55,8 @@ def worst(name, arguments):
     computed = function(name)
     exact = getattr(mpmath, name)
     largest = [0.0, 0.0]
-    for x in arguments.tolist():
-        # 53 bits of the result beyond what 1100 bits of argument and 62 of cancellation take
-        with mpmath.workprec(max(240, 150 + max(0, math.frexp(x)[1]))):
+    with mpmath.workprec(PRECISION):
+        for x in arguments.tolist():
             value = exact(mpmath.mpf(x))
             subnormal = abs(value) < sys.float_info.min
             largest[subnormal] = max(largest[subnormal], error(computed(x), value))
@@ -88,6 +88,33 @@ def neighbors(values, steps=3):
     return np.array(found)
 
 
+def nearest_to_multiples():
+    """Return the doubles m 2^e nearest to multiples of pi/2 and of pi/64, e in steps.
+
+    The last convergent of 2^e/(pi/2) with a denominator below 2^53 is the nearest of all m.
+    """
+    one = 1 << 1400
+    found = []
+    for e in [*range(-60, 972, 24), -52, -47, 792, 797]:  # 792 and 797: nearest of all
+        for steps in (1, 32):
+            with mpmath.workprec(2500):
+                ratio = int(mpmath.floor(mpmath.ldexp(2 * steps / mpmath.pi, e + 1400))) % one
+            rest = (one, ratio)
+            denominators = (0, 1)
+            while True:
+                whole = rest[0] // rest[1]
+                following = whole * denominators[1] + denominators[0]
+                if following >= 2**53:
+                    break
+                rest = (rest[1], rest[0] - whole * rest[1])
+                denominators = (denominators[1], following)
+            distance = denominators[1] * ratio % one
+            distance = min(distance, one - distance)
+            assert distance > one >> 62  # of pi/64 or of pi/2, as elementary.c states
+            found.append(math.ldexp(denominators[1], e))
+    return found
+
+
 def quarter_turns():
     """Return doubles beside multiples of pi/2 and of pi/64, up to the largest."""
     with mpmath.workprec(1300):
@@ -97,9 +124,7 @@ def quarter_turns():
         large = [
             mpmath.floor(mpmath.ldexp(1, e) / mpmath.pi) * mpmath.pi for e in range(3, 1023, 9)
         ]
-        # found by the continued fraction of pi/2: the double nearest to a multiple of it, 2^-61
-        nearest = [mpmath.ldexp(6381956970095103, 797), mpmath.ldexp(5319372648326541, 416)]
-        values = neighbors([*small, *table, *switch, *large, *nearest], 1)
+        values = neighbors([*small, *table, *switch, *large, *nearest_to_multiples()], 1)
     return np.concatenate([values, -values[:50]])
 
 
@@ -157,7 +182,7 @@ def check_pow(count):
     """Compare with mpmath."""
     computed = function("pow")
     largest = [0.0, 0.0]
-    with mpmath.workprec(240):
+    with mpmath.workprec(PRECISION):
         for bases, exponents in bases_and_exponents(count):
             for x, y in zip(bases.tolist(), exponents.tolist(), strict=True):
                 value = mpmath.power(x, y)
