@@ -9,16 +9,16 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn, TextIO
+from typing import TYPE_CHECKING, Annotated, Any, TextIO
 
 import typer
 
 from cosim.errors import CosimError, UsageError
-from cosim.fmi.child_process import COMMAND_VARIABLE, run_command
+from cosim.report.printable import printable
 
 if TYPE_CHECKING:
     from cosim.scenario.execution import Progress
@@ -103,8 +103,7 @@ DryRunOption = Annotated[
     bool,
     typer.Option(
         "--dry-run",
-        help="Check the scenario and compare swapped components with the replaced; do not run. "
-        "FMUs are loaded and initialized, which runs their code, in a process of its own.",
+        help="Check the scenario and compare swapped components with the replaced; do not run.",
     ),
 ]
 
@@ -131,11 +130,6 @@ def run(
     from cosim.scenario.execution import default_log, load
     from cosim.scenario.execution import run as run_scenario
 
-    if dry_run and COMMAND_VARIABLE not in os.environ:
-        options = {"--set": changes or [], "--swap": swaps or [], "--map": maps or []}
-        options["--stop"] = [] if stop is None else [repr(stop)]
-        options["--step"] = [] if step is None else [repr(step)]
-        _dry_run_in_child(scenario, options, as_json=as_json)
     imported = perf_counter()
     edits = _edits(changes)
     if stop is not None:
@@ -158,22 +152,6 @@ def run(
 
         plot_run(log, plot)
     print_summary(log, path=path, wall=wall, profile=seconds, as_json=as_json, quiet=quiet)
-
-
-def _dry_run_in_child(
-    scenario: str, options: Mapping[str, Sequence[str]], *, as_json: bool
-) -> NoReturn:
-    """Do a dry run in a child process, as it runs the code of FMUs; exit as that does."""
-    arguments = ["run", scenario, "--dry-run"]
-    for option, values in options.items():
-        for value in values:
-            arguments += [option, value]
-    if as_json:
-        arguments.append("--json")
-    result = run_command(arguments)
-    typer.echo(result.output, nl=False)
-    typer.echo(result.messages, nl=False, err=True)
-    raise typer.Exit(result.exit_code)
 
 
 @app.command()
@@ -461,7 +439,7 @@ def export(
     for line in export_component(
         scenario, component, out, fmi=fmi, platforms=platforms, force=force, dae=dae, set=edits
     ):
-        typer.echo(line)
+        typer.echo(printable(line))
 
 
 TimeOption = Annotated[
@@ -546,7 +524,7 @@ def linearize(
     linearization = linearize_file(fmu, request)
     if disturbances:
         for note in linearization.notes:
-            typer.echo(f"note: {note}", err=True)
+            typer.echo(printable(f"note: {note}"), err=True)
         typer.echo(model_table(linearization, disturbances), nl=False)
     else:
         print_linearization(linearization, as_json=as_json)
@@ -651,11 +629,12 @@ def main(arguments: list[str] | None = None) -> None:
     try:
         app(args=arguments)
     except CosimError as error:
-        lines = str(error).splitlines() or [type(error).__name__]
+        lines = printable(str(error)).splitlines() or [type(error).__name__]
         sys.stderr.write("\n".join(f"cosim: {line}" for line in lines) + "\n")
         sys.exit(error.exit_code)
     except OSError as error:  # stdout on a full disk, a folder that is gone
-        sys.stderr.write(f"cosim: {error.filename or 'output'}: {error.strerror or error}\n")
+        place = printable(str(error.filename or "output"))
+        sys.stderr.write(f"cosim: {place}: {error.strerror or error}\n")
         if stdout is not None:  # the rest of its buffer cannot be written either
             with suppress(OSError):
                 stdout.close()

@@ -43,7 +43,7 @@ def test_run_shows_errors_estimates_and_start_time(call):
         "observer.x_a",
         "observer.delta",
         "identifier.theta[1]",
-        "identification start time T_id  6.461 s",
+        "identification start time T_id\t6.461 s",
         "T_obs 3.4539 + T_f 0.0069 + D_max 3 = 6.4608 s",
         "wall time",
     ):
@@ -173,15 +173,13 @@ def test_info_of_a_log_a_scenario_and_an_fmu(call):
 
 
 def test_info_of_fmus_of_every_version(call, tmp_path):
-    """Text has units in SI, ranges, items, sizes, states and dependencies in 118 columns at most.
+    """Text has units in SI, ranges, items, sizes, states and dependencies.
 
     JSON has every field.
     """
     for number, xml in enumerate((FMI1.replace("{implementation}", ""), FMI2, FMI3), 1):
         write(tmp_path / f"{number}.fmu", [], xml=xml.encode())
     texts = [call("info", f"{number}.fmu")[1] for number in (1, 2, 3)]
-    for text in texts:
-        assert max(len(line) for line in text.splitlines()) <= 118
     one, two, three = (" ".join(text.split()) for text in texts)
     for text in (
         "N 1.0 kg.m.s-2",
@@ -289,9 +287,9 @@ def test_list_explains_the_parameters_of_a_kind(call):
     assert code == 0
     assert out.startswith("identifier: Identifier of theta by least squares (33)-(35).\n")
     rows = {line.split()[0]: line for line in out.splitlines()[2:]}
-    assert re.match(r"P0 +optional +P\(0\) = P0 I \(34\); default: no prior", rows["P0"])
-    assert re.match(r"start\.epsilon_filter +required +fraction of", rows["start.epsilon_filter"])
-    assert re.search(r"^time +\"t\" +column of the instants", call("list", "table")[1], re.M)
+    assert re.match(r"P0\toptional\tP\(0\) = P0 I \(34\); default: no prior", rows["P0"])
+    assert re.match(r"start\.epsilon_filter\trequired\tfraction of", rows["start.epsilon_filter"])
+    assert re.search(r"^time\t\"t\"\tcolumn of the instants", call("list", "table")[1], re.M)
     kind = json.loads(call("list", "step", "--json")[1])
     assert kind["parameters"]["time"]["description"] == "when it jumps [s]"
     assert kind["parameters"]["after"]["default"] == 1.0
@@ -502,7 +500,7 @@ def test_without_truth_the_last_values_are_shown(call, tmp_path):
         '[components.u]\nkind = "ramp"\nslope = 2.0\n'
     )
     _, out, _ = call("run", "u.toml", "--out", "u.mcap")
-    assert re.search(r"u\.y +2\b", out)
+    assert re.search(r"^u\.y\t2$", out, re.M)
     assert json.loads(call("run", "u.toml", "--json")[1])["last"] == {"u.y": 2.0}
     assert json.loads(call("run", "academic", *SHORT, "--json")[1])["last"] == {}, "there is truth"
 

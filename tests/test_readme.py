@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from cosim.cli import main
+from cosim.report.tables import console
 
 ROOT = Path(__file__).parent.parent
 PAGES = {
@@ -63,6 +64,7 @@ def write_scenario(folder):
 def test_commands_print_what_is_shown(page, tmp_path, monkeypatch, capsys):
     """Every shown command runs, in order, in one fresh folder; shown output is the real one."""
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(console, "terminal_width", lambda: 116)
     write_scenario(tmp_path)
     for command, shown in commands(page):
         code, output = run_command(command, capsys)

@@ -93,8 +93,6 @@ class Builder:
         Fixed number of communication steps in a block.
     replaced : mapping of component name to Interface, optional
         Of the components that swaps replaced, where they are known.
-    describes : bool
-        Read of FMUs their descriptions only: what is built shows what there is, and cannot run.
 
     Attributes
     ----------
@@ -119,14 +117,11 @@ class Builder:
         recording: Recording | None = None,
         block: int | None = None,
         replaced: Mapping[str, Interface] | None = None,
-        describes: bool = False,
     ) -> None:
         self.scenario = scenario
         self.problems = list(problems)
         self.clock = self._clock(block)
-        self.context = ScenarioBuildContext(
-            scenario, self.clock, resources, recording, describes=describes
-        )
+        self.context = ScenarioBuildContext(scenario, self.clock, resources, recording)
         self.components: dict[str, Component] = {}
         self.port_maps: dict[str, PortMap] = {}
         self._recording = recording
@@ -333,19 +328,15 @@ def parse(document: Document) -> Scenario:
     return scenario
 
 
-def describe(document: Document) -> Experiment:
-    """Read, validate and build a document without running anything of an FMU.
-
-    What is built shows what there is, and cannot run.
+def build(scenario: Scenario, resources: ExitStack) -> Experiment:
+    """Build graph and clock; parameters as of :class:`Builder`.
 
     Raises
     ------
     ScenarioError
         With every problem of the file.
     """
-    scenario, problems = read(document, parse)
-    with ExitStack() as resources:
-        return Builder(scenario, resources, problems=problems, describes=True).experiment()
+    return Builder(scenario, resources).experiment()
 
 
 def build_context(scenario: Scenario, resources: ExitStack) -> BuildContext:

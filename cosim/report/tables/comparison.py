@@ -5,10 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
-import typer
-
 from cosim.errors import UsageError
-from cosim.report.tables.console import new_table, print_json, print_section, print_table
+from cosim.report.tables.console import (
+    new_table,
+    print_json,
+    print_line,
+    print_section,
+    print_table,
+)
 
 if TYPE_CHECKING:
     from cosim.log.diff import LogDifference
@@ -37,7 +41,7 @@ def print_difference(difference: LogDifference, *, as_json: bool) -> None:
         table.add_row(row.signal, row.status, *numbers, outside)
     print_table(table)
     if any(row.largest > 0.0 and row.signal.endswith(".delta") for row in difference.rows):
-        typer.echo(
+        print_line(
             "note: a reconstructed disturbance multiplies the last bit of y by filter_rate; "
             "give it a tolerance of its own"
         )
@@ -65,8 +69,8 @@ def print_dry_run(scenario: Scenario, *, as_json: bool) -> None:
             print_section(report.component, report.lines)
         if not problems:
             for component, text in reports.warnings:
-                typer.echo(f"warning: {component}: {text}", err=True)
-            typer.echo("dry run: the scenario can run")
+                print_line(f"warning: {component}: {text}", error=True)
+            print_line("dry run: the scenario can run")
     if problems:
         raise UsageError("\n".join([*problems, *reports.hints]))
 
@@ -89,7 +93,7 @@ def print_plants(comparison: Comparison, *, as_json: bool) -> None:
     print_table(table)
     for outcome in failures:
         for line in outcome.error.splitlines():
-            typer.echo(f"{outcome.label}: failed: {line}", err=True)
+            print_line(f"{outcome.label}: failed: {line}", error=True)
 
 
 def _rows_by_estimate(comparison: Comparison) -> dict[str, list[PlantRow]]:

@@ -7,7 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from cosim.report.tables.console import new_table, print_json, print_section, print_table
+from cosim.report.tables.console import (
+    new_table,
+    print_json,
+    print_line,
+    print_section,
+    print_table,
+)
 from cosim.units import BASE
 
 if TYPE_CHECKING:
@@ -165,9 +171,9 @@ def print_check(path: str, *, strict: bool, as_json: bool) -> None:
         print_json({"path": path, "errors": errors, "warnings": warnings, "findings": findings})
     else:
         for finding in findings:
-            typer.echo(f"{finding['level']}: {finding['where']}: {finding['text']}")
+            print_line(f"{finding['level']}: {finding['where']}: {finding['text']}")
         counts = [*_count(errors, "error"), *_count(warnings, "warning")]
-        typer.echo(f"{path}: {', '.join(counts) or 'no problems found'}")
+        print_line(f"{path}: {', '.join(counts) or 'no problems found'}")
     if errors or (strict and warnings):
         raise typer.Exit(1)
 

@@ -13,7 +13,7 @@ from rich.table import Table
 from cosim.core.contracts import Recording
 from cosim.report.recorded import component_metadata, run_metadata, signal_of
 from cosim.report.summary import Identification, Summary, span, summarize
-from cosim.report.tables.console import new_table, print_json, print_table
+from cosim.report.tables.console import new_table, print_json, print_line, print_table
 
 
 def print_summary(
@@ -50,7 +50,7 @@ def print_summary(
     if quiet:
         return
     for component, text in json.loads(run_metadata(recording).get("warnings", "[]")):
-        typer.echo(f"warning: {component}: {text}", err=True)
+        print_line(f"warning: {component}: {text}", error=True)
     table = _summary_table(summary, recording)
     table.add_section()
     _add_wall_time(table, wall, simulated=summary.end - summary.start)
@@ -150,7 +150,7 @@ def print_verification(
         print_json(difference.to_dict())
     elif difference.equal and not quiet:
         count = len(difference.rows)
-        typer.echo(f"{path}: the replay equals the log bit for bit: {count} signals")
+        print_line(f"{path}: the replay equals the log bit for bit: {count} signals")
     if difference.equal:
         return
     if not as_json:
@@ -159,7 +159,7 @@ def print_verification(
         if first is not None:
             time = first.time_ns / 1e9
             where = f"{first.signal} at t = {time} s: log {first.a!r}, replay {first.b!r}"
-        typer.echo(f"{path}: the replay differs from the log; first: {where}", err=True)
+        print_line(f"{path}: the replay differs from the log; first: {where}", error=True)
         _warn_of_environment(source)
     raise typer.Exit(1)
 
@@ -168,10 +168,10 @@ def _warn_of_environment(source: Recording) -> None:
     from cosim.log.environment import environment_changes
 
     for key, (recorded, current) in environment_changes(source).items():
-        typer.echo(
+        print_line(
             f"note: {key} was {recorded}, is {current}; "
             "sin, exp and log may differ in their last bit",
-            err=True,
+            error=True,
         )
     for name in source.channels:
         bits = component_metadata(source, name).get("bits")
