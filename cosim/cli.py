@@ -161,7 +161,8 @@ def replay(
         bool,
         typer.Option(
             "--verify",
-            help="Compare every signal bit for bit with the log; exit 1 if one differs.",
+            help="Check the log's content hash, and compare every signal that is computed again "
+            "bit for bit with the log; exit 1 if one differs.",
         ),
     ] = False,
     out: OutOption = None,
@@ -178,9 +179,10 @@ def replay(
     """
     from cosim.log import open_log
     from cosim.report.plots import plot_run
-    from cosim.report.recorded import truth_of
     from cosim.report.tables.run import print_summary, print_verification
+    from cosim.report.verification import verify as verify_replay
     from cosim.scenario.execution import replay as replay_log
+    from cosim.scenario.recorded import truth_of
 
     imported = perf_counter()
     source = open_log(log)
@@ -195,7 +197,8 @@ def replay(
     if plot is not None:
         plot_run(again, plot)
     if verify:
-        print_verification(source, again, path=log, as_json=as_json, quiet=quiet)
+        verification = verify_replay(source, again)
+        print_verification(verification, source, path=log, as_json=as_json, quiet=quiet)
     else:
         wall = {"imports": imported - BEGAN, "replay": perf_counter() - imported}
         print_summary(again, path=out, wall=wall, profile=None, as_json=as_json, quiet=quiet)

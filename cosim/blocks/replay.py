@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cosim.arrays import Mask, Matrix, Vector, as_columns
+from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.contracts import Design, Recording, Stopped
 from cosim.core.signals import Interface
 from cosim.errors import GraphError, LogError
@@ -48,11 +48,8 @@ class Replay:
         recorded = channel.interface
         shown = recorded if inputs else Interface((), recorded.outputs, {})
         self.interface = replace(shown, prepares=True, rollback=False)
-        columns = [np.zeros((len(time_ns), 0))]
-        for signal in recorded.outputs:
-            values = recording[f"{component}.{signal.name}"]
-            columns.append(as_columns(values))
-        self._rows = np.hstack(columns)
+        blocks = [rows[:, recorded.n_u :] for _, rows in recording.blocks(component)]
+        self._rows = blocks[0] if len(blocks) == 1 else np.concatenate(blocks)
         self._time = time_ns / 1e9
 
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:

@@ -9,7 +9,7 @@ computes it for the inputs given, ``advance`` uses ``u[k + 1]`` for it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Any, Literal, Protocol, Self, TypeAlias, TypeVar, cast
@@ -18,11 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Matrix, Nanoseconds, Vector
+from cosim.core.port import Port
 from cosim.core.signals import Channel, Interface, Layout
 from cosim.errors import RunError
 
 Design: TypeAlias = Mapping[str, NDArray[np.float64]]
 MessageLevel: TypeAlias = Literal["debug", "info", "warning", "error", "fatal"]
+# a signal or elements of it, or several that are stacked
+SignalNames: TypeAlias = str | Port | Sequence[str | Port]
 State = TypeVar("State")
 
 
@@ -299,10 +302,22 @@ class Recording(Protocol):
         """The recorded components by name."""
         ...
 
-    def __getitem__(self, signal: str | Sequence[str]) -> NDArray[np.float64]:
+    def __getitem__(self, signal: SignalNames) -> NDArray[np.float64]:
         """Return a signal, or elements of it: shape (N,) for one element, else (N, size).
 
         Several signals of the same instants are stacked: shape (N, sum of their sizes).
+
+        Raises
+        ------
+        LogError
+            If a signal is unknown, or several have not the same instants.
+        """
+        ...
+
+    def blocks(self, component: str) -> Iterator[tuple[Nanoseconds, Matrix]]:
+        """Yield times and rows of a component in order of time, some at a time.
+
+        The rows have its applied inputs, then its outputs.
         """
         ...
 

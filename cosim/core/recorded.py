@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Nanoseconds, Vector, as_columns
+from cosim.core.contracts import SignalNames
 from cosim.core.port import Port
 from cosim.core.signals import Channel
 from cosim.errors import GraphError, LogError, UnknownSignalError, nearest
@@ -60,10 +61,17 @@ def find_channel(channels: Mapping[str, Channel], component: str, *, source: str
     UnknownSignalError
         If there is none of that name; names the nearest.
     """
+    if not isinstance(component, str):
+        raise UnknownSignalError(f"{source}: found {component!r}, needed a component's name")
     if component not in channels:
         suggestion = nearest(component, channels)
         raise UnknownSignalError(f"{source} has no component {component!r}; {suggestion}")
     return channels[component]
+
+
+def _component_of(signal: str | Port) -> str:
+    port = signal if isinstance(signal, Port) else Port.parse(signal)
+    return port.component
 
 
 class RecordedSignals(Mapping[str, NDArray[np.float64]]):
@@ -106,7 +114,7 @@ class RecordedSignals(Mapping[str, NDArray[np.float64]]):
     def time_ns(self, component: str) -> Nanoseconds:
         """Return the instants of a component's rows, shape (N,) [ns]."""
 
-    def __getitem__(self, signal: str | Port | Sequence[str]) -> NDArray[np.float64]:
+    def __getitem__(self, signal: SignalNames) -> NDArray[np.float64]:
         """Return a signal at every recorded row: shape (N,) for one element, else (N, size).
 
         Several signals of the same instants are stacked: shape (N, sum of their sizes).
@@ -124,7 +132,7 @@ class RecordedSignals(Mapping[str, NDArray[np.float64]]):
         values = self.rows(channel.name)[:, first:stop]
         return values[:, 0] if values.shape[1] == 1 else values
 
-    def _stacked(self, signals: Sequence[str]) -> Matrix:
+    def _stacked(self, signals: Sequence[str | Port]) -> Matrix:
         """Return several signals of the same instants side by side.
 
         Raises
@@ -132,18 +140,19 @@ class RecordedSignals(Mapping[str, NDArray[np.float64]]):
         LogError
             If there is none, if one is unknown, or if they have not the same instants.
         """
-        if not isinstance(signals, Sequence) or not signals:
+        is_list = isinstance(signals, Sequence) and len(signals) > 0
+        if not is_list or not all(isinstance(signal, str | Port) for signal in signals):
             raise LogError(
                 f"{self.label}: found {signals!r}; needed the name of a signal, or a list of names"
             )
         columns = [as_columns(self[signal]) for signal in signals]
         first = signals[0]
-        times = self.time_ns(Port.parse(first).component)
+        times = self.time_ns(_component_of(first))
         for signal in signals[1:]:
-            other_times = self.time_ns(Port.parse(signal).component)
+            other_times = self.time_ns(_component_of(signal))
             if not np.array_equal(times, other_times):
                 raise LogError(
-                    f"{self.label}: {first!r} has {len(times)} rows and {signal!r} has "
+                    f"{self.label}: '{first}' has {len(times)} rows and '{signal}' has "
                     f"{len(other_times)}, at other instants; needed the same to stack them: "
                     "read each by itself, with its own time()"
                 )
@@ -185,7 +194,7 @@ class RecordedSignals(Mapping[str, NDArray[np.float64]]):
             If there is no such component, signal or element; names the nearest.
         """
         component = name
-        if "." in name:
+        if isinstance(name, str) and "." in name:
             channel, _ = find_signal(self.channels, name, source=self.label)
             component = channel.name
         return self.time_ns(component) / 1e9

@@ -5,7 +5,7 @@ Also: how a run ended, and how recorded signals are found by their names.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from types import TracebackType
@@ -148,6 +148,10 @@ class Memory(RecordedSignals):
         rows, _, _ = self._table
         own_rows = rows[:, channel.columns]
         return own_rows if channel.period == 1 else own_rows[self._is_kept(channel)]
+
+    def blocks(self, component: str) -> Iterator[tuple[Nanoseconds, Matrix]]:
+        """Yield times and rows of a component: all at once, as they are in memory anyway."""
+        yield self.time_ns(component), self.rows(component)
 
     def time_ns(self, component: str) -> Nanoseconds:
         """Return the instants of a component's rows, shape (N,) [ns]."""

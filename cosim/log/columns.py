@@ -8,6 +8,7 @@ import numpy as np
 
 from cosim.arrays import Matrix, Nanoseconds
 from cosim.log.layout import Part, Records, copy_values
+from cosim.log.stream import record_times
 
 _FIRST_ROWS = 1024
 
@@ -45,10 +46,7 @@ class SignalRows:
         stop = self.count + len(records)
         if stop > len(self._time_ns):
             self._grow(stop)
-        times = records["log_time"].astype(np.int64)
-        if (times < 0).any():
-            raise ValueError(f"a time beyond {np.iinfo(np.int64).max} ns")
-        self._time_ns[self.count : stop] = times
+        self._time_ns[self.count : stop] = record_times(records)
         copy_values(records, self._values[self.count : stop])
         self.count = stop
 

@@ -10,6 +10,7 @@ import struct
 import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO, final
@@ -19,12 +20,12 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.reader import FOOTER_SIZE
-from mcap.stream_reader import StreamReader
 from mcap.summary import Summary
 
 from cosim.errors import LogError
 from cosim.log.compression import MOST_BYTES, decompress
 from cosim.log.layout import HEADER
+from cosim.log.paths import open_file
 from cosim.log.scan import OtherRecord, scan
 from cosim.log.walk import RecordSpan, damage_error, walk
 
@@ -32,6 +33,7 @@ from cosim.log.walk import RecordSpan, damage_error, walk
 MALFORMED = (McapError, ValueError, KeyError, TypeError, OverflowError, struct.error)
 
 _READ_BYTES = 2**22
+MOST_ATTACHED = 2**28  # bytes of an attachment
 _CHUNK_HEADER = struct.Struct("<QQQI")  # first and last time, size, CRC
 _LONGEST_NAME = 16  # of a compression, more than any that is known
 _ATTACHMENT_TIMES = 16  # bytes: log time, creation time
@@ -66,8 +68,8 @@ class Container:
     def __init__(self, path: Path) -> None:
         self.path = path
         try:
-            self._identity = _identity(path.stat())
-            with path.open("rb") as stream:
+            with open_file(path) as stream:
+                self._identity = _identity(os.fstat(stream.fileno()))
                 self.contents = walk(path, stream)
                 self.summary = self._read_summary(stream)
                 chunk_indexes = self.summary.chunk_indexes
@@ -86,11 +88,7 @@ class Container:
         LogError
             If it cannot be read, or is not the file it was.
         """
-        try:
-            stream = self.path.open("rb")
-        except OSError as error:
-            reason = error.strerror or error
-            raise LogError(f"{self.path} cannot be read: {reason}") from error
+        stream = open_file(self.path)
         if _identity(os.fstat(stream.fileno())) != self._identity:
             stream.close()
             raise LogError(f"{self.path} has changed since it was opened; open it again")
@@ -109,7 +107,7 @@ class Container:
                 if span.opcode == Opcode.CHUNK:
                     yield self._chunk(stream, span)
                 else:
-                    yield _read(stream, span)
+                    yield self._record(stream, span)
 
     def channels(self) -> Mapping[int, records.Channel]:
         """Return the channels by id.
@@ -138,30 +136,45 @@ class Container:
 
     def _channels_outside_chunks(self) -> list[bytes]:
         with self.open() as stream:
-            return [_read(stream, span)[HEADER:] for span in self.contents.channels]
+            return [self._record(stream, span)[HEADER:] for span in self.contents.channels]
 
     def _channels_inside_chunks(self) -> list[bytes]:
         contents = []
-        for block in self.blocks():
-            for record in scan(block, {}):
-                if isinstance(record, OtherRecord) and record.opcode == Opcode.CHANNEL:
-                    contents.append(record.content)
+        try:
+            for block in self.blocks():
+                for record in scan(block, {}):
+                    if isinstance(record, OtherRecord) and record.opcode == Opcode.CHANNEL:
+                        contents.append(record.content)
+        except ValueError as error:
+            raise LogError(f"{self.path} is damaged: {error}") from error
         return contents
 
     def expected_messages(self, channel_id: int, message_bytes: int) -> int:
-        """Return for how many messages of a channel to make room.
+        """Return the largest number of messages that a channel may have.
 
         As many as the summary counts, but no more than the chunks can hold: the summary of a
         damaged file may ask for any amount of memory.
         """
+        largest = self._data_bytes // message_bytes
         statistics = self.summary.statistics
         if statistics is None:
-            return 0
+            return largest
         count: int = statistics.channel_message_counts.get(channel_id, 0)
+        return min(count, largest)
+
+    @cached_property
+    def _data_bytes(self) -> int:
+        """What the chunks can hold, and the messages outside them."""
         data_bytes = 0
         for span in self.contents.data:
-            data_bytes += MOST_BYTES if span.opcode == Opcode.CHUNK else span.size
-        return min(count, data_bytes // message_bytes)
+            index = self._chunk_indexes.get(span.start)
+            if span.opcode != Opcode.CHUNK:
+                data_bytes += span.size
+            elif index is None:
+                data_bytes += MOST_BYTES
+            else:
+                data_bytes += min(index.uncompressed_size, MOST_BYTES)
+        return data_bytes
 
     def metadata(self) -> Iterator[records.Metadata]:
         """Yield the metadata records.
@@ -174,7 +187,7 @@ class Container:
         with self.open() as stream:
             for span in self.contents.metadata:
                 try:
-                    yield records.Metadata.read(_content(_read(stream, span)))
+                    yield records.Metadata.read(_content(self._record(stream, span)))
                 except MALFORMED as error:
                     raise self.damage_error(
                         span.start, f"a metadata record cannot be read: {error}"
@@ -200,7 +213,7 @@ class Container:
             If it is damaged.
         """
         with self.open() as stream:
-            record = _read(stream, span)
+            record = self._record(stream, span, MOST_ATTACHED)
         checked = record[HEADER:-4]
         crc = int.from_bytes(record[-4:], "little")
         if crc and zlib.crc32(checked) != crc:
@@ -213,6 +226,13 @@ class Container:
     def damage_error(self, offset: int, reason: str) -> LogError:
         """Return the error that names the byte at which the file is damaged."""
         return damage_error(self.path, offset, reason)
+
+    def _record(self, stream: BinaryIO, span: RecordSpan, most: int = MOST_BYTES) -> bytes:
+        """Read a record of at most ``most`` bytes: a sparse file may have any length."""
+        if span.size > most:
+            reason = f"a record of {span.size} bytes, at most {most} are read"
+            raise self.damage_error(span.start, reason)
+        return _read(stream, span)
 
     def _chunk(self, stream: BinaryIO, span: RecordSpan) -> bytes:
         """Read, check and decompress the records of a chunk."""
@@ -252,17 +272,18 @@ class Container:
         summary = Summary()
         try:
             footer = records.Footer.read(_content(_read(stream, footer_span)))
-            if not footer.summary_start:
+            start = footer.summary_start
+            if not start:
                 return summary
-            stream.seek(footer.summary_start)
-            data = stream.read()
             # The CRC covers the summary and the footer up to the CRC itself, its last four bytes.
             crc_position = footer_span.stop - 4
-            checked = data[: crc_position - footer.summary_start]
-            if footer.summary_crc and zlib.crc32(checked) != footer.summary_crc:
+            if not self.contents.data_end < start < footer_start:
+                raise ValueError(f"it is said to begin at byte {start}")
+            if footer.summary_crc and _crc(stream, start, crc_position) != footer.summary_crc:
                 raise ValueError("the CRC of the summary does not fit its content")
-            for record in StreamReader(BytesIO(data), skip_magic=True).records:
-                _add_to_summary(summary, record)
+            for span in self.contents.summary:
+                if span.start >= start:
+                    _add_to_summary(summary, span.opcode, self._record(stream, span))
         except MALFORMED as error:
             raise self.damage_error(footer_start, f"the summary cannot be read: {error}") from error
         return summary
@@ -295,7 +316,7 @@ class Container:
         is_chunked = len(contents.chunks) == len(contents.data)
         if is_chunked or not contents.data_crc:
             return
-        crc = _crc(stream, contents.data_end)
+        crc = _crc(stream, 0, contents.data_end)
         if crc != contents.data_crc:
             raise self.damage_error(contents.data_end, "the CRC of the data does not fit")
 
@@ -316,17 +337,20 @@ def _read_chunk_header(stream: BinaryIO, span: RecordSpan) -> _ChunkHeader:
     (data_length,) = struct.unpack("<Q", stream.read(8))
     if stream.tell() + data_length > span.stop:
         raise ValueError(f"a chunk with {data_length} bytes of data in a record of {span.size}")
+    if data_length > MOST_BYTES:
+        raise ValueError(f"a chunk of {data_length} bytes, at most {MOST_BYTES} are read")
     return _ChunkHeader(first_ns, last_ns, size, crc, compression, data_length)
 
 
-def _add_to_summary(summary: Summary, record: records.McapRecord) -> None:
-    match record:
-        case records.Statistics():
-            summary.statistics = record
-        case records.Channel():
-            summary.channels[record.id] = record
-        case records.ChunkIndex():
-            summary.chunk_indexes.append(record)
+def _add_to_summary(summary: Summary, opcode: int, record: bytes) -> None:
+    match opcode:
+        case Opcode.STATISTICS:
+            summary.statistics = records.Statistics.read(_content(record))
+        case Opcode.CHANNEL:
+            channel = records.Channel.read(_content(record))
+            summary.channels[channel.id] = channel
+        case Opcode.CHUNK_INDEX:
+            summary.chunk_indexes.append(records.ChunkIndex.read(_content(record)))
 
 
 def _identity(status: os.stat_result) -> tuple[int, int, int]:
@@ -343,11 +367,11 @@ def _content(record: bytes) -> ReadDataStream:
     return ReadDataStream(BytesIO(record[HEADER:]))
 
 
-def _crc(stream: BinaryIO, stop: int) -> int:
-    """Compute the CRC-32 of the first ``stop`` bytes, piece by piece."""
-    stream.seek(0)
+def _crc(stream: BinaryIO, start: int, stop: int) -> int:
+    """Compute the CRC-32 of the bytes ``start`` to ``stop``, piece by piece."""
+    stream.seek(start)
     crc = 0
-    for start in range(0, stop, _READ_BYTES):
-        piece = stream.read(min(_READ_BYTES, stop - start))
+    for position in range(start, stop, _READ_BYTES):
+        piece = stream.read(min(_READ_BYTES, stop - position))
         crc = zlib.crc32(piece, crc)
     return crc

@@ -7,27 +7,24 @@ elements, or where both are NaN.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal, TypeAlias, final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.arrays import Mask, Matrix, Nanoseconds, as_columns
+from cosim.arrays import Mask, Matrix, Nanoseconds
 from cosim.core.contracts import Recording
 from cosim.core.port import Port
 from cosim.core.recorded import find_signal
-from cosim.errors import LogError
+from cosim.errors import LogError, UsageError
+from cosim.log.pairing import Window, windows
 
 DifferenceStatus: TypeAlias = Literal[
     "equal", "within", "outside", "other times", "other size", "only in a", "only in b"
 ]
-
-# Rows of a and of b at the same instants; None: all, one by one.
-SharedRows: TypeAlias = tuple[NDArray[np.intp], NDArray[np.intp]] | None
-
-_INSTANT = np.dtype([("time", "<i8"), ("count", "<i8")])
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,7 +133,7 @@ def diff(
     rtol: float = 0.0,
     signals: Sequence[str] = (),
 ) -> LogDifference:
-    """Compare two runs signal by signal.
+    """Compare two runs signal by signal; of long logs only a part is in memory at a time.
 
     Parameters
     ----------
@@ -152,67 +149,93 @@ def diff(
     Raises
     ------
     LogError
-        If one of ``signals`` is in neither run; names the nearest.
+        If a or b is no recording, or one of ``signals`` is in neither; names the nearest.
+    UsageError
+        If a tolerance is no number from 0 on.
     """
-    sizes_a = _sizes(a)
-    sizes_b = _sizes(b)
+    for name, run in (("a", a), ("b", b)):
+        _check_recording(name, run)
+    for name, tolerance in (("atol", atol), ("rtol", rtol)):
+        _check_tolerance(name, tolerance)
     if signals:
-        sizes_a, sizes_b = _chosen(a, b, signals)
-    # Once per component: its signals have the same instants.
-    shared_rows: dict[str, SharedRows] = {}
-    for component in a.channels:
-        if component in b.channels:
-            times_a = a.time_ns(component)
-            times_b = b.time_ns(component)
-            shared_rows[component] = _shared_rows(times_a, times_b)
-    rows = []
-    for name in dict.fromkeys(signals or [*sizes_a, *sizes_b]):
-        size_a = sizes_a.get(name)
-        size_b = sizes_b.get(name)
-        if size_a is not None and size_a == size_b:
-            shared = shared_rows[_component_of(name)]
-            row = _compare(name, a, b, shared=shared, atol=atol, rtol=rtol)
-        else:
-            run_a = None if size_a is None else a
-            run_b = None if size_b is None else b
-            row = _not_compared(name, run_a, run_b)
-        rows.append(row)
-    return LogDifference(tuple(rows), atol, rtol)
+        chosen = [signals] if isinstance(signals, str) else signals
+        columns_a, columns_b = _chosen(a, b, chosen)
+        names = list(dict.fromkeys(chosen))
+    else:
+        columns_a = _all_columns(a)
+        columns_b = _all_columns(b)
+        names = list(dict.fromkeys([*columns_a, *columns_b]))
+    by_component: dict[str, list[str]] = {}
+    for name in names:
+        by_component.setdefault(_component_of(name), []).append(name)
+    rows: dict[str, SignalDifference] = {}
+    for component, members in by_component.items():
+        pairs = []
+        for name in members:
+            if name in columns_a and name in columns_b:
+                pairs.append(_Comparison(name, columns_a[name], columns_b[name]))
+        rows.update(_compare(component, pairs, a, b, atol=atol, rtol=rtol))
+        for name in members:
+            if name not in rows:
+                run_a = a if name in columns_a else None
+                run_b = b if name in columns_b else None
+                rows[name] = _not_compared(name, run_a, run_b)
+    return LogDifference(tuple(rows[name] for name in names), atol, rtol)
 
 
-def _sizes(run: Recording) -> dict[str, int]:
-    """Return the sizes of all signals by ``component.signal``."""
-    sizes = {}
+def _check_recording(name: str, run: object) -> None:
+    if getattr(type(run), "blocks", None) is None:
+        found = type(run).__name__
+        raise LogError(
+            f"{name}: found {found} {run!r}, needed a recording; open a log with "
+            "cosim.open_log(path)"
+        )
+
+
+def _check_tolerance(name: str, value: object) -> None:
+    if not isinstance(value, int | float | np.number) or not 0.0 <= value < math.inf:
+        raise UsageError(f"{name}: found {value!r}, needed a finite number from 0 on")
+
+
+def _all_columns(run: Recording) -> dict[str, slice]:
+    """Return the columns of all signals by ``component.signal``."""
+    columns = {}
     for channel in run.channels.values():
-        for signal in channel.signals:
-            sizes[f"{channel.name}.{signal.name}"] = signal.size
-    return sizes
+        for signal, whole_row in channel.signal_columns():
+            columns[f"{channel.name}.{signal.name}"] = _shifted(whole_row, channel.start)
+    return columns
+
+
+def _shifted(columns: slice, start: int) -> slice:
+    return slice(columns.start - start, columns.stop - start)
 
 
 def _chosen(
     a: Recording, b: Recording, signals: Sequence[str]
-) -> tuple[dict[str, int], dict[str, int]]:
-    """Return the sizes of the chosen signals in a and in b, where these have them.
+) -> tuple[dict[str, slice], dict[str, slice]]:
+    """Return the columns of the chosen signals in a and in b, where these have them.
 
     Raises
     ------
     LogError
         If a signal is in neither of them.
     """
-    sizes_a: dict[str, int] = {}
-    sizes_b: dict[str, int] = {}
+    columns_a: dict[str, slice] = {}
+    columns_b: dict[str, slice] = {}
     for signal in signals:
+        if not isinstance(signal, str):
+            raise LogError(f"found {signal!r}, needed the name of a signal, such as 'plant.y'")
         problem: LogError | None = None
-        for run, sizes in ((a, sizes_a), (b, sizes_b)):
+        for run, columns in ((a, columns_a), (b, columns_b)):
             try:
-                _, columns = find_signal(run.channels, signal, source="the first run")
+                channel, whole_row = find_signal(run.channels, signal, source="the first run")
             except LogError as error:
                 problem = problem or error  # of the reference, where neither has it
             else:
-                sizes[signal] = columns.stop - columns.start
-        if problem is not None and signal not in sizes_a and signal not in sizes_b:
+                columns[signal] = _shifted(whole_row, channel.start)
+        if problem is not None and signal not in columns_a and signal not in columns_b:
             raise problem
-    return sizes_a, sizes_b
+    return columns_a, columns_b
 
 
 def _component_of(name: str) -> str:
@@ -222,8 +245,8 @@ def _component_of(name: str) -> str:
 def _not_compared(name: str, a: Recording | None, b: Recording | None) -> SignalDifference:
     """Describe a signal that only one run has, or that the runs have with different sizes."""
     component = _component_of(name)
-    rows_a = 0 if a is None else len(a.time_ns(component))
-    rows_b = 0 if b is None else len(b.time_ns(component))
+    rows_a = 0 if a is None else _count(a, component)
+    rows_b = 0 if b is None else _count(b, component)
     status: DifferenceStatus = "other size"
     if b is None:
         status = "only in a"
@@ -232,63 +255,114 @@ def _not_compared(name: str, a: Recording | None, b: Recording | None) -> Signal
     return SignalDifference(name, status, (rows_a, rows_b, 0))
 
 
-def _shared_rows(times_a: Nanoseconds, times_b: Nanoseconds) -> SharedRows:
-    """Return the rows of a and of b that stand for the same instants."""
-    if np.array_equal(times_a, times_b):
-        return None
-    instants_a = _instants(times_a)
-    instants_b = _instants(times_b)
-    _, rows_a, rows_b = np.intersect1d(
-        instants_a, instants_b, assume_unique=True, return_indices=True
-    )
-    return rows_a, rows_b
-
-
-def _instants(time_ns: Nanoseconds) -> NDArray[np.void]:
-    """Return the times, the rows of one instant numbered, so that each limit of a jump is found.
-
-    The times are in order: bisection finds the first row of an instant.
-    """
-    first_rows = np.searchsorted(time_ns, time_ns)
-    instants = np.empty(len(time_ns), dtype=_INSTANT)
-    instants["time"] = time_ns
-    instants["count"] = np.arange(len(time_ns)) - first_rows
-    return instants
+def _count(run: Recording, component: str) -> int:
+    return sum(len(times) for times, _ in run.blocks(component))
 
 
 def _compare(
-    name: str, a: Recording, b: Recording, *, shared: SharedRows, atol: float, rtol: float
-) -> SignalDifference:
-    """Compare a signal that both runs have with the same size."""
-    times = a.time_ns(_component_of(name))
-    values_a = as_columns(a[name])
-    values_b = as_columns(b[name])
-    rows_a = len(values_a)
-    rows_b = len(values_b)
-    # Before the rows are selected: the scale is that of the whole signal.
-    scale = _largest_finite(values_a)
-    tolerance = atol + rtol * scale
-    if shared is not None:
-        shared_a, shared_b = shared
-        times = times[shared_a]
-        values_a = values_a[shared_a]
-        values_b = values_b[shared_b]
-    same_bits = _bits(values_a) == _bits(values_b)
-    distance = _distance(values_a, values_b)
-    if atol == 0.0 and rtol == 0.0:
+    component: str,
+    comparisons: Sequence[_Comparison],
+    a: Recording,
+    b: Recording,
+    *,
+    atol: float,
+    rtol: float,
+) -> dict[str, SignalDifference]:
+    """Compare the signals of a component; leave out those whose sizes differ."""
+    same_size = [comparison for comparison in comparisons if comparison.same_size]
+    if not same_size:
+        return {}
+    if rtol:  # the tolerance is a part of the scale, which is that of the whole signal
+        for _, rows in a.blocks(component):
+            for comparison in same_size:
+                comparison.extend_scale(rows)
+    for comparison in same_size:
+        comparison.set_tolerance(atol, rtol)
+    for window in windows(a.blocks(component), b.blocks(component)):
+        for comparison in same_size:
+            comparison.add(window)
+    return {comparison.name: comparison.result() for comparison in same_size}
+
+
+@final
+class _Comparison:
+    """A signal that both runs have, compared window by window."""
+
+    def __init__(self, name: str, columns_a: slice, columns_b: slice) -> None:
+        self.name = name
+        self._columns_a = columns_a
+        self._columns_b = columns_b
+        self._rows = (0, 0, 0)
+        self._largest = 0.0
+        self._scale = 0.0
+        self._tolerance = 0.0
+        self._exact = True
+        self._same_bits = True
+        self._same_times = True
+        self._first: ElementDifference | None = None
+
+    @property
+    def same_size(self) -> bool:
+        """Whether the signal has as many elements in both runs."""
+        a = self._columns_a
+        b = self._columns_b
+        return bool(a.stop - a.start == b.stop - b.start)
+
+    def extend_scale(self, rows: Matrix) -> None:
+        """Take more rows of a into account."""
+        values = rows[:, self._columns_a]
+        finite = values[np.isfinite(values)]
+        self._scale = max(self._scale, float(np.abs(finite).max(initial=0.0)))
+
+    def set_tolerance(self, atol: float, rtol: float) -> None:
+        """Set what |a - b| is compared with, by the scale as it is known."""
+        self._exact = atol == 0.0 and rtol == 0.0
+        self._tolerance = atol + rtol * self._scale
+
+    def add(self, window: Window) -> None:
+        """Compare the rows of a window."""
+        times, rows_a = window.a
+        _, rows_b = window.b
+        self.extend_scale(rows_a)
+        values_a = rows_a[:, self._columns_a]
+        values_b = rows_b[:, self._columns_b]
+        if window.shared is not None:
+            shared_a, shared_b = window.shared
+            times = times[shared_a]
+            values_a = values_a[shared_a]
+            values_b = values_b[shared_b]
+            self._same_times = False
+        counts = (len(rows_a), len(rows_b), len(times))
+        count_a, count_b, count_shared = map(sum, zip(self._rows, counts, strict=True))
+        self._rows = (count_a, count_b, count_shared)
+        same_bits = _bits(values_a) == _bits(values_b)
+        distance = _distance(values_a, values_b)
         outside = ~same_bits
-    else:
-        outside = ~(distance <= tolerance) | np.isinf(distance)
-    status = _status(outside, same_bits, same_times=shared is None)
-    largest = float(distance.max(initial=0.0))
-    first = _first_outside(name, outside, times, values_a, values_b)
-    counts = (rows_a, rows_b, len(times))
-    return SignalDifference(name, status, counts, largest, scale, tolerance, first)
+        if not self._exact:
+            outside = ~(distance <= self._tolerance) | np.isinf(distance)
+        self._same_bits = self._same_bits and bool(same_bits.all())
+        self._largest = max(self._largest, float(distance.max(initial=0.0)))
+        if self._first is None:
+            self._first = _first_outside(self.name, outside, times, values_a, values_b)
 
+    def result(self) -> SignalDifference:
+        """Return how the signal compares."""
+        return SignalDifference(
+            self.name,
+            self._status(),
+            self._rows,
+            self._largest,
+            self._scale,
+            self._tolerance,
+            self._first,
+        )
 
-def _largest_finite(values: Matrix) -> float:
-    finite = values[np.isfinite(values)]
-    return float(np.abs(finite).max(initial=0.0))
+    def _status(self) -> DifferenceStatus:
+        if self._first is not None:
+            return "outside"
+        if not self._same_times:
+            return "other times"
+        return "equal" if self._same_bits else "within"
 
 
 def _bits(values: Matrix) -> NDArray[np.int64]:
@@ -304,14 +378,6 @@ def _distance(a: Matrix, b: Matrix) -> Matrix:
     distance[(a == b) | both_nan] = 0.0
     distance[np.isnan(distance)] = np.inf
     return distance
-
-
-def _status(outside: Mask, same_bits: Mask, *, same_times: bool) -> DifferenceStatus:
-    if outside.any():
-        return "outside"
-    if not same_times:
-        return "other times"
-    return "equal" if same_bits.all() else "within"
 
 
 def _first_outside(

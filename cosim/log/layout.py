@@ -13,22 +13,31 @@ stops at 8190 doubles a message, so a component with more than 4096 elements is 
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, get_args
 
 import numpy as np
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from cosim.arrays import Matrix
-from cosim.core.signals import Channel, Interface, Signal
-from cosim.log.metadata import add_checksum, compact, verify_checksum
-from cosim.units import BaseUnit
+from cosim.core.signals import Channel, Interface, Role, Signal, SignalType, Variability
+from cosim.log.metadata import (
+    add_checksum,
+    compact,
+    json_table,
+    read_json,
+    shown,
+    verify_checksum,
+)
+from cosim.units import BASE, BaseUnit
 
 MOST_ELEMENTS = 4096
 HEADER = 9  # bytes: opcode u1, length u8
+LARGEST_TIME = 2**63 - 1  # ns
+_MOST_DIGITS = 19  # of that
+_LARGEST_POWER = 10_000  # of a base unit
 Records: TypeAlias = NDArray[np.void]  # shape (n,), of a dtype by record_dtype
 
 _CHECKSUM_NAME = "cosim.channel"  # metadata of channels have no name of their own
@@ -118,21 +127,40 @@ def read_part(metadata: Mapping[str, str]) -> Part:
     """
     # First: a damaged number may still parse, and would silently be another one.
     items = verify_checksum(_CHECKSUM_NAME, metadata)
-    step_ns = int(items["cosim.step_ns"])
-    period_ns = int(items["cosim.period_ns"])
-    start, stop = map(int, items["cosim.columns"].split(":"))
-    is_periodic = step_ns >= 1 and period_ns % step_ns == 0
+    name = items["cosim.component"]
+    if not name or "." in name:
+        raise ValueError(f"a component has the name {shown(name)}; needed one without a dot")
+    step_ns = read_number(items["cosim.step_ns"])
+    period_ns = read_number(items["cosim.period_ns"])
+    start, stop = map(read_number, items["cosim.columns"].split(":"))
+    is_periodic = step_ns >= 1 and period_ns >= step_ns and period_ns % step_ns == 0
     if not is_periodic or not 0 <= stop - start <= MOST_ELEMENTS:
         raise ValueError(
             f"period {period_ns} ns, step {step_ns} ns, columns {start}:{stop} do not fit together"
         )
-    signals = json.loads(items["cosim.signals"])
-    initial = json.loads(items.get("cosim.initial", "{}"))
+    signals = read_json(items["cosim.signals"])
+    initial = json_table(items.get("cosim.initial", "{}"))
     interface = _read_interface(signals, initial)
-    first_column = int(items["cosim.start"])
+    first_column = read_number(items["cosim.start"])
     period = period_ns // step_ns
-    channel = Channel(items["cosim.component"], interface, first_column, period)
+    channel = Channel(name, interface, first_column, period)
     return Part(channel, items["cosim.kind"], step_ns, slice(start, stop))
+
+
+def read_number(text: str) -> int:
+    """Read a whole number from 0 to 2**63 - 1.
+
+    Raises
+    ------
+    ValueError
+        If ``text`` is none.
+    """
+    if not (text.isascii() and text.isdigit()) or len(text) > _MOST_DIGITS:
+        raise ValueError(f"found {shown(text)}, needed a whole number")
+    number = int(text)
+    if number > LARGEST_TIME:
+        raise ValueError(f"found {number}, needed at most {LARGEST_TIME}")
+    return number
 
 
 def signals_json(interface: Interface) -> str:
@@ -161,11 +189,15 @@ def _signal_entry(signal: Signal, causality: str) -> dict[str, Any]:
     return entry
 
 
-def _read_interface(entries: list[dict[str, Any]], initial: Mapping[str, Any]) -> Interface:
+def _read_interface(entries: Any, initial: Mapping[str, Any]) -> Interface:
+    if not isinstance(entries, list):
+        raise ValueError(f"found {shown(entries)}, needed a list of signals")
     inputs: list[Signal] = []
     outputs: list[Signal] = []
     feedthrough = {}
     for entry in entries:
+        if not isinstance(entry, dict):
+            raise ValueError(f"found {shown(entry)}, needed a signal")
         fields = dict(entry)
         # First: causality and feedthrough belong to the interface, and are no fields of a signal.
         causality = fields.pop("causality")
@@ -174,22 +206,95 @@ def _read_interface(entries: list[dict[str, Any]], initial: Mapping[str, Any]) -
         signals = {"input": inputs, "output": outputs}[causality]
         signals.append(_read_signal(fields))
     initial_dependencies = {output: _input_names(names) for output, names in initial.items()}
+    _check_dependencies(feedthrough, inputs, outputs)
+    _check_dependencies(initial_dependencies, inputs, outputs)
     return Interface(tuple(inputs), tuple(outputs), feedthrough, initial_dependencies)
+
+
+def _check_dependencies(
+    dependencies: Mapping[str, tuple[str, ...] | None],
+    inputs: Sequence[Signal],
+    outputs: Sequence[Signal],
+) -> None:
+    """Check that outputs depend on inputs.
+
+    Raises
+    ------
+    ValueError
+        If they depend on something else.
+    """
+    known_inputs = {signal.name for signal in inputs}
+    known_outputs = {signal.name for signal in outputs}
+    for output, names in dependencies.items():
+        if output not in known_outputs or not known_inputs.issuperset(names or ()):
+            raise ValueError(
+                f"{shown(output)} is said to depend on {shown(names)}, which are no inputs"
+            )
 
 
 def _read_signal(fields: dict[str, Any]) -> Signal:
     values = dict(fields)
     # JSON has no tuples, and a list would make the signal differ from the one recorded.
-    values["start"] = tuple(fields.get("start", ()))
+    if "start" in fields:
+        values["start"] = _numbers("start", fields["start"])
     if "base" in fields:
         base = dict(fields["base"])
         base["exponents"] = tuple(base["exponents"])
         values["base"] = BaseUnit(**base)
-    return Signal(**values)
+    signal = Signal(**values)
+    _check_types(signal)
+    return signal
 
 
-def _input_names(names: list[str] | None) -> tuple[str, ...] | None:
-    return None if names is None else tuple(names)
+def _numbers(name: str, values: Any) -> tuple[float, ...]:
+    if not isinstance(values, list) or not all(_is_number(value) for value in values):
+        raise ValueError(f"found {name} {shown(values)}, needed a list of numbers")
+    if not np.isfinite([float(value) for value in values]).all():
+        raise ValueError(f"found {name} {shown(values)}, needed finite numbers")
+    return tuple(values)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _check_types(signal: Signal) -> None:
+    """Check what JSON may have put into a signal.
+
+    Raises
+    ------
+    ValueError
+        If something is of another type, or none of the words for it.
+    """
+    is_right = {
+        "name": isinstance(signal.name, str) and bool(signal.name),
+        "size": type(signal.size) is int and signal.size <= LARGEST_TIME,
+        "unit": signal.unit is None or isinstance(signal.unit, str),
+        "variability": signal.variability in get_args(Variability),
+        "optional": isinstance(signal.optional, bool),
+        "type": signal.type in get_args(SignalType),
+        "role": signal.role in get_args(Role),
+        "base": signal.base is None or _is_base(signal.base),
+    }
+    for name, right in is_right.items():
+        if not right:
+            raise ValueError(
+                f"signal {shown(signal.name)}: found {name} {shown(getattr(signal, name))}"
+            )
+
+
+def _is_base(base: BaseUnit) -> bool:
+    exponents = base.exponents
+    is_power = [type(exponent) is int and abs(exponent) <= _LARGEST_POWER for exponent in exponents]
+    return len(is_power) == len(BASE) and all(is_power)
+
+
+def _input_names(names: Any) -> tuple[str, ...] | None:
+    if names is None:
+        return None
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise ValueError(f"found {shown(names)}, needed a list of inputs")
+    return tuple(names)
 
 
 def record_dtype(size: int) -> np.dtype[np.void]:

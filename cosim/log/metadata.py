@@ -10,6 +10,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -20,11 +21,67 @@ from cosim.core.contracts import Design
 
 PREFIX = "cosim."
 CHECKSUM = "cosim.sha256"
+_SHOWN = 60  # characters of a wrong value in a message
+_MOST_AXES = 8
+_SURROGATE = re.compile(r"\\u[dD][89a-fA-F]")
 
 
 def compact(value: Any) -> str:
     """Write JSON without spaces, in ASCII: equal values have equal text."""
     return json.dumps(value, separators=(",", ":"))
+
+
+def read_json(text: str | bytes) -> Any:
+    """Read JSON.
+
+    Raises
+    ------
+    ValueError
+        If it is none, or nested too deeply to be read.
+    """
+    try:
+        value = json.loads(text)
+        if _SURROGATE.search(text if isinstance(text, str) else text.decode()):
+            json.dumps(value, ensure_ascii=False).encode()
+    except RecursionError as error:
+        raise ValueError("it is nested too deeply") from error
+    except UnicodeEncodeError as error:
+        raise ValueError("it has half a character") from error
+    return value
+
+
+def json_table(text: str | bytes) -> dict[str, Any]:
+    """Read a JSON object.
+
+    Raises
+    ------
+    ValueError
+        If ``text`` is none.
+    """
+    value = read_json(text)
+    if not isinstance(value, dict):
+        raise ValueError(f"found {shown(value)}, needed a table")
+    return value
+
+
+def json_texts(text: str) -> list[str]:
+    """Read a JSON array of strings.
+
+    Raises
+    ------
+    ValueError
+        If ``text`` is none.
+    """
+    value = read_json(text)
+    if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
+        raise ValueError(f"found {shown(value)}, needed a list of texts")
+    return value
+
+
+def shown(value: object) -> str:
+    """Return a value from outside for a message, cut where it is long."""
+    text = repr(value)
+    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
 
 
 def add_checksum(name: str, items: Mapping[str, str]) -> dict[str, str]:
@@ -80,14 +137,23 @@ def decode_design(text: str) -> dict[str, NDArray[np.float64]]:
         If ``text`` is something else.
     """
     design = {}
-    for name, entry in json.loads(text).items():
+    for name, entry in json_table(text).items():
         doubles = _decode_doubles(entry["data"])
-        design[name] = doubles.reshape(entry["shape"])
+        design[name] = doubles.reshape(_shape(entry["shape"]))
         design[name].setflags(write=False)
     return design
 
 
+def _shape(value: Any) -> tuple[int, ...]:
+    is_shape = isinstance(value, list) and len(value) <= _MOST_AXES
+    if not is_shape or not all(type(size) is int and size >= 0 for size in value):
+        raise ValueError(f"found shape {shown(value)}, needed a list of sizes")
+    return tuple(value)
+
+
 def _decode_doubles(data: str) -> NDArray[np.float64]:
+    if not isinstance(data, str):
+        raise TypeError(f"found {shown(data)}, needed base64")
     decoded = base64.b64decode(data, validate=True)
     little_endian = np.frombuffer(decoded, dtype="<f8")
     return little_endian.astype(np.float64)

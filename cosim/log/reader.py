@@ -6,9 +6,9 @@ A component's rows are read when first asked for, chunk by chunk, with every CRC
 from __future__ import annotations
 
 import hashlib
-import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, TypeVar, final
@@ -24,16 +24,27 @@ from cosim.errors import GraphError, LogError, nearest
 from cosim.log.columns import SignalRows
 from cosim.log.container import MALFORMED, Container
 from cosim.log.content import combine_hashes, hash_input
-from cosim.log.layout import Part, read_part, record_dtype, signals_json
-from cosim.log.metadata import decode_design, verify_checksum
+from cosim.log.layout import Part, read_number, read_part, record_dtype, signals_json
+from cosim.log.metadata import (
+    decode_design,
+    json_table,
+    json_texts,
+    read_json,
+    shown,
+    verify_checksum,
+)
+from cosim.log.paths import log_path
 from cosim.log.preamble import FORMAT, LOG_TOPIC
 from cosim.log.result import RESULT, RESULT_FILE
 from cosim.log.scan import OtherRecord, scan
 from cosim.log.schema import decode_log
+from cosim.log.stream import RowStream, TimedRows
 
 _LOG_TIME = slice(6, 14)  # of a message record's content
 _DATA = slice(22, None)
-_HASHED_ROWS = 2**16  # at a time
+_DOUBLE_BYTES = 8
+_MOST_AHEAD = 2**26  # bytes of rows that are read ahead, or that a block has
+_MOST_SORTED = 2**28  # bytes of rows that are sorted in memory to be hashed
 
 _Parsed = TypeVar("_Parsed")
 
@@ -56,7 +67,7 @@ def open_log(path: Path | str) -> Log:
     LogError
         If the file is no MCAP, truncated or damaged, or was not written by cosim.
     """
-    return Log(Path(path))
+    return Log(path)
 
 
 @final
@@ -65,7 +76,7 @@ class Log(RecordedSignals):
 
     Parameters
     ----------
-    path : Path
+    path : Path or str
 
     Raises
     ------
@@ -73,16 +84,18 @@ class Log(RecordedSignals):
         From every method: if the file is damaged, has changed, or lacks what is asked for.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self._file = Container(path)
+    def __init__(self, path: Path | str) -> None:
+        self._file = Container(log_path(path))
+        self.path = self._file.path
         self._declared = self._file.channels()
         self._metadata = self._read_metadata()
         self._check_format()
         self._parts = self._read_parts()
         self._channels = self._read_channels()
         self._attachments = self._file.attachments()
-        self._rows: dict[str, tuple[Nanoseconds, Matrix]] = {}
+        self._rows: dict[str, TimedRows] = {}
+        self._ahead: dict[str, TimedRows] = {}  # read together with the last one asked for
+        self._passes = 0
 
     @property
     def label(self) -> str:
@@ -138,37 +151,72 @@ class Log(RecordedSignals):
         return self._result_number("steps")
 
     @property
+    def recorded_hash(self) -> str:
+        """The content hash that the run recorded; :meth:`content_hash` computes that of the rows.
+
+        Raises
+        ------
+        LogError
+            If there is none.
+        """
+        try:
+            return self._metadata[RESULT]["content_hash"]
+        except KeyError as error:
+            raise self._missing("content_hash") from error
+
+    @property
+    def schedule(self) -> list[str]:
+        """The stages of the run in their order; empty if another tool left them out.
+
+        Raises
+        ------
+        LogError
+            If they are no list of texts.
+        """
+        text = self._metadata.get("cosim.schedule", {}).get("stages", "[]")
+        try:
+            return json_texts(text)
+        except MALFORMED as error:
+            raise LogError(f"{self.path}: stages cannot be understood: {error}") from error
+
+    @property
     def result(self) -> Mapping[str, Any]:
         """The content of ``result.json``; empty if there is none.
 
         Raises
         ------
         LogError
-            If it is no valid JSON, or damaged.
+            If it is no JSON object, or damaged.
         """
         if RESULT_FILE not in self._attachments:
             return {}
         try:
-            return dict(json.loads(self.attachment(RESULT_FILE)))
+            return json_table(self.attachment(RESULT_FILE))
         except ValueError as error:
             raise LogError(f"{self.path}: {RESULT_FILE} cannot be read: {error}") from error
 
-    @property
+    @cached_property
     def designs(self) -> Mapping[str, Design]:
         """The design-time arrays of every component, bit for bit."""
         designs: dict[str, Design] = {}
         for name in self._channels:
             designs[name] = self._component_metadata(name, "cosim.design", decode_design, {})
-        return designs
+        return MappingProxyType(designs)
 
-    @property
+    @cached_property
     def held(self) -> Mapping[str, Mask]:
         """Which input elements of every component had a zero-order hold."""
         held: dict[str, Mask] = {}
         for name, channel in self._channels.items():
             none_held = np.zeros(channel.interface.n_u, dtype=np.bool_)
-            held[name] = self._component_metadata(name, "cosim.held", _read_mask, none_held)
-        return held
+            mask = self._component_metadata(name, "cosim.held", _read_mask, none_held)
+            if len(mask) != len(none_held):
+                raise LogError(
+                    f"{self.path}: cosim.held of {name!r} has {len(mask)} elements, "
+                    f"needed {len(none_held)}"
+                )
+            held[name] = mask
+        return MappingProxyType(held)
 
     def rows(self, component: str) -> Matrix:
         """Return all rows of a component: applied inputs, then outputs.
@@ -181,10 +229,25 @@ class Log(RecordedSignals):
         """Return the instants of a component's rows, shape (N,) [ns]; read-only."""
         return self._times_and_rows(component)[0]
 
+    def blocks(self, component: str) -> Iterator[TimedRows]:
+        """Yield times and rows of a component in order of time; of a long log some at a time.
+
+        Nothing is kept: the memory that this takes does not grow with the log.
+        """
+        find_channel(self._channels, component, source=str(self.path))
+        if component in self._rows:
+            yield self._rows[component]
+        elif self._row_bytes(component) <= _MOST_AHEAD:
+            yield self._read_ahead(component)
+        else:
+            yield from self._stream(component)
+
     def load(self, *components: str) -> None:
         """Read several components in one pass over the file; none named: all."""
+        for name in components:
+            find_channel(self._channels, name, source=str(self.path))
         wanted = components or tuple(self._channels)
-        missing = [name for name in wanted if name not in self._rows]
+        missing = [name for name in dict.fromkeys(wanted) if name not in self._rows]
         self._rows.update(self._read_rows(missing))
 
     def attachment(self, name: str) -> bytes:
@@ -195,8 +258,8 @@ class Log(RecordedSignals):
         LogError
             If there is none of that name, or it is damaged.
         """
-        if name not in self._attachments:
-            nearest_names = nearest(name, self._attachments)
+        if not isinstance(name, str) or name not in self._attachments:
+            nearest_names = nearest(str(name), self._attachments)
             raise LogError(f"{self.path} has no attachment {name!r}; {nearest_names}")
         return self._file.attachment(self._attachments[name])
 
@@ -208,74 +271,176 @@ class Log(RecordedSignals):
         LogError
             If the file is damaged.
         """
+        return sorted(self.each_message(), key=lambda message: message.time_ns)
+
+    def each_message(self) -> Iterator[LogMessage]:
+        """Yield the messages in the order of the file.
+
+        Raises
+        ------
+        LogError
+            If the file is damaged.
+        """
         channel_ids = set()
         for number, channel in self._declared.items():
             if channel.topic == LOG_TOPIC:
                 channel_ids.add(number)
-        messages = []
         try:
             for record in self._other_records():
                 if record.opcode == Opcode.MESSAGE and record.channel_id in channel_ids:
                     time_ns = int.from_bytes(record.content[_LOG_TIME], "little")
                     level, source, text = decode_log(record.content[_DATA])
-                    messages.append(LogMessage(time_ns, level, source, text))
+                    yield LogMessage(time_ns, level, source, text)
         except MALFORMED as error:
             raise LogError(f"{self.path} is damaged: {error}") from error
-        return sorted(messages, key=lambda message: message.time_ns)
 
     def content_hash(self) -> str:
-        """Compute the hash of every bit of every signal from the data, one component at a time."""
+        """Compute the hash of every bit of every signal from the rows, in one pass over the file.
+
+        Rows that are not in order of time, as another tool may write them, are sorted in memory.
+
+        Raises
+        ------
+        LogError
+            If the file is damaged, or has too many rows to be sorted.
+        """
+        # Rows read for the hash are not kept: a log may be larger than the memory.
+        digests = {name: hashlib.sha256() for name in self._channels}
+        unordered = self._hash_ordered(list(self._channels), digests)
+        for name in unordered:
+            size = self._row_bytes(name)
+            if size > _MOST_SORTED:
+                raise self._unordered(name)
+            time_ns, rows = self._read_rows([name])[name]
+            digests[name] = hashlib.sha256(hash_input(time_ns, rows))
         components = []
         for name, channel in self._channels.items():
-            # Rows read for the hash are not kept: a log may be larger than the memory.
-            if name in self._rows:
-                time_ns, rows = self._rows[name]
-            else:
-                time_ns, rows = self._read_rows([name])[name]
-            digest = hashlib.sha256()
-            for start in range(0, len(rows), _HASHED_ROWS):
-                stop = start + _HASHED_ROWS
-                digest.update(hash_input(time_ns[start:stop], rows[start:stop]))
             declaration = signals_json(channel.interface)
-            components.append((name, declaration, digest.hexdigest()))
+            components.append((name, declaration, digests[name].hexdigest()))
         return combine_hashes(components)
 
-    def _times_and_rows(self, component: str) -> tuple[Nanoseconds, Matrix]:
+    def _hash_ordered(
+        self, components: Sequence[str], digests: Mapping[str, hashlib._Hash]
+    ) -> list[str]:
+        """Add the rows of components to their hashes; return those with rows out of order."""
+        streams = self._streams(components)
+        for name, time_ns, rows in self._streamed(streams):
+            digests[name].update(hash_input(time_ns, rows))
+        return [name for name, stream in streams.items() if not stream.ordered]
+
+    def _stream(self, component: str) -> Iterator[TimedRows]:
+        """Yield the rows of a component in one pass over the file."""
+        streams = self._streams([component])
+        width = self._channels[component].columns
+        yield np.empty(0, np.int64), np.empty((0, width.stop - width.start))
+        for _, time_ns, rows in self._streamed(streams):
+            yield time_ns, rows
+        if not streams[component].ordered:
+            raise self._unordered(component)
+
+    def _unordered(self, component: str) -> LogError:
+        size = self._row_bytes(component)
+        return LogError(
+            f"{self.path}: the rows of {component!r} are not in order of time, and {size} bytes "
+            "are too many to be sorted in memory; sort the file first, with 'mcap sort'"
+        )
+
+    def _streams(self, components: Sequence[str]) -> dict[str, RowStream]:
+        return {name: RowStream(self._parts_of[name]) for name in components}
+
+    def _streamed(
+        self, streams: Mapping[str, RowStream]
+    ) -> Iterator[tuple[str, Nanoseconds, Matrix]]:
+        """Yield the rows of components as they come."""
+        dtypes = self._dtypes
+        try:
+            for block in self._file.blocks():
+                for record in scan(block, dtypes):
+                    if isinstance(record, OtherRecord):
+                        self._check_declared(record)
+                        continue
+                    number, records = record
+                    name = self._parts[number].channel.name
+                    if name in streams:
+                        for time_ns, rows in streams[name].append(number, records):
+                            yield name, time_ns, rows
+            for stream in streams.values():
+                stream.finish()
+                self._check_counts(stream.counts)
+        except MALFORMED as error:
+            raise LogError(f"{self.path} is damaged: {error}") from error
+
+    def _times_and_rows(self, component: str) -> TimedRows:
         find_channel(self._channels, component, source=str(self.path))
-        self.load(component)
+        if component not in self._rows:
+            self._rows[component] = self._read_ahead(component)
         return self._rows[component]
+
+    def _read_ahead(self, component: str) -> TimedRows:
+        """Return the rows of a component; read those behind it in the same pass.
+
+        Each pass reads twice as many components as the one before, so that whoever asks for one
+        after another needs few passes, and whoever asks for one reads no other.
+        """
+        if component not in self._ahead:
+            names = list(self._channels)
+            first = names.index(component)
+            others = [*names[first + 1 :], *names[:first]]
+            batch = [component]
+            size = self._row_bytes(component)
+            for name in others[: 2**self._passes - 1]:
+                size += self._row_bytes(name)
+                if size > _MOST_AHEAD:
+                    break
+                batch.append(name)
+            self._passes += 1
+            self._ahead = {}  # before the others are read
+            self._ahead = self._read_rows(batch)
+        return self._ahead[component]
+
+    def _row_bytes(self, component: str) -> int:
+        """Return the size of a component's rows in memory; the largest possible, if not known."""
+        size = 0
+        for number, part in self._parts_of[component].items():
+            itemsize = self._dtypes[number].itemsize
+            count = self._file.expected_messages(number, itemsize)
+            size += count * (part.size + 1) * _DOUBLE_BYTES
+        return size
 
     def _other_records(self) -> Iterator[OtherRecord]:
         """Yield the records that are no rows of a component."""
-        dtypes = self._dtypes()
         for block in self._file.blocks():
-            for record in scan(block, dtypes):
+            for record in scan(block, self._dtypes):
                 if isinstance(record, OtherRecord):
                     yield record
 
-    def _read_rows(self, components: list[str]) -> dict[str, tuple[Nanoseconds, Matrix]]:
+    def _read_rows(self, components: Sequence[str]) -> dict[str, TimedRows]:
         """Read the rows of some components in one pass."""
         if not components:
             return {}
         try:
             parts = self._read_part_rows(components)
-            self._check_counts(parts)
+            self._check_counts({number: rows.count for number, rows in parts.items()})
             rows = {}
             for name in components:
-                own_parts = [part for part in parts.values() if part.component == name]
+                own_parts = [parts[number] for number in self._parts_of[name]]
                 rows[name] = _side_by_side(own_parts)
         except MALFORMED as error:
             raise LogError(f"{self.path} is damaged: {error}") from error
+        except MemoryError as error:
+            names = ", ".join(components)
+            raise LogError(f"{self.path}: too little memory for the rows of {names}") from error
         return rows
 
-    def _read_part_rows(self, components: list[str]) -> dict[int, SignalRows]:
+    def _read_part_rows(self, components: Sequence[str]) -> dict[int, SignalRows]:
         """Read the rows of some components by channel id."""
-        dtypes = self._dtypes()
+        dtypes = self._dtypes
         rows: dict[int, SignalRows] = {}
-        for number, part in self._parts.items():
-            if part.channel.name in components:
+        has_counts = self._file.summary.statistics is not None
+        for name in components:
+            for number, part in self._parts_of[name].items():
                 expected = self._file.expected_messages(number, dtypes[number].itemsize)
-                rows[number] = SignalRows(part, expected)
+                rows[number] = SignalRows(part, expected if has_counts else 0)
         for block in self._file.blocks():
             for record in scan(block, dtypes):
                 if isinstance(record, OtherRecord):
@@ -298,7 +463,7 @@ class Log(RecordedSignals):
         if record.opcode == Opcode.MESSAGE and not is_declared:
             raise ValueError(f"a message of channel {record.channel_id}, which is declared nowhere")
 
-    def _check_counts(self, parts: Mapping[int, SignalRows]) -> None:
+    def _check_counts(self, counts: Mapping[int, int]) -> None:
         """Check the numbers of rows against the summary, if there is one.
 
         Raises
@@ -309,13 +474,21 @@ class Log(RecordedSignals):
         statistics = self._file.summary.statistics
         if statistics is None:
             return
-        for number, part in parts.items():
+        for number, count in counts.items():
             needed = statistics.channel_message_counts.get(number, 0)
-            if part.count != needed:
-                raise ValueError(
-                    f"{part.count} rows of {part.component!r} found, its summary says {needed}"
-                )
+            if count != needed:
+                name = self._parts[number].channel.name
+                raise ValueError(f"{count} rows of {name!r} found, its summary says {needed}")
 
+    @cached_property
+    def _parts_of(self) -> dict[str, dict[int, Part]]:
+        """The parts of each component by channel id."""
+        parts_of: dict[str, dict[int, Part]] = {name: {} for name in self._channels}
+        for number, part in self._parts.items():
+            parts_of[part.channel.name][number] = part
+        return parts_of
+
+    @cached_property
     def _dtypes(self) -> dict[int, np.dtype[np.void]]:
         return {number: record_dtype(part.size) for number, part in self._parts.items()}
 
@@ -355,9 +528,14 @@ class Log(RecordedSignals):
             self._parts.values(), key=lambda part: (part.channel.start, part.channel.name)
         )
         channels = {part.channel.name: part.channel for part in parts}
+        columns: dict[str, list[slice]] = {name: [] for name in channels}
+        for part in parts:
+            name = part.channel.name
+            if part.channel != channels[name] or part.step_ns != parts[0].step_ns:
+                raise LogError(f"{self.path}: the channels of {name!r} declare different things")
+            columns[name].append(part.columns)
         for name, channel in channels.items():
-            columns = [part.columns for part in parts if part.channel.name == name]
-            self._check_whole(channel, columns)
+            self._check_whole(channel, columns[name])
         return channels
 
     def _check_whole(self, channel: Channel, columns: list[slice]) -> None:
@@ -392,11 +570,14 @@ class Log(RecordedSignals):
 
     def _result_number(self, key: str) -> int:
         try:
-            return int(self._metadata[RESULT][key])
-        except MALFORMED as error:
-            raise LogError(
-                f"{self.path} has no {key!r}: needed a {RESULT} record, which cosim writes"
-            ) from error
+            return read_number(self._metadata[RESULT][key])
+        except KeyError as error:
+            raise self._missing(key) from error
+        except ValueError as error:
+            raise LogError(f"{self.path}: {key} cannot be understood: {error}") from error
+
+    def _missing(self, key: str) -> LogError:
+        return LogError(f"{self.path} has no {key!r}: needed a {RESULT} record, which cosim writes")
 
     def _component_metadata(
         self, component: str, key: str, parse: Callable[[str], _Parsed], default: _Parsed
@@ -436,6 +617,9 @@ def _side_by_side(parts: list[SignalRows]) -> tuple[Nanoseconds, Matrix]:
 
 
 def _read_mask(text: str) -> Mask:
-    mask = np.array(json.loads(text), dtype=np.bool_)
+    values = read_json(text)
+    if not isinstance(values, list) or not all(isinstance(value, bool) for value in values):
+        raise ValueError(f"found {shown(values)}, needed a list of truth values")
+    mask = np.array(values, dtype=np.bool_)
     mask.setflags(write=False)
     return mask

@@ -41,6 +41,7 @@ class FileContents:
     channels: list[RecordSpan] = field(default_factory=list)  # outside chunks
     metadata: list[RecordSpan] = field(default_factory=list)
     attachments: list[RecordSpan] = field(default_factory=list)
+    summary: list[RecordSpan] = field(default_factory=list)  # behind the end of the data
     data_end: int = 0
     data_crc: int = 0
     footer: int = 0
@@ -55,8 +56,9 @@ class FileContents:
         if span.opcode == Opcode.FOOTER:
             self.footer = span.start
             return
-        if self.data_end:
-            return  # the summary repeats records of the data section
+        if self.data_end:  # the summary repeats records of the data section
+            self.summary.append(span)
+            return
         match span.opcode:
             case Opcode.CHUNK:
                 self.data.append(span)

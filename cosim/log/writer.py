@@ -24,6 +24,7 @@ from cosim.log.content import combine_hashes
 from cosim.log.environment import library_name
 from cosim.log.interrupts import uninterrupted
 from cosim.log.layout import Part, signals_json, split_channel
+from cosim.log.paths import log_path
 from cosim.log.preamble import Attachment, write_parts, write_preamble
 from cosim.log.result import LastRow, write_result
 from cosim.log.schema import encode_log
@@ -77,7 +78,7 @@ class McapRecorder:
         metadata: Mapping[str, Mapping[str, str]] | None = None,
         attachments: Sequence[Attachment] = (),
     ) -> None:
-        self.path = Path(path)
+        self.path = log_path(path)
         self._force = force
         self._compression = compression
         self._kinds = kinds or {}

@@ -16,10 +16,11 @@ from cosim.core.recorders import Memory
 from cosim.core.signals import Interface
 from cosim.errors import CosimError, Interrupted, UsageError, nearest
 from cosim.log import Log
-from cosim.report.recorded import difference, has_signal, truth_of
+from cosim.report.recorded import difference, has_signal
 from cosim.report.summary import Summary, summarize
 from cosim.scenario.execution import load, run
 from cosim.scenario.parsing import Scenario
+from cosim.scenario.recorded import truth_of
 from cosim.scenario.swap import PortNames, component_table, port_names
 
 

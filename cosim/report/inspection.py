@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack
@@ -13,16 +12,24 @@ from cosim.core.connections import Connection, Ports, unit_reached
 from cosim.core.graph import Graph
 from cosim.core.port import Port
 from cosim.core.signals import Channel, Signal
-from cosim.report.recorded import component_metadata, run_metadata
 from cosim.scenario.build import build
 from cosim.scenario.execution import load
+from cosim.scenario.recorded import (
+    component_metadata,
+    recorded_start,
+    replay_origin,
+    run_metadata,
+)
 
 if TYPE_CHECKING:
     from cosim.fmi.description import Description
     from cosim.fmi.variable import Variable
+    from cosim.log import Log, LogMessage
 
 Section = dict[str, Any]
 
+MOST_MESSAGES = 10_000  # that are shown of a log
+MOST_TEXT = 2**22  # characters of them
 DIFFERENCES = "differences from the replaced component"  # end of the title of their section
 
 
@@ -31,21 +38,22 @@ def describe_log(path: str) -> Section:
     from cosim.log import open_log
 
     log = open_log(path)
-    result = log.result
-    end = int(result["end_ns"]) / 1e9
-    start = float(run_metadata(log).get("start_time", 0.0))
-    since = f"{start} s to " if start else ""
+    end = log.end_ns / 1e9
     step = log.step_ns / 1e9
-    stages = json.loads(log.metadata["cosim.schedule"]["stages"])
-    about = {
-        "scenario": run_metadata(log).get("scenario", ""),
+    run = run_metadata(log)
+    start = recorded_start(log)
+    since = f"{start} s to " if start else ""
+    about: Section = {
+        "scenario": run.get("scenario", ""),
         "status": log.status,
-        "stop reason": result.get("reason") or None,
-        "end": f"{since}{end} s in {result['steps']} steps of {step} s",
-        "content hash": result["content_hash"],
-        "schedule": ", ".join(stages),
+        "stop reason": log.reason or None,
+        "end": f"{since}{end} s in {log.steps} steps of {step} s",
+        "content hash": log.recorded_hash,
+        "schedule": ", ".join(log.schedule),
         "attachments": ", ".join(log.attachments),
     }
+    if "replay" in run:
+        about["replay of"] = asdict(replay_origin(log))
     signals: list[Section] = []
     for name, channel in log.channels.items():
         signals += _signal_rows(channel, log.kinds.get(name, ""))
@@ -58,18 +66,35 @@ def describe_log(path: str) -> Section:
         if entry:
             metadata[name] = entry
     content = {"run": about, "signals": signals, "metadata": metadata, **differences}
-    messages = []
-    for message in log.messages():
+    messages, more = _messages(log)
+    if messages:
+        content["messages"] = messages
+    if more:
+        content["more messages"] = {"not shown": more}
+    return content
+
+
+def _messages(log: Log) -> tuple[list[Section], int]:
+    """Return the messages in the order of time, and how many there are beyond those shown."""
+    kept: list[LogMessage] = []
+    size = 0
+    more = 0
+    for message in log.each_message():
+        size += len(message.source) + len(message.text)
+        if len(kept) < MOST_MESSAGES and size <= MOST_TEXT:
+            kept.append(message)
+        else:
+            more += 1
+    rows = []
+    for message in sorted(kept, key=lambda message: message.time_ns):
         row = {
             "t": message.time_ns / 1e9,
             "level": message.level,
             "from": message.source,
             "text": message.text,
         }
-        messages.append(row)
-    if messages:
-        content["messages"] = messages
-    return content
+        rows.append(row)
+    return rows, more
 
 
 def _differences(report: Section) -> list[Section]:

@@ -16,12 +16,11 @@ from cosim.report.recorded import (
     difference,
     has_signal,
     rows_of,
-    run_metadata,
     signal_of,
     stacked_rows_of,
     time_ns_of,
-    truth_of,
 )
+from cosim.scenario.recorded import run_metadata, truth_of
 from cosim.scenario.schema import truth_ports
 
 if TYPE_CHECKING:

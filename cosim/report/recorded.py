@@ -1,11 +1,9 @@
-"""Signals and metadata of a recording, by their written names."""
+"""Signals of a recording, by their written names."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -14,34 +12,23 @@ from cosim.core.contracts import Recording
 from cosim.core.port import Port
 from cosim.core.recorded import find_channel
 from cosim.core.signals import Signal
-from cosim.errors import GraphError
+from cosim.errors import GraphError, LogError
 from cosim.units import conversion
 
 
-def run_metadata(recording: Recording) -> dict[str, str]:
-    """Return the metadata of the run as it was recorded: texts, of which some are JSON."""
-    return dict(recording.metadata.get("cosim.run", {}))
-
-
-def component_metadata(recording: Recording, component: str) -> dict[str, Any]:
-    """Return what a component recorded about itself."""
-    record = recording.metadata.get(f"cosim.component.{component}", {})
-    metadata: dict[str, Any] = json.loads(record.get("metadata", "{}"))
-    return metadata
-
-
-def truth_of(recording: Recording) -> dict[str, Any]:
-    """Return what each estimate of a run should equal: a port, a list of ports, or values."""
-    truth: dict[str, Any] = json.loads(run_metadata(recording).get("truth", "{}"))
-    return truth
-
-
 def signal_of(recording: Recording, port: str) -> Signal:
-    """Return the signal of a recorded port, which may name some of its elements."""
+    """Return the signal of a recorded port, which may name some of its elements.
+
+    Raises
+    ------
+    LogError, GraphError
+        If there is none.
+    """
     parsed = Port.parse(port)
     channel = find_channel(recording.channels, parsed.component, source="the recording")
     match = parsed.find(channel.signals)
-    assert match is not None, f"{port} is recorded"
+    if match is None:
+        raise LogError(f"the recording has no signal {port!r}")
     signal, _ = match
     return signal
 
@@ -92,7 +79,7 @@ def rows_of(recording: Recording, port: str, *, like: str | None = None) -> Matr
     Raises
     ------
     LogError
-        If there is no such component, signal or element.
+        If there is no such component, signal or element, or the units differ in kind.
     """
     rows = as_columns(recording[port])
     if like is None:
@@ -100,7 +87,8 @@ def rows_of(recording: Recording, port: str, *, like: str | None = None) -> Matr
     unit = signal_of(recording, port).measure
     wanted_unit = signal_of(recording, like).measure
     convert = conversion(unit, wanted_unit)
-    assert convert is not None, "units of [truth] are checked before the run"
+    if convert is None:
+        raise LogError(f"{port!r} has another kind of unit than {like!r}")
     return convert(rows)
 
 

@@ -5,7 +5,6 @@ Errors against the truth, estimates, start times of identifiers, and what their 
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
@@ -14,13 +13,13 @@ import numpy as np
 
 from cosim.arrays import Matrix, Vector, as_columns
 from cosim.core.contracts import Recording
-from cosim.report.recorded import (
+from cosim.errors import LogError
+from cosim.report.recorded import element_names, rows_of, stacked_rows_of, time_ns_of
+from cosim.scenario.recorded import (
     component_metadata,
-    element_names,
-    rows_of,
+    recorded_stages,
+    recorded_start,
     run_metadata,
-    stacked_rows_of,
-    time_ns_of,
     truth_of,
 )
 from cosim.scenario.schema import truth_ports
@@ -120,12 +119,12 @@ def summarize(recording: Recording) -> Summary:
     for name, entry in metadata.items():
         if "unknowns" in entry:
             identifications.append(_identification(recording, name, entry))
-    stages = json.loads(run.get("schedule", "[]"))
+    stages = recorded_stages(recording)
     loops = tuple(stage for stage in stages if not stage.startswith("cascade "))
     last = {} if truth else _last_values(recording)
     return Summary(
         scenario=run.get("scenario", ""),
-        start=float(run.get("start_time", 0.0)),
+        start=recorded_start(recording),
         end=recording.end_ns / 1e9,
         steps=recording.steps,
         status=recording.status,
@@ -197,7 +196,10 @@ def _identification(
     eigenvalues: tuple[float, ...] = ()
     sentence = "the run ended before the identification began"
     if len(used) >= 2:
-        matrix = information(used[:, 1:], float(time[1] - time[0]))
+        with np.errstate(over="ignore", invalid="ignore"):  # the check behind it names that
+            matrix = information(used[:, 1:], float(time[1] - time[0]))
+        if not np.isfinite(matrix).all():
+            raise LogError(f"'{component}.regressor' has no finite information from its rows")
         values: Vector = np.linalg.eigvalsh(matrix).astype(np.float64)
         prior = None if metadata["P0"] is None else 1.0 / metadata["P0"]
         eigenvalues = tuple(map(float, values))

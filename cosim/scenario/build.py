@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -27,6 +27,7 @@ from cosim.scenario.document import Document
 from cosim.scenario.kinds import BuildContext, Kind
 from cosim.scenario.parsing import Scenario, read
 from cosim.scenario.problems import Problem
+from cosim.scenario.recorded import ReplayOrigin
 from cosim.scenario.swap import MapEntry, unknown_ports
 from cosim.scenario.truth import check_truth
 
@@ -60,6 +61,8 @@ class Experiment:
         Of the graph, where it was prepared already.
     messages : mapping of component name to list of Message
         What was drained from ``fmus`` already.
+    origin : ReplayOrigin or None
+        Of a replay: the log it is made from.
     """
 
     scenario: Scenario
@@ -74,6 +77,7 @@ class Experiment:
     files: frozenset[Path]
     plan: Plan | None = None
     messages: Mapping[str, Sequence[Message]] = field(default_factory=dict)
+    origin: ReplayOrigin | None = None
 
 
 class Builder:
@@ -89,6 +93,8 @@ class Builder:
     recording : Recording, optional
         Take from it every component that cannot be computed again from the log: plants, FMUs,
         files.
+    named_files : collection of str, optional
+        With a recording: the files that may be opened all the same.
     block : int, optional
         Fixed number of communication steps in a block.
     replaced : mapping of component name to Interface, optional
@@ -115,13 +121,14 @@ class Builder:
         *,
         problems: Iterable[Problem] = (),
         recording: Recording | None = None,
+        named_files: Collection[str] = (),
         block: int | None = None,
         replaced: Mapping[str, Interface] | None = None,
     ) -> None:
         self.scenario = scenario
         self.problems = list(problems)
         self.clock = self._clock(block)
-        self.context = ScenarioBuildContext(scenario, self.clock, resources, recording)
+        self.context = ScenarioBuildContext(scenario, self.clock, resources, recording, named_files)
         self.components: dict[str, Component] = {}
         self.port_maps: dict[str, PortMap] = {}
         self._recording = recording
@@ -180,6 +187,8 @@ class Builder:
 
     def _component(self, name: str, spec: Kind) -> Component:
         if self._recording is not None and not spec.computable:
+            for model in spec.models:
+                self.context.model(model)  # what it was made of: a replay cannot change that
             return Replay(self._recording, name)  # recorded under the scenario's names
         component = spec.build(name, self.context)
         entries = self.scenario.maps.get(name)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -11,9 +10,10 @@ from typing import TYPE_CHECKING, Any, Protocol
 from cosim.core.clock import Clock
 from cosim.core.contracts import Component, Recording
 from cosim.core.port import Port
-from cosim.errors import UsageError, nearest
+from cosim.errors import LogError, UsageError, nearest
 from cosim.scenario.kinds import Kind
 from cosim.scenario.parsing import Scenario
+from cosim.scenario.recorded import component_metadata
 from cosim.scenario.schema import matrix
 from cosim.theory.descriptor import DescriptorSystem
 
@@ -49,10 +49,12 @@ class ScenarioBuildContext:
         clock: Clock,
         resources: ExitStack,
         recording: Recording | None,
+        named_files: Collection[str] = (),
     ) -> None:
         self._scenario = scenario
         self._resources = resources
         self._recording = recording
+        self._named_files = named_files
         self._current = ""
         self.clock = clock
         self.step_ns = clock.step_ns
@@ -96,7 +98,19 @@ class ScenarioBuildContext:
         return self._scenario.driver(to)
 
     def file(self, path: str) -> Path:
-        """Return the path of a file named in the scenario, and record that it is read."""
+        """Return the path of a file named in the scenario, and record that it is read.
+
+        Raises
+        ------
+        UsageError
+            In a replay, if the log alone names it: a log from elsewhere must not choose the files
+            that are opened here, the libraries in an FMU least of all.
+        """
+        if self._recording is not None and path not in self._named_files:
+            raise UsageError(
+                f"a replay opens no file that only the log names: found {path!r}, and what is "
+                "needed of it is not in the log; name it yourself with --set, or run the scenario"
+            )
         file = self._scenario.document.folder / path
         self.files.add(file.resolve())
         return file
@@ -138,10 +152,15 @@ class ScenarioBuildContext:
 
         if name not in self._linearized:
             request_record = {"fmu": path, **request.to_dict()}
-            record = self._recorded_metadata(name).get("linearization", {})
+            record = self._recorded_metadata(name).get("linearization") or {}
             if record.get("request") != request_record:
                 record = {"request": request_record, **self._linearize(path, request)}
-            linearization = Linearization.of(record["result"])
+            try:
+                linearization = Linearization.of(record["result"])
+            except (KeyError, TypeError, ValueError, AttributeError) as error:
+                raise LogError(
+                    f"the recorded linearization of {path!r} cannot be understood: {error}"
+                ) from error
             self._linearized[name] = linearization
             self.add_metadata(name, {"linearization": record})
             for note in linearization.notes:
@@ -158,11 +177,7 @@ class ScenarioBuildContext:
         return {"sha256": sha256, "result": result.to_dict()}
 
     def _recorded_metadata(self, name: str) -> dict[str, Any]:
-        if self._recording is None:
-            return {}
-        record = self._recording.metadata.get(f"cosim.component.{name}", {})
-        metadata: dict[str, Any] = json.loads(record.get("metadata", "{}"))
-        return metadata
+        return {} if self._recording is None else component_metadata(self._recording, name)
 
     def add_metadata(self, name: str, metadata: Mapping[str, Any]) -> None:
         """Record metadata of a component."""

@@ -107,16 +107,15 @@ class Document:
         return json.dumps({"source": self.source, **edits})
 
     @staticmethod
-    def recorded(text: str, edits: str, folder: Path) -> Document:
-        """Rebuild a document from a log."""
-        values = json.loads(edits)
+    def recorded(text: str, edits: Mapping[str, Any], folder: Path) -> Document:
+        """Rebuild a document from a log; ``edits`` as :meth:`edits` returns them."""
         return Document(
             text,
-            values["source"],
+            edits["source"],
             folder,
-            swaps=values["swaps"],
-            maps=values.get("maps", {}),
-            changes=values["changes"],
+            swaps=edits["swaps"],
+            maps=edits["maps"],
+            changes=edits["changes"],
         )
 
     # --- tables ---
@@ -147,6 +146,8 @@ class Document:
             return deepcopy(_parse(self.text))
         except tomllib.TOMLDecodeError as error:
             raise ScenarioError(self._syntax(error)) from error
+        except RecursionError as error:
+            raise ScenarioError(f"{self.source}: its tables are nested too deeply") from error
 
     def _syntax(self, error: tomllib.TOMLDecodeError) -> str:
         message = str(error)
@@ -222,7 +223,7 @@ def find(name: str) -> Document:
         If there is neither.
     """
     path = Path(name)
-    if path.suffix == SUFFIX or path.is_file():
+    if path.suffix == SUFFIX or _is_file(path):
         folder = path.absolute().parent
         return Document(_read_text(name), str(path), folder)
     if name in shipped():
@@ -232,6 +233,13 @@ def find(name: str) -> Document:
         f"there is no scenario {name!r}; give a path to a .toml file, or a shipped one. "
         f"{nearest(name, shipped())}"
     )
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except (OSError, ValueError):  # no file can have such a name
+        return False
 
 
 def _read_text(name: str) -> str:
@@ -247,6 +255,8 @@ def _read_text(name: str) -> str:
         raise ScenarioError(
             f"{name}: is no text in UTF-8 (byte {error.start}); needed a scenario in TOML"
         ) from error
+    except ValueError as error:
+        raise ScenarioError(f"{name!r} cannot be the name of a file: {error}") from error
 
 
 def shipped() -> list[str]:
@@ -349,16 +359,19 @@ def _key_parts(key: str) -> list[str]:
 def _change(tree: dict[str, Any], key: str, value: Any) -> str | None:
     """Set a value in the tables; return the problem of that, if there is one."""
     first, *rest = key.split(".")
+    outer = first if first in TABLES else "components"
+    if not isinstance(tree.setdefault(outer, {}), dict):
+        return f"[{outer}] is no table"
     if first in FLAT and rest:
-        _set_port(tree.setdefault(first, {}), rest, value)
+        _set_port(tree[first], rest, value)
         return None
     if not rest and (first in TABLES or not isinstance(value, dict)):
         return "found no dot, needed component.parameter=value, such as observer.filter_rate=500"
     if first in TABLES:
-        table = tree.setdefault(first, {})
+        table = tree[first]
         path = rest
     else:
-        table = tree.get("components", {})
+        table = tree["components"]
         path = [first, *rest]
         if rest and first not in table:
             return f"there is no component {first!r}; {nearest(first, [*table, *TABLES])}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import threading
 from collections.abc import Callable, Iterator, Mapping
@@ -12,18 +13,27 @@ from time import perf_counter
 from types import FrameType
 from typing import Any, TypeVar, overload
 
+from cosim.core.clock import Clock
 from cosim.core.contracts import Block, Design, Recorder
 from cosim.core.graph import Graph
 from cosim.core.master import run as run_graph
 from cosim.core.recorders import Memory, Watched
 from cosim.errors import Interrupted, LogError, UsageError
 from cosim.log import Log, McapRecorder, open_log
+from cosim.log.metadata import json_table, shown
+from cosim.log.paths import log_path
 from cosim.scenario.build import Builder, Experiment, parse
 from cosim.scenario.document import Document, find, short
 from cosim.scenario.parsing import Scenario, read
 from cosim.scenario.profile import Timed
+from cosim.scenario.recorded import ReplayOrigin
 from cosim.scenario.records import SCENARIO_FILE, MessageRecorder, attachments_of, metadata_of
-from cosim.scenario.replaying import unaffected_warnings, valid_designs
+from cosim.scenario.replaying import (
+    check_changes,
+    recorded_components,
+    texts_in,
+    valid_designs,
+)
 from cosim.scenario.swap import PortNames, is_map_key
 from cosim.scenario.swap_comparison import build_swapped
 from cosim.scenario.swap_report import SwapReports
@@ -166,31 +176,44 @@ def replay(
 
     Plants, FMUs and tables from files are taken from the recording; everything else is computed
     again. Designs are taken from the log too, except those of components that ``set`` changes or
-    that rest on one that it changes.
+    that rest on one that it changes. No file is opened but the log and those that ``set`` names.
 
     Raises
     ------
     LogError
-        If the log cannot be read or is no log of a scenario.
+        If the log cannot be read, is no log of a scenario, or does not fit its scenario.
     UsageError
-        If ``set`` changes the communication step, or a recorded component.
+        If ``set`` changes the communication step, a recorded component, or what drives one: its
+        recording cannot follow.
     """
     source = log if isinstance(log, Log) else open_log(log)
-    source_path = Path(source.path).resolve()
-    if out is not None and Path(out).resolve() == source_path:
-        raise UsageError(f"{out} is the log that is replayed; choose another path")
-    changes = _replay_changes(source, set or {})
-    document = recorded_document(source).with_changes(changes)
     _check_path(out)
+    if out is not None and os.path.realpath(out) == os.path.realpath(source.path):
+        raise UsageError(f"{out} is the log that is replayed; choose another path")
+    wanted = set or {}
+    changes = _replay_changes(source, wanted)
+    original = recorded_document(source)
+    document = original.with_changes(changes)
     with ExitStack() as resources:
         scenario, problems = read(document, parse)
         # recorded ports have the scenario's names: a map need not fit changed connections
         problems = [(key, text) for key, text in problems if not is_map_key(key)]
-        builder = Builder(scenario, resources, problems=problems, recording=source, block=block)
+        source.load(*_recorded_in(source, scenario))  # in one pass over the file
+        builder = Builder(
+            scenario,
+            resources,
+            problems=problems,
+            recording=source,
+            named_files=texts_in(wanted),
+            block=block,
+        )
         experiment = builder.experiment()
-        warnings = (*experiment.warnings, *unaffected_warnings(experiment, set or {}))
-        experiment = replace(experiment, warnings=warnings)
-        designs = valid_designs(experiment, source, set or {})
+        _check_clock(experiment.clock, source)
+        check_changes(experiment, original, wanted)
+        designs = valid_designs(experiment, source)
+        copied = tuple(recorded_components(experiment))
+        origin = ReplayOrigin(str(source.path), source.recorded_hash, copied)
+        experiment = replace(experiment, origin=origin)
         return _record(experiment, designs, out=out, force=force, progress=progress)
 
 
@@ -216,9 +239,8 @@ def _replay_changes(source: Log, wanted: Mapping[str, Any]) -> dict[str, Any]:
             f"scenario.start_time: found {changes['scenario.start_time']} s, a replay keeps the "
             "recorded one; run the scenario to change it"
         )
+    _check_end(source)
     recorded_end = source.end_ns / 1e9
-    if source.steps == 0:
-        raise LogError("the log has no step to replay; it ends where it begins")
     stop = changes.setdefault("scenario.stop", recorded_end)
     if isinstance(stop, (int, float)) and stop > recorded_end:
         raise UsageError(
@@ -226,6 +248,45 @@ def _replay_changes(source: Log, wanted: Mapping[str, Any]) -> dict[str, Any]:
             "needed no more than that"
         )
     return changes
+
+
+def _check_clock(clock: Clock, source: Log) -> None:
+    """Check that a scenario has the communication points of the rows in its log.
+
+    Raises
+    ------
+    LogError
+        If it has not.
+    """
+    first_ns = source.end_ns - source.steps * source.step_ns
+    if (clock.start_ns, clock.step_ns) != (first_ns, source.step_ns):
+        raise LogError(
+            f"{source.path}: its scenario has steps of {clock.step_ns} ns from {clock.start_ns} ns "
+            f"on, its rows of {source.step_ns} ns from {first_ns} ns on"
+        )
+
+
+def _check_end(source: Log) -> None:
+    """Check that the recorded end is that of the rows: a replay would go on to it.
+
+    Raises
+    ------
+    LogError
+        If there is no step in the log, or its rows end elsewhere.
+    """
+    end_ns = source.end_ns
+    if source.steps == 0:
+        raise LogError("the log has no step to replay; it ends where it begins")
+    channel = next(iter(source.channels.values()))
+    times = source.time_ns(channel.name).tolist() or [0]
+    first_ns = times[0]
+    last_ns = times[-1]
+    is_last = 0 <= end_ns - last_ns < channel.period * source.step_ns
+    if end_ns != first_ns + source.steps * source.step_ns or not is_last:
+        raise LogError(
+            f"{source.path}: it is said to end at {end_ns / 1e9} s after {source.steps} steps, but "
+            f"the rows of {channel.name!r} end at {last_ns / 1e9} s"
+        )
 
 
 def recorded_document(log: Log) -> Document:
@@ -239,12 +300,44 @@ def recorded_document(log: Log) -> Document:
     edits = log.metadata.get("cosim.run", {}).get("edits")
     if SCENARIO_FILE not in log.attachments or edits is None:
         raise LogError(f"the log carries no {SCENARIO_FILE}; needed a log that 'cosim run' wrote")
-    text = log.attachment(SCENARIO_FILE).decode()
-    return Document.recorded(text, edits, Path.cwd())
+    try:
+        text = log.attachment(SCENARIO_FILE).decode()
+        return Document.recorded(text, _edits(edits), Path.cwd())
+    except ValueError as error:
+        raise LogError(f"{log.path}: its scenario cannot be understood: {error}") from error
+
+
+def _edits(text: str) -> dict[str, Any]:
+    """Read the edits of a recorded scenario.
+
+    Raises
+    ------
+    ValueError
+        If they are not what :meth:`Document.edits` writes.
+    """
+    edits = json_table(text)
+    for key, kind in (("source", str), ("swaps", dict), ("changes", dict)):
+        if not isinstance(edits.get(key), kind):
+            raise ValueError(f"found {key} {shown(edits.get(key))}")
+    maps = edits.setdefault("maps", {})
+    if not isinstance(maps, dict):
+        raise ValueError(f"found maps {shown(maps)}")
+    for table in (edits["swaps"], maps):
+        for name, value in table.items():
+            is_list = isinstance(value, list) and all(isinstance(item, str) for item in value)
+            if not isinstance(value, str) and not (is_list and table is maps):
+                raise ValueError(f"found {shown(value)} for {name!r}")
+    return edits
+
+
+def _recorded_in(source: Log, scenario: Scenario) -> list[str]:
+    """Return the components of a scenario that are taken from a log, as far as it has them."""
+    specs = scenario.specs
+    return [name for name in source.channels if name in specs and not specs[name].computable]
 
 
 def _check_path(out: str | Path | None) -> None:
-    if out is not None and Path(out).suffix != ".mcap":
+    if out is not None and log_path(out).suffix != ".mcap":
         raise UsageError(f"{out}: a log needs a path that ends in .mcap")
 
 
@@ -258,7 +351,7 @@ def _record(
     profile: dict[str, float] | None = None,
 ) -> Log | Memory:
     """Run an experiment and return its recording: the log file if ``out`` is given."""
-    if out is not None and Path(out).resolve() in experiment.files:
+    if out is not None and Path(os.path.realpath(out)) in experiment.files:
         raise UsageError(f"{out} is read in this run; choose another path for the log")
     if out is None:
         memory = Memory(metadata_of(experiment))

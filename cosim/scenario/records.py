@@ -126,6 +126,8 @@ def metadata_of(experiment: Experiment) -> dict[str, dict[str, str]]:
         "schedule": json.dumps(schedule),
         "warnings": json.dumps(experiment.warnings),
     }
+    if experiment.origin is not None:
+        run["replay"] = json.dumps(asdict(experiment.origin))
     connections = {}
     for to, connection in scenario.connections.items():
         conversions = experiment.graph.conversions.get(to, ())

@@ -1,102 +1,128 @@
-"""What of a recording still holds when its scenario runs again with changes."""
+"""What a replay takes from a log, and which changes its recorded components allow."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from typing import Any
 
 import numpy as np
 
-from cosim.core.contracts import Design
-from cosim.errors import UsageError
+from cosim.core.contracts import Design, prepare
+from cosim.core.port import Port
+from cosim.errors import LogError, UsageError
 from cosim.log import Log
 from cosim.scenario.build import Experiment, fingerprint
-from cosim.scenario.document import short
+from cosim.scenario.document import Document, short
 
-EVERYWHERE = {"scenario.input_interpolation", "scenario.coupling"}  # keys that matter to all
-RECORDED = (
-    "is taken from the recording: it does not follow changes upstream; run the scenario for that"
-)
+EVERYWHERE = {"scenario.input_interpolation", "scenario.coupling"}  # what matters to all inputs
+_TABLES = ("components", "models", "connections")
+_REMEDY = "run the scenario to change it ('cosim run')"
 
 
-def valid_designs(
-    experiment: Experiment, source: Log, changed: Mapping[str, Any]
-) -> dict[str, Design]:
-    """Return the recorded designs that still hold: those that rest on nothing that changed.
+def texts_in(value: Any) -> set[str]:
+    """Return the texts in a value and in all tables and lists inside it."""
+    if isinstance(value, str):
+        return {value}
+    texts: set[str] = set()
+    if isinstance(value, Mapping):
+        value = list(value.values())
+    if isinstance(value, list | tuple):
+        for item in value:
+            texts |= texts_in(item)
+    return texts
+
+
+def check_changes(experiment: Experiment, original: Document, changes: Mapping[str, Any]) -> None:
+    """Check that no recorded component is changed, or driven by what is changed.
+
+    A recording cannot follow: what the rest computed from it would belong to no run of anything.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        With all changes.
+    original : Document
+        Without them.
+    changes : mapping of dotted key to value
 
     Raises
     ------
     UsageError
-        If a component was changed that is taken from the recording.
+        If a change reaches a recorded component; names the change.
     """
-    designs = {}
-    for name, spec in experiment.scenario.specs.items():
-        touched = sorted(key for key in changed if _component_of(key) == name)
-        if touched and not spec.computable:
+    document = original
+    before, _ = document.tree()
+    for key, value in changes.items():
+        document = document.with_changes({key: value})
+        after, _ = document.tree()
+        _check_change(experiment, key, _changed_tables(before, after))
+        before = after
+
+
+def _changed_tables(before: Mapping[str, Any], after: Mapping[str, Any]) -> set[str]:
+    """Return the tables that differ, such as ``components.u``, and the keys of [scenario]."""
+    changed = set()
+    for table in (*_TABLES, "scenario"):
+        first = before.get(table, {})
+        second = after.get(table, {})
+        for name in {*first, *second}:
+            if first.get(name) != second.get(name):
+                changed.add(f"{table}.{name}")
+    return changed
+
+
+def _check_change(experiment: Experiment, key: str, changed: Set[str]) -> None:
+    recorded = recorded_components(experiment)
+    drivers = _drivers(experiment)
+    origins = _origins(experiment, changed)
+    for name in recorded:
+        if name in origins:
+            raise UsageError(f"--set {short(key)}: {name!r} is taken from the recording; {_REMEDY}")
+    affected = _reached(origins, experiment)
+    if not EVERYWHERE.isdisjoint(changed):
+        affected = set(experiment.scenario.specs)
+    for name in recorded:
+        causes = sorted(drivers[name] & affected)
+        if causes:
             raise UsageError(
-                f"--set {touched[0]}: {name!r} is taken from the recording; "
-                "run the scenario to change it"
+                f"--set {short(key)}: this changes {causes[0]!r}, which drives {name!r}; "
+                f"{name!r} is taken from the recording and cannot follow: {_REMEDY}"
             )
-        recorded = source.metadata.get(f"cosim.component.{name}", {})
-        current = fingerprint(experiment.scenario, name, experiment.reads[name])
-        same_tables = recorded.get("fingerprint") == current
-        held = experiment.graph.held[name]
-        same_hold = np.array_equal(source.held[name], held)
-        if not spec.computable or (same_tables and same_hold):
-            designs[name] = source.designs[name]
-    return designs
 
 
-def _component_of(key: str) -> str:
-    """Return what the key of a component's parameter begins with."""
-    return short(key).split(".")[0]
-
-
-def unaffected_warnings(
-    experiment: Experiment, changed: Mapping[str, Any]
-) -> list[tuple[str, str]]:
-    """Return warnings of recorded components behind a change: their outputs stay as they were."""
-    specs = experiment.scenario.specs
-    keys = [short(key) for key in changed]
-    rewired = _second_parts(keys, "connections")
-    drivers = _drivers(experiment)
-    affected = set(specs)
-    if EVERYWHERE.isdisjoint(keys):
-        affected = _spread(_changed_components(experiment, keys) | rewired, experiment)
-    warnings = []
-    for name, spec in specs.items():
-        if not spec.computable and (name in rewired or drivers[name] & affected):
-            warnings.append((name, RECORDED))
-    return warnings
-
-
-def _spread(changed: set[str], experiment: Experiment) -> set[str]:
-    """Return changed components and those that they reach; a recorded one passes nothing on."""
-    drivers = _drivers(experiment)
-    specs = experiment.scenario.specs
-    computed = {name for name, spec in specs.items() if spec.computable}
-    affected = set(changed)
-    reached = affected
-    while reached:
-        reached = {name for name in computed - affected if drivers[name] & affected}
-        affected |= reached
-    return affected
-
-
-def _second_parts(keys: list[str], table: str) -> set[str]:
-    """Return what is changed in a table: the second part of the keys that begin with it."""
-    prefix = f"{table}."
-    return {key.split(".")[1] for key in keys if key.startswith(prefix)}
-
-
-def _changed_components(experiment: Experiment, keys: list[str]) -> set[str]:
-    """Return the components that are changed themselves, or by a model that they read."""
-    models = {f"models.{name}" for name in _second_parts(keys, "models")}
-    names = {_component_of(key) for key in keys}
+def _origins(experiment: Experiment, changed: Set[str]) -> set[str]:
+    """Return the components that are changed themselves, or by a table that they read."""
+    origins = set()
     for name in experiment.scenario.specs:
-        if experiment.reads[name] & models:
-            names.add(name)
-    return names
+        if f"components.{name}" in changed or experiment.reads[name] & changed:
+            origins.add(name)
+    for table in changed:
+        kind, _, name = table.partition(".")
+        if kind == "connections":
+            origins.add(Port.parse(name).component)
+    return origins
+
+
+def _reached(origins: Set[str], experiment: Experiment) -> set[str]:
+    """Return some components and those that they reach; a recorded one passes nothing on."""
+    followers: dict[str, set[str]] = {name: set() for name in experiment.scenario.specs}
+    recorded = set(recorded_components(experiment))
+    for name, sources in _drivers(experiment).items():
+        for source in sources:
+            followers[source].add(name)
+    reached = set(origins)
+    waiting = list(origins)
+    while waiting:
+        new = followers[waiting.pop()] - reached - recorded
+        reached |= new
+        waiting += new
+    return reached
+
+
+def recorded_components(experiment: Experiment) -> list[str]:
+    """Return the components that a replay copies from the recording."""
+    specs = experiment.scenario.specs
+    return [name for name, spec in specs.items() if not spec.computable]
 
 
 def _drivers(experiment: Experiment) -> dict[str, set[str]]:
@@ -107,3 +133,47 @@ def _drivers(experiment: Experiment) -> dict[str, set[str]]:
         for source in connection.sources:
             drivers[to.component].add(source.component)
     return drivers
+
+
+def valid_designs(experiment: Experiment, source: Log) -> dict[str, Design]:
+    """Return the recorded designs that still hold: those that rest on nothing that changed.
+
+    Raises
+    ------
+    LogError
+        If one does not fit its component.
+    """
+    designs = {}
+    recorded_designs = source.designs
+    recorded_masks = source.held
+    for name, spec in experiment.scenario.specs.items():
+        recorded = source.metadata.get(f"cosim.component.{name}", {})
+        current = fingerprint(experiment.scenario, name, experiment.reads[name])
+        same_tables = recorded.get("fingerprint") == current
+        held = experiment.graph.held[name]
+        same_hold = name in recorded_masks and np.array_equal(recorded_masks[name], held)
+        if not spec.computable:
+            designs[name] = recorded_designs[name]
+        elif same_tables and same_hold and recorded_designs[name]:
+            component = experiment.graph.components[name]
+            needed = prepare(component, experiment.clock.step_ns / 1e9, held, {})
+            _check_design(source, name, recorded_designs[name], needed)
+            designs[name] = recorded_designs[name]
+    return designs
+
+
+def _check_design(source: Log, name: str, found: Design, needed: Design) -> None:
+    """Check names and shapes: the kernels that step trust them.
+
+    Raises
+    ------
+    LogError
+        If they are not those of the component.
+    """
+    shapes_found = {key: np.shape(array) for key, array in found.items()}
+    shapes_needed = {key: np.shape(array) for key, array in needed.items()}
+    if shapes_found != shapes_needed:
+        raise LogError(
+            f"{source.path}: the design of {name!r} has arrays of shapes {shapes_found}, "
+            f"needed {shapes_needed}"
+        )

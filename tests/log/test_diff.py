@@ -33,12 +33,10 @@ class Run:
         self._times = np.asarray(times) * STEP_NS
         self.channels = {"c": Channel("c", Interface((), tuple(declared)), 0)}
 
-    def __getitem__(self, name):
-        return self._signals[name.removeprefix("c.")]
-
-    def time_ns(self, component):
+    def blocks(self, component):
         assert component == "c"
-        return self._times
+        columns = [values.reshape(len(self._times), -1) for values in self._signals.values()]
+        yield self._times, np.hstack(columns)
 
 
 def only_row(a, b, **tolerance):

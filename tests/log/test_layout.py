@@ -128,7 +128,7 @@ bases = st.builds(
 )
 plain = st.builds(
     Signal,
-    name=st.text(st.characters(exclude_categories=["Cs"]), max_size=8),
+    name=st.text(st.characters(exclude_categories=["Cs"]), min_size=1, max_size=8),
     size=st.integers(1, 5000),
     unit=st.none() | st.text(max_size=3),
     variability=st.sampled_from(["continuous", "discrete"]),
@@ -158,7 +158,7 @@ def channels(draw):
         {}, optional={signal.name: st.none() | input_names for signal in outputs}
     )
     interface = Interface(inputs, outputs, draw(dependencies), draw(dependencies))
-    name = draw(st.text(max_size=5))
+    name = draw(st.text(st.characters(exclude_characters="."), min_size=1, max_size=5))
     start = draw(st.integers(0, 9))
     period = draw(st.integers(1, 1000))
     return Channel(name, interface, start, period)

@@ -75,10 +75,13 @@ def test_a_replay_needs_the_log_alone(folder, tmp_path):
     assert not np.array_equal(faster["observer.x_a"], log["observer.x_a"])
     metadata = json.loads(log.metadata["cosim.component.observer"]["metadata"])
     assert len(metadata["linearization"]["sha256"]) == 64
-    with pytest.raises(
-        ScenarioError, match=r"components\.observer: .*plant\.fmu: there is no such file"
-    ):
+    text = (
+        r"components\.observer: a replay opens no file that only the log names: found 'plant\.fmu'"
+    )
+    with pytest.raises(ScenarioError, match=text):
         cosim.replay(log, set={"observer.model.at": 1.0})
+    with pytest.raises(ScenarioError, match=r"plant\.fmu: there is no such file"):
+        cosim.replay(log, set={"observer.model.at": 1.0, "observer.model.fmu": "plant.fmu"})
 
 
 def swing(folder, amplitude, **model):

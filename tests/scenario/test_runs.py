@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -16,6 +17,7 @@ from cosim.report.summary import summarize
 from cosim.scenario.document import shipped
 from cosim.scenario.execution import default_log
 from cosim.scenario.exporting import export_component
+from cosim.scenario.recorded import ReplayOrigin, replay_origin
 from tests.fmi import lag
 
 SHORT = {"scenario.stop": 8.0}  # past the start of the identification at 6.461 s
@@ -211,10 +213,14 @@ def test_replay_needs_nothing_but_the_log(tmp_path, monkeypatch):
 
 def test_replay_with_other_parameters_changes_what_depends_on_them(logged):
     """Another filter changes the reconstruction and what follows it, not the recorded plant."""
-    _, path, log = logged
-    again = cosim.replay(path, set={"observer.filter_rate": 500.0})
+    name, path, log = logged
+    changes = {"observer.filter_rate": 500.0}
+    if name == "closed-loop":  # its observer drives the plant
+        changes = {"connections.regressor.delta": {"from": "observer.delta", "offset": 0.5}}
+    again = cosim.replay(path, set=changes)
     changed = {row.signal for row in cosim.diff(log, again).rows if row.status != "equal"}
-    assert {"observer.delta", "regressor.mu", "identifier.theta"} <= changed
+    assert {"regressor.mu", "identifier.eta"} <= changed
+    assert ("observer.delta" in changed) == (name != "closed-loop")
     assert not any(signal in changed for signal in ("plant.y", "plant.x_a", "delta.y"))
 
 
@@ -281,18 +287,17 @@ def test_both_spellings_of_a_recorded_parameter_are_refused(logged, prefix):
 def test_a_design_is_not_reused_where_an_input_is_held_now(tmp_path):
     """A recorded discretization is for inputs that are linearly interpolated.
 
-    If u is discrete, it is computed anew, and the replay equals a run.
+    If u is discrete for the observer, its design is computed anew, and the replay equals a run.
     """
-    smooth = {"components.u": {"kind": "expression", "y": "sin(t)"}, "scenario.stop": 8.0}
+    smooth = {
+        "components.other": {"kind": "expression", "y": "sin(t)"},
+        "connections.observer.u": "other.y",
+        "scenario.stop": 8.0,
+    }
     cosim.run("academic", out=tmp_path / "a.mcap", set=smooth)
-    by_replay = cosim.replay(tmp_path / "a.mcap", set={"u.discrete": True})
-    by_run = cosim.run("academic", set={**smooth, "u.discrete": True, "plant.solver": "exact"})
-    held_plant = np.array_equal(by_replay["plant.y"], by_run["plant.y"])
-    assert not held_plant  # the plant is the recorded one
-    observer = cosim.run(
-        "academic", swap={"plant": tmp_path / "a.mcap"}, set={**smooth, "u.discrete": True}
-    )
-    assert np.array_equal(by_replay["observer.delta"], observer["observer.delta"])
+    by_replay = cosim.replay(tmp_path / "a.mcap", set={"other.discrete": True})
+    by_run = cosim.run("academic", set={**smooth, "other.discrete": True})
+    assert cosim.diff(by_run, by_replay).equal
 
 
 def test_a_log_of_something_else_is_refused(tmp_path):
@@ -391,22 +396,71 @@ def test_a_non_finite_value_stops_the_run_and_keeps_what_was_before(tmp_path):
     assert log.time("u")[-1] == 0.49
 
 
-def test_a_replay_says_where_the_recording_cuts_a_loop(tmp_path):
-    """A changed controller drives a recorded plant that does not respond, which is a warning.
+def log_of(folder, scenario):
+    """Record a short run."""
+    path = folder / "a.mcap"
+    cosim.run(scenario, out=path, set={"scenario.stop": 0.1})
+    return path
 
-    An identifier drives nothing.
-    """
-    path = tmp_path / "a.mcap"
-    cosim.run("closed-loop", out=path, set={"scenario.stop": 0.1})
-    for changes, warned in (
-        ({"controller.B": [[5.0]]}, True),
-        ({"observer.filter_rate": 500.0}, True),
-        ({"identifier.P0": 1.0}, False),
-    ):
-        warnings = dict(
-            json.loads(cosim.replay(path, set=changes).metadata["cosim.run"]["warnings"])
-        )
-        assert ("does not follow changes upstream" in warnings.get("plant", "")) is warned, changes
+
+@pytest.mark.parametrize(
+    ("scenario", "key", "value", "named"),
+    [
+        ("academic", "u.amplitude", 2.0, "'u', which drives 'plant'"),
+        ("academic", "components.u.amplitude", 2.0, "'u', which drives 'plant'"),
+        ("academic", "u", {"kind": "constant", "value": 1.0}, "'u', which drives 'plant'"),
+        ("academic", "delta.terms", [{"family": "sine", "theta": 2.0}], "'delta', which drives"),
+        ("academic", "connections.plant.u", "delta.y", "'plant' is taken from the recording"),
+        ("academic", "models.academic.Bu", [[0], [3], [1]], "'plant' is taken from the recording"),
+        ("academic", "plant.solver", "RK45", "'plant' is taken from the recording"),
+        (
+            "academic",
+            "plant",
+            {"kind": "recording", "log": "b.mcap", "component": "plant"},
+            "taken from the recording",
+        ),
+        ("academic", "scenario.coupling", "jacobi", "which drives 'plant'"),
+        ("academic", "scenario.input_interpolation", "zero-order", "which drives 'plant'"),
+        ("closed-loop", "controller.B", [[5.0]], "'controller', which drives 'plant'"),
+        ("closed-loop", "observer.filter_rate", 500.0, "which drives 'plant'"),
+        ("closed-loop", "connections.controller.u", "reference.y", "'controller', which drives"),
+    ],
+)
+def test_a_replay_refuses_what_its_recording_cannot_follow(tmp_path, scenario, key, value, named):
+    """A change of a recorded component, or of what drives one, in every spelling."""
+    path = log_of(tmp_path, scenario)
+    key_shown = key.removeprefix("components.")
+    message = rf"--set {re.escape(key_shown)}: .*{re.escape(named)}.*run the scenario to change it"
+    with pytest.raises(UsageError, match=message):
+        cosim.replay(path, set={key: value})
+
+
+@pytest.mark.parametrize(
+    ("scenario", "key", "value"),
+    [
+        ("academic", "observer.filter_rate", 500.0),
+        ("academic", "identifier.P0", 1.0),
+        ("academic", "connections.observer.u", {"from": "u.y", "gain": 2.0}),
+        ("academic", "u.amplitude", 1.0),
+        ("closed-loop", "identifier.P0", 1.0),
+        ("academic", "truth.observer.delta", "delta.y"),
+    ],
+)
+def test_a_replay_allows_what_is_behind_its_recording(tmp_path, scenario, key, value):
+    """And what changes nothing."""
+    path = log_of(tmp_path, scenario)
+    again = cosim.replay(path, set={key: value})
+    assert np.array_equal(again["plant.y"], cosim.open_log(path)["plant.y"])
+
+
+def test_a_replay_says_what_it_is(tmp_path):
+    """Its log names the log that it is made from, and what was copied from it."""
+    path = log_of(tmp_path, "academic")
+    log = cosim.open_log(path)
+    origin = replay_origin(cosim.replay(path, out=tmp_path / "b.mcap"))
+    assert origin == ReplayOrigin(str(path), log.content_hash(), ("plant",))
+    with pytest.raises(LogError, match="this is no replay"):
+        replay_origin(log)
 
 
 def test_a_log_is_never_written_over_what_is_no_log(tmp_path):
@@ -560,18 +614,6 @@ def test_a_recording_must_cover_the_run_and_is_not_written_over(tmp_path):
         )
     with pytest.raises(LogError, match="the log has no step to replay"):
         cosim.replay(empty)
-
-
-def test_another_hold_or_coupling_is_a_change_before_every_recorded_component(tmp_path):
-    """A replay with held inputs does not hold those of the recorded plant, and says so."""
-    path = tmp_path / "a.mcap"
-    cosim.run("academic", out=path, set={"scenario.stop": 0.1})
-    warnings = json.loads(
-        cosim.replay(path, set={"scenario.input_interpolation": "zero-order"}).metadata[
-            "cosim.run"
-        ]["warnings"]
-    )
-    assert any(name == "plant" and "does not follow" in text for name, text in warnings)
 
 
 def test_the_summary_counts_steps_not_rows():

@@ -135,6 +135,11 @@ class Kind(TomlTable):
         """
         return True
 
+    @property
+    def models(self) -> tuple[str, ...]:
+        """The models that a component is made of which is not computable."""
+        return ()
+
     def advice(self, held: Mapping[str, bool], h: float) -> list[str]:
         """Return warnings about what will be right but costly or poor.
 

@@ -49,6 +49,10 @@ class DescriptorKind(PlantKind, LinearKind):
     x_a0: NumberRow = Field(description="initial dynamic states")
     solver: str = Field("exact", description=f"one of: {', '.join(SOLVERS)}")
 
+    @property
+    def models(self) -> tuple[str, ...]:
+        return (self.model,)
+
     def build(self, name: str, context: BuildContext) -> Component:
         from cosim.fmi.driving.model_exchange import ModelExchange
         from cosim.fmi.generated import GeneratedInstance

@@ -1,0 +1,140 @@
+"""What a replay proves of its log.
+
+Three things, and no more:
+
+* The rows are those that the run recorded: their content hash is the recorded one. That finds every
+  change but one by somebody who computes the hash anew.
+* The components that were computed again follow, bit for bit, from those that were copied, by the
+  scenario and the designs in the log.
+* Of what was copied (plants, FMUs, files) a replay proves nothing more. Only the run itself, done
+  again, does.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from cosim.core.contracts import Recording
+from cosim.log import Log
+from cosim.log.diff import LogDifference, SignalDifference, diff
+from cosim.scenario.execution import recorded_document
+from cosim.scenario.recorded import replay_origin
+
+
+@dataclass(frozen=True)
+class Verification:
+    """A log beside its replay.
+
+    Parameters
+    ----------
+    recorded_hash : str
+        Content hash that the run recorded.
+    found_hash : str
+        Of the rows in the log.
+    difference : LogDifference
+        Of the log and its replay.
+    copied : tuple of str
+        Signals that the replay took from the log: the outputs of recorded components.
+    scenario : str
+        Where the scenario came from.
+    """
+
+    recorded_hash: str
+    found_hash: str
+    difference: LogDifference
+    copied: tuple[str, ...]
+    scenario: str
+
+    @property
+    def passed(self) -> bool:
+        """Whether the content is what was recorded, and follows by computation where it can."""
+        return self.found_hash == self.recorded_hash and self.difference.equal
+
+    @property
+    def computed(self) -> tuple[str, ...]:
+        """Signals that were computed again: outputs, and inputs by their connections."""
+        names = [row.signal for row in self.difference.rows]
+        copied = set(self.copied)
+        return tuple(name for name in names if name not in copied)
+
+    @property
+    def lines(self) -> list[str]:
+        """What has been proven, in words."""
+        lines = [
+            "the content hash is the one that its run recorded",
+            f"the replay equals the log bit for bit: {len(self.computed)} signals computed again",
+        ]
+        if self.copied:
+            names = ", ".join(self.copied)
+            lines.append(
+                f"not computed, but copied from the log: {names}; to compute these too, run "
+                f"{self.scenario!r} again with the changes it had, and compare with 'cosim diff'"
+            )
+        return lines
+
+    @property
+    def problems(self) -> list[str]:
+        """What is wrong, in words."""
+        problems = []
+        if self.found_hash != self.recorded_hash:
+            problems.append(
+                "the rows are not those that its run recorded: their content hash is "
+                f"{self.found_hash}, recorded {self.recorded_hash}"
+            )
+        if not self.difference.equal:
+            problems.append(f"the replay differs from the log; first: {self._first}")
+        return problems
+
+    @property
+    def _first(self) -> str:
+        first = self.difference.first
+        if first is None:
+            row = next(row for row in self.difference.rows if row.status != "equal")
+            return _in_words(row)
+        time = first.time_ns / 1e9
+        return f"{first.signal} at t = {time} s: log {first.a!r}, replay {first.b!r}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything as JSON values."""
+        return {
+            "passed": self.passed,
+            "content_hash": {
+                "recorded": self.recorded_hash,
+                "found": self.found_hash,
+                "equal": self.found_hash == self.recorded_hash,
+            },
+            "computed": list(self.computed),
+            "copied": list(self.copied),
+            **self.difference.to_dict(),
+        }
+
+
+def _in_words(row: SignalDifference) -> str:
+    rows_a, rows_b, _ = row.rows
+    return f"{row.signal}: {row.status}: {rows_a} rows in the log, {rows_b} in the replay"
+
+
+def verify(source: Log, again: Recording) -> Verification:
+    """Compare a log with its replay and with the hash that its run recorded.
+
+    Parameters
+    ----------
+    source : Log
+    again : Recording
+        What :func:`cosim.replay` made of it.
+
+    Raises
+    ------
+    LogError
+        If the log is damaged, or has no content hash.
+    """
+    recorded_hash = source.recorded_hash
+    found_hash = source.content_hash()
+    copied = []
+    for name in replay_origin(again).copied:
+        for signal in again.channels[name].interface.outputs:
+            copied.append(f"{name}.{signal.name}")
+    scenario = recorded_document(source).source
+    difference = diff(source, again)
+    return Verification(recorded_hash, found_hash, difference, tuple(copied), scenario)

@@ -1,0 +1,224 @@
+"""What a recording keeps beside its signals, read back and checked.
+
+A log may come from anywhere: what is read here has the types that the reports rest on.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+
+from cosim.core.contracts import Recording
+from cosim.core.recorded import find_signal
+from cosim.errors import LogError
+from cosim.log.metadata import read_json
+from cosim.scenario.schema import Number, NumberRow, Whole, truth_ports
+from cosim.units import conversion
+
+Text = Annotated[str, Field(strict=True)]
+_Checked = TypeVar("_Checked")
+
+
+class _Record(BaseModel):
+    """A table of a recording: more keys than these are kept as they are."""
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+
+
+class _SwapRow(_Record):
+    """A line of a swap report."""
+
+    port: Text
+    aspect: Text
+    before: Any
+    after: Any
+    verdict: Text
+    connected: Any
+
+
+class _SwapRecord(_Record):
+    """A swap report."""
+
+    ports: tuple[_SwapRow, ...] = ()
+
+
+class _LinearizationRecord(_Record):
+    """The linearization of an FMU, and what was asked for."""
+
+    request: dict[str, Any]
+    result: dict[str, Any]
+
+
+class _ComponentRecord(_Record):
+    """Metadata of a component."""
+
+    start_time: Number = 0.0
+    unknowns: Whole = 0
+    P0: Annotated[Number, Field(gt=0.0)] | None = None
+    T_obs: Number = 0.0
+    T_f: Number = 0.0
+    D_max: Number = 0.0
+    T_id: Number = 0.0
+    notes: tuple[Text, ...] = ()
+    swap_report: _SwapRecord = _SwapRecord()
+    linearization: _LinearizationRecord | None = None
+
+
+@dataclass(frozen=True)
+class ReplayOrigin:
+    """What a replay is made from.
+
+    Parameters
+    ----------
+    log : str
+        Path of the log.
+    content_hash : str
+        The one that its run recorded.
+    copied : tuple of str
+        The components whose outputs are copied from it; all others are computed.
+    """
+
+    log: str
+    content_hash: str
+    copied: tuple[str, ...]
+
+
+_TRUTH: TypeAdapter[dict[str, Any]] = TypeAdapter(
+    dict[str, Text | tuple[Text, ...] | Number | NumberRow]
+)
+_WARNINGS: TypeAdapter[list[tuple[str, str]]] = TypeAdapter(list[tuple[Text, Text]])
+_SCHEDULE: TypeAdapter[list[str]] = TypeAdapter(list[Text])
+_TIME: TypeAdapter[float] = TypeAdapter(Number)
+_ORIGIN: TypeAdapter[ReplayOrigin] = TypeAdapter(ReplayOrigin)
+_COMPONENT: TypeAdapter[_ComponentRecord] = TypeAdapter(_ComponentRecord)
+_OF_IDENTIFIERS = ("start_time", "P0")
+
+
+def run_metadata(recording: Recording) -> dict[str, str]:
+    """Return the metadata of the run as it was recorded: texts, of which some are JSON."""
+    return dict(recording.metadata.get("cosim.run", {}))
+
+
+def recorded_start(recording: Recording) -> float:
+    """Return the start time of a run [s].
+
+    Raises
+    ------
+    LogError
+        If it is no number.
+    """
+    text = run_metadata(recording).get("start_time", "0.0")
+    return _checked(_TIME, _json(text, "start_time"), "start_time")
+
+
+def component_metadata(recording: Recording, component: str) -> dict[str, Any]:
+    """Return what a component recorded about itself.
+
+    Raises
+    ------
+    LogError
+        If that cannot be understood.
+    """
+    record = recording.metadata.get(f"cosim.component.{component}", {})
+    what = f"metadata of {component!r}"
+    table = _json(record.get("metadata", "{}"), what)
+    _checked(_COMPONENT, table, what)
+    if "unknowns" in table and any(key not in table for key in _OF_IDENTIFIERS):
+        raise LogError(f"{what}: needed {' and '.join(_OF_IDENTIFIERS)} of an identifier")
+    return dict(table)
+
+
+def recorded_warnings(recording: Recording) -> list[tuple[str, str]]:
+    """Return the warnings of a run, as (component, text).
+
+    Raises
+    ------
+    LogError
+        If they cannot be understood.
+    """
+    table = _json(run_metadata(recording).get("warnings", "[]"), "warnings")
+    return _checked(_WARNINGS, table, "warnings")
+
+
+def recorded_stages(recording: Recording) -> list[str]:
+    """Return the stages of a run in their order.
+
+    Raises
+    ------
+    LogError
+        If they cannot be understood.
+    """
+    table = _json(run_metadata(recording).get("schedule", "[]"), "schedule")
+    return _checked(_SCHEDULE, table, "schedule")
+
+
+def replay_origin(recording: Recording) -> ReplayOrigin:
+    """Return what a replay was made from.
+
+    Raises
+    ------
+    LogError
+        If the recording is no replay, or that cannot be understood.
+    """
+    text = run_metadata(recording).get("replay")
+    if text is None:
+        raise LogError("this is no replay; needed what cosim.replay() returned")
+    return _checked(_ORIGIN, _json(text, "replay"), "replay")
+
+
+def truth_of(recording: Recording) -> dict[str, Any]:
+    """Return what each estimate of a run should equal: a port, a list of ports, or values.
+
+    Raises
+    ------
+    LogError
+        If that cannot be understood, or compared with what was recorded.
+    """
+    table = _json(run_metadata(recording).get("truth", "{}"), "truth")
+    _checked(_TRUTH, table, "truth")
+    for estimate, truth in table.items():
+        _check_truth(recording, estimate, truth)
+    return dict(table)
+
+
+def _check_truth(recording: Recording, estimate: str, truth: Any) -> None:
+    _, columns = find_signal(recording.channels, estimate, source="truth")
+    ports = truth_ports(truth)
+    size = len(truth) if isinstance(truth, list) else 1
+    if ports:
+        size = sum(_comparable_size(recording, port, estimate) for port in ports)
+    if size != columns.stop - columns.start:
+        raise LogError(f"truth: {estimate!r} has another size than {truth!r}")
+
+
+def _comparable_size(recording: Recording, port: str, estimate: str) -> int:
+    """Return the size of a true signal, whose unit must be of the same kind."""
+    units = []
+    for name in (port, estimate):
+        channel, columns = find_signal(recording.channels, name, source="truth")
+        for signal, whole in channel.signal_columns():
+            if whole.start <= columns.start < whole.stop:
+                units.append(signal.measure)
+        if name == port:
+            size = columns.stop - columns.start
+    if conversion(*units) is None:
+        raise LogError(f"truth: {estimate!r} has another kind of unit than {port!r}")
+    return int(size)
+
+
+def _json(text: str, what: str) -> Any:
+    try:
+        return read_json(text)
+    except ValueError as error:
+        raise LogError(f"{what}: no JSON: {error}") from error
+
+
+def _checked(adapter: TypeAdapter[_Checked], value: Any, what: str) -> _Checked:
+    try:
+        return adapter.validate_python(value)
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(str(part) for part in first["loc"])
+        raise LogError(f"{what} cannot be understood: {place}: {first['msg']}") from error
