@@ -379,7 +379,7 @@ class Log(RecordedSignals):
     def _read_ahead(self, component: str) -> TimedRows:
         """Return the rows of a component; read those behind it in the same pass.
 
-        Each pass reads twice as many components as the one before, so that whoever asks for one
+        Each pass reads eight times as many as the one before, so that whoever asks for one component
         after another needs few passes, and whoever asks for one reads no other.
         """
         if component not in self._ahead:
@@ -388,7 +388,7 @@ class Log(RecordedSignals):
             others = [*names[first + 1 :], *names[:first]]
             batch = [component]
             size = self._row_bytes(component)
-            for name in others[: 2**self._passes - 1]:
+            for name in others[: 8**self._passes - 1]:
                 size += self._row_bytes(name)
                 if size > _MOST_AHEAD:
                     break

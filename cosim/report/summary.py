@@ -148,6 +148,7 @@ def _last_values(recording: Recording) -> dict[str, float | list[float]]:
     return last
 
 
+@np.errstate(over="ignore", invalid="ignore")  # of a recording that may hold any numbers
 def _signal_error(
     recording: Recording, estimate: str, true_ports: Sequence[str], since: float
 ) -> SignalError:
