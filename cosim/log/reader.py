@@ -379,8 +379,8 @@ class Log(RecordedSignals):
     def _read_ahead(self, component: str) -> TimedRows:
         """Return the rows of a component; read those behind it in the same pass.
 
-        Each pass reads eight times as many as the one before, so that whoever asks for one component
-        after another needs few passes, and whoever asks for one reads no other.
+        Each pass reads eight times as many as the one before: whoever asks for one component
+        after another needs few passes, and whoever asks for one only reads no other.
         """
         if component not in self._ahead:
             names = list(self._channels)

@@ -10,17 +10,11 @@ import typer
 from rich.table import Table
 
 from cosim.core.contracts import Recording
-<<<<<<< HEAD
-from cosim.report.recorded import component_metadata, run_metadata, signal_of
-from cosim.report.summary import Identification, Summary, span, summarize
-from cosim.report.tables.console import new_table, print_json, print_line, print_table
-=======
 from cosim.report.recorded import signal_of
 from cosim.report.summary import Identification, Summary, span, summarize
-from cosim.report.tables.console import new_table, print_json, print_table
+from cosim.report.tables.console import new_table, print_json, print_line, print_table
 from cosim.report.verification import Verification
-from cosim.scenario.recorded import recorded_warnings
->>>>>>> b706a3f (Verify the content of a log too, and refuse what a recording cannot follow)
+from cosim.scenario.recorded import component_metadata, recorded_warnings
 
 
 def print_summary(
@@ -56,13 +50,8 @@ def print_summary(
         return
     if quiet:
         return
-<<<<<<< HEAD
-    for component, text in json.loads(run_metadata(recording).get("warnings", "[]")):
-        print_line(f"warning: {component}: {text}", error=True)
-=======
     for component, text in recorded_warnings(recording):
-        typer.echo(f"warning: {component}: {text}", err=True)
->>>>>>> b706a3f (Verify the content of a log too, and refuse what a recording cannot follow)
+        print_line(f"warning: {component}: {text}", error=True)
     table = _summary_table(summary, recording)
     table.add_section()
     _add_wall_time(table, wall, simulated=summary.end - summary.start)
@@ -156,34 +145,17 @@ def print_verification(
 ) -> None:
     """Print what a replay proves of its log; exit 1 if the log is not what its run recorded."""
     if as_json:
-<<<<<<< HEAD
-        print_json(difference.to_dict())
-    elif difference.equal and not quiet:
-        count = len(difference.rows)
-        print_line(f"{path}: the replay equals the log bit for bit: {count} signals")
-    if difference.equal:
-        return
-    if not as_json:
-        where = "the logs do not have the same signals and times"
-        first = difference.first
-        if first is not None:
-            time = first.time_ns / 1e9
-            where = f"{first.signal} at t = {time} s: log {first.a!r}, replay {first.b!r}"
-        print_line(f"{path}: the replay differs from the log; first: {where}", error=True)
-        _warn_of_environment(source)
-=======
         print_json(verification.to_dict())
     elif verification.passed and not quiet:
         for line in verification.lines:
-            typer.echo(f"{path}: {line}")
+            print_line(f"{path}: {line}")
     if verification.passed:
         return
     if not as_json:
         for problem in verification.problems:
-            typer.echo(f"{path}: {problem}", err=True)
+            print_line(f"{path}: {problem}", error=True)
         if not verification.difference.equal:
             _warn_of_environment(source)
->>>>>>> b706a3f (Verify the content of a log too, and refuse what a recording cannot follow)
     raise typer.Exit(1)
 
 
