@@ -9,15 +9,16 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Annotated, Any, TextIO
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn, TextIO
 
 import typer
 
 from cosim.errors import CosimError, UsageError
+from cosim.fmi.child_process import COMMAND_VARIABLE, run_command
 from cosim.report.printable import printable
 
 if TYPE_CHECKING:
@@ -103,7 +104,8 @@ DryRunOption = Annotated[
     bool,
     typer.Option(
         "--dry-run",
-        help="Check the scenario and compare swapped components with the replaced; do not run.",
+        help="Check the scenario and compare swapped components with the replaced; do not run. "
+        "FMUs are loaded and initialized, which runs their code, in a process of its own.",
     ),
 ]
 
@@ -130,6 +132,11 @@ def run(
     from cosim.scenario.execution import default_log, load
     from cosim.scenario.execution import run as run_scenario
 
+    if dry_run and COMMAND_VARIABLE not in os.environ:
+        options = {"--set": changes or [], "--swap": swaps or [], "--map": maps or []}
+        options["--stop"] = [] if stop is None else [repr(stop)]
+        options["--step"] = [] if step is None else [repr(step)]
+        _dry_run_in_child(scenario, options, as_json=as_json)
     imported = perf_counter()
     edits = _edits(changes)
     if stop is not None:
@@ -152,6 +159,22 @@ def run(
 
         plot_run(log, plot)
     print_summary(log, path=path, wall=wall, profile=seconds, as_json=as_json, quiet=quiet)
+
+
+def _dry_run_in_child(
+    scenario: str, options: Mapping[str, Sequence[str]], *, as_json: bool
+) -> NoReturn:
+    """Do a dry run in a child process, as it runs the code of FMUs; exit as that does."""
+    arguments = ["run", scenario, "--dry-run"]
+    for option, values in options.items():
+        for value in values:
+            arguments += [option, value]
+    if as_json:
+        arguments.append("--json")
+    result = run_command(arguments)
+    typer.echo(result.output, nl=False)
+    typer.echo(result.messages, nl=False, err=True)
+    raise typer.Exit(result.exit_code)
 
 
 @app.command()

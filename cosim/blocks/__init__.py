@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from cosim.blocks.arithmetic import gain, limit, sum_of
     from cosim.blocks.dynamics import Delay, lag
     from cosim.blocks.identifier import LeastSquaresIdentifier
+    from cosim.blocks.look_up import LookUpTable
     from cosim.blocks.observer import observer_model
     from cosim.blocks.plant import descriptor_model
     from cosim.blocks.regressor import Regressor
@@ -34,6 +35,7 @@ _HOMES = {
     "lag": "cosim.blocks.dynamics",
     "LeastSquaresIdentifier": "cosim.blocks.identifier",
     "limit": "cosim.blocks.arithmetic",
+    "LookUpTable": "cosim.blocks.look_up",
     "Noise": "cosim.blocks.source",
     "observer_model": "cosim.blocks.observer",
     "ramp": "cosim.blocks.source",
@@ -52,6 +54,7 @@ __all__ = [
     "Delay",
     "Expression",
     "LeastSquaresIdentifier",
+    "LookUpTable",
     "Noise",
     "Regressor",
     "Renamed",

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 from cosim.blocks.port_map import Causality, PortElement, PortMap, ShownPort, names_of
 from cosim.core.port import Port
-from cosim.core.signals import Interface, Signal
+from cosim.core.signals import Interface, Need, Signal
 from cosim.errors import GraphError, nearest
 from cosim.units import Unit, comparable, conversion
 
@@ -340,10 +340,23 @@ def _shown_signal(name: str, elements: Sequence[PortElement], unit: Unit) -> Sig
     roles = {element.signal.role for element in elements}
     role = first.role if len(roles) == 1 else "output"
     size = len(elements)
-    start = _start(elements, unit)
     return replace(
-        first, name=name, size=size, unit=unit.name, base=unit.base, role=role, start=start
+        first,
+        name=name,
+        size=size,
+        unit=unit.name,
+        base=unit.base,
+        role=role,
+        start=_start(elements, unit),
+        connection=_need(elements),
     )
+
+
+def _need(elements: Sequence[PortElement]) -> Need:
+    """Return whether something must drive a shown input: the strictest of its elements."""
+    needs = {element.signal.connection for element in elements}
+    strictest: tuple[Need, ...] = ("forbidden", "required", "optional")
+    return next(need for need in strictest if need in needs)
 
 
 def _start(elements: Sequence[PortElement], unit: Unit) -> tuple[float, ...]:

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from cosim.arrays import Mask, Matrix, Vector
+from cosim.arrays import Mask, Matrix, Vector, as_columns
 from cosim.core.contracts import Design, Recording, Stopped
-from cosim.core.signals import Interface
+from cosim.core.signals import Interface, Signal
 from cosim.errors import GraphError, LogError
 
 
@@ -23,7 +23,7 @@ class Replay:
         The recorded component.
     inputs : bool
         Whether it has the recorded inputs too, so that what drives the component may stay
-        connected; else it is a source.
+        connected; else it is a source. One that was constant needs no connection.
 
     Raises
     ------
@@ -46,7 +46,10 @@ class Replay:
                 f"the log has no rows of {component!r}; needed at least the one at t = 0"
             )
         recorded = channel.interface
-        shown = recorded if inputs else Interface((), recorded.outputs, {})
+        shown = Interface((), recorded.outputs, {})
+        if inputs:
+            signals = tuple(_shown(recording, component, signal) for signal in recorded.inputs)
+            shown = replace(recorded, inputs=signals)
         self.interface = replace(shown, prepares=True, rollback=False)
         blocks = [rows[:, recorded.n_u :] for _, rows in recording.blocks(component)]
         self._rows = blocks[0] if len(blocks) == 1 else np.concatenate(blocks)
@@ -95,3 +98,11 @@ class Replay:
             begin = self._time[0]
             raise GraphError(f"the recording begins at {begin} s, was asked for {t[0]} s")
         return index
+
+
+def _shown(recording: Recording, component: str, signal: Signal) -> Signal:
+    """Return an input; one that was constant with that value, where nothing drives it."""
+    rows = as_columns(recording[f"{component}.{signal.name}"])
+    if not (rows == rows[0]).all():
+        return signal
+    return replace(signal, start=tuple(rows[0].tolist()), connection="optional")

@@ -120,7 +120,7 @@ def _number(value: float) -> str:
 
 
 class Table:
-    """Linear interpolation between the points of a table; it refuses to extrapolate.
+    """Linear interpolation between the points of a table.
 
     Parameters
     ----------
@@ -129,24 +129,35 @@ class Table:
     y : Matrix, shape (N, n)
     hold : bool
         Zero-order hold instead: each value until the next instant (a discrete signal).
+    extrapolate : bool
+        Hold the first value before the first instant, and the last one after the last.
+    unit : str, optional
 
     Raises
     ------
     UsageError
-        If the points are no table, or the run starts outside it.
+        If the points are no table, or the run starts outside it without ``extrapolate``.
     Stopped
-        From ``advance``, where the table ends.
+        From ``advance``, where the table ends without ``extrapolate``.
     """
 
     def __init__(
-        self, t: Vector, y: Matrix, *, hold: bool = False, unit: str | None = None
+        self,
+        t: Vector,
+        y: Matrix,
+        *,
+        hold: bool = False,
+        extrapolate: bool = False,
+        unit: str | None = None,
     ) -> None:
-        _check_points(t, y)
+        check_points(t, y, hold=hold)
         self.t = frozen(t, 1)
         self.y = frozen(y, 2)
         self.hold = hold
-        slopes = np.diff(self.y, axis=0) / np.diff(self.t)[:, np.newaxis]
-        self._slopes = np.vstack([slopes, np.zeros((1, y.shape[1]))])
+        self.extrapolate = extrapolate
+        self._slopes = np.zeros_like(self.y)
+        if not hold:
+            self._slopes[:-1] = _slopes(self.t, self.y)
         size = y.shape[1]
         signal = Signal("y", size, unit, "discrete" if hold else "continuous")
         self.interface = Interface(outputs=(signal,))
@@ -163,7 +174,7 @@ class Table:
         UsageError
             If ``t`` is outside the table.
         """
-        if not self.t[0] <= t <= self.t[-1]:
+        if not (self.extrapolate or self.t[0] <= t <= self.t[-1]):
             raise UsageError(self._beyond(t))
         rows = self._at(np.array([t]))
         y: Vector = rows[0]
@@ -178,7 +189,7 @@ class Table:
             Where the table ends; with the rows before it.
         """
         times = t[1:]
-        covered = times <= self.t[-1]
+        covered = times <= (np.inf if self.extrapolate else self.t[-1])
         y = self._at(times[covered])
         completed = len(y)
         if completed < len(times):
@@ -192,6 +203,7 @@ class Table:
         return f"table: covers {begin} s to {end} s, was asked for {t} s"
 
     def _at(self, t: Vector) -> Matrix:
+        t = np.clip(t, self.t[0], self.t[-1])
         index = np.searchsorted(self.t, t, side="right") - 1
         if self.hold:
             return self.y[index]
@@ -200,7 +212,28 @@ class Table:
         return self.y[index] + self._slopes[index] * elapsed
 
 
-def _check_points(t: Vector, y: Matrix) -> None:
+def _slopes(t: Vector, y: Matrix) -> Matrix:
+    """Return the slopes between the points of a table, shape (N - 1, n)."""
+    with np.errstate(over="ignore"):
+        slopes: Matrix = np.diff(y, axis=0) / np.diff(t)[:, np.newaxis]
+    steep = np.flatnonzero(~np.isfinite(slopes).all(axis=1))
+    if steep.size:
+        first = steep[0]
+        raise UsageError(
+            f"table: between t[{first}] = {t[first]} s and {t[first + 1]} s the slope of y is "
+            "beyond all numbers; needed instants further apart, or zero-order interpolation"
+        )
+    return slopes
+
+
+def check_points(t: Vector, y: Matrix, *, hold: bool) -> None:
+    """Check the points of a table; parameters as of :class:`Table`.
+
+    Raises
+    ------
+    UsageError
+        If they are none.
+    """
     instants = len(t)
     values = len(y)
     if instants < 2 or instants != values:
@@ -215,6 +248,13 @@ def _check_points(t: Vector, y: Matrix) -> None:
     if not_increasing.size:
         before = not_increasing[0]
         after = before + 1
+        if t[before] == t[after] and not hold:
+            raise UsageError(
+                f"table: t[{before}] and t[{after}] are both {t[after]} s, a jump, and what is "
+                "interpolated linearly cannot jump: its value at a communication point counts "
+                'before it and after it; use interpolation = "zero-order", or leave a '
+                "communication step between the two"
+            )
         raise UsageError(
             f"table: t[{after}] = {t[after]} s does not come after {t[before]} s; "
             "needed increasing instants"

@@ -10,7 +10,7 @@ from time import perf_counter
 
 import numpy as np
 
-from cosim.arrays import Nanoseconds, Vector
+from cosim.arrays import Mask, Nanoseconds, Vector
 from cosim.core.contracts import Block
 from cosim.errors import ClockError
 
@@ -158,6 +158,25 @@ class Clock:
             If there is none; ``what`` names the instant in the message.
         """
         return whole_steps(time, self.step_ns, what, start_ns=self.start_ns)
+
+    def nearest_points(self, times: Vector) -> Vector:
+        """Return the communication point nearest to each instant [s], also outside the run."""
+        numbers = np.rint((times * NANOSECONDS - self.start_ns) / self.step_ns)
+        return seconds(self.start_ns + numbers.astype(np.int64) * self.step_ns)
+
+    def is_point(self, times: Vector) -> Mask:
+        """Return which instants are communication points, but for the rounding of doubles."""
+        rounding = 4.0 * np.spacing(np.maximum(np.abs(times), self.step_ns / NANOSECONDS))
+        on_grid: Mask = np.abs(self.nearest_points(times) - times) <= rounding
+        return on_grid
+
+    def points_around(self, time: float) -> tuple[float, float]:
+        """Return the communication points before and after an instant [s] that is none."""
+        (nearest,) = self.nearest_points(np.array([time]))
+        step = self.step_ns if nearest < time else -self.step_ns
+        other = (round(nearest * NANOSECONDS) + step) / NANOSECONDS
+        first, second = sorted((float(nearest), other))
+        return first, second
 
     def blocks(self, limit: int) -> Iterator[Block]:
         """Yield the blocks of the run, none longer than ``limit`` steps.

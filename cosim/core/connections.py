@@ -198,9 +198,22 @@ def check_connections(
     for channel in layout.channels:
         for signal in channel.interface.inputs:
             port = Port(channel.name, signal.name)
-            if str(port) not in connected:
-                problems[port] = f"'{port}' is not connected; give it a source in [connections]"
+            text = _problem_of_need(port, signal, connected=str(port) in connected)
+            if text:
+                problems.setdefault(port, text)
     return problems
+
+
+def _problem_of_need(port: Port, signal: Signal, *, connected: bool) -> str:
+    """Return what is wrong with an input that is connected or not; empty: nothing."""
+    if connected and signal.connection == "forbidden":
+        return (
+            f"'{port}' is connected, and has a start value that was set for it, which the "
+            "connection would overwrite; leave one of both out"
+        )
+    if not connected and signal.connection == "required":
+        return f"'{port}' is not connected; give it a source in [connections]"
+    return ""
 
 
 def _problems(

@@ -74,6 +74,15 @@ def wires_of(
     return tuple(wires)
 
 
+def constant_wires(to: slice, values: Sequence[float]) -> tuple[Wire, ...]:
+    """Return the wires of an input that nothing drives: sums of no sources, and an offset."""
+    wires = []
+    for column, value in zip(range(to.start, to.stop), values, strict=True):
+        element = slice(column, column + 1)
+        wires.append(Wire(element, slice(0, 0), np.zeros((1, 0)), value, Conversion()))
+    return tuple(wires)
+
+
 def _joined(sources: Sequence[Source]) -> Columns:
     if len(sources) == 1:
         return sources[0].columns

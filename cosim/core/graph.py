@@ -25,7 +25,7 @@ from cosim.core.connections import (
     unit_warnings,
 )
 from cosim.core.contracts import Component, Design, Plan, prepare
-from cosim.core.coupling import Cascade, Loop, Member, Stage, Wire, wires_of
+from cosim.core.coupling import Cascade, Loop, Member, Stage, Wire, constant_wires, wires_of
 from cosim.core.initial_values import InitialValues
 from cosim.core.order import order_loop, strongly_connected
 from cosim.core.port import Port
@@ -60,6 +60,8 @@ class Graph:
     connections : dict of Port to Connection
     conversions : dict of Port to tuple of Conversion
         Where a connection converts units: its conversion for each source.
+    unconnected : dict of Port to tuple of float
+        The inputs that nothing drives, and the value that each keeps.
     held : dict of component name to Mask, shape (n_u,)
         Which input elements have a zero-order hold.
     initializations : int
@@ -94,6 +96,7 @@ class Graph:
         self._ports = Ports(self.layout)
         self.connections = self._checked(connections)
         self.conversions = self._conversions()
+        self.unconnected = self._find_unconnected()
         self._sources = {
             channel.name: self._sources_of(channel) for channel in self.layout.channels
         }
@@ -209,12 +212,22 @@ class Graph:
                 conversions[to] = by_source
         return conversions
 
+    def _find_unconnected(self) -> dict[Port, tuple[float, ...]]:
+        unconnected = {}
+        for channel in self.layout.channels:
+            for signal in channel.interface.inputs:
+                port = Port(channel.name, signal.name)
+                if port not in self.connections:
+                    unconnected[port] = signal.initial_values
+        return unconnected
+
     def _sources_of(self, channel: Channel) -> dict[str, tuple[Port, ...]]:
         """Return the outputs that drive each input."""
         sources = {}
         for signal in channel.interface.inputs:
-            connection = self.connections[Port(channel.name, signal.name)]
-            ports = [self._ports.source(port).port for port in connection.sources]
+            connection = self.connections.get(Port(channel.name, signal.name))
+            driving = () if connection is None else connection.sources
+            ports = [self._ports.source(port).port for port in driving]
             sources[signal.name] = tuple(dict.fromkeys(ports))
         return sources
 
@@ -225,8 +238,10 @@ class Graph:
         for signal, columns in channel.signal_columns():
             port = Port(name, signal.name)
             connection = self.connections.get(port)
-            if connection is None:  # an output
-                continue
+            if connection is None:
+                if port in self.unconnected:
+                    wires[port] = constant_wires(columns, signal.initial_values)
+                continue  # else an output
             sources = [self._ports.source(source) for source in connection.sources]
             copies = (Conversion(),) * len(sources)
             conversions = self.conversions.get(port, copies)
@@ -294,7 +309,9 @@ class Graph:
 
     def _held_elements(self, to: Port, size: int, loop: tuple[str, ...]) -> list[bool]:
         """Return which elements of an input are driven by discrete signals, or from a loop."""
-        connection = self.connections[to]
+        connection = self.connections.get(to)
+        if connection is None:  # constant
+            return [False] * size
         sources = [self._ports.source(port) for port in connection.sources]
         inside = [source.port.component in loop for source in sources]
         if connection.matrix.ndim == 2:  # every element may be a sum of all sources

@@ -12,6 +12,7 @@ from cosim.units import BaseUnit, Unit
 Variability = Literal["continuous", "discrete", "inherited"]
 SignalType = Literal["real", "integer", "boolean"]
 Role = Literal["input", "output", "state", "estimate"]
+Need = Literal["required", "optional", "forbidden"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +42,9 @@ class Signal:
     start : tuple of float
         Of an input: its initial elements as long as its source has no value; empty: zeros (FMI:
         start).
+    connection : {"required", "optional", "forbidden"}
+        Of an input: whether something must drive it. Without a connection it keeps ``start``;
+        "forbidden": that was set for it, so that a connection would overwrite it.
     """
 
     name: str
@@ -52,6 +56,7 @@ class Signal:
     role: Role = "output"
     base: BaseUnit | None = None
     start: tuple[float, ...] = ()
+    connection: Need = "required"
 
     def __post_init__(self) -> None:
         if self.size < 1:
@@ -61,6 +66,11 @@ class Signal:
             raise GraphError(
                 f"signal {self.name!r}: {count} start values, needed {self.size} or none"
             )
+
+    @property
+    def initial_values(self) -> tuple[float, ...]:
+        """``start``, in full."""
+        return self.start or (0.0,) * self.size
 
     @property
     def measure(self) -> Unit:

@@ -11,12 +11,14 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Sequence
 from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Final, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, TypeAlias
 
+from cosim.errors import RunError
 from cosim.fmi.trial_cache import keep_problems, read_problems
 
 if TYPE_CHECKING:
@@ -28,6 +30,7 @@ TrialTask: TypeAlias = Literal["symbols", "run", "rollback"]
 TRIAL: Final = "cosim.fmi.checking.trial"
 TIMEOUT: Final = 20.0  # [s] of wall time
 CHILD_VARIABLE: Final = "COSIM_TRIAL"  # of the environment; set in a child, which starts no other
+COMMAND_VARIABLE: Final = "COSIM_COMMAND"  # set in a child that does a command of its parent
 MISSING_FUNCTION: Final = "missing function"
 REFUSED: Final = "is declared and then refused:"  # get or set FMU state
 INEXACT: Final = "goes back inexactly"
@@ -100,7 +103,7 @@ def attempt(task: TrialTask, *arguments: str, timeout: float = TIMEOUT) -> tuple
         child = subprocess.Popen(
             [sys.executable, "-m", TRIAL, task, str(log), *arguments],
             cwd=folder,
-            env=_environment(folder),
+            env=_environment(folder, CHILD_VARIABLE),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
@@ -115,15 +118,60 @@ def attempt(task: TrialTask, *arguments: str, timeout: float = TIMEOUT) -> tuple
         return _problems(log.read_text(encoding="utf-8", errors="replace"), exit_code, timeout)
 
 
-def _environment(folder: str) -> dict[str, str]:
-    """Return one in which the child finds this package, and keeps temporary files in ``folder``."""
+class CommandResult(NamedTuple):
+    """What a command printed, and how it ended."""
+
+    output: str
+    messages: str
+    exit_code: int
+
+
+def run_command(arguments: Sequence[str]) -> CommandResult:
+    """Run a command line of cosim in a child process, in this working directory.
+
+    Raises
+    ------
+    RunError
+        If the child crashes.
+    """
+    with TemporaryDirectory(prefix="cosim-command-", ignore_cleanup_errors=True) as folder:
+        child = subprocess.Popen(
+            [sys.executable, "-m", "cosim", *arguments],
+            env=_environment(folder, COMMAND_VARIABLE),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            encoding="utf-8",
+            errors="replace",
+            start_new_session=True,
+        )
+        try:
+            output, messages = child.communicate()
+        finally:
+            _kill(child)
+    if child.returncode < 0:
+        name = signal.Signals(-child.returncode).name
+        raise RunError(f"{messages}the process that loaded the FMUs crashes: {name}")
+    return CommandResult(output, messages, child.returncode)
+
+
+def _environment(folder: str, variable: str) -> dict[str, str]:
+    """Return one in which the child finds this package, and keeps temporary files in ``folder``.
+
+    ``variable`` says to the child what it is.
+    """
     inherited = os.environ.get("PYTHONPATH", "").split(os.pathsep)
     import_paths = [str(ROOT), *filter(None, inherited)]
-    added = {"PYTHONPATH": os.pathsep.join(import_paths), CHILD_VARIABLE: "1"}
+    added = {
+        "PYTHONPATH": os.pathsep.join(import_paths),
+        variable: "1",
+        "PYTHONIOENCODING": "utf-8",
+    }
     return os.environ | added | dict.fromkeys(("TMPDIR", "TEMP", "TMP"), folder)
 
 
-def _kill(child: subprocess.Popen[bytes]) -> None:
+def _kill(child: subprocess.Popen[Any]) -> None:
     """End the child and what it started."""
     with suppress(ProcessLookupError, PermissionError):
         if sys.platform == "win32":

@@ -13,16 +13,18 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Final, Protocol, Self, final
+from typing import Any, Final, Self, final
 
-from cosim.core.contracts import Component, Preparable, Rollback
+from cosim.arrays import Matrix, Vector
 from cosim.errors import FmuError, RunError, listing
 from cosim.fmi.binary.headers import built_for
 from cosim.fmi.binary.loaded import LoadedInstance
 from cosim.fmi.binary.messages import Message
+from cosim.fmi.binary.process import Process, describe_changes
 from cosim.fmi.child_process import find_rollback_problems
 from cosim.fmi.description import INTERFACE_TYPE_NAMES, INTERFACE_TYPES, Description, InterfaceType
 from cosim.fmi.driving.co_simulation import CoSimulation
+from cosim.fmi.driving.guarded import FmuComponent, Guarded
 from cosim.fmi.driving.initialization import check_start, resized
 from cosim.fmi.driving.model_exchange import ModelExchange
 from cosim.fmi.instance import ModelExchangeInstance
@@ -30,23 +32,10 @@ from cosim.fmi.options import DEFAULT_OPTIONS, FmuOptions
 from cosim.fmi.platforms import ARCHITECTURE, SUFFIX, folders
 from cosim.fmi.reading.model_description import Archive, read
 
-__all__ = ["CoSimulation", "Fmu", "ModelExchange", "load"]
+__all__ = ["CoSimulation", "DescribedFmu", "Fmu", "ModelExchange", "describe", "load"]
 
 MOST_WARNINGS: Final = 5  # of one file, in the notes of a run
 OUR_TOOL: Final = "cosim"  # the tests prove that its FMUs do what their descriptions say
-
-
-class FmuComponent(Component, Preparable, Rollback[Any], Protocol):
-    """What ``ModelExchange`` and ``CoSimulation`` have in common."""
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What is to be known about the results."""
-        ...
-
-    def drain(self) -> list[Message]:
-        """Return the events and warnings since the last call."""
-        ...
 
 
 @final
@@ -58,7 +47,7 @@ class Fmu:
     archive : Archive
     interface_type : {"me", "cs"}
     instance : LoadedInstance
-    component : FmuComponent
+    component : Guarded
     folder : Path
         Where it was unpacked.
     solving : mapping
@@ -73,7 +62,7 @@ class Fmu:
         interface_type: InterfaceType,
         *,
         instance: LoadedInstance,
-        component: FmuComponent,
+        component: Guarded,
         folder: Path,
         solving: Mapping[str, str | float],
         notes: tuple[str, ...] = (),
@@ -135,7 +124,7 @@ class Fmu:
         The level is "info", "warning", "error" or "fatal", from the FMI status, and "debug" of an
         event. Where messages were dropped, one says how many.
         """
-        return self._instance.messages.drain() + self.component.drain()
+        return self._instance.drain() + self.component.drain()
 
     def __enter__(self) -> Self:
         return self
@@ -146,14 +135,30 @@ class Fmu:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self.close()
+        try:
+            if error is None:
+                self.terminate()
+        finally:
+            self.close()
+
+    def terminate(self) -> None:
+        """End the run, unless it has ended or failed.
+
+        Raises
+        ------
+        RunError
+            If the FMU says that it failed.
+        """
+        with self.component.outside(None):
+            self._instance.terminate()
 
     def close(self) -> None:
         """End the run, free the instance, remove the temporary folder. Twice does no harm."""
         try:
             with suppress(RunError):  # an instance that cannot terminate is freed all the same
-                self._instance.terminate()
-            self._instance.free_instance()
+                self.terminate()
+            with self.component.outside(None):
+                self._instance.free_instance()
         finally:
             shutil.rmtree(self._folder, ignore_errors=True)
 
@@ -181,17 +186,13 @@ def load(
     """
     folder = Path(tempfile.mkdtemp(prefix="cosim-fmu-"))
     instance: LoadedInstance | None = None
+    process = Process()
+    process.save()
     try:
         archive = read(path, into=folder)
-        interface_type = _choose_interface_type(archive, options.interface_type)
-        if interface_type == "cs":
-            _check_options_for_co_simulation(archive, options)
+        interface_type, description = _with_options(archive, options)
         library = folder / _library(archive, interface_type)
         _check_architecture(archive, library)
-        # Structural parameters first: they decide how many elements other start values have.
-        description = resized(archive.description, options.start)
-        check_start(description, options.start)
-        description = description.recording(options.outputs)
         description, notes = _reliable(archive, description, interface_type)
         instance = LoadedInstance(
             folder,
@@ -206,16 +207,83 @@ def load(
         if instance is not None:
             instance.free_instance()
         shutil.rmtree(folder, ignore_errors=True)
+        process.restore()
         raise
+    changes = process.restore()
+    if changes:
+        text = f"{description.name}: changed {describe_changes(changes)} when it was loaded"
+        notes = (*notes, f"{text}; it is as before again")
     return Fmu(
         archive,
         interface_type,
         instance=instance,
-        component=component,
+        component=Guarded(component, description.name),
         folder=folder,
         solving=solving,
         notes=notes,
     )
+
+
+def describe(path: Path | str, options: FmuOptions = DEFAULT_OPTIONS) -> DescribedFmu:
+    """Read an FMU's description, without its binary: nothing of it runs.
+
+    Raises
+    ------
+    FmuError
+        If it is no FMU, or these options do not fit its description.
+    """
+    archive = read(path)
+    interface_type, description = _with_options(archive, options)
+    return DescribedFmu(archive, interface_type, description)
+
+
+@final
+class DescribedFmu:
+    """An FMU that shows its interface, and cannot run.
+
+    Parameters
+    ----------
+    archive : Archive
+    interface_type : {"me", "cs"}
+    description : Description
+        With the options that it would be opened with.
+    """
+
+    def __init__(
+        self, archive: Archive, interface_type: InterfaceType, description: Description
+    ) -> None:
+        rollback = description.capabilities[interface_type].saves_state
+        self.interface = replace(description.interface, rollback=rollback)
+        self.metadata: dict[str, Any] = {
+            "path": str(archive.path),
+            "sha256": archive.sha256,
+            "fmi_version": description.version,
+            "interface_type": interface_type,
+        }
+        self._refusal = FmuError(f"{archive.path}: only its description was read")
+
+    def initialize(self, t: float, u: Vector) -> Vector:
+        """Refuse."""
+        raise self._refusal
+
+    def outputs(self, t: float, u: Vector) -> Vector:
+        """Refuse."""
+        raise self._refusal
+
+    def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
+        """Refuse."""
+        raise self._refusal
+
+
+def _with_options(archive: Archive, options: FmuOptions) -> tuple[InterfaceType, Description]:
+    """Return the interface type that options ask for, and the description with them."""
+    interface_type = _choose_interface_type(archive, options.interface_type)
+    if interface_type == "cs":
+        _check_options_for_co_simulation(archive, options)
+    # Structural parameters first: they decide how many elements other start values have.
+    description = resized(archive.description, options.start)
+    description = description.with_inputs(check_start(description, options.start).numbers)
+    return interface_type, description.recording(options.outputs)
 
 
 def _choose_interface_type(archive: Archive, wanted: InterfaceType | None) -> InterfaceType:

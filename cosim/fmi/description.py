@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from typing import Final, Literal, TypeAlias
 
 from cosim.arrays import Mask
-from cosim.core.signals import Interface, Role, Signal
+from cosim.core.signals import Interface, Need, Role, Signal
 from cosim.errors import FmuError, nearest
 from cosim.fmi.references import ReferenceMap
 from cosim.fmi.variable import Variable
@@ -136,6 +136,8 @@ class Description:
         Of DefaultExperiment.
     tool : str
         What made it.
+    set_inputs : frozenset of str
+        Names of the inputs whose ``start`` was set instead of the FMU's own.
     dae : Dae or None
         Its residual form, where it has one.
     """
@@ -158,6 +160,7 @@ class Description:
     default_step: float | None = None
     default_tolerance: float | None = None
     tool: str = ""
+    set_inputs: frozenset[str] = frozenset()
     dae: Dae | None = None
     _named: dict[str, Variable] = field(init=False, repr=False, compare=False)
     _ports: dict[str, PortVariables] = field(
@@ -345,6 +348,34 @@ class Description:
             event_indicators = sum(sizes[name] for name in self.indicators)
         return replace(self, variables=variables, event_indicators=event_indicators)
 
+    def with_inputs(self, values: Mapping[str, tuple[float, ...]]) -> Description:
+        """Return the description with other start values of its inputs, of those that are named.
+
+        Raises
+        ------
+        FmuError
+            If an input is one vector with others that have no start value.
+        """
+        names: set[str] = set()
+        variables = []
+        for variable in self.variables:
+            value = values.get(variable.name)
+            if variable.causality == "input" and value is not None:
+                variable = replace(variable, start=value)
+                names.add(variable.name)
+            variables.append(variable)
+        described = replace(self, variables=tuple(variables), set_inputs=frozenset(names))
+        for signal, group in described.ports("input"):
+            if signal.connection != "required":
+                continue
+            if any(variable.name in names for variable in group):
+                missing = ", ".join(v.name for v in group if v.start is None)
+                raise FmuError(
+                    f"{self.name}: input {signal.name!r} has a start value for some of its "
+                    f"elements, which is of no use: needed one for {missing} too"
+                )
+        return described
+
     def _check_structural(self, variable: Variable, value: int) -> None:
         where = f"{self.name}: structural parameter {variable.name!r}"
         if variable.causality != "structuralParameter":
@@ -383,9 +414,11 @@ class Description:
         first = group[0]
         role: Role = "output"
         start: tuple[float, ...] = ()
+        connection: Need = "required"
         if first.causality == "input":
             role = "input"
             start = _start(group)
+            connection = self._need(group)
         elif all(variable.name in self.states for variable in group):
             role = "state"
         return Signal(
@@ -398,7 +431,15 @@ class Description:
             optional=all(variable.doc.startswith(NO_VALUE) for variable in group),
             base=first.base,
             start=start,
+            connection=connection,
         )
+
+    def _need(self, group: Sequence[Variable]) -> Need:
+        """Return whether something must drive an input: where an element has no start value."""
+        if any(variable.start is None for variable in group):
+            return "required"
+        is_set = any(variable.name in self.set_inputs for variable in group)
+        return "forbidden" if is_set else "optional"
 
 
 def _can_be_interpolated(variable: Variable) -> bool:

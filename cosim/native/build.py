@@ -27,6 +27,7 @@ SOURCES = (
     "estimate.c",
     "noise.c",
     "fmi.c",
+    "process.c",
 )
 FLAGS = ("-std=c11", "-O2", "-ffp-contract=off", "-fPIC", "-shared")
 LIBRARY = f"_cosim{'.dll' if sys.platform == 'win32' else '.so'}"

@@ -79,7 +79,7 @@ def compile_expression(text: str) -> Program:
         If the text is no expression of the language; with the place, what was found and what is
         possible instead.
     """
-    tree = _parse(text)
+    tree = parse(text)
     compiler = _Compiler(text)
     try:
         depth = compiler.emit(tree)
@@ -96,7 +96,14 @@ def compile_expression(text: str) -> Program:
     return Program(text, code, constants)
 
 
-def _parse(text: str) -> ast.expr:
+def parse(text: str) -> ast.expr:
+    """Return the syntax tree of a text that looks like an expression.
+
+    Raises
+    ------
+    UsageError
+        If it does not.
+    """
     try:
         return ast.parse(text.strip(), mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:

@@ -147,7 +147,7 @@ class InterpolationStruct(ctypes.Structure):
 _POINTER = c_void_p  # to doubles, or to the state of a step
 _INT = c_int32
 
-# name: (result, arguments), as in cosim.h and fmi.h
+# name: (result, arguments), as in cosim.h, fmi.h and process.h
 _SIGNATURES: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "cosim_cascade": (
         c_int64,
@@ -197,6 +197,9 @@ _SIGNATURES: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "cosim_messages_take": (_INT, (POINTER(MessagesStruct), POINTER(MessageStruct))),
     "cosim_messages_last": (_INT, (POINTER(MessagesStruct), POINTER(MessageStruct))),
     "cosim_messages_dropped": (c_int64, (POINTER(MessagesStruct),)),
+    "cosim_process_size": (c_size_t, ()),
+    "cosim_process_save": (None, (_POINTER, _INT)),
+    "cosim_process_restore": (_INT, (_POINTER, _INT)),
 }
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import ExitStack
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
@@ -12,8 +11,8 @@ from cosim.core.connections import Connection, Ports, unit_reached
 from cosim.core.graph import Graph
 from cosim.core.port import Port
 from cosim.core.signals import Channel, Signal
-from cosim.scenario.build import build
-from cosim.scenario.execution import load
+from cosim.scenario.build import describe
+from cosim.scenario.document import find
 from cosim.scenario.recorded import (
     component_metadata,
     recorded_start,
@@ -104,33 +103,37 @@ def _differences(report: Section) -> list[Section]:
 
 
 def describe_scenario(name: str) -> Section:
-    """Describe a scenario: its clock, components, connections and metadata."""
-    loaded = load(name)
-    with ExitStack() as resources:
-        experiment = build(loaded, resources)
-        graph = experiment.graph
-        settings = loaded.file.scenario
-        steps = experiment.clock.steps
-        since = f"{settings.start_time} s to " if settings.start_time else ""
-        stages = [stage.description for stage in graph.stages]
-        about = {
-            "name": settings.name,
-            "description": settings.description or None,
-            "clock": f"{since}{settings.stop} s in {steps} steps of {settings.step} s",
-            "schedule": ", ".join(stages),
-        }
-        signals: list[Section] = []
-        for channel in graph.layout.channels:
-            signals += _signal_rows(channel, loaded.specs[channel.name].kind)
-        connections = []
-        for to, connection in loaded.connections.items():
-            connections.append(_connection_row(graph, to, connection))
-        return {
-            "scenario": about,
-            "signals": signals,
-            "connections": connections,
-            "metadata": dict(experiment.metadata),
-        }
+    """Describe a scenario: its clock, components, connections and metadata.
+
+    Of FMUs only the descriptions are read.
+    """
+    experiment = describe(find(name))
+    loaded = experiment.scenario
+    graph = experiment.graph
+    settings = loaded.file.scenario
+    steps = experiment.clock.steps
+    since = f"{settings.start_time} s to " if settings.start_time else ""
+    stages = [stage.description for stage in graph.stages]
+    about = {
+        "name": settings.name,
+        "description": settings.description or None,
+        "clock": f"{since}{settings.stop} s in {steps} steps of {settings.step} s",
+        "schedule": ", ".join(stages),
+    }
+    signals: list[Section] = []
+    for channel in graph.layout.channels:
+        signals += _signal_rows(channel, loaded.specs[channel.name].kind)
+    connections = []
+    for to, connection in loaded.connections.items():
+        connections.append(_connection_row(graph, to, connection))
+    for to, values in graph.unconnected.items():
+        connections.append(_start_row(graph, to, values))
+    return {
+        "scenario": about,
+        "signals": signals,
+        "connections": connections,
+        "metadata": dict(experiment.metadata),
+    }
 
 
 def _connection_row(graph: Graph, to: Port, connection: Connection) -> Section:
@@ -152,6 +155,19 @@ def _connection_row(graph: Graph, to: Port, connection: Connection) -> Section:
         "map": _map(connection),
         "unit": unit,
         "conversion": ", ".join(conversions) or None,
+    }
+
+
+def _start_row(graph: Graph, to: Port, values: tuple[float, ...]) -> Section:
+    """Describe an input that nothing drives."""
+    _, target = Ports(graph.layout).input(to)
+    value = ", ".join(f"{value:.6g}" for value in values)
+    return {
+        "to": str(to),
+        "from": f"start value {value}",
+        "map": None,
+        "unit": target.unit,
+        "conversion": None,
     }
 
 

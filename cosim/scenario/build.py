@@ -99,6 +99,8 @@ class Builder:
         Fixed number of communication steps in a block.
     replaced : mapping of component name to Interface, optional
         Of the components that swaps replaced, where they are known.
+    describes : bool
+        Read of FMUs their descriptions only: what is built shows what there is, and cannot run.
 
     Attributes
     ----------
@@ -124,11 +126,14 @@ class Builder:
         named_files: Collection[str] = (),
         block: int | None = None,
         replaced: Mapping[str, Interface] | None = None,
+        describes: bool = False,
     ) -> None:
         self.scenario = scenario
         self.problems = list(problems)
         self.clock = self._clock(block)
-        self.context = ScenarioBuildContext(scenario, self.clock, resources, recording, named_files)
+        self.context = ScenarioBuildContext(
+            scenario, self.clock, resources, recording, named_files, describes=describes
+        )
         self.components: dict[str, Component] = {}
         self.port_maps: dict[str, PortMap] = {}
         self._recording = recording
@@ -337,15 +342,19 @@ def parse(document: Document) -> Scenario:
     return scenario
 
 
-def build(scenario: Scenario, resources: ExitStack) -> Experiment:
-    """Build graph and clock; parameters as of :class:`Builder`.
+def describe(document: Document) -> Experiment:
+    """Read, validate and build a document without running anything of an FMU.
+
+    What is built shows what there is, and cannot run.
 
     Raises
     ------
     ScenarioError
         With every problem of the file.
     """
-    return Builder(scenario, resources).experiment()
+    scenario, problems = read(document, parse)
+    with ExitStack() as resources:
+        return Builder(scenario, resources, problems=problems, describes=True).experiment()
 
 
 def build_context(scenario: Scenario, resources: ExitStack) -> BuildContext:

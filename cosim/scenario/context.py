@@ -26,7 +26,11 @@ if TYPE_CHECKING:
 
 
 class MessageSource(Protocol):
-    """The messages of an opened FMU."""
+    """An opened FMU, as a run sees it beside its component."""
+
+    def terminate(self) -> None:
+        """End the run; raise RunError where the FMU says that it failed."""
+        ...
 
     def drain(self) -> Sequence[Message]:
         """Return the messages since the last call."""
@@ -40,7 +44,8 @@ class DependsOnInvalidComponent(UsageError):
 class ScenarioBuildContext:
     """Records what each component reads while it is built, and what it opens.
 
-    See :class:`cosim.scenario.kinds.BuildContext`.
+    See :class:`cosim.scenario.kinds.BuildContext`. Where it only ``describes``, nothing of an FMU
+    runs.
     """
 
     def __init__(
@@ -50,7 +55,10 @@ class ScenarioBuildContext:
         resources: ExitStack,
         recording: Recording | None,
         named_files: Collection[str] = (),
+        *,
+        describes: bool = False,
     ) -> None:
+        self._describes = describes
         self._scenario = scenario
         self._resources = resources
         self._recording = recording
@@ -129,9 +137,16 @@ class ScenarioBuildContext:
         return log
 
     def fmu(self, name: str, path: str, options: FmuOptions) -> Component:
-        """Load an FMU; it is freed at the end of the run."""
-        from cosim.fmi.component import load
+        """Load an FMU; it is freed at the end of the run.
 
+        Only its description is read where nothing is to run.
+        """
+        from cosim.fmi.component import describe, load
+
+        if self._describes:
+            described = describe(self.file(path), options)
+            self.add_metadata(name, described.metadata)
+            return described
         opened = load(self.file(path), options, instance_name=name)
         loaded = self._resources.enter_context(opened)
         metadata = loaded.metadata
@@ -144,6 +159,7 @@ class ScenarioBuildContext:
 
     def opened(self, name: str) -> Fmu:
         """Return the FMU that was loaded for a component."""
+        self._need_run(name)
         return self.fmus[name]
 
     def linearization(self, name: str, path: str, request: LinearizationRequest) -> Linearization:
@@ -151,6 +167,7 @@ class ScenarioBuildContext:
         from cosim.fmi.linearizing.linearization import Linearization
 
         if name not in self._linearized:
+            self._need_run(path)
             request_record = {"fmu": path, **request.to_dict()}
             record = self._recorded_metadata(name).get("linearization") or {}
             if record.get("request") != request_record:
@@ -166,6 +183,19 @@ class ScenarioBuildContext:
             for note in linearization.notes:
                 self.warn(name, note)
         return self._linearized[name]
+
+    def _need_run(self, fmu: str) -> None:
+        """Refuse what needs the code of an FMU, where nothing is to run.
+
+        Raises
+        ------
+        UsageError
+        """
+        if self._describes:
+            raise UsageError(
+                f"{fmu} has to be run for its linearization, and only descriptions are read here; "
+                "'cosim run SCENARIO --dry-run' runs it, in a process of its own"
+            )
 
     def _linearize(self, path: str, request: LinearizationRequest) -> dict[str, Any]:
         from cosim.fmi.linearizing.linearize import linearize_file

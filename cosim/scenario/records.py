@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any, Self
 from cosim.arrays import Matrix, Vector
 from cosim.core.connections import Connection
 from cosim.core.contracts import Block, MessageLevel, Plan, Recorder, Stopped
-from cosim.errors import Interrupted
+from cosim.core.recorders import end_of_run
+from cosim.errors import Interrupted, RunError
 from cosim.log import Attachment
 from cosim.log.interrupts import uninterrupted
 from cosim.scenario.build import Experiment, fingerprint
@@ -43,11 +44,30 @@ class MessageRecorder:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
+        ended = self._terminate(error)
         try:
             with uninterrupted():
-                self._conclude(error)
+                self._conclude(ended)
         finally:
-            self._recorder.__exit__(error_type, error, trace)
+            self._recorder.__exit__(None if ended is None else type(ended), ended, trace)
+        if ended is not None and ended is not error:
+            raise ended
+
+    def _terminate(self, error: BaseException | None) -> BaseException | None:
+        """End the run of every FMU; return what the run as a whole ended with."""
+        try:
+            for name, fmu in self._experiment.fmus.items():
+                try:
+                    fmu.terminate()
+                except RunError as failure:
+                    text = f"{name!r} failed at the end of the run: {failure}"
+                    if end_of_run(error).status == "complete":
+                        error = RunError(text)
+                    else:
+                        self._recorder.message(self._reached_ns, "error", name, text)
+        except KeyboardInterrupt as interruption:  # an FMU may take long
+            return interruption
+        return error
 
     def _conclude(self, error: BaseException | None) -> None:
         """Record what is known at the end: last messages, the error, the last row."""
@@ -63,8 +83,13 @@ class MessageRecorder:
             self._recorder.result({"last": last})
 
     def begin(self, plan: Plan) -> None:
-        """Pass on, then record the warnings, and the messages of FMUs when they were loaded."""
+        """Pass on, then record what is known before the run.
+
+        The warnings, the inputs that nothing drives, the messages of FMUs when they were loaded.
+        """
         self._recorder.begin(plan)
+        for name, text in _start_values(self._experiment):
+            self._recorder.message(self._reached_ns, "info", name, text)
         for name, text in self._experiment.warnings:
             self._recorder.message(self._reached_ns, "warning", name, text)
         for name, messages in self._experiment.messages.items():
@@ -96,6 +121,16 @@ class MessageRecorder:
             time_ns = self._reached_ns if time is None else round(time * 1e9)
             labelled = f"{category}: {text}" if category else text
             self._recorder.message(time_ns, level, name, labelled)
+
+
+def _start_values(experiment: Experiment) -> Iterator[tuple[str, str]]:
+    """Yield the components with inputs that nothing drives, and the values that these keep."""
+    texts: dict[str, list[str]] = {}
+    for port, values in experiment.graph.unconnected.items():
+        value = ", ".join(map(repr, values))
+        texts.setdefault(port.component, []).append(f"{port.signal} = {value}")
+    for name, inputs in texts.items():
+        yield name, f"not connected, so at their start values: {'; '.join(inputs)}"
 
 
 def _level(error: BaseException) -> MessageLevel:

@@ -9,6 +9,7 @@ from cosim.arrays import NAN
 from cosim.blocks.arithmetic import Static, gain, limit, sum_of
 from cosim.blocks.dynamics import Delay, lag
 from cosim.blocks.identifier import LeastSquaresIdentifier
+from cosim.blocks.look_up import LookUpTable
 from cosim.blocks.observer import observer_model
 from cosim.blocks.plant import descriptor_model
 from cosim.blocks.regressor import Regressor
@@ -116,6 +117,14 @@ COMPONENTS = {
     "sum": lambda: sum_of([1.0, -2.0, 0.5], size=2),
     "gain": lambda: gain(np.array([[1.0, 2.0], [0.0, -1.0], [3.0, 0.5]])),
     "limit": lambda: limit(lower=-0.5, upper=0.7, size=2),
+    "look-up table": lambda: LookUpTable(
+        [np.array([-1.0, 0.5, 2.0])], np.array([3.0, -1.0, 4.0]), extrapolation="linear"
+    ),
+    "look-up table of two inputs": lambda: LookUpTable(
+        [np.array([-1.0, 0.5, 2.0]), np.array([0.0, 1.0])],
+        np.array([[3.0, -1.0], [0.0, 4.0], [2.0, 2.5]]),
+        extrapolation="hold",
+    ),
     "lag": lambda: Linear(lag(time_constant=0.01, size=2)),
     "lag from an initial value": lambda: Linear(lag(time_constant=0.01, initial=2.0)),
     "delay": lambda: Delay(3, size=2),

@@ -133,9 +133,9 @@ def test_a_table_does_not_change_with_the_arrays_it_was_made_from():
         ([0.0, np.nan], [[1.0], [2.0]], "found NaN or infinity, needed finite numbers"),
         ([0.0, 1.0], [[1.0], [np.inf]], "found NaN or infinity, needed finite numbers"),
         (
-            [0.0, 1.0, 1.0],
+            [0.0, 1.0, 0.5],
             [[1.0], [2.0], [3.0]],
-            r"t\[2\] = 1.0 s does not come after 1.0 s; needed increasing instants",
+            r"t\[2\] = 0.5 s does not come after 1.0 s; needed increasing instants",
         ),
     ],
 )
@@ -193,3 +193,20 @@ def test_noise_repeats_with_its_seed_and_has_its_deviation():
     assert abs(first.std(axis=0) - 0.3).max() < 5 * 0.3 / math.sqrt(2 * n)
     assert abs(np.corrcoef(first.T)[0, 1]) < 5 / math.sqrt(n)
     assert abs(np.corrcoef(first[1:, 0], first[:-1, 0])[0, 1]) < 5 / math.sqrt(n)
+
+
+def test_a_table_may_hold_its_ends():
+    """Before the first instant the first value, after the last one the last."""
+    for hold in (False, True):
+        source = Table(np.array([1.0, 2.0]), np.array([[3.0], [5.0]]), hold=hold, extrapolate=True)
+        found = source.advance(np.array([0.0, 0.0, 0.5, 1.0, 2.0, 9.0]), 1.0, np.zeros((6, 0)))
+        assert found[:, 0].tolist() == [3.0, 3.0, 3.0, 5.0, 5.0]
+
+
+def test_a_slope_beyond_all_numbers_is_refused():
+    """Between finite points it may be infinite."""
+    t = np.array([0.0, 5e-324, 1.0])
+    y = np.array([[0.0], [1.0], [1.0]])
+    with pytest.raises(UsageError, match=r"t\[0\] = 0\.0 s and 5e-324 s the slope of y is beyond"):
+        Table(t, y)
+    assert Table(t, y, hold=True).outputs(0.0, np.zeros(0)) == 0.0

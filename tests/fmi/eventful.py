@@ -148,7 +148,7 @@ class Run:
 
     def value(self, name: str) -> float:
         """Return the value that a variable has now."""
-        instance = self.component._instance
+        instance = self.fmu._instance
         references = instance.description.references_of([name])
         return float(instance.get_float64(references)[0])
 

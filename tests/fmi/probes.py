@@ -136,7 +136,7 @@ def xml1(*, interface_type: str = "cs", once: bool = False) -> str:
 def opened(path, **options):
     """Yield the opened FMU and its instance."""
     with load(path, FmuOptions(**options)) as fmu:
-        yield fmu, fmu.component._instance
+        yield fmu, fmu._instance
 
 
 def put(instance, **values):

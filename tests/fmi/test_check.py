@@ -165,6 +165,11 @@ def test_a_state_that_is_not_saved_is_a_warning(rogue, what, text):
         assert text in " ".join(fmu.notes)
 
 
+def test_what_happens_at_the_end_of_the_process_is_not_the_fmus(rogue):
+    """It leaves a handler for the end of the process, which aborts: the trial is over by then."""
+    assert check(rogue("ABORTS_LATER")) == ()
+
+
 def test_functions_that_nobody_calls(probe1):
     """An FMU of FMI 1 that runs all the same."""
     interface_type = next(iter(read(probe1).description.capabilities))

@@ -528,7 +528,7 @@ def test_no_event_happens_where_an_input_has_no_value(opened):
     fmu.component.initialize(0.0, u[0])
     fmu.component.advance(times()[:2], 0.1, u[:2])
     entered = []
-    fmu.component._instance.enter_event_mode = lambda: entered.append(True)
+    fmu._instance.enter_event_mode = lambda: entered.append(True)
     fmu.component.advance(times()[1:], 0.1, u[1:])
     assert entered == []
 

@@ -58,7 +58,8 @@ def test_a_file_is_read_without_unpacking_it(exported):
     assert description.capabilities["cs"].interpolates_inputs
     assert not description.capabilities["me"].completed_step
     initial = {"y": ("u",), "x_b": ("u",)}
-    assert description.interface == replace(INTERFACE, initial=initial)
+    inputs = tuple(replace(signal, connection="optional") for signal in INTERFACE.inputs)
+    assert description.interface == replace(INTERFACE, inputs=inputs, initial=initial)
     with pytest.raises(FmuError, match="no variable 'yy'; did you mean 'y'"):
         description["yy"]
 

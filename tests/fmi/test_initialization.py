@@ -168,7 +168,7 @@ def test_start_values_reach_the_fmu(tmp_path):
     with load(path, FmuOptions(interface_type="cs", start=start)) as fmu:
         assert fmu.description["Float64s"].size == 3
         assert fmu.component.initialize(0.0, np.zeros(1)).tolist() == [0.5]
-        instance = fmu.component._instance
+        instance = fmu._instance
         assert got(instance, "n", "configured", "Float64s") == [3.0, 2.0, 1.5, 2.5, 3.5]
         assert got(instance, "UInt8") == [200.0]
         assert got(instance, "Booleans") == [1.0, 0.0, 1.0]

@@ -158,7 +158,7 @@ def test_two_instances_of_one_fmu(request, slave1, number):
     path = slave1 if number == 1 else request.getfixturevalue(f"probe{number}")
     first = load(path, FmuOptions(interface_type="cs"))
     second = load(path, FmuOptions(interface_type="cs"))
-    instances = [fmu.component._instance for fmu in (first, second)]
+    instances = [fmu._instance for fmu in (first, second)]
     for value, instance in enumerate(instances):
         instance.enter_initialization_mode(0.0)
         put(instance, u=float(value))

@@ -145,7 +145,7 @@ def test_an_fmu_hands_over_its_messages(exported, capfd):
         with pytest.raises(
             RunError, match="its last message: error: call not allowed in this mode"
         ):
-            fmu.component._instance.do_step(0.0, 0.1)
+            fmu._instance.do_step(0.0, 0.1)
         ((_, level, _, text),) = fmu.drain()
         assert (level, text) == ("error", "call not allowed in this mode")
         assert fmu.drain() == []

@@ -12,7 +12,7 @@ import pytest
 import cosim
 from cosim.core.contracts import Component, prepare
 from cosim.core.linear import LinearModel
-from cosim.scenario.build import build, build_context
+from cosim.scenario.build import Builder, build_context
 from cosim.scenario.execution import load
 from cosim.scenario.exporting import export_component
 
@@ -81,7 +81,7 @@ def case(key: str, name: str) -> Case:
     loaded = load(scenario).set(changes)
     run = recorded(key)
     with ExitStack() as resources:
-        graph = build(loaded, resources).graph
+        graph = Builder(loaded, resources).experiment().graph
         context = build_context(loaded, resources)
         model = loaded.specs[name].linear_model(name, context) if (key, name) in STATES else None
     component = graph.components[name]

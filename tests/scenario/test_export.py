@@ -176,7 +176,7 @@ def test_derivatives_are_the_matrices(interface_type, fmi, folder):
         export("academic", "observer", fmi, folder), FmuOptions(interface_type=interface_type)
     ) as fmu:
         component = fmu.component
-        instance = component._instance
+        instance = fmu._instance
         prepare(component, H, original.held, {})
         component.initialize(0.0, original.u[0])
         in_initialization = jacobian(instance, "input")

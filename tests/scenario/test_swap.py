@@ -111,7 +111,7 @@ def test_a_co_simulation_fmu_that_others_made_takes_the_plants_place(make, chang
     late = {
         "components.late": {
             "kind": "expression",
-            "y": "0.5*(sin(t) - sin(t - 0.001))*step(t - 0.0005)",
+            "y": "0.5*(sin(t) - sin(max(t - 0.001, -t)))",
         },
         "components.measured": {"kind": "sum", "signs": [1.0, 1.0]},
         "connections.measured.u1": "plant.y",
@@ -183,7 +183,7 @@ def test_a_sampled_fmu_responds_at_its_own_step(plant, tmp_path):
 def test_a_dry_run_compares_port_by_port(plant, foreign2, tmp_path, monkeypatch, capsys):
     """Nothing runs; every port is shown.
 
-    What is missing or has another causality stops with exit 2.
+    An input that the scenario does not have keeps its start value.
     """
     monkeypatch.chdir(tmp_path)
     with pytest.raises(SystemExit) as left:
@@ -192,13 +192,13 @@ def test_a_dry_run_compares_port_by_port(plant, foreign2, tmp_path, monkeypatch,
     assert "dry run: the scenario can run" in capsys.readouterr().out
     with pytest.raises(SystemExit) as left:
         main(["run", "academic", "--swap", f"plant={foreign2}", "--dry-run", "--json"])
-    assert left.value.code == 2
+    assert not left.value.code
     output = capsys.readouterr()
     found = json.loads(output.out)
     verdicts = {
         (row["port"], row["aspect"]): row["verdict"] for row in found["swaps"]["plant"]["ports"]
     }
-    assert verdicts["plant.gain", "causality"] == "error"
+    assert verdicts["plant.gain", "causality"] == "differs"
     assert (
         verdicts["plant.y", "causality"]
         == verdicts["plant.y", "size"]
@@ -206,8 +206,7 @@ def test_a_dry_run_compares_port_by_port(plant, foreign2, tmp_path, monkeypatch,
         == "ok"
     )
     assert verdicts["plant.y", "feedthrough"] == "differs"
-    assert any("'plant.gain' is not connected" in line for line in found["problems"])
-    assert "'plant.gain' is not connected" in output.err
+    assert found["problems"] == []
     assert not (tmp_path / "logs").exists()
 
 

@@ -26,7 +26,7 @@ INPUTS = {
 LATE = {
     "components.late": {
         "kind": "expression",
-        "y": "0.5*(sin(t) - sin(t - 0.001))*step(t - 0.0005)",
+        "y": "0.5*(sin(t) - sin(max(t - 0.001, -t)))",
     },
     "components.measured": {"kind": "sum", "signs": [1.0, 1.0]},
     "connections.measured.u1": "plant.y",

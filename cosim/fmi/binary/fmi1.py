@@ -18,7 +18,7 @@ Co-Simulation 1.0, section 2.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from ctypes import byref, c_char_p, c_double, c_int, c_int8, c_size_t, c_uint, c_void_p, cast
+from ctypes import byref, c_char_p, c_double, c_int, c_int8, c_size_t, c_uint, c_void_p
 from typing import Any, ClassVar, Final, final
 
 import numpy as np
@@ -26,14 +26,14 @@ from numpy.typing import DTypeLike, NDArray
 
 from cosim.arrays import Vector
 from cosim.fmi.binary.binding import NO_INPUT_DERIVATIVES, InstanceSpecification
-from cosim.fmi.binary.library import DISCARD, WARNING, Call, Library, import_declarations, pointer
+from cosim.fmi.binary.library import DISCARD, WARNING, Call, Library, pointer
+from cosim.fmi.binary.structures import Fmi1CallbackFunctions, Fmi1EventInfo
 from cosim.fmi.instance import DiscreteStates, StepEnd
 from cosim.fmi.references import Group
 from cosim.fmi.variable import Variable, VariableType
 from cosim.native.library import address
 
 LAST_SUCCESSFUL_TIME: Final = 2  # of fmiStatusKind
-FALSE: Final = b"\0"  # fmiFalse
 MIME: Final = b"application/x-fmu-sharedlibrary"
 _VALUES = (c_void_p, c_size_t, c_void_p)  # of a function that gets or sets
 
@@ -55,9 +55,8 @@ class Fmi1:
         self.library = library
         self._specification = specification
         self._clock = specification.messages.clock
-        declarations = import_declarations("fmi1")
-        self._callbacks: Any = declarations.fmi1CallbackFunctions()  # handed over by value
-        self._event_info: Any = declarations.fmi1EventInfo()
+        self._callbacks = Fmi1CallbackFunctions()  # handed over by value
+        self._event_info = Fmi1EventInfo()
         self._start_time: float | None = None  # None: before the initialization mode
         self._initializing = True  # until the end of the initialization mode
         self._initialized = False  # with all values that were set
@@ -146,13 +145,9 @@ class Fmi1:
         """
         specification = self._specification
         callbacks = self._callbacks
-        declarations = import_declarations("fmi1")
-        logger_type = declarations.fmi1CallbackLoggerTYPE
-        allocate_type = declarations.fmi1CallbackAllocateMemoryTYPE
-        free_type = declarations.fmi1CallbackFreeMemoryTYPE
-        callbacks.logger = cast(address("cosim_log"), logger_type)
-        callbacks.allocateMemory = cast(address("cosim_allocate"), allocate_type)
-        callbacks.freeMemory = cast(address("cosim_free"), free_type)
+        callbacks.logger = address("cosim_log")
+        callbacks.allocateMemory = address("cosim_allocate")
+        callbacks.freeMemory = address("cosim_free")
         names = (specification.name.encode(), specification.token.encode())
         specification.messages.accept(None)
         if specification.interface_type == "me":
@@ -277,13 +272,12 @@ class Fmi1:
             self._event_info_is_new = False
         else:
             self._update(0, byref(info))
-        has_time_event = info.upcomingTimeEvent != FALSE
         return DiscreteStates(
-            need_update=info.iterationConverged == FALSE,
-            terminate=info.terminateSimulation != FALSE,
-            next_event_time=info.nextEventTime if has_time_event else None,
-            values_changed=info.stateValuesChanged != FALSE,
-            nominals_changed=info.stateValueReferencesChanged != FALSE,
+            need_update=not info.iterationConverged,
+            terminate=bool(info.terminateSimulation),
+            next_event_time=info.nextEventTime if info.upcomingTimeEvent else None,
+            values_changed=bool(info.stateValuesChanged),
+            nominals_changed=bool(info.stateValueReferencesChanged),
         )
 
     def completed_integrator_step(self) -> tuple[bool, bool]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from ctypes import addressof, byref, c_char_p, c_double, c_int, c_size_t, c_uint, c_void_p, cast
+from ctypes import addressof, byref, c_char_p, c_double, c_int, c_size_t, c_uint, c_void_p
 from typing import Any, ClassVar, Final, final
 
 import numpy as np
@@ -16,7 +16,8 @@ from cosim.fmi.binary.binding import (
     NO_STATE,
     InstanceSpecification,
 )
-from cosim.fmi.binary.library import DISCARD, WARNING, Call, Library, import_declarations, pointer
+from cosim.fmi.binary.library import DISCARD, WARNING, Call, Library, pointer
+from cosim.fmi.binary.structures import Fmi2CallbackFunctions, Fmi2EventInfo
 from cosim.fmi.description import Capabilities
 from cosim.fmi.instance import DiscreteStates, StepEnd
 from cosim.fmi.references import Group
@@ -99,7 +100,7 @@ class Fmi2:
         call = self.library.call
         self.enter_event_mode = call("EnterEventMode")
         self.enter_continuous_time_mode = call("EnterContinuousTimeMode")
-        self._event_info: Any = import_declarations("fmi2").fmi2EventInfo()
+        self._event_info = Fmi2EventInfo()
         self._update = call("NewDiscreteStates", c_void_p)
         self._completed = call("CompletedIntegratorStep", c_int, c_void_p, c_void_p)
         self._event = c_int()
@@ -123,15 +124,11 @@ class Fmi2:
     def instantiate(self) -> None:
         """Create the instance."""
         specification = self._specification
-        declarations = import_declarations("fmi2")
-        logger_type = declarations.fmi2CallbackLoggerTYPE
-        allocate_type = declarations.fmi2CallbackAllocateMemoryTYPE
-        free_type = declarations.fmi2CallbackFreeMemoryTYPE
-        self._callbacks = declarations.fmi2CallbackFunctions()  # the FMU keeps the address
+        self._callbacks = Fmi2CallbackFunctions()  # the FMU keeps the address
         key = addressof(self._callbacks)
-        self._callbacks.logger = cast(address("cosim_log"), logger_type)
-        self._callbacks.allocateMemory = cast(address("cosim_allocate"), allocate_type)
-        self._callbacks.freeMemory = cast(address("cosim_free"), free_type)
+        self._callbacks.logger = address("cosim_log")
+        self._callbacks.allocateMemory = address("cosim_allocate")
+        self._callbacks.freeMemory = address("cosim_free")
         self._callbacks.componentEnvironment = key
         specification.messages.accept(key)
         name = specification.name.encode()

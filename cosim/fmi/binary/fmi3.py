@@ -270,6 +270,8 @@ class Fmi3:
             interpolation.size = 0
             if interpolation.status > WARNING:
                 raise self.library.record_failure("SetFloat64", interpolation.status)
+            if interpolation.status == WARNING:
+                self.library.record_warning("SetFloat64")
         event_needed, terminate, early = (flag.value for flag in self._flags[:3])
         if status == DISCARD:
             return StepEnd(

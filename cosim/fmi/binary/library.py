@@ -1,29 +1,27 @@
 """The binary of an FMU: loaded, its functions bound to one instance, unloaded.
 
-Only declarations are taken from fmpy, not its loading: that leaves the working directory changed
-and the library in memory where it fails, and looks for functions which no run needs. The calls of
-a run go to the library's functions directly, on the memory of numpy arrays: fmpy's own wrappers
-build their ctypes arrays anew from lists at every call.
+fmpy's own loading is not used: it leaves the working directory changed and the library in memory
+where it fails, and looks for functions which no run needs. The calls of a run go to the library's
+functions directly, on the memory of numpy arrays: fmpy's own wrappers build their ctypes arrays
+anew from lists at every call.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import redirect_stdout
 from ctypes import CDLL, c_int, c_uint8, c_void_p
-from importlib import import_module
-from io import StringIO
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
 from numpy.typing import NDArray
 
 from cosim.errors import FmuError, RunError
-from cosim.fmi.binary.messages import Messages
+from cosim.fmi.binary.messages import Message, Messages
 
 Call: TypeAlias = Callable[..., None]
 
 STATUS_NAMES: Final = ("ok", "warning", "discard", "error", "fatal", "pending")
+OK: Final = 0
 WARNING: Final = 1
 DISCARD: Final = 2
 ERROR: Final = 3
@@ -35,15 +33,6 @@ def pointer(array: NDArray[Any]) -> Any:
     """Return a pointer to a contiguous array's memory; quicker than ``array.ctypes``."""
     memory: Any = array
     return _ArrayMemory.from_buffer(memory) if array.size else None
-
-
-def import_declarations(version: str) -> Any:
-    """Import fmpy's declarations, of ``fmi1`` or ``fmi2``, without what it prints.
-
-    It prints where it has no logger for the machine.
-    """
-    with redirect_stdout(StringIO()):
-        return import_module(f"fmpy.{version}")
 
 
 class Library:
@@ -72,6 +61,8 @@ class Library:
         self.messages = messages
         self.instance = c_void_p()  # always this object, as every bound function refers to it
         self.failed = False  # an error or worse: terminate is no longer allowed
+        self._warned: set[str] = set()  # functions that returned a warning
+        self._warnings: list[Message] = []  # about those, not fetched yet
         self._file_name = path.name
         self._forbidden = ""  # why no call is allowed any more
         try:
@@ -152,11 +143,34 @@ class Library:
                 full_name = self.prefix + name
                 raise RunError(f"{self.name}: {full_name} cannot be called: {self._forbidden}")
             status: int = function(instance, *arguments)
-            if status > worst:
-                raise self.record_failure(name, status)
+            if status:
+                self._judge(name, status, worst)
             return status
 
         return checked
+
+    def _judge(self, name: str, status: int, worst: int) -> None:
+        """Raise a status above ``worst``; report a warning, once for every function."""
+        if not OK <= status <= worst:
+            raise self.record_failure(name, status)
+        if status == WARNING:
+            self.record_warning(name)
+
+    def record_warning(self, name: str) -> None:
+        """Report that a function returned a warning, the first time that it does."""
+        if name not in self._warned:
+            self._warned.add(name)
+            text = (
+                f"{self.prefix}{name} returned 1 (warning); the first time only is reported"
+                f"{self.messages.last_as_suffix}"
+            )
+            self._warnings.append(Message(self.messages.time, "warning", "", text))
+
+    def drain(self) -> list[Message]:
+        """Return the FMU's messages since the last call, and what it returned as a warning."""
+        warnings = self._warnings
+        self._warnings = []
+        return self.messages.drain() + warnings
 
     def unavailable(self, reason: str) -> Call:
         """Return a function in the place of one that the FMU or its version does not have.

@@ -20,7 +20,7 @@ from cosim.fmi.binary.fmi1 import Fmi1
 from cosim.fmi.binary.fmi2 import Fmi2
 from cosim.fmi.binary.fmi3 import Fmi3
 from cosim.fmi.binary.library import Library, pointer
-from cosim.fmi.binary.messages import Messages
+from cosim.fmi.binary.messages import Message, Messages
 from cosim.fmi.description import Description, InterfaceType
 from cosim.fmi.references import ReferenceMap
 from cosim.fmi.variable import LARGEST_EXACT, Variable
@@ -128,6 +128,10 @@ class LoadedInstance:
     def interface(self) -> Interface:
         """Inputs, outputs and feedthrough, from the description."""
         return self.description.interface
+
+    def drain(self) -> list[Message]:
+        """Return the FMU's messages since the last call, and what it returned as a warning."""
+        return self._library.drain()
 
     # --- modes ---
 

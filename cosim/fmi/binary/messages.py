@@ -72,6 +72,12 @@ class Messages:
         self._struct.accepts_unknown = int(key is None)
 
     @property
+    def time(self) -> float | None:
+        """The time [s] that a message would get now; None: the initialization did not begin."""
+        time: float = self.clock.value
+        return None if math.isnan(time) else time
+
+    @property
     def last_as_suffix(self) -> str:
         """The last message that was not fetched yet, to end an error with; empty without one."""
         if not library.cosim_messages_last(byref(self._struct), byref(self._out)):

@@ -8,19 +8,21 @@ an end names the last stage before the process was lost.
 from __future__ import annotations
 
 import json
+import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, TextIO
+from typing import TYPE_CHECKING, Final, NoReturn, TextIO
 
 from cosim.errors import CosimError
 from cosim.fmi.child_process import INEXACT, MISSING_FUNCTION, REFUSED, WRONG
 
 if TYPE_CHECKING:
     from cosim.arrays import Matrix, Vector
-    from cosim.fmi.component import Fmu, FmuComponent
+    from cosim.fmi.component import Fmu
     from cosim.fmi.description import Description, InterfaceType
+    from cosim.fmi.driving.guarded import FmuComponent
 
 STEP: Final = 1e-3  # [s], where the FMU prefers none
 STEPS: Final = 3
@@ -83,7 +85,6 @@ def run(log: TrialLog, path: str, interface_type: InterfaceType) -> None:
         rows = component.advance(t, h, u)
         _check_finite(log, component, rows)
         log.stage("terminate and free")
-    log.stage("the end of the process")
 
 
 def roll_back(log: TrialLog, path: str, interface_type: InterfaceType) -> None:
@@ -99,7 +100,6 @@ def roll_back(log: TrialLog, path: str, interface_type: InterfaceType) -> None:
         component.advance(t[: STEPS + 1], h, u[: STEPS + 1])
         _compare_repeated_steps(log, component, t[STEPS:], h, u[STEPS:])
         log.stage("terminate and free")
-    log.stage("the end of the process")
 
 
 def _compare_repeated_steps(
@@ -231,8 +231,13 @@ TASKS: Final[dict[str, Callable[..., None]]] = {
 }
 
 
-def main(arguments: Sequence[str]) -> None:
-    """Do a task."""
+def main(arguments: Sequence[str]) -> NoReturn:
+    """Do a task, and end the process without the handlers of its end.
+
+    Those are of other libraries, in an order that nobody knows: what they do after the instance was
+    freed and the library unloaded (such as libgfortran's in the process of a Python FMU, which now
+    and then abort) says nothing about the FMU.
+    """
     task, path, *task_arguments = arguments
     with suppress(ImportError):
         import resource
@@ -247,6 +252,7 @@ def main(arguments: Sequence[str]) -> None:
         except Exception as error:  # a foreign binary may make Python raise anything
             log.problem(f"{type(error).__name__}: {error}")
         log.done(task)
+    os._exit(0)
 
 
 if __name__ == "__main__":

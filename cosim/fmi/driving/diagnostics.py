@@ -16,8 +16,11 @@ class Diagnostics:
         self._topics: set[str] = set()  # of all warnings so far
         self._messages: list[Message] = []
 
-    def add(self, t: float, topic: str, warning: str) -> None:
-        """Add a warning at ``t`` [s], unless there was one on that topic before."""
+    def add(self, t: float | None, topic: str, warning: str) -> None:
+        """Add a warning, unless there was one on that topic before.
+
+        ``t`` [s] is when; None: that is not known.
+        """
         if topic not in self._topics:
             self._topics.add(topic)
             self._messages.append(Message(t, "warning", "", f"{self._name}: {warning}"))

@@ -68,6 +68,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from cosim.scenario.kinds.base import BuildContext, ExportableKind, Kind, LinearKind
+from cosim.scenario.kinds.look_up import LookUpTableKind
 from cosim.scenario.kinds.method import IdentifierKind, RegressorKind, UnknownInputObserverKind
 from cosim.scenario.kinds.parts import (
     ControllerKind,
@@ -104,6 +105,7 @@ KINDS: Mapping[str, type[Kind]] = {
     "gain": GainKind,
     "limit": LimitKind,
     "lag": LagKind,
+    "look-up-table": LookUpTableKind,
     "delay": DelayKind,
     "controller": ControllerKind,
     "descriptor": DescriptorKind,

@@ -32,6 +32,7 @@ from cosim.scenario.kinds.base import (
     PeriodicKind,
     Wiring,
 )
+from cosim.scenario.kinds.jumps import check_continuous
 from cosim.scenario.kinds.plants import StartField
 from cosim.scenario.linearizing import DesignModel, design_model
 from cosim.scenario.schema import Number, NumberRow, NumberRows, TomlTable, matrix
@@ -41,6 +42,10 @@ from cosim.theory.disturbance import AlphaGroup, family_named, group_by_alpha
 
 # filter_rate x step above which a zero-order hold distorts the derivative by more than 2.5 %
 HOLD_LIMIT = 0.05
+ALPHA_WAY_OUT = (
+    "needed a continuous alpha: the regression multiplies alphas of different instants, "
+    "which must jump together with the reconstructed disturbance"
+)
 
 
 class FmuModel(TomlTable):
@@ -169,6 +174,8 @@ class RegressorKind(ExportableKind):
         for j, delay in enumerate(self.delays):
             steps.append(whole_steps(delay, context.step_ns, f"delays[{j}]"))
         alphas = [group.alpha for group in groups]
+        for alpha in alphas:
+            check_continuous(alpha, context.clock, ALPHA_WAY_OUT)
         programs = [compile_expression(alpha) for alpha in alphas]
         if len(groups) > 1:
             regression.check_alpha_products(terms, self._alphas(programs), alphas)

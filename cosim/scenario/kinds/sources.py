@@ -17,6 +17,7 @@ from cosim.errors import UsageError
 from cosim.native.expression import compile_expression
 from cosim.scenario.csv_file import read_csv
 from cosim.scenario.kinds.base import BuildContext, Kind
+from cosim.scenario.kinds.jumps import check_continuous, check_sampled, held_from_points
 from cosim.scenario.schema import Flag, Number, NumberRow, NumberRows, TomlTable, Whole, matrix
 from cosim.theory.disturbance import family_named
 
@@ -25,6 +26,12 @@ def _vector(value: float | Sequence[float]) -> list[float]:
     if isinstance(value, (int, float)):
         return [float(value)]
     return [float(element) for element in value]
+
+
+EXPRESSION_WAY_OUT = (
+    "needed discrete = true, or what is continuous, such as max(0, t - 1) for (t - 1)*step(t - 1)"
+)
+DISTURBANCE_WAY_OUT = "needed continuous alphas; a disturbance that jumps can be an expression"
 
 
 class ConstantKind(Kind):
@@ -112,11 +119,21 @@ class ExpressionKind(Kind):
     y: str | tuple[str, ...] = Field(
         description='an expression, like "1 + 0.5*sin(2*t)", or several'
     )
-    discrete: Flag = Field(False, description="zero-order hold over a step")
+    discrete: Flag = Field(
+        False,
+        description="evaluated at the communication points and held over a step; "
+        "needed where it jumps",
+    )
 
     def build(self, name: str, context: BuildContext) -> Component:
         texts = [self.y] if isinstance(self.y, str) else list(self.y)
         variability: Variability = "discrete" if self.discrete else "continuous"
+        for text in texts:
+            if self.discrete:
+                for note in check_sampled(text, context.clock):
+                    context.warn(name, note)
+            else:
+                check_continuous(text, context.clock, EXPRESSION_WAY_OUT)
         return source.Expression(texts, variability=variability, unit=self.unit_name)
 
 
@@ -137,6 +154,11 @@ class TableKind(Kind):
         "linear",
         description='between the instants: "linear" interpolation, or "zero-order" hold',
     )
+    extrapolation: Literal["error", "hold"] = Field(
+        "error",
+        description="before the first and after the last instant: an error, or the first and "
+        "the last value",
+    )
 
     @property
     def computable(self) -> bool:
@@ -150,14 +172,18 @@ class TableKind(Kind):
             t, y = self._read(context.file(self.file))
         else:
             t, y = self._arrays()
-        clock = context.clock
-        if len(t) and not t[0] <= clock.start_time <= clock.stop <= t[-1]:
-            raise UsageError(
-                f"table: covers {t[0]} s to {t[-1]} s; "
-                f"needed {clock.start_time} s to {clock.stop} s, the whole run"
-            )
         hold = self.interpolation == "zero-order"
-        return source.Table(t, y, hold=hold, unit=self.unit_name)
+        clock = context.clock
+        source.check_points(t, y, hold=hold)
+        if hold:
+            t = held_from_points(t, y, clock)
+        extrapolate = self.extrapolation == "hold"
+        if not (extrapolate or t[0] <= clock.start_time <= clock.stop <= t[-1]):
+            raise UsageError(
+                f"table: covers {t[0]} s to {t[-1]} s; needed {clock.start_time} s to "
+                f'{clock.stop} s, the whole run, or extrapolation = "hold"'
+            )
+        return source.Table(t, y, hold=hold, extrapolate=extrapolate, unit=self.unit_name)
 
     def _arrays(self) -> tuple[Vector, Matrix]:
         rows = tuple(row if isinstance(row, tuple) else (row,) for row in self.y or ())
@@ -203,6 +229,8 @@ class DisturbanceKind(Kind):
 
     def build(self, name: str, context: BuildContext) -> Component:
         texts = [_term_expression(term) for term in self.terms]
+        for term in self.terms:
+            check_continuous(term.alpha, context.clock, DISTURBANCE_WAY_OUT)
         context.add_metadata(name, {"theta": [term.theta for term in self.terms]})
         return source.Expression([" + ".join(texts)], unit=self.unit_name)
 

@@ -1,21 +1,47 @@
 /* An FMI 2 co-simulation FMU, x' = u - x by Euler's method, y = x, that does one thing wrong:
- * -DROGUE=<one of these>. */
+ * -DROGUE=<one of these>; some of them -DWHERE=<a moment>. */
+#define _GNU_SOURCE
+#include <fenv.h>
+#include <locale.h>
 #include <math.h>
 #include <signal.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <unistd.h>
+#include <xmmintrin.h>
 #include "fmi2Functions.h"
 
 enum {
     GOOD, CRASH, HANG, EXITS, REFUSES, NAN_OUTPUT, OTHER_START, LIES, FORGETS,
     HANGS_BACK, CRASHES_FREE, FAILS_STEP, LOUD, LITTERS, PRINTS, REFUSES_STATE, REFUSES_BACK,
-    NEARLY
+    NEARLY, FAILS_END, WARNS, ROUNDS, FLUSHES, TRAPS, SPEAKS, MOVES, CATCHES, CLOSES,
+    ABORTS_LATER
 };
+enum { INSTANTIATE, INITIALIZE, STEP, TERMINATE };
+#ifndef WHERE
+#define WHERE STEP
+#endif
 
 typedef struct {
     double x, u, memory;
 } Model;
+
+/* Change the process. */
+static void change(int where)
+{
+    if (where != WHERE)
+        return;
+    switch (ROGUE) {
+    case ROUNDS: fesetround(FE_UPWARD); break;
+    case FLUSHES: _mm_setcsr(_mm_getcsr() | 0x8040); break;
+    case TRAPS: feenableexcept(FE_DIVBYZERO | FE_OVERFLOW); break;
+    case SPEAKS: setlocale(LC_NUMERIC, "C.UTF-8"); break;
+    case MOVES: (void)!chdir("/"); break;
+    case CATCHES: signal(SIGINT, SIG_IGN); break;
+    case CLOSES: close(1); break;
+    default: break;
+    }
+}
 
 const char *fmi2GetTypesPlatform(void) { return fmi2TypesPlatform; }
 const char *fmi2GetVersion(void) { return fmi2Version; }
@@ -34,6 +60,9 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
         return NULL;
     if (ROGUE == LITTERS)
         fclose(fopen("litter", "w"));
+    if (ROGUE == ABORTS_LATER)
+        on_exit((void (*)(int, void *))abort, NULL); /* of the C library, so it is not unloaded */
+    change(INSTANTIATE);
     return calloc(1, sizeof(Model));
 }
 
@@ -46,12 +75,17 @@ fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean a, fmi2Real b, fmi2R
 
 fmi2Status fmi2EnterInitializationMode(fmi2Component c)
 {
+    change(INITIALIZE);
     ((Model *)c)->x = ROGUE == OTHER_START ? 2.0 : 1.0;
     return fmi2OK;
 }
 
 fmi2Status fmi2ExitInitializationMode(fmi2Component c) { return fmi2OK; }
-fmi2Status fmi2Terminate(fmi2Component c) { return fmi2OK; }
+fmi2Status fmi2Terminate(fmi2Component c)
+{
+    change(TERMINATE);
+    return ROGUE == FAILS_END ? fmi2Error : fmi2OK;
+}
 fmi2Status fmi2Reset(fmi2Component c) { return fmi2OK; }
 
 fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference r[], size_t n, fmi2Real v[])
@@ -136,7 +170,8 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no_wa
     m->memory += m->u;
     m->x =
         ROGUE == NAN_OUTPUT ? NAN : m->x + h * (m->u - m->x) + (ROGUE == FORGETS ? m->memory : 0.0);
-    return fmi2OK;
+    change(STEP);
+    return ROGUE == WARNS ? fmi2Warning : fmi2OK;
 }
 #endif
 

@@ -1,0 +1,164 @@
+"""Look-up table: a static function of one or two inputs, given by its values on a grid.
+
+Between the grid's points it is linear in each input; with two inputs it is bilinear in each cell::
+
+    y = (1 - w1) ((1 - w2) y[i, j] + w2 y[i, j+1]) + w1 ((1 - w2) y[i+1, j] + w2 y[i+1, j+1])
+
+with ``w = (u - u[i])/(u[i+1] - u[i])``: exactly the value of the grid at its points.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.arrays import Mask, Matrix, Vector, frozen
+from cosim.core.contracts import Stopped
+from cosim.core.signals import Interface, Signal
+from cosim.errors import RunError, UsageError
+
+Extrapolation = Literal["error", "hold", "linear"]
+
+
+class LookUpTable:
+    """``y = f(u)`` or ``y = f(u1, u2)``, interpolated linearly.
+
+    Parameters
+    ----------
+    grid : sequence of Vector
+        Increasing points of each input, one or two vectors of at least two.
+    values : Matrix
+        y on the grid, shape (N,) or (N1, N2).
+    extrapolation : {"error", "hold", "linear"}
+        Outside of the grid: the run stops, or the inputs are taken at its border, or the border's
+        cell goes on.
+    unit : str, optional
+        The unit of y.
+
+    Raises
+    ------
+    UsageError
+        If grid and values are no table.
+    RunError
+        From ``initialize`` and ``outputs``, where an input is outside of the grid and that is an
+        error; from ``advance`` it is :class:`Stopped`.
+    """
+
+    def __init__(
+        self,
+        grid: Sequence[Vector],
+        values: Matrix,
+        *,
+        extrapolation: Extrapolation = "error",
+        unit: str | None = None,
+    ) -> None:
+        self.names = ("u",) if len(grid) == 1 else ("u1", "u2")
+        _check(self.names, grid, values)
+        self.grid = tuple(frozen(points, 1) for points in grid)
+        self.values = frozen(values, len(grid))
+        self.extrapolation = extrapolation
+        inputs = tuple(Signal(name) for name in self.names)
+        y = Signal("y", 1, unit, "inherited")
+        self.interface = Interface(inputs, (y,), {"y": self.names})
+
+    def initialize(self, t: float, u: Vector) -> Vector:
+        """Return y(t)."""
+        return self.outputs(t, u)
+
+    def outputs(self, t: float, u: Vector) -> Vector:
+        """Return y(t)."""
+        rows = u[np.newaxis]
+        if self._refused(rows).any():
+            raise RunError(self._beyond(u))
+        y: Vector = self._at(rows)[0]
+        return y
+
+    def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
+        """Return y at ``t[1:]``.
+
+        Raises
+        ------
+        Stopped
+            Where an input is outside of the grid and that is an error; with the rows before it.
+        """
+        rows = u[1:]
+        refused = np.flatnonzero(self._refused(rows))
+        if refused.size:
+            first = int(refused[0])
+            raise Stopped(self._at(rows[:first]), self._beyond(rows[first]))
+        return self._at(rows)
+
+    def _refused(self, u: Matrix) -> Mask:
+        """Return which rows are outside of the grid, where that is an error."""
+        refused = np.zeros(len(u), np.bool_)
+        if self.extrapolation == "error":
+            for column, points in zip(u.T, self.grid, strict=True):
+                refused |= (column < points[0]) | (column > points[-1])
+        return refused
+
+    def _beyond(self, u: Vector) -> str:
+        covered = []
+        for name, points, value in zip(self.names, self.grid, u, strict=True):
+            covered.append(f"{name} from {points[0]} to {points[-1]} (found {value})")
+        return (
+            f"look-up table: covers {', '.join(covered)}; "
+            'extrapolation = "hold" or "linear" goes beyond'
+        )
+
+    def _at(self, u: Matrix) -> Matrix:
+        """Return y, shape (K, 1), for inputs of shape (K, n_u)."""
+        first, weight = self._cell(u[:, 0], self.grid[0])
+        if len(self.grid) == 1:
+            below = self.values[first]
+            above = self.values[first + 1]
+        else:
+            second, second_weight = self._cell(u[:, 1], self.grid[1])
+            below = self._between(first, second, second_weight)
+            above = self._between(first + 1, second, second_weight)
+        y: Vector = (1.0 - weight) * below + weight * above
+        return y[:, np.newaxis]
+
+    def _between(self, row: NDArray[np.int64], column: NDArray[np.int64], weight: Vector) -> Vector:
+        """Interpolate along the second input."""
+        below = self.values[row, column]
+        above = self.values[row, column + 1]
+        between: Vector = (1.0 - weight) * below + weight * above
+        return between
+
+    def _cell(self, u: Vector, points: Vector) -> tuple[NDArray[np.int64], Vector]:
+        """Return the cell of each value, and where in it the value is, from 0 to 1."""
+        if self.extrapolation == "hold":
+            u = np.clip(u, points[0], points[-1])
+        last = len(points) - 2
+        cell = np.clip(np.searchsorted(points, u, side="right") - 1, 0, last)
+        width = points[cell + 1] - points[cell]
+        return cell, (u - points[cell]) / width
+
+
+def _check(names: Sequence[str], grid: Sequence[Vector], values: Matrix) -> None:
+    if len(grid) not in (1, 2):
+        raise UsageError(f"look-up table: found {len(grid)} inputs, needed one or two")
+    needed = tuple(len(points) for points in grid)
+    if values.shape != needed:
+        raise UsageError(
+            f"look-up table: y has shape {values.shape}, needed {needed}: one value for each "
+            f"point of {' and '.join(names)}"
+        )
+    for name, points in zip(names, grid, strict=True):
+        if len(points) < 2:
+            raise UsageError(f"look-up table: {name} has {len(points)} points, needed at least 2")
+        # the width of a cell, too, must be a number
+        if not (np.isfinite(points).all() and np.isfinite(np.ptp(points))):
+            raise UsageError(f"look-up table: {name} has no finite range; needed finite numbers")
+        not_increasing = np.flatnonzero(np.diff(points) <= 0.0)
+        if not_increasing.size:
+            index = int(not_increasing[0]) + 1
+            raise UsageError(
+                f"look-up table: {name}[{index}] = {points[index]} does not come after "
+                f"{points[index - 1]}; needed increasing points"
+            )
+    if not np.isfinite(values).all():
+        raise UsageError("look-up table: y has NaN or infinity; needed finite numbers")

@@ -1,0 +1,141 @@
+"""The component of an FMU, with what the FMU changes of the process put back after every call."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, Protocol, final
+
+from cosim.arrays import Mask, Matrix, Vector
+from cosim.core.contracts import Component, Design, Preparable, Rollback
+from cosim.core.signals import Interface
+from cosim.errors import RunError
+from cosim.fmi.binary.messages import Message
+from cosim.fmi.binary.process import ROUNDING, Process, describe_changes
+from cosim.fmi.driving.diagnostics import Diagnostics
+
+
+class FmuComponent(Component, Preparable, Rollback[Any], Protocol):
+    """What ``ModelExchange`` and ``CoSimulation`` have in common."""
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is to be known about the results."""
+        ...
+
+    def drain(self) -> list[Message]:
+        """Return the events and warnings since the last call."""
+        ...
+
+
+@final
+class Guarded:
+    """Passes every call on.
+
+    After a call in which the rounding mode changed the run ends: the rows of that call were
+    computed with it, in part at least, and are left out. Other changes are put back and reported,
+    each set of them once.
+
+    Parameters
+    ----------
+    component : FmuComponent
+    name : str
+        Names the FMU in messages.
+    """
+
+    def __init__(self, component: FmuComponent, name: str) -> None:
+        self._component = component
+        self._name = name
+        self._process = Process()
+        self._diagnostics = Diagnostics(name)
+
+    @property
+    def interface(self) -> Interface:
+        """Inputs, outputs and feedthrough."""
+        return self._component.interface
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is to be known about the results."""
+        return self._component.notes
+
+    def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
+        """Pass on."""
+        return self._component.prepare(h, held, recorded)
+
+    def initialize(self, t: float, u: Vector) -> Vector:
+        """Pass on."""
+        self._process.save()
+        try:
+            y = self._component.initialize(t, u)
+        except BaseException:
+            self._put_back(t)
+            raise
+        self._check(t)
+        return y
+
+    def outputs(self, t: float, u: Vector) -> Vector:
+        """Pass on."""
+        self._process.save()
+        try:
+            y = self._component.outputs(t, u)
+        except BaseException:
+            self._put_back(t)
+            raise
+        self._check(t)
+        return y
+
+    def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
+        """Pass on."""
+        self._process.save()
+        try:
+            y = self._component.advance(t, h, u)
+        except BaseException:
+            self._put_back(float(t[0]))
+            raise
+        self._check(float(t[0]))
+        return y
+
+    def save(self) -> Any:
+        """Pass on."""
+        return self._component.save()
+
+    def restore(self, state: Any) -> None:
+        """Pass on."""
+        self._component.restore(state)
+
+    @contextmanager
+    def outside(self, t: float | None) -> Iterator[None]:
+        """Put back what changes in a call that is no part of the run; only report it."""
+        self._process.save()
+        try:
+            yield
+        finally:
+            self._put_back(t)
+
+    def drain(self) -> list[Message]:
+        """Return the events and warnings since the last call."""
+        return self._component.drain() + self._diagnostics.drain()
+
+    def _check(self, t: float) -> None:
+        """Put back what changed.
+
+        Raises
+        ------
+        RunError
+            If the rounding mode did.
+        """
+        changes = self._put_back(t)
+        if changes & ROUNDING:
+            raise RunError(
+                f"{self._name}: changed {describe_changes(ROUNDING)} in a call at t = {t} s or "
+                "after it; it is as before again, but what was computed since then is not to be "
+                "relied on, and left out"
+            )
+
+    def _put_back(self, t: float | None) -> int:
+        changes = self._process.restore()
+        if changes:
+            what = describe_changes(changes)
+            self._diagnostics.add(t, what, f"changed {what}; it is as before again")
+        return changes

@@ -1,0 +1,127 @@
+"""Signals that jump: between communication points they cannot.
+
+A continuous signal is interpolated linearly between two communication points, so a jump in it would
+become a ramp of a whole step. A discrete one holds its value from a communication point on, so it
+can jump there, to the value that it has after the jump.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from cosim.arrays import Matrix, Vector
+from cosim.core.clock import Clock
+from cosim.errors import UsageError
+from cosim.native.expression import compile_expression
+from cosim.native.jumps import Jump, jumps
+from cosim.native.step import evaluate
+
+
+def check_continuous(text: str, clock: Clock, way_out: str) -> None:
+    """Check that an expression does not jump during a run.
+
+    Raises
+    ------
+    UsageError
+        If it may; ``way_out`` says what can be done.
+    """
+    for jump in jumps(text):
+        if _in_run(jump, clock):
+            at = "" if jump.instant is None else f" at {jump.instant!r} s"
+            raise UsageError(
+                f"expression {text!r}: {jump.text} jumps{at}, and a signal that is interpolated "
+                f"linearly cannot: it would become a ramp of a whole step; {way_out}"
+            )
+
+
+def check_sampled(text: str, clock: Clock) -> list[str]:
+    """Check the jumps of an expression that is evaluated at the communication points and held.
+
+    Returns
+    -------
+    list of str
+        What is to be known of those whose instants are not known.
+
+    Raises
+    ------
+    UsageError
+        If a jump is known to be between two communication points, or the value at the jump is not
+        the one after it, which has to hold from there.
+    """
+    notes = []
+    for jump in jumps(text):
+        if not _in_run(jump, clock):
+            continue
+        if jump.instant is None:
+            notes.append(
+                f"{jump.text} jumps where its argument passes 0; between two communication points "
+                "that shows at the second: an error of first order in the step"
+            )
+        else:
+            _check_jump(text, jump, jump.instant, clock)
+    return notes
+
+
+def _in_run(jump: Jump, clock: Clock) -> bool:
+    """Return whether a jump may change a value of a run."""
+    if jump.instant is None:
+        return True
+    if jump.instant == clock.start_time:  # only the value after it counts, if that is there
+        return not _holds_value_after(jump, jump.instant)
+    return clock.start_time < jump.instant <= clock.stop and math.isfinite(jump.instant)
+
+
+def _check_jump(text: str, jump: Jump, instant: float, clock: Clock) -> None:
+    times = np.array([instant])
+    if not clock.is_point(times)[0]:
+        before, after = clock.points_around(instant)
+        raise UsageError(
+            f"expression {text!r}: {jump.text} jumps at {instant!r} s, between the communication "
+            f"points {before!r} s and {after!r} s; needed one of them"
+        )
+    point = float(clock.nearest_points(times)[0])
+    if point < clock.stop and not _holds_value_after(jump, point):
+        raise UsageError(
+            f"expression {text!r}: at the communication point {point!r} s {jump.text} has not yet "
+            f"the value after its jump, and what it has would hold for a step; write {jump.remedy}"
+        )
+
+
+def _holds_value_after(jump: Jump, point: float) -> bool:
+    """Return whether the value at a jump is the one after it, as it is computed."""
+    value = evaluate(compile_expression(jump.text), point)
+    return value == evaluate(compile_expression(jump.remedy), point + 1.0)
+
+
+def held_from_points(t: Vector, y: Matrix, clock: Clock) -> Vector:
+    """Return the instants of a held table, those that are communication points exactly so.
+
+    Parameters
+    ----------
+    t : Vector, shape (N,)
+        Increasing [s]; one that differs from a communication point by the rounding of doubles is
+        that point.
+    y : Matrix, shape (N, n)
+
+    Raises
+    ------
+    UsageError
+        If a value changes between two communication points of the run.
+    """
+    on_grid = clock.is_point(t)
+    changes = np.zeros(len(t), np.bool_)
+    changes[1:] = (y[1:] != y[:-1]).any(axis=1)
+    in_run = (t > clock.start_time) & (t <= clock.stop)
+    wrong = np.flatnonzero(changes & in_run & ~on_grid)
+    if wrong.size:
+        first = int(wrong[0])
+        instant = float(t[first])
+        before, after = clock.points_around(instant)
+        raise UsageError(
+            f"table: y jumps at t[{first}] = {instant!r} s, between the communication points "
+            f"{before!r} s and {after!r} s; needed one of them ({wrong.size} such instants)"
+        )
+    held: Vector = np.where(on_grid, clock.nearest_points(t), t)
+    return held

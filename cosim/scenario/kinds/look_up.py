@@ -1,0 +1,106 @@
+"""Look-up table: a static function by its values."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from cosim.arrays import Matrix, Vector
+from cosim.blocks.look_up import Extrapolation, LookUpTable
+from cosim.core.contracts import Component
+from cosim.errors import UsageError
+from cosim.scenario.csv_file import read_csv
+from cosim.scenario.kinds.base import BuildContext, Kind
+from cosim.scenario.schema import NumberRow, NumberRows, matrix
+
+Points = tuple[list[Vector], Matrix]  # of each input, and the values on their grid
+
+
+class LookUpTableKind(Kind):
+    """y = f(u) or f(u1, u2), linear between given points: arrays, or a CSV file."""
+
+    kind: Literal["look-up-table"]
+    u: NumberRow | None = Field(None, description="points of the one input, increasing")
+    u1: NumberRow | None = Field(None, description="points of the first of two inputs")
+    u2: NumberRow | None = Field(None, description="points of the second of two inputs")
+    y: NumberRow | NumberRows | None = Field(
+        None, description="values at the points of u; or, for each of u1, a row over those of u2"
+    )
+    file: str | None = Field(
+        None, description="CSV file instead: columns of the inputs, then of y; a row a point"
+    )
+    columns: tuple[str, ...] | None = Field(
+        None, description="names of those columns; default: all of the file"
+    )
+    extrapolation: Extrapolation = Field(
+        "error",
+        description='outside of the points: "error", "hold" (the value at the border), or "linear"',
+    )
+
+    @property
+    def computable(self) -> bool:
+        """A file is not in the log."""
+        return self.file is None
+
+    def build(self, name: str, context: BuildContext) -> Component:
+        arrays = (self.u, self.u1, self.u2, self.y)
+        if self.file is not None:
+            if any(array is not None for array in arrays):
+                raise UsageError("look-up table: found file and arrays, needed one of them")
+            grid, values = self._read(context.file(self.file))
+        else:
+            grid, values = self._arrays()
+        return LookUpTable(grid, values, extrapolation=self.extrapolation, unit=self.unit_name)
+
+    def _arrays(self) -> Points:
+        given = {"u": self.u, "u1": self.u1, "u2": self.u2}
+        points = {name: np.array(row) for name, row in given.items() if row is not None}
+        if tuple(points) not in (("u",), ("u1", "u2")) or self.y is None:
+            found = ", ".join([*points, *(["y"] if self.y is not None else [])]) or "nothing"
+            raise UsageError(
+                f"look-up table: found {found}; needed u and y, or u1, u2 and y, or file"
+            )
+        is_rows = any(isinstance(row, tuple) for row in self.y)
+        if is_rows != ("u1" in points):
+            raise UsageError(
+                "look-up table: y needs one number for each point of u, or, for each point of u1, "
+                "a row with one number for each point of u2"
+            )
+        if not is_rows:
+            return list(points.values()), np.array(self.y)
+        rows = tuple(row for row in self.y if isinstance(row, tuple))
+        return list(points.values()), matrix(rows, "y")
+
+    def _read(self, path: Path) -> Points:
+        table = read_csv(path)
+        names = table.names if self.columns is None else self.columns
+        if len(names) not in (2, 3):
+            raise UsageError(
+                f"file {table.file}: found {len(names)} columns; needed one or two of inputs, and "
+                "that of y: name them with columns"
+            )
+        columns = table.columns(names)
+        if len(names) == 2:
+            return [columns[:, 0]], columns[:, 1]
+        return _gridded(columns, table.file)
+
+
+def _gridded(rows: Matrix, file: str) -> Points:
+    """Return rows (u1, u2, y) as a grid; each of its points is there once, in any order."""
+    grid: list[Vector] = [np.unique(rows[:, 0]), np.unique(rows[:, 1])]
+    shape = (len(grid[0]), len(grid[1]))
+    points = shape[0] * shape[1]
+    if points == len(rows):
+        values = np.full(shape, np.nan)
+        first = np.searchsorted(grid[0], rows[:, 0])
+        second = np.searchsorted(grid[1], rows[:, 1])
+        values[first, second] = rows[:, 2]
+        if len(np.unique(first * shape[1] + second)) == points:
+            return grid, values
+    raise UsageError(
+        f"file {file} has {len(rows)} rows over {shape[0]} and {shape[1]} points of its inputs; "
+        f"needed each pair of them once, {points} rows"
+    )

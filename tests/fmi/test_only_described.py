@@ -1,0 +1,90 @@
+"""Reading an FMU, or a scenario with one, never loads its binary; a dry run does in a child."""
+
+import json
+import os
+
+import pytest
+
+from cosim.fmi.child_process import COMMAND_VARIABLE
+from tests.fmi.compiled import compile_fmu
+from tests.fmi.test_check import XML
+
+SCENARIO = """
+[scenario]
+name = "marked"
+stop = 0.2
+step = 0.1
+[components]
+plant = { kind = "fmu", path = "marked.fmu", outputs = ["k"] }
+u = { kind = "constant", value = 1.0 }
+[connections]
+"plant.u" = { from = "u.y", unit = "m" }
+"""
+
+
+@pytest.fixture
+def marked(tmp_path, monkeypatch):
+    """Return the file that the FMU's library writes as soon as it is loaded."""
+    mark = tmp_path / "loaded"
+    source = tmp_path / "mark.c"
+    source.write_text(
+        "#include <stdio.h>\n#include <unistd.h>\n"
+        "__attribute__((constructor)) static void leave_mark(void)\n"
+        f'{{ FILE *file = fopen("{mark}", "a");\n'
+        'fprintf(file, "%d\\n", getpid()); fclose(file); }\n'
+    )
+    xml = XML.replace('canGetAndSetFMUstate="true"', "")
+    compile_fmu(tmp_path / "marked.fmu", xml, "rogue2.c", source, defines=("ROGUE=GOOD",))
+    (tmp_path / "marked.toml").write_text(SCENARIO)
+    return mark
+
+
+def test_info_reads_descriptions_only(call, marked):
+    """Of an FMU, and of a scenario with one; also where the scenario is wrong."""
+    code, out, _ = call("info", "marked.fmu", "--json")
+    assert (code, json.loads(out)["fmu"]["name"]) == (0, "rogue")
+    code, out, _ = call("info", "marked.toml", "--json")
+    assert code == 0
+    signals = [row["signal"] for row in json.loads(out)["signals"]]
+    assert signals == ["plant.u", "plant.y", "plant.z", "plant.k", "u.y"]
+    wrong = marked.with_name("wrong.toml")
+    wrong.write_text(SCENARIO.replace('"plant.u"', '"plant.v"'))
+    code, _, err = call("info", "wrong.toml")
+    assert code == 2
+    assert "'plant' has no input 'v'" in err
+    assert not marked.exists()
+
+
+def test_a_dry_run_loads_fmus_in_another_process(call, marked):
+    """The library is loaded, and not into this process."""
+    code, out, _ = call("run", "marked.toml", "--dry-run", "--set", "plant.start.k=3")
+    assert code == 0
+    assert out == "dry run: the scenario can run\n"
+    assert str(os.getpid()) not in marked.read_text().split()
+
+
+def test_a_dry_run_says_what_is_wrong(call, marked):
+    code, out, err = call("run", "marked.toml", "--dry-run", "--set", "plant.start.k=9")
+    assert (code, out) == (2, "")
+    assert "start value of 'k': found 9" in err
+
+
+def test_a_dry_run_of_an_fmu_that_crashes(call, tmp_path):
+    """The parent lives on and says so."""
+    crash = tmp_path / "crash.c"
+    crash.write_text(
+        "#include <signal.h>\n"
+        "__attribute__((constructor)) static void crash(void) { raise(SIGSEGV); }\n"
+    )
+    compile_fmu(tmp_path / "marked.fmu", XML, "rogue2.c", crash, defines=("ROGUE=GOOD",))
+    (tmp_path / "marked.toml").write_text(SCENARIO)
+    code, _, err = call("run", "marked.toml", "--dry-run")
+    assert code == 1
+    assert "the process that loaded the FMUs crashes: SIGSEGV" in err
+
+
+def test_the_child_does_it_itself(call, marked, monkeypatch):
+    """A dry run in a child starts no other."""
+    monkeypatch.setenv(COMMAND_VARIABLE, "1")
+    monkeypatch.setattr("cosim.cli.run_command", lambda *_: pytest.fail("another child"))
+    assert call("run", "marked.toml", "--dry-run")[0] == 0

@@ -1,0 +1,259 @@
+"""What an FMU does to the process, and what it returns besides errors, is found and reported."""
+
+import ctypes
+import locale
+import os
+import signal
+import sys
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import cosim
+from cosim.core import Clock, Graph
+from cosim.core.master import run as run_graph
+from cosim.core.recorders import Memory
+from cosim.errors import RunError
+from cosim.fmi.binary.process import CHANGES, Process
+from cosim.fmi.component import load
+from tests.fmi.compiled import compile_fmu
+from tests.fmi.test_check import XML
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the FMU is written for Linux")
+
+STATELESS = XML.replace('canGetAndSetFMUstate="true"', "")  # so that nothing is tried before
+REPORT = {
+    "FLUSHES": "how subnormal numbers are computed",
+    "TRAPS": "that floating-point exceptions end the process",
+    "SPEAKS": "the locale of numbers",
+    "MOVES": "the working directory",
+    "CATCHES": "what Ctrl-C and a request to terminate do",
+    "CLOSES": "that stdin, stdout or stderr is open",
+}
+CHANGED = [
+    *((what, "STEP") for what in REPORT),
+    ("FLUSHES", "INSTANTIATE"),
+    ("MOVES", "INSTANTIATE"),
+    ("TRAPS", "INITIALIZE"),
+    ("CLOSES", "TERMINATE"),
+]
+
+
+@pytest.fixture
+def rogue(tmp_path):
+    """Compile the FMU that does one thing wrong, and write a scenario with it."""
+
+    def make(what: str, where: str = "STEP") -> Path:
+        defines = (f"ROGUE={what}", f"WHERE={where}")
+        compile_fmu(tmp_path / "rogue.fmu", STATELESS, "rogue2.c", defines=defines)
+        scenario = tmp_path / "one.toml"
+        scenario.write_text(
+            '[scenario]\nname = "one"\nstop = 0.05\nstep = 0.01\n'
+            '[components.u]\nkind = "constant"\nvalue = 0.5\n'
+            '[components.plant]\nkind = "fmu"\npath = "rogue.fmu"\n'
+            '[connections]\n"plant.u" = "u.y"\n'
+        )
+        return scenario
+
+    return make
+
+
+@pytest.fixture(autouse=True)
+def process_stays():
+    """Whatever an FMU does, the process is afterwards as it was."""
+    process = Process()
+    process.save()
+    stdout = sys.stdout
+    keep = os.dup(1)
+    yield
+    changes = process.restore()
+    os.dup2(keep, 1)
+    os.close(keep)
+    assert changes == 0
+    assert sys.stdout is stdout
+
+
+def texts(recording):
+    return [text for *_, text in recording.messages()]
+
+
+def euler():
+    """Return x of the FMU for u = 1/2, from 1, at the communication points."""
+    x = [1.0]
+    for _ in range(5):
+        x.append(x[-1] + 0.01 * (0.5 - x[-1]))
+    return np.array(x)
+
+
+# --- the process ---
+
+
+@pytest.mark.parametrize(("what", "where"), CHANGED)
+def test_a_change_of_the_process_is_undone_and_reported_once(rogue, what, where):
+    """The numbers are right all the same, so the run goes on."""
+    memory = cosim.run(rogue(what, where), recorder=Memory())
+    assert (memory.status, memory.reason) == ("complete", "")
+    assert memory["plant.y"] == pytest.approx(euler(), rel=1e-15)
+    assert [text for text in texts(memory) if REPORT[what] in text and "as before" in text] != []
+    assert len([text for text in texts(memory) if REPORT[what] in text]) == 1
+
+
+def test_another_rounding_mode_in_a_step_ends_the_run(rogue, tmp_path):
+    """What was computed in that block is not to be relied on: the row before it is kept."""
+    out = tmp_path / "one.mcap"
+    with pytest.raises(RunError, match=r"rogue: changed the rounding mode or the precision"):
+        cosim.run(rogue("ROUNDS"), out=out, block=1)
+    log = cosim.open_log(out)
+    assert log.status == "failed"
+    assert log["plant.y"].tolist() == [1.0]
+    assert 1.0 + 2.0**-54 == 1.0
+
+
+@pytest.mark.parametrize("where", ["INSTANTIATE", "TERMINATE"])
+def test_another_rounding_mode_outside_the_run_is_only_reported(rogue, where):
+    """It is undone before anything is computed with it."""
+    memory = cosim.run(rogue("ROUNDS", where), recorder=Memory())
+    assert memory.status == "complete"
+    assert memory["plant.y"] == pytest.approx(euler(), rel=1e-15)
+    assert sum("the rounding mode" in text for text in texts(memory)) == 1
+
+
+def test_another_rounding_mode_in_the_initialization_ends_the_run(rogue):
+    with pytest.raises(RunError, match=r"changed the rounding mode or the precision"):
+        cosim.run(rogue("ROUNDS", "INITIALIZE"), recorder=Memory())
+
+
+def test_what_is_found_is_what_c_sees():
+    """A change that Python itself makes: each is found, put back, and then no longer there."""
+    process = Process()
+    home = os.getcwd()
+
+    def close_stdin():
+        os.close(0)
+
+    def change_handler():
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+
+    libm = ctypes.CDLL("libm.so.6")
+    changes = {
+        "rounding mode": lambda: libm.fesetround(0x800),
+        "locale": lambda: locale.setlocale(locale.LC_NUMERIC, "C.UTF-8"),
+        "working directory": lambda: os.chdir("/"),
+        "Ctrl-C": change_handler,
+        "stdin": close_stdin,
+    }
+    stdin = os.dup(0)
+    try:
+        for text, change in changes.items():
+            process.save()
+            change()
+            found = process.restore()
+            assert [text in CHANGES[bit] for bit in CHANGES if bit & found] == [True]
+            assert process.restore() == 0
+    finally:
+        os.dup2(stdin, 0)
+        os.close(stdin)
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    assert os.getcwd() == home
+
+
+def test_another_thread_may_change_what_is_shared(rogue):
+    """An FMU that runs in a thread: what the main thread does meanwhile is not undone."""
+    process = Process()
+    found = []
+
+    def in_thread():
+        process.save()
+        moved.wait(5.0)
+        found.append(process.restore())
+
+    home = os.getcwd()
+    moved = threading.Event()
+    thread = threading.Thread(target=in_thread)
+    thread.start()
+    try:
+        os.chdir("/")
+        moved.set()
+        thread.join()
+        assert (found, os.getcwd()) == ([0], "/")
+    finally:
+        os.chdir(home)
+
+
+# --- statuses ---
+
+
+def test_a_failure_at_the_end_fails_the_run(rogue, tmp_path):
+    """All rows are kept."""
+    out = tmp_path / "one.mcap"
+    with pytest.raises(RunError, match=r"'plant' failed at the end of the run: .*fmi2Terminate"):
+        cosim.run(rogue("FAILS_END"), out=out)
+    log = cosim.open_log(out)
+    assert (log.status, len(log["plant.y"])) == ("failed", 6)
+    assert "fmi2Terminate returned 3 (error)" in log.reason
+
+
+def test_a_failure_at_the_end_is_raised_where_an_fmu_is_used_directly(rogue):
+    """Unless there is another error, which says more."""
+    path = rogue("FAILS_END").with_name("rogue.fmu")
+    with pytest.raises(RunError, match=r"fmi2Terminate returned 3 \(error\)"), load(path) as fmu:
+        started(fmu)
+    with pytest.raises(RunError, match="needed a finite"), load(path) as fmu:
+        started(fmu, other_error="needed a finite")
+    fmu = load(path)
+    started(fmu)
+    fmu.close()
+
+
+def started(fmu, other_error=""):
+    fmu.component.initialize(0.0, np.zeros(1))
+    fmu.component.advance(np.array([0.0, 0.01]), 0.01, np.zeros((2, 1)))
+    if other_error:
+        raise RunError(other_error)
+
+
+def test_a_warning_is_reported_once(rogue):
+    memory = cosim.run(rogue("WARNS"), recorder=Memory())
+    found = [m for m in memory.messages() if "fmi2DoStep returned 1 (warning)" in m.text]
+    assert [(m.time_ns, m.level, m.source) for m in found] == [(0, "warning", "plant")]
+    assert memory["plant.y"] == pytest.approx(euler(), rel=1e-15)
+
+
+# --- threads ---
+
+
+def test_fmus_run_side_by_side_in_threads(rogue):
+    """Each gives its own rows, and nothing of the process is another's afterwards."""
+    scenario = rogue("PRINTS")
+    with ThreadPoolExecutor(4) as pool:
+        runs = [pool.submit(cosim.run, scenario, recorder=Memory()) for _ in range(12)]
+        for future in runs:
+            memory = future.result()
+            assert memory.status == "complete"
+            assert memory["plant.y"] == pytest.approx(euler(), rel=1e-15)
+
+
+def test_nothing_redirects_what_all_threads_share():
+    """Only the command line, handlers of the main thread and, with a lock, filters of warnings."""
+    allowed = {"cli.py", "interrupts.py", "execution.py", "placement.py"}
+    words = ("redirect_std", "os.chdir", "catch_warnings", "signal.signal(", "np.seterr(", "putenv")
+    found = set()
+    for path in Path(cosim.__file__).parent.rglob("*.py"):
+        if any(word in path.read_text(encoding="utf-8") for word in words):
+            found.add(path.name)
+    assert found <= allowed
+
+
+def test_a_graph_in_a_thread_runs(rogue):
+    """Without a scenario too: the FMU is loaded in one thread and advances in another."""
+    path = rogue("GOOD").with_name("rogue.fmu")
+    with load(path) as fmu:
+        memory = Memory()
+        source = load(path)
+        with source, ThreadPoolExecutor(1) as pool:
+            graph = Graph({"a": fmu.component, "b": source.component}, {"a.u": "b.y", "b.u": "a.y"})
+            pool.submit(run_graph, graph, Clock(0.05, 0.01), memory).result()
+    assert memory.status == "complete"
