@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from cosim.blocks import dynamics
 from cosim.blocks.arithmetic import gain, limit, sum_of
 from cosim.blocks.dynamics import Delay, lag
 from cosim.blocks.replay import Replay
@@ -164,3 +165,13 @@ def test_a_replay_refuses_what_was_not_recorded(recording):
         Replay(recording, "lab")
     with pytest.raises(GraphError, match=r"the recording begins at 0.0 s, was asked for -1.0 s"):
         Replay(recording, "u").initialize(-1.0, np.zeros(0))
+
+
+def test_a_delay_line_counts_the_values_of_all_elements(monkeypatch):
+    """As many as the limit fit, one more does not, whichever of the two makes it long."""
+    monkeypatch.setattr(dynamics, "LARGEST", 12)
+    for steps, size in ((12, 1), (3, 4), (4, 3), (1, 12)):
+        assert Delay(steps, size=size).interface.outputs[0].size == size
+    for steps, size in ((13, 1), (3, 5), (5, 3), (1, 13)):
+        with pytest.raises(UsageError, match=f"{steps} communication steps of {size} values do"):
+            Delay(steps, size=size)

@@ -440,6 +440,29 @@ def test_messages_encoded_anew_are_refused(tmp_path):
         open_log(tmp_path / "b.mcap").rows("plant")
 
 
+def test_an_index_without_its_chunk_is_damage(path):
+    """Where the summary says that there is a chunk, there is one."""
+    record(path, steps=50)
+    with path.open("rb") as stream:
+        (index,) = make_reader(stream).get_summary().chunk_indexes
+    data = bytearray(path.read_bytes())
+    found = index.chunk_start_offset.to_bytes(8, "little")
+    position = data.rindex(found)
+    data[position : position + 8] = (index.chunk_start_offset + 1).to_bytes(8, "little")
+    data[-12:-8] = bytes(4)  # no CRC of the summary
+    path.write_bytes(data)
+    start = index.chunk_start_offset + 1
+    with pytest.raises(LogError, match=rf"damaged at byte {start}: no chunk there, though its"):
+        open_log(path)
+
+
+def test_a_chunk_without_crc_is_read(path, tmp_path):
+    """0 says that its writer gave none."""
+    record(path, steps=50)
+    rewrite(path, tmp_path / "b.mcap", enable_crcs=False)
+    assert open_log(tmp_path / "b.mcap").content_hash() == open_log(path).recorded_hash
+
+
 def test_a_chunk_record_is_what_mcap_says(tmp_path):
     """The chunk written by hand is the chunk that mcap's own record would be."""
     record(tmp_path / "a.mcap", steps=50)

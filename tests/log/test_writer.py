@@ -7,17 +7,22 @@ import io
 import json
 import os
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
+import zstandard
 from google.protobuf import json_format
+from mcap.data_stream import ReadDataStream
 from mcap.reader import NonSeekingReader, make_reader
+from mcap.records import Chunk, MessageIndex
 
 import cosim
 from cosim.core.contracts import Recorder, Stopped
 from cosim.errors import Interrupted, LogError, LogWriteError
 from cosim.log import Attachment, McapRecorder, open_log, unfinished, writer
 from cosim.log import buffer as row_buffer
+from cosim.log.schema import decode_log
 
 from .recordings import STEP_NS, blocks, layout, plan, record, same_bits, table
 from .test_layout import message_class
@@ -114,6 +119,64 @@ def test_message_indexes_lead_to_their_messages(tmp_path, monkeypatch):
                 assert stream.read(1) == b"\x07"
                 assert int.from_bytes(stream.read(10)[8:], "little") == channel_id
         assert sum(1 for _ in reader.iter_messages("/plant", starting_at=900 * STEP_NS)) == 101
+
+
+def test_message_indexes_lead_to_messages_of_any_size(tmp_path):
+    """Those of /cosim/log stand behind the rows, each where the one before ends."""
+    texts = ["a", "a longer one", "", "and the last"]
+    messages = [(k * STEP_NS, "info", "run", text) for k, text in enumerate(texts)]
+    record(tmp_path / "a.mcap", steps=10, messages=messages)
+    with (tmp_path / "a.mcap").open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+        (chunk,) = summary.chunk_indexes
+        (number,) = [n for n, c in summary.channels.items() if c.topic == "/cosim/log"]
+        stream.seek(chunk.chunk_start_offset + 9)
+        content = zstandard.decompress(Chunk.read(ReadDataStream(stream)).data)
+        stream.seek(chunk.message_index_offsets[number] + 9)
+        index = MessageIndex.read(ReadDataStream(stream))
+    assert [time_ns for time_ns, _ in index.records] == [time_ns for time_ns, *_ in messages]
+    for (_, offset), (time_ns, *_, text) in zip(index.records, messages, strict=True):
+        assert content[offset] == 5
+        length = int.from_bytes(content[offset + 1 : offset + 9], "little")
+        record_bytes = content[offset + 9 : offset + 9 + length]
+        assert int.from_bytes(record_bytes[:2], "little") == number
+        assert int.from_bytes(record_bytes[6:14], "little") == time_ns
+        assert decode_log(record_bytes[22:]) == ("info", "run", text)
+
+
+def test_the_summary_knows_when_a_late_run_began(tmp_path):
+    """Its first and its last instant, of all chunks."""
+    rows = table(layout(), 40)
+    with McapRecorder(tmp_path / "a.mcap") as recorder:
+        recorder.begin(plan())
+        for block, signals in blocks(rows, 7):
+            recorder.write(replace(block, time_ns=block.time_ns + 5 * STEP_NS), signals)
+            recorder._write_chunk()
+    with (tmp_path / "a.mcap").open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert len(summary.chunk_indexes) > 3
+    assert summary.statistics.message_start_time == 5 * STEP_NS
+    assert summary.statistics.message_end_time == 45 * STEP_NS
+
+
+def test_rows_that_are_written_again_are_hashed_once(tmp_path, monkeypatch):
+    """An interrupt between hash and checkpoint leaves the rows in the buffer, and hashed."""
+    hash_into = row_buffer.RowBuffer.hash_into
+    calls = []
+
+    def interrupted(self, hashes):
+        hash_into(self, hashes)
+        calls.append(self)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(row_buffer, "CHUNK_BYTES", 5000)
+    monkeypatch.setattr(row_buffer.RowBuffer, "hash_into", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        record(tmp_path / "a.mcap", size=10)
+    log = open_log(tmp_path / "a.mcap")
+    assert len(log.rows("plant")) > 20
+    assert log.content_hash() == log.recorded_hash
 
 
 @pytest.mark.parametrize("period", [1, 5, 7])

@@ -1,0 +1,242 @@
+"""What comes from outside: wrong paths, wrong arguments, logs larger than memory."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import cosim
+from cosim.core.port import Port
+from cosim.core.signals import Channel, Interface, Layout, Signal
+from cosim.errors import CosimError, LogError, UsageError
+from cosim.log import McapRecorder, open_log
+from cosim.log import container as log_container
+from cosim.log import reader as log_reader
+from cosim.log.diff import diff
+
+from .recordings import STEP_NS, blocks, layout, plan, record, same_bits
+
+BAD_PATHS = ["x" * 260 + ".mcap", "a\0b.mcap", 3, None, b"\xff.mcap", "\udcff\ud800.mcap"]
+
+
+@pytest.fixture
+def path(tmp_path):
+    """Record a short run; return its path."""
+    record(tmp_path / "a.mcap", steps=20)
+    return tmp_path / "a.mcap"
+
+
+@pytest.mark.parametrize("bad", BAD_PATHS, ids=["long", "NUL", "int", "None", "bytes", "surrogate"])
+def test_what_can_be_no_path_is_refused(bad, path):
+    """By everything that reads or writes a log, before anything else is done."""
+    calls = [
+        lambda: open_log(bad),
+        lambda: McapRecorder(bad),
+        lambda: cosim.replay(bad),
+        lambda: cosim.diff(open_log(path), bad),
+    ]
+    if bad is not None:
+        calls.append(lambda: cosim.run("academic", out=bad, set={"scenario.stop": 0.01}))
+    if isinstance(bad, str):
+        calls.append(lambda: cosim.load(bad))
+    for call in calls:
+        with pytest.raises(CosimError):
+            call()
+
+
+def test_only_a_regular_file_is_a_log(tmp_path):
+    """A pipe is not waited for, a device not read, a folder named."""
+    os.mkfifo(tmp_path / "pipe.mcap")
+    (tmp_path / "folder.mcap").mkdir()
+    (tmp_path / "zero.mcap").symlink_to("/dev/zero")
+    for name, kind in (("pipe", "a pipe"), ("folder", "a folder"), ("zero", "a device")):
+        with pytest.raises(LogError, match=rf"{name}\.mcap cannot be read: it is {kind}, not a"):
+            open_log(tmp_path / f"{name}.mcap")
+
+
+@pytest.mark.parametrize(
+    "misuse",
+    [
+        lambda log: log[3],
+        lambda log: log[None],
+        lambda log: log[["plant.u", 3]],
+        lambda log: log[[]],
+        lambda log: log[{"plant.u"}],
+        lambda log: log.rows(3),
+        lambda log: log.rows(["plant"]),
+        lambda log: log.time(3),
+        lambda log: log.time_ns(None),
+        lambda log: log.load("plant", 3),
+        lambda log: log.attachment(3),
+        lambda log: list(log.blocks(3)),
+        lambda log: diff(log, str(log.path)),
+        lambda log: diff(None, log),
+        lambda log: diff(log, log, signals=[3]),
+        lambda log: diff(log, log, signals="plant"),
+        lambda log: diff(log, log, atol="x"),
+        lambda log: diff(log, log, atol=-1.0),
+        lambda log: diff(log, log, rtol=float("nan")),
+    ],
+)
+def test_wrong_arguments_are_named(path, misuse):
+    """A LogError or UsageError that says what was found, and no error of Python's own."""
+    with pytest.raises(UsageError, match=r"found|needed|no (component|attachment)"):
+        misuse(open_log(path))
+
+
+def test_a_port_and_ports_name_signals_too(path):
+    """As texts do."""
+    log = open_log(path)
+    port = Port("plant", "x_a")
+    assert same_bits(log[port], log["plant.x_a"])
+    assert same_bits(log[[port, "plant.u"]], log[["plant.x_a", "plant.u"]])
+
+
+def many(count):
+    """Return the layout of many components."""
+    channels = []
+    for i in range(count):
+        interface = Interface((), (Signal("y", 2),))
+        channels.append(Channel(f"c{i}", interface, 2 * i))
+    return Layout(tuple(channels))
+
+
+def test_many_components_need_few_passes(tmp_path, monkeypatch):
+    """The hash needs one; to ask for one component after another needs few."""
+    passes = []
+    read_blocks = log_container.Container.blocks
+
+    def counted(self):
+        passes.append(self)
+        return read_blocks(self)
+
+    lay = many(300)
+    rows = record(tmp_path / "a.mcap", steps=5, lay=lay)
+    monkeypatch.setattr(log_container.Container, "blocks", counted)
+    log = open_log(tmp_path / "a.mcap")
+    log.content_hash()
+    assert len(passes) == 1
+    for i in range(300):
+        assert same_bits(log[f"c{i}.y"], rows[:, 2 * i : 2 * i + 2])
+    assert len(passes) <= 1 + 4  # 1 + 8 + 64 + 512 components
+    passes.clear()
+    backwards = open_log(tmp_path / "a.mcap")
+    for name in reversed(backwards.signals()):
+        assert len(backwards[name]) == 6
+    assert len(passes) <= 20
+
+
+def test_designs_are_decoded_once(tmp_path, monkeypatch):
+    """However often they are asked for."""
+    record(tmp_path / "a.mcap", steps=5)
+    decoded = []
+    decode = log_reader.decode_design
+
+    def counted(text):
+        decoded.append(text)
+        return decode(text)
+
+    monkeypatch.setattr(log_reader, "decode_design", counted)
+    log = open_log(tmp_path / "a.mcap")
+    for _ in range(3):
+        assert log.designs["plant"]
+    assert len(decoded) == 2
+
+
+CHILD = """
+import resource, sys
+from cosim.log import open_log
+from cosim.log.diff import diff
+from cosim.report.inspection import describe_log
+path, small = sys.argv[1:]
+def peak():
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+for log in (open_log(small), open_log(small)):
+    log.content_hash(); diff(log, log, rtol=0.1); describe_log(small)
+before = peak()
+log = open_log(path)
+log.content_hash()
+after_hash = peak()
+assert diff(log, open_log(path), rtol=0.1).equal
+after_diff = peak()
+describe_log(path)
+print(after_hash - before, after_diff - before, peak() - before)
+"""
+
+
+def test_a_log_may_be_larger_than_memory(tmp_path):
+    """Hash, diff and info of 70 MB of rows, in less than 0.7 MB, take less than a quarter of it.
+
+    The rows of a chunk of 1 MiB are there a few times, as records, values and differences.
+    """
+    lay = Layout((Channel("c", Interface((), (Signal("y", 800),)), 0),))
+    big = tmp_path / "big.mcap"
+    rows = np.zeros((1001, 800))
+    with McapRecorder(big) as recorder:
+        recorder.begin(plan(lay))
+        for k in range(11):
+            for block, signals in blocks(rows, 1000):
+                first = k * 1000
+                times = block.time_ns + first * STEP_NS
+                shifted = type(block)(first, times, times / 1e9, block.h)
+                recorder.write(shifted, signals)
+    record(tmp_path / "small.mcap", steps=50, lay=lay)
+    done = subprocess.run(
+        [sys.executable, "-c", CHILD, str(big), str(tmp_path / "small.mcap")],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
+    assert done.returncode == 0, done.stderr
+    size = 11_000 * 800 * 8
+    assert big.stat().st_size < size / 100
+    for grown in map(int, done.stdout.split()):
+        assert grown < size / 4
+
+
+def test_rows_out_of_order_are_sorted_within_limits(path, tmp_path, monkeypatch):
+    """As another tool may write them; without a limit a small file could fill the memory."""
+    from .crafting import put_together, take_apart
+
+    content = take_apart(path)
+    content.messages.reverse()
+    turned = put_together(content, tmp_path / "b.mcap")
+    assert open_log(turned).content_hash() == open_log(path).content_hash()
+    monkeypatch.setattr(log_reader, "_MOST_SORTED", 100)
+    with pytest.raises(LogError, match=r"not in order of time, and .* bytes are too many"):
+        open_log(turned).content_hash()
+    assert open_log(path).content_hash() == open_log(path).recorded_hash
+
+
+@pytest.mark.parametrize("rtol", [0.0, 0.5])
+def test_a_diff_in_pieces_is_the_diff_as_a_whole(tmp_path, monkeypatch, rtol):
+    """Chunks of two runs end at other instants, and some instants only one of them has."""
+    rows = record(tmp_path / "a.mcap", steps=700)
+    changed = rows.copy()
+    changed[311:, 2] += 1.0
+    record(tmp_path / "b.mcap", rows=changed[:650])
+    a = tmp_path / "a.mcap"
+    b = tmp_path / "b.mcap"
+    whole = diff(open_log(a), open_log(b), rtol=rtol)
+    monkeypatch.setattr(log_reader, "_MOST_AHEAD", 0)
+    monkeypatch.setattr("cosim.log.stream._ROWS", 37)
+    assert diff(open_log(a), open_log(b), rtol=rtol) == whole
+    assert json.dumps(whole.to_dict())
+    assert diff(open_log(a), open_log(a)).equal
+
+
+def test_a_component_of_many_channels_is_streamed(tmp_path, monkeypatch):
+    """Its parts are joined as they come."""
+    lay = layout(wide=9000)
+    record(tmp_path / "a.mcap", steps=30, lay=lay)
+    log = open_log(tmp_path / "a.mcap")
+    assert log.content_hash() == log.recorded_hash
+    monkeypatch.setattr(log_reader, "_MOST_AHEAD", 0)
+    streamed = [rows for _, rows in open_log(tmp_path / "a.mcap").blocks("wide")]
+    assert same_bits(np.concatenate(streamed), log.rows("wide"))
