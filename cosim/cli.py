@@ -353,6 +353,12 @@ def check(
             help="Exit 1 also for a warning: what is against the standard, but runs here.",
         ),
     ] = False,
+    values: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set", metavar="NAME=VALUE", help="Start value for the trial runs. Repeatable."
+        ),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Report every problem of an FMU.
@@ -361,7 +367,7 @@ def check(
     """
     from cosim.report.tables.fmu import print_check
 
-    print_check(str(fmu), strict=strict, as_json=as_json)
+    print_check(str(fmu), start=_edits(values), strict=strict, as_json=as_json)
 
 
 @app.command()

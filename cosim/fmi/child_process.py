@@ -76,11 +76,20 @@ def _try_rollback(
 
 
 def try_fmu(
-    task: TrialTask, path: Path, interface_type: InterfaceType, *, timeout: float = TIMEOUT
+    task: TrialTask,
+    path: Path,
+    interface_type: InterfaceType,
+    *,
+    given: Path | None = None,
+    timeout: float = TIMEOUT,
 ) -> tuple[str, ...]:
-    """Do a task with an FMU in a child process; return the problems, without its path."""
+    """Do a task with an FMU in a child process; return the problems, without its path.
+
+    ``given`` is a file that this process wrote: pickled, the Archive and the start values.
+    """
     absolute_path = str(path.resolve())
-    problems = attempt(task, absolute_path, interface_type, timeout=timeout)
+    arguments = [] if given is None else [str(given)]
+    problems = attempt(task, absolute_path, interface_type, *arguments, timeout=timeout)
     return tuple(problem.replace(f"{absolute_path}: ", "") for problem in problems)
 
 
@@ -91,8 +100,8 @@ def attempt(task: TrialTask, *arguments: str, timeout: float = TIMEOUT) -> tuple
     ----------
     task : TrialTask
         ``symbols LIBRARY NAME...``: load the library and look the functions up. ``run PATH
-        INTERFACE_TYPE``: instantiate, initialize, read, step, terminate, free. ``rollback PATH
-        INTERFACE_TYPE``: save and restore in the midst of a run.
+        INTERFACE_TYPE [GIVEN]``: instantiate, initialize, read, step, terminate, free. ``rollback
+        PATH INTERFACE_TYPE [GIVEN]``: save and restore in the midst of a run.
     arguments : str
     timeout : float
         After it the child and what it started are killed [s].

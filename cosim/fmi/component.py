@@ -30,6 +30,7 @@ from cosim.fmi.driving.model_exchange import ModelExchange
 from cosim.fmi.instance import ModelExchangeInstance
 from cosim.fmi.options import DEFAULT_OPTIONS, FmuOptions
 from cosim.fmi.platforms import ARCHITECTURE, SUFFIX, folders
+from cosim.fmi.reading.archive import read_archive
 from cosim.fmi.reading.model_description import Archive, read
 
 __all__ = ["CoSimulation", "DescribedFmu", "Fmu", "ModelExchange", "describe", "load"]
@@ -168,6 +169,7 @@ def load(
     options: FmuOptions = DEFAULT_OPTIONS,
     *,
     instance_name: str | None = None,
+    archive: Archive | None = None,
 ) -> Fmu:
     """Open an FMU.
 
@@ -177,6 +179,8 @@ def load(
     options : FmuOptions
     instance_name : str or None
         None: the name of the model.
+    archive : Archive or None
+        What was read from the file already, which then is only unpacked.
 
     Raises
     ------
@@ -189,7 +193,10 @@ def load(
     process = Process()
     process.save()
     try:
-        archive = read(path, into=folder)
+        if archive is None:
+            archive = read(path, into=folder)
+        else:
+            read_archive(Path(path), (), folder)
         interface_type, description = _with_options(archive, options)
         library = folder / _library(archive, interface_type)
         _check_architecture(archive, library)

@@ -410,6 +410,23 @@ class Description:
         start = self[dimension].start or (1,)
         return int(start[0])
 
+    def reduced(self, names: Iterable[str]) -> Description:
+        """Return the description without the variables that a run with its outputs does not need.
+
+        What is kept: ports, states and derivatives, event indicators, clocks, structural
+        parameters, and ``names``.
+        """
+        needed = {*names, *self.states, *self.indicators, *self.clocks, *self.recorded}
+        if self.dae is not None:
+            return self
+        ports = ("input", "output", "structuralParameter")
+        variables = []
+        for variable in self.variables:
+            is_needed = variable.name in needed or variable.derivative_of is not None
+            if is_needed or variable.causality in ports:
+                variables.append(variable)
+        return replace(self, variables=tuple(variables))
+
     def _signal(self, name: str, group: Sequence[Variable]) -> Signal:
         first = group[0]
         role: Role = "output"

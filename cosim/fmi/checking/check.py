@@ -6,6 +6,7 @@ What runs foreign code does so in child processes.
 from __future__ import annotations
 
 import importlib.util
+import pickle
 from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -25,14 +26,22 @@ from cosim.fmi.child_process import (
     try_fmu,
 )
 from cosim.fmi.description import INTERFACE_TYPE_NAMES, Description, InterfaceType
+from cosim.fmi.driving.initialization import Starts, check_start, resized
 from cosim.fmi.platforms import ARCHITECTURE, SUFFIX, SYSTEM, folders
 from cosim.fmi.reading.archive import ArchiveContents
-from cosim.fmi.reading.markup import Attributes
-from cosim.fmi.reading.model_description import XML, describe_root, need_file, open_description
+from cosim.fmi.reading.markup import Attributes, collector_paused
+from cosim.fmi.reading.model_description import (
+    XML,
+    Archive,
+    describe_root,
+    need_file,
+    open_description,
+)
 from cosim.fmi.reading.variables import major, read_definitions
 
 __all__ = ["Finding", "Severity", "check"]
 
+NO_STARTS: Final[Starts] = {}
 MAX_SCHEMA_FINDINGS: Final = 100
 HEAD_SIZE: Final = 4096  # bytes of a binary that are looked at
 LEVELS: Final[tuple[Severity, ...]] = ("error", "warning", "note")
@@ -44,12 +53,16 @@ SCHEMAS: Final = {
 SUFFIXES: Final = {"linux": ".so", "darwin": ".dylib", "windows": ".dll"}
 
 
-def check(path: Path | str, *, timeout: float = TIMEOUT) -> tuple[Finding, ...]:
+def check(
+    path: Path | str, *, start: Starts = NO_STARTS, timeout: float = TIMEOUT
+) -> tuple[Finding, ...]:
     """Find everything that is wrong with an FMU.
 
     Parameters
     ----------
     path : Path or str
+    start : mapping of variable name to StartValue
+        Start values for the trials.
     timeout : float
         Of each trial [s].
 
@@ -61,12 +74,13 @@ def check(path: Path | str, *, timeout: float = TIMEOUT) -> tuple[Finding, ...]:
     Raises
     ------
     FmuError
-        If there is no such file; all else is a finding.
+        If there is no such file, or a start value is wrong; all else is a finding.
     """
     path = Path(path)
     need_file(path)
-    with TemporaryDirectory(prefix="cosim-check-") as temporary:
-        folder = Path(temporary)
+    with TemporaryDirectory(prefix="cosim-check-") as temporary, collector_paused():
+        folder = Path(temporary) / "unpacked"
+        folder.mkdir()
         try:
             root, contents = open_description(path, folder)
         except FmuError as error:
@@ -75,9 +89,21 @@ def check(path: Path | str, *, timeout: float = TIMEOUT) -> tuple[Finding, ...]:
         description, findings = _check_description(path, root, contents)
         findings += _check_binaries(folder, description)
         if not any(_prevents_trials(finding) for finding in findings):
-            findings += _run_trials(path, folder, description, timeout)
+            check_start(resized(description, start), start)
+            given = Path(temporary) / "given"
+            given.write_bytes(_trial_input(path, contents, description, start))
+            findings += _run_trials(path, folder, description, given, timeout)
     unique = dict.fromkeys(findings)
     return tuple(sorted(unique, key=lambda finding: LEVELS.index(finding.level)))
+
+
+def _trial_input(
+    path: Path, contents: ArchiveContents, description: Description, start: Starts
+) -> bytes:
+    """Return what the trials need to know: they do not read the description again."""
+    reduced = description.reduced(start)
+    archive = Archive(path.resolve(), contents.sha256, "", contents.members, reduced)
+    return pickle.dumps((archive, dict(start)))
 
 
 def _without_path(path: Path, error: Exception) -> str:
@@ -174,7 +200,7 @@ def _binary_problems(file: Path, platform: str, machine: tuple[str, str]) -> Ite
 
 
 def _run_trials(
-    path: Path, folder: Path, description: Description, timeout: float
+    path: Path, folder: Path, description: Description, given: Path, timeout: float
 ) -> list[Finding]:
     findings = []
     for interface_type, capabilities in description.capabilities.items():
@@ -184,11 +210,11 @@ def _run_trials(
         # It may run all the same where all that is wrong is a missing function: nobody may call it.
         if not all(problem.startswith(MISSING_FUNCTION) for problem in problems):
             continue
-        problems = try_fmu("run", path, interface_type, timeout=timeout)
+        problems = try_fmu("run", path, interface_type, given=given, timeout=timeout)
         findings += [Finding("error", f"trial run, {name}", problem) for problem in problems]
         if capabilities.saves_state and not problems:
             where = f"trial save and restore, {name}"
-            for problem in try_fmu("rollback", path, interface_type, timeout=timeout):
+            for problem in try_fmu("rollback", path, interface_type, given=given, timeout=timeout):
                 # Its state is not saved then, and all else works.
                 harmless = problem.startswith((REFUSED, INEXACT))
                 findings.append(Finding("warning" if harmless else "error", where, problem))

@@ -17,7 +17,7 @@ from xml.etree.ElementTree import Element
 from cosim.errors import listing
 from cosim.fmi.description import INTERFACE_TYPE_NAMES, Description
 from cosim.fmi.reading.dae import MANIFEST
-from cosim.fmi.reading.variables import FLOATS, Definitions, major
+from cosim.fmi.reading.variables import FLOATS, Definitions, major, typed_element
 from cosim.fmi.variable import Variable
 
 MOST_NAMES: Final = 100  # of variables in one finding
@@ -70,6 +70,8 @@ ALLOWED: Final[Mapping[str, set[Combination]]] = {
 }
 """By causality."""
 
+NOTHING: Final[frozenset[Combination]] = frozenset()
+
 SECTIONS: Final[Mapping[str, Mapping[int, str]]] = {
     "outputs": {2: "Outputs/Unknown", 3: "Output"},
     "derivatives": {2: "Derivatives/Unknown", 3: "ContinuousStateDerivative"},
@@ -86,6 +88,7 @@ NEVER_KNOWN_INITIALLY: Final = (
 
 _IDENTIFIER = r"(?:[A-Za-z_][A-Za-z_0-9]*|'(?:[^'\\]|\\.)+')(?:\[\d+(?:,\d+)*\])?"
 _PATH = rf"{_IDENTIFIER}(?:\.{_IDENTIFIER})*"
+CONTROL: Final = re.compile("[\0-\x1f]")
 STRUCTURED_NAME: Final = re.compile(rf"{_PATH}|der\({_PATH}(?:,\d+)?\)")
 
 
@@ -97,15 +100,11 @@ def check_structure(
     if major(root) == 1:
         findings += _check_negated_aliases(root)
         return findings
-    elements = _typed_elements(root)
-    by_name = {element.get("name", ""): element for element in reversed(elements)}
-    for position, variable in enumerate(description.variables):
-        # Aliases of FMI 3 stand behind all elements, and have none of their own.
-        if position < len(elements):
-            element = elements[position]
-        else:
-            element = by_name.get(variable.alias_of or "", root)
-        for level, text in _check_variable(variable, element, definitions):
+    elements = list(root.iterfind("ModelVariables/*"))
+    # Aliases of FMI 3 stand behind all elements, and have none of their own.
+    for variable, element in zip(description.variables, elements, strict=False):
+        typed = typed_element(element, major(root))
+        for level, text in _check_variable(variable, element, typed, definitions):
             findings.append(Finding(level, _where(variable.name), text))
     findings += _check_model_structure(root, description)
     findings += _check_residual_form(description)
@@ -118,48 +117,36 @@ def _where(name: str | None) -> str:
     return f"variable {name!r}"
 
 
-def _typed_elements(root: Element) -> list[Element]:
-    """Return the elements of the variables, each with the attributes of its type."""
-    elements = list(root.iterfind("ModelVariables/*"))
-    if major(root) == 2:
-        return [_with_type_attributes(element) for element in elements]
-    return elements
-
-
-def _with_type_attributes(element: Element) -> Element:
-    """Return one element with the attributes of a ScalarVariable and of the Real, ... inside it."""
-    inner = next((child for child in element if child.tag != "Annotations"), element)
-    return Element(inner.tag, element.attrib | inner.attrib)
-
-
 # --- variables ---
 
 
 def _check_variable(
-    variable: Variable, element: Element, definitions: Definitions
+    variable: Variable, element: Element, typed: Element, definitions: Definitions
 ) -> VariableProblems:
-    yield from _check_causality(variable, element)
-    yield from _check_start_presence(variable, element)
-    yield from _check_start_values(variable)
+    """Check one variable; ``typed`` has the attributes of its type."""
+    yield from _check_causality(variable, element, typed)
+    yield from _check_start_presence(variable, typed)
+    if variable.start is not None:
+        yield from _check_start_values(variable, variable.start)
     yield from _check_range(variable)
-    yield from _check_definitions(variable, element, definitions)
+    yield from _check_definitions(variable, typed, definitions)
 
 
-def _check_causality(variable: Variable, element: Element) -> VariableProblems:
+def _check_causality(variable: Variable, element: Element, typed: Element) -> VariableProblems:
     causality = variable.causality
     variability = variable.variability
     initial = variable.initial
     if causality in NO_INITIAL and element.get("initial") is not None:
         yield "warning", f"has the attribute initial, which causality {causality} must not have"
         initial = None if causality == "independent" else "exact"
-    if (variability, initial) not in ALLOWED.get(causality, set()):
+    if (variability, initial) not in ALLOWED.get(causality, NOTHING):
         yield (
             "error",
             f"causality {causality}, variability {variability} and initial {initial} do not go "
             "together",
         )
-    if element.get("variability") == "continuous" and variable.type not in FLOATS:
-        text = f"variability continuous, which a variable of type {element.tag} cannot have"
+    if variable.type not in FLOATS and element.get("variability") == "continuous":
+        text = f"variability continuous, which a variable of type {typed.tag} cannot have"
         yield "warning", text
     if causality == "structuralParameter" and variable.dimensions:
         yield "error", "a structural parameter is no array"
@@ -177,18 +164,16 @@ def _check_start_presence(variable: Variable, element: Element) -> VariableProbl
         yield "warning", "has a start value, which nothing uses: it is calculated"
 
 
-def _check_start_values(variable: Variable) -> VariableProblems:
-    if variable.start is None:
-        return
+def _check_start_values(variable: Variable, start: Sequence[float]) -> VariableProblems:
     low = variable.minimum
     high = variable.maximum
-    outside = [value for value in variable.start if value < low or value > high]
+    outside = [value for value in start if value < low or value > high]
     if outside:
         yield "error", f"start value: found {outside[0]:g}, needed {low:g} to {high:g}"
     items = variable.items.values()
-    if items and not set(variable.start) <= {float(item) for item in items}:
+    if items and not set(start) <= {float(item) for item in items}:
         needed = ", ".join(map(str, items))
-        yield "error", f"start value: found {variable.start[0]:g}, needed one of {needed}"
+        yield "error", f"start value: found {start[0]:g}, needed one of {needed}"
 
 
 def _check_range(variable: Variable) -> VariableProblems:
@@ -346,12 +331,12 @@ def _check_residual_form(description: Description) -> Iterator[Finding]:
 def _check_names(root: Element, description: Description) -> Iterator[Finding]:
     structured = root.get("variableNamingConvention") == "structured"
     for variable in description.variables:
-        where = _where(variable.name)
-        if any(letter < " " for letter in variable.name):
-            yield Finding("warning", where, "has a control character in its name")
+        if CONTROL.search(variable.name):
+            text = "has a control character in its name"
+            yield Finding("warning", _where(variable.name), text)
         elif structured and not STRUCTURED_NAME.fullmatch(variable.name):
             text = "is no name of the structured naming convention that the file announces"
-            yield Finding("warning", where, text)
+            yield Finding("warning", _where(variable.name), text)
 
 
 def _check_value_references(root: Element, description: Description) -> Iterator[Finding]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import os
+import pickle
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from cosim.fmi.component import Fmu
     from cosim.fmi.description import Description, InterfaceType
     from cosim.fmi.driving.guarded import FmuComponent
+    from cosim.fmi.driving.initialization import Starts
 
 STEP: Final = 1e-3  # [s], where the FMU prefers none
 STEPS: Final = 3
@@ -71,9 +73,9 @@ def find_symbols(log: TrialLog, path: str, *names: str) -> None:
             log.problem(f"{MISSING_FUNCTION} {name}")
 
 
-def run(log: TrialLog, path: str, interface_type: InterfaceType) -> None:
+def run(log: TrialLog, path: str, interface_type: InterfaceType, given: str = "") -> None:
     """Go through a short run."""
-    with _opened(log, path, interface_type) as fmu:
+    with _opened(log, path, interface_type, given) as fmu:
         component = fmu.component
         h = _step_size(fmu.description, interface_type)
         t = _times(h, STEPS)
@@ -87,9 +89,9 @@ def run(log: TrialLog, path: str, interface_type: InterfaceType) -> None:
         log.stage("terminate and free")
 
 
-def roll_back(log: TrialLog, path: str, interface_type: InterfaceType) -> None:
+def roll_back(log: TrialLog, path: str, interface_type: InterfaceType, given: str = "") -> None:
     """Save, step, restore and step again, also after other inputs: the same bits each time."""
-    with _opened(log, path, interface_type) as fmu:
+    with _opened(log, path, interface_type, given) as fmu:
         component = fmu.component
         h = _step_size(fmu.description, interface_type)
         t = _times(h, 2 * STEPS)
@@ -159,14 +161,20 @@ def _difference(detour: str, component: FmuComponent, expected: Matrix, repeated
 
 
 @contextmanager
-def _opened(log: TrialLog, path: str, interface_type: InterfaceType) -> Iterator[Fmu]:
+def _opened(log: TrialLog, path: str, interface_type: InterfaceType, given: str) -> Iterator[Fmu]:
+    """Yield the FMU; ``given`` is the file with what the parent knows, or empty."""
     import numpy as np
 
     from cosim.fmi.component import load
     from cosim.fmi.options import FmuOptions
 
     log.stage("loading and instantiating")
-    with load(path, FmuOptions(interface_type=interface_type)) as fmu:
+    archive = None
+    start: Starts = {}
+    if given:
+        archive, start = pickle.loads(Path(given).read_bytes())
+    options = FmuOptions(interface_type=interface_type, start=start)
+    with load(path, options, archive=archive) as fmu:
         log.stage("preparing")
         h = _step_size(fmu.description, interface_type)
         held = np.zeros(fmu.component.interface.n_u, np.bool_)

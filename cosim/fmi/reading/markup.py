@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import gc
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from itertools import chain
 from typing import Final, TypeVar, final
 from xml.etree.ElementTree import Element, ParseError, TreeBuilder, XMLParser
@@ -40,6 +42,18 @@ def parse(raw: bytes) -> Element:
         raise ValueError(str(error)) from error
     _check_depth(root)
     return root
+
+
+@contextmanager
+def collector_paused() -> Iterator[None]:
+    """Pause the garbage collector: it looks again and again at all that is read, and keeps it."""
+    was_enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_enabled:
+            gc.enable()
 
 
 def _check_depth(root: Element) -> None:

@@ -21,7 +21,7 @@ from cosim.fmi.reading.archive import ArchiveContents, read_archive
 from cosim.fmi.reading.capabilities import read_capabilities
 from cosim.fmi.reading.dae import MANIFEST, read_dae
 from cosim.fmi.reading.dependencies import name_states, read_structure
-from cosim.fmi.reading.markup import Attributes, parse
+from cosim.fmi.reading.markup import Attributes, collector_paused, parse
 from cosim.fmi.reading.variables import major, read_definitions, read_variables
 
 XML: Final = "modelDescription.xml"
@@ -71,9 +71,10 @@ def read(path: Path | str, into: Path | None = None) -> Archive:
         all problems in one report.
     """
     path = Path(path)
-    root, contents = open_description(path, into)
     attributes = Attributes()
-    description = describe_root(root, contents, path.stem, attributes)
+    with collector_paused():
+        root, contents = open_description(path, into)
+        description = describe_root(root, contents, path.stem, attributes)
     if attributes.problems:
         lines = [f"{path}: {XML}: {problem}" for problem in attributes.problems[:MOST_PROBLEMS]]
         omitted = len(attributes.problems) - len(lines)

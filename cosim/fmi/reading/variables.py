@@ -10,7 +10,7 @@ another negated, which no call returns, and is left out.
 from __future__ import annotations
 
 import math
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final, NamedTuple, cast
 from xml.etree.ElementTree import Element
@@ -184,7 +184,7 @@ class _VariableReader:
         """Read a variable, as yet without its size and without what it is the derivative of."""
         version = self.version
         attributes = self._attributes
-        typed = element if version == 3 else _typed(element, TYPES)
+        typed = typed_element(element, version)
         name = attributes.text(element, "name", "a variable")
         where = f"variable {name!r}"
         roles = self._roles_of(element, typed, where)
@@ -321,11 +321,12 @@ class _VariableReader:
         return texts or None
 
 
-def _typed(element: Element, tags: Container[str]) -> Element:
-    """Return the child with the attributes of a variable's type; FMI 3 has none."""
-    for child in element:
-        if child.tag in tags:
-            return child
+def typed_element(element: Element, version: int) -> Element:
+    """Return the element with the attributes of a variable's type: before FMI 3, a child."""
+    if version < 3:
+        for child in element:
+            if child.tag in TYPES:
+                return child
     return element
 
 

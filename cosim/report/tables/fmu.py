@@ -159,11 +159,17 @@ def _depends_on(variable: Row, dependencies: Mapping[str, list[str] | None]) -> 
     return _names(dependencies.get(variable["name"]))
 
 
-def print_check(path: str, *, strict: bool, as_json: bool) -> None:
+def print_check(
+    path: str,
+    *,
+    start: Mapping[str, Any] | None = None,
+    strict: bool = False,
+    as_json: bool = False,
+) -> None:
     """Print all problems of an FMU; exit 1 if there is an error, or a warning where ``strict``."""
     from cosim.fmi.checking.check import check
 
-    findings = [finding._asdict() for finding in check(path)]
+    findings = [finding._asdict() for finding in check(path, start=start or {})]
     levels = [finding["level"] for finding in findings]
     errors = levels.count("error")
     warnings = levels.count("warning")
