@@ -33,6 +33,7 @@ TRUTH: Style = {"color": "0.75", "linewidth": 3}
 # Okabe and Ito, without yellow: the color-blind can distinguish them
 COLORS = ("#000000", "#E69F00", "#56B4E9", "#009E73", "#D55E00", "#0072B2", "#CC79A7")
 DASHES = ("-", (0, (6, 2)), (0, (2, 2)), (0, (7, 2, 1, 2)), (0, (1, 1)))
+LARGEST_DRAWN = 1e300  # an axis has margins, and the difference of its ends must be a number
 NO_TRUTH = (
     "the scenario has no [truth], so there is no standard picture; use 'cosim plot LOG SIGNAL...'"
 )
@@ -72,11 +73,14 @@ def plot_signals(recording: Recording, signals: Sequence[str], out: Path) -> Non
     Raises
     ------
     UsageError
-        If there is no matplotlib, or the format of ``out`` is unknown.
+        If there is no matplotlib, the format of ``out`` is unknown, no signal is named, or one has
+        values too large for an axis.
     LogError
         If a signal is unknown.
     """
     _need_format(out)
+    if not signals or not all(isinstance(signal, str) for signal in signals):
+        raise UsageError(f"found {signals!r}, needed names of signals, such as 'plant.y'")
     figure, axes = _panels(len(signals))
     for axis, signal in zip(axes, signals, strict=True):
         _draw(axis, recording, signal)
@@ -254,6 +258,11 @@ def _draw(
     """Draw a port as it is between two rows: linear interpolation, or zero-order hold."""
     times = time_ns_of(recording, port) / 1e9
     values = rows_of(recording, port, like=like)
+    largest = float(np.abs(values[np.isfinite(values)]).max(initial=0.0))
+    if largest > LARGEST_DRAWN:
+        raise UsageError(
+            f"{port}: found {largest:g}, too large to be drawn; needed at most {LARGEST_DRAWN:g}"
+        )
     discrete = signal_of(recording, port).variability == "discrete"
     axis.plot(times, values, drawstyle="steps-post" if discrete else "default", **style)
 
@@ -263,8 +272,8 @@ def _save(figure: Any, axes: Sequence[Any], out: Path, columns: int = 1) -> None
         axis.grid(alpha=0.3)
     for axis in axes[-columns:]:
         axis.set_xlabel("t [s]")
-    out.parent.mkdir(parents=True, exist_ok=True)
     try:
+        out.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(out, dpi=110)
     except ValueError as error:
         raise UsageError(f"{out}: {error}") from error

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import cosim
+from cosim.core.contracts import Block
 from cosim.core.port import Port
 from cosim.core.signals import Channel, Interface, Layout, Signal
 from cosim.errors import CosimError, LogError, UsageError
@@ -18,6 +19,7 @@ from cosim.log import McapRecorder, open_log
 from cosim.log import container as log_container
 from cosim.log import reader as log_reader
 from cosim.log.diff import diff
+from cosim.report.plots import plot_signals
 
 from .recordings import STEP_NS, blocks, layout, plan, record, same_bits
 
@@ -87,6 +89,31 @@ def test_wrong_arguments_are_named(path, misuse):
     """A LogError or UsageError that says what was found, and no error of Python's own."""
     with pytest.raises(UsageError, match=r"found|needed|no (component|attachment)"):
         misuse(open_log(path))
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e308, -1e308, 5e-324])
+def test_a_picture_of_any_values_is_drawn_or_refused(tmp_path, value):
+    """Where an axis cannot hold them, the signal is named."""
+    rows = np.zeros((21, layout().width))
+    rows[5:9] = value
+    rows[9:12] = -value
+    record(tmp_path / "a.mcap", rows=rows)
+    log = open_log(tmp_path / "a.mcap")
+    if abs(value) == 1e308:
+        with pytest.raises(UsageError, match=r"plant\.u: found 1e\+308, too large to be drawn"):
+            plot_signals(log, ["plant.u"], tmp_path / "a.png")
+    else:
+        plot_signals(log, ["plant.u"], tmp_path / "a.png")
+        assert (tmp_path / "a.png").stat().st_size > 0
+
+
+@pytest.mark.parametrize("signals", [[], [3], ["plant"], "plant.u"])
+def test_a_picture_of_no_signals_is_refused(path, signals):
+    """As is a path that none can be written to."""
+    with pytest.raises(UsageError):
+        plot_signals(open_log(path), signals, path.with_suffix(".png"))
+    with pytest.raises(UsageError, match="cannot be written"):
+        plot_signals(open_log(path), ["plant.u"], path / "x.png")
 
 
 def test_a_port_and_ports_name_signals_too(path):
@@ -240,3 +267,50 @@ def test_a_component_of_many_channels_is_streamed(tmp_path, monkeypatch):
     monkeypatch.setattr(log_reader, "_MOST_AHEAD", 0)
     streamed = [rows for _, rows in open_log(tmp_path / "a.mcap").blocks("wide")]
     assert same_bits(np.concatenate(streamed), log.rows("wide"))
+
+
+def test_a_time_beyond_63_bits_is_damage(path, tmp_path):
+    """It would be negative; by streaming and by reading."""
+    from .crafting import put_together, take_apart
+
+    content = take_apart(path)
+    number, _, sequence, data = content.messages[-1]
+    content.messages[-1] = (number, 2**63, sequence, data)
+    log = open_log(put_together(content, tmp_path / "b.mcap"))
+    for read in (log.content_hash, log.load):
+        with pytest.raises(LogError, match=rf"a time beyond {2**63 - 1} ns"):
+            read()
+
+
+def test_both_limits_of_a_jump_are_streamed(tmp_path, monkeypatch):
+    """Rows of one instant are in order, wherever a piece of the rows ends."""
+    times = np.array([0, 1, 1, 1, 2, 3, 3], dtype=np.int64) * STEP_NS
+    lay = Layout((Channel("c", Interface((), (Signal("y"),)), 0),))
+    with McapRecorder(tmp_path / "a.mcap") as recorder:
+        recorder.begin(plan(lay))
+        recorder.write(Block(0, times, times / 1e9, STEP_NS / 1e9), np.arange(7.0)[:, np.newaxis])
+    whole = diff(open_log(tmp_path / "a.mcap"), open_log(tmp_path / "a.mcap"))
+    for size in (1, 2, 3):
+        monkeypatch.setattr("cosim.log.stream._ROWS", size)
+        monkeypatch.setattr(log_reader, "_MOST_AHEAD", 0)
+        log = open_log(tmp_path / "a.mcap")
+        assert log.content_hash() == log.recorded_hash
+        assert diff(log, open_log(tmp_path / "a.mcap")) == whole
+        assert whole.rows[0].rows == (7, 7, 7)
+
+
+def test_a_channel_with_fewer_rows_than_another_is_damage(tmp_path):
+    """Also where no summary counts them, and the rows are read in pieces."""
+    from .crafting import put_together, take_apart
+
+    record(tmp_path / "a.mcap", steps=5, lay=layout(wide=5000))
+    content = take_apart(tmp_path / "a.mcap")
+    (last,) = [number for number, channel in content.channels.items() if channel[0] == "/wide.2"]
+    position = max(i for i, message in enumerate(content.messages) if message[0] == last)
+    del content.messages[position]
+    put_together(content, tmp_path / "b.mcap", use_statistics=False)
+    log = open_log(tmp_path / "b.mcap")
+    with pytest.raises(LogError, match="different numbers of rows"):
+        log.content_hash()
+    with pytest.raises(LogError, match="rows at different times"):
+        log.rows("wide")
