@@ -17,9 +17,11 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn, TextIO
 
 import typer
 
+from cosim import completion
 from cosim.errors import CosimError, UsageError
 from cosim.fmi.child_process import COMMAND_VARIABLE, run_command
 from cosim.report.printable import printable
+from cosim.version import __version__
 
 if TYPE_CHECKING:
     from cosim.scenario.execution import Progress
@@ -27,18 +29,17 @@ if TYPE_CHECKING:
 BEGAN = perf_counter()
 
 app = typer.Typer(
-    add_completion=False,
     no_args_is_help=True,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
-    help="Co-simulation of descriptor plants, FMUs, observers and disturbance identifiers, "
-    "with logs that replay bit for bit.",
 )
 
 ScenarioArgument = Annotated[
     str,
     typer.Argument(
-        metavar="SCENARIO", help="A shipped scenario by name, or a path to a .toml file."
+        metavar="SCENARIO",
+        help="A shipped scenario by name, or a path to a .toml file.",
+        autocompletion=completion.complete_scenario,
     ),
 ]
 LogArgument = Annotated[
@@ -49,6 +50,7 @@ SetOption = Annotated[
     typer.Option(
         "--set",
         metavar="COMPONENT.PARAMETER=VALUE",
+        autocompletion=completion.complete_setting,
         help="Set a value, such as observer.filter_rate=500. Repeatable.",
     ),
 ]
@@ -57,6 +59,7 @@ SwapOption = Annotated[
     typer.Option(
         "--swap",
         metavar="COMPONENT=PATH",
+        autocompletion=completion.complete_swap,
         help="Replace a component by an FMU (x.fmu, x.fmu#me, x.fmu#cs) or a recorded component "
         "(.mcap). Repeatable.",
     ),
@@ -66,6 +69,7 @@ MapOption = Annotated[
     typer.Option(
         "--map",
         metavar="PORT=NAME",
+        autocompletion=completion.complete_map,
         help="Ports of the replacing component: observer.y=out1, plant.x=[s1,s2]. Repeatable.",
     ),
 ]
@@ -108,6 +112,27 @@ DryRunOption = Annotated[
         "FMUs are loaded and initialized, which runs their code, in a process of its own.",
     ),
 ]
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"cosim {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def cosim(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", is_eager=True, callback=_print_version, help="Print the version and exit."
+        ),
+    ] = False,
+) -> None:
+    """Co-simulation of descriptor plants, FMUs, observers and disturbance identifiers.
+
+    Logs replay bit for bit.
+    """
 
 
 @app.command()
@@ -264,6 +289,7 @@ AlternativesOption = Annotated[
     typer.Option(
         "--swap",
         metavar="COMPONENT=PATH",
+        autocompletion=completion.complete_swap,
         help="An alternative for a component: x.fmu, x.fmu#me, x.fmu#cs or a recorded log "
         "(.mcap). Once for each.",
     ),
@@ -332,7 +358,9 @@ def info(
     source: Annotated[
         str,
         typer.Argument(
-            metavar="LOG|FMU|SCENARIO", help="A log (.mcap), an FMU (.fmu) or a scenario."
+            metavar="LOG|FMU|SCENARIO",
+            help="A log (.mcap), an FMU (.fmu) or a scenario.",
+            autocompletion=completion.complete_source,
         ),
     ],
     as_json: JsonOption = False,
@@ -375,7 +403,9 @@ def cache(
     clear: Annotated[bool, typer.Option("--clear", help="Remove everything in it.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Show or clear the cache: what trials of FMUs found, by the content of their files.
+    """Show or clear the cache of what trials of FMUs found.
+
+    By the content of their files.
 
     It is in the user's cache folder, or in the one that the environment variable COSIM_CACHE names
     (empty: no cache).
@@ -412,7 +442,11 @@ def plot(
 def list_(
     kind: Annotated[
         str | None,
-        typer.Argument(metavar="KIND", help="A component kind, to explain its parameters."),
+        typer.Argument(
+            metavar="KIND",
+            help="A component kind, to explain its ports and parameters.",
+            autocompletion=completion.complete_kind,
+        ),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -439,8 +473,23 @@ def show(scenario: ScenarioArgument) -> None:
 @app.command()
 def export(
     scenario: ScenarioArgument,
-    component: Annotated[str, typer.Option(metavar="NAME", help="The component to export.")],
-    out: Annotated[Path, typer.Option("--out", "-o", metavar="PATH", help="The .fmu to write.")],
+    component: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME",
+            help="The component to export.",
+            autocompletion=completion.complete_component,
+        ),
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            "-o",
+            metavar="PATH",
+            help="The .fmu to write; default: fmus/<scenario>-<component>.fmu",
+        ),
+    ] = None,
     fmi: Annotated[str, typer.Option(metavar="2|3", help="FMI version: 2 (2.0) or 3 (3.0).")] = "2",
     platform: Annotated[
         str | None,
@@ -659,7 +708,7 @@ def main(arguments: list[str] | None = None) -> None:
     """Run the command line; every deliberate error becomes one message and an exit code."""
     stdout = _keep_stdout()
     try:
-        app(args=arguments)
+        app(args=arguments, prog_name="cosim")
     except CosimError as error:
         lines = printable(str(error)).splitlines() or [type(error).__name__]
         sys.stderr.write("\n".join(f"cosim: {line}" for line in lines) + "\n")

@@ -17,6 +17,7 @@ import pytest
 
 import cosim
 from cosim.fmi.variable import Variable
+from cosim.version import __version__
 from tests.fmi.archives import write
 from tests.fmi.compiled import compile_fmu
 from tests.fmi.eventful import build
@@ -262,6 +263,25 @@ def test_plot_writes_pictures(call, tmp_path):
     assert code == 2
     assert "two.xyz" in err
     assert call("plot", "a.mcap", "observer.dleta", "--out", "x.png")[0] == 2
+
+
+def test_the_version_is_that_of_the_package(call):
+    """And nothing else."""
+    assert call("--version") == (0, f"cosim {__version__}\n", "")
+
+
+def test_an_export_has_a_place_by_default(call, tmp_path):
+    """It is not replaced unless that is asked for."""
+    arguments = ("export", "academic", "--component", "plant")
+    path = "fmus/academic-plant.fmu"
+    code, out, _ = call(*arguments)
+    assert code == 0
+    assert out.startswith(f"{path}: FMI 2.0")
+    assert (tmp_path / path).is_file()
+    code, _, err = call(*arguments)
+    assert code == 2
+    assert f"{path} exists" in err
+    assert call(*arguments, "--force")[0] == 0
 
 
 def test_list_names_scenarios_and_kinds_with_their_parameters(call):

@@ -34,7 +34,7 @@ ZERO_ORDER_HOLD_OUTPUTS = (
 def export_component(
     scenario: str,
     component: str,
-    out: Path,
+    out: Path | None = None,
     *,
     fmi: str = "2",
     platforms: Sequence[str] = (),
@@ -45,7 +45,8 @@ def export_component(
     """Write a component as an FMU; return lines that describe what was written.
 
     Only what the component rests on is built: an identifier treats its rows as they come from what
-    drives it. ``dae``: with its algebraic equations beside the ordinary ones.
+    drives it. ``out``: ``fmus/<scenario>-<component>.fmu`` where it is None. ``dae``: with its
+    algebraic equations beside the ordinary ones.
 
     Raises
     ------
@@ -57,8 +58,10 @@ def export_component(
     ScenarioError
         If the file is wrong, or what the component rests on cannot be built.
     """
-    _check_path(out, force=force)
     loaded = load(scenario).set(set or {})
+    if out is None:
+        out = Path("fmus") / f"{loaded.name}-{component}.fmu"
+    _check_path(out, force=force)
     if component not in loaded.specs:
         raise UsageError(f"there is no component {component!r}; {nearest(component, loaded.specs)}")
     name = _identifier(f"{loaded.name}_{component}")

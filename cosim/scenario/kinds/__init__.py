@@ -3,7 +3,7 @@
 To make a component a kind of scenario files, derive a class from :class:`Kind` in a module of this
 package, and add it to ``KINDS`` below. A dead zone, for example::
 
-    from typing import Literal
+    from typing import ClassVar, Literal
 
     import numpy as np
     from pydantic import Field
@@ -20,6 +20,7 @@ package, and add it to ``KINDS`` below. A dead zone, for example::
     class DeadZoneKind(Kind):
         """y = 0 for u within -width to width; outside, u reduced by width."""
 
+        ports: ClassVar[str] = "u -> y"
         kind: Literal["dead-zone"]
         width: Number = Field(description="half the width of the zone")
 
@@ -43,6 +44,7 @@ may say ``dead = { kind = "dead-zone", width = 0.1 }`` under ``[components]``.
   where the key is missing.
 * Every kind has the key ``unit``: units by port, or one, which is that of ``y``. A kind where one
   unit is that of other ports too, as here, gives it to them: ``unit_name``.
+* ``ports`` names inputs and outputs in ``cosim list``.
 * The first line of the docstring is the description in ``cosim list``.
 * ``build`` returns the component (:class:`cosim.core.contracts.Component`). ``name`` is its name,
   ``context`` gives what else it needs: communication step, models, files, logs, other components

@@ -6,7 +6,7 @@ from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeAlias
 
 from pydantic import Field
 
@@ -110,8 +110,15 @@ def unit_of(ports: str) -> str:
 
 
 class Kind(TomlTable):
-    """A component's table."""
+    """A component's table.
 
+    Attributes
+    ----------
+    ports : str
+        Inputs and outputs for people, such as ``u -> y``.
+    """
+
+    ports: ClassVar[str]
     kind: str
     unit: PortUnits = Field(None, description=unit_of("y"))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -22,6 +22,7 @@ Points = tuple[list[Vector], Matrix]  # of each input, and the values on their g
 class LookUpTableKind(Kind):
     """y = f(u) or f(u1, u2), linear between given points: arrays, or a CSV file."""
 
+    ports: ClassVar[str] = "u, or u1, u2 -> y"
     kind: Literal["look-up-table"]
     u: NumberRow | None = Field(None, description="points of the one input, increasing")
     u1: NumberRow | None = Field(None, description="points of the first of two inputs")

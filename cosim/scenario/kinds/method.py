@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from typing import Any, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,6 +83,7 @@ class DesignedObserver(NamedTuple):
 class UnknownInputObserverKind(LinearKind):
     """Unknown-input observer with disturbance reconstruction (18)-(20)."""
 
+    ports: ClassVar[str] = "u, y -> x_a, delta, x_b, z, q"
     kind: Literal["unknown-input-observer"]
     model: str | FmuModel = Field(
         description="design model: name of a table in [models], "
@@ -162,6 +163,7 @@ class RegressorTerm(TomlTable):
 class RegressorKind(ExportableKind):
     """From delta to the known signals mu of the regression (21)-(25)."""
 
+    ports: ClassVar[str] = "delta -> mu"
     kind: Literal["regressor"]
     terms: tuple[RegressorTerm, ...] = Field(description="list of { alpha, family }")
     delays: NumberRow = Field(
@@ -223,6 +225,7 @@ class StartTable(TomlTable):
 class IdentifierKind(PeriodicKind, ExportableKind):
     """Identifier of theta by least squares (33)-(35)."""
 
+    ports: ClassVar[str] = "regressor -> theta, eta"
     kind: Literal["identifier"]
     method: Literal["least-squares"] = Field(description='how theta is estimated: "least-squares"')
     P0: Number | None = Field(None, description="P(0) = P0 I (34); default: no prior")

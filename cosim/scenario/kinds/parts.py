@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -34,6 +34,7 @@ from cosim.scenario.schema import Number, NumberRow, NumberRows, Whole, matrix
 class SumKind(ExportableKind):
     """y = signs[0] u1 + signs[1] u2 + ..."""
 
+    ports: ClassVar[str] = "u1, u2, ... -> y"
     kind: Literal["sum"]
     signs: NumberRow = Field(description="one number an input, like [1, -1]")
     size: Whole = Field(1, ge=1, le=100_000, description="number of elements of every signal")
@@ -50,6 +51,7 @@ class SumKind(ExportableKind):
 class GainKind(ExportableKind):
     """y = K u."""
 
+    ports: ClassVar[str] = "u -> y"
     kind: Literal["gain"]
     K: Number | NumberRows = Field(description="a number, or a matrix")
 
@@ -69,6 +71,7 @@ class GainKind(ExportableKind):
 class LimitKind(ExportableKind):
     """y = u within lower and upper."""
 
+    ports: ClassVar[str] = "u -> y"
     kind: Literal["limit"]
     lower: Number = Field(description="lower limit")
     upper: Number = Field(description="upper limit")
@@ -90,6 +93,7 @@ class LimitKind(ExportableKind):
 class LagKind(LinearKind):
     """First-order lag: time_constant y' = u - y."""
 
+    ports: ClassVar[str] = "u -> y"
     kind: Literal["lag"]
     time_constant: Number = Field(description="time constant [s]")
     initial: Number | None = Field(None, description="y(0); default: u(0)")
@@ -108,6 +112,7 @@ class LagKind(LinearKind):
 class DelayKind(ExportableKind):
     """y(t) = u(t - delay)."""
 
+    ports: ClassVar[str] = "u -> y"
     kind: Literal["delay"]
     delay: Number = Field(description="a whole number of communication steps [s]")
     initial: Number | None = Field(None, description="y until then; default: u(0)")
@@ -131,6 +136,7 @@ class DelayKind(ExportableKind):
 class ControllerKind(PeriodicKind, LinearKind):
     """Linear controller x' = A x + B u, y = C x + D u; with a period: zero-order hold of u."""
 
+    ports: ClassVar[str] = "u -> y, x"
     kind: Literal["controller"]
     A: NumberRows = Field(description="matrix (n, n)")
     B: NumberRows = Field(description="matrix (n, inputs)")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 from pydantic import Field, StrictBool, StrictInt, StrictStr
 
@@ -44,6 +44,7 @@ class PlantKind(Kind):
 class DescriptorKind(PlantKind, LinearKind):
     """Plant generated from a descriptor model: E x' = A x + Bu u + Bd delta, y = C x."""
 
+    ports: ClassVar[str] = "u, delta -> y, x_a, x_b"
     kind: Literal["descriptor"]
     model: str = Field(description="name of a table in [models]")
     x_a0: NumberRow = Field(description="initial dynamic states")
@@ -83,6 +84,7 @@ class DescriptorKind(PlantKind, LinearKind):
 class FmuKind(PlantKind, PeriodicKind):
     """A real FMU, FMI 1.0, 2.0 or 3.0."""
 
+    ports: ClassVar[str] = "those of the FMU"
     kind: Literal["fmu"]
     path: str = Field(description="path of the .fmu")
     interface_type: Literal["me", "cs"] | None = Field(
@@ -181,6 +183,7 @@ class FmuKind(PlantKind, PeriodicKind):
 class RecordingKind(PlantKind):
     """A component out of a recorded log."""
 
+    ports: ClassVar[str] = "-> outputs of the recording"
     kind: Literal["recording"]
     log: str = Field(description="path of the .mcap")
     component: str = Field(description="name of the component in the log")

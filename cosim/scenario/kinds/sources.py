@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -37,6 +37,7 @@ DISTURBANCE_WAY_OUT = "needed continuous alphas; a disturbance that jumps can be
 class ConstantKind(Kind):
     """y = value."""
 
+    ports: ClassVar[str] = "-> y"
     kind: Literal["constant"]
     value: Flag | Number | NumberRow = Field(description="value, values, or true or false")
 
@@ -48,6 +49,7 @@ class ConstantKind(Kind):
 class StepKind(Kind):
     """y jumps from before to after at time."""
 
+    ports: ClassVar[str] = "-> y"
     kind: Literal["step"]
     time: Number = Field(description="when it jumps [s]")
     before: Number = Field(0.0, description="y before that")
@@ -63,6 +65,7 @@ class StepKind(Kind):
 class RampKind(Kind):
     """y = offset + slope max(0, t - start_time)."""
 
+    ports: ClassVar[str] = "-> y"
     kind: Literal["ramp"]
     slope: Number = Field(description="growth of y [1/s]")
     start_time: Number = Field(0.0, description="when it begins [s]")
@@ -77,6 +80,7 @@ class RampKind(Kind):
 class SineKind(Kind):
     """y = offset + amplitude sin(rate t + phase)."""
 
+    ports: ClassVar[str] = "-> y"
     kind: Literal["sine"]
     amplitude: Number = Field(1.0, description="amplitude")
     rate: Number = Field(description="angular rate [rad/s]")
@@ -96,6 +100,7 @@ class SineKind(Kind):
 class ChirpKind(Kind):
     """y = offset + amplitude sin(rate t + sweep t^2 / 2)."""
 
+    ports: ClassVar[str] = "-> y"
     kind: Literal["chirp"]
     amplitude: Number = Field(1.0, description="amplitude")
     rate: Number = Field(description="angular rate at t = 0 [rad/s]")
@@ -115,6 +120,7 @@ class ChirpKind(Kind):
 class ExpressionKind(Kind):
     """y = expressions in t."""
 
+    ports: ClassVar[str] = "-> y"
     kind: Literal["expression"]
     y: str | tuple[str, ...] = Field(
         description='an expression, like "1 + 0.5*sin(2*t)", or several'
@@ -140,6 +146,7 @@ class ExpressionKind(Kind):
 class TableKind(Kind):
     """y = given points, interpolated: arrays, or a CSV file with a header line."""
 
+    ports: ClassVar[str] = "-> y"
     kind: Literal["table"]
     t: NumberRow | None = Field(None, description="instants [s], increasing")
     y: NumberRow | NumberRows | None = Field(
@@ -200,6 +207,7 @@ class TableKind(Kind):
 class NoiseKind(Kind):
     """y = Gaussian noise, a new value at every communication point."""
 
+    ports: ClassVar[str] = "-> y"
     kind: Literal["noise"]
     deviation: Number = Field(ge=0.0, description="standard deviation")
     seed: Whole = Field(ge=0, description="seed of the generator")
@@ -224,6 +232,7 @@ class DisturbanceTerm(TomlTable):
 class DisturbanceKind(Kind):
     """y = sum of alpha(t) f(theta, t), the disturbance class (4)."""
 
+    ports: ClassVar[str] = "-> y"
     kind: Literal["disturbance"]
     terms: tuple[DisturbanceTerm, ...] = Field(description="list of { alpha, family, theta }")
 

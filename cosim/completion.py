@@ -1,0 +1,117 @@
+"""What the shell may complete: scenarios, components, their parameters and ports.
+
+The functions are called by the shell, with what was typed so far: they return candidates and never
+fail, as a message would end up in the line that is being typed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from cosim.errors import CosimError
+
+if TYPE_CHECKING:
+    from cosim.scenario.parsing import Scenario
+
+SETTINGS = "scenario"  # the table whose keys --set reaches like those of a component
+
+
+def complete_scenario(incomplete: str) -> list[str]:
+    """Return the shipped scenarios and the scenario files that begin so."""
+    from cosim.scenario.document import shipped
+
+    names = [name for name in shipped() if name.startswith(incomplete)]
+    return names + list(_files(incomplete, ".toml"))
+
+
+def complete_source(incomplete: str) -> list[str]:
+    """Return what ``cosim info`` reads: scenarios, FMUs and logs that begin so."""
+    files = [*_files(incomplete, ".fmu"), *_files(incomplete, ".mcap")]
+    return complete_scenario(incomplete) + files
+
+
+def complete_kind(incomplete: str) -> list[str]:
+    """Return the component kinds that begin so."""
+    from cosim.scenario.kinds import KINDS
+
+    return [name for name in KINDS if name.startswith(incomplete)]
+
+
+def complete_component(context: typer.Context, incomplete: str) -> list[str]:
+    """Return the components of the scenario on the line that begin so."""
+    return [name for name in _components(context) if name.startswith(incomplete)]
+
+
+def complete_swap(context: typer.Context, incomplete: str) -> list[str]:
+    """Return ``component=``, then files of FMUs and logs."""
+    component, equals, path = incomplete.partition("=")
+    if not equals:
+        return [f"{name}=" for name in complete_component(context, incomplete)]
+    files = [*_files(path, ".fmu"), *_files(path, ".mcap")]
+    return [f"{component}={file}" for file in files]
+
+
+def complete_setting(context: typer.Context, incomplete: str) -> list[str]:
+    """Return ``component.parameter=`` for what begins so."""
+    scenario = _scenario(context)
+    if scenario is None:
+        return []
+    candidates = list(_settings(scenario))
+    return [text for text in candidates if text.startswith(incomplete)]
+
+
+def complete_map(context: typer.Context, incomplete: str) -> list[str]:
+    """Return ``port=`` for the ports of the scenario's connections that begin so."""
+    scenario = _scenario(context)
+    if scenario is None:
+        return []
+    ports = []
+    for to, connection in scenario.connections.items():
+        ports += [str(to), *map(str, connection.sources)]
+    return [f"{port}=" for port in dict.fromkeys(ports) if port.startswith(incomplete)]
+
+
+def _settings(scenario: Scenario) -> Iterator[str]:
+    from cosim.scenario.kinds.parameters import parameters_of
+    from cosim.scenario.schema import Settings
+
+    for name, kind in scenario.specs.items():
+        for parameter in parameters_of(type(kind)):
+            yield f"{name}.{parameter.name}="
+    for key in Settings.model_fields:
+        yield f"{SETTINGS}.{key}="
+
+
+def _components(context: typer.Context) -> list[str]:
+    scenario = _scenario(context)
+    return [] if scenario is None else list(scenario.specs)
+
+
+def _scenario(context: typer.Context) -> Scenario | None:
+    """Return the scenario that stands on the line; None: there is none, or it has problems."""
+    from cosim.scenario.execution import load
+
+    # an option that still lacks its value leaves the arguments before it unread
+    candidates = [context.params.get("scenario"), *context.args]
+    for name in candidates:
+        if isinstance(name, str):
+            with suppress(CosimError, OSError):
+                return load(name)
+    return None
+
+
+def _files(incomplete: str, suffix: str) -> Iterator[str]:
+    """Yield paths that begin so: files with a suffix, and folders."""
+    folder, slash, begin = incomplete.rpartition("/")
+    with suppress(OSError):
+        for path in sorted(Path(folder + slash or ".").iterdir()):
+            if path.name.startswith(begin) and not path.name.startswith("."):
+                if path.is_dir():
+                    yield f"{folder}{slash}{path.name}/"
+                elif path.suffix.lower() == suffix:
+                    yield f"{folder}{slash}{path.name}"

@@ -1,0 +1,74 @@
+"""What 'cosim list' says of the ports of the kinds is what their components have."""
+
+from contextlib import ExitStack
+
+import pytest
+
+import cosim
+from cosim.scenario.build import Builder
+from cosim.scenario.kinds import KINDS
+
+PARTS = """
+[scenario]
+name = "parts"
+stop = 1.0
+step = 0.1
+[components]
+constant = { kind = "constant", value = 1.0 }
+step = { kind = "step", time = 0.5 }
+ramp = { kind = "ramp", slope = 1.0 }
+chirp = { kind = "chirp", rate = 1.0, sweep = 1.0 }
+expression = { kind = "expression", y = "t" }
+table = { kind = "table", t = [0.0, 1.0], y = [0.0, 1.0] }
+noise = { kind = "noise", deviation = 1.0, seed = 1 }
+sum = { kind = "sum", signs = [1.0, -1.0] }
+gain = { kind = "gain", K = 2.0 }
+limit = { kind = "limit", lower = 0.0, upper = 1.0 }
+lag = { kind = "lag", time_constant = 1.0 }
+delay = { kind = "delay", delay = 0.1 }
+look = { kind = "look-up-table", u = [0.0, 1.0], y = [0.0, 1.0] }
+controller = { kind = "controller", A = [[-1.0]], B = [[1.0]], C = [[1.0]] }
+[connections]
+"sum.u1" = "step.y"
+"sum.u2" = "ramp.y"
+"gain.u" = "ramp.y"
+"limit.u" = "ramp.y"
+"lag.u" = "ramp.y"
+"delay.u" = "ramp.y"
+"look.u" = "ramp.y"
+"controller.u" = "ramp.y"
+"""
+DEPENDENT = {"fmu", "recording"}  # on a file
+
+
+def names_of(side):
+    first, _, _ = side.partition(", or ")
+    return [name.strip() for name in first.split(",") if name.strip()]
+
+
+@pytest.fixture(scope="module")
+def interfaces(tmp_path_factory):
+    """Return the interface of one component of each kind."""
+    file = tmp_path_factory.mktemp("parts") / "parts.toml"
+    file.write_text(PARTS)
+    interfaces = {}
+    for source in (file, "academic", "closed-loop"):
+        scenario = cosim.load(source)
+        with ExitStack() as resources:
+            builder = Builder(scenario, resources)
+            for name, spec in scenario.specs.items():
+                interfaces[spec.kind] = builder.components[name].interface
+    return interfaces
+
+
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind not in DEPENDENT])
+def test_ports_are_those_of_the_component(interfaces, kind):
+    """Inputs before the arrow, outputs after it; where there may be more, the first ones."""
+    inputs, outputs = KINDS[kind].ports.split("->")
+    for side, signals in ((inputs, interfaces[kind].inputs), (outputs, interfaces[kind].outputs)):
+        shown = names_of(side)
+        names = [signal.name for signal in signals]
+        if "..." in shown:
+            shown.remove("...")
+            names = names[: len(shown)]
+        assert shown == names

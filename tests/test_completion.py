@@ -1,0 +1,78 @@
+"""What the shell is told to complete, by the protocol that bash uses."""
+
+import pytest
+
+from cosim.cli import main
+from cosim.scenario.kinds import KINDS
+
+
+@pytest.fixture
+def complete(tmp_path, monkeypatch, capsys):
+    """Return what bash would offer for the last word of a line."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "academic-mine.toml").write_text("no = 'scenario'")
+    (tmp_path / "plants").mkdir()
+    (tmp_path / "plants" / "a.fmu").touch()
+    (tmp_path / "plants" / "a.txt").touch()
+    (tmp_path / "plants" / "a.mcap").touch()
+    (tmp_path / ".hidden.toml").touch()
+
+    def offered(line):
+        words = line.split(" ")
+        monkeypatch.setenv("_COSIM_COMPLETE", "complete_bash")
+        monkeypatch.setenv("COMP_WORDS", line)
+        monkeypatch.setenv("COMP_CWORD", str(len(words) - 1))
+        with pytest.raises(SystemExit):
+            main()
+        output = capsys.readouterr()
+        assert output.err == ""
+        return output.out.split()
+
+    return offered
+
+
+def test_scenarios_and_files_are_completed(complete):
+    """Shipped ones by name, files by suffix, folders to go on from; nothing hidden."""
+    assert complete("cosim run acad") == [
+        "academic",
+        "academic-as-printed",
+        "academic-mine.toml",
+    ]
+    assert complete("cosim run pl") == ["plants/"]
+    assert complete("cosim info plants/") == ["plants/a.fmu", "plants/a.mcap"]
+    assert complete("cosim run plants/") == []
+    assert complete("cosim run no-such-folder/x") == []
+
+
+def test_components_parameters_and_ports_are_those_of_the_scenario(complete):
+    """The scenario may stand before options that lack their value."""
+    assert complete("cosim export academic --component o") == ["observer"]
+    offered = complete("cosim run academic --quiet --set identifier.")
+    assert {"identifier.P0=", "identifier.method=", "identifier.start.epsilon_filter="} <= {
+        *offered
+    }
+    assert complete("cosim run academic --set scenario.sto") == ["scenario.stop="]
+    assert complete("cosim run academic --map observer.") == [
+        "observer.u=",
+        "observer.y=",
+        "observer.delta=",
+    ]
+    assert complete("cosim compare academic --swap pl") == ["plant="]
+    assert complete("cosim run academic --swap plant=plants/") == [
+        "plant=plants/a.fmu",
+        "plant=plants/a.mcap",
+    ]
+
+
+def test_a_line_without_a_scenario_that_can_be_read_completes_nothing(complete):
+    """Without a message, which would stand in the line."""
+    for scenario in ("nonsense", "academic-mine.toml"):
+        assert complete(f"cosim run {scenario} --set o") == []
+        assert complete(f"cosim run {scenario} --swap o") == []
+        assert complete(f"cosim run {scenario} --map o") == []
+    assert complete("cosim run --set o") == []
+
+
+def test_kinds_are_completed(complete):
+    """All of them."""
+    assert complete("cosim list ") == list(KINDS)
