@@ -263,6 +263,20 @@ def test_slopes_that_are_refused_later_stop_the_run(opened, version):
     assert (stop.value.steps, stop.value.failed) == (1, True)
 
 
+def test_a_new_instance_goes_back_to_states_of_its_own(opened):
+    """Steps that it discards are repeated from states that were copied of it."""
+    discarding = {"longest": 0.03, "begin": 0.4, "until": 0.6}
+    fmu = opened("2", "lines", "state", "any step", no_slopes=0.0, **discarding)
+    assert np.array_equal(run(fmu), run(opened("2", "state", "any step", **discarding)))
+
+
+def test_an_fmu_that_asks_for_no_constant_inputs_is_not_reported(opened):
+    """It needs none: they keep their value anyway."""
+    fmu = opened("3", "lines", asks=0.0)
+    run(fmu, u=rest)
+    assert fmu.drain() == []
+
+
 def test_states_of_an_instance_that_was_replaced_are_lost(opened):
     """What was saved before the first step cannot be restored: the FMU's memory is no more."""
     component = opened("2", "lines", "state", no_slopes=0.0).component
