@@ -89,7 +89,9 @@ class Delay:
         u = Signal("u", size, unit)
         y = Signal("y", size, unit, "inherited")
         initial_feedthrough = {"y": ("u",)} if initial is None else {}
-        self.interface = Interface((u,), (y,), initial=initial_feedthrough, rollback=True)
+        self.interface = Interface(
+            (u,), (y,), initial=initial_feedthrough, delayed=("u",), rollback=True
+        )
         self._size = size
         self._step = delay_step(steps, size)
 

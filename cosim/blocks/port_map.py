@@ -13,7 +13,7 @@ Names are resolved to a map in :mod:`cosim.blocks.renaming`.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal, TypeAlias
@@ -22,11 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Matrix, Vector
-from cosim.core.signals import Interface, Signal
+from cosim.core.signals import Dependencies, Interface, Signal
 from cosim.units import Conversion, conversion
 
 Causality: TypeAlias = Literal["input", "output"]
-Dependencies: TypeAlias = Mapping[str, tuple[str, ...] | None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,12 +122,15 @@ class PortMap:
                 initial[name] = self._shown_inputs_behind(port, at_start)
         inputs = tuple(port.signal for port in self.inputs)
         outputs = tuple(port.signal for port in self.outputs)
+        own_delayed = set(self.component.delayed)
+        delayed = [port.signal.name for port in self.inputs if port.sources.keys() <= own_delayed]
         return replace(
             self.component,
             inputs=inputs,
             outputs=outputs,
             feedthrough=feedthrough,
             initial=initial,
+            delayed=tuple(delayed),
         )
 
     def _shown_inputs_behind(

@@ -35,7 +35,11 @@ class Sampled:
     """
 
     def __init__(self, component: Component, n: int, *, hold: bool = False) -> None:
-        self.interface = _held_between(component.interface, n)
+        interface = _held_between(component.interface, n)
+        if hold:
+            names = tuple(signal.name for signal in interface.inputs)
+            interface = replace(interface, delayed=names)
+        self.interface = interface
         self._component = component
         self._n = n
         self._hold = hold

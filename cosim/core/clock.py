@@ -11,12 +11,14 @@ from time import perf_counter
 import numpy as np
 
 from cosim.arrays import Mask, Nanoseconds, Vector
+from cosim.core.arguments import kind_of
 from cosim.core.contracts import Block
 from cosim.errors import ClockError
 
 NANOSECONDS = 1_000_000_000
 LARGEST_NS = 2**63 - 1
-BLOCK_WORK = 0.05  # s of wall time that a block should take
+LARGEST_EXPONENT = 400  # of ten: beyond every double
+BLOCK_WORK = 0.05  # s of wall time that a block should take, at least
 FIRST_BLOCK = 1  # grows fourfold; a slow component must not keep the first report waiting
 
 
@@ -29,9 +31,16 @@ def nanoseconds(seconds: float | str) -> int:
         If ``seconds`` is not a number, not a whole number of nanoseconds, or beyond 292 years.
     """
     try:
-        exact = Fraction(Decimal(str(seconds))) * NANOSECONDS
-    except (InvalidOperation, ValueError, OverflowError) as error:  # no number, NaN, infinity
-        raise ClockError(f"{seconds} is not a time in seconds; needed a finite number") from error
+        decimal = Decimal(str(seconds))
+    except (InvalidOperation, ValueError) as error:  # no number
+        raise _no_time(seconds) from error
+    if isinstance(seconds, bool) or not decimal.is_finite():
+        raise _no_time(seconds)
+    if decimal and not -LARGEST_EXPONENT <= decimal.adjusted() <= LARGEST_EXPONENT:
+        # As a fraction it could have more digits than there is memory.
+        limit = f"1e-{LARGEST_EXPONENT} to 1e{LARGEST_EXPONENT}"
+        raise ClockError(f"{kind_of(seconds)} s is not within {limit} s")
+    exact = Fraction(decimal) * NANOSECONDS
     whole = round(exact)
     if exact != whole:
         smallest = 1 if exact > 0 else -1
@@ -59,6 +68,11 @@ def start_nanoseconds(start_time: float) -> int:
             f"start_time: found {start_time} s, needed 0 s or later: the times of a log begin at 0"
         )
     return ns
+
+
+def _no_time(value: object) -> ClockError:
+    found = value[:60] if isinstance(value, str) else kind_of(value)
+    return ClockError(f"{found} is not a time in seconds; needed a finite number")
 
 
 def seconds(ns: Nanoseconds) -> Vector:
@@ -131,8 +145,9 @@ class Clock:
                 needed = "a positive time"
             raise ClockError(f"stop: found {self.stop} s, needed {needed}")
         self.steps_until(self.stop, "stop")
-        if self.block is not None and self.block < 1:
-            raise ClockError(f"block: found {self.block} steps, needed at least 1")
+        if self.block is not None and (type(self.block) is not int or self.block < 1):
+            found = kind_of(self.block)
+            raise ClockError(f"block: found {found} steps, needed at least 1, or None")
 
     @property
     def step_ns(self) -> int:
@@ -178,10 +193,11 @@ class Clock:
         first, second = sorted((float(nearest), other))
         return first, second
 
-    def blocks(self, limit: int) -> Iterator[Block]:
+    def blocks(self, limit: int, work: float = BLOCK_WORK) -> Iterator[Block]:
         """Yield the blocks of the run, none longer than ``limit`` steps.
 
-        Without a fixed size the time between two requests decides how long the next block is.
+        Without a fixed size the time between two requests decides how long the next block is: as
+        many steps as take ``work`` seconds.
         """
         index = 0
         size = min(self.block or FIRST_BLOCK, limit)
@@ -189,10 +205,13 @@ class Clock:
             size = min(size, self.steps - index)
             numbers = np.arange(index, index + size + 1, dtype=np.int64)
             ns = self.start_ns + numbers * self.step_ns
+            time = seconds(ns)
+            for array in (ns, time):
+                array.setflags(write=False)  # components see them
             began = perf_counter()
-            yield Block(index, ns, seconds(ns), self.step_ns / NANOSECONDS)
+            yield Block(index, ns, time, self.step_ns / NANOSECONDS)
             index += size
             if self.block is None:
                 elapsed = max(perf_counter() - began, 1e-9)
-                factor = min(4.0, max(0.25, BLOCK_WORK / elapsed))
+                factor = min(4.0, max(0.25, work / elapsed))
                 size = max(1, min(limit, int(size * factor)))

@@ -9,6 +9,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cosim.core.arguments import check_type, kind_of
 from cosim.core.contracts import Component
 from cosim.core.port import Port
 from cosim.core.signals import Channel, Layout, Signal
@@ -54,19 +55,17 @@ class Connection:
         if not sources:
             raise GraphError("a connection has no source; needed at least one")
         label = _label(sources)
-        try:
-            gain = np.array(self.gain, np.float64)
-        except ValueError as error:
+        gain = _number("gain", label, self.gain)
+        offset = _number("offset", label, self.offset)
+        if gain.ndim not in (0, 2) or offset.ndim:
             raise GraphError(
-                f"'{label}': gain has rows of different lengths; needed a number or a matrix"
-            ) from error
-        finite = np.isfinite(gain).all() and np.isfinite(self.offset)
-        if gain.ndim not in (0, 2) or not finite:
-            raise GraphError(
-                f"'{label}': found gain {self.gain} and offset {self.offset}; "
-                "needed finite numbers or a matrix"
+                f"'{label}': found gain {self.gain!r} and offset {self.offset!r}; needed a number "
+                "or a matrix as gain, a number as offset"
             )
+        if self.unit is not None:
+            check_type(f"'{label}': unit", self.unit, str, GraphError)
         object.__setattr__(self, "gain", gain)
+        object.__setattr__(self, "offset", float(offset))
         object.__setattr__(self, "sources", sources)
 
     @property
@@ -80,9 +79,30 @@ class Connection:
         return _label(self.sources)
 
 
+def _number(key: str, label: str, value: ArrayLike) -> NDArray[np.float64]:
+    """Return finite real numbers as an array that cannot be written to."""
+    try:
+        found = np.asarray(value)
+    except ValueError as error:
+        raise GraphError(
+            f"'{label}': {key} has rows of different lengths; needed a number or a matrix"
+        ) from error
+    is_real = found.dtype.kind in "iuf" and type(value) is not np.ma.MaskedArray
+    if not is_real or not np.isfinite(found).all():
+        raise GraphError(f"'{label}': found {key} {value!r}; needed finite numbers or a matrix")
+    numbers = found.astype(np.float64)
+    numbers.setflags(write=False)
+    return numbers
+
+
 def _parsed(source: SourceText) -> tuple[Port, ...]:
     if isinstance(source, str | Port):
         source = [source]
+    if not isinstance(source, Sequence):
+        raise GraphError(
+            f"a connection has {kind_of(source)} as its source; needed a port such as 'plant.y', "
+            "or a list of these"
+        )
     ports = []
     for port in source:
         ports.append(port if isinstance(port, Port) else Port.parse(port))
@@ -117,6 +137,16 @@ class Ports:
 
     def __init__(self, layout: Layout) -> None:
         self.channels = {channel.name: channel for channel in layout.channels}
+        self._inputs: dict[str, dict[str, Signal]] = {}
+        self._outputs: dict[str, dict[str, Signal]] = {}
+        self._columns: dict[str, dict[str, slice]] = {}
+        for channel in layout.channels:
+            interface = channel.interface
+            self._inputs[channel.name] = {signal.name: signal for signal in interface.inputs}
+            self._outputs[channel.name] = {signal.name: signal for signal in interface.outputs}
+            self._columns[channel.name] = {
+                signal.name: columns for signal, columns in channel.signal_columns()
+            }
 
     def input(self, port: Port) -> tuple[Channel, Signal]:
         """Return the channel and the signal of an input.
@@ -127,10 +157,10 @@ class Ports:
             If there is no such input; names the nearest.
         """
         channel = self._channel(port)
-        for signal in channel.interface.inputs:
-            if signal.name == port.name:
-                return channel, signal
-        raise _unknown_port(port, channel, "input")
+        signal = self._inputs[channel.name].get(port.name)
+        if signal is None:
+            raise _unknown_port(port, channel, "input")
+        return channel, signal
 
     def source(self, port: Port) -> Source:
         """Return an output, or elements of it.
@@ -141,12 +171,11 @@ class Ports:
             If there is no such output or element; names the nearest.
         """
         channel = self._channel(port)
-        match = port.find(channel.interface.outputs)
+        match = port.find_in(self._outputs[channel.name])
         if match is None:
             raise _unknown_port(port, channel, "output")
         signal, elements = match
-        columns = channel.interface.output_columns()[signal.name]
-        start = channel.outputs.start + columns.start
+        start = self._columns[channel.name][signal.name].start
         part = slice(start + elements.start, start + elements.stop)
         return Source(channel, signal, part)
 
@@ -221,9 +250,12 @@ def _problems(
 ) -> Iterator[str]:
     """Yield the problems of one connection."""
     ends = (to, *connection.sources)
-    known = [*ports.channels, *missing]
-    unknown = [port for port in ends if port.component not in known]
+    unknown = []
+    for port in ends:
+        if port.component not in ports.channels and port.component not in missing:
+            unknown.append(port)
     if unknown:
+        known = [*ports.channels, *missing]
         for port in unknown:
             yield str(_unknown_component(port, known))
         return

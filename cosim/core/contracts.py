@@ -206,9 +206,10 @@ class Block:
         """Number of communication steps, K."""
         return len(self.time_ns) - 1
 
-    def cut(self, steps: int) -> Block:
-        """Return the block of the first ``steps`` steps."""
-        return Block(self.index, self.time_ns[: steps + 1], self.time[: steps + 1], self.h)
+    def part(self, begin: int, end: int) -> Block:
+        """Return the block of the steps from row ``begin`` to row ``end``."""
+        rows = slice(begin, end + 1)
+        return Block(self.index + begin, self.time_ns[rows], self.time[rows], self.h)
 
 
 @dataclass(frozen=True, slots=True)

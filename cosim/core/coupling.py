@@ -9,131 +9,41 @@ is known.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Protocol, TypeAlias
+from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
-from cosim.core.connections import Connection, Source
-from cosim.core.contracts import Block, Component, Stopped
+from cosim.core.contracts import Block, Stopped
+from cosim.core.member import Member, read_only
 from cosim.core.order import OperationKind
 from cosim.errors import RunError
-from cosim.units import Conversion
-
-Columns: TypeAlias = slice | NDArray[np.intp]
 
 
-@dataclass(frozen=True, slots=True)
-class Wire:
-    """Copies columns of outputs into columns of an input: gain and offset, then the conversion."""
+class Cut(Exception):
+    """A stage came to an end before the end of its block.
 
-    to: slice
-    source: Columns
-    gain: Matrix | None  # None: plain values
-    offset: float
-    conversion: Conversion
+    Parameters
+    ----------
+    steps : int
+        Communication steps that all of its components have completed.
+    error : RunError
+        What ended it, with component and time.
+    """
 
-    def copy(self, signals: Matrix, rows: slice) -> None:
-        """Fill the input columns of some rows."""
-        source = signals[rows, self.source]
-        if self.gain is None:
-            signals[rows, self.to] = self.conversion(source)
-            return
-        for i, gains in enumerate(self.gain):
-            # Sums run in a fixed order, without BLAS, which gives other bits on other processors.
-            total = np.full(len(source), self.offset)
-            for j, gain in enumerate(gains):
-                if gain != 0.0:
-                    total += gain * source[:, j]
-            signals[rows, self.to.start + i] = self.conversion(total)
-
-
-def wires_of(
-    to: slice,
-    connection: Connection,
-    sources: Sequence[Source],
-    conversions: Sequence[Conversion],
-) -> tuple[Wire, ...]:
-    """Return the wires of a connection: one for each source, or one for all under a matrix."""
-    gain = connection.matrix
-    if gain.ndim == 2:
-        # Every source reaches the same unit (checked), so one conversion is that of all of them.
-        return (Wire(to, _joined(sources), gain, connection.offset, conversions[0]),)
-    identity = gain == 1.0 and connection.offset == 0.0
-    wires = []
-    start = to.start
-    for source, conversion in zip(sources, conversions, strict=True):
-        stop = start + source.size
-        scaled = None if identity else gain * np.eye(source.size)
-        wire = Wire(slice(start, stop), source.columns, scaled, connection.offset, conversion)
-        wires.append(wire)
-        start = stop
-    return tuple(wires)
-
-
-def constant_wires(to: slice, values: Sequence[float]) -> tuple[Wire, ...]:
-    """Return the wires of an input that nothing drives: sums of no sources, and an offset."""
-    wires = []
-    for column, value in zip(range(to.start, to.stop), values, strict=True):
-        element = slice(column, column + 1)
-        wires.append(Wire(element, slice(0, 0), np.zeros((1, 0)), value, Conversion()))
-    return tuple(wires)
-
-
-def _joined(sources: Sequence[Source]) -> Columns:
-    if len(sources) == 1:
-        return sources[0].columns
-    ranges = [np.arange(source.columns.start, source.columns.stop) for source in sources]
-    return np.concatenate(ranges)
-
-
-@dataclass(frozen=True, slots=True)
-class Member:
-    """A component with its columns and the wires that feed its inputs."""
-
-    name: str
-    component: Component
-    inputs: slice
-    outputs: slice
-    wires: tuple[Wire, ...]
-
-    def gather(self, signals: Matrix, rows: slice) -> None:
-        """Bring the inputs of some rows up to date."""
-        for wire in self.wires:
-            wire.copy(signals, rows)
-
-    def perform(self, kind: OperationKind, time: Vector, h: float, rows: Matrix) -> None:
-        """Carry out one operation of a loop over one step, from row 0 to row 1."""
-        if kind == "advance":
-            rows[1:, self.outputs] = self.advance(time, h, rows)
-        else:
-            end = float(time[1])
-            rows[1, self.outputs] = self.component.outputs(end, rows[1, self.inputs])
-
-    def advance(self, time: Vector, h: float, rows: Matrix) -> Matrix:
-        """Advance the component.
-
-        Raises
-        ------
-        RunError
-            If its rows do not have the shape that its interface promises.
-        """
-        y = self.component.advance(time, h, rows[:, self.inputs])
-        needed = (len(time) - 1, self.outputs.stop - self.outputs.start)
-        if np.shape(y) != needed:
-            shape = np.shape(y)
-            raise RunError(f"advance gave an array of shape {shape}, its interface needs {needed}")
-        return y
+    def __init__(self, steps: int, error: RunError) -> None:
+        super().__init__(str(error))
+        self.steps = steps
+        self.error = error
 
 
 class Stage(Protocol):
     """Advances its components over a block."""
 
     @property
-    def names(self) -> tuple[str, ...]:
+    def members(self) -> tuple[Member, ...]:
         """The components of the stage."""
         ...
 
@@ -157,7 +67,7 @@ class Stage(Protocol):
 
         Raises
         ------
-        Stopped
+        Cut
             With the number of rows that are filled.
         """
         ...
@@ -172,9 +82,9 @@ class Cascade:
     warnings: tuple[tuple[str, str], ...] = ()
 
     @property
-    def names(self) -> tuple[str, ...]:
+    def members(self) -> tuple[Member, ...]:
         """The component."""
-        return (self.member.name,)
+        return (self.member,)
 
     @property
     def description(self) -> str:
@@ -186,15 +96,14 @@ class Cascade:
         member = self.member
         # Row 0 is the last row of the block before: its inputs are there.
         member.gather(signals, slice(1, None))
+        u = read_only(signals)[:, member.inputs]
         try:
-            signals[1:, member.outputs] = member.advance(block.time, block.h, signals)
+            signals[1:, member.outputs] = member.advance(block.time, block.h, u)
         except RunError as error:
-            stop = _as_stop(error)
-            filled = slice(1, stop.steps + 1)
+            stop = _stop_of(error, member, block.time)
             if stop.steps:
-                signals[filled, member.outputs] = stop.outputs
-            reached = float(block.time[stop.steps])
-            raise stop.at(member.name, reached) from error
+                signals[1 : stop.steps + 1, member.outputs] = stop.outputs
+            raise Cut(stop.steps, stop) from error
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,11 +117,6 @@ class Loop:
     warnings: tuple[tuple[str, str], ...]
 
     @property
-    def names(self) -> tuple[str, ...]:
-        """The components, in the order in which they advance."""
-        return tuple(member.name for kind, member in self.operations if kind == "advance")
-
-    @property
     def description(self) -> str:
         """The operations in order, for the log; in parentheses: outputs are evaluated again."""
         words = [self.coupling]
@@ -222,15 +126,18 @@ class Loop:
 
     def advance(self, block: Block, signals: Matrix) -> None:
         """Advance step by step."""
+        known = read_only(signals)
         for k in range(block.steps):
             step = slice(k, k + 2)
-            stop = self._step(block.time[step], block.h, signals[step])
+            stop = self._step(block.time[step], block.h, signals[step], known[step])
             if stop is not None:
-                filled = np.empty((k + stop.steps, 0))
-                raise Stopped(filled, str(stop), failed=stop.failed)
+                raise Cut(k + stop.steps, stop)
 
-    def _step(self, time: Vector, h: float, rows: Matrix) -> Stopped | None:
-        """Fill row 1; return what stopped it, with a row of outputs if the step is complete."""
+    def _step(self, time: Vector, h: float, rows: Matrix, known: Matrix) -> Stopped | None:
+        """Fill row 1; return what stopped it, with a row of outputs if the step is complete.
+
+        ``known`` shows the same rows to the components, which cannot write to it.
+        """
         end = slice(1, 2)
         stopped: Stopped | None = None
         # Extrapolated inputs read row 1 before their source has written it: first, it is row 0.
@@ -239,10 +146,14 @@ class Loop:
         for kind, member in self.operations:
             member.gather(rows, end)
             try:
-                member.perform(kind, time, h, rows)
+                if kind == "advance":
+                    y = member.advance(time, h, known[:, member.inputs])
+                    rows[1:, member.outputs] = y
+                else:
+                    y = member.outputs_at(float(time[1]), known[1, member.inputs])
+                    rows[1, member.outputs] = y
             except RunError as error:
-                stop = _as_stop(error)
-                stopped = stop.at(member.name, float(time[stop.steps]))
+                stopped = _stop_of(error, member, time)
                 if not stopped.steps:
                     return stopped
                 rows[1, member.outputs] = stopped.outputs[0]
@@ -252,6 +163,12 @@ class Loop:
         return stopped
 
 
-def _as_stop(error: RunError) -> Stopped:
-    """Return an error as a stop; one that does not say how far it came stopped before any step."""
-    return error if isinstance(error, Stopped) else Stopped(np.empty((0, 0)), str(error))
+def _stop_of(error: RunError, member: Member, time: Vector) -> Stopped:
+    """Return an error as a stop, with component and time.
+
+    One that does not say how far it came stopped before any step.
+    """
+    stop = error if isinstance(error, Stopped) else Stopped(np.empty((0, 0)), str(error))
+    located = stop.at(member.name, float(time[stop.steps]))
+    located.__cause__ = error
+    return located

@@ -6,15 +6,18 @@ whole block in one call. Feedthrough orders only the inside of loops and the ini
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from graphlib import TopologicalSorter
+from functools import cached_property
 from itertools import chain
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Matrix, Vector
+from cosim.core.arguments import check_type, checked_components, kind_of
 from cosim.core.connections import (
     Connection,
     Ports,
@@ -24,12 +27,14 @@ from cosim.core.connections import (
     layout_of,
     unit_warnings,
 )
-from cosim.core.contracts import Component, Design, Plan, prepare
-from cosim.core.coupling import Cascade, Loop, Member, Stage, Wire, constant_wires, wires_of
+from cosim.core.contracts import Component, Design, Plan
+from cosim.core.coupling import Cascade, Loop, Stage
+from cosim.core.cycles import groups_in_order, strongly_connected
 from cosim.core.initial_values import InitialValues
-from cosim.core.order import order_loop, strongly_connected
+from cosim.core.member import Member, Wire, constant_wires, wires_of
+from cosim.core.order import order_loop
 from cosim.core.port import Port
-from cosim.core.signals import Channel, Variability
+from cosim.core.signals import Channel, Signal, Variability
 from cosim.errors import GraphError, NonFiniteError, nearest
 from cosim.units import Conversion
 
@@ -84,12 +89,10 @@ class Graph:
         input_interpolation: InputInterpolation = "linear",
         periods: Mapping[str, int] | None = None,
     ) -> None:
-        _check_names(components)
+        self.components = checked_components(components)
         _check_choice("coupling", coupling, COUPLINGS)
         _check_choice("input_interpolation", input_interpolation, INTERPOLATIONS)
-        self.periods = dict(periods or {})
-        _check_periods(self.periods, components)
-        self.components = dict(components)
+        self.periods = _checked_periods({} if periods is None else periods, self.components)
         self.coupling = coupling
         self.input_interpolation = input_interpolation
         self.layout = layout_of(self.components, self.periods)
@@ -111,16 +114,39 @@ class Graph:
         self._initial_values = InitialValues(self.layout, self._members, self._sources, wires)
         self.held: dict[str, Mask] = {}
         for stage in self.stages:
-            for name in stage.names:
-                self.held[name] = self._held(name, stage)
+            loop = frozenset(member.name for member in stage.members)
+            for member in stage.members:
+                extrapolated = stage.extrapolated.get(member.name, frozenset())
+                self.held[member.name] = self._held(member.channel, extrapolated, loop)
 
     def prepare(self, step_ns: int, recorded: Mapping[str, Design] | None = None) -> Plan:
-        """Prepare every component for the communication step; return what is fixed by that."""
+        """Prepare every component for the communication step; return what is fixed by that.
+
+        Parameters
+        ----------
+        step_ns : int
+            Communication step [ns].
+        recorded : mapping of component name to Design, optional
+            Recorded designs to use instead of computing them.
+
+        Raises
+        ------
+        GraphError
+            If the step is no positive number, or a recorded design is that of no component.
+        RunError
+            If a component raises a foreign exception, or its design is not finite numbers.
+        """
+        if type(step_ns) is not int or step_ns < 1:
+            raise GraphError(
+                f"step_ns: found {kind_of(step_ns)}, needed a whole number of nanoseconds, at "
+                "least 1"
+            )
+        taken: Mapping[str, Design] = {} if recorded is None else recorded
+        self._check_recorded(taken)
         h = step_ns / 1e9
         designs: dict[str, Design] = {}
-        for name, component in self.components.items():
-            design = {} if recorded is None else recorded.get(name, {})
-            designs[name] = prepare(component, h, self.held[name], design)
+        for name, member in self._members.items():
+            designs[name] = member.prepare(h, self.held[name], taken.get(name, {}))
         schedule = tuple(stage.description for stage in self.stages)
         return Plan(self.layout, step_ns, designs, self.held, schedule)
 
@@ -150,23 +176,28 @@ class Graph:
                 raise bad.error(t)
 
     def first_non_finite(self, stage: Stage, rows: Matrix) -> NonFinite | None:
-        """Return the first value of a stage that is not finite: by row, component and signal."""
-        first: NonFinite | None = None
-        for name in stage.names:
-            channel = self.layout[name]
-            if np.isfinite(rows[:, channel.columns]).all():
-                continue
-            for signal, columns in channel.signal_columns():
-                # Only rows before the one found already: the earliest row wins.
-                end = None if first is None else first.row
-                values = rows[:end, columns]
-                no_value = np.isnan(values) & signal.optional
-                bad = ~np.isfinite(values) & ~no_value
+        """Return the first value of a stage that is not finite, by row.
+
+        Of one row it is where the value arose: an output of a component whose inputs are finite,
+        where there is one; else the first by component and signal.
+        """
+        suspects: list[tuple[Member, NDArray[np.bool_]]] = []
+        for member in stage.members:
+            values = rows[:, member.columns]
+            finite = np.isfinite(values)
+            if not finite.all():
+                bad = ~finite & ~(np.isnan(values) & member.optional)
                 if bad.any():
-                    row, element = np.unravel_index(int(np.argmax(bad)), bad.shape)
-                    label = f"{name}.{signal.elements[element]}"
-                    first = NonFinite(int(row), label, float(values[row, element]))
-        return first
+                    suspects.append((member, bad))
+        if not suspects:
+            return None
+        row = min(int(np.argmax(bad.any(axis=1))) for _, bad in suspects)
+        at_row = [(member, bad[row]) for member, bad in suspects if bad[row].any()]
+        causes = [(member, bad) for member, bad in at_row if not bad[: member.n_u].any()]
+        member, bad_columns = (causes or at_row)[0]
+        column = int(np.argmax(bad_columns))
+        value = float(rows[row, member.columns.start + column])
+        return NonFinite(row, member.label(column), value)
 
     @property
     def warnings(self) -> list[tuple[str, str]]:
@@ -187,10 +218,22 @@ class Graph:
 
     # --- structure ---
 
+    def _check_recorded(self, recorded: Mapping[str, Design]) -> None:
+        check_type("recorded", recorded, Mapping, GraphError)
+        for name, design in recorded.items():
+            if name not in self.components:
+                suggestion = nearest(str(name), self.components)
+                raise GraphError(f"recorded: there is no component {name!r}; {suggestion}")
+            check_type(f"recorded design of {name!r}", design, Mapping, GraphError)
+            for key, array in design.items():
+                label = f"recorded design of {name!r}, {key!r}"
+                check_type(label, array, np.ndarray, GraphError)
+
     def _checked(
         self, connections: Mapping[str, SourceText | Connection] | Mapping[Port, Connection]
     ) -> dict[Port, Connection]:
         """Return the connections by the port of the input, after a check of them all."""
+        check_type("connections", connections, Mapping, GraphError)
         parsed: dict[Port, Connection] = {}
         for to, given in connections.items():
             port = to if isinstance(to, Port) else Port.parse(to)
@@ -249,10 +292,8 @@ class Graph:
         return wires
 
     def _member(self, name: str, wires: Mapping[Port, tuple[Wire, ...]]) -> Member:
-        channel = self.layout[name]
         flat = chain.from_iterable(wires.values())
-        component = self.components[name]
-        return Member(name, component, channel.inputs, channel.outputs, tuple(flat))
+        return Member(self.layout[name], self.components[name], tuple(flat))
 
     def _drivers(self, name: str) -> set[str]:
         """Return the components that drive an input of this one."""
@@ -263,27 +304,21 @@ class Graph:
 
     def _order(self) -> tuple[Stage, ...]:
         """Return the strongly connected components of the graph, as stages in topological order."""
-        names = list(self.components)
-        group_of = strongly_connected({name: self._drivers(name) for name in names})
-        sorter: TopologicalSorter[str] = TopologicalSorter()
-        for name in names:
-            sorter.add(group_of[name])
-        for name in names:
-            for driver in self._drivers(name):
-                if group_of[driver] != group_of[name]:
-                    sorter.add(group_of[name], group_of[driver])
-        stages = []
-        for group in sorter.static_order():
-            members = [name for name in names if group_of[name] == group]
-            stages.append(self._stage(members))
+        drivers = {name: self._drivers(name) for name in self.components}
+        stages: list[Stage] = []
+        for names in groups_in_order(drivers):
+            first = names[0]
+            if len(names) == 1 and first not in drivers[first]:
+                stages.append(Cascade(self._members[first]))
+            else:
+                stages.append(self._loop(names))
         return tuple(stages)
 
-    def _stage(self, names: list[str]) -> Stage:
-        if len(names) == 1 and names[0] not in self._drivers(names[0]):
-            return Cascade(self._members[names[0]])
+    def _loop(self, names: list[str]) -> Loop:
         interfaces = {name: self.layout[name].interface for name in names}
         sources = {name: self._sources[name] for name in names}
-        order = order_loop(interfaces, sources, jacobi=self.coupling == "jacobi")
+        held = self._held_connections(names)
+        order = order_loop(interfaces, sources, jacobi=self.coupling == "jacobi", held=held)
         members = [self._members[name] for name in names]
         operations = [(kind, self._members[name]) for kind, name in order.operations]
         warnings = [(unknown.component, str(unknown)) for unknown in order.unknown]
@@ -291,23 +326,45 @@ class Graph:
             self.coupling, tuple(members), tuple(operations), order.extrapolated, tuple(warnings)
         )
 
-    def _held(self, name: str, stage: Stage) -> Mask:
+    def _held_connections(self, names: list[str]) -> set[tuple[Port, Port]]:
+        """Return the connections of components, as input and source, with a zero-order hold."""
+        held: set[tuple[Port, Port]] = set()
+        for name in names:
+            for signal in self.layout[name].interface.inputs:
+                to = Port(name, signal.name)
+                connection = self.connections.get(to)
+                if connection is None:  # constant
+                    continue
+                ports = [self._ports.source(port).port for port in connection.sources]
+                is_held = [self._is_held(signal, port) for port in ports]
+                if connection.matrix.ndim == 2:  # every element may be a sum of all sources
+                    is_held = [self._is_held(signal, *ports)] * len(ports)
+                # An output that drives some elements continuously is no held source.
+                open_ports = {port for port, hold in zip(ports, is_held, strict=True) if not hold}
+                held.update((to, port) for port in ports if port not in open_ports)
+        return held
+
+    def _is_held(self, signal: Signal, *sources: Port) -> bool:
+        """Return whether an input has a zero-order hold, by itself or by what drives it."""
+        if self.input_interpolation == "zero-order" or signal.variability == "discrete":
+            return True
+        return self._combined(sources) == "discrete"
+
+    def _held(self, channel: Channel, extrapolated: frozenset[str], loop: frozenset[str]) -> Mask:
         """Return which input elements of a component have a zero-order hold."""
-        extrapolated = stage.extrapolated.get(name, frozenset())
         held: list[bool] = []
-        for signal in self.layout[name].interface.inputs:
-            zero_order = (
-                self.input_interpolation == "zero-order" or signal.variability == "discrete"
-            )
-            if zero_order:
+        for signal in channel.interface.inputs:
+            if self._is_held(signal):
                 held += [True] * signal.size
             else:
                 # Of an extrapolated input only what comes from inside the loop is extrapolated.
-                loop = stage.names if signal.name in extrapolated else ()
-                held += self._held_elements(Port(name, signal.name), signal.size, loop)
-        return np.array(held, dtype=np.bool_)
+                inside = loop if signal.name in extrapolated else frozenset[str]()
+                held += self._held_elements(Port(channel.name, signal.name), signal.size, inside)
+        mask = np.array(held, dtype=np.bool_)
+        mask.setflags(write=False)
+        return mask
 
-    def _held_elements(self, to: Port, size: int, loop: tuple[str, ...]) -> list[bool]:
+    def _held_elements(self, to: Port, size: int, loop: frozenset[str]) -> list[bool]:
         """Return which elements of an input are driven by discrete signals, or from a loop."""
         connection = self.connections.get(to)
         if connection is None:  # constant
@@ -323,26 +380,17 @@ class Graph:
             elements += [from_loop or is_discrete] * source.size
         return elements
 
-    def variability(self, output: Port, visited: frozenset[str] = frozenset()) -> Variability:
+    def variability(self, output: Port) -> Variability:
         """Return the variability of an output.
 
         An inherited one is discrete where every input of its component is. It stays inherited where
         nothing is behind it that changes: constants hold and are interpolated alike.
         """
-        name = output.component
-        signal = self._ports.source(output).signal
-        if signal.variability != "inherited":
-            return signal.variability
-        if name in visited:
-            return "discrete"
-        ports = chain.from_iterable(self._sources[name].values())
-        return self._combined(ports, visited | {name})
+        return self._variabilities[self._ports.source(output).port]
 
-    def _combined(
-        self, outputs: Iterable[Port], visited: frozenset[str] = frozenset()
-    ) -> Variability:
+    def _combined(self, outputs: Iterable[Port]) -> Variability:
         """Return the variability of what follows several outputs."""
-        found = {self.variability(port, visited) for port in outputs} - {"inherited"}
+        found = {self.variability(port) for port in outputs} - {"inherited"}
         if not found:
             return "inherited"
         return "discrete" if found == {"discrete"} else "continuous"
@@ -374,29 +422,92 @@ class Graph:
                 "ramp over the step before it: an error of first order in the step"
             )
 
+    @cached_property
+    def _variabilities(self) -> dict[Port, Variability]:
+        """The variability of every output: what inherits it follows what is behind it.
 
-def _check_names(components: Mapping[str, Component]) -> None:
-    if not components:
-        raise GraphError("the graph has no components; needed at least one")
-    for name in components:
-        if "." in name or not name:
-            raise GraphError(
-                f"component {name!r}: a component's name must not be empty and has no dot"
-            )
+        A cycle of components that inherit theirs is discrete, unless something continuous enters.
+        """
+        found: dict[Port, Variability] = {}
+        inheriting: dict[str, list[Port]] = {}
+        for channel in self.layout.channels:
+            for signal in channel.interface.outputs:
+                port = Port(channel.name, signal.name)
+                found[port] = signal.variability
+                if signal.variability == "inherited":
+                    inheriting.setdefault(channel.name, []).append(port)
+        followed: dict[str, dict[Port, None]] = {}
+        drivers: dict[str, list[str]] = {}
+        for name in inheriting:
+            ports = dict.fromkeys(chain.from_iterable(self._sources[name].values()))
+            followed[name] = ports
+            inherited = [port for port in ports if found[port] == "inherited"]
+            drivers[name] = [port.component for port in inherited]
+        discrete = [port for port, variability in found.items() if variability == "discrete"]
+        continuous = [port for port, variability in found.items() if variability == "continuous"]
+        for name in _on_cycles(drivers):
+            discrete += inheriting[name]
+        for port in _reached(discrete, followed, inheriting):
+            found[port] = "discrete"
+        # Last, as one continuous signal is enough.
+        for port in _reached(continuous, followed, inheriting):
+            found[port] = "continuous"
+        return found
+
+
+def _on_cycles(drivers: Mapping[str, list[str]]) -> list[str]:
+    """Return the components that drive themselves, by others or directly."""
+    group_of = strongly_connected(drivers)
+    sizes = Counter(group_of.values())
+    return [name for name in drivers if sizes[group_of[name]] > 1 or name in drivers[name]]
+
+
+def _reached(
+    ports: Iterable[Port],
+    followed: Mapping[str, Iterable[Port]],
+    inheriting: Mapping[str, list[Port]],
+) -> list[Port]:
+    """Return ports and the outputs that inherit from them, also through others.
+
+    Parameters
+    ----------
+    ports : iterable of Port
+    followed : mapping of component name to iterable of Port
+        What drives each component that inherits.
+    inheriting : mapping of component name to list of Port
+        Its outputs that inherit.
+    """
+    followers: dict[Port, list[str]] = {}
+    for name, sources in followed.items():
+        for port in sources:
+            followers.setdefault(port, []).append(name)
+    reached = list(ports)
+    visited: set[str] = set()
+    for port in reached:  # grows on the way
+        for name in followers.get(port, ()):
+            if name not in visited:
+                visited.add(name)
+                reached += inheriting[name]
+    return reached
 
 
 def _check_choice(key: str, value: str, choices: tuple[str, ...]) -> None:
-    if value not in choices:
-        raise GraphError(f"{key}: found {value!r}; {nearest(value, choices)}")
+    if not isinstance(value, str) or value not in choices:
+        raise GraphError(f"{key}: found {kind_of(value)}; {nearest(str(value), choices)}")
 
 
-def _check_periods(periods: Mapping[str, int], components: Mapping[str, Component]) -> None:
+def _checked_periods(
+    periods: Mapping[str, int], components: Mapping[str, Component]
+) -> dict[str, int]:
+    check_type("periods", periods, Mapping, GraphError)
     for name, period in periods.items():
         if name not in components:
-            suggestion = nearest(name, components)
+            suggestion = nearest(str(name), components)
             raise GraphError(f"periods: there is no component {name!r}; {suggestion}")
-        if period < 1:
-            raise GraphError(f"periods: found {period} steps for {name!r}, needed at least 1")
+        if type(period) is not int or period < 1:
+            found = kind_of(period)
+            raise GraphError(f"periods: found {found} steps for {name!r}, needed at least 1")
+    return dict(periods)
 
 
 @dataclass(frozen=True, slots=True)

@@ -34,9 +34,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Vector
-from cosim.core.coupling import Member, Wire
+from cosim.core.cycles import find_cycle, strongly_connected
+from cosim.core.feedthrough import PortDependencies, Sources
 from cosim.core.fixed_point import Candidate, SingularError, iterate, measure, newton, newton_step
-from cosim.core.order import PortDependencies, Sources, find_cycle, strongly_connected
+from cosim.core.member import Member, Wire
 from cosim.core.port import Port
 from cosim.core.signals import Channel, Interface, Layout, Signal
 from cosim.errors import GraphError
@@ -94,16 +95,18 @@ class InitialValues:
         wires: Mapping[Port, tuple[Wire, ...]],
     ) -> None:
         self.layout = layout
-        self.members = members
+        # By name: nothing may depend on the order of the components in a file.
+        self.members = {name: members[name] for name in sorted(members)}
+        channels = [member.channel for member in self.members.values()]
         self.columns: dict[Port, slice] = {}
         self._signals: dict[Port, Signal] = {}
-        for channel in layout.channels:
+        for channel in channels:
             for signal, columns in channel.signal_columns():
                 port = Port(channel.name, signal.name)
                 self.columns[port] = columns
                 self._signals[port] = signal
         self.wires = wires
-        self.order = self._ordered(_dependencies(layout.channels, sources))
+        self.order = self._ordered(_dependencies(channels, sources))
         self.outputs_outside_loops = self._outputs_outside_loops()
 
     def _ordered(self, dependencies: PortDependencies) -> list[Port | AlgebraicLoop]:
@@ -136,7 +139,8 @@ class InitialValues:
         return [port for port in self.columns if port not in self.wires and port not in in_loops]
 
     def _algebraic_loop(self, ports: list[Port], dependencies: PortDependencies) -> AlgebraicLoop:
-        interfaces = {channel.name: channel.interface for channel in self.layout.channels}
+        names = {port.component for port in ports}
+        interfaces = {name: self.members[name].channel.interface for name in names}
         members = set(ports)
         inside = {port: sorted(members.intersection(dependencies[port])) for port in ports}
         path = find_cycle(inside)
@@ -146,8 +150,7 @@ class InitialValues:
         elements: list[Port] = []
         for port, size in zip(torn, sizes, strict=True):
             elements += [port] * size
-        all_columns = np.arange(self.layout.width)
-        columns = np.concatenate([all_columns[self.columns[port]] for port in torn])
+        columns = _numbers([self.columns[port] for port in torn])
         optional = np.repeat([self._signals[port].optional for port in torn], sizes)
         discrete = any(_is_discrete(self._signals[port]) for port in ports)
         return AlgebraicLoop(
@@ -229,7 +232,7 @@ class _InitialRow:
         bits = u.tobytes()
         initialized_with, y = self._initialized.get(name, (None, NO_OUTPUTS))
         if bits != initialized_with:
-            y = np.array(member.component.initialize(self._t, u))
+            y = member.initialize(self._t, u)
             self._initialized[name] = bits, y
         return y
 
@@ -271,15 +274,20 @@ class _InitialRow:
 
     def _largest(self, loop: AlgebraicLoop) -> float:
         """Return the largest value among the components of a loop."""
-        parts = [self._row[self._plan.layout[port.component].columns] for port in loop.order]
+        names = {port.component for port in loop.order}
+        parts = [self._row[self._plan.members[name].columns] for name in names]
         values = np.concatenate(parts)
         return float(np.abs(values[np.isfinite(values)]).max(initial=0.0))
 
     def _is_solved(self, loop: AlgebraicLoop, before: Vector) -> bool:
         """Return whether a sweep gave the values of ``before`` again."""
-        all_columns = np.arange(self._plan.layout.width)
-        columns = np.concatenate([all_columns[self._plan.columns[port]] for port in loop.order])
+        columns = _numbers([self._plan.columns[port] for port in loop.order])
         return measure(before[columns], self._row[columns], self._largest(loop)).excess <= 1.0
+
+
+def _numbers(columns: Iterable[slice]) -> NDArray[np.intp]:
+    """Return the numbers of columns, one after the other."""
+    return np.concatenate([np.arange(part.start, part.stop) for part in columns])
 
 
 def _need_fixed_point(loop: AlgebraicLoop, solution: Vector | None) -> Vector:

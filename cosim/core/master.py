@@ -5,26 +5,29 @@
     plan   <- every component computes its design for the communication step
     row 0  <- every component initialized with its inputs
     for block in clock.blocks:
-        for stage in graph.stages:
-            stage.advance(block, signals)       # a cascade: one call; a loop: step by step
-            a stage that stops early cuts the block for all
-            so does the first value that is not finite, before anything downstream sees it
-        yield block, signals                    # run: recorder.write(block, signals)
+        until its end is reached:               # at once, unless something is slow
+            for stage in graph.stages:
+                stage.advance(block, signals)   # a cascade: all at once; a loop: step by step
+                a stage that stops early cuts the block for all
+                so does the first value that is not finite, before anything downstream sees it
+            yield block, signals                # run: recorder.write(block, signals)
         end there, if something stopped
         row 0 <- the last row
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 
 import numpy as np
 
 from cosim.arrays import Matrix
+from cosim.core.arguments import check_recorder, check_type
 from cosim.core.clock import Clock
-from cosim.core.contracts import Block, Design, Plan, Recorder, Stopped
+from cosim.core.contracts import Block, Plan, Recorder, Stopped
 from cosim.core.graph import Graph
-from cosim.errors import RunError, UsageError
+from cosim.core.pacing import Pacer
+from cosim.errors import UsageError
 
 BLOCK_BYTES = 16 * 2**20  # memory for the rows of one block
 TWO_SIMULATIONS = (
@@ -33,14 +36,7 @@ TWO_SIMULATIONS = (
 )
 
 
-def run(
-    graph: Graph,
-    clock: Clock,
-    recorder: Recorder,
-    *,
-    designs: Mapping[str, Design] | None = None,
-    plan: Plan | None = None,
-) -> None:
+def run(graph: Graph, clock: Clock, recorder: Recorder, plan: Plan | None = None) -> None:
     """Run a graph from ``clock.start_time`` to ``clock.stop``.
 
     Parameters
@@ -49,10 +45,10 @@ def run(
     clock : Clock
     recorder : Recorder
         Takes every block; is entered and left here, so that it is complete however the run ends.
-    designs : mapping of component name to Design, optional
-        Recorded design-time results to use instead of computing them.
+        A block that takes long comes in pieces, so that the run can be watched and ended.
     plan : Plan, optional
-        What ``graph.prepare`` returned; left out, the graph is prepared here.
+        What ``graph.prepare`` returned, perhaps with recorded designs; left out, the graph is
+        prepared here.
 
     Raises
     ------
@@ -61,13 +57,17 @@ def run(
     Stopped
         If a component cannot go on; everything before is recorded. A regular stop ends the run
         without an error; its reason is recorded.
+    UsageError
+        If an argument is not what it should be, or the plan is not that of the graph and the clock.
     """
+    _check(graph, clock, plan)
+    check_recorder(recorder)
     try:
         with recorder:
             if plan is None:
-                plan = graph.prepare(clock.step_ns, designs)
+                plan = graph.prepare(clock.step_ns)
             recorder.begin(plan)
-            for block, signals in simulate(graph, clock, plan):
+            for block, signals in _advance(graph, clock, divide=True):
                 recorder.write(block, signals)
     except Stopped as stop:
         if stop.failed:
@@ -79,7 +79,8 @@ def simulate(
 ) -> Iterator[tuple[Block, Matrix]]:
     """Yield block after block with its rows, shape (K+1, width); row 0 is the last one before.
 
-    Between two blocks nothing is computed. The array is used again: copy what is kept.
+    Between two blocks nothing is computed. The array is used again: copy what is kept. Blocks have
+    the length that the clock fixes; where it fixes none, some components may be ahead of a block.
 
     Parameters
     ----------
@@ -96,39 +97,44 @@ def simulate(
         Where a component stops; also where that is a regular end (``failed`` False), which
         :func:`run` takes as the end. Both come after the last block.
     UsageError
-        If another simulation of the graph has begun since the last block.
+        If another simulation of the graph has begun since the last block, or an argument is not
+        what it should be.
     """
+    _check(graph, clock, plan)
     if plan is None:
         graph.prepare(clock.step_ns)
+    yield from _advance(graph, clock, divide=clock.block is None)
+
+
+def _check(graph: Graph, clock: Clock, plan: Plan | None) -> None:
+    check_type("graph", graph, Graph, UsageError)
+    check_type("clock", clock, Clock, UsageError)
+    if plan is None:
+        return
+    check_type("plan", plan, Plan, UsageError)
+    if plan.step_ns != clock.step_ns or plan.layout != graph.layout:
+        raise UsageError(
+            f"plan: found one for steps of {plan.step_ns} ns, the clock has {clock.step_ns} ns, or "
+            "for another graph; needed what graph.prepare returned for these"
+        )
+
+
+def _advance(graph: Graph, clock: Clock, *, divide: bool) -> Iterator[tuple[Block, Matrix]]:
+    """Initialize a prepared graph, and yield its blocks; those that take long in pieces."""
     limit = max(1, BLOCK_BYTES // (8 * graph.layout.width + 8))
     signals = np.zeros((min(limit, clock.steps) + 1, graph.layout.width))
     graph.initialize(clock.start_time, signals[0])
     initialization = graph.initializations
-    for block in clock.blocks(limit):
-        if graph.initializations != initialization:
-            raise UsageError(TWO_SIMULATIONS)
-        reached, error = _advance(graph, block, signals)
-        yield reached, signals[: reached.steps + 1]
-        if error is not None:
-            raise error
-        signals[0] = signals[reached.steps]
-
-
-# What is not finite is named by the check; numpy's warnings would say the same without a name.
-@np.errstate(over="ignore", invalid="ignore", divide="ignore")
-def _advance(graph: Graph, block: Block, signals: Matrix) -> tuple[Block, RunError | None]:
-    """Advance stage after stage; return the block that all completed, and the error that cut it."""
-    error: RunError | None = None
-    for stage in graph.stages:
-        try:
-            stage.advance(block, signals[: block.steps + 1])
-        except Stopped as stop:
-            error = stop
-            block = block.cut(stop.steps)
-        bad = graph.first_non_finite(stage, signals[1 : block.steps + 1])
-        if bad is not None:
-            error = bad.error(float(block.time[bad.row + 1]))
-            block = block.cut(bad.row)
-        if block.steps == 0:
-            break
-    return block, error
+    pacer = Pacer(graph, divide=divide)
+    for block in clock.blocks(limit, pacer.work):
+        pacer.begin(block)
+        reached = -1
+        while reached < pacer.end:
+            if graph.initializations != initialization:
+                raise UsageError(TWO_SIMULATIONS)
+            begin = max(reached, 0)
+            reached = pacer.advance(block, signals)
+            yield block.part(begin, reached), signals[begin : reached + 1]
+        if pacer.error is not None:
+            raise pacer.error
+        signals[0] = signals[block.steps]

@@ -1,52 +1,39 @@
-"""The order in which the components of a loop advance, derived from what feeds through.
+"""The order in which the components of a loop advance, from names and declarations alone.
 
 Which inputs are extrapolated (:mod:`cosim.core.coupling`) is fixed before the run:
 
-* Gauss-Seidel: components advance one after the other, those whose feedthrough inputs are known
-  first.
+* Gauss-Seidel: components advance one after the other, in the order that breaks the fewest
+  connections. A connection is *broken* where the component behind it advances first, though its
+  state follows the input through the step: first order. It is not where that input is delayed
+  (:class:`cosim.core.signals.Interface`) or has a zero-order hold, so a delay or a sampled
+  controller goes first.
 * Jacobi: all inputs from inside the loop are extrapolated.
 
-An algebraic loop, that is a cycle of outputs that are known to feed through to each other, is
-refused. Unknown feedthrough counts as there, except where it would close a cycle: there it is taken
-as not there (:class:`UnknownFeedthrough`). If it is there after all, its output was computed with
-the extrapolated input, the value from the start of the step.
+To break the fewest connections is to find a minimum feedback arc set, which is NP-hard. A component
+that breaks none may always advance next: what is known at the end of the step only grows, so it
+costs nothing now and helps the others. Where every component breaks one, a uniform-cost search over
+the sets of components that have advanced finds the least. Beyond ``SEARCH`` the greedy heuristic of
+P. Eades, X. Lin and W. Smyth (Inf. Process. Lett. 47, 1993) takes its place: next is the component
+that breaks the fewest connections less those that it completes. Among equals, fewer outputs are
+evaluated again; then names decide. Nothing depends on the order in which components are given.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Hashable, Mapping
+from collections import deque
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
-from graphlib import CycleError, TopologicalSorter
-from itertools import pairwise
-from typing import Literal, TypeAlias, TypeVar
+from heapq import heappop, heappush
+from typing import Final, Literal, NamedTuple, TypeAlias
 
+from cosim.core.feedthrough import Feedthrough, Sources, UnknownFeedthrough, find_feedthrough
 from cosim.core.port import Port
 from cosim.core.signals import Interface
-from cosim.errors import AlgebraicLoopError
 
-PortDependencies: TypeAlias = Mapping[Port, Collection[Port]]  # what each port depends on directly
-Feedthrough: TypeAlias = dict[str, tuple[str, ...]]  # the inputs that feed through to each output
-Sources: TypeAlias = Mapping[str, Mapping[str, tuple[Port, ...]]]  # of each input, by component
-Node = TypeVar("Node", bound=Hashable)
 OperationKind: TypeAlias = Literal["advance", "refresh"]
 Operation: TypeAlias = tuple[OperationKind, str]
 
-
-@dataclass(frozen=True, slots=True)
-class UnknownFeedthrough:
-    """Unknown feedthrough of a component, taken as not there because it would close a cycle."""
-
-    component: str
-    outputs: tuple[str, ...]
-    inputs: tuple[str, ...]
-
-    def __str__(self) -> str:
-        outputs = _first_names(self.component, self.outputs)
-        inputs = _first_names(self.component, self.inputs)
-        return (
-            f"{outputs} may depend directly on {inputs} (the FMU does not say): taken as not "
-            "feeding through; if it does, the loop is solved with the value of the step before"
-        )
+SEARCH: Final = 30_000  # connections followed, until the heuristic takes over: about 0.2 s
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,15 +45,37 @@ class LoopOrder:
     operations : tuple of Operation
     extrapolated : mapping of component name to frozenset of str
         Inputs that are known only after the component has advanced.
+    broken : int
+        Connections that are extrapolated though the state behind them follows them.
     unknown : tuple of UnknownFeedthrough
     """
 
     operations: tuple[Operation, ...]
     extrapolated: Mapping[str, frozenset[str]]
+    broken: int
     unknown: tuple[UnknownFeedthrough, ...]
 
 
-def order_loop(interfaces: Mapping[str, Interface], sources: Sources, *, jacobi: bool) -> LoopOrder:
+class Cost(NamedTuple):
+    """What it costs to let a component advance: broken connections, then outputs that wait.
+
+    ``waiting`` counts the inputs that feed through and are not known yet.
+    """
+
+    broken: int
+    waiting: int
+
+
+FREE: Final = Cost(0, 0)
+
+
+def order_loop(
+    interfaces: Mapping[str, Interface],
+    sources: Sources,
+    *,
+    jacobi: bool,
+    held: Collection[tuple[Port, Port]] = (),
+) -> LoopOrder:
     """Return the order of operations in a loop, and which inputs are extrapolated.
 
     Parameters
@@ -77,227 +86,259 @@ def order_loop(interfaces: Mapping[str, Interface], sources: Sources, *, jacobi:
         What drives each input; ports of components outside the loop are known from the start.
     jacobi : bool
         Extrapolate every input from inside the loop.
+    held : collection of (input Port, source Port)
+        Connections with a zero-order hold: their value at the end of a step reaches no state.
 
     Raises
     ------
     AlgebraicLoopError
         If outputs are known to feed through to each other in a cycle; every port of it is named.
     """
-    feedthrough, unknown = _feedthrough(interfaces, sources)
-    order = _Order(feedthrough, sources)
+    by_name = {name: interfaces[name] for name in sorted(interfaces)}
+    feedthrough, unknown = find_feedthrough(by_name, sources)
+    network = _Network(by_name, feedthrough, sources, held)
     if jacobi:
-        order.advance_together()
+        progress = _Progress(network)
+        progress.advance_together()
     else:
-        order.advance_in_turn()
-    return LoopOrder(tuple(order.operations), order.extrapolated, unknown)
+        progress = _search(network) or _choose_greedily(network)
+    broken = progress.cost.broken
+    return LoopOrder(tuple(progress.operations), progress.extrapolated, broken, unknown)
 
 
-class _Order:
-    """The order of operations of a loop while it is built.
+class _Network:
+    """The connections inside a loop and what feeds through to what; never changes.
 
     Attributes
     ----------
-    final : set of Port
-        The outputs that have their value at the end of the step.
+    names : tuple of str
+        The components, sorted.
+    inputs : dict of component name to list of Port
+        The inputs with sources inside the loop.
+    outputs : dict of component name to list of Port
+    inside : dict of input Port to tuple of Port
+        Its sources inside the loop.
+    driven : dict of output Port to list of Port
+        The inputs inside the loop that it drives.
+    fed : dict of input Port to list of Port
+        The outputs that it feeds through to.
+    reactive : set of (input Port, source Port)
+        The connections that would be broken.
+    size : int
+        Number of components and connections.
     """
 
-    def __init__(self, feedthrough: Mapping[str, Feedthrough], sources: Sources) -> None:
-        self.feedthrough = feedthrough
-        self.sources = sources
-        self.final: set[Port] = set()
+    def __init__(
+        self,
+        interfaces: Mapping[str, Interface],
+        feedthrough: Mapping[str, Feedthrough],
+        sources: Sources,
+        held: Collection[tuple[Port, Port]],
+    ) -> None:
+        self.names = tuple(interfaces)
+        self.inputs: dict[str, list[Port]] = {}
+        self.outputs: dict[str, list[Port]] = {}
+        self.inside: dict[Port, tuple[Port, ...]] = {}
+        self.driven: dict[Port, list[Port]] = {}
+        self.fed: dict[Port, list[Port]] = {}
+        self.reactive: set[tuple[Port, Port]] = set()
+        for name, interface in interfaces.items():
+            self.outputs[name] = [Port(name, signal.name) for signal in interface.outputs]
+            for output in self.outputs[name]:
+                self.driven[output] = []
+        for name, interface in interfaces.items():
+            self._connect(name, interface, sources[name], held)
+            self._feed(name, feedthrough[name])
+        self.size = len(self.names) + sum(map(len, self.inside.values()))
+
+    def _connect(
+        self,
+        name: str,
+        interface: Interface,
+        sources: Mapping[str, tuple[Port, ...]],
+        held: Collection[tuple[Port, Port]],
+    ) -> None:
+        self.inputs[name] = []
+        for signal, ports in sources.items():
+            to = Port(name, signal)
+            inside = tuple(port for port in ports if port in self.driven)
+            if not inside:
+                continue
+            self.inputs[name].append(to)
+            self.inside[to] = inside
+            self.fed[to] = []
+            for port in inside:
+                self.driven[port].append(to)
+                if signal not in interface.delayed and (to, port) not in held:
+                    self.reactive.add((to, port))
+
+    def _feed(self, name: str, feedthrough: Feedthrough) -> None:
+        for output, signals in feedthrough.items():
+            for signal in dict.fromkeys(signals):
+                to = Port(name, signal)
+                if to in self.inside:
+                    self.fed[to].append(Port(name, output))
+
+
+class _Progress:
+    """Which components have advanced over a step, and what is known at the end of it.
+
+    Attributes
+    ----------
+    operations : list of Operation
+    extrapolated : dict of component name to frozenset of str
+    cost : Cost
+        Of all components that have advanced.
+    waiting : set of str
+        The components that have not advanced.
+    """
+
+    def __init__(self, network: _Network) -> None:
+        self.network = network
         self.operations: list[Operation] = []
         self.extrapolated: dict[str, frozenset[str]] = {}
+        self.cost = FREE
+        self.waiting = set(network.names)
+        self._missing_sources = {to: len(ports) for to, ports in network.inside.items()}
+        self._missing_inputs: dict[Port, int] = {port: 0 for port in network.driven}
+        self._broken = dict.fromkeys(network.names, 0)
+        self._unknown_feeding = dict.fromkeys(network.names, 0)
+        for to, outputs in network.fed.items():
+            self._unknown_feeding[to.component] += bool(outputs)
+            for output in outputs:
+                self._missing_inputs[output] += 1
+        for to, _ in network.reactive:
+            self._broken[to.component] += 1
+        self._final: set[Port] = set()
+        self._free = [name for name in network.names if self.cost_of(name) == FREE]
+
+    def cost_of(self, name: str) -> Cost:
+        """Return what it costs to let a component advance now."""
+        return Cost(self._broken[name], self._unknown_feeding[name])
+
+    def gain_of(self, name: str) -> int:
+        """Return how many connections would no longer be broken if a component advanced now."""
+        count = 0
+        for output in self._computable(name):
+            for to in self.network.driven[output]:
+                count += to.component in self.waiting and (to, output) in self.network.reactive
+        return count
+
+    def advance_free(self) -> None:
+        """Advance every component that costs nothing, by name, also those that come to that."""
+        while self._free:
+            name = heappop(self._free)
+            if name in self.waiting:
+                self.advance(name)
+
+    def advance(self, name: str) -> None:
+        """Advance a component, then evaluate again what waited for its outputs."""
+        cost = self.cost_of(name)
+        self.cost = Cost(self.cost.broken + cost.broken, self.cost.waiting + cost.waiting)
+        unknown = [to.signal for to in self.network.inputs[name] if self._missing_sources[to]]
+        self._start(name, unknown)
+        # No refresh for these outputs: advance has just computed them with these inputs.
+        self._spread(self._computable(name))
 
     def advance_together(self) -> None:
         """Advance all components with the values of the step before (Jacobi)."""
-        for name in self.feedthrough:
-            self._advance(name, extrapolated=self._inputs_from_inside(name))
-        # Outputs that no extrapolated input reaches are final already.
-        for name, feedthrough in self.feedthrough.items():
-            for output, inputs in feedthrough.items():
-                if not self.extrapolated[name].intersection(inputs):
-                    self.final.add(Port(name, output))
-        self._refresh()
+        outputs: list[Port] = []
+        for name in self.network.names:
+            self._start(name, [to.signal for to in self.network.inputs[name]])
+            # Outputs that no extrapolated input reaches are final already.
+            outputs += self._computable(name)
+        self.cost = Cost(len(self.network.reactive), 0)
+        self._spread(outputs)
 
-    def advance_in_turn(self) -> None:
-        """Advance the components one after the other (Gauss-Seidel)."""
-        waiting = list(self.feedthrough)
-        while waiting:
-            # Of equals the first in the file: min keeps the order of the list.
-            name = min(waiting, key=self._count_unknown_feedthrough)
-            waiting.remove(name)
-            inside = self._inputs_from_inside(name)
-            unknown = frozenset(signal for signal in inside if not self._is_known(name, signal))
-            self._advance(name, extrapolated=unknown)
-            # No refresh for these outputs: advance has just computed them with these inputs.
-            self._mark_final(name)
-            self._refresh()
-
-    def _inputs_from_inside(self, name: str) -> frozenset[str]:
-        inside = set()
-        for signal, ports in self.sources[name].items():
-            if any(port.component in self.feedthrough for port in ports):
-                inside.add(signal)
-        return frozenset(inside)
-
-    def _is_known(self, name: str, signal: str) -> bool:
-        ports = self.sources[name][signal]
-        inside = [port for port in ports if port.component in self.feedthrough]
-        return self.final.issuperset(inside)
-
-    def _count_unknown_feedthrough(self, name: str) -> int:
-        feeding: set[str] = set()
-        for inputs in self.feedthrough[name].values():
-            feeding.update(inputs)
-        return sum(not self._is_known(name, signal) for signal in feeding)
-
-    def _advance(self, name: str, *, extrapolated: frozenset[str]) -> None:
-        self.extrapolated[name] = extrapolated
+    def _start(self, name: str, extrapolated: Iterable[str]) -> None:
+        self.waiting.remove(name)
+        self.extrapolated[name] = frozenset(extrapolated)
         self.operations.append(("advance", name))
 
-    def _mark_final(self, name: str) -> bool:
-        """Mark the outputs whose feedthrough inputs are known; return whether any is new."""
-        before = len(self.final)
-        for output, inputs in self.feedthrough[name].items():
-            if all(self._is_known(name, signal) for signal in inputs):
-                self.final.add(Port(name, output))
-        return len(self.final) > before
+    def _computable(self, name: str) -> list[Port]:
+        """Return the outputs that would be final, and are not."""
+        ports = self.network.outputs[name]
+        return [
+            port for port in ports if not self._missing_inputs[port] and port not in self._final
+        ]
 
-    def _refresh(self) -> None:
-        """Evaluate outputs again where extrapolated inputs became known, until nothing is new."""
-        progress = True
-        while progress:
-            progress = False
-            for name in self.extrapolated:
-                if self._mark_final(name):
-                    self.operations.append(("refresh", name))
-                    progress = True
+    def _spread(self, outputs: Iterable[Port]) -> None:
+        """Make outputs final; evaluate others again where inputs become known, until none is."""
+        final = deque(outputs)
+        self._final.update(final)
+        stale: deque[str] = deque()  # components that have advanced, with outputs to evaluate
+        while final or stale:
+            if final:
+                stale += self._reach(final.popleft())
+                continue
+            name = stale.popleft()
+            refreshed = self._computable(name)
+            if refreshed:
+                self.operations.append(("refresh", name))
+                self._final.update(refreshed)
+                final += refreshed
 
-
-def _feedthrough(
-    interfaces: Mapping[str, Interface], sources: Sources
-) -> tuple[dict[str, Feedthrough], tuple[UnknownFeedthrough, ...]]:
-    """Return what feeds through to each output; where that is unknown, what closes no cycle.
-
-    Raises
-    ------
-    AlgebraicLoopError
-        If what is known to feed through closes a cycle.
-    """
-    known: dict[str, Feedthrough] = {}
-    possible: dict[str, Feedthrough] = {}
-    for name, interface in interfaces.items():
-        possible[name] = {output.name: interface.feeds(output.name) for output in interface.outputs}
-        known[name] = {
-            output: inputs if interface.knows(output) else ()
-            for output, inputs in possible[name].items()
-        }
-    cycle = find_cycle(_dependencies(known, sources))
-    if cycle:
-        raise AlgebraicLoopError(
-            f"{' -> '.join(map(str, cycle))}: every output here feeds through; put a component "
-            "with a state of its own between, such as a lag or a delay"
-        )
-    unknown = []
-    dependencies = _dependencies(possible, sources)
-    while cycle := find_cycle(dependencies):
-        name = _unknown_component(cycle, dependencies, interfaces)
-        # Cuts ``possible[name]``: the next cycle is looked for without it.
-        unknown.append(_cut_unknown(name, possible[name], interfaces[name], dependencies))
-        dependencies = _dependencies(possible, sources)
-    return possible, tuple(unknown)
+    def _reach(self, output: Port) -> list[str]:
+        """Make an output known to what it drives; return who can now be evaluated again."""
+        stale = []
+        for to in self.network.driven[output]:
+            name = to.component
+            self._broken[name] -= (to, output) in self.network.reactive
+            self._missing_sources[to] -= 1
+            if not self._missing_sources[to]:
+                fed = self.network.fed[to]
+                self._unknown_feeding[name] -= bool(fed)
+                for port in fed:
+                    self._missing_inputs[port] -= 1
+                if fed and name not in self.waiting:
+                    stale.append(name)
+            if name in self.waiting and self.cost_of(name) == FREE:
+                heappush(self._free, name)
+        return stale
 
 
-def _unknown_component(
-    cycle: list[Port], dependencies: PortDependencies, interfaces: Mapping[str, Interface]
-) -> str:
-    """Return the first component on a cycle that the cycle passes by unknown feedthrough."""
-    for first, second in pairwise(cycle):
-        inside = first.component == second.component and first in dependencies[second]
-        if inside and not interfaces[first.component].knows(second.signal):
-            return first.component
-    raise AssertionError("a cycle of known feedthrough was refused before")
-
-
-def _cut_unknown(
-    name: str, feedthrough: Feedthrough, interface: Interface, dependencies: PortDependencies
-) -> UnknownFeedthrough:
-    """Remove and return the unknown feedthrough of a component that lies on a cycle."""
-    cycle_of = strongly_connected(dependencies)
-    cut_outputs: dict[str, None] = {}
-    cut_inputs: dict[str, None] = {}
-    for output, inputs in feedthrough.items():
-        if interface.knows(output):
+def _search(network: _Network) -> _Progress | None:
+    """Return the cheapest order; None: it was not found within ``SEARCH``."""
+    candidates: list[tuple[Cost, tuple[str, ...]]] = [(FREE, ())]
+    visited: set[frozenset[str]] = set()
+    work = 0
+    while candidates and work < SEARCH:
+        _, choices = heappop(candidates)
+        progress = _replayed(network, choices)
+        work += network.size
+        waiting = frozenset(progress.waiting)
+        if not waiting:
+            return progress
+        if waiting in visited:
             continue
-        cycle = cycle_of[Port(name, output)]
-        closing = [signal for signal in inputs if cycle_of[Port(name, signal)] == cycle]
-        feedthrough[output] = tuple(signal for signal in inputs if signal not in closing)
-        if closing:
-            cut_outputs[output] = None
-            cut_inputs.update(dict.fromkeys(closing))
-    return UnknownFeedthrough(name, tuple(cut_outputs), tuple(cut_inputs))
+        visited.add(waiting)
+        for name in waiting:
+            cost = progress.cost_of(name)
+            total = Cost(progress.cost.broken + cost.broken, progress.cost.waiting + cost.waiting)
+            heappush(candidates, (total, (*choices, name)))
+    return None
 
 
-def _dependencies(feedthrough: Mapping[str, Feedthrough], sources: Sources) -> PortDependencies:
-    """Return what the ports of a loop depend on directly: by connections, and inside components."""
-    dependencies: dict[Port, list[Port]] = {}
-    for name, outputs in feedthrough.items():
-        for signal, ports in sources[name].items():
-            inside = [port for port in ports if port.component in feedthrough]
-            dependencies[Port(name, signal)] = inside
-        for output, inputs in outputs.items():
-            dependencies[Port(name, output)] = [Port(name, signal) for signal in inputs]
-    return dependencies
+def _replayed(network: _Network, choices: Iterable[str]) -> _Progress:
+    """Return the progress after some choices; between them advances what costs nothing."""
+    progress = _Progress(network)
+    progress.advance_free()
+    for name in choices:
+        progress.advance(name)
+        progress.advance_free()
+    return progress
 
 
-def find_cycle(dependencies: PortDependencies) -> list[Port]:
-    """Return a cycle of ports, closed, in the direction of the signals; empty: there is none."""
-    try:
-        TopologicalSorter(dependencies).prepare()
-    except CycleError as error:
-        return list(error.args[1])
-    return []
+def _choose_greedily(network: _Network) -> _Progress:
+    """Return a good order: next is who breaks the fewest connections less those it completes."""
+    progress = _Progress(network)
 
+    def rank(name: str) -> tuple[int, int, str]:
+        cost = progress.cost_of(name)
+        return cost.broken - progress.gain_of(name), cost.waiting, name
 
-def strongly_connected(dependencies: Mapping[Node, Collection[Node]]) -> dict[Node, Node]:
-    """Return for every node the one that stands for its strongly connected component.
-
-    R. Tarjan, Depth-first search and linear graph algorithms, SIAM J. Comput. 1 (1972), without
-    recursion: ``path`` is the stack of calls, ``least`` the low link. One function, as the
-    algorithm is one loop.
-    """
-    number: dict[Node, int] = {}
-    least: dict[Node, int] = {}
-    representative: dict[Node, Node] = {}
-    open_nodes: list[Node] = []
-    for root in dependencies:
-        if root in number:
-            continue
-        path = [(root, iter(dependencies[root]))]
-        while path:
-            node, edges = path[-1]
-            if node not in number:
-                number[node] = least[node] = len(number)
-                open_nodes.append(node)
-            for other in edges:
-                if other not in number:
-                    path.append((other, iter(dependencies[other])))
-                    break
-                if other not in representative:
-                    least[node] = min(least[node], number[other])
-            else:
-                path.pop()
-                if path:
-                    caller = path[-1][0]
-                    least[caller] = min(least[caller], least[node])
-                while least[node] == number[node] and node not in representative:
-                    representative[open_nodes.pop()] = node
-    return representative
-
-
-def _first_names(component: str, signals: Collection[str], most: int = 6) -> str:
-    """Return the first ports in words, and how many more there are."""
-    names = [f"{component}.{signal}" for signal in signals]
-    shown = ", ".join(names[:most])
-    more = len(names) - most
-    return shown if more <= 0 else f"{shown} and {more} more"
+    progress.advance_free()
+    while progress.waiting:
+        progress.advance(min(progress.waiting, key=rank))
+        progress.advance_free()
+    return progress

@@ -13,7 +13,7 @@ A signal may have a name of its own that looks like that of an element, such as 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -39,6 +39,26 @@ class Port:
     signal: str
     element: ElementIndex = None
 
+    def __post_init__(self) -> None:
+        for name in (self.component, self.signal):
+            if not isinstance(name, str) or not name:
+                raise GraphError(
+                    f"port: found {name!r}, needed the name of a component and of a signal"
+                )
+        if self.element is not None:
+            self._check_element(self.element)
+
+    def _check_element(self, element: int | range) -> None:
+        if type(element) is int and element >= 0:
+            return
+        if isinstance(element, range) and element and element.start >= 0 and element.step == 1:
+            return
+        label = f"{self.component}.{self.signal}"
+        raise GraphError(
+            f"'{label}' has no elements {element!r}; needed a number from 0, or a slice of such "
+            "as [0:2]"
+        )
+
     @classmethod
     def parse(cls, text: str) -> Port:
         """Return the port that a text names: ``component.signal``, also with ``[1]`` or ``[0:2]``.
@@ -46,8 +66,11 @@ class Port:
         Raises
         ------
         GraphError
-            If there is no dot, nothing before or behind it, or no element in a slice.
+            If it is no text, if there is no dot, nothing before or behind it, or no element in a
+            slice.
         """
+        if not isinstance(text, str):
+            raise GraphError(f"{text!r} is no port; needed a text such as 'plant.y'")
         component, dot, name = text.partition(".")
         if not (component and dot and name):
             raise GraphError(f"{text!r} is no port; needed COMPONENT.SIGNAL, such as plant.y")
@@ -85,7 +108,10 @@ class Port:
         GraphError
             If the signal has no such element.
         """
-        by_name = {signal.name: signal for signal in signals}
+        return self.find_in({signal.name: signal for signal in signals})
+
+    def find_in(self, by_name: Mapping[str, Signal]) -> tuple[Signal, slice] | None:
+        """Do the same with signals by their names."""
         if self.name in by_name:
             signal = by_name[self.name]
             return signal, slice(0, signal.size)
@@ -113,7 +139,8 @@ def split_element(name: str) -> tuple[str, ElementIndex]:
 
     Without brackets the element is None.
     """
-    match = re.fullmatch(r"(.+)\[(\d+)(?::(\d+))?\]", name)
+    # Of 18 digits at most: Python refuses to read very long numbers.
+    match = re.fullmatch(r"(.+)\[(\d{1,18})(?::(\d{1,18}))?\]", name)
     if match is None:
         return name, None
     first = int(match[2])

@@ -193,11 +193,10 @@ class RecordedSignals(Mapping[str, NDArray[np.float64]]):
         UnknownSignalError
             If there is no such component, signal or element; names the nearest.
         """
-        component = name
         if isinstance(name, str) and "." in name:
             channel, _ = find_signal(self.channels, name, source=self.label)
-            component = channel.name
-        return self.time_ns(component) / 1e9
+            return self.time_ns(channel.name) / 1e9
+        return self.time_ns(name) / 1e9
 
     def __repr__(self) -> str:
         return f"<{self.label}: {self._overview()}>"

@@ -15,10 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Nanoseconds
+from cosim.core.arguments import check_type
 from cosim.core.contracts import Block, MessageLevel, Plan, Recorder, Stopped
 from cosim.core.recorded import RecordedSignals, find_channel
 from cosim.core.signals import Channel
-from cosim.errors import Interrupted
+from cosim.errors import Interrupted, UsageError
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +62,10 @@ class Memory(RecordedSignals):
     """
 
     def __init__(self, metadata: Mapping[str, Any] | None = None) -> None:
+        if metadata is not None:
+            check_type("metadata", metadata, Mapping, UsageError)
         self.metadata: Mapping[str, Any] = metadata or {}
+        self._channels: dict[str, Channel] = {}
         self._messages: list[RunMessage] = []
         self.results: dict[str, Any] = {}
         self._rows: list[Matrix] = []
@@ -83,6 +87,7 @@ class Memory(RecordedSignals):
     def begin(self, plan: Plan) -> None:
         """Keep the layout."""
         self.plan = plan
+        self._channels = {channel.name: channel for channel in plan.layout.channels}
 
     def write(self, block: Block, signals: Matrix) -> None:
         """Copy the new rows."""
@@ -123,8 +128,8 @@ class Memory(RecordedSignals):
 
     @property
     def channels(self) -> Mapping[str, Channel]:
-        """The recorded components by name."""
-        return {channel.name: channel for channel in self.plan.layout.channels}
+        """The recorded components by name; none before the run has begun."""
+        return self._channels
 
     @cached_property
     def _table(self) -> tuple[Matrix, Nanoseconds, NDArray[np.int64]]:

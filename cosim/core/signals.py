@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from types import MappingProxyType
+from typing import Any, Literal, TypeAlias, get_args
 
-from cosim.errors import GraphError
+from cosim.errors import GraphError, nearest
 from cosim.units import BaseUnit, Unit
 
 Variability = Literal["continuous", "discrete", "inherited"]
 SignalType = Literal["real", "integer", "boolean"]
 Role = Literal["input", "output", "state", "estimate"]
 Need = Literal["required", "optional", "forbidden"]
+Dependencies: TypeAlias = Mapping[str, tuple[str, ...] | None]  # input names by output name
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,8 +62,18 @@ class Signal:
     connection: Need = "required"
 
     def __post_init__(self) -> None:
-        if self.size < 1:
-            raise GraphError(f"signal {self.name!r}: size {self.size}, needed at least 1")
+        if not isinstance(self.name, str):
+            raise GraphError(f"signal {self.name!r}: needed a text as its name")
+        if type(self.size) is not int or self.size < 1:
+            raise GraphError(f"signal {self.name!r}: size {self.size!r}, needed at least 1")
+        for key, value, choices in (
+            ("variability", self.variability, get_args(Variability)),
+            ("type", self.type, get_args(SignalType)),
+            ("role", self.role, get_args(Role)),
+        ):
+            if value not in choices:
+                suggestion = nearest(str(value), choices)
+                raise GraphError(f"signal {self.name!r}: {key} {value!r}; {suggestion}")
         if self.start and len(self.start) != self.size:
             count = len(self.start)
             raise GraphError(
@@ -103,27 +116,80 @@ class Interface:
     initial : mapping of output name to input names or None
         The same at initialization, where the state may depend on inputs too (FMI:
         ModelStructure/InitialUnknowns); as feedthrough where not named.
+    delayed : tuple of input names
+        Inputs of which the state takes only the value at the start of a step, whatever drives them:
+        those of a delay of at least one step, of a sampled controller. Their value at the end
+        reaches outputs there by feedthrough alone. All others are *reactive*: the state may follow
+        them through the step, so that even an output without feedthrough needs them at its end.
+        (C. Gomes et al., Verification of co-simulation algorithms subject to algebraic loops and
+        adaptive steps, FMICS 2021.)
     prepares : bool
         Whether the component has ``prepare`` (:class:`cosim.core.contracts.Preparable`).
     rollback : bool
         Whether the component has ``save`` and ``restore`` (:class:`cosim.core.contracts.Rollback`).
+
+    Raises
+    ------
+    GraphError
+        If a name is declared twice, or an output or input is named that is not there.
     """
 
     inputs: tuple[Signal, ...] = ()
     outputs: tuple[Signal, ...] = ()
-    feedthrough: Mapping[str, tuple[str, ...] | None] = field(default_factory=dict)
-    initial: Mapping[str, tuple[str, ...] | None] = field(default_factory=dict)
+    feedthrough: Dependencies = field(default_factory=dict)
+    initial: Dependencies = field(default_factory=dict)
+    delayed: tuple[str, ...] = ()
     prepares: bool = False
     rollback: bool = False
 
     def __post_init__(self) -> None:
-        names = [signal.name for signal in self.signals]
-        repeated = sorted({name for name in names if names.count(name) > 1})
+        # What is declared must not change later: copies, and nothing that can be written to.
+        object.__setattr__(self, "inputs", _signals("inputs", self.inputs))
+        object.__setattr__(self, "outputs", _signals("outputs", self.outputs))
+        counts = Counter(signal.name for signal in self.signals)
+        repeated = sorted(name for name, count in counts.items() if count > 1)
         if repeated:
             raise GraphError(
                 f"signal {repeated[0]!r} is declared twice in one interface; "
                 "every signal needs its own name"
             )
+        for key in ("feedthrough", "initial"):
+            frozen = self._dependencies(key, getattr(self, key))
+            object.__setattr__(self, key, MappingProxyType(frozen))
+        object.__setattr__(self, "delayed", self._input_names("delayed", self.delayed))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # A mapping proxy can be neither pickled nor copied; the dictionary in it can.
+        feedthrough = dict(self.feedthrough)
+        initial = dict(self.initial)
+        values = (self.inputs, self.outputs, feedthrough, initial, self.delayed)
+        return Interface, (*values, self.prepares, self.rollback)
+
+    def _dependencies(self, key: str, declared: Dependencies) -> dict[str, tuple[str, ...] | None]:
+        """Return a copy of declared dependencies, after a check of the names."""
+        if not isinstance(declared, Mapping):
+            raise GraphError(f"{key}: found {declared!r}, needed input names by output name")
+        outputs = {signal.name for signal in self.outputs}
+        checked = {}
+        for output, names in declared.items():
+            if output not in outputs:
+                suggestion = nearest(str(output), sorted(outputs))
+                raise GraphError(f"{key}: there is no output {output!r}; {suggestion}")
+            label = f"{key} of {output!r}"
+            checked[output] = None if names is None else self._input_names(label, names)
+        return checked
+
+    def _input_names(self, label: str, names: Iterable[str]) -> tuple[str, ...]:
+        """Return names of inputs, after a check that they are there."""
+        if isinstance(names, str) or not isinstance(names, Iterable):
+            raise GraphError(f"{label}: found {names!r}, needed a tuple of input names")
+        inputs = {signal.name for signal in self.inputs}
+        checked = tuple(names)
+        for name in checked:
+            if name not in inputs:
+                suggestion = nearest(str(name), sorted(inputs))
+                raise GraphError(f"{label}: there is no input {name!r}; {suggestion}")
+        return checked
 
     @property
     def signals(self) -> tuple[Signal, ...]:
@@ -165,6 +231,17 @@ class Interface:
     def output_columns(self) -> dict[str, slice]:
         """Return the columns of each output in the output vector."""
         return _columns(self.outputs)
+
+
+def _signals(key: str, signals: Iterable[Signal]) -> tuple[Signal, ...]:
+    """Return declared signals as a tuple."""
+    if not isinstance(signals, Iterable):
+        raise GraphError(f"{key}: found {signals!r}, needed a tuple of Signal")
+    checked = tuple(signals)
+    for signal in checked:
+        if not isinstance(signal, Signal):
+            raise GraphError(f"{key}: found {signal!r}, needed a Signal")
+    return checked
 
 
 def _columns(signals: tuple[Signal, ...]) -> dict[str, slice]:
@@ -218,6 +295,11 @@ class Layout:
     """Where every signal of a graph stands in a row of ``width`` columns."""
 
     channels: tuple[Channel, ...]
+    _by_name: dict[str, Channel] = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        by_name = {channel.name: channel for channel in self.channels}
+        object.__setattr__(self, "_by_name", by_name)
 
     @property
     def width(self) -> int:
@@ -226,4 +308,4 @@ class Layout:
 
     def __getitem__(self, component: str) -> Channel:
         """Return the channel of a component."""
-        return next(channel for channel in self.channels if channel.name == component)
+        return self._by_name[component]

@@ -14,7 +14,7 @@ stops at 8190 doubles a message, so a component with more than 4096 elements is 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, TypeAlias, get_args
 
 import numpy as np
@@ -100,6 +100,8 @@ class Part:
         items["cosim.signals"] = signals_json(channel.interface)
         if channel.interface.initial:
             items["cosim.initial"] = compact(dict(channel.interface.initial))
+        if channel.interface.delayed:
+            items["cosim.delayed"] = compact(list(channel.interface.delayed))
         # Last: the checksum covers all items, and what came after it would be unprotected.
         return add_checksum(_CHECKSUM_NAME, items)
 
@@ -140,7 +142,8 @@ def read_part(metadata: Mapping[str, str]) -> Part:
         )
     signals = read_json(items["cosim.signals"])
     initial = json_table(items.get("cosim.initial", "{}"))
-    interface = _read_interface(signals, initial)
+    delayed = read_json(items.get("cosim.delayed", "[]"))
+    interface = replace(_read_interface(signals, initial), delayed=tuple(delayed))
     first_column = read_number(items["cosim.start"])
     period = period_ns // step_ns
     channel = Channel(name, interface, first_column, period)
@@ -167,8 +170,9 @@ def signals_json(interface: Interface) -> str:
     """Describe all signals as JSON: the text that the content hash covers.
 
     Inputs come first. ``feedthrough`` lists the inputs an output depends on directly; null:
-    unknown. What has its default is left out. What outputs depend on at initialization only orders
-    the initialization: it stands apart, in ``cosim.initial``, and changes no hash.
+    unknown. What has its default is left out. What outputs depend on at initialization, and which
+    inputs are delayed, only orders calls: that stands apart, in ``cosim.initial`` and
+    ``cosim.delayed``, and changes no hash.
     """
     # The hash covers this text byte by byte: neither the order of the signals nor that of the keys
     # in an entry may change, and a field that is new must be left out where it has its default.

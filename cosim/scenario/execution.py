@@ -376,7 +376,8 @@ def _run_into(
     began = perf_counter()
     with _interruptible() as check:
         watched = _watched(with_messages, experiment, progress, check)
-        run_graph(graph, experiment.clock, watched, designs=designs, plan=experiment.plan)
+        plan = experiment.plan or graph.prepare(experiment.clock.step_ns, designs)
+        run_graph(graph, experiment.clock, watched, plan)
     if profile is not None:
         elapsed = perf_counter() - began
         profile["recorder and master"] = elapsed - sum(profile.values())

@@ -69,7 +69,9 @@ class Scripted:
             value = self.values[self.k + 1]
             if isinstance(value, Stopped):
                 raise Stopped(
-                    np.reshape([*rows, *value.outputs], (-1, 1)), str(value), failed=value.failed
+                    np.array([*rows, *value.outputs], np.float64).reshape(-1, 1),
+                    str(value),
+                    failed=value.failed,
                 )
             if isinstance(value, Exception):
                 raise value

@@ -91,7 +91,7 @@ def test_blocks_cover_the_grid_once_whatever_their_size(steps, step_ns, size, li
 
 def test_a_block_can_be_cut():
     """It keeps its first rows."""
-    block = next(Clock(1.0, 0.1, 10).blocks(100)).cut(3)
+    block = next(Clock(1.0, 0.1, 10).blocks(100)).part(0, 3)
     assert block.steps == 3
     assert block.time.tolist() == [0.0, 0.1, 0.2, 0.3]
 

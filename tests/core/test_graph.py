@@ -120,10 +120,13 @@ def test_names_and_numbers_are_checked():
     with pytest.raises(GraphError, match="the graph has no components; needed at least one"):
         Graph({}, {})
     with pytest.raises(
-        GraphError, match=r"component 'a\.b': a component's name must not be empty and has no dot"
+        GraphError,
+        match=r"component 'a\.b': a component's name is a text that is not empty and has no dot",
     ):
         Graph({"a.b": constant([1.0])}, {})
-    with pytest.raises(GraphError, match="component '': a component's name must not be empty"):
+    with pytest.raises(
+        GraphError, match="component '': a component's name is a text that is not empty"
+    ):
         Graph({"": constant([1.0])}, {})
     with pytest.raises(GraphError, match="signal 'y': size 0, needed at least 1"):
         Signal("y", 0)

@@ -280,7 +280,7 @@ def test_a_dependency_that_is_not_declared_is_followed_or_refused():
     assert (found["p.y"].item(), found["k.y"].item()) == (8.0, 4.0)
     liar = Starter(lambda u: 2.0 * u + 1.0, declared=())
     text = (
-        "initial values do not converge: p.u, p.y, k.u, k.y still change after 4 rounds; an "
+        "initial values do not converge: k.u, k.y, p.u, p.y still change after 4 rounds; an "
         "output there depends at initialization on "
     )
     refused({"p": liar, "k": times(1.0)}, {"p.u": "k.y", "k.u": "p.y"}, text)

@@ -257,9 +257,13 @@ def test_the_cause_is_named_not_who_suffers(block):
 
 @pytest.mark.parametrize("block", [1, 3])
 def test_an_exception_inside_a_component_leaves_the_recorder_closed(block):
-    """With every block before it."""
+    """With every block before it; the error names component, method and line."""
     memory = attempt(
-        {"x": script(ZeroDivisionError("mine"), 5)}, {}, ZeroDivisionError, block=block, text="mine"
+        {"x": script(ZeroDivisionError("mine"), 5)},
+        {},
+        Stopped,
+        block=block,
+        text=r"'x' stopped at t = .*: advance raised ZeroDivisionError: mine \(.*parts.py, line",
     )
     assert memory["x.y"].tolist() == list(range(5 if block == 1 else 4))
 

@@ -1,0 +1,124 @@
+"""The border: what users hand to the core is checked once, and named where it is wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from cosim.core.contracts import Component, Recorder
+from cosim.core.signals import Interface
+from cosim.errors import GraphError, UsageError
+
+RECORDER_METHODS = ("__enter__", "__exit__", "begin", "write", "message", "result")
+
+
+def check_type(label: str, value: object, needed: type, error: type[UsageError]) -> None:
+    """Check the type of an argument.
+
+    Raises
+    ------
+    UsageError
+        Or what ``error`` says: if it has another one.
+    """
+    if not isinstance(value, needed):
+        raise error(f"{label}: found {kind_of(value)}, needed a {needed.__name__}")
+
+
+def kind_of(value: object) -> str:
+    """Return in words what a value is: itself where it is plain, else its type."""
+    if value is None or isinstance(value, bool | int | float | str):
+        text = repr(value)
+        return text if len(text) <= 60 else f"{text[:60]}..."
+    if isinstance(value, type):
+        return f"the class {value.__name__}"
+    return f"an object of type {type(value).__name__}"
+
+
+def check_recorder(recorder: Recorder) -> None:
+    """Check that a recorder has its methods.
+
+    Raises
+    ------
+    UsageError
+        If it is none.
+    """
+    if isinstance(recorder, type):
+        raise UsageError(f"recorder: found {kind_of(recorder)}; needed an object of it")
+    missing = _missing(recorder, RECORDER_METHODS)
+    if missing:
+        raise UsageError(
+            f"recorder: found {kind_of(recorder)}, which has no {missing}; needed a recorder such "
+            "as Memory()"
+        )
+
+
+def checked_components(components: Mapping[str, Component]) -> dict[str, Component]:
+    """Return a copy of named components, after a check of their names and contracts.
+
+    Raises
+    ------
+    GraphError
+        At the first name or component that cannot be part of a graph.
+    """
+    check_type("components", components, Mapping, GraphError)
+    if not components:
+        raise GraphError("the graph has no components; needed at least one")
+    names: dict[int, str] = {}
+    for name, component in components.items():
+        if not isinstance(name, str) or not name or "." in name:
+            raise GraphError(
+                f"component {name!r}: a component's name is a text that is not empty and has no dot"
+            )
+        other = names.setdefault(id(component), name)
+        if other != name:
+            raise GraphError(
+                f"components {other!r} and {name!r} are one object, which has one state; give each "
+                "its own"
+            )
+        _check_component(name, component)
+    return dict(components)
+
+
+def _check_component(name: str, component: Component) -> None:
+    """Check that a component has what the contract asks for."""
+    try:
+        interface = getattr(component, "interface", None)
+    except Exception as error:  # a property of the user's own may raise anything
+        raise GraphError(
+            f"component {name!r}: its interface raised {type(error).__name__}: {error}"
+        ) from error
+    missing = _missing(component, _methods(interface))
+    found = kind_of(component)
+    if isinstance(component, type):
+        raise GraphError(f"component {name!r}: found {found}; needed an object of it")
+    if not isinstance(interface, Interface):
+        raise GraphError(
+            f"component {name!r}: found {found}, whose interface is {kind_of(interface)}; needed a "
+            f"component with a cosim.core.Interface{_inner(component)}"
+        )
+    if missing:
+        raise GraphError(
+            f"component {name!r}: found {found}, which has no {missing}; needed a component "
+            "(cosim.core.Component)"
+        )
+
+
+def _methods(interface: Any) -> list[str]:
+    methods = ["initialize", "outputs", "advance"]
+    if isinstance(interface, Interface):
+        methods += ["prepare"] * interface.prepares
+        methods += ["save", "restore"] * interface.rollback
+    return methods
+
+
+def _inner(value: object) -> str:
+    """Return the way out where an object only carries a component, as an opened FMU does."""
+    carried = getattr(value, "component", None)
+    if isinstance(getattr(carried, "interface", None), Interface):
+        return "; it carries one: hand over its .component"
+    return ""
+
+
+def _missing(value: object, methods: list[str] | tuple[str, ...]) -> str:
+    missing = [name for name in methods if not callable(getattr(value, name, None))]
+    return ", ".join(missing)

@@ -1,0 +1,274 @@
+"""A component in its place: its columns, the wires that feed it, and its guarded calls.
+
+Components are the users' own, so nothing is trusted here: what they are handed cannot be written
+to, what they return is checked and copied, and what they raise is named.
+"""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final, TypeAlias, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.arrays import Mask, Matrix, Vector
+from cosim.core.connections import Connection, Source
+from cosim.core.contracts import Component, Design, Preparable, Stopped
+from cosim.core.signals import Channel
+from cosim.errors import CosimError, RunError
+from cosim.units import Conversion
+
+Columns: TypeAlias = slice | NDArray[np.intp]
+
+FLOAT: Final = np.dtype(np.float64)
+
+
+@dataclass(frozen=True, slots=True)
+class Wire:
+    """Copies columns of outputs into columns of an input: gain and offset, then the conversion."""
+
+    to: slice
+    source: Columns
+    gain: Matrix | None  # None: plain values
+    offset: float
+    conversion: Conversion
+
+    def copy(self, signals: Matrix, rows: slice) -> None:
+        """Fill the input columns of some rows."""
+        source = signals[rows, self.source]
+        if self.gain is None:
+            signals[rows, self.to] = self.conversion(source)
+            return
+        for i, gains in enumerate(self.gain):
+            # Sums run in a fixed order, without BLAS, which gives other bits on other processors.
+            total = np.full(len(source), self.offset)
+            for j, gain in enumerate(gains):
+                if gain != 0.0:
+                    total += gain * source[:, j]
+            signals[rows, self.to.start + i] = self.conversion(total)
+
+
+def wires_of(
+    to: slice,
+    connection: Connection,
+    sources: Sequence[Source],
+    conversions: Sequence[Conversion],
+) -> tuple[Wire, ...]:
+    """Return the wires of a connection: one for each source, or one for all under a matrix."""
+    gain = connection.matrix
+    if gain.ndim == 2:
+        # Every source reaches the same unit (checked), so one conversion is that of all of them.
+        return (Wire(to, _joined(sources), gain, connection.offset, conversions[0]),)
+    identity = gain == 1.0 and connection.offset == 0.0
+    wires = []
+    start = to.start
+    for source, conversion in zip(sources, conversions, strict=True):
+        stop = start + source.size
+        scaled = None if identity else gain * np.eye(source.size)
+        wire = Wire(slice(start, stop), source.columns, scaled, connection.offset, conversion)
+        wires.append(wire)
+        start = stop
+    return tuple(wires)
+
+
+def constant_wires(to: slice, values: Sequence[float]) -> tuple[Wire, ...]:
+    """Return the wires of an input that nothing drives: sums of no sources, and an offset."""
+    wires = []
+    for column, value in zip(range(to.start, to.stop), values, strict=True):
+        element = slice(column, column + 1)
+        wires.append(Wire(element, slice(0, 0), np.zeros((1, 0)), value, Conversion()))
+    return tuple(wires)
+
+
+def _joined(sources: Sequence[Source]) -> Columns:
+    if len(sources) == 1:
+        return sources[0].columns
+    ranges = [np.arange(source.columns.start, source.columns.stop) for source in sources]
+    return np.concatenate(ranges)
+
+
+class Member:
+    """A component with its columns and the wires that feed its inputs.
+
+    Every array that it hands to the component is a view that cannot be written to, or a copy.
+
+    Parameters
+    ----------
+    channel : Channel
+        Name, interface and columns.
+    component : Component
+    wires : tuple of Wire
+
+    Attributes
+    ----------
+    name : str
+    inputs, outputs, columns : slice
+        In the row.
+    n_u : int
+        Number of input elements.
+    optional : Mask, shape (n_u + n_y,)
+        Which elements may have no value (NaN).
+    """
+
+    def __init__(self, channel: Channel, component: Component, wires: tuple[Wire, ...]) -> None:
+        self.channel = channel
+        self.name = channel.name
+        self.inputs = channel.inputs
+        self.outputs = channel.outputs
+        self.columns = channel.columns
+        self.wires = wires
+        self._component = component
+        self.n_u = channel.interface.n_u
+        self._n_y = channel.interface.n_y
+        optional: list[bool] = []
+        for signal in channel.signals:
+            optional += [signal.optional] * signal.size
+        self.optional = np.array(optional, np.bool_)
+
+    def label(self, column: int) -> str:
+        """Return the name of one of its elements, numbered from the first input."""
+        elements: list[str] = []
+        for signal in self.channel.signals:
+            elements += signal.elements
+        return f"{self.name}.{elements[column]}"
+
+    def gather(self, signals: Matrix, rows: slice) -> None:
+        """Bring the inputs of some rows up to date."""
+        for wire in self.wires:
+            wire.copy(signals, rows)
+
+    def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
+        """Prepare the component, if its interface declares it; return a copy of its design.
+
+        Raises
+        ------
+        RunError
+            If it raises what is no error of cosim, or its design is not finite float64 arrays.
+        """
+        if not self.channel.interface.prepares:
+            return {}
+        taken = {key: read_only(array) for key, array in recorded.items()}
+        try:
+            design = cast(Preparable, self._component).prepare(h, held, taken)
+            arrays = dict(design)
+        except CosimError:
+            raise
+        except Exception as error:
+            raise RunError(f"{self.name!r}: {_raised('prepare', error)}") from error
+        return {key: self._design_array(key, array) for key, array in arrays.items()}
+
+    def initialize(self, t: float, u: Vector) -> Vector:
+        """Initialize the component with inputs ``u``, a copy of its own; return a copy of y.
+
+        Raises
+        ------
+        RunError
+            If it raises what is no error of cosim, or returns what its interface does not promise.
+        """
+        try:
+            y = self._component.initialize(t, u)
+        except CosimError:
+            raise
+        except Exception as error:
+            raise RunError(f"{self.name!r}: {_raised('initialize', error)}") from error
+        problem = _problem(y, (self._n_y,))
+        if problem:
+            raise RunError(f"{self.name!r}: initialize {problem}")
+        return y.copy()
+
+    def outputs_at(self, t: float, u: Vector) -> Vector:
+        """Return the outputs at ``t``.
+
+        Raises
+        ------
+        RunError
+            As from :meth:`advance`.
+        """
+        try:
+            y = self._component.outputs(t, u)
+        except RunError:
+            raise
+        except Exception as error:
+            raise RunError(_raised("outputs", error)) from error
+        problem = _problem(y, (self._n_y,))
+        if problem:
+            raise RunError(f"outputs {problem}")
+        return y
+
+    def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
+        """Advance the component.
+
+        Raises
+        ------
+        RunError
+            Whatever it raises, or if it returns what its interface does not promise. The stage adds
+            the component and the time.
+        """
+        steps = len(t) - 1
+        try:
+            y = self._component.advance(t, h, u)
+        except Stopped as stop:
+            self._check_stop(stop, steps)
+            raise
+        except RunError:
+            raise
+        except Exception as error:
+            raise RunError(_raised("advance", error)) from error
+        problem = _problem(y, (steps, self._n_y))
+        if problem:
+            raise RunError(f"advance {problem}")
+        return y
+
+    def _check_stop(self, stop: Stopped, steps: int) -> None:
+        """Check the rows that a component completed before it stopped; none are of any width."""
+        rows = stop.outputs
+        if type(rows) is np.ndarray and rows.ndim == 2 and not len(rows):
+            return
+        completed = min(np.shape(rows)[0], steps) if np.ndim(rows) else 0
+        problem = _problem(rows, (completed, self._n_y))
+        if problem:
+            raise RunError(f"advance stopped, {str(stop)!r}, and {problem}") from stop
+
+    def _design_array(self, key: str, array: Any) -> NDArray[np.float64]:
+        if type(array) is not np.ndarray or array.dtype != FLOAT or not np.isfinite(array).all():
+            raise RunError(
+                f"{self.name!r}: prepare returned {_description(array)} as {key!r}; "
+                "needed a float64 array of finite numbers"
+            )
+        return read_only(array.copy())
+
+
+def read_only(array: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return a view of an array that cannot be written to."""
+    view = array.view()
+    view.flags.writeable = False
+    return view
+
+
+def _raised(method: str, error: Exception) -> str:
+    """Return in words what a method of a component raised, and where."""
+    text = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+    if isinstance(error, CosimError):
+        return f"{method}: {error}"
+    last = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{method} raised {text} ({last.filename}, line {last.lineno})"
+
+
+def _problem(y: Any, needed: tuple[int, ...]) -> str:
+    """Return what is wrong with the outputs of a component; empty: nothing."""
+    if type(y) is np.ndarray and y.dtype == FLOAT and y.shape == needed:
+        return ""
+    return f"returned {_description(y)}; its interface needs a float64 array of shape {needed}"
+
+
+def _description(value: Any) -> str:
+    """Return the type of a value in words, and what counts of an array."""
+    if type(value) is not np.ndarray:
+        return f"{type(value).__module__}.{type(value).__qualname__}".removeprefix("builtins.")
+    text = f"an array of {value.dtype}, shape {value.shape}"
+    if value.dtype == FLOAT and not np.isfinite(value).all():
+        text = f"{text}, with NaN or infinity"
+    return text

@@ -1,0 +1,119 @@
+"""What a component costs does not depend on how many there are: ratios of processor time."""
+
+from time import process_time
+
+import numpy as np
+import pytest
+
+from cosim.blocks.arithmetic import sum_of
+from cosim.blocks.dynamics import Delay
+from cosim.blocks.replay import Replay
+from cosim.blocks.source import sine
+from cosim.core import clock as clock_module
+from cosim.core import pacing
+from cosim.core.clock import Clock
+from cosim.core.graph import Graph
+from cosim.core.master import run
+from cosim.core.recorders import Memory
+from tests.core.parts import integrator
+
+LARGEST_RATIO = 1.5
+ATTEMPTS = 5  # the smallest ratio counts: another process can only add time
+
+
+def chain(n):
+    """Return a row of lags."""
+    components = {"r": sine(rate=1.0)}
+    connections = {}
+    behind = "r.y"
+    for i in range(n):
+        components[f"x{i}"] = integrator(2.0)
+        connections[f"x{i}.u"] = behind
+        behind = f"x{i}.y"
+    return components, connections
+
+
+def inherited(n):
+    """Return a row of delays, whose outputs are as continuous as what is at its begin."""
+    components, connections = chain(n)
+    delays = {name: Delay(2) for name in components if name != "r"}
+    return components | delays, connections
+
+
+def star(n):
+    """Return lags behind one source, and a stack of a tenth of them."""
+    components = {"r": sine(rate=1.0)}
+    connections = {}
+    for i in range(n):
+        components[f"x{i}"] = integrator(2.0)
+        connections[f"x{i}.u"] = "r.y"
+    stack = [f"x{i}.y" for i in range(n // 10)]
+    components["stack"] = Delay(1, size=len(stack))
+    connections["stack.u"] = stack
+    return components, connections
+
+
+def ring(n):
+    """Return one loop of all, with a sum in it."""
+    components, connections = chain(n)
+    components["s"] = sum_of([1.0, -1.0])
+    return components, connections | {"s.u1": "r.y", "s.u2": f"x{n - 1}.y", "x0.u": "s.y"}
+
+
+def costs(make, n):
+    """Return the processor time for each component: to build, to run, to replay."""
+    components, connections = make(n)
+    began = process_time()
+    graph = Graph(components, connections)
+    built = process_time()
+    memory = Memory()
+    run(graph, Clock(0.1, 1e-3), memory)
+    ran = process_time()
+    recorded = {name: Replay(memory, name) for name in components}
+    again = Memory()
+    run(Graph(recorded, connections), Clock(0.1, 1e-3), again)
+    replayed = process_time()
+    last = list(components)[-1]
+    assert memory[f"{last}.y"].tobytes() == again[f"{last}.y"].tobytes()
+    return np.diff([began, built, ran, replayed]) / n
+
+
+def check_growth(make, small, large, monkeypatch):
+    # Machines are not equally fast at all times; blocks shall be the same.
+    monkeypatch.setattr(pacing, "perf_counter", lambda: 0.0)
+    monkeypatch.setattr(clock_module, "perf_counter", lambda: 0.0)
+    ratios = np.full(3, np.inf)
+    for _ in range(ATTEMPTS):
+        base = np.min([costs(make, small) for _ in range(2)], axis=0)
+        ratios = np.minimum(ratios, costs(make, large) / base)
+        if (ratios <= LARGEST_RATIO).all():
+            return
+    raise AssertionError(f"a component costs {ratios} times as much to build, run and replay")
+
+
+@pytest.mark.parametrize(
+    ("make", "small", "large"),
+    [(chain, 100, 700), (inherited, 100, 700), (star, 100, 700), (ring, 30, 150)],
+)
+def test_the_cost_of_a_component_does_not_grow(make, small, large, monkeypatch):
+    """To build, to run and to replay: a look-up that is linear in n would be ten times slower."""
+    check_growth(make, small, large, monkeypatch)
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize(
+    ("make", "small", "large"),
+    [(chain, 100, 3000), (inherited, 100, 3000), (star, 100, 3000), (ring, 100, 300)],
+)
+def test_the_cost_of_a_component_does_not_grow_to_thousands(make, small, large, monkeypatch):
+    """The same with 3000 components, and a loop of 300."""
+    check_growth(make, small, large, monkeypatch)
+
+
+def test_blocks_grow_with_the_number_of_stages():
+    """Of 3000 stages the calls alone take 50 ms: blocks must not stay at one step for that."""
+    components, connections = star(600)
+    pacer = pacing.Pacer(Graph(components, connections), divide=True)
+    assert pacer.work == pytest.approx(602 * pacing.STAGE_WORK)
+    few = pacing.Pacer(Graph(*star(10)), divide=True)
+    assert few.work == clock_module.BLOCK_WORK
