@@ -301,13 +301,13 @@ def test_what_is_no_component_is_refused(component, text):
         (lambda: Clock(True, 1e-3), ClockError, "True is not a time in seconds"),
         (lambda: Clock(1.0, 0.1, 2.5), ClockError, r"block: found 2\.5 steps, needed at least 1"),
         (lambda: Memory(5), UsageError, "metadata: found 5, needed a Mapping"),
-        (lambda: Memory()["x.y"], LogError, "the run has not begun: nothing is recorded yet"),
+        (lambda: Memory()["x.y"], LogError, "the run has no component 'x'; there are none"),
         (
             lambda: Memory()[3],
             LogError,
             "the run: found 3; needed the name of a signal, or a list of names",
         ),
-        (lambda: Memory().time(None), LogError, "the run has not begun: nothing is recorded yet"),
+        (lambda: Memory().time(None), LogError, "the run has no component None; there are none"),
     ],
 )
 def test_wrong_arguments_are_named(call, error, text):

@@ -63,7 +63,7 @@ import cosim
 from cosim.core import Clock, Graph, Interface, Memory, Signal
 from cosim.errors import Interrupted
 from cosim.scenario import execution
-from cosim.scenario.build import build
+from cosim.scenario.build import Builder
 
 class Slow:
     # From step 20 000 on a step takes 500 times as long as before; there the signals are sent.
@@ -88,7 +88,7 @@ class Slow:
 
 slow = Slow()
 with ExitStack() as resources:
-    experiment = build(cosim.load("academic"), resources)
+    experiment = Builder(cosim.load("academic"), resources).experiment()
     clock = Clock(10_000.0, 1e-3, int(sys.argv[2]) or None)
     experiment = replace(experiment, graph=Graph({"x": slow}, {}), clock=clock)
     memory = Memory()
