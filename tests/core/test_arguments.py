@@ -307,7 +307,7 @@ def test_what_is_no_component_is_refused(component, text):
             LogError,
             "the run: found 3; needed the name of a signal, or a list of names",
         ),
-        (lambda: Memory().time(None), LogError, "the run has no component None; there are none"),
+        (lambda: Memory().time(None), LogError, "the run: found None, needed a component's name"),
     ],
 )
 def test_wrong_arguments_are_named(call, error, text):
