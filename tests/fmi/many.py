@@ -18,7 +18,7 @@ def many(path: Path, count: int) -> Path:
     """
     variables = [_scalar(0, "u", 'causality="input"', 'start="0" unit="m"')]
     for i in range(1, OUTPUTS + 1):
-        variables.append(_scalar(i, f"y.{i}", 'causality="output"', 'unit="m"'))
+        variables.append(_scalar(i, f"y{i}", 'causality="output"', 'unit="m"'))
     for i in range(OUTPUTS + 1, count):
         name = f"part{i % 100}.element.x_{i}"
         if i % 4:
