@@ -165,22 +165,26 @@ def diff(
         columns_a = _all_columns(a)
         columns_b = _all_columns(b)
         names = list(dict.fromkeys([*columns_a, *columns_b]))
-    by_component: dict[str, list[str]] = {}
-    for name in names:
-        by_component.setdefault(_component_of(name), []).append(name)
     rows: dict[str, SignalDifference] = {}
-    for component, members in by_component.items():
+    for component, members in _by_component(names).items():
         pairs = []
         for name in members:
             if name in columns_a and name in columns_b:
                 pairs.append(_Comparison(name, columns_a[name], columns_b[name]))
         rows.update(_compare(component, pairs, a, b, atol=atol, rtol=rtol))
-        for name in members:
-            if name not in rows:
-                run_a = a if name in columns_a else None
-                run_b = b if name in columns_b else None
-                rows[name] = _not_compared(name, run_a, run_b)
+    for name in names:
+        if name not in rows:
+            run_a = a if name in columns_a else None
+            run_b = b if name in columns_b else None
+            rows[name] = _not_compared(name, run_a, run_b)
     return LogDifference(tuple(rows[name] for name in names), atol, rtol)
+
+
+def _by_component(names: Sequence[str]) -> dict[str, list[str]]:
+    by_component: dict[str, list[str]] = {}
+    for name in names:
+        by_component.setdefault(_component_of(name), []).append(name)
+    return by_component
 
 
 def _check_recording(name: str, run: object) -> None:

@@ -63,7 +63,7 @@ class _Buffer:
         self._blocks = blocks
         self.times: Nanoseconds
         self.times, self._rows = next(blocks)  # there is always one, which may have no rows
-        self._next = next(blocks, None)
+        self._next = self._next_block()
         if self._next is not None and not len(self.times):
             self._read_on(*self._next)
 
@@ -80,6 +80,7 @@ class _Buffer:
         taken = self.times[:count], self._rows[:count]
         self.times = self.times[count:]
         self._rows = self._rows[count:]
+        # Rows of a single instant may have more behind them: nothing could be taken but with those.
         if self._next is not None and (not len(self.times) or self.times[0] == self.times[-1]):
             self._read_on(*self._next)
         return taken
@@ -91,7 +92,11 @@ class _Buffer:
             )
         self.times = np.concatenate([self.times, times])
         self._rows = np.concatenate([self._rows, rows])
-        self._next = next(self._blocks, None)
+        self._next = self._next_block()
+
+    def _next_block(self) -> TimedRows | None:
+        """Return the next block with rows; None: there is none."""
+        return next((block for block in self._blocks if len(block[0])), None)
 
 
 def _shared_rows(

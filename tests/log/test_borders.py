@@ -314,3 +314,19 @@ def test_a_channel_with_fewer_rows_than_another_is_damage(tmp_path):
         log.content_hash()
     with pytest.raises(LogError, match="rows at different times"):
         log.rows("wide")
+
+
+def test_channels_with_rows_at_other_times_are_damage(tmp_path):
+    """A component has its rows at one time, in all its channels."""
+    from .crafting import put_together, take_apart
+
+    record(tmp_path / "a.mcap", steps=5, lay=layout(wide=5000))
+    content = take_apart(tmp_path / "a.mcap")
+    (last,) = [number for number, channel in content.channels.items() if channel[0] == "/wide.2"]
+    position = max(i for i, message in enumerate(content.messages) if message[0] == last)
+    number, time_ns, sequence, data = content.messages[position]
+    content.messages[position] = (number, time_ns + 1, sequence, data)
+    log = open_log(put_together(content, tmp_path / "b.mcap"))
+    for read in (log.content_hash, lambda: log.rows("wide")):
+        with pytest.raises(LogError, match="have rows at different times"):
+            read()
