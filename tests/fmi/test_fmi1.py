@@ -7,7 +7,9 @@ import pytest
 
 from cosim.errors import FmuError, RunError
 from cosim.fmi.component import load
+from cosim.fmi.driving.initialization import Initialization
 from cosim.fmi.instance import DiscreteStates, StepEnd
+from cosim.fmi.options import FmuOptions
 from tests.fmi.probes import got, opened, put
 
 
@@ -147,3 +149,14 @@ def test_a_missing_function_of_fmi_1(tmp_path, slave1):
         FmuError, match=r"the binary other\S+ cannot be used: it has no function other_fmiGetReal"
     ):
         load(renamed)
+
+
+def test_an_initialization_is_repeated_with_its_inputs_by_a_new_instance(slave1):
+    """The initial state of the probe depends on them: x = x0 + u."""
+    with load(slave1, FmuOptions(start={"x0": 1.0})) as fmu:
+        u = np.full(fmu.component.interface.n_u, 2.0)
+        initialization = Initialization(fmu._instance, {"x0": 1.0})
+        y = initialization.enter(0.0, u)
+        fmu._instance.renew()
+        assert initialization.repeat().tolist() == y.tolist()
+        assert got(fmu._instance, "x", "u") == [3.0, 2.0]
