@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn, TextIO
 import typer
 
 from cosim import completion
-from cosim.errors import CosimError, UsageError
+from cosim.errors import CosimError, UsageError, option, quoted, shell_language
 from cosim.fmi.child_process import COMMAND_VARIABLE, run_command
 from cosim.report.printable import printable
 from cosim.version import __version__
@@ -169,7 +169,7 @@ def run(
     if step is not None:
         edits["scenario.step"] = step
     loaded = load(scenario)
-    edited = loaded.edit(swap=_once(swaps, "--swap"), map=_once(maps, "--map"), set=edits)
+    edited = loaded.edit(swap=_once(swaps, "swap"), map=_once(maps, "map"), set=edits)
     if dry_run:
         print_dry_run(edited, as_json=as_json)
         return
@@ -191,9 +191,9 @@ def _dry_run_in_child(
 ) -> NoReturn:
     """Do a dry run in a child process, as it runs the code of FMUs; exit as that does."""
     arguments = ["run", scenario, "--dry-run"]
-    for option, values in options.items():
+    for name, values in options.items():
         for value in values:
-            arguments += [option, value]
+            arguments += [name, value]
     if as_json:
         arguments.append("--json")
     result = run_command(arguments)
@@ -331,14 +331,14 @@ def compare(
 
     alternatives: dict[str, list[str]] = {}
     for text in swaps:
-        ((name, path),) = _pairs([text], "--swap").items()
+        ((name, path),) = _pairs([text], "swap").items()
         alternatives.setdefault(name, []).append(path)
     loaded = load(scenario)
     _need_plot(plot, loaded.file.truth)
     comparison = compare_plants(
         loaded,
         swap=alternatives,
-        map=_once(maps, "--map"),
+        map=_once(maps, "map"),
         set=_edits(changes),
         base=base,
         out=out,
@@ -618,32 +618,40 @@ def _need_plot(out: Path | None, truth: Collection[str]) -> None:
         need_plot(out, truth)
 
 
-def _pairs(options: list[str] | None, option: str) -> dict[str, str]:
+def _pairs(texts: list[str] | None, name: str) -> dict[str, str]:
+    """Read the pairs KEY=VALUE of an option."""
     pairs = {}
-    for text in options or []:
-        name, equals, value = text.partition("=")
-        if not equals or not name:
-            raise UsageError(f"{option} {text!r}: found no '=', needed NAME=VALUE")
-        pairs[name.strip()] = value.strip()
+    for text in texts or []:
+        key, equals, value = text.partition("=")
+        if not equals or not key:
+            raise UsageError(f"{option(name)} {quoted(text)}: found no '=', needed NAME=VALUE")
+        pairs[key.strip()] = value.strip()
     return pairs
 
 
-def _once(options: list[str] | None, option: str) -> dict[str, str]:
-    """Read pairs of which each name may be given once."""
-    pairs = _pairs(options, option)
-    names = [text.partition("=")[0].strip() for text in options or []]
-    for name in names:
-        count = names.count(name)
+def _once(texts: list[str] | None, name: str) -> dict[str, str]:
+    """Read pairs of which each key may be given once."""
+    pairs = _pairs(texts, name)
+    keys = [text.partition("=")[0].strip() for text in texts or []]
+    for key in keys:
+        count = keys.count(key)
         if count > 1:
-            remedy = "; 'cosim compare' runs several plants" if option == "--swap" else ""
-            raise UsageError(f"{option} {name}: given {count} times, needed once{remedy}")
+            remedy = "; 'cosim compare' runs several plants" if name == "swap" else ""
+            raise UsageError(f"{option(name, key)}: given {count} times, needed once{remedy}")
     return pairs
 
 
-def _edits(options: list[str] | None) -> dict[str, Any]:
-    from cosim.scenario.document import parse_value
+def _edits(texts: list[str] | None) -> dict[str, Any]:
+    """Read the pairs of --set; their values are TOML where they can be."""
+    from cosim.scenario.edits import parse_value
 
-    return {key: parse_value(value) for key, value in _pairs(options, "--set").items()}
+    edits = {}
+    for key, text in _pairs(texts, "set").items():
+        try:
+            edits[key] = parse_value(text)
+        except UsageError as error:
+            raise UsageError(f"{option('set', key)}: {error}") from error
+    return edits
 
 
 @contextmanager
@@ -708,7 +716,8 @@ def main(arguments: list[str] | None = None) -> None:
     """Run the command line; every deliberate error becomes one message and an exit code."""
     stdout = _keep_stdout()
     try:
-        app(args=arguments, prog_name="cosim")
+        with shell_language():
+            app(args=arguments, prog_name="cosim")
     except CosimError as error:
         lines = printable(str(error)).splitlines() or [type(error).__name__]
         sys.stderr.write("\n".join(f"cosim: {line}" for line in lines) + "\n")

@@ -17,16 +17,25 @@
         ├── LogWriteError     a full disk, a lost file; what was written stays valid
         └── Interrupted       Ctrl-C; exit 130
 
-Every message names the thing, what was found, what was needed and the way out.
+Every message names the thing, what was found, what was needed and the way out, in the language of
+the caller: :func:`option` and :func:`flag` name an argument as it is written in Python, or in the
+shell under :func:`shell_language`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import unicodedata
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from difflib import get_close_matches
 from typing import ClassVar, Final
 
 MOST_NAMES: Final = 100  # that a message about an unknown name lists
+
+MOST_CHARACTERS: Final = 120  # of a value that a message quotes
+
+_in_shell: ContextVar[bool] = ContextVar("in_shell", default=False)
 
 
 class CosimError(Exception):
@@ -93,6 +102,9 @@ class Interrupted(RunError):
     exit_code = 130
 
 
+# --- the parts of a message ---
+
+
 def nearest(name: str, known_names: Iterable[str]) -> str:
     """Return the end of a message about an unknown name: the name probably meant, and all names.
 
@@ -101,9 +113,12 @@ def nearest(name: str, known_names: Iterable[str]) -> str:
     names = list(known_names)
     if not names:
         return "there are none"
+    composed = unicodedata.normalize("NFC", name)
+    if name != composed and composed in names:
+        return f"needed {composed!r}, composed as Unicode NFC"
     close = get_close_matches(name, names, n=1, cutoff=0.5)
-    guess = f"did you mean {close[0]!r}? " if close else ""
-    return f"{guess}There is: {listing(names, MOST_NAMES)}"
+    opening = f"did you mean {close[0]!r}? There is" if close else "there is"
+    return f"{opening}: {listing(names, MOST_NAMES)}"
 
 
 def listing(names: Sequence[str], most: int = 5) -> str:
@@ -111,3 +126,57 @@ def listing(names: Sequence[str], most: int = 5) -> str:
     text = ", ".join(names[:most])
     omitted = len(names) - most
     return f"{text}, and {omitted} more" if omitted > 0 else text
+
+
+def quoted(value: object) -> str:
+    """Return a value as Python writes it, cut in the middle where it is long."""
+    try:
+        return shortened(repr(value))
+    except (ValueError, RecursionError):  # an integer of thousands of digits, deep nesting
+        return f"a value of type {type(value).__name__} that is too long to be shown"
+
+
+def shortened(text: str, most: int = MOST_CHARACTERS) -> str:
+    """Return a text, cut in the middle where it is long."""
+    if len(text) <= most:
+        return text
+    half = most // 2
+    return f"{text[:half]}...{text[-half:]}"
+
+
+@contextmanager
+def shell_language() -> Iterator[None]:
+    """Name arguments as options of the shell, in every message made inside."""
+    token = _in_shell.set(True)
+    try:
+        yield
+    finally:
+        _in_shell.reset(token)
+
+
+def flag(name: str, value: bool = True) -> str:
+    """Name an argument that is true or false: ``force=True``, in the shell ``--force``."""
+    if _in_shell.get():
+        return f"--{name}" if value else f"--no-{name}"
+    return f"{name}={value}"
+
+
+def command(name: str) -> str:
+    """Name a function of the package: ``cosim.run``, in the shell ``'cosim run'``."""
+    return f"'cosim {name}'" if _in_shell.get() else f"cosim.{name}"
+
+
+def option(name: str, key: str | None = None, value: str | None = None) -> str:
+    """Name an argument, an entry of it, or an entry with its value.
+
+    ``stop``, ``set['plant.x']``, ``map={'plant.u': 'force'}``; in the shell ``--stop``,
+    ``--set plant.x``, ``--map plant.u=force``.
+    """
+    if _in_shell.get():
+        entry = "" if key is None else f" {shortened(key)}"
+        return f"--{name}{entry}" if value is None else f"--{name}{entry}={value}"
+    if key is None:
+        return name
+    if value is None:
+        return f"{name}[{quoted(key)}]"
+    return f"{name}={{{key!r}: {value!r}}}"

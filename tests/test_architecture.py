@@ -10,9 +10,10 @@ import pytest
 import cosim
 
 ROOT = Path(cosim.__file__).parent
-BASE = {"errors", "arrays", "files", "units", "version", "lazy"}
+BASE = {"errors", "arguments", "arrays", "files", "units", "version", "lazy"}
 ALLOWED = {
     "errors": set(),
+    "arguments": {"errors"},
     "arrays": set(),
     "files": set(),
     "units": set(),

@@ -756,7 +756,7 @@ def test_linearize_prints_a_table_for_a_scenario(call):
         (["--toml", "--json", "--disturbance", "delta"], "--toml and --json: give one of them"),
         (["--set", "u=fast"], "start value of 'u': found 'fast', needed a number"),
         (["--set", "u"], "--set 'u': found no '=', needed NAME=VALUE"),
-        (["--input", "w"], "no input 'w'; There is: u, delta"),
+        (["--input", "w"], "no input 'w'; there is: u, delta"),
     ],
 )
 def test_linearize_refuses_what_it_cannot_do(call, options, text):

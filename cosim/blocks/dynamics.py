@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from cosim.arrays import Matrix, Vector
 from cosim.core.linear import LinearModel
 from cosim.core.signals import Interface, Signal
 from cosim.errors import UsageError
-from cosim.native.step import delay_step
+from cosim.native.step import LARGEST_MEMORY, delay_step
 
-LARGEST = 2**27  # values in a delay line, 1 GiB
+AUGMENTED = 6  # the discretization of n states works on 4 matrices of 3 n rows: (6 n)^2 values
 
 
 def lag(
@@ -32,8 +34,11 @@ def lag(
     Raises
     ------
     UsageError
-        If the time constant is not positive.
+        If the time constant is not positive, or the size makes matrices that are too large.
     """
+    if (AUGMENTED * size) ** 2 > LARGEST_MEMORY:
+        most = math.isqrt(LARGEST_MEMORY) // AUGMENTED
+        raise UsageError(f"lag: found size = {size}, needed at most {most}")
     if not time_constant > 0.0:
         raise UsageError(f"lag: found time_constant = {time_constant} s, needed a positive time")
     rate = 1.0 / time_constant
@@ -80,10 +85,10 @@ class Delay:
     ) -> None:
         if steps < 1:
             raise UsageError(f"delay: found {steps} communication steps, needed at least 1")
-        if steps * size > LARGEST:
+        if steps * size > LARGEST_MEMORY:
             raise UsageError(
                 f"delay: {steps} communication steps of {size} values do not fit; "
-                f"at most {LARGEST} values"
+                f"at most {LARGEST_MEMORY} values"
             )
         self.initial = initial
         u = Signal("u", size, unit)

@@ -8,8 +8,9 @@ import numpy as np
 
 from cosim.arrays import Matrix, Vector
 from cosim.core.signals import Interface, Signal
+from cosim.errors import UsageError
 from cosim.native.expression import Program
-from cosim.native.step import RegressorConstants, RegressorStep
+from cosim.native.step import LARGEST_MEMORY, RegressorConstants, RegressorStep
 from cosim.theory.regression import Term
 
 
@@ -28,6 +29,11 @@ class Regressor:
         The delays in communication steps.
     delays : sequence of float
         The delays [s].
+
+    Raises
+    ------
+    UsageError
+        If a delay is too long to be kept.
     """
 
     def __init__(
@@ -38,6 +44,12 @@ class Regressor:
         steps: Sequence[int],
         delays: Sequence[float],
     ) -> None:
+        for steps_back, delay in zip(steps, delays, strict=True):
+            if steps_back > LARGEST_MEMORY:
+                raise UsageError(
+                    f"delays: {delay:g} s are {steps_back} communication steps, whose samples do "
+                    f"not fit; at most {LARGEST_MEMORY}"
+                )
         n_rows = len(delays)
         rows = [term.row for term in terms]
         factors = [_alpha_rows(term, n_rows) for term in terms]

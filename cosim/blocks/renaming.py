@@ -226,8 +226,8 @@ class _Resolver:
             other = elements[0].causality
             listed = ", ".join(known) or "none"
             raise GraphError(
-                f"'{source}' is an {other} of {source.component!r}; needed an {causality}. "
-                f"There is: {listed}"
+                f"'{source}' is an {other} of {source.component!r}; needed an {causality}; "
+                f"there is: {listed}"
             )
         return elements[part]
 

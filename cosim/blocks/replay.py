@@ -9,7 +9,7 @@ import numpy as np
 from cosim.arrays import Mask, Matrix, Vector, as_columns
 from cosim.core.contracts import Design, Recording, Stopped
 from cosim.core.signals import Interface, Signal
-from cosim.errors import GraphError, LogError
+from cosim.errors import GraphError, LogError, nearest
 
 
 class Replay:
@@ -38,8 +38,8 @@ class Replay:
     def __init__(self, recording: Recording, component: str, *, inputs: bool = True) -> None:
         channel = recording.channels.get(component)
         if channel is None:
-            known = ", ".join(recording.channels)
-            raise LogError(f"the log has no component {component!r}; it has: {known}")
+            suggestion = nearest(component, recording.channels)
+            raise LogError(f"the log has no component {component!r}; {suggestion}")
         time_ns = recording.time_ns(component)
         if not len(time_ns):
             raise LogError(

@@ -200,8 +200,8 @@ def _unknown_port(
     if wanted in (signal.name for signal in interface.signals):
         other = "input" if causality == "output" else "output"
         return GraphError(
-            f"'{port}' is an {other} of {channel.name!r}; needed an {causality}. "
-            f"There is: {', '.join(names) or 'none'}"
+            f"'{port}' is an {other} of {channel.name!r}; needed an {causality}; "
+            f"there is: {', '.join(names) or 'none'}"
         )
     suggestion = nearest(wanted, names)
     if "[" in wanted and causality == "output":

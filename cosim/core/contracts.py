@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Any, Literal, Protocol, Self, TypeAlias, TypeVar, cast
+from typing import Any, Literal, Protocol, Self, TypeAlias, TypeVar, cast, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -236,6 +236,7 @@ class Plan:
     schedule: tuple[str, ...]
 
 
+@runtime_checkable
 class Recorder(Protocol):
     """A context manager that takes blocks of rows and leaves a complete record behind.
 
@@ -285,6 +286,7 @@ class Recorder(Protocol):
         ...
 
 
+@runtime_checkable
 class Recording(Protocol):
     """A finished run to read from: a log file, or memory."""
 

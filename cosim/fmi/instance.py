@@ -9,7 +9,7 @@ raises ``RunError``.
 from __future__ import annotations
 
 import math
-from typing import Final, NamedTuple, Protocol
+from typing import Final, NamedTuple, Protocol, runtime_checkable
 
 from cosim.arrays import Vector
 from cosim.core.linear import LinearModel
@@ -139,6 +139,7 @@ class Instance(Protocol):
         ...
 
 
+@runtime_checkable
 class ModelExchangeInstance(Instance, Protocol):
     """``x' = f(t, x, u)``, ``y = g(t, x, u)`` behind the model exchange calls."""
 

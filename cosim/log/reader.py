@@ -16,6 +16,7 @@ from typing import Any, TypeVar, final
 import numpy as np
 from mcap.opcode import Opcode
 
+from cosim.arguments import log_argument
 from cosim.arrays import Mask, Matrix, Nanoseconds
 from cosim.core.contracts import Design, MessageLevel
 from cosim.core.recorded import RecordedSignals, find_channel
@@ -64,10 +65,12 @@ def open_log(path: Path | str) -> Log:
 
     Raises
     ------
+    UsageError
+        If it is no path, or that of a scenario or an FMU.
     LogError
         If the file is no MCAP, truncated or damaged, or was not written by cosim.
     """
-    return Log(path)
+    return Log(log_argument(log_path(path)))
 
 
 @final

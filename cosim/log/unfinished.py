@@ -12,7 +12,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import final
 
-from cosim.errors import LogError
+from cosim.errors import LogError, flag
 
 _KEPT_NAME = 48  # characters of the path's name in the hidden one: names end at 255 bytes
 
@@ -80,7 +80,7 @@ class UnfinishedLog:
                 _move(self._hidden_path, self.path)
         except FileExistsError as error:
             raise LogError(
-                f"{self.path} exists by now; choose another path, or --force to replace it"
+                f"{self.path} exists by now; choose another path, or {flag('force')} to replace it"
             ) from error
         except OSError as error:
             reason = error.strerror or error

@@ -17,7 +17,7 @@ from cosim.arrays import Matrix
 from cosim.core.contracts import Block, MessageLevel, Plan
 from cosim.core.recorders import EndOfRun, end_of_run
 from cosim.core.signals import Interface
-from cosim.errors import LogError, LogWriteError, RunError
+from cosim.errors import LogError, LogWriteError, RunError, flag
 from cosim.log.buffer import RowBuffer, message_batch
 from cosim.log.compression import Compression
 from cosim.log.content import combine_hashes
@@ -104,7 +104,9 @@ class McapRecorder:
                 f"{self.path} is a folder; name a file, such as {self.path / 'run.mcap'}"
             )
         if not self._force and self.path.exists():
-            raise LogError(f"{self.path} exists; choose another path, or --force to replace it")
+            raise LogError(
+                f"{self.path} exists; choose another path, or {flag('force')} to replace it"
+            )
         return self
 
     def __exit__(

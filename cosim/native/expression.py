@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import ast
 import math
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.errors import UsageError, nearest
+from cosim.errors import UsageError, nearest, quoted
 
 FUNCTIONS = (
     "sin",
@@ -56,6 +57,7 @@ _BINARY = {
 _CONSTANTS = {"pi": math.pi, "e": math.e}
 _ALLOWED = "only numbers, t, pi, e, + - * / ** and functions are allowed"
 _STACK = 64  # COSIM_STACK of cosim.h
+MOST_TEXT = 100_000  # characters
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,15 +82,15 @@ def compile_expression(text: str) -> Program:
         possible instead.
     """
     tree = parse(text)
-    compiler = _Compiler(text)
+    compiler = _Compiler(text.strip())
     try:
         depth = compiler.emit(tree)
     except RecursionError as error:
         raise UsageError(
-            f"expression {text!r}: nested too deep to be read; write it with fewer terms"
+            f"expression {quoted(text)}: nested too deep to be read; write it with fewer terms"
         ) from error
     if depth > _STACK:
-        raise UsageError(f"expression {text!r}: nested {depth} deep, at most {_STACK}")
+        raise UsageError(f"expression {quoted(text)}: nested {depth} deep, at most {_STACK}")
     code = np.array(compiler.code, np.int32)
     constants = np.array(
         compiler.constants or [0.0], np.float64
@@ -102,15 +104,21 @@ def parse(text: str) -> ast.expr:
     Raises
     ------
     UsageError
-        If it does not.
+        If it does not, or is too long.
     """
+    if len(text) > MOST_TEXT:
+        raise UsageError(
+            f"expression {quoted(text)}: has {len(text)} characters; needed at most {MOST_TEXT}"
+        )
     try:
-        return ast.parse(text.strip(), mode="eval").body
-    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+        with warnings.catch_warnings():  # of what Python may not read in a later version: "1or 2"
+            warnings.simplefilter("error")
+            return ast.parse(text.strip(), mode="eval").body
+    except (SyntaxError, ValueError, RecursionError, MemoryError, Warning) as error:
         column = error.offset if isinstance(error, SyntaxError) else None
         place = f" at column {column}" if column else ""
         raise UsageError(
-            f"expression {text!r}: not an expression{place}; needed something like "
+            f"expression {quoted(text)}: not an expression{place}; needed something like "
             "'1.35 + 0.25*sin(1.7*t)'"
         ) from error
 
@@ -138,13 +146,13 @@ class _Compiler:
                 return self._operation(_BINARY[type(operator)], [left, right])
             case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]):
                 return self._call(name, arguments)
-        raise self._refusal(repr(ast.unparse(node)), _ALLOWED)
+        raise self._refusal(quoted(ast.get_source_segment(self.text, node)), _ALLOWED)
 
     def _literal(self, value: object) -> int:
         if value is ...:
             raise self._refusal("'...'", _ALLOWED)
         if isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise self._refusal(repr(value), "needed a real number")
+            raise self._refusal(quoted(value), "needed a real number")
         return self._constant(value)
 
     def _name(self, name: str) -> int:
@@ -153,7 +161,7 @@ class _Compiler:
             return 1
         if name not in _CONSTANTS:
             nearest_name = nearest(name, ["t", *_CONSTANTS, *FUNCTIONS, "min", "max"])
-            raise self._refusal(f"unknown name {name!r}", nearest_name)
+            raise self._refusal(f"unknown name {quoted(name)}", nearest_name)
         return self._constant(_CONSTANTS[name])
 
     def _constant(self, value: float) -> int:
@@ -162,7 +170,7 @@ class _Compiler:
         except OverflowError:  # an integer beyond the largest double
             number = math.inf
         if not math.isfinite(number):
-            raise self._refusal(f"{value}", "needed a finite number")
+            raise self._refusal(quoted(value), "needed a finite number")
         self.code.append(len(OPERATIONS) + len(self.constants))
         self.constants.append(number)
         return 1
@@ -171,7 +179,7 @@ class _Compiler:
         needed = 2 if name in ("min", "max") else 1
         if name not in FUNCTIONS and needed == 1:
             nearest_name = nearest(name, [*FUNCTIONS, "min", "max"])
-            raise self._refusal(f"unknown function {name!r}", nearest_name)
+            raise self._refusal(f"unknown function {quoted(name)}", nearest_name)
         if len(arguments) != needed:
             raise self._refusal(f"{name} with {len(arguments)} arguments", f"needed {needed}")
         return self._operation(name, arguments)
@@ -183,4 +191,4 @@ class _Compiler:
         return max(depths)
 
     def _refusal(self, found: str, needed: str) -> UsageError:
-        return UsageError(f"expression {self.text!r}: found {found}; {needed}")
+        return UsageError(f"expression {quoted(self.text)}: found {found}; {needed}")

@@ -9,12 +9,13 @@ from typing import Any
 
 import numpy as np
 
+from cosim.arguments import mapping_argument, path_argument, truth_argument
 from cosim.arrays import Vector
 from cosim.core.contracts import Recording
 from cosim.core.port import split_element
 from cosim.core.recorders import Memory
 from cosim.core.signals import Interface
-from cosim.errors import CosimError, Interrupted, UsageError, nearest
+from cosim.errors import CosimError, Interrupted, UsageError, flag, nearest, option, quoted
 from cosim.log import Log
 from cosim.report.recorded import difference, has_signal
 from cosim.report.summary import Summary, summarize
@@ -171,10 +172,12 @@ def compare(
         If there is not one component, fewer than two plants, or an entry of ``map`` that none of
         them can use. The problems of a single plant are its outcome.
     """
+    truth_argument("force", force)
+    folder = None if out is None else path_argument("out", out)
     loaded = scenario if isinstance(scenario, Scenario) else load(scenario)
     component, paths = _paths(loaded, swap, base=base)
-    maps = _maps_by_path(component, paths, map or {})
-    changes = dict(set or {})
+    maps = _maps_by_path(component, paths, mapping_argument("map", map))
+    changes = dict(mapping_argument("set", set))
     common = _changes_of_others(changes, component)
     alternatives = []
     if base:
@@ -185,7 +188,7 @@ def compare(
     labels = _distinct([alternative.label for alternative in alternatives])
     outcomes = []
     for label, alternative in zip(labels, alternatives, strict=True):
-        log = None if out is None else Path(out) / f"{label.replace('#', '-')}.mcap"
+        log = None if folder is None else folder / f"{label.replace('#', '-')}.mcap"
         outcomes.append(_run(loaded, component, label, alternative, log=log, force=force))
     return Comparison(loaded.name, component, tuple(outcomes))
 
@@ -236,22 +239,29 @@ def _paths(
     loaded: Scenario, swap: Mapping[str, Sequence[str | Path]], *, base: bool
 ) -> tuple[str, list[str]]:
     """Return the component that is swapped, and the paths of its alternatives."""
+    swap = mapping_argument("swap", swap)
     if len(swap) != 1:
         names = ", ".join(swap) or "none"
         raise UsageError(
-            f"--swap: found alternatives of {names}; "
-            "needed those of one component, such as plant=a.fmu plant=b.fmu"
+            f"{option('swap')}: found alternatives of {names}; "
+            "needed those of one component, such as a.fmu and b.fmu of plant"
         )
     (component, paths), *_ = swap.items()
     if component not in loaded.specs:
         suggestion = nearest(component, loaded.specs)
-        raise UsageError(f"--swap {component}: there is no component {component!r}; {suggestion}")
+        raise UsageError(
+            f"{option('swap', component)}: there is no component {component!r}; {suggestion}"
+        )
+    if isinstance(paths, str) or not isinstance(paths, Sequence):
+        raise UsageError(
+            f"{option('swap', component)}: found {quoted(paths)}; needed a list of paths"
+        )
     if len(paths) + base < 2:
         raise UsageError(
-            f"--swap {component}: found one plant, needed two to compare; "
-            "give another, or leave out --no-base"
+            f"{option('swap', component)}: found one plant, needed two to compare; "
+            f"give another, or leave out {flag('base', False)}"
         )
-    return component, [str(path) for path in paths]
+    return component, [str(path_argument("swap", path)) for path in paths]
 
 
 def _distinct(labels: Sequence[str]) -> list[str]:
@@ -282,7 +292,9 @@ def _maps_by_path(
     for port, listed in maps.items():
         for name in _unknown_names(known, listed):
             suggestion = nearest(name, known)
-            problems.append(f"--map {port}: no alternative has a port {name!r}; {suggestion}")
+            problems.append(
+                f"{option('map', port)}: no alternative has a port {name!r}; {suggestion}"
+            )
     if problems:
         raise UsageError("\n".join(problems))
     return maps_by_path

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Collection, Iterable, Mapping, Sequence
+import unicodedata
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,12 +22,17 @@ from cosim.core.contracts import Component, Plan, Recording
 from cosim.core.graph import Graph
 from cosim.core.port import Port
 from cosim.core.signals import Interface
-from cosim.errors import CosimError
-from cosim.scenario.context import DependsOnInvalidComponent, MessageSource, ScenarioBuildContext
+from cosim.errors import CosimError, ScenarioError
+from cosim.scenario.context import (
+    DependsOnInvalid,
+    MessageSource,
+    ScenarioBuildContext,
+    clock_of,
+)
 from cosim.scenario.document import Document
 from cosim.scenario.kinds import BuildContext, Kind
 from cosim.scenario.parsing import Scenario, read
-from cosim.scenario.problems import Problem
+from cosim.scenario.problems import Key, Problem
 from cosim.scenario.recorded import ReplayOrigin
 from cosim.scenario.swap import MapEntry, unknown_ports
 from cosim.scenario.truth import check_truth
@@ -130,9 +136,14 @@ class Builder:
     ) -> None:
         self.scenario = scenario
         self.problems = list(problems)
-        self.clock = self._clock(block)
+        self._block = block
         self.context = ScenarioBuildContext(
-            scenario, self.clock, resources, recording, named_files, describes=describes
+            scenario,
+            resources,
+            recording,
+            named_files,
+            invalid=self._check_times(),
+            describes=describes,
         )
         self.components: dict[str, Component] = {}
         self.port_maps: dict[str, PortMap] = {}
@@ -146,27 +157,56 @@ class Builder:
             self.problems += unknown_ports(scenario.tree, entries, interface)
         for name, spec in scenario.specs.items():
             self._build(name, spec)
-        names = set(scenario.file.components)
-        self._invalid |= names - self.components.keys()
+        self._drop_repeated_problems()
+        self._invalid |= self._names() - self.components.keys()
         self._check_connections()
         self._truth, truth_problems = check_truth(
             scenario.file, self.components, self._invalid, self.context.warn
         )
         self.problems += truth_problems
 
-    def _clock(self, block: int | None) -> Clock:
-        """Return the clock; without one nothing else can be checked."""
+    def _check_times(self) -> set[Key]:
+        """Add the problems of the times; return the settings that are then not known."""
         settings = self.scenario.file.scenario
-        key = "step"
+        checks: dict[str, Callable[[], object]] = {
+            "step": lambda: Clock(settings.step, settings.step),
+            "start_time": lambda: start_nanoseconds(settings.start_time),
+            "stop": lambda: clock_of(self.scenario),
+        }
+        unknown: set[Key] = set()
+        for name, check in checks.items():
+            key = ("scenario", name)
+            if not self.scenario.invalid.isdisjoint({("scenario",), key}):
+                unknown.add(key)
+            elif name != "stop" or not unknown:  # a stop is checked on the grid of the steps
+                try:
+                    check()
+                except CosimError as error:
+                    self.problems.append((key, str(error)))
+                    unknown.add(key)
+        return unknown
+
+    @property
+    def clock(self) -> Clock:
+        """The clock of the run.
+
+        Raises
+        ------
+        ScenarioError
+            If one of its times is wrong, with every problem of the file.
+        """
         try:
-            Clock(settings.step, settings.step)
-            key = "start_time"
-            start_nanoseconds(settings.start_time)
-            key = "stop"
-            return _clock_of(self.scenario, block)
-        except CosimError as error:
-            self.problems.append((("scenario", key), str(error)))
+            return replace(self.context.clock, block=self._block)
+        except DependsOnInvalid as error:
             raise self.scenario.document.report(self.problems) from error
+
+    def _names(self) -> set[str]:
+        """Return the names of all components that the file has, right or wrong."""
+        names = set(self.scenario.file.components)
+        for table, *entry in self.scenario.invalid:
+            if table in ("components", "swap"):
+                names |= set(map(str, entry))
+        return names | {unicodedata.normalize("NFC", name) for name in names}
 
     # --- components ---
 
@@ -176,19 +216,34 @@ class Builder:
                 self.context.model(name)
             except (CosimError, ValueError) as error:
                 self.problems.append((("models", name), str(error)))
+                self.context.invalid.add(("models", name))
 
     def _build(self, name: str, spec: Kind) -> None:
         """Build a component, or add the problem of that."""
         self.context.begin(name)
         try:
             component = self._component(name, spec)
-            period = spec.period_steps(name, self.clock.step_ns)
+            period = spec.period_steps(name, self.context.step_ns)
             self.components[name] = spec.with_period(component, period)
             self._periods[name] = period
-        except DependsOnInvalidComponent:
+        except DependsOnInvalid:
             pass
         except (CosimError, ValueError) as error:
             self.problems.append((("components", name), str(error)))
+        except (ArithmeticError, MemoryError) as error:  # of numbers near the largest or smallest
+            text = f"a number is too large or too small to compute with: {error}"
+            self.problems.append((("components", name), text))
+
+    def _drop_repeated_problems(self) -> None:
+        """Drop what a component says of another that it reads, which says that itself."""
+        known = {(".".join(map(str, key)), text) for key, text in self.problems}
+        kept = []
+        for key, text in self.problems:
+            reads = self.context.reads.get(str(key[1]), ()) if key[:1] == ("components",) else ()
+            others = [table for table in reads if table != f"components.{key[1]}"]
+            if not any((table, text) in known for table in others):
+                kept.append((key, text))
+        self.problems = kept
 
     def _component(self, name: str, spec: Kind) -> Component:
         if self._recording is not None and not spec.computable:
@@ -220,14 +275,14 @@ class Builder:
         components = dict(self.components)
         for name in self._invalid & components.keys():
             del components[name]
-        if not components:
+        invalid = self.scenario.invalid
+        if not components or not invalid.isdisjoint({("components",), ("connections",)}):
             return
         layout = layout_of(components)
         problems = check_connections(layout, self.scenario.connections, self._invalid)
-        reported = {key for key, _ in self.problems}
         for to, text in problems.items():
             key = ("connections", str(to))
-            if key not in reported:
+            if key not in invalid:
                 self.problems.append((key, text))
 
     def check(self) -> None:
@@ -239,7 +294,18 @@ class Builder:
             With every problem of the file.
         """
         if self.problems:
-            raise self.scenario.document.report(self.problems)
+            raise self.scenario.document.report([*self.problems, *self._loop_problems()])
+
+    def _loop_problems(self) -> list[Problem]:
+        """Return the problem of the graph as a whole, where all that it is made of is right."""
+        keys = [key for key, _ in self.problems]
+        if self._invalid or any(key[:1] == ("connections",) for key in keys):
+            return []
+        try:
+            self._graph(self.components, self.scenario.connections)
+        except ScenarioError as error:
+            return [(("connections",), str(error.__cause__))]
+        return []
 
     def experiment(self) -> Experiment:
         """Return the experiment.
@@ -358,13 +424,15 @@ def describe(document: Document) -> Experiment:
 
 
 def build_context(scenario: Scenario, resources: ExitStack) -> BuildContext:
-    """Return what a single kind needs to build its component, outside a run."""
-    return ScenarioBuildContext(scenario, _clock_of(scenario), resources, None)
+    """Return what a single kind needs to build its component, outside a run.
 
-
-def _clock_of(scenario: Scenario, block: int | None = None) -> Clock:
-    settings = scenario.file.scenario
-    return Clock(settings.stop, settings.step, block, settings.start_time)
+    Raises
+    ------
+    ClockError
+        If one of the times is off the grid.
+    """
+    clock_of(scenario)
+    return ScenarioBuildContext(scenario, resources, None)
 
 
 def fingerprint(scenario: Scenario, name: str, reads: frozenset[str]) -> str:

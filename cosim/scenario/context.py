@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from cosim.core.clock import Clock
+from cosim.arguments import check_path
+from cosim.core.clock import Clock, nanoseconds
 from cosim.core.contracts import Component, Recording
 from cosim.core.port import Port
-from cosim.errors import LogError, UsageError, nearest
+from cosim.errors import LogError, UsageError, nearest, option, quoted
 from cosim.scenario.kinds import Kind
 from cosim.scenario.parsing import Scenario
+from cosim.scenario.problems import Key
 from cosim.scenario.recorded import component_metadata
 from cosim.scenario.schema import matrix
 from cosim.theory.descriptor import DescriptorSystem
@@ -37,35 +39,58 @@ class MessageSource(Protocol):
         ...
 
 
-class DependsOnInvalidComponent(UsageError):
-    """A component cannot be checked because one that it reads is wrong, which is reported."""
+def clock_of(scenario: Scenario) -> Clock:
+    """Return the clock of a scenario.
+
+    Raises
+    ------
+    ClockError
+        If one of its times is off the grid.
+    """
+    settings = scenario.file.scenario
+    return Clock(settings.stop, settings.step, start_time=settings.start_time)
+
+
+class DependsOnInvalid(UsageError):
+    """A component cannot be checked because something that it reads is wrong and reported."""
 
 
 class ScenarioBuildContext:
     """Records what each component reads while it is built, and what it opens.
 
     See :class:`cosim.scenario.kinds.BuildContext`. Where it only ``describes``, nothing of an FMU
-    runs.
+    runs. All that it answers may raise ``DependsOnInvalid``.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    resources : ExitStack
+        Closes what is opened.
+    recording : Recording or None
+    named_files : collection of str
+        What a replay may open.
+    invalid : iterable of Key
+        What is known to be wrong beside ``scenario.invalid``.
+    describes : bool
     """
 
     def __init__(
         self,
         scenario: Scenario,
-        clock: Clock,
         resources: ExitStack,
         recording: Recording | None,
         named_files: Collection[str] = (),
         *,
+        invalid: Iterable[Key] = (),
         describes: bool = False,
     ) -> None:
         self._describes = describes
+        self.invalid = {*scenario.invalid, *invalid}
         self._scenario = scenario
         self._resources = resources
         self._recording = recording
         self._named_files = named_files
         self._current = ""
-        self.clock = clock
-        self.step_ns = clock.step_ns
         self.metadata: dict[str, dict[str, Any]] = {}
         self.warnings: list[tuple[str, str]] = []
         self.reads: dict[str, frozenset[str]] = {"": frozenset()}
@@ -81,9 +106,34 @@ class ScenarioBuildContext:
 
     # --- what a kind may ask for ---
 
+    @property
+    def step_ns(self) -> int:
+        """Communication step [ns]."""
+        self._need(("scenario", "step"))
+        return nanoseconds(self._scenario.file.scenario.step)
+
+    @property
+    def clock(self) -> Clock:
+        """The clock of the run, with blocks of any size."""
+        for name in ("step", "start_time", "stop"):
+            self._need(("scenario", name))
+        return clock_of(self._scenario)
+
+    def _need(self, key: Key) -> None:
+        """Check that an entry of a table is right, as far as that is known.
+
+        Raises
+        ------
+        DependsOnInvalid
+            If it is not, which is reported.
+        """
+        if not self.invalid.isdisjoint({key, key[:1]}):
+            raise DependsOnInvalid
+
     def model(self, name: str) -> DescriptorSystem:
         """Return a model of [models], and record that it was read."""
         models = self._scenario.file.models
+        self._need(("models", name))
         if name not in models:
             raise UsageError(f"there is no model {name!r} in [models]; {nearest(name, models)}")
         self._read(f"models.{name}")
@@ -98,11 +148,12 @@ class ScenarioBuildContext:
         """Return the table of another component, and record that it was read."""
         self._read(f"components.{name}")
         if name not in self._scenario.specs:
-            raise DependsOnInvalidComponent
+            raise DependsOnInvalid
         return self._scenario.specs[name]
 
     def driver(self, to: Port) -> str | None:
         """Return the component that drives an input alone; None: there is no such component."""
+        self._need(("connections", str(to)))
         return self._scenario.driver(to)
 
     def file(self, path: str) -> Path:
@@ -112,13 +163,15 @@ class ScenarioBuildContext:
         ------
         UsageError
             In a replay, if the log alone names it: a log from elsewhere must not choose the files
-            that are opened here, the libraries in an FMU least of all.
+            that are opened here, the libraries in an FMU least of all. Or if no file can have it.
         """
         if self._recording is not None and path not in self._named_files:
             raise UsageError(
-                f"a replay opens no file that only the log names: found {path!r}, and what is "
-                "needed of it is not in the log; name it yourself with --set, or run the scenario"
+                f"a replay opens no file that only the log names: found {quoted(path)}, and what "
+                f"is needed of it is not in the log; name it yourself, {option('set')}, or run the "
+                "scenario"
             )
+        check_path(path)
         file = self._scenario.document.folder / path
         self.files.add(file.resolve())
         return file

@@ -13,17 +13,24 @@ from time import perf_counter
 from types import FrameType
 from typing import Any, TypeVar, overload
 
+from cosim.arguments import (
+    callable_argument,
+    mapping_argument,
+    truth_argument,
+    whole_argument,
+)
 from cosim.core.clock import Clock
 from cosim.core.contracts import Block, Design, Recorder
 from cosim.core.graph import Graph
 from cosim.core.master import run as run_graph
 from cosim.core.recorders import Memory, Watched
-from cosim.errors import Interrupted, LogError, UsageError
+from cosim.errors import Interrupted, LogError, UsageError, command, option, quoted
 from cosim.log import Log, McapRecorder, open_log
 from cosim.log.metadata import json_table, shown
 from cosim.log.paths import log_path
 from cosim.scenario.build import Builder, Experiment, parse
-from cosim.scenario.document import Document, find, short
+from cosim.scenario.document import Document, find
+from cosim.scenario.edits import short
 from cosim.scenario.parsing import Scenario, read
 from cosim.scenario.profile import Timed
 from cosim.scenario.recorded import ReplayOrigin
@@ -48,10 +55,12 @@ def load(name: str | Path) -> Scenario:
 
     Raises
     ------
+    UsageError
+        If it is no path.
     ScenarioError
         With every problem of the file.
     """
-    return parse(find(str(name)))
+    return parse(find(name))
 
 
 @overload
@@ -136,6 +145,10 @@ def run(
         UsageError before the first step, RunError after it; see :mod:`cosim.errors`.
     """
     _check_target(out, recorder)
+    truth_argument("force", force)
+    whole_argument("block", block)
+    callable_argument("progress", progress)
+    _check_profile(profile)
     loaded = scenario if isinstance(scenario, Scenario) else load(scenario)
     edited = loaded.edit(swap=swap, map=map, set=set)
     with ExitStack() as resources:
@@ -146,11 +159,21 @@ def run(
         return _record(experiment, {}, out=out, force=force, progress=progress, profile=profile)
 
 
+def _check_profile(profile: object) -> None:
+    if profile is not None and not isinstance(profile, dict):
+        raise UsageError(f"{option('profile')}: found {quoted(profile)}; needed a dict, to fill")
+
+
 def _check_target(out: str | Path | None, recorder: Recorder | None) -> None:
     if out is not None and recorder is not None:
         raise UsageError(
             f"found both out={str(out)!r} and a recorder; needed one of them: "
             "out writes a log file, recorder takes the run itself"
+        )
+    if recorder is not None and (isinstance(recorder, type) or not isinstance(recorder, Recorder)):
+        raise UsageError(
+            f"recorder: found {quoted(recorder)}; needed an object with the methods of "
+            "cosim.core.Recorder"
         )
     _check_path(out)
 
@@ -186,11 +209,14 @@ def replay(
         If ``set`` changes the communication step, a recorded component, or what drives one: its
         recording cannot follow.
     """
-    source = log if isinstance(log, Log) else open_log(log)
+    truth_argument("force", force)
+    whole_argument("block", block)
+    callable_argument("progress", progress)
     _check_path(out)
+    wanted = mapping_argument("set", set)
+    source = log if isinstance(log, Log) else open_log(log)
     if out is not None and os.path.realpath(out) == os.path.realpath(source.path):
         raise UsageError(f"{out} is the log that is replayed; choose another path")
-    wanted = set or {}
     changes = _replay_changes(source, wanted)
     original = recorded_document(source)
     document = original.with_changes(changes)
@@ -244,8 +270,8 @@ def _replay_changes(source: Log, wanted: Mapping[str, Any]) -> dict[str, Any]:
     stop = changes.setdefault("scenario.stop", recorded_end)
     if isinstance(stop, (int, float)) and stop > recorded_end:
         raise UsageError(
-            f"--set scenario.stop: found {stop} s, the recording ends at {recorded_end} s; "
-            "needed no more than that"
+            f"{option('set', 'scenario.stop')}: found {stop} s, the recording ends at "
+            f"{recorded_end} s; needed no more than that"
         )
     return changes
 
@@ -299,7 +325,9 @@ def recorded_document(log: Log) -> Document:
     """
     edits = log.metadata.get("cosim.run", {}).get("edits")
     if SCENARIO_FILE not in log.attachments or edits is None:
-        raise LogError(f"the log carries no {SCENARIO_FILE}; needed a log that 'cosim run' wrote")
+        raise LogError(
+            f"the log carries no {SCENARIO_FILE}; needed a log that {command('run')} wrote"
+        )
     try:
         text = log.attachment(SCENARIO_FILE).decode()
         return Document.recorded(text, _edits(edits), Path.cwd())
@@ -371,7 +399,8 @@ def _run_into(
     profile: dict[str, float] | None,
 ) -> None:
     """Run an experiment; its rows, messages and results go to the recorder."""
-    graph = experiment.graph if profile is None else _timed(experiment.graph, profile)
+    seconds: dict[str, float] = {}  # of this run alone, whatever is in the dict to fill
+    graph = experiment.graph if profile is None else _timed(experiment.graph, seconds)
     with_messages = MessageRecorder(recorder, experiment)
     began = perf_counter()
     with _interruptible() as check:
@@ -380,7 +409,8 @@ def _run_into(
         run_graph(graph, experiment.clock, watched, plan)
     if profile is not None:
         elapsed = perf_counter() - began
-        profile["recorder and master"] = elapsed - sum(profile.values())
+        seconds["recorder and master"] = elapsed - sum(seconds.values())
+        profile.update(seconds)
 
 
 def _log_recorder(experiment: Experiment, out: str | Path, force: bool) -> McapRecorder:

@@ -10,13 +10,14 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, final
 
+from cosim.arguments import check_path
 from cosim.arrays import Mask
 from cosim.blocks.declared import declare_units
 from cosim.core.graph import Graph
 from cosim.core.linear import DescriptorModel
 from cosim.core.port import Port
 from cosim.core.signals import Signal
-from cosim.errors import UsageError, nearest
+from cosim.errors import UsageError, flag, nearest
 from cosim.fmi.exporting.export import export
 from cosim.fmi.exporting.specifications import Exportable
 from cosim.scenario.build import Builder, build_context
@@ -64,7 +65,7 @@ def export_component(
     _check_path(out, force=force)
     if component not in loaded.specs:
         raise UsageError(f"there is no component {component!r}; {nearest(component, loaded.specs)}")
-    name = _identifier(f"{loaded.name}_{component}")
+    name = model_identifier(f"{loaded.name}_{component}")
     description = f"{component} of scenario {loaded.name}"
     model: DescriptorModel | Exportable
     has_held_outputs = False
@@ -87,15 +88,24 @@ def export_component(
 
 
 def _check_path(out: Path, *, force: bool) -> None:
+    check_path(out)
     if out.suffix != ".fmu":
         raise UsageError(f"{out}: needed a path that ends in .fmu")
     if out.exists() and not force:
-        raise UsageError(f"{out} exists; choose another path, or --force to replace it")
+        raise UsageError(f"{out} exists; choose another path, or {flag('force')} to replace it")
 
 
-def _identifier(name: str) -> str:
-    """Make an identifier of C of a name, which begins with a letter."""
-    return re.sub(r"[^A-Za-z0-9_]", "_", name)
+def model_identifier(name: str) -> str:
+    """Make an identifier of C of a name, another one for every name.
+
+    Characters that C does not have are written as ``_x2d_``, their number in hexadecimal; so is an
+    underscore that begins what looks like that.
+    """
+    return re.sub(r"[^A-Za-z0-9_]|_(?=x[0-9a-f]+([^A-Za-z0-9]|$))", _escaped, name)
+
+
+def _escaped(match: re.Match[str]) -> str:
+    return f"_x{ord(match[0]):x}_"
 
 
 # --- what is exported of a component ---

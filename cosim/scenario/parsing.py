@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
 
+from cosim.arguments import mapping_argument
 from cosim.core.connections import Connection
 from cosim.core.port import Port
-from cosim.errors import CosimError, nearest
+from cosim.errors import CosimError, nearest, quoted
 from cosim.scenario.document import Document
 from cosim.scenario.kinds import KINDS, Kind
 from cosim.scenario.problems import Key, Problem, problems_of
 from cosim.scenario.schema import ConnectionTable, File
 from cosim.scenario.swap import MapEntry, PortNames, resolve_maps
+
+STAND_INS = {"name": "unnamed", "stop": 1.0, "step": 1.0}  # for settings without a right value
 
 
 @dataclass(frozen=True)
@@ -35,6 +39,9 @@ class Scenario:
         The tables as they stand in the file, edits applied.
     parse : callable
         Makes a scenario of an edited document (:func:`cosim.scenario.build.parse`).
+    invalid : frozenset of Key
+        The tables and their entries that are wrong, so that they are missing in ``file`` or have
+        values that stand for others; what rests on them cannot be checked.
     """
 
     document: Document
@@ -44,6 +51,7 @@ class Scenario:
     maps: Mapping[str, list[MapEntry]]
     tree: Mapping[str, Any]
     parse: Callable[[Document], Scenario] = field(repr=False, compare=False)
+    invalid: frozenset[Key] = frozenset()
 
     @property
     def name(self) -> str:
@@ -71,14 +79,21 @@ class Scenario:
 
         Raises
         ------
+        UsageError
+            If one of these is no mapping, or has values of other types.
         ScenarioError
             With every problem of the file and of these edits.
         """
+        paths = mapping_argument("swap", swap)
+        names = mapping_argument("map", map)
+        changes = mapping_argument("set", set)
+        if not (paths or names or changes):
+            return self
         document = self.document
-        if swap or map:
-            document = document.with_swaps(swap or {}, map)
-        if set:
-            document = document.with_changes(set)
+        if paths or names:
+            document = document.with_swaps(paths, names)
+        if changes:
+            document = document.with_changes(changes)
         return self.parse(document)
 
     def swap(self, *, map: Mapping[str, PortNames] | None = None, **paths: str | Path) -> Scenario:
@@ -97,7 +112,7 @@ class Scenario:
 def read(
     document: Document, parse: Callable[[Document], Scenario]
 ) -> tuple[Scenario, list[Problem]]:
-    """Read and validate a document; return its problems too, where the rest can be checked.
+    """Read and validate a document; return what is right in it, and its problems.
 
     Parameters
     ----------
@@ -108,36 +123,79 @@ def read(
     Raises
     ------
     ScenarioError
-        With every problem, where the rest cannot be checked.
+        If the text is no TOML.
     """
     tree, problems = document.tree()
-    try:
-        file = File.model_validate(tree)
-    except ValidationError as error:
-        problems += problems_of(error, File, tree, ())
-        _, more = _validate_components(tree.get("components"))
-        raise document.report([*problems, *more]) from error
-    maps, map_problems = resolve_maps(tree, document.maps)
+    file, file_problems, invalid = _validate_tables(tree)
+    valid_tree = without(tree, invalid)
+    maps, map_problems = resolve_maps(valid_tree, document.maps)
     specs, component_problems = _validate_components(file.components)
     connections, connection_problems = _connections(file)
-    problems += [*map_problems, *component_problems, *connection_problems]
-    scenario = Scenario(document, file, specs, connections, maps, tree, parse)
+    for key, _ in connection_problems:
+        invalid.add(key)
+    problems += file_problems + map_problems + component_problems + connection_problems
+    scenario = Scenario(
+        document, file, specs, connections, maps, valid_tree, parse, frozenset(invalid)
+    )
     return scenario, problems
 
 
-def _validate_components(tables: Any) -> tuple[dict[str, Kind], list[Problem]]:
+def _validate_tables(tree: Mapping[str, Any]) -> tuple[File, list[Problem], set[Key]]:
+    """Return the file without what is wrong in it, the problems, and the keys that are wrong."""
+    try:
+        return File.model_validate(tree), [], set()
+    except ValidationError as error:
+        problems = problems_of(error, File, tree, ())
+        invalid = _invalid_keys(error, tree)
+    valid = without(tree, invalid)
+    valid["scenario"] = {**STAND_INS, **valid.get("scenario", {})}
+    valid.setdefault("components", {})
+    return File.model_validate(valid), problems, invalid
+
+
+def _invalid_keys(error: ValidationError, tree: Mapping[str, Any]) -> set[Key]:
+    """Return the tables that are wrong, and the entries of the others that are."""
+    invalid: set[Key] = set()
+    for details in error.errors(include_url=False, include_input=False):
+        location = details["loc"]
+        if len(location) > 1 and isinstance(tree.get(str(location[0])), dict):
+            invalid.add(location[:2])
+        elif details["type"] == "extra_forbidden":
+            # probably a table under another name, so that nothing is known of that one
+            meant = get_close_matches(str(location[0]), File.model_fields, n=1, cutoff=0.5)
+            invalid |= {(location[0],), *((name,) for name in meant if name not in tree)}
+        else:
+            invalid.add(location[:1])
+    return invalid
+
+
+def without(tree: Mapping[str, Any], invalid: Collection[Key]) -> dict[str, Any]:
+    """Return tables without some of them, and without entries of others."""
+    valid: dict[str, Any] = {}
+    for name, table in tree.items():
+        if (name,) in invalid:
+            continue
+        valid[name] = table
+        if isinstance(table, dict):
+            valid[name] = {key: table[key] for key in table if (name, key) not in invalid}
+    return valid
+
+
+def _validate_components(
+    tables: Mapping[str, Any],
+) -> tuple[dict[str, Kind], list[Problem]]:
     """Return the components' tables by name, and the problems of the others."""
     specs: dict[str, Kind] = {}
     problems: list[Problem] = []
-    for name, table in tables.items() if isinstance(tables, dict) else ():
-        if not isinstance(table, dict):  # the schema of the file names that
-            continue
+    for name, table in tables.items():
         key: Key = ("components", name)
-        kind = str(table.get("kind"))
+        kind = table.get("kind")
         if "kind" not in table:
-            problems.append((key, f"'kind' is missing; {nearest(kind, KINDS)}"))
+            problems.append((key, f"'kind' is missing; needed one of: {', '.join(KINDS)}"))
+        elif not isinstance(kind, str):
+            problems.append(((*key, "kind"), f"found {quoted(kind)}; needed a string"))
         elif kind not in KINDS:
-            text = f"unknown kind {kind!r}; {nearest(kind, KINDS)}"
+            text = f"unknown kind {quoted(kind)}; {nearest(kind, KINDS)}"
             problems.append(((*key, "kind"), text))
         else:
             try:

@@ -2,76 +2,138 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, TypeAlias
+import sys
+from collections.abc import Mapping, Sequence
+from difflib import get_close_matches
+from types import UnionType
+from typing import Annotated, Any, Literal, NamedTuple, TypeAlias, Union, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
-from cosim.errors import nearest
+from cosim.errors import nearest, quoted
 
 Key: TypeAlias = tuple[str | int, ...]  # where a value stands in the tables of a scenario
 Problem: TypeAlias = tuple[Key, str]
 
 TYPES = {
-    "string_type": "a string",
-    "float_type": "a number",
-    "int_type": "a whole number",
-    "bool_type": "true or false",
-    "tuple_type": "a list",
-    "list_type": "a list",
-    "dict_type": "a table",
-    "model_type": "a table",
+    "string_type",
+    "float_type",
+    "int_type",
+    "bool_type",
+    "tuple_type",
+    "list_type",
+    "dict_type",
+    "model_type",
 }
+
+
+class _ValueProblem(NamedTuple):
+    """A validation error.
+
+    Parameters
+    ----------
+    path : Key
+        Where the value stands; of a missing key, where it should.
+    choices : tuple of (Key, alternative)
+        The values with alternatives that it is in, the outermost first, and the alternative that
+        was tried.
+    is_type : bool
+        Whether the value is of another type.
+    problem : Problem
+    """
+
+    path: Key
+    choices: tuple[tuple[Key, str | int], ...]
+    is_type: bool
+    problem: Problem
 
 
 def problems_of(
     error: ValidationError, table: type[BaseModel], data: Any, prefix: Key
-) -> list[tuple[Key, str]]:
+) -> list[Problem]:
     """Translate a validation error of ``data``, which stands under the key ``prefix``."""
-    problems: dict[Key, list[str]] = {}
-    needed: dict[Key, list[str]] = {}
-    for details in error.errors(include_url=False):
-        path = _path(details["loc"], data)
-        if details["type"] in TYPES:
-            needed.setdefault(path, []).append(TYPES[details["type"]])
+    found: list[Mapping[str, Any]] = [dict(item) for item in error.errors(include_url=False)]
+    unknown = [str(item["loc"][-1]) for item in found if item["type"] == "extra_forbidden"]
+    value_problems = []
+    for item in found:
+        is_missing = item["type"] == "missing"
+        if is_missing and get_close_matches(str(item["loc"][-1]), unknown, cutoff=0.5):
+            continue  # the unknown key is probably this one
+        value_problems.append(_value_problem(item, table, data))
+    nearest_problems = _Alternatives(table, data).nearest(value_problems)
+    keys = dict.fromkeys(problem.problem for problem in nearest_problems)
+    return [((*prefix, *key), text) for key, text in keys]
+
+
+def _value_problem(item: Mapping[str, Any], table: type[BaseModel], data: Any) -> _ValueProblem:
+    """Separate pydantic's location into keys of the data and names of alternatives."""
+    loc = item["loc"]
+    missing: Key = loc[-1:] if item["type"] == "missing" else ()
+    path: Key = ()
+    choices = []
+    value = data
+    for part in loc[: len(loc) - len(missing)]:
+        children = _children(value)
+        if part in children:
+            value = children[part]
+            path = (*path, part)
         else:
-            problems.setdefault(path, []).append(_message(dict(details), path, table))
-    for path, types in needed.items():
-        # pydantic reports every alternative of a value; a problem deeper inside it says most.
-        value_path = _without_elements(path) if len(types) > 1 or "a list" in types else path
-        if not any(other[: len(value_path)] == value_path for other in problems):
-            alternatives = " or ".join(dict.fromkeys(types))
-            value = _value(data, value_path)
-            problems[value_path] = [f"found {_shortened(value)}; needed {alternatives}"]
-    messages: list[tuple[Key, str]] = []
-    for path, texts in problems.items():
-        messages += [((*prefix, *path), text) for text in texts]
-    return messages
+            choices.append((path, part))
+    problem = (path, _message(item, path, table))
+    return _ValueProblem((*path, *missing), tuple(choices), item["type"] in TYPES, problem)
+
+
+class _Alternatives:
+    """Chooses, of the alternatives that a value may be, the one that it is nearest to.
+
+    An alternative that refuses the value as a whole is out, if another one refuses parts of it.
+    Where this leaves several that do not agree, the value is refused as a whole: pydantic's
+    messages about each of them would contradict each other.
+    """
+
+    def __init__(self, table: type[BaseModel], data: Any) -> None:
+        self._table = table
+        self._data = data
+
+    def nearest(self, problems: Sequence[_ValueProblem], level: int = 0) -> list[_ValueProblem]:
+        """Return the problems of the nearest alternatives, from a level of choices inwards."""
+        result = []
+        choices: dict[Key, list[_ValueProblem]] = {}
+        for problem in problems:
+            if len(problem.choices) > level:
+                choice, _ = problem.choices[level]
+                choices.setdefault(choice, []).append(problem)
+            else:
+                result.append(problem)
+        for choice, group in choices.items():
+            result += self._nearest_of(choice, group, level)
+        return result
+
+    def _nearest_of(
+        self, choice: Key, problems: Sequence[_ValueProblem], level: int
+    ) -> list[_ValueProblem]:
+        """Return the problems of the nearest alternative of one value."""
+        groups: dict[str | int, list[_ValueProblem]] = {}
+        for problem in problems:
+            _, alternative = problem.choices[level]
+            groups.setdefault(alternative, []).append(problem)
+        found = [self.nearest(group, level + 1) for group in groups.values()]
+        inside = [group for group in found if any(len(one.path) > len(choice) for one in group)]
+        candidates = inside or found
+        exact = [group for group in candidates if not any(one.is_type for one in group)]
+        if len(candidates) == 1 or exact:
+            return (exact or candidates)[0]
+        value = quoted(_value(self._data, choice))
+        needed = described(annotation_at(self._table, choice))
+        whole = (choice, f"found {value}; needed {needed}")
+        return [_ValueProblem(choice, problems[0].choices[:level], True, whole)]
 
 
 def _children(data: Any) -> Mapping[Any, Any]:
     if isinstance(data, (list, tuple)):
         return dict(enumerate(data))
     return data if isinstance(data, Mapping) else {}
-
-
-def _path(loc: tuple[int | str, ...], data: Any) -> Key:
-    """Return the keys of the data in pydantic's location; the rest are names of types."""
-    path: list[int | str] = []
-    for part in loc:
-        children = _children(data)
-        if part in children:
-            data = children[part]
-            path.append(part)
-    return tuple(path)
-
-
-def _without_elements(path: Key) -> Key:
-    """Return the path of the list, of whatever dimensions, that an element stands in."""
-    while path and isinstance(path[-1], int):
-        path = path[:-1]
-    return path
 
 
 def _value(data: Any, path: Key) -> Any:
@@ -81,35 +143,100 @@ def _value(data: Any, path: Key) -> Any:
 
 
 def _message(details: Mapping[str, Any], path: Key, table: type[BaseModel]) -> str:
-    value = details.get("input")
+    value = quoted(details.get("input"))
     name = str(details["loc"][-1])
+    context = details.get("ctx", {})
     match details["type"]:
         case "extra_forbidden":
             known = sorted(_fields(table, path[:-1]))
-            return f"unknown key {name!r}; {nearest(name, known)}"
+            return f"unknown key {quoted(name)}; {nearest(name, known)}"
         case "missing":
             field = _fields(table, path).get(name)
             description = None if field is None else field.description
             return f"{name!r} is missing; needed {description or 'a value'}"
         case "finite_number":
             return f"found {value}; needed a finite number"
-        case "string_pattern_mismatch":
-            return (
-                f"found {value!r}; needed a name of letters, digits, '_' and '-' "
-                "that begins with a letter"
-            )
+        case "greater_than_equal":
+            return f"found {value}; needed at least {context['ge']}"
+        case "less_than_equal":
+            return f"found {value}; needed at most {context['le']}"
+        case "value_error":
+            return str(context["error"])
         case "literal_error":
-            expected = str(details["ctx"]["expected"]).replace(" or ", ", ")
+            expected = str(context["expected"]).replace(" or ", ", ")
             choices = [choice.strip().strip("'") for choice in expected.split(",")]
-            return f"found {value!r}; {nearest(str(value), choices)}"
+            return f"found {value}; {nearest(str(details['input']), choices)}"
+        case "float_type" if isinstance(details["input"], int) and details["input"] is not True:
+            return f"found {value}; needed a number of at most {sys.float_info.max:g}"
+        case kind if kind in TYPES:
+            return f"found {value}; needed {described(annotation_at(table, path))}"
         case _:
             message = str(details["msg"])
-            return f"found {_shortened(value)}; {message[0].lower()}{message[1:]}"
+            return f"found {value}; {message[0].lower()}{message[1:]}"
 
 
-def _shortened(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."
+# --- the types of a schema ---
+
+_WORDS = {str: "a string", float: "a number", int: "a whole number", bool: "true or false"}
+_PLURALS = {"a string": "strings", "a number": "numbers", "a whole number": "whole numbers"}
+
+
+def annotation_at(table: type[BaseModel], path: Key) -> Any:
+    """Return the type of the value at a path of keys; the schema itself for no key."""
+    annotation: Any = table
+    for part in path:
+        for alternative in _alternatives(annotation):
+            inner = _inner(alternative, part)
+            if inner is not None:
+                annotation = inner
+                break
+    return annotation
+
+
+def _inner(annotation: Any, part: str | int) -> Any:
+    """Return the type of an entry of a table or a list; None: it is neither or has no such key."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        field = _fields(annotation, ()).get(str(part))
+        return None if field is None else field.annotation
+    arguments = get_args(annotation)
+    if get_origin(annotation) in (list, tuple) and isinstance(part, int):
+        return arguments[0]
+    return arguments[1] if get_origin(annotation) is dict else None
+
+
+def _alternatives(annotation: Any) -> list[Any]:
+    """Return the types of a union, without None and without what is only said about them."""
+    if get_origin(annotation) is Annotated:
+        return _alternatives(get_args(annotation)[0])
+    if get_origin(annotation) in (Union, UnionType):
+        found = []
+        for argument in get_args(annotation):
+            found += _alternatives(argument)
+        return [alternative for alternative in found if alternative is not type(None)]
+    return [annotation]
+
+
+def described(annotation: Any) -> str:
+    """Return what values a type has, in words: ``a number or a list of numbers``."""
+    words: dict[str, None] = {}
+    for alternative in _alternatives(annotation):
+        words[_word(alternative)] = None
+    if "a number" in words:
+        words.pop("a whole number", None)
+    return " or ".join(words)
+
+
+def _word(annotation: Any) -> str:
+    if annotation in _WORDS:
+        return _WORDS[annotation]
+    if get_origin(annotation) in (list, tuple):
+        element = described(get_args(annotation)[0])
+        if element.startswith("a list of "):
+            return f"a list of lists of {element.removeprefix('a list of ')}"
+        return f"a list of {_PLURALS[element]}" if element in _PLURALS else "a list"
+    if get_origin(annotation) is Literal:
+        return " or ".join(map(repr, get_args(annotation)))
+    return "a table"
 
 
 def _fields(table: type[BaseModel], path: Key) -> dict[str, FieldInfo]:

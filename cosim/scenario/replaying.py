@@ -9,14 +9,15 @@ import numpy as np
 
 from cosim.core.contracts import Design, prepare
 from cosim.core.port import Port
-from cosim.errors import LogError, UsageError
+from cosim.errors import LogError, UsageError, option
 from cosim.log import Log
 from cosim.scenario.build import Experiment, fingerprint
-from cosim.scenario.document import Document, short
+from cosim.scenario.document import Document
+from cosim.scenario.edits import short
 
 EVERYWHERE = {"scenario.input_interpolation", "scenario.coupling"}  # what matters to all inputs
 _TABLES = ("components", "models", "connections")
-_REMEDY = "run the scenario to change it ('cosim run')"
+_REMEDY = "run the scenario to change it"
 
 
 def texts_in(value: Any) -> set[str]:
@@ -77,7 +78,9 @@ def _check_change(experiment: Experiment, key: str, changed: Set[str]) -> None:
     origins = _origins(experiment, changed)
     for name in recorded:
         if name in origins:
-            raise UsageError(f"--set {short(key)}: {name!r} is taken from the recording; {_REMEDY}")
+            raise UsageError(
+                f"{option('set', short(key))}: {name!r} is taken from the recording; {_REMEDY}"
+            )
     affected = _reached(origins, experiment)
     if not EVERYWHERE.isdisjoint(changed):
         affected = set(experiment.scenario.specs)
@@ -85,7 +88,7 @@ def _check_change(experiment: Experiment, key: str, changed: Set[str]) -> None:
         causes = sorted(drivers[name] & affected)
         if causes:
             raise UsageError(
-                f"--set {short(key)}: this changes {causes[0]!r}, which drives {name!r}; "
+                f"{option('set', short(key))}: this changes {causes[0]!r}, which drives {name!r}; "
                 f"{name!r} is taken from the recording and cannot follow: {_REMEDY}"
             )
 

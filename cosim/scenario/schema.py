@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+import unicodedata
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
+from cosim.errors import quoted
 from cosim.units import base_unit, unknown_unit
 
 Number = Annotated[float, Field(allow_inf_nan=False, strict=True)]
-Whole = Annotated[int, Field(strict=True)]
+
+
+def _check_bits(number: int) -> int:
+    if not -(2**63) <= number < 2**63:  # what TOML promises
+        raise ValueError(f"found {quoted(number)}; needed an integer of at most 64 bits")
+    return number
+
+
+Whole = Annotated[int, Field(strict=True), AfterValidator(_check_bits)]
 Flag = Annotated[bool, Field(strict=True)]
 NumberRow = tuple[Number, ...]
 NumberRows = tuple[NumberRow, ...]
@@ -24,7 +34,31 @@ def _known_unit(name: str) -> str:
 
 UnitName = Annotated[str, AfterValidator(_known_unit)]
 
-NAME = r"^[A-Za-z][A-Za-z0-9_-]*$"
+MOST_NAME_BYTES = 100  # in UTF-8: file names with it have at most 255
+
+
+def _check_name(name: str) -> str:
+    """Check that a text is a name: a word of any language.
+
+    Raises
+    ------
+    ValueError
+        If it is none.
+    """
+    composed = unicodedata.normalize("NFC", name)
+    needed = ""
+    if name != composed:
+        needed = f"{composed!r}, composed as Unicode NFC"
+    elif len(name.encode(errors="replace")) > MOST_NAME_BYTES:
+        needed = f"a name of at most {MOST_NAME_BYTES} bytes"
+    elif name.startswith(("_", "-")) or not name.replace("-", "_").isidentifier():
+        needed = "a name of letters, digits, '_' and '-' that begins with a letter"
+    if needed:
+        raise ValueError(f"found {quoted(name)}; needed {needed}")
+    return name
+
+
+Name = Annotated[str, AfterValidator(_check_name)]
 
 
 class TomlTable(BaseModel):
@@ -36,17 +70,19 @@ class TomlTable(BaseModel):
 class Settings(TomlTable):
     """The table [scenario]."""
 
-    name: Annotated[str, Field(pattern=NAME)]
+    name: Name = Field(description="of the scenario, and of its logs")
     start_time: Number = Field(0.0, description="start of the run [s]")
     stop: Number = Field(description="end of the run, an instant [s]")
     step: Number = Field(description="communication step [s]")
     coupling: Literal["gauss-seidel", "jacobi"] = Field(
-        "gauss-seidel", description="how the components of a loop advance"
+        "gauss-seidel",
+        description='how the components of a loop advance: "gauss-seidel" or "jacobi"',
     )
     input_interpolation: Literal["linear", "zero-order"] = Field(
-        "linear", description="inputs inside a step: linear interpolation, or zero-order hold"
+        "linear",
+        description='inputs inside a step: "linear" interpolation, or "zero-order" hold',
     )
-    description: str = ""
+    description: str = Field("", description="one line for 'cosim list' and reports")
 
 
 class DescriptorTable(TomlTable):
@@ -94,7 +130,7 @@ class File(TomlTable):
 
     scenario: Settings
     models: dict[str, DescriptorTable] = {}
-    components: dict[Annotated[str, Field(pattern=NAME)], dict[str, Any]]
+    components: dict[Name, dict[str, Any]]
     connections: dict[str, str | list[str] | ConnectionTable] = {}
     truth: dict[str, str | tuple[str, ...] | Number | NumberRow] = {}
     swap: dict[str, SwapTable] = {}

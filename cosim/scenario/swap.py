@@ -25,14 +25,14 @@ from cosim.blocks.port_map import Causality
 from cosim.blocks.renaming import Renaming
 from cosim.core.port import Port
 from cosim.core.signals import Interface
-from cosim.errors import GraphError, UsageError, nearest
+from cosim.errors import GraphError, UsageError, nearest, option
 from cosim.scenario.problems import Key, Problem
 from cosim.scenario.schema import truth_ports
 
 Tables: TypeAlias = dict[str, Any]
 PortNames: TypeAlias = str | Sequence[str]  # ports of the new component; or as text: "[s1, s2]"
 
-MAP = "--map"  # first part of the key of a problem with a --map option, which stands in no file
+MAP = "(map)"  # first part of the key of a problem with a map from outside
 
 
 @dataclass(frozen=True, slots=True)
@@ -372,7 +372,7 @@ class WrittenPorts:
         if not names:
             return (
                 "nothing is swapped, so no port gets another name; needed a swap: "
-                "--swap COMPONENT=PATH, or [swap]"
+                f"{option('swap', 'COMPONENT', 'PATH')}, or [swap]"
             )
         known: list[str] = []
         for name in names:

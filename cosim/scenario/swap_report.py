@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, field, replace
 from itertools import groupby
 from typing import Any
 
-from cosim.errors import ScenarioError
+from cosim.errors import ScenarioError, option
 from cosim.scenario.port_comparison import ComparedAspect, Proposal, feedthrough_text, shown
 
 
@@ -91,15 +91,15 @@ class SwapReport:
         """The proposals, in words."""
         hints = []
         for proposal in self.proposals:
-            option = self._option(proposal)
+            entry = self._option(proposal)
             new = self._port(proposal.name)
             old = self._port(proposal.port)
             reasons = "; ".join(proposal.reasons)
-            hints.append(f"{option}: {new} may be {old} ({reasons})")
+            hints.append(f"{entry}: {new} may be {old} ({reasons})")
         return hints
 
     def _option(self, proposal: Proposal) -> str:
-        return f"--map {self.component}.{proposal.port}={proposal.name}"
+        return option("map", f"{self.component}.{proposal.port}", proposal.name)
 
     def _port(self, port: str) -> str:
         return f"{self.component}.{port}" if port else self.component

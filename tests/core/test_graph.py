@@ -36,8 +36,8 @@ def graph(connections, **options):
             "'lab.u': there is no component 'lab'; did you mean 'lag'? "
             "There is: u, one, lag, small",
         ),
-        ({"lag.u": "v.y"}, "'v.y': there is no component 'v'; There is: u, one, lag, small"),
-        ({"lag.yy": "u.y"}, "'lag.yy': 'lag' has no input 'yy'; There is: u"),
+        ({"lag.u": "v.y"}, "'v.y': there is no component 'v'; there is: u, one, lag, small"),
+        ({"lag.yy": "u.y"}, "'lag.yy': 'lag' has no input 'yy'; there is: u"),
         (
             {"lag.u": "small.yy"},
             "'small.yy': 'small' has no output 'yy'; did you mean 'y'? There is: y",
@@ -47,7 +47,7 @@ def graph(connections, **options):
         ({"lag.u": "one.y"}, "one.y -> lag.u: size 1 cannot drive size 3 [m]"),
         (
             {"small.u": "u.y[-1]"},
-            "'u.y[-1]': 'u' has no output 'y[-1]'; There is: y (elements are [i] "
+            "'u.y[-1]': 'u' has no output 'y[-1]'; there is: y (elements are [i] "
             "or [i:j], numbered from 0)",
         ),
         ({"small.u": "u.y[3]"}, "'u.y[3]': 'u.y' has 3 elements, numbered from 0"),
@@ -94,7 +94,7 @@ def test_several_problems_are_reported_together():
 @pytest.mark.parametrize(
     ("options", "text"),
     [
-        ({"coupling": "newtonian"}, "coupling: found 'newtonian'; There is: gauss-seidel, jacobi"),
+        ({"coupling": "newtonian"}, "coupling: found 'newtonian'; there is: gauss-seidel, jacobi"),
         (
             {"coupling": "gauss-seidl"},
             "coupling: found 'gauss-seidl'; did you mean 'gauss-seidel'?",

@@ -382,7 +382,7 @@ REFUSED = {
     ),
     "no such output": (
         {"outputs": ["torque"]},
-        r"pendulum: no output 'torque'; There is: y, reach",
+        r"pendulum: no output 'torque'; there is: y, reach",
     ),
     "no such state": ({"states": ["thet"]}, r"pendulum: no state 'thet'; did you mean 'theta'\?"),
     "an integer input": (

@@ -22,6 +22,8 @@ class Run:
 
     def __init__(self, values, times=None):
         self.metadata = {}
+        self.status = "complete"
+        self.reason = ""
         self._signals = {}
         declared = []
         for name, array in values.items():
@@ -31,6 +33,8 @@ class Run:
         if times is None:
             times = np.arange(len(next(iter(self._signals.values()))))
         self._times = np.asarray(times) * STEP_NS
+        self.steps = len(self._times) - 1
+        self.end_ns = int(self._times[-1]) if len(self._times) else 0
         self.channels = {"c": Channel("c", Interface((), tuple(declared)), 0)}
 
     def blocks(self, component):
@@ -194,7 +198,7 @@ def test_signals_that_neither_run_has_are_refused():
     b = Run({"p": np.zeros(4), "x": np.zeros((4, 2)), "q": np.zeros(4)})
     rows = diff(a, b, signals=["c.q", "c.x[2]", "c.x"]).rows
     assert [row.status for row in rows] == ["only in b", "only in a", "other size"]
-    with pytest.raises(LogError, match=r"the first run has no 'c\.y': .*; There is: p, x"):
+    with pytest.raises(LogError, match=r"the first run has no 'c\.y': .*; there is: p, x"):
         diff(a, b, signals=["c.p", "c.y"])
     with pytest.raises(LogError, match="has no component 'd'"):
         diff(a, b, signals=["d.p"])

@@ -334,7 +334,7 @@ def test_a_log_and_the_memory_refuse_unknown_names_alike(dotted):
     for recording in recordings:
         with pytest.raises(LogError, match=signal_message):
             recording["x.a.b"]
-        with pytest.raises(LogError, match=r" has no component 'w'; There is: x, y"):
+        with pytest.raises(LogError, match=r" has no component 'w'; there is: x, y"):
             recording.time("w.z")
 
 

@@ -113,7 +113,9 @@ def test_a_file_that_came_meanwhile_is_not_replaced(tmp_path, monkeypatch, rows,
             for block, signals in run[:rows]:
                 recorder.write(block, signals)
 
-    with pytest.raises(LogError, match=r"a\.mcap exists by now; choose another path, or --force"):
+    with pytest.raises(
+        LogError, match=r"a\.mcap exists by now; choose another path, or force=True"
+    ):
         fail()
     assert path.read_text() == "mine"
     assert list(tmp_path.iterdir()) == [path]

@@ -331,7 +331,7 @@ def test_an_existing_file_needs_force(tmp_path):
     """Nothing is overwritten unasked; a log that is open stays what it was."""
     path = tmp_path / "new" / "a.mcap"
     record(path, steps=10)
-    with pytest.raises(LogError, match=r"a\.mcap exists; .*--force"):
+    with pytest.raises(LogError, match=r"a\.mcap exists; .*force=True"):
         record(path)
     old = open_log(path)
     record(path, steps=20, force=True)

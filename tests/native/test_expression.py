@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cosim.errors import UsageError
+from cosim.errors import UsageError, quoted
 from cosim.native.expression import FUNCTIONS, compile_expression
 from cosim.native.step import evaluate, evaluate_at
 
@@ -173,7 +173,7 @@ def test_whatever_is_not_in_the_language_is_refused(text):
     """With what was found and what is there instead; nothing is evaluated, imported or called."""
     with pytest.raises(UsageError) as error:
         compile_expression(text)
-    assert str(error.value).startswith(f"expression {text!r}: ")
+    assert str(error.value).startswith(f"expression {quoted(text)}: ")
     assert REFUSED[text] in str(error.value)
 
 

@@ -112,7 +112,7 @@ def test_a_map_is_for_those_that_have_its_names(folder):
     assert found.estimates["observer.x_a"] == "plant.x_a"
     with pytest.raises(
         UsageError,
-        match=r"--map plant\.u: no alternative has a port 'forse'; did you mean 'force'\?",
+        match=r"map\['plant\.u'\]: no alternative has a port 'forse'; did you mean 'force'\?",
     ):
         compare(
             "academic",
@@ -131,7 +131,9 @@ def test_a_map_may_list_ports(folder):
         assert [outcome.error for outcome in found.outcomes] == ["", ""]
         plain, renamed_plant = found.recordings.values()
         assert np.array_equal(plain["plant.x_a"], renamed_plant["plant.x_a"])
-    with pytest.raises(UsageError, match=r"--map plant\.x_a: no alternative has a port 'q\[1\]'"):
+    with pytest.raises(
+        UsageError, match=r"map\['plant\.x_a'\]: no alternative has a port 'q\[1\]'"
+    ):
         compare("academic", swap=plants, map={**MAP, "plant.x_a": ["s[0]", "q[1]"]})
 
 
@@ -147,15 +149,17 @@ def test_a_picture_shows_all_of_them(four, tmp_path):
 def test_problems_of_all_plants_are_raised_once(folder):
     """Before anything runs."""
     plant = folder / "plant.fmu"
-    with pytest.raises(ScenarioError, match=r"--set observer\.filter_rat: "):
+    with pytest.raises(ScenarioError, match=r"set\['observer\.filter_rat'\]: "):
         compare("academic", swap={"plant": [plant]}, set={"observer.filter_rat": 1.0})
     with pytest.raises(
         UsageError, match="found alternatives of plant, observer; needed those of one component"
     ):
         compare("academic", swap={"plant": [plant], "observer": [plant]})
     with pytest.raises(
-        UsageError, match="--swap plnt: there is no component 'plnt'; did you mean 'plant'"
+        UsageError, match=r"swap\['plnt'\]: there is no component 'plnt'; did you mean 'plant'"
     ):
         compare("academic", swap={"plnt": [plant]})
-    with pytest.raises(UsageError, match="--swap plant: found one plant, needed two to compare"):
+    with pytest.raises(
+        UsageError, match=r"swap\['plant'\]: found one plant, needed two to compare"
+    ):
         compare("academic", swap={"plant": [plant]}, base=False)

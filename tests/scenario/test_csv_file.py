@@ -78,7 +78,7 @@ def test_what_is_no_table_is_refused_with_its_place(written, content, text):
 
 def test_a_column_that_is_not_there_is_refused(written):
     """With the name that was probably meant; of very many names the first are listed."""
-    with pytest.raises(UsageError, match=r"has no column 'u'; There is: t, force$"):
+    with pytest.raises(UsageError, match=r"has no column 'u'; there is: t, force$"):
         written("t,force\n0,1\n").column("u")
     names = [f"c{i}" for i in range(5000)]
     zeros = ["0"] * len(names)

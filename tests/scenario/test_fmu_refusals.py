@@ -70,7 +70,7 @@ def test_an_fmu_that_is_none_is_refused(name, tmp_path):
     assert caught.value.exit_code == 2
     message = str(caught.value)
     assert re.search(
-        rf"--swap plant: components\.plant: {re.escape(str(path))}: {re.escape(text)}",
+        rf"swap\['plant'\]: components\.plant: {re.escape(str(path))}: {re.escape(text)}",
         message.replace(f"{path} ", f"{path}: "),
     ), message
     assert message.count("\n") == 0, "one error, one line"

@@ -344,7 +344,7 @@ def test_an_existing_log_needs_force(tmp_path):
     """Nothing recorded is overwritten by accident."""
     path = tmp_path / "a.mcap"
     cosim.run("academic", out=path, set={"scenario.stop": 0.1})
-    with pytest.raises(LogError, match="--force"):
+    with pytest.raises(LogError, match="force=True"):
         cosim.run("academic", out=path, set={"scenario.stop": 0.1})
     assert (
         cosim.run("academic", out=path, set={"scenario.stop": 0.2}, force=True).time("plant")[-1]

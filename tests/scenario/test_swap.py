@@ -292,7 +292,7 @@ def test_a_binary_for_another_platform_is_refused_before_the_run(plant, tmp_path
         archive.writestr("binaries/win64/academic_plant.dll", b"MZ")
     with pytest.raises(
         ScenarioError,
-        match=r"--swap plant: .*no binary for this platform; found binaries for: win64; needed "
+        match=r"swap\['plant'\]: .*no binary for this platform; found binaries for: win64; needed "
         r"binaries/",
     ):
         cosim.run("academic", swap={"plant": bare})
@@ -304,10 +304,10 @@ def test_a_wrong_causality_is_refused_before_the_run(tmp_path):
     export_component("academic", "observer", path)
     with pytest.raises(ScenarioError) as caught:
         cosim.run("academic", swap={"plant": path})
-    assert "'plant.delta' is an output of 'plant'; needed an input. There is: u, y" in str(
+    assert "'plant.delta' is an output of 'plant'; needed an input; there is: u, y" in str(
         caught.value
     )
-    assert "'plant.y' is an input of 'plant'; needed an output. There is: x_a, delta" in str(
+    assert "'plant.y' is an input of 'plant'; needed an output; there is: x_a, delta" in str(
         caught.value
     )
 

@@ -136,7 +136,7 @@ def test_a_mapped_run_replays_bit_for_bit(other, tmp_path):
 def test_a_port_has_one_name(other):
     """What drives observer.y is plant.y; the same name may be given for both."""
     text = (
-        r"--map plant\.y: 'plant\.y' is given twice, as 'out1' for 'observer\.y' "
+        r"map\['plant\.y'\]: 'plant\.y' is given twice, as 'out1' for 'observer\.y' "
         r"and as 'aux' for 'plant\.y'; needed one"
     )
     with pytest.raises(ScenarioError, match=text):
@@ -218,40 +218,40 @@ WRONG = {
     "a map without a swap": (
         {},
         {"observer.y": "out1"},
-        r"^--map observer\.y: nothing is swapped, so no port gets another name",
+        r"^map\['observer\.y'\]: nothing is swapped, so no port gets another name",
     ),
-    "no dot": (True, {"y": "out1"}, r"--map y: found no dot, needed COMPONENT\.PORT"),
+    "no dot": (True, {"y": "out1"}, r"map\['y'\]: found no dot, needed COMPONENT\.PORT"),
     "no such component": (
         True,
         {"plnt.u": "force"},
-        r"--map plnt\.u: there is no component 'plnt'; did you mean 'plant'\?",
+        r"map\['plnt\.u'\]: there is no component 'plnt'; did you mean 'plant'\?",
     ),
     "no such port": (
         True,
         {"plant.uu": "force"},
-        r"--map plant\.uu: the scenario connects no 'plant\.uu', and the component that is "
+        r"map\['plant\.uu'\]: the scenario connects no 'plant\.uu', and the component that is "
         r"replaced has no such port; did you mean 'plant\.u'\?",
     ),
     "another component's port": (
         True,
         {"regressor.delta": "out1"},
-        r"--map regressor\.delta: 'regressor\.delta' does not belong to 'plant', nor does that "
+        r"map\['regressor\.delta'\]: 'regressor\.delta' does not belong to 'plant', nor does that "
         r"drive it; .*: .*observer\.y",
     ),
     "no such output there": (
         True,
         {**MAP, "observer.y": "out2"},
-        r"--map observer\.y: 'plant\.out2': 'plant' has no output 'out2'; did you mean 'out1'\?",
+        r"map\['observer\.y'\]: 'plant\.out2': 'plant' has no output 'out2'; did you mean 'out1'\?",
     ),
     "no such input there": (
         True,
         {**MAP, "plant.u": "forse"},
-        r"--map plant\.u: 'plant\.forse': 'plant' has no input 'forse'; did you mean 'force'\?",
+        r"map\['plant\.u'\]: 'plant\.forse': 'plant' has no input 'forse'; did you mean 'force'\?",
     ),
     "no such output there, for the truth": (
         True,
         {**MAP, "plant.x_a": "t"},
-        r"--map plant\.x_a: 'plant\.t': 'plant' has no output 't'; There is",
+        r"map\['plant\.x_a'\]: 'plant\.t': 'plant' has no output 't'; there is",
     ),
     "no such element": (
         True,
@@ -266,22 +266,22 @@ WRONG = {
     "no such element of an input": (
         True,
         {**MAP, "plant.u": "force[1]"},
-        r"--map plant\.u: 'plant\.force\[1\]': 'plant\.force' has 1 element, numbered",
+        r"map\['plant\.u'\]: 'plant\.force\[1\]': 'plant\.force' has 1 element, numbered",
     ),
     "one name for two": (
         True,
         {**MAP, "plant.delta": "force"},
-        r"--map plant\.delta: 'plant\.force' is given twice, for 'plant\.u' and 'plant\.delta'",
+        r"map\['plant\.delta'\]: 'plant\.force' is given twice, for 'plant\.u' and 'plant\.delta'",
     ),
     "no name in a list": (
         True,
         {**MAP, "observer.y": ["out1", ""]},
-        r"--map observer\.y: found no name",
+        r"map\['observer\.y'\]: found no name",
     ),
     "a slice of nothing": (
         True,
         {**MAP, "observer.y": "s[1:1]"},
-        r"--map observer\.y: 'plant\.s\[1:1\]' has no elements",
+        r"map\['observer\.y'\]: 'plant\.s\[1:1\]' has no elements",
     ),
     "another size": (
         True,
@@ -291,37 +291,37 @@ WRONG = {
     "an element beside its vector": (
         True,
         {**MAP, "plant.x_a[0]": "s[1]"},
-        r"--map plant\.x_a\[0\]: 'plant\.x_a\[0\]' \(as s\[1\]\) overlaps 'plant\.x_a' \(as s\)",
+        r"map\['plant\.x_a\[0\]'\]: 'plant\.x_a\[0\]' \(as s\[1\]\) overlaps 'plant\.x_a' \(as s\)",
     ),
     "an element beside a slice": (
         True,
         {**MAP_OF_Y, "plant.x_a[0]": "s[1]", "plant.x_a[0:2]": "s"},
-        r"--map plant\.x_a\[0:2\]: 'plant\.x_a\[0:2\]' \(as s\) overlaps 'plant\.x_a\[0\]'",
+        r"map\['plant\.x_a\[0:2\]'\]: 'plant\.x_a\[0:2\]' \(as s\) overlaps 'plant\.x_a\[0\]'",
     ),
     "an element alone": (
         True,
         {**MAP_OF_Y, "plant.x_a[1]": "s[1]"},
-        r"--map plant\.x_a\[1\]: .* is a part of 'plant\.x_a', which has 2 elements; needed",
+        r"map\['plant\.x_a\[1\]'\]: .* is a part of 'plant\.x_a', which has 2 elements; needed",
     ),
     "an element that the replaced has not": (
         True,
         {**MAP_OF_Y, "plant.x_a[5]": "s[1]"},
-        r"--map plant\.x_a\[5\]: .*: 'plant\.x_a' has 2 elements, numbered from 0",
+        r"map\['plant\.x_a\[5\]'\]: .*: 'plant\.x_a' has 2 elements, numbered from 0",
     ),
     "an element beside its scalar": (
         True,
         {**MAP, "plant.y[0]": "s[1]"},
-        r"--map plant\.y\[0\]: 'plant\.y\[0\]' \(as s\[1\]\) overlaps 'plant\.y' \(as out1\)",
+        r"map\['plant\.y\[0\]'\]: 'plant\.y\[0\]' \(as s\[1\]\) overlaps 'plant\.y' \(as out1\)",
     ),
     "a list that is not closed": (
         True,
         {**MAP, "plant.x_a": "[s[0], s[1]"},
-        r"--map plant\.x_a: found '\[s\[0\], s\[1\]', a list that is not closed; needed \[NAME",
+        r"map\['plant\.x_a'\]: found '\[s\[0\], s\[1\]', a list that is not closed; needed \[NAME",
     ),
     "no name": (
         True,
         {**MAP, "observer.y": ""},
-        r"--map observer\.y: found no name, needed that of a port of the component",
+        r"map\['observer\.y'\]: found no name, needed that of a port of the component",
     ),
 }
 
@@ -343,10 +343,10 @@ def test_all_that_is_wrong_is_reported_at_once(other):
             set={"observer.filter_rat": 1.0, "obsrver.L": [1.0]},
         )
     for text in (
-        "--swap plnt: there is no",
-        "--map plant.uu: ",
-        "--set observer.filter_rat: ",
-        "--set obsrver.L: there is no",
+        "swap['plnt']: there is no",
+        "map['plant.uu']: ",
+        "set['observer.filter_rat']: ",
+        "set['obsrver.L']: there is no",
     ):
         assert text in str(caught.value)
 
@@ -484,7 +484,9 @@ def test_a_port_that_nothing_connects_may_be_mapped(other, by_hand, tmp_path):
         rewired = cosim.replay(tmp_path / "a.mcap", set={"connections.observer.y": driver})
         assert rewired["observer.y"].tolist() == log[driver].tolist()
     wrong = {**MAP, "plant.x_b": "push"}
-    with pytest.raises(ScenarioError, match=r"--map plant\.x_b: 'plant\.push' is an input of 'pl"):
+    with pytest.raises(
+        ScenarioError, match=r"map\['plant\.x_b'\]: 'plant\.push' is an input of 'pl"
+    ):
         cosim.run("academic", swap={"plant": other}, map=wrong, set=SHORT)
 
 
@@ -497,7 +499,7 @@ def test_where_the_replaced_is_unknown_a_map_may_name_its_ports(other, by_hand):
     run = cosim.run(parse(document.with_swaps(swaps, names).with_changes(SHORT)))
     assert run["plant.x_b"].tolist() == by_hand["plant.aux"].tolist()
     wrong = {**MAP, "plant.x_b": "auxx"}
-    with pytest.raises(ScenarioError, match=r"--map plant\.x_b: 'plant\.auxx': 'plant' has no"):
+    with pytest.raises(ScenarioError, match=r"map\['plant\.x_b'\]: 'plant\.auxx': 'plant' has no"):
         cosim.run(parse(document.with_swaps(swaps, wrong).with_changes(SHORT)))
 
 
@@ -507,5 +509,5 @@ def test_a_comparison_takes_lists_of_ports_too(other):
     short = {"scenario.stop": 0.01}
     comparison = cosim.compare("academic", swap={"plant": [other]}, map=maps, set=short)
     assert [outcome.error for outcome in comparison.outcomes] == ["", ""]
-    with pytest.raises(UsageError, match=r"--map plant\.x_a: no alternative has a port 't'"):
+    with pytest.raises(UsageError, match=r"map\['plant\.x_a'\]: no alternative has a port 't'"):
         cosim.compare("academic", swap={"plant": [other]}, map={"plant.x_a": ["s", "t"]})

@@ -8,7 +8,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final
 
-from cosim.errors import FmuError, nearest
+from cosim.errors import FmuError, nearest, option
 from cosim.fmi.platforms import ARCHITECTURE, SUFFIX, SYSTEM, folders
 from cosim.native import build
 
@@ -78,8 +78,8 @@ def check_platforms(platforms: Sequence[str]) -> None:
     if platforms and not build.cross_compiler(""):
         raise FmuError(
             f"platform {', '.join(platforms)}: other machines are compiled for with ziglang, which "
-            "is not installed; pip install ziglang, or leave --platform out to compile for "
-            "this machine with its own compiler"
+            f"is not installed; pip install ziglang, or leave {option('platform')} out to compile "
+            "for this machine with its own compiler"
         )
 
 

@@ -28,7 +28,7 @@ from uuid import UUID
 import numpy as np
 
 from cosim.core.linear import DescriptorModel
-from cosim.errors import FmuError, nearest
+from cosim.errors import FmuError, nearest, quoted
 from cosim.fmi.description import INTERFACE_TYPE_NAMES, Description, InterfaceType
 from cosim.fmi.exporting.arrays import with_arrays
 from cosim.fmi.exporting.compiling import Binary, advice, check_platforms, compile_sources
@@ -206,12 +206,20 @@ def export(
     return Exported(path, version, interface_types, folders, fmu.notes(binaries))
 
 
+MOST_IDENTIFIER = 200  # characters: with a suffix, the name of a file
+
+
 def _check_names(path: Path, name: str, fmi: str) -> None:
     if fmi not in VERSIONS:
         raise FmuError(f"FMI version {fmi!r}: {nearest(fmi, VERSIONS)}")
     if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name):
         raise FmuError(
-            f"name {name!r}: needed an identifier of C: letters, digits and _, no digit first"
+            f"name {quoted(name)}: needed an identifier of C: letters, digits and _, no digit first"
+        )
+    if len(name) > MOST_IDENTIFIER:
+        raise FmuError(
+            f"name {quoted(name)}: has {len(name)} characters; needed at most {MOST_IDENTIFIER}, "
+            "as files in the FMU are named after it"
         )
     if not path.parent.is_dir():
         raise FmuError(f"{path}: there is no folder {path.parent}; make it first")

@@ -27,6 +27,7 @@ from typing import Final
 
 import numpy as np
 
+from cosim.arguments import fmu_argument, mapping_argument, number_argument, texts_argument
 from cosim.arrays import Matrix, Vector
 from cosim.errors import FmuError, RunError, nearest
 from cosim.fmi.component import Fmu, load
@@ -80,6 +81,8 @@ def linearize(
 
     Raises
     ------
+    UsageError
+        If an argument has another type.
     FmuError
         If a name or a value is wrong, there is no such method, or something is not finite at the
         operating point; or if the file cannot be used: co-simulation alone does not show the
@@ -87,22 +90,26 @@ def linearize(
     RunError
         If the instance cannot go on.
     """
+    number_argument("at", at)
+    for name, names in (("inputs", inputs), ("outputs", outputs), ("states", states)):
+        if names is not None:
+            texts_argument(name, names)
     request = LinearizationRequest(
         at=at,
-        start=start or {},
+        start=mapping_argument("start", start),
         inputs=inputs,
         outputs=outputs,
         states=states,
         method=method,
     )
-    if isinstance(fmu, str | Path):
-        return linearize_file(fmu, request)
-    return linearize_instance(fmu, request)
+    if isinstance(fmu, ModelExchangeInstance):
+        return linearize_instance(fmu, request)
+    return linearize_file(fmu, request)
 
 
 def linearize_file(path: str | Path, request: LinearizationRequest) -> Linearization:
     """Linearize an .fmu for model exchange; raises as :func:`linearize`."""
-    with _open(path, request.start) as opened:
+    with _open(fmu_argument(path), request.start) as opened:
         return linearize_instance(opened.instance, request)
 
 

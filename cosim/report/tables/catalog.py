@@ -11,6 +11,8 @@ from cosim.errors import UsageError, nearest
 from cosim.report.tables.console import new_table, print_json, print_table
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
     from cosim.scenario.kinds import Kind
     from cosim.scenario.kinds.parameters import Parameter
 
@@ -23,16 +25,19 @@ def print_catalog(*, as_json: bool) -> None:
     from cosim.scenario.execution import load
     from cosim.scenario.kinds import KINDS
     from cosim.scenario.kinds.parameters import parameters_of
+    from cosim.scenario.schema import Settings
 
     scenarios = {name: load(name).file.scenario.description for name in shipped()}
     if as_json:
         kinds = {name: _plain(kind) for name, kind in KINDS.items()}
-        print_json({"scenarios": scenarios, "kinds": kinds})
+        settings = _plain_parameters(parameters_of(Settings))
+        print_json({"scenarios": scenarios, "settings": settings, "kinds": kinds})
         return
     table = new_table("shipped scenarios", ("name", "description"))
     for name, description in scenarios.items():
         table.add_row(name, description or name)
     print_table(table)
+    print_table(_parameters_table("keys of [scenario]", parameters_of(Settings)))
     table = new_table(KINDS_TITLE, ("kind", "parameters", "description"))
     for name, kind in KINDS.items():
         table.add_row(name, _names(parameters_of(kind)), _description(kind))
@@ -56,21 +61,32 @@ def print_kind(name: str, *, as_json: bool) -> None:
     if as_json:
         print_json(_plain(kind))
         return
-    table = new_table(f"{name}: {_description(kind)}", ("parameter", "default", "meaning"))
-    for parameter in parameters_of(kind):
+    print_table(_parameters_table(f"{name}: {_description(kind)}", parameters_of(kind)))
+
+
+def _parameters_table(title: str, parameters: Iterable[Parameter]) -> Table:
+    """Return a table of keys, with their defaults and what they mean."""
+    table = new_table(title, ("parameter", "default", "meaning"))
+    for parameter in parameters:
         table.add_row(parameter.name, _presence(parameter), parameter.description)
-    print_table(table)
+    return table
 
 
 def _plain(kind: type[Kind]) -> dict[str, Any]:
     """Return a kind as JSON shows it."""
     from cosim.scenario.kinds.parameters import parameters_of
 
-    parameters = {}
-    for parameter in parameters_of(kind):
-        entry = asdict(parameter)
-        parameters[entry.pop("name")] = entry
+    parameters = _plain_parameters(parameters_of(kind))
     return {"description": _description(kind), "parameters": parameters}
+
+
+def _plain_parameters(parameters: Iterable[Parameter]) -> dict[str, Any]:
+    """Return keys of a table as JSON shows them."""
+    entries = {}
+    for parameter in parameters:
+        entry = asdict(parameter)
+        entries[entry.pop("name")] = entry
+    return entries
 
 
 def _description(kind: type[Kind]) -> str:
@@ -81,7 +97,7 @@ def _presence(parameter: Parameter) -> str:
     """Return ``required``, ``optional``, or the default as TOML writes it."""
     if parameter.required:
         return "required"
-    if parameter.default is None or parameter.default == {}:
+    if parameter.default is None or parameter.default in ({}, ""):
         return "optional"
     return json.dumps(parameter.default)
 

@@ -2,18 +2,29 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
+from cosim.arguments import path_argument
+from cosim.errors import UsageError
 from cosim.report.tables.console import print_json, print_section
 
 
 def print_contents(source: str, *, as_json: bool) -> None:
-    """Print what a log, an FMU or a scenario contains."""
+    """Print what a log, an FMU or a scenario contains.
+
+    Raises
+    ------
+    UsageError
+        If it is a folder.
+    """
     from cosim.report import inspection
     from cosim.report.tables.fmu import print_fmu
     from cosim.scenario.swap_report import row_texts
 
-    suffix = Path(source).suffix.lower()
+    path = path_argument("source", source)
+    if path.is_dir():
+        raise UsageError(
+            f"{source}: is a folder; needed a log (.mcap), an FMU (.fmu) or a scenario"
+        )
+    suffix = path.suffix.lower()
     match suffix:
         case ".mcap":
             content = inspection.describe_log(source)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from cosim.arguments import fmu_argument
 from cosim.report.tables.console import (
     new_table,
     print_json,
@@ -169,7 +170,8 @@ def print_check(
     """Print all problems of an FMU; exit 1 if there is an error, or a warning where ``strict``."""
     from cosim.fmi.checking.check import check
 
-    findings = [finding._asdict() for finding in check(path, start=start or {})]
+    fmu = fmu_argument(path)
+    findings = [finding._asdict() for finding in check(fmu, start=start or {})]
     levels = [finding["level"] for finding in findings]
     errors = levels.count("error")
     warnings = levels.count("warning")

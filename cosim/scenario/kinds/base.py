@@ -48,8 +48,15 @@ class LinearSystem:
 class BuildContext(Protocol):
     """What a kind may ask of the scenario that it is built in."""
 
-    clock: Clock
-    step_ns: int
+    @property
+    def clock(self) -> Clock:
+        """The communication points of the run."""
+        ...
+
+    @property
+    def step_ns(self) -> int:
+        """Communication step [ns]."""
+        ...
 
     def model(self, name: str) -> DescriptorSystem:
         """Return a model of [models]."""

@@ -15,7 +15,7 @@ from cosim.blocks.identifier import LeastSquaresIdentifier
 from cosim.blocks.observer import observer_model
 from cosim.blocks.regressor import Regressor
 from cosim.blocks.sampled import Decimated
-from cosim.core.clock import whole_steps
+from cosim.core.clock import LARGEST_NS, whole_steps
 from cosim.core.contracts import Component
 from cosim.core.linear import LinearModel
 from cosim.core.port import Port
@@ -172,9 +172,7 @@ class RegressorKind(ExportableKind):
 
     def build(self, name: str, context: BuildContext) -> Regressor:
         groups, terms = self.regression()
-        steps = []
-        for j, delay in enumerate(self.delays):
-            steps.append(whole_steps(delay, context.step_ns, f"delays[{j}]"))
+        steps = self.steps(context)
         alphas = [group.alpha for group in groups]
         for alpha in alphas:
             check_continuous(alpha, context.clock, ALPHA_WAY_OUT)
@@ -195,6 +193,13 @@ class RegressorKind(ExportableKind):
         )
         return DiscreteModel(component.interface, kernel, context.step_ns, reason)
 
+    def steps(self, context: BuildContext) -> list[int]:
+        """Return the delays in communication steps."""
+        steps = []
+        for j, delay in enumerate(self.delays):
+            steps.append(whole_steps(delay, context.step_ns, f"delays[{j}]"))
+        return steps
+
     def regression(self) -> tuple[tuple[AlphaGroup, ...], tuple[regression.Term, ...]]:
         """Expand the determinant for the given terms."""
         families = [family_named(term.family) for term in self.terms]
@@ -203,7 +208,7 @@ class RegressorKind(ExportableKind):
         regression.check_delays(self.delays, sum(sizes) + 1)
         return groups, regression.expand(sizes)
 
-    def _alphas(self, programs: Sequence[Program]) -> Any:
+    def _alphas(self, programs: Sequence[Program]) -> NDArray[np.float64]:
         """Sample alpha_b(t - D_j) on a grid that no period of the alphas divides."""
         grid = np.arange(512) * math.sqrt(2.0) / 7.0
         times = grid[:, np.newaxis] - np.array(self.delays)
@@ -245,6 +250,7 @@ class IdentifierKind(PeriodicKind, ExportableKind):
                 "whose terms it identifies"
             )
         groups, terms = spec.regression()
+        spec.steps(context)
         recovery = estimators.plan(terms, groups, spec.delays)
         start_time = self._start_time(name, source_name, spec, context)
         metadata = {
@@ -293,6 +299,11 @@ class IdentifierKind(PeriodicKind, ExportableKind):
             raise AssumptionError(
                 f"start: found {T_id} s, needed at least the longest delay, {longest} s{since}: "
                 "before it the regressor has no value"
+            )
+        if not T_id <= LARGEST_NS / 1e9:
+            raise AssumptionError(
+                f"start: T_id is {T_id:g} s; needed a time in a run: with computed times, a larger "
+                "filter_rate, eigenvalues of the observer farther left, or larger fractions"
             )
         steps = math.ceil(elapsed_ns / clock.step_ns)
         start_time = (clock.start_ns + steps * clock.step_ns) / 1e9

@@ -32,16 +32,16 @@ class Parameter:
     description: str
 
 
-def parameters_of(kind: type[Kind]) -> list[Parameter]:
-    """Return the parameters of a kind, each with those inside it.
+def parameters_of(table: type[BaseModel]) -> list[Parameter]:
+    """Return the keys of a table, as of a kind, each with those inside it.
 
     The required ones come first, those that every kind has last.
     """
     required: list[Parameter] = []
     optional: list[Parameter] = []
     shared: list[Parameter] = []
-    for name, field in kind.model_fields.items():
-        parameters = list(_with_inner(name, kind))
+    for name, field in table.model_fields.items():
+        parameters = list(_with_inner(name, table))
         if field.is_required():
             required += parameters
         elif name in Kind.model_fields:

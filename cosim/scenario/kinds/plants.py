@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Literal
 
-from pydantic import Field, StrictBool, StrictInt, StrictStr
+from pydantic import Field, StrictStr
 
 from cosim.blocks.plant import descriptor_form, descriptor_model
 from cosim.blocks.replay import Replay
@@ -23,12 +23,12 @@ from cosim.scenario.kinds.base import (
     LinearSystem,
     PeriodicKind,
 )
-from cosim.scenario.schema import Number, NumberRow
+from cosim.scenario.schema import Flag, Number, NumberRow, Whole
 
 if TYPE_CHECKING:
     from cosim.fmi.description import Description, InterfaceType
 
-Scalar = StrictBool | StrictInt | Number | StrictStr
+Scalar = Flag | Whole | Number | StrictStr
 StartField = Scalar | list[Scalar] | list[list[Scalar]] | list[list[list[Scalar]]]
 
 

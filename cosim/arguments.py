@@ -1,0 +1,179 @@
+"""The arguments of public functions: what is none of the right type is refused at the border."""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections.abc import Mapping, Sequence
+from numbers import Integral, Real
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.errors import UsageError, command, option, quoted
+
+NO_PATH = (errno.ENAMETOOLONG, errno.EILSEQ, errno.EINVAL)
+
+
+def path_argument(name: str, value: object) -> Path:
+    """Return an argument that is a path.
+
+    Raises
+    ------
+    UsageError
+        If it is neither text nor a path, or no file can have it.
+    """
+    if not isinstance(value, str | os.PathLike):
+        raise UsageError(f"{option(name)}: found {quoted(value)}; needed a path")
+    path = os.fspath(value)
+    if not isinstance(path, str):
+        raise UsageError(f"{option(name)}: found {quoted(value)}; needed a path as text")
+    check_path(path)
+    return Path(path)
+
+
+def log_argument(value: object) -> Path:
+    """Return an argument that is the path of a log.
+
+    Raises
+    ------
+    UsageError
+        If it is none, but that of something else; names the command for that.
+    """
+    path = path_argument("log", value)
+    needed = f"{quoted(str(path))}: needed a log (.mcap)"
+    if _is_scenario(path):
+        raise UsageError(f"{needed}; {command('run')} runs a scenario")
+    if path.suffix.lower() == ".fmu":
+        raise UsageError(f"{needed}; 'cosim info' shows an FMU")
+    return path
+
+
+def fmu_argument(value: object) -> Path:
+    """Return an argument that is the path of an FMU.
+
+    Raises
+    ------
+    UsageError
+        If it is none, but that of something else; names the command for that.
+    """
+    path = path_argument("fmu", value)
+    needed = f"{quoted(str(path))}: needed an FMU (.fmu)"
+    if _is_scenario(path):
+        raise UsageError(f"{needed}; 'cosim info' shows a scenario")
+    if path.suffix.lower() == ".mcap":
+        raise UsageError(f"{needed}; 'cosim info' shows a log")
+    return path
+
+
+def _is_scenario(path: Path) -> bool:
+    """Return whether a path is that of a scenario, or may be the name of a shipped one."""
+    return path.suffix.lower() == ".toml" or not (path.suffix or path.exists())
+
+
+def check_path(path: str | Path) -> None:
+    """Check that a file can have a path; there need be none.
+
+    Raises
+    ------
+    UsageError
+        If it is too long for the file system, or has characters that no path has.
+    """
+    try:
+        os.stat(path)
+    except ValueError as error:  # NUL, or half a surrogate pair
+        raise UsageError(f"found the path {quoted(str(path))}; no file can have it") from error
+    except OSError as error:
+        if error.errno in NO_PATH:
+            raise UsageError(
+                f"found the path {quoted(str(path))}; no file can have it ({error.strerror})"
+            ) from error
+
+
+def mapping_argument(name: str, value: object) -> Mapping[str, Any]:
+    """Return an argument that maps texts to something; None is an empty one.
+
+    Raises
+    ------
+    UsageError
+        If it is no mapping, or a key is no text.
+    """
+    if value is None:
+        return {}
+    if not isinstance(value, Mapping):
+        raise UsageError(
+            f"{option(name)}: found {quoted(value)}; needed a mapping, such as "
+            "{'component.name': ...}"
+        )
+    for key in value:
+        if not isinstance(key, str):
+            raise UsageError(f"{option(name)}: found the key {quoted(key)}; needed a text")
+    return value
+
+
+def texts_argument(name: str, value: object) -> tuple[str, ...]:
+    """Return an argument that is a sequence of texts; a single text is none.
+
+    Raises
+    ------
+    UsageError
+        If it is none.
+    """
+    items = value if isinstance(value, Sequence) and not isinstance(value, str) else (None,)
+    if not all(isinstance(item, str) for item in items):
+        raise UsageError(f"{option(name)}: found {quoted(value)}; needed a list of texts")
+    return tuple(items)
+
+
+def number_argument(name: str, value: object) -> float:
+    """Return an argument that is a number.
+
+    Raises
+    ------
+    UsageError
+        If it is none; truth values are none.
+    """
+    if isinstance(value, bool | np.bool_) or not isinstance(value, Real):
+        raise UsageError(f"{option(name)}: found {quoted(value)}; needed a number")
+    return float(value)
+
+
+def truth_argument(name: str, value: object) -> bool:
+    """Return an argument that is true or false.
+
+    Raises
+    ------
+    UsageError
+        If it is something else.
+    """
+    if not isinstance(value, bool | np.bool_):
+        raise UsageError(f"{option(name)}: found {quoted(value)}; needed True or False")
+    return bool(value)
+
+
+def whole_argument(name: str, value: object) -> int | None:
+    """Return an argument that is a whole number or None.
+
+    Raises
+    ------
+    UsageError
+        If it is something else.
+    """
+    if value is None:
+        return None
+    if isinstance(value, bool) or not isinstance(value, Integral):
+        raise UsageError(f"{option(name)}: found {quoted(value)}; needed a whole number")
+    return int(value)
+
+
+def callable_argument(name: str, value: object) -> None:
+    """Check an argument that is called; None is none.
+
+    Raises
+    ------
+    UsageError
+        If it cannot be called.
+    """
+    if value is not None and not callable(value):
+        raise UsageError(f"{option(name)}: found {quoted(value)}; needed a function")

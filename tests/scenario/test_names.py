@@ -1,0 +1,116 @@
+"""Names are words of any language, everywhere that they go."""
+
+import re
+import unicodedata
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import cosim
+from cosim.cli import main
+from cosim.errors import CosimError, ScenarioError
+from cosim.log.schema import identifiers
+from cosim.scenario.exporting import model_identifier
+
+SCENARIO = """
+[scenario]
+name = "größe"
+stop = 0.2
+step = 0.1
+
+[components."温度"]
+kind = "sine"
+rate = 1.0
+
+[components."größe-1"]
+kind = "lag"
+time_constant = 1.0
+
+[connections]
+"größe-1.u" = "温度.y"
+"""
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """Work in a folder with the scenario."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "größe.toml").write_text(SCENARIO, encoding="utf-8")
+    return tmp_path
+
+
+def shell(*arguments):
+    """Call the command line and return its exit code."""
+    with pytest.raises(SystemExit) as left:
+        main(list(arguments))
+    return left.value.code or 0
+
+
+def test_names_of_any_language_pass_through_files_logs_and_edits(folder):
+    """Scenario, log, its default name, replay, comparison and edits."""
+    assert shell("run", "größe.toml", "--quiet") == 0
+    assert shell("run", "größe.toml", "--quiet", "--set", "温度.rate=2.0") == 0
+    logs = folder / "logs"
+    names = {unicodedata.normalize("NFC", path.name) for path in logs.iterdir()}
+    assert names == {"größe.mcap", "größe-2.mcap"}
+    assert shell("replay", "logs/größe.mcap", "--verify", "--quiet") == 0
+    assert shell("diff", "logs/größe.mcap", "logs/größe-2.mcap", "größe-1.y") == 1
+    log = cosim.open_log("logs/größe.mcap")
+    memory = cosim.run("größe.toml")
+    assert list(log.channels) == ["温度", "größe-1"]
+    assert (log["größe-1.y"] == memory["größe-1.y"]).all()
+
+
+@pytest.mark.parametrize("name", ["gro\u0308ße", "e\u0301", "u\u0308"])
+def test_names_that_look_the_same_are_not_two(name):
+    """A name is composed (NFC); in another form it is refused, wherever it is used."""
+    composed = unicodedata.normalize("NFC", name)
+    table = {"kind": "constant", "value": 1.0}
+    with pytest.raises(ScenarioError, match=f"needed '{composed}', composed as Unicode NFC"):
+        cosim.run("academic", set={f"components.{name}": table})
+    edits = {f"components.{composed}": table, "connections.plant.u": f"{name}.y"}
+    with pytest.raises(ScenarioError, match=f"needed '{composed}', composed as Unicode NFC"):
+        cosim.run("academic", set=edits)
+
+
+@pytest.mark.parametrize(
+    "name", ["", "_a", "1a", "a b", "a/b", "a\n", "a" * 101, "温" * 34, "-a", "."]
+)
+def test_what_is_no_word_is_no_name(name):
+    """Words of any language with digits, '_' and '-', 100 bytes at most."""
+    with pytest.raises(CosimError):
+        cosim.load("academic").set({"scenario.name": name})
+
+
+@settings(max_examples=200, derandomize=True, deadline=None)
+@given(st.text(st.sampled_from("_x2d5fa-ß温"), max_size=12) | st.text(max_size=12))
+def test_model_identifiers_are_those_of_c_and_never_the_same_for_two_names(name):
+    """The name can be read out of the identifier again."""
+    identifier = model_identifier(f"a{name}")
+    assert re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", identifier)
+    read = re.sub(r"_x([0-9a-f]+)_", lambda match: chr(int(match[1], 16)), identifier)
+    assert read == f"a{name}"
+
+
+@settings(max_examples=100, derandomize=True, deadline=None)
+@given(
+    st.lists(st.text(st.sampled_from("_xß温a1[]."), max_size=5) | st.text(max_size=5), unique=True)
+)
+def test_fields_of_a_log_are_identifiers_and_distinct(names):
+    """Whatever the signals are called."""
+    fields = identifiers(names)
+    assert len({field.replace("_", "").lower() for field in fields}) == len(names)
+    assert all(re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", field) for field in fields)
+
+
+def test_a_component_with_any_name_is_exported(folder):
+    """Its identifier is one of C; one that is too long for a file name is refused before."""
+    assert shell("export", "größe.toml", "--component", "größe-1", "--out", "a.fmu") == 0
+    fmu = cosim.run("größe.toml", swap={"größe-1": "a.fmu"})
+    # 1e-9 is the tolerance of the solver that integrates the FMU
+    assert fmu["größe-1.y"] == pytest.approx(cosim.run("größe.toml")["größe-1.y"], abs=1e-9)
+    long = SCENARIO.replace("größe-1", "温" * 33)
+    (folder / "long.toml").write_text(long, encoding="utf-8")
+    assert shell("export", "long.toml", "--component", "温" * 33, "--out", "b.fmu") == 2
+    assert not (folder / "b.fmu").exists()
