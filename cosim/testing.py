@@ -66,7 +66,7 @@ def check_component(
         _check_ownership(bench, held, expected)
         _check_feedthrough(bench, held, expected)
         _check_initialization(bench, held, expected)
-        if held.any():
+        if held.any() or bench.interface.delayed:
             _check_held_inputs(bench, held, expected)
     if bench.interface.rollback:
         # The interface is what declares save and restore; a type checker cannot follow it.
@@ -260,13 +260,16 @@ def _check_initialization(bench: _Bench, held: Mask, expected: Matrix) -> None:
 
 
 def _check_held_inputs(bench: _Bench, held: Mask, expected: Matrix) -> None:
-    """Require that a held input may be wrong at the end of a step.
+    """Require that a held or delayed input may be wrong at the end of a step.
 
     In a loop it is known there only after the step: the state must ignore it, and ``outputs``
     corrects what feeds through.
     """
     component = bench.prepared(held)
     bench.initialize(component)
+    held = held.copy()
+    for name in bench.interface.delayed:
+        held[bench.interface.input_columns()[name]] = True
     fed = np.zeros(bench.n_y, np.bool_)
     for name, columns in bench.interface.input_columns().items():
         if held[columns].any():

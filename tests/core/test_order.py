@@ -2,6 +2,7 @@
 
 import itertools
 import random
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cosim.blocks.arithmetic import sum_of
-from cosim.blocks.dynamics import Delay
+from cosim.blocks.dynamics import Delay, lag
 from cosim.blocks.sampled import Decimated, Sampled
 from cosim.blocks.source import Noise, sine
 from cosim.blocks.state_space import controller
@@ -25,6 +26,7 @@ from cosim.core.order import order_loop
 from cosim.core.port import Port
 from cosim.core.recorders import Memory
 from cosim.core.signals import Interface, Signal
+from cosim.testing import check_component
 from tests.core.parts import half_through, integrator, times
 
 
@@ -363,3 +365,16 @@ def test_the_first_error_does_not_depend_on_the_order_of_components():
         with pytest.raises(Exception, match=r"^'a\.") as caught:
             run(Graph(components, connections), Clock(1.0, 0.5), Memory())
         assert "became" in str(caught.value)
+
+
+def test_the_contract_finds_a_delay_that_needs_its_input():
+    """A component that says its input is delayed must not take it at the end of a step."""
+
+    class Claims(Linear):
+        def __init__(self):
+            super().__init__(lag(time_constant=1.0, initial=0.0))
+            self.interface = replace(self.interface, delayed=("u",))
+
+    with pytest.raises(AssertionError, match="advance ignores a held input at the end of the step"):
+        check_component(Claims)
+    check_component(lambda: Sampled(Linear(lag(time_constant=1.0)), 2, hold=True))

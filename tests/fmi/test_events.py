@@ -503,7 +503,7 @@ def test_a_crossing_is_located_to_rounding_and_on_its_far_side(z, root):
 
 
 def test_the_list_of_events_is_bounded():
-    """The latest are kept, the rest is counted.
+    """The first of a step are listed, the rest is counted.
 
     What was fetched is gone, and what was undone comes back.
     """
@@ -511,11 +511,29 @@ def test_the_list_of_events_is_bounded():
     for k in range(KEPT + 3):
         events.add("time event", float(k))
     saved = events.save()
+    events.begin_step()
     events.add("state event", 0.25)
     assert events.drain()[-1] == (0.25, "debug", "event", "state event at t = 0.25 s")
     events.restore(saved)
     texts = [text for *_, text in events.drain()]
-    assert texts[0] == "3 earlier events are not listed"
+    assert texts[-1] == "3 more events of this step are not listed"
     assert len(texts) == KEPT + 1
-    assert texts[-1] == f"time event at t = {float(KEPT + 2)} s"
+    assert texts[KEPT - 1] == f"time event at t = {float(KEPT - 1)} s"
     assert events.drain() == []
+
+
+@pytest.mark.parametrize("fetched_after", [1, 7, 50])
+def test_how_many_events_are_listed_does_not_depend_on_the_blocks(fetched_after):
+    """Steps of 0, 30, ... 270 events: each lists its first, however often the list is fetched."""
+    events = EventList()
+    listed = []
+    for step in range(50):
+        events.begin_step()
+        for k in range(30 * (step % 10)):
+            events.add("state event", step + k / 1000)
+        if step % fetched_after == fetched_after - 1:
+            listed += events.drain()
+    listed += events.drain()
+    counts = [30 * (step % 10) for step in range(50)]
+    assert len(listed) == sum(min(count, KEPT) + (count > KEPT) for count in counts)
+    assert [message.time for message in listed] == sorted(message.time for message in listed)

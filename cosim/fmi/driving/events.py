@@ -7,7 +7,6 @@ A state event is where an event indicator changes its domain, z > 0 or z <= 0 (F
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Callable
 from typing import Final, Literal, NamedTuple, TypeAlias, final
 
@@ -22,7 +21,7 @@ EventKind: TypeAlias = Literal["state event", "time event", "step event", "input
 
 ITERATIONS: Final = 100  # of the discrete states in one event
 EVENTS: Final = 1000  # in one communication step
-KEPT: Final = 100  # events in the list until they are fetched
+KEPT: Final = 100  # events of one communication step that are listed
 
 
 def close(t: float) -> float:
@@ -141,40 +140,49 @@ def iterate_event(
 class EventListState(NamedTuple):
     """A copy of an ``EventList``."""
 
-    events: tuple[tuple[EventKind, float], ...]
-    dropped: int
+    messages: tuple[Message, ...]
+    in_step: int
 
 
 @final
 class EventList:
-    """The latest ``KEPT`` events since they were fetched, and how many there were before."""
+    """The first ``KEPT`` events of each communication step, and how many more it had.
+
+    What is listed depends on the steps alone, not on when it is fetched.
+    """
 
     def __init__(self) -> None:
-        self._events: deque[tuple[EventKind, float]] = deque(maxlen=KEPT)
-        self._dropped = 0
+        self._messages: list[Message] = []
+        self._in_step = 0
+        self._latest = 0.0
+
+    def begin_step(self) -> None:
+        """Begin to count anew; tell of the step before what was not listed."""
+        omitted = self._in_step - KEPT
+        if omitted > 0:
+            notice = f"{omitted} more events of this step are not listed"
+            self._messages.append(Message(self._latest, "debug", "event", notice))
+        self._in_step = 0
 
     def add(self, kind: EventKind, t: float) -> None:
         """Add an event at ``t`` [s]."""
-        self._dropped += len(self._events) == KEPT
-        self._events.append((kind, t))
+        self._in_step += 1
+        self._latest = t
+        if self._in_step <= KEPT:
+            self._messages.append(Message(t, "debug", "event", f"{kind} at t = {t!r} s"))
 
     def drain(self) -> list[Message]:
-        """Return the events since the last call."""
-        messages = []
-        for kind, t in self._events:
-            messages.append(Message(t, "debug", "event", f"{kind} at t = {t!r} s"))
-        if self._dropped:
-            notice = f"{self._dropped} earlier events are not listed"
-            messages.insert(0, Message(messages[0].time, "debug", "event", notice))
-        self._events.clear()
-        self._dropped = 0
+        """Return the events since the last call, at the end of a step."""
+        self.begin_step()
+        messages = self._messages
+        self._messages = []
         return messages
 
     def save(self) -> EventListState:
         """Copy the list."""
-        return EventListState(tuple(self._events), self._dropped)
+        return EventListState(tuple(self._messages), self._in_step)
 
     def restore(self, state: EventListState) -> None:
         """Go back to a saved list."""
-        self._events = deque(state.events, maxlen=KEPT)
-        self._dropped = state.dropped
+        self._messages = list(state.messages)
+        self._in_step = state.in_step

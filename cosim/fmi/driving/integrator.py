@@ -186,6 +186,7 @@ class Integrator:
             If the events do not end.
         """
         self._step_inputs = inputs
+        self.events.begin_step()
         for _ in range(EVENTS):
             due = self._integrate_to_event(inputs.t1)
             state = self.state
