@@ -28,9 +28,14 @@ kind = "expression"
 y = [
   "sin(30*t + 1)", "cos(17*t)", "tan(3*t + 0.2)", "asin(0.9*sin(7*t))", "acos(0.9*cos(5*t))",
   "atan(9*t - 3)", "sinh(t - 1)", "cosh(2*t)", "tanh(t - 1)", "exp(-1.7*t)", "log(0.1 + t)",
-  "(0.3 + t)**2.7", "sqrt(t)", "abs(t - 1)", "sign(t - 1)",
-  "min(t, 1/3) + max(t, pi) + step(t - e)",
+  "(0.3 + t)**2.7", "sqrt(t)", "abs(t - 1)",
+  "min(t, 1/3) + max(t, pi)",
 ]
+
+[components.jumps]
+kind = "expression"
+discrete = true
+y = ["sign(sin(9*t) - t/3)", "step(t - 1)"]
 
 [components.noise]
 kind = "noise"
