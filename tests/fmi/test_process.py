@@ -16,9 +16,11 @@ import cosim
 from cosim.core import Clock, Graph
 from cosim.core.master import run as run_graph
 from cosim.core.recorders import Memory
+from cosim.core.signals import Interface
 from cosim.errors import RunError
 from cosim.fmi.binary.process import CHANGES, Process
 from cosim.fmi.component import load
+from cosim.fmi.driving.guarded import Guarded
 from tests.fmi.compiled import compile_fmu
 from tests.fmi.test_check import XML
 
@@ -257,3 +259,36 @@ def test_a_graph_in_a_thread_runs(rogue):
             graph = Graph({"a": fmu.component, "b": source.component}, {"a.u": "b.y", "b.u": "a.y"})
             pool.submit(run_graph, graph, Clock(0.05, 0.01), memory).result()
     assert memory.status == "complete"
+
+
+class Moving:
+    """A component whose every call changes the working directory, and then fails."""
+
+    interface = Interface()
+    notes = ()
+
+    def initialize(self, t, u):
+        os.chdir("/")
+        raise RunError("mine")
+
+    outputs = initialize
+
+    def advance(self, t, h, u):
+        self.initialize(t, u)
+
+    def drain(self):
+        return []
+
+
+@pytest.mark.parametrize("call", ["initialize", "outputs", "advance"])
+def test_a_change_in_a_call_that_fails_is_undone_too(call):
+    """The error is the component's, the change is reported beside it."""
+    home = os.getcwd()
+    guarded = Guarded(Moving(), "mover")
+    arguments = {"advance": (np.zeros(2), 1.0, np.zeros((2, 0)))}.get(call, (0.0, np.zeros(0)))
+    with pytest.raises(RunError, match="mine"):
+        getattr(guarded, call)(*arguments)
+    assert os.getcwd() == home
+    assert [message.text for message in guarded.drain()] == [
+        "mover: changed the working directory; it is as before again"
+    ]
