@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 import os
+import struct
 import subprocess
 import sys
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 
 import cosim
 from cosim.core.contracts import Block
@@ -18,6 +20,7 @@ from cosim.errors import CosimError, LogError, UsageError
 from cosim.log import McapRecorder, open_log
 from cosim.log import container as log_container
 from cosim.log import reader as log_reader
+from cosim.log.compression import MOST_BYTES
 from cosim.log.diff import diff
 from cosim.report.plots import plot_signals
 
@@ -330,3 +333,72 @@ def test_channels_with_rows_at_other_times_are_damage(tmp_path):
     for read in (log.content_hash, lambda: log.rows("wide")):
         with pytest.raises(LogError, match="have rows at different times"):
             read()
+
+
+MAGIC = b"\x89MCAP0\r\n"
+
+
+def sparse(path, opcode, content, length):
+    """Write an MCAP file with one record of some length, most of it a hole."""
+    with path.open("wb") as stream:
+        stream.write(MAGIC + struct.pack("<BQ", 1, 8) + bytes(8))  # Header
+        stream.write(struct.pack("<BQ", opcode, length) + content)
+        stream.seek(length - len(content), os.SEEK_CUR)
+        stream.write(struct.pack("<BQI", 15, 4, 0) + struct.pack("<BQQQI", 2, 20, 0, 0, 0))
+        stream.write(MAGIC)
+
+
+@pytest.mark.parametrize(
+    ("opcode", "content"),
+    [
+        (12, b""),  # Metadata
+        (6, struct.pack("<QQQIIQ", 0, 0, 100, 0, 0, 2**40 - 40)),  # Chunk
+        (5, bytes(22)),  # Message outside chunks
+    ],
+)
+def test_a_record_of_any_length_is_refused_unread(tmp_path, opcode, content):
+    """A sparse file has any length, and takes no room on the disk."""
+    sparse(tmp_path / "a.mcap", opcode, content, 2**40)
+    with pytest.raises(LogError, match=rf"of \d+ bytes, at most {MOST_BYTES} are read"):
+        open_log(tmp_path / "a.mcap")
+
+
+@pytest.mark.parametrize("start", [8, 2**40])
+def test_a_summary_elsewhere_is_damage(path, start):
+    """It stands between the end of the data and the footer."""
+    data = bytearray(path.read_bytes())
+    data[-28:-8] = struct.pack("<QQI", start, 0, 0)
+    path.write_bytes(data)
+    with pytest.raises(LogError, match=f"it is said to begin at byte {start}"):
+        open_log(path)
+
+
+def test_room_is_made_for_rows_that_can_be_there(path):
+    """Not for those that a summary counts."""
+    with path.open("rb") as stream:
+        counts = make_reader(stream).get_summary().statistics.channel_message_counts
+    data = bytearray(path.read_bytes())
+    found = struct.pack("<HQHQ", 1, counts[1], 2, counts[2])
+    assert data.count(found) == 1
+    data[data.index(found) + 2 : data.index(found) + 10] = struct.pack("<Q", 2**50)
+    data[-12:-8] = bytes(4)  # no CRC of the summary
+    path.write_bytes(data)
+    log = open_log(path)
+    for read in (log.load, log.content_hash):
+        with pytest.raises(LogError, match=f"rows of 'plant' found, its summary says {2**50}"):
+            read()
+
+
+def test_a_flip_in_messages_outside_chunks_is_found(path, tmp_path):
+    """By the CRC of all data, where its writer gave one."""
+    from .crafting import put_together, take_apart
+
+    content = take_apart(path)
+    copy = put_together(content, tmp_path / "b.mcap", use_chunking=False, enable_data_crcs=True)
+    assert open_log(copy).content_hash() == open_log(path).recorded_hash
+    data = bytearray(copy.read_bytes())
+    position = data.index(content.messages[5][3]) + 4  # inside of a double
+    data[position] ^= 1
+    copy.write_bytes(data)
+    with pytest.raises(LogError, match="the CRC of the data does not fit"):
+        open_log(copy)
