@@ -22,6 +22,7 @@ from cosim.log import container as log_container
 from cosim.log import reader as log_reader
 from cosim.log.compression import MOST_BYTES
 from cosim.log.diff import diff
+from cosim.log.metadata import decode_design
 from cosim.report.plots import plot_signals
 
 from .recordings import STEP_NS, blocks, layout, plan, record, same_bits
@@ -402,3 +403,11 @@ def test_a_flip_in_messages_outside_chunks_is_found(path, tmp_path):
     copy.write_bytes(data)
     with pytest.raises(LogError, match="the CRC of the data does not fit"):
         open_log(copy)
+
+
+@pytest.mark.parametrize("shape", [[-1], [2, -1], [True], ["1"], 1, None, [1] * 9, [2**40], [[1]]])
+def test_a_design_of_no_shape_is_refused(shape):
+    """Sizes are whole numbers from 0 on, and nothing is guessed."""
+    text = json.dumps({"A": {"shape": shape, "data": "AAAAAAAA8D8="}})
+    with pytest.raises(ValueError, match=r"shape|reshape"):
+        decode_design(text)
