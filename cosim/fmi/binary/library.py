@@ -8,6 +8,7 @@ anew from lists at every call.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from ctypes import CDLL, c_int, c_uint8, c_void_p
 from pathlib import Path
@@ -17,6 +18,12 @@ from numpy.typing import NDArray
 
 from cosim.errors import FmuError, RunError
 from cosim.fmi.binary.messages import Message, Messages
+
+# ctypes itself has no public way to unload a library.
+if sys.platform == "win32":
+    from _ctypes import FreeLibrary as _unload
+else:
+    from _ctypes import dlclose as _unload
 
 Call: TypeAlias = Callable[..., None]
 
@@ -220,9 +227,7 @@ class Library:
 
     def unload(self) -> None:
         """Unload the binary; no call reaches it any more."""
-        from fmpy import freeLibrary
-
         if self._dll is not None:
             self._forbidden = self._forbidden or "the instance was freed"
-            freeLibrary(self._dll._handle)
+            _unload(self._dll._handle)
             self._dll = None
