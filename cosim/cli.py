@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from time import perf_counter
@@ -85,7 +85,9 @@ StopOption = Annotated[
 PlotOption = Annotated[
     Path | None,
     typer.Option(
-        metavar="FILE", help="Plot the estimates with their truth to a file (.png, .svg, .pdf)."
+        metavar="FILE",
+        help="Plot the estimates with truth and errors, or the outputs, to a file "
+        "(.png, .svg, .pdf).",
     ),
 ]
 RunOutOption = Annotated[
@@ -174,7 +176,7 @@ def run(
         print_dry_run(edited, as_json=as_json)
         return
     path = out or default_log(edited.name)
-    _need_plot(plot, edited.file.truth)
+    _need_plot(plot)
     seconds: dict[str, float] | None = {} if profile else None
     with _progress(quiet or as_json) as progress:
         log = run_scenario(edited, out=path, force=force, progress=progress, profile=seconds)
@@ -190,13 +192,15 @@ def _dry_run_in_child(
     scenario: str, options: Mapping[str, Sequence[str]], *, as_json: bool
 ) -> NoReturn:
     """Do a dry run in a child process, as it runs the code of FMUs; exit as that does."""
+    from cosim.report.tables.console import terminal_width
+
     arguments = ["run", scenario, "--dry-run"]
     for name, values in options.items():
         for value in values:
             arguments += [name, value]
     if as_json:
         arguments.append("--json")
-    result = run_command(arguments)
+    result = run_command(arguments, columns=terminal_width())
     typer.echo(result.output, nl=False)
     typer.echo(result.messages, nl=False, err=True)
     raise typer.Exit(result.exit_code)
@@ -230,7 +234,6 @@ def replay(
     from cosim.report.tables.run import print_summary, print_verification
     from cosim.report.verification import verify as verify_replay
     from cosim.scenario.execution import replay as replay_log
-    from cosim.scenario.recorded import truth_of
 
     imported = perf_counter()
     source = open_log(log)
@@ -239,7 +242,7 @@ def replay(
     edits = _edits(changes)
     if stop is not None:
         edits["scenario.stop"] = stop
-    _need_plot(plot, truth_of(source))
+    _need_plot(plot)
     with _progress(quiet or as_json) as progress:
         again = replay_log(source, out=out, force=force, set=edits, progress=progress)
     if plot is not None:
@@ -334,7 +337,9 @@ def compare(
         ((name, path),) = _pairs([text], "swap").items()
         alternatives.setdefault(name, []).append(path)
     loaded = load(scenario)
-    _need_plot(plot, loaded.file.truth)
+    _need_plot(plot)
+    if plot is not None and not loaded.file.truth:
+        raise UsageError("the scenario has no [truth], so there are no estimates to plot")
     comparison = compare_plants(
         loaded,
         swap=alternatives,
@@ -417,25 +422,61 @@ def cache(
 
 @app.command()
 def plot(
-    log: LogArgument,
-    signals: Annotated[
+    sources: Annotated[
         list[str],
         typer.Argument(
-            metavar="SIGNAL...",
-            help="Signals or their elements, such as observer.delta, plant.x_a[0], plant.x_a[0:2].",
+            metavar="LOG... [SIGNAL]...",
+            help="One or several logs (.mcap), then signals or their elements, a panel each: "
+            "plant.y plant.x_a[0]. With commas between they share a panel: plant.y,observer.y. "
+            "Without signals: the standard picture of a log.",
         ),
     ],
     out: Annotated[
         Path,
         typer.Option("--out", "-o", metavar="FILE", help="Picture to write (.png, .svg, .pdf)."),
     ],
+    size: Annotated[
+        str | None,
+        typer.Option(metavar="WIDTHxHEIGHT", help="Size of the picture [cm], such as 16x9."),
+    ] = None,
+    start: Annotated[
+        float | None, typer.Option("--from", metavar="T", help="First time shown [s].")
+    ] = None,
+    stop: Annotated[
+        float | None, typer.Option("--to", metavar="T", help="Last time shown [s].")
+    ] = None,
+    title: Annotated[str | None, typer.Option(metavar="TEXT", help="Title of the picture.")] = None,
 ) -> None:
-    """Plot signals of a log over time."""
+    """Plot signals of one or several logs over time."""
     from cosim.log import open_log
-    from cosim.report.plots import plot_signals
+    from cosim.report.plots import PictureOptions, plot_run, plot_signals
 
-    plot_signals(open_log(log), signals, out)
+    options = PictureOptions(_size(size), start, stop, title)
+    logs = [open_log(source) for source in sources if source.endswith(".mcap")]
+    signals = [source for source in sources if not source.endswith(".mcap")]
+    if not logs:
+        raise UsageError(
+            f"found no log among {', '.join(sources)}; needed a path that ends in .mcap"
+        )
+    if signals:
+        plot_signals(logs, signals, out, options)
+    elif len(logs) == 1:
+        plot_run(logs[0], out, options)
+    else:
+        raise UsageError("several logs have no standard picture; name the signals to plot")
     typer.echo(str(out))
+
+
+def _size(text: str | None) -> tuple[float, float] | None:
+    if text is None:
+        return None
+    width, _, height = text.partition("x")
+    try:
+        return float(width), float(height)
+    except ValueError as error:
+        raise UsageError(
+            f"--size: found {text!r}, needed WIDTHxHEIGHT in cm, such as 16x9"
+        ) from error
 
 
 @app.command(name="list")
@@ -611,11 +652,11 @@ def linearize(
         print_linearization(linearization, as_json=as_json)
 
 
-def _need_plot(out: Path | None, truth: Collection[str]) -> None:
+def _need_plot(out: Path | None) -> None:
     from cosim.report.plots import need_plot
 
     if out is not None:
-        need_plot(out, truth)
+        need_plot(out)
 
 
 def _pairs(texts: list[str] | None, name: str) -> dict[str, str]:

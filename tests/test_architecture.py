@@ -28,7 +28,8 @@ ALLOWED = {
     "testing": BASE | {"core"},
     "scenario": BASE | {"native", "theory", "core", "blocks", "fmi", "log"},
     "report": BASE | {"theory", "core", "fmi", "log", "scenario"},
-    "cli": {"errors", "scenario", "log", "report", "fmi"},
+    "completion": {"errors", "scenario"},
+    "cli": {"errors", "version", "scenario", "log", "report", "fmi", "completion"},
     "__main__": {"cli"},
     "__init__": {"scenario", "log", "fmi", "report", "version", "lazy"},
 }
@@ -40,7 +41,7 @@ OUTSIDE = {
     "lz4": {"log"},
     "pydantic": {"scenario"},
     "matplotlib": {"report"},
-    "typer": {"cli", "report"},
+    "typer": {"cli", "completion", "report"},
     "rich": {"cli", "report"},
 }
 FMI_ROOMS = [

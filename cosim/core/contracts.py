@@ -291,6 +291,11 @@ class Recording(Protocol):
     """A finished run to read from: a log file, or memory."""
 
     @property
+    def label(self) -> str:
+        """What was recorded to: a path, or ``the run``."""
+        ...
+
+    @property
     def status(self) -> str:
         """How it ended: ``complete``, ``failed`` or ``interrupted``."""
         ...

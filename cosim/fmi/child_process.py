@@ -30,7 +30,8 @@ TrialTask: TypeAlias = Literal["symbols", "run", "rollback"]
 TRIAL: Final = "cosim.fmi.checking.trial"
 TIMEOUT: Final = 20.0  # [s] of wall time
 CHILD_VARIABLE: Final = "COSIM_TRIAL"  # of the environment; set in a child, which starts no other
-COMMAND_VARIABLE: Final = "COSIM_COMMAND"  # set in a child that does a command of its parent
+# set in a child that does a command of its parent: the columns of the terminal; 0: there is none
+COMMAND_VARIABLE: Final = "COSIM_COMMAND"
 MISSING_FUNCTION: Final = "missing function"
 REFUSED: Final = "is declared and then refused:"  # get or set FMU state
 INEXACT: Final = "goes back inexactly"
@@ -135,8 +136,14 @@ class CommandResult(NamedTuple):
     exit_code: int
 
 
-def run_command(arguments: Sequence[str]) -> CommandResult:
+def run_command(arguments: Sequence[str], *, columns: int | None) -> CommandResult:
     """Run a command line of cosim in a child process, in this working directory.
+
+    Parameters
+    ----------
+    arguments : sequence of str
+    columns : int or None
+        Of the terminal that shows what it prints; None: it is a file or a pipe.
 
     Raises
     ------
@@ -146,7 +153,7 @@ def run_command(arguments: Sequence[str]) -> CommandResult:
     with TemporaryDirectory(prefix="cosim-command-", ignore_cleanup_errors=True) as folder:
         child = subprocess.Popen(
             [sys.executable, "-m", "cosim", *arguments],
-            env=_environment(folder, COMMAND_VARIABLE),
+            env=_environment(folder, COMMAND_VARIABLE, str(columns or 0)),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
@@ -165,7 +172,7 @@ def run_command(arguments: Sequence[str]) -> CommandResult:
     return CommandResult(output, messages, child.returncode)
 
 
-def _environment(folder: str, variable: str) -> dict[str, str]:
+def _environment(folder: str, variable: str, value: str = "1") -> dict[str, str]:
     """Return one in which the child finds this package, and keeps temporary files in ``folder``.
 
     ``variable`` says to the child what it is.
@@ -174,7 +181,7 @@ def _environment(folder: str, variable: str) -> dict[str, str]:
     import_paths = [str(ROOT), *filter(None, inherited)]
     added = {
         "PYTHONPATH": os.pathsep.join(import_paths),
-        variable: "1",
+        variable: value,
         "PYTHONIOENCODING": "utf-8",
     }
     return os.environ | added | dict.fromkeys(("TMPDIR", "TEMP", "TMP"), folder)

@@ -15,6 +15,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from cosim.fmi.child_process import COMMAND_VARIABLE
 from cosim.report.printable import printable, printable_line
 
 _WIDTH: Final = 80  # columns of a terminal that does not say
@@ -55,6 +56,9 @@ def print_table(table: Table) -> None:
 
 def terminal_width() -> int | None:
     """Return the number of columns of the terminal; None: stdout is a file or a pipe."""
+    of_parent = os.environ.get(COMMAND_VARIABLE)
+    if of_parent is not None:
+        return int(of_parent) or None
     if not sys.stdout.isatty():
         return None
     chosen = os.environ.get("COLUMNS", "")

@@ -1,0 +1,130 @@
+"""The estimates of one scenario on several plants, and how they differ."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cosim.core.contracts import Recording
+from cosim.errors import UsageError
+from cosim.report.plots.curves import (
+    DASHES,
+    TRUTH,
+    Curve,
+    Style,
+    curves_of,
+    run_styles,
+    show_legend,
+)
+from cosim.report.plots.estimates import draw_truth, limit_to_settled, limit_to_truth
+from cosim.report.plots.picture import Picture, PictureOptions, need_plot
+from cosim.report.recorded import difference, element_names, has_signal, signal_of
+from cosim.scenario.recorded import truth_of
+
+if TYPE_CHECKING:
+    from cosim.report.comparing import Comparison
+
+_STANDARD = PictureOptions()
+_ELEMENT_COLOR = "0.3"
+
+
+def plot_comparison(comparison: Comparison, out: Path, options: PictureOptions = _STANDARD) -> None:
+    """Draw the estimates on several plants over their truth, and their differences to the first.
+
+    One row for each estimate: on the left the estimates, on the right the differences. A plant has
+    its color, an element of an estimate its dashes.
+
+    Raises
+    ------
+    UsageError
+        If there is no matplotlib, the format of ``out`` is unknown, or no plant has an estimate.
+    """
+    need_plot(out)
+    recordings = comparison.recordings
+    if not comparison.estimates:
+        raise UsageError("no plant has an estimate with a [truth], so there is nothing to compare")
+    picture = Picture(len(comparison.estimates), 2, options)
+    colors = dict(zip(recordings, run_styles(len(recordings)), strict=True))
+    rows = np.reshape(np.array(picture.panels, object), (-1, 2))
+    for (left, right), (estimate, true) in zip(rows, comparison.estimates.items(), strict=True):
+        _draw_estimates(left, recordings, estimate, true, colors, options)
+        _draw_differences(right, recordings, estimate, colors, options)
+    first = next(iter(recordings))
+    picture.panels[0].set_title("estimates", fontsize="medium")
+    picture.panels[1].set_title(f"difference to {first}", fontsize="medium")
+    lines = [picture.panels[0].plot([], [], label=run, **style)[0] for run, style in colors.items()]
+    lines.append(picture.panels[0].plot([], [], label="truth", **TRUTH)[0])
+    picture.legend(lines)
+    picture.save(out)
+
+
+def _draw_estimates(
+    panel: Any,
+    recordings: Mapping[str, Recording],
+    estimate: str,
+    true: Any,
+    styles: Mapping[str, Style],
+    options: PictureOptions,
+) -> None:
+    for recording in recordings.values():
+        if has_signal(recording, estimate) and truth_of(recording).get(estimate) == true:
+            draw_truth(panel, recording, estimate, true, options)
+            limit_to_truth(panel, recording, estimate, true, options)
+            break
+    for run, recording in recordings.items():
+        if has_signal(recording, estimate):
+            _draw_elements(panel, curves_of(recording, estimate, options), styles[run])
+    unit = _unit_of(recordings, estimate)
+    panel.set_ylabel(estimate if unit is None else f"{estimate} [{unit}]")
+
+
+def _draw_differences(
+    panel: Any,
+    recordings: Mapping[str, Recording],
+    estimate: str,
+    styles: Mapping[str, Style],
+    options: PictureOptions,
+) -> None:
+    (_, first), *others = recordings.items()
+    drawn: list[Curve] = []
+    for run, recording in others:
+        if has_signal(first, estimate) and has_signal(recording, estimate):
+            curves = _difference_curves(first, recording, estimate, options)
+            _draw_elements(panel, curves, styles[run])
+            drawn += curves
+    limit_to_settled(panel, drawn)
+    names = list(dict.fromkeys(curve.name for curve in drawn))
+    if len(names) > 1:
+        for name, dashes in zip(names, _dashes(len(names)), strict=True):
+            panel.plot([], [], color=_ELEMENT_COLOR, linestyle=dashes, label=name)
+        show_legend(panel)
+
+
+def _difference_curves(
+    first: Recording, other: Recording, estimate: str, options: PictureOptions
+) -> list[Curve]:
+    times, values = difference(first, other, estimate)
+    measure = signal_of(first, estimate).measure
+    curves = []
+    for name, column in zip(element_names(estimate, values.shape[1]), values.T, strict=True):
+        curves.append(Curve(name, measure, times, column).within(options))
+    return curves
+
+
+def _draw_elements(panel: Any, curves: Sequence[Curve], style: Style) -> None:
+    for curve, dashes in zip(curves, _dashes(len(curves)), strict=True):
+        curve.draw(panel, {**style, "linestyle": dashes})
+
+
+def _dashes(count: int) -> list[object]:
+    return [DASHES[i % len(DASHES)] for i in range(count)]
+
+
+def _unit_of(recordings: Mapping[str, Recording], estimate: str) -> str | None:
+    for recording in recordings.values():
+        if has_signal(recording, estimate):
+            return signal_of(recording, estimate).unit
+    return None

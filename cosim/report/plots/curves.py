@@ -1,0 +1,162 @@
+"""Curves of recorded signals, with names and units, and how they are drawn into a panel."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import cycle
+from typing import Any, Final, TypeAlias
+
+import numpy as np
+
+from cosim.arrays import Vector
+from cosim.core.contracts import Recording
+from cosim.errors import UsageError
+from cosim.report.plots.picture import PictureOptions
+from cosim.report.printable import printable_line
+from cosim.report.recorded import element_names, rows_of, signal_of, time_ns_of
+from cosim.units import Unit, conversion
+
+Style: TypeAlias = Mapping[str, Any]
+
+TRUTH: Final[Style] = {"color": "0.75", "linewidth": 3.0}
+WIDTH: Final = 1.2  # of a line [points]
+# Okabe and Ito, without yellow: the color-blind can distinguish them
+COLORS: Final = ("#0072B2", "#D55E00", "#000000", "#009E73", "#E69F00", "#56B4E9", "#CC79A7")
+DASHES: Final = ("-", (0, (6, 2)), (0, (2, 2)), (0, (7, 2, 1, 2)), (0, (1, 1)))
+LARGEST_DRAWN: Final = 1e300  # an axis has margins: the difference of its ends must be a number
+
+
+@dataclass(frozen=True, slots=True)
+class Curve:
+    """One element of a signal over time.
+
+    Parameters
+    ----------
+    name : str
+    unit : Unit
+    times : Vector, shape (N,)
+        [s].
+    values : Vector, shape (N,)
+    held : bool
+        Whether it has a zero-order hold between its rows; else it is interpolated linearly.
+    """
+
+    name: str
+    unit: Unit
+    times: Vector
+    values: Vector
+    held: bool = False
+
+    def draw(self, panel: Any, style: Style, *, label: str | None = None) -> None:
+        """Draw the curve as it is between two rows.
+
+        Raises
+        ------
+        UsageError
+            If a value is too large for an axis.
+        """
+        finite = self.values[np.isfinite(self.values)]
+        largest = float(np.abs(finite).max(initial=0.0))
+        if largest > LARGEST_DRAWN:
+            raise UsageError(
+                f"{self.name}: found {largest:g}, too large to be drawn; needed at most "
+                f"{LARGEST_DRAWN:g}"
+            )
+        drawstyle = "steps-post" if self.held else "default"
+        panel.plot(self.times, self.values, drawstyle=drawstyle, label=label, **style)
+
+    def within(self, options: PictureOptions) -> Curve:
+        """Return the part that a picture shows, with the rows next to it."""
+        first = 0
+        stop = len(self.times)
+        if options.start is not None:
+            first = max(0, int(np.searchsorted(self.times, options.start, side="right")) - 1)
+        if options.stop is not None:
+            stop = int(np.searchsorted(self.times, options.stop, side="left")) + 1
+        return replace(self, times=self.times[first:stop], values=self.values[first:stop])
+
+
+def curves_of(
+    recording: Recording,
+    port: str,
+    options: PictureOptions,
+    *,
+    like: str | None = None,
+) -> list[Curve]:
+    """Return a curve for each element of a port; in the unit of the port ``like``, if given.
+
+    Raises
+    ------
+    LogError
+        If there is no such component, signal or element.
+    """
+    rows = rows_of(recording, port, like=like)
+    times = time_ns_of(recording, port) / 1e9
+    signal = signal_of(recording, port)
+    unit = signal.measure if like is None else signal_of(recording, like).measure
+    held = signal.variability == "discrete"
+    curves = []
+    for name, values in zip(element_names(port, rows.shape[1]), rows.T, strict=True):
+        curve = Curve(name, unit, times, values, held)
+        curves.append(curve.within(options))
+    return curves
+
+
+def draw_curves(panel: Any, curves: Sequence[Curve], *, styles: Sequence[Style]) -> None:
+    """Draw curves into a panel, with their names and units.
+
+    All are shown in the unit of the first.
+
+    Raises
+    ------
+    UsageError
+        If the units are of different kinds.
+    """
+    in_one_unit = [_in_unit(curve, curves[0]) for curve in curves]
+    for curve, style in zip(in_one_unit, styles, strict=True):
+        curve.draw(panel, style, label=_text(curve.name))
+    first = in_one_unit[0]
+    bracketed_unit = "" if first.unit.name is None else f"[{_text(first.unit.name)}]"
+    if len(curves) == 1:
+        panel.set_ylabel(f"{_text(first.name)} {bracketed_unit}".strip())
+    else:
+        panel.set_ylabel(bracketed_unit)
+        show_legend(panel)
+
+
+def show_legend(panel: Any) -> None:
+    """Name the curves of a panel beside it, where they hide nothing."""
+    panel.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize="small")
+
+
+def color_styles(count: int) -> Iterator[Style]:
+    """Yield a style for each of several curves: colors, then dashes too."""
+    for i in range(count):
+        dashes = DASHES[i // len(COLORS) % len(DASHES)]
+        color = COLORS[i % len(COLORS)]
+        yield {"color": color, "linestyle": dashes, "linewidth": WIDTH}
+
+
+def run_styles(count: int) -> Iterator[Style]:
+    """Yield a style for each of several runs; widths leave equal lines visible."""
+    widths = np.linspace(2.8, 1.0, count)
+    for width, color in zip(widths, cycle(COLORS), strict=False):
+        yield {"color": color, "linewidth": width}
+
+
+def _in_unit(curve: Curve, first: Curve) -> Curve:
+    convert = conversion(curve.unit, first.unit)
+    if convert is None:
+        raise UsageError(
+            f"{first.name} in {first.unit.name!r} and {curve.name} in {curve.unit.name!r} cannot "
+            "share an axis; give each a panel of its own"
+        )
+    if convert.copies:
+        return curve
+    return replace(curve, unit=first.unit, values=convert(curve.values))
+
+
+def _text(name: str) -> str:
+    """Return a name as matplotlib shows it: no mathematics, no control characters."""
+    return printable_line(name).replace("$", r"\$")

@@ -1,0 +1,152 @@
+"""A figure of panels over time, and the file it is written to."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from cosim.errors import UsageError
+
+CENTIMETRE: Final = 1.0 / 2.54  # inches
+SMALLEST: Final = 3.0  # cm
+LARGEST: Final = 200.0  # cm
+_DOTS_PER_INCH: Final = 150
+# text stays text: it can be searched and edited, and set in the font of the page
+_TEXT_AS_TEXT: Final = {"svg.fonttype": "none", "pdf.fonttype": 42}
+
+
+@dataclass(frozen=True, slots=True)
+class PictureOptions:
+    """How a picture looks.
+
+    Parameters
+    ----------
+    size : tuple of float or None
+        Width and height [cm]; None: as the panels need.
+    start, stop : float or None
+        First and last time shown [s]; None: that of the run.
+    title : str or None
+        None: the standard one of the picture.
+
+    Raises
+    ------
+    UsageError
+        If the size is none that can be drawn, or ``stop`` is not after ``start``.
+    """
+
+    size: tuple[float, float] | None = None
+    start: float | None = None
+    stop: float | None = None
+    title: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.size is not None:
+            width, height = self.size
+            if not all(SMALLEST <= length <= LARGEST for length in (width, height)):
+                raise UsageError(
+                    f"size: found {width:g} x {height:g} cm, needed {SMALLEST:g} to {LARGEST:g} cm "
+                    "each"
+                )
+        for name, time in (("start", self.start), ("stop", self.stop)):
+            if time is not None and not math.isfinite(time):
+                raise UsageError(f"{name}: found {time} s, needed a number")
+        if self.start is not None and self.stop is not None and self.stop <= self.start:
+            raise UsageError(
+                f"found a picture from {self.start:g} s to {self.stop:g} s; needed a later end"
+            )
+
+
+def need_plot(out: Path) -> None:
+    """Refuse a picture that could not be drawn, before anything is run for it.
+
+    Raises
+    ------
+    UsageError
+        If there is no matplotlib, or if ``out`` does not end as a picture does.
+    """
+    formats = _new_figure().canvas.get_supported_filetypes()
+    if out.suffix.lower().removeprefix(".") not in formats:
+        known = ", ".join(sorted(formats))
+        raise UsageError(f"{out}: found the ending {out.suffix!r}, needed one of: {known}")
+
+
+class Picture:
+    """A figure of panels that share their time axis.
+
+    Parameters
+    ----------
+    rows, columns : int
+        Of panels.
+    options : PictureOptions
+
+    Attributes
+    ----------
+    panels : list
+        Axes of matplotlib, row by row.
+
+    Raises
+    ------
+    UsageError
+        If there is no matplotlib.
+    """
+
+    def __init__(self, rows: int, columns: int, options: PictureOptions) -> None:
+        self._options = options
+        self._columns = columns
+        self._figure = _new_figure()
+        if options.size is None:
+            width = 22.0 if columns == 1 else 32.0
+            height = 3.0 + (5.0 if columns == 1 else 6.0) * rows
+        else:
+            width, height = options.size
+        self._figure.set_size_inches(width * CENTIMETRE, height * CENTIMETRE)
+        self._figure.set_layout_engine("constrained")
+        grid = self._figure.subplots(rows, columns, sharex=True, squeeze=False)
+        self.panels: list[Any] = list(np.ravel(grid))
+
+    def legend(self, lines: list[Any]) -> None:
+        """Show a legend of all panels above them."""
+        columns = min(6, len(lines))
+        self._figure.legend(handles=lines, loc="outside upper center", ncols=columns, frameon=False)
+
+    def save(self, out: Path, *, title: str = "") -> None:
+        """Write the picture to a file; ``title`` is its standard one.
+
+        Raises
+        ------
+        UsageError
+            If the file cannot be written.
+        """
+        from matplotlib import rc_context
+
+        shown_title = title if self._options.title is None else self._options.title
+        if shown_title:
+            self._figure.suptitle(shown_title)
+        for panel in self.panels:
+            panel.grid(alpha=0.3)
+        for panel in self.panels[-self._columns :]:
+            panel.set_xlabel("t [s]")
+        self.panels[0].set_xlim(self._options.start, self._options.stop)
+        try:
+            out.parent.mkdir(parents=True, exist_ok=True)
+            with rc_context(_TEXT_AS_TEXT):
+                self._figure.savefig(out, dpi=_DOTS_PER_INCH)
+        except ValueError as error:
+            raise UsageError(f"{out}: {error}") from error
+        except OSError as error:
+            raise UsageError(f"{out} cannot be written: {error.strerror}") from error
+
+
+def _new_figure() -> Any:
+    try:
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise UsageError(
+            "plots need matplotlib, which is not installed: pip install matplotlib, or, "
+            "in a clone of cosim, pip install -e '.[plot]'"
+        ) from error
+    return Figure()

@@ -1,0 +1,151 @@
+"""Pictures: what they show, read back from the SVG, whose text is text."""
+
+import re
+
+import numpy as np
+import pytest
+
+import cosim
+from cosim.errors import UsageError
+from cosim.report.plots import PictureOptions, plot_run, plot_signals
+
+pytest.importorskip("matplotlib")
+
+SCENARIO = """
+[scenario]
+name = "lengths"
+stop = 1.0
+step = 0.01
+[components]
+a = { kind = "ramp", slope = 1.0, unit = "m" }
+b = { kind = "constant", value = 500.0, unit = "mm" }
+c = { kind = "constant", value = [1.0, 2.0], unit = "V" }
+"""
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    """Return two logs of a run without truth."""
+    folder = tmp_path_factory.mktemp("logs")
+    file = folder / "lengths.toml"
+    file.write_text(SCENARIO)
+    first = cosim.run(file, out=folder / "first.mcap")
+    second = cosim.run(file, out=folder / "second.mcap", set={"a.slope": 2.0})
+    return first, second
+
+
+@pytest.fixture(scope="module")
+def academic():
+    return cosim.run("academic", set={"scenario.stop": 8.0, "scenario.step": 0.01})
+
+
+def texts(path):
+    """Return the texts of an SVG."""
+    return re.findall(r"<text[^>]*>([^<]*)</text>", path.read_text(encoding="utf-8"))
+
+
+def test_every_curve_has_its_name_and_unit(runs, tmp_path):
+    """One curve on the axis, several in a legend and their unit on the axis."""
+    plot_signals(runs[0], ["a.y", "c.y", "a.y, b.y"], tmp_path / "a.svg")
+    shown = texts(tmp_path / "a.svg")
+    assert shown.count("a.y [m]") == 1
+    assert {"c.y[0]", "c.y[1]", "[V]", "a.y", "b.y", "[m]", "t [s]"} <= set(shown)
+    assert "[mm]" not in shown
+
+
+def test_units_of_one_kind_share_an_axis_and_others_do_not(runs, tmp_path):
+    """The curve in mm is drawn in m; volts need a panel of their own."""
+    from cosim.report.plots.curves import curves_of, draw_curves
+
+    lines = []
+
+    class Panel:
+        def plot(self, times, values, **style):
+            lines.append(values)
+
+        def set_ylabel(self, text):
+            assert text == "[m]"
+
+        def legend(self, **options):
+            pass
+
+    options = PictureOptions()
+    curves = [*curves_of(runs[0], "a.y", options), *curves_of(runs[0], "b.y", options)]
+    draw_curves(Panel(), curves, styles=[{}, {}])
+    assert lines[1].tolist() == [0.5] * 101
+    with pytest.raises(UsageError, match=r"a\.y in 'm' and c\.y\[0\] in 'V' cannot share an axis"):
+        plot_signals(runs[0], ["a.y,c.y[0]"], tmp_path / "b.svg")
+
+
+def test_several_logs_share_a_panel(runs, tmp_path):
+    """Each curve says which log it is from; logs of one name say their folders."""
+    plot_signals(runs, ["a.y"], tmp_path / "a.svg")
+    assert {"a.y (first)", "a.y (second)"} <= set(texts(tmp_path / "a.svg"))
+    plot_signals([runs[0], runs[0]], ["a.y"], tmp_path / "b.svg")
+    assert texts(tmp_path / "b.svg").count(f"a.y ({runs[0].path})") == 2
+
+
+def test_a_window_a_size_and_a_title_are_as_asked_for(runs, tmp_path):
+    """The curve is cut one row outside the window; sizes are in cm."""
+    options = PictureOptions(size=(12.7, 7.62), start=0.25, stop=0.5, title="A & B")
+    plot_signals(runs[0], ["a.y"], tmp_path / "a.svg", options)
+    content = (tmp_path / "a.svg").read_text()
+    width, height = re.search(r'width="([\d.]+)pt" height="([\d.]+)pt"', content).groups()
+    assert (float(width), float(height)) == (5.0 * 72, 3.0 * 72)
+    assert "A &amp; B" in texts(tmp_path / "a.svg")
+    from cosim.report.plots.curves import curves_of
+
+    (curve,) = curves_of(runs[0], "a.y", options)
+    assert (curve.times[0], curve.times[-1]) == (0.25, 0.5)
+    between = PictureOptions(start=0.253, stop=0.497)
+    (curve,) = curves_of(runs[0], "a.y", between)
+    assert (curve.times[0], curve.times[-1]) == (0.25, 0.5)
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ({"size": (0.0, 5.0)}, "size: found 0 x 5 cm"),
+        ({"size": (5.0, float("nan"))}, "size: found 5 x nan cm"),
+        ({"start": 2.0, "stop": 1.0}, "found a picture from 2 s to 1 s; needed a later end"),
+        ({"stop": float("inf")}, "stop: found inf s"),
+    ],
+)
+def test_what_cannot_be_drawn_is_refused(options, text):
+    """Before anything is drawn."""
+    with pytest.raises(UsageError, match=re.escape(text)):
+        PictureOptions(**options)
+
+
+def test_the_standard_picture_shows_estimates_truth_and_errors(academic, tmp_path):
+    """A panel of errors for each estimate; the errors are those of the summary."""
+    from cosim.report.plots.estimates import error_curves
+
+    plot_run(academic, tmp_path / "a.svg")
+    shown = texts(tmp_path / "a.svg")
+    assert {"academic", "errors", "error of observer.delta", "identifier.theta[1]"} <= set(shown)
+    (error,) = error_curves(academic, "observer.delta", "delta.y", PictureOptions())
+    assert np.array_equal(error.values, academic["observer.delta"] - academic["delta.y"])
+    first, second = error_curves(academic, "identifier.theta", [-0.1, -0.3], PictureOptions())
+    theta = academic["identifier.theta"]
+    assert np.array_equal(second.values, theta[:, 1] + 0.3, equal_nan=True)
+    assert np.array_equal(first.values, theta[:, 0] + 0.1, equal_nan=True)
+
+
+def test_a_run_without_truth_has_a_picture_of_its_outputs(runs, tmp_path):
+    """A panel for each; where there are many, the title says how many are shown."""
+    plot_run(runs[0], tmp_path / "a.svg")
+    assert {"a.y [m]", "b.y [mm]", "c.y[0]", "lengths"} <= set(texts(tmp_path / "a.svg"))
+    many = tmp_path / "many.toml"
+    lines = [f'c{i} = {{ kind = "constant", value = 1.0 }}' for i in range(20)]
+    many.write_text(SCENARIO.partition("a =")[0] + "\n".join(lines))
+    plot_run(cosim.run(many), tmp_path / "b.svg")
+    assert "lengths: the first 12 of 20 outputs" in texts(tmp_path / "b.svg")
+
+
+def test_every_format_is_written(academic, tmp_path):
+    """PDF keeps text in fonts, too."""
+    for suffix, begin in ((".png", b"\x89PNG"), (".pdf", b"%PDF"), (".svg", b"<?xml")):
+        path = tmp_path / f"a{suffix}"
+        plot_run(academic, path)
+        assert path.read_bytes().startswith(begin)
