@@ -203,6 +203,14 @@ def _unknown_port(
             f"'{port}' is an {other} of {channel.name!r}; needed an {causality}; "
             f"there is: {', '.join(names) or 'none'}"
         )
+    whole = next((signal for signal in signals if signal.name == port.signal), None)
+    if whole is not None and causality == "input":
+        elements = "1 element" if whole.size == 1 else f"{whole.size} elements"
+        origin = f" (of the FMU: {whole.origin})" if whole.origin else ""
+        return GraphError(
+            f"'{port}' is a part of the input '{port.whole}', which has {elements}{origin} and is "
+            f'connected as a whole: "{port.whole}" = ["...", "..."]'
+        )
     suggestion = nearest(wanted, names)
     if "[" in wanted and causality == "output":
         suggestion = f"{suggestion} (elements are [i] or [i:j], numbered from 0)"
@@ -360,6 +368,24 @@ def unit_warnings(
                 f"{connection.label} -> {to}: the input has no unit, so values in {names} are "
                 "stacked as they are",
             )
+
+
+def element_warnings(
+    layout: Layout, connections: Mapping[Port, Connection]
+) -> Iterator[tuple[str, str]]:
+    """Yield (component, text) for elements whose numbers are others in the FMU they come from."""
+    ports = Ports(layout)
+    for to, connection in connections.items():
+        for port in connection.sources:
+            signal = ports.source(port).signal
+            if signal.first and isinstance(port.element, int) and port.name != signal.name:
+                number = port.element + signal.first
+                part = f"{port.whole}[{port.element}:{port.element + 1}]"
+                yield (
+                    to.component,
+                    f"{port} is {signal.name}[{number}] of the FMU, as elements are numbered from "
+                    f"0 here; write {part} if it is meant",
+                )
 
 
 def incomparable(reached: Unit, target: Unit) -> Iterator[str]:

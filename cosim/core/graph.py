@@ -24,6 +24,7 @@ from cosim.core.connections import (
     SourceText,
     check_connections,
     conversions_of,
+    element_warnings,
     layout_of,
     unit_warnings,
 )
@@ -203,6 +204,7 @@ class Graph:
     def warnings(self) -> list[tuple[str, str]]:
         """What was assumed, and where the interpolation of inputs errs, as (component, text)."""
         warnings = list(unit_warnings(self.layout, self.connections))
+        warnings += element_warnings(self.layout, self.connections)
         warnings += self._ramps()
         for stage in self.stages:
             warnings += stage.warnings

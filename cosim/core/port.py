@@ -130,7 +130,8 @@ class Port:
                 elements = slice(self.element.start, self.element.stop)
         if elements.stop > signal.size:
             count = "1 element" if signal.size == 1 else f"{signal.size} elements"
-            raise GraphError(f"{str(self)!r}: '{self.whole}' has {count}, numbered from 0")
+            origin = f" (of the FMU: {signal.origin})" if signal.origin else ""
+            raise GraphError(f"{str(self)!r}: '{self.whole}' has {count}, numbered from 0{origin}")
         return elements
 
 

@@ -48,6 +48,9 @@ class Signal:
     connection : {"required", "optional", "forbidden"}
         Of an input: whether something must drive it. Without a connection it keeps ``start``;
         "forbidden": that was set for it, so that a connection would overwrite it.
+    first : int
+        Number of its first element where it comes from, such as 1 for the vector that the variables
+        ``x[1]``, ``x[2]`` of an FMU are. Here elements are numbered from 0.
     """
 
     name: str
@@ -60,6 +63,7 @@ class Signal:
     base: BaseUnit | None = None
     start: tuple[float, ...] = ()
     connection: Need = "required"
+    first: int = 0
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str):
@@ -94,6 +98,13 @@ class Signal:
     def si(self) -> BaseUnit | None:
         """What its unit is in SI; None: no unit, or not known."""
         return self.measure.si
+
+    @property
+    def origin(self) -> str:
+        """Which elements they are where it comes from: ``x[1] to x[3]``; "" where the same."""
+        if not self.first:
+            return ""
+        return f"{self.name}[{self.first}] to {self.name}[{self.first + self.size - 1}]"
 
     @property
     def elements(self) -> list[str]:

@@ -430,6 +430,8 @@ class Description:
     def _signal(self, name: str, group: Sequence[Variable]) -> Signal:
         first = group[0]
         role: Role = "output"
+        element = ELEMENT.fullmatch(first.name)
+        is_vector = element is not None and element["name"] == name
         start: tuple[float, ...] = ()
         connection: Need = "required"
         if first.causality == "input":
@@ -447,6 +449,7 @@ class Description:
             role=role,
             optional=all(variable.doc.startswith(NO_VALUE) for variable in group),
             base=first.base,
+            first=int(element["number"]) if element is not None and is_vector else 0,
             start=start,
             connection=connection,
         )

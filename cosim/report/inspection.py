@@ -206,6 +206,7 @@ def describe_fmu(path: str) -> Section:
     for interface_type, values in description.capabilities.items():
         capabilities[interface_type] = asdict(values)
     content: Section = {"fmu": about, "capabilities": capabilities, "units": _units(description)}
+    content["vectors"] = _vectors(description)
     content["variables"] = [_variable_row(variable) for variable in description.variables]
     content["dependencies"] = _lists(description.dependencies)
     content["initial_dependencies"] = _lists(description.initial_dependencies)
@@ -221,6 +222,16 @@ def _units(description: Description) -> Section:
             bases.add((variable.unit, variable.base))
     in_order = sorted(bases, key=lambda pair: (pair[0], abs(pair[1].offset)))
     return {unit: asdict(base) for unit, base in in_order}
+
+
+def _vectors(description: Description) -> dict[str, list[str]]:
+    """Return the ports that are several scalar variables, with the names of these."""
+    vectors = {}
+    for causality in ("input", "output"):
+        for signal, group in description.ports(causality):
+            if len(group) > 1:
+                vectors[signal.name] = [variable.name for variable in group]
+    return vectors
 
 
 def _variable_row(variable: Variable) -> Section:

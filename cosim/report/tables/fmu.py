@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from cosim.arguments import fmu_argument
+from cosim.errors import listing
 from cosim.report.tables.console import (
     new_table,
     print_json,
@@ -41,6 +42,8 @@ def print_fmu(content: Row) -> None:
         capabilities[INTERFACE_TYPE_NAMES[interface_type]] = _capability_names(names)
     print_section("capabilities", capabilities)
     print_section("units in SI", {name: _si(base) for name, base in content["units"].items()})
+    vectors = {name: listing(parts) for name, parts in content["vectors"].items()}
+    print_section("signals of several variables, their elements numbered from 0", vectors)
     dependencies = content["dependencies"]
     states = content["fmu"]["states"]
     variables = content["variables"]
