@@ -84,7 +84,4 @@ def test_info_shows_which_variables_are_one_signal(scenario, call, tmp_path):
     """By the names that a connection takes."""
     found = json.loads(call("info", tmp_path / "arm.fmu", "--json")[1])
     assert found["vectors"] == {"tau": ["tau[1]", "tau[2]"], "q": ["q[1]", "q[2]"]}
-    lines = call("info", tmp_path / "arm.fmu")[1].splitlines()
-    assert [line.split() for line in lines if line.startswith("tau ")] == [
-        ["tau", "tau[1],", "tau[2]"]
-    ]
+    assert "tau\ttau[1], tau[2]" in call("info", tmp_path / "arm.fmu")[1].splitlines()
