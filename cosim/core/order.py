@@ -174,7 +174,7 @@ class _Network:
 
     def _feed(self, name: str, feedthrough: Feedthrough) -> None:
         for output, signals in feedthrough.items():
-            for signal in dict.fromkeys(signals):
+            for signal in signals:
                 to = Port(name, signal)
                 if to in self.inside:
                     self.fed[to].append(Port(name, output))

@@ -254,6 +254,35 @@ def test_the_heuristic_breaks_few_connections_of_a_large_loop():
     assert order.broken == 10
 
 
+def test_the_heuristic_counts_what_a_component_completes(monkeypatch):
+    """A hub drives six components, which all drive its driver: it is cut before the hub, once.
+
+    Each of the six breaks one connection too, and comes first by name.
+    """
+    monkeypatch.setattr(order_module, "SEARCH", 0)
+    leaves = [f"a{i}" for i in range(6)]
+    interfaces = {name: Interface((Signal("u"),), (Signal("y"),)) for name in (*leaves, "hub")}
+    inputs = tuple(Signal(f"u{i}") for i in range(6))
+    interfaces["tail"] = Interface(inputs, (Signal("y"),))
+    sources = {name: {"u": (Port("hub", "y"),)} for name in leaves}
+    sources["hub"] = {"u": (Port("tail", "y"),)}
+    sources["tail"] = {f"u{i}": (Port(name, "y"),) for i, name in enumerate(leaves)}
+    order = order_loop(interfaces, sources, jacobi=False)
+    assert order.broken == 1
+    assert order.operations[0] == ("advance", "hub")
+
+
+def test_among_equals_fewer_outputs_are_evaluated_again():
+    """Delayed inputs that feed through break nothing in any order; in one, nothing waits."""
+    discrete = Interface((Signal("u"),), (Signal("y"),), {"y": ("u",)}, delayed=("u",))
+    interfaces = {"a": discrete, "b": discrete, "c": discrete}
+    interfaces["z"] = Interface((Signal("u"),), (Signal("y"),), delayed=("u",))
+    names = ["z", "c", "b", "a"]
+    sources = {name: {"u": (Port(names[i - 1], "y"),)} for i, name in enumerate(names)}
+    order = order_loop(interfaces, sources, jacobi=False)
+    assert order.operations == tuple(("advance", name) for name in names)
+
+
 # --- nothing depends on the order of a file ---
 
 
