@@ -34,7 +34,7 @@ def nanoseconds(seconds: float | str) -> int:
         decimal = Decimal(str(seconds))
     except (InvalidOperation, ValueError) as error:  # no number
         raise _no_time(seconds) from error
-    if isinstance(seconds, bool) or not decimal.is_finite():
+    if not decimal.is_finite():
         raise _no_time(seconds)
     if decimal and not -LARGEST_EXPONENT <= decimal.adjusted() <= LARGEST_EXPONENT:
         # As a fraction it could have more digits than there is memory.

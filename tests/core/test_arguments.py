@@ -261,6 +261,16 @@ def test_what_is_no_component_is_refused(component, text):
             "plan: found one for steps of 1 ns, the clock has 100000000 ns, or for another graph",
         ),
         (
+            lambda: run(
+                small(),
+                Clock(1.0, 0.1),
+                Nothing(),
+                Graph({"c": constant([1.0])}, {}).prepare(10**8),
+            ),
+            UsageError,
+            "plan: found one for steps of 100000000 ns, the clock has 100000000 ns, or for another",
+        ),
+        (
             lambda: small().prepare(0),
             GraphError,
             "step_ns: found 0, needed a whole number of nanoseconds, at least 1",

@@ -150,6 +150,29 @@ def test_a_stacked_input_counts_by_what_drives_it():
         assert " ".join(operations) == expected
 
 
+def test_a_sum_of_what_jumps_and_what_does_not_is_broken_as_a_whole():
+    """Under a matrix each element may be a sum of all sources, so it follows them over the step."""
+    two = np.eye(2)
+    hub = controller(A=-two, B=two, C=two, D=np.zeros((2, 2)), x0=np.zeros(2))
+    components = {"z": Linear(hub), "h": Decimated(integrator(), 1), "a": integrator(2.0)}
+    connections = {
+        "z.u": Connection(["a.y", "h.y"], [[1.0, 0.5], [0.0, 1.0]]),
+        "h.u": "z.y[0]",
+        "a.u": "z.y[1]",
+    }
+    operations, _ = order_of(components, connections)
+    assert operations == ["a", "h", "z"]
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+def test_delays_in_a_circle_are_discrete(n):
+    """Nothing continuous is behind them, also where one drives itself."""
+    components = {f"d{i}": Delay(1, initial=1.0) for i in range(n)}
+    connections = {f"d{i}.u": f"d{(i + 1) % n}.y" for i in range(n)}
+    graph = Graph(components, connections)
+    assert {graph.variability(Port(name, "y")) for name in components} == {"discrete"}
+
+
 # --- fewest broken connections ---
 
 

@@ -152,6 +152,15 @@ def test_one_long_call_shortens_the_next_only_for_a_while(wall):
     assert steps[-8:-2] == [1000] * 6 or min(steps[-8:-2]) > 500
 
 
+def test_a_short_call_at_the_end_of_a_block_does_not_shorten_the_next(wall):
+    """Blocks of 101 steps, of which 100 take the time of a call: two calls each."""
+    cost = pacing.CALL_WORK / 100.5
+    steady = Costly(wall, lambda k: cost)
+    graph = Graph({"s": sine(rate=1.0), "x": steady}, {"x.u": "s.y"})
+    run(graph, Clock(101 * 50.0, 1.0, 101), Watching(wall))
+    assert [steps for steps, _ in steady.calls[-40:]] == [100, 1] * 20
+
+
 def test_fixed_blocks_of_a_simulation_are_not_divided(wall):
     """Who steps by hand gets the rows that were asked for, and components stand at the last."""
     slow = Costly(wall, lambda k: 1.0)
