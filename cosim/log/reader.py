@@ -25,7 +25,7 @@ from cosim.errors import GraphError, LogError, nearest
 from cosim.log.columns import SignalRows
 from cosim.log.container import MALFORMED, Container
 from cosim.log.content import combine_hashes, hash_input
-from cosim.log.layout import Part, read_number, read_part, record_dtype, signals_json
+from cosim.log.layout import Part, read_number, read_part, record_dtype
 from cosim.log.metadata import (
     decode_design,
     json_table,
@@ -317,10 +317,18 @@ class Log(RecordedSignals):
             time_ns, rows = self._read_rows([name])[name]
             digests[name] = hashlib.sha256(hash_input(time_ns, rows))
         components = []
-        for name, channel in self._channels.items():
-            declaration = signals_json(channel.interface)
-            components.append((name, declaration, digests[name].hexdigest()))
+        for name, digest in digests.items():
+            components.append((name, self._declaration(name), digest.hexdigest()))
         return combine_hashes(components)
+
+    def _declaration(self, component: str) -> str:
+        """Return the declaration of the signals as it was recorded.
+
+        Written anew, it would have what a later version adds to it.
+        """
+        number = next(iter(self._parts_of[component]))
+        declaration: str = self._declared[number].metadata["cosim.signals"]
+        return declaration
 
     def _hash_ordered(
         self, components: Sequence[str], digests: Mapping[str, hashlib._Hash]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import struct
@@ -21,6 +22,7 @@ from cosim.log import McapRecorder, open_log
 from cosim.log import container as log_container
 from cosim.log import reader as log_reader
 from cosim.log.compression import MOST_BYTES
+from cosim.log.content import combine_hashes
 from cosim.log.diff import diff
 from cosim.log.metadata import decode_design
 from cosim.report.plots import plot_signals
@@ -411,3 +413,30 @@ def test_a_design_of_no_shape_is_refused(shape):
     text = json.dumps({"A": {"shape": shape, "data": "AAAAAAAA8D8="}})
     with pytest.raises(ValueError, match=r"shape|reshape"):
         decode_design(text)
+
+
+def test_the_hash_covers_the_declaration_that_was_recorded(path, tmp_path):
+    """Whatever the present version would write: a log of an earlier one still has its hash."""
+    from .crafting import put_together, take_apart
+
+    content = take_apart(path)
+    for _, _, items in content.channels.values():
+        if items:
+            signals = json.loads(items["cosim.signals"])
+            for signal in signals:
+                del signal["type"]  # as if it had been added later, with this default
+            items["cosim.signals"] = json.dumps(signals, separators=(",", ":"))
+    components = []
+    for number, (_, _, items) in content.channels.items():
+        if items:
+            digest = hashlib.sha256()
+            for channel, time_ns, _, data in content.messages:
+                if channel == number:
+                    digest.update(struct.pack("<q", time_ns))
+                    digest.update(b"".join(data[i + 1 : i + 9] for i in range(0, len(data), 9)))
+            declared = items["cosim.signals"]
+            components.append((items["cosim.component"], declared, digest.hexdigest()))
+    needed = combine_hashes(components)
+    log = open_log(put_together(content, tmp_path / "b.mcap"))
+    assert log.content_hash() == needed
+    assert log.content_hash() != open_log(path).recorded_hash
