@@ -104,16 +104,23 @@ class Places:
 
     def _line(self, key: Key) -> int | None:
         """Return the line of a key; a port may be written as one key or as two."""
-        position = 1 if key[:1] and key[0] in FLAT else 3
-        port = str(key[position]) if len(key) > position else ""
-        if self._is_table_of_ports(key) and key[: position + 1] not in self._lines.lines:
-            key = (*key[:position], *port.split(".", 1), *key[position + 1 :])
-        return self._lines.find(key)
+        length = _length_with_port(key)
+        if not length or key[:length] in self._lines.lines:
+            return self._lines.find(key)
+        outer = key[: length - 1]
+        port = str(key[length - 1])
+        inner = key[length:]
+        return self._lines.find((*outer, *port.split(".", 1), *inner))
 
-    @staticmethod
-    def _is_table_of_ports(key: Key) -> bool:
-        in_map = key[:1] == ("swap",) and key[2:3] == ("map",) and len(key) > 3
-        return in_map or (len(key) > 1 and key[0] in FLAT)
+
+def _length_with_port(key: Key) -> int:
+    """Return how many parts of a key end with the port that an entry is for; 0: it has none."""
+    match key:
+        case ("swap", _, "map", _, *_):
+            return 4
+        case (table, _, *_) if table in FLAT:
+            return 2
+    return 0
 
 
 def _prefixes(dotted: str) -> list[str]:

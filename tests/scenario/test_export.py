@@ -360,7 +360,7 @@ def test_small_parts_are_the_same_as_fmus(fmi, tmp_path):
         path = tmp_path / f"{name}.fmu"
         export_component(str(scenario), name, path, fmi=fmi)
         assert validate_fmu(str(path)) == []
-        assert read(path).description.name == f"small_parts_{name}"  # an identifier of C
+        assert read(path).description.name == f"small_x2d_parts_{name}"  # small-parts in C
         run = cosim.run(scenario, swap={name: path}, set={f"{name}.interface_type": "cs"})
         assert relative(run[f"{name}.y"], expected[f"{name}.y"]) <= 1e-14, name
 

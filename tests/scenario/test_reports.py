@@ -239,7 +239,7 @@ def test_a_message_does_not_speak_of_options_in_python(tmp_path, monkeypatch, ca
         (["linearize", "a.toml"], "needed an FMU (.fmu)"),
         (["export", "a.fmu", "--component", "x", "--out", "b.fmu"], "needed a scenario (.toml)"),
         (["show", "a.mcap"], "needed a scenario (.toml)"),
-        (["plot", "a.toml", "u.y", "--out", "b.png"], "needed a log (.mcap)"),
+        (["plot", "a.toml", "u.y", "--out", "b.png"], "needed a path that ends in .mcap"),
     ],
     ids=" ".join,
 )

@@ -259,7 +259,7 @@ def test_a_longer_replay_is_refused(logged):
     _, path, _ = logged
     with pytest.raises(
         UsageError,
-        match=r"scenario\.stop: found 9\.0 s, the recording ends at 8\.0 s; needed no more than "
+        match=r"scenario\.stop'\]: found 9\.0 s, the recording ends at 8\.0 s; needed no more than "
         r"that",
     ):
         cosim.replay(path, set={"scenario.stop": 9.0})
@@ -309,7 +309,7 @@ def test_a_log_of_something_else_is_refused(tmp_path):
     path = tmp_path / "bare.mcap"
     run(Graph({"u": sine(rate=1.0)}, {}), Clock(1.0, 0.1), McapRecorder(path))
     with pytest.raises(
-        LogError, match=r"carries no scenario\.toml; needed a log that 'cosim run' wrote"
+        LogError, match=r"carries no scenario\.toml; needed a log that cosim\.run wrote"
     ):
         cosim.replay(path)
 
@@ -430,7 +430,9 @@ def test_a_replay_refuses_what_its_recording_cannot_follow(tmp_path, scenario, k
     """A change of a recorded component, or of what drives one, in every spelling."""
     path = log_of(tmp_path, scenario)
     key_shown = key.removeprefix("components.")
-    message = rf"--set {re.escape(key_shown)}: .*{re.escape(named)}.*run the scenario to change it"
+    message = (
+        rf"set\['{re.escape(key_shown)}'\]: .*{re.escape(named)}.*run the scenario to change it"
+    )
     with pytest.raises(UsageError, match=message):
         cosim.replay(path, set={key: value})
 

@@ -316,6 +316,6 @@ def test_an_output_driven_as_an_input_says_so():
     """The name is right, the causality is not."""
     with pytest.raises(
         ScenarioError,
-        match=r"'plant\.y' is an output of 'plant'; needed an input\. There is: u, delta",
+        match=r"'plant\.y' is an output of 'plant'; needed an input; there is: u, delta",
     ):
         cosim.run("academic", set={"connections.plant.y": "u.y"})
