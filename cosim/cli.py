@@ -1,18 +1,23 @@
 """The command line: a thin shell over :mod:`cosim.scenario` and :mod:`cosim.report`.
 
 Data goes to stdout, messages to stderr.
-Exit codes: 0 fine, 1 a check or the run failed, 2 wrong use, 130 interrupted.
+Exit codes: 0 fine, 1 a check or the run failed, 2 wrong use; 130, 143, 129 interrupted by Ctrl-C,
+a request to terminate, a closed terminal.
 Imports of a command are in its function: ``cosim --help`` imports neither numpy nor fmpy.
 """
 
 from __future__ import annotations
 
+import io
 import os
+import signal
 import sys
+import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from time import perf_counter
+from types import FrameType
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn, TextIO
 
 import typer
@@ -27,6 +32,8 @@ if TYPE_CHECKING:
     from cosim.scenario.execution import Progress
 
 BEGAN = perf_counter()
+INTERRUPTED = 130  # exit code after a KeyboardInterrupt
+ENDING = [signal.SIGTERM] if sys.platform == "win32" else [signal.SIGTERM, signal.SIGHUP]
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -156,7 +163,7 @@ def run(
     """Run a scenario and record every signal to an MCAP log."""
     from cosim.report.tables.comparison import print_dry_run
     from cosim.report.tables.run import print_summary
-    from cosim.scenario.execution import default_log, load
+    from cosim.scenario.execution import load
     from cosim.scenario.execution import run as run_scenario
 
     if dry_run and COMMAND_VARIABLE not in os.environ:
@@ -175,17 +182,24 @@ def run(
     if dry_run:
         print_dry_run(edited, as_json=as_json)
         return
-    path = out or default_log(edited.name)
+    path = out or Path("logs") / f"{edited.name}.mcap"
     _need_plot(plot)
     seconds: dict[str, float] | None = {} if profile else None
     with _progress(quiet or as_json) as progress:
-        log = run_scenario(edited, out=path, force=force, progress=progress, profile=seconds)
+        log = run_scenario(
+            edited,
+            out=path,
+            force=force and out is not None,
+            numbered=out is None,
+            progress=progress,
+            profile=seconds,
+        )
     wall = {"imports": imported - BEGAN, "run and log": perf_counter() - imported}
     if plot is not None:
         from cosim.report.plots import plot_run
 
         plot_run(log, plot)
-    print_summary(log, path=path, wall=wall, profile=seconds, as_json=as_json, quiet=quiet)
+    print_summary(log, wall=wall, profile=seconds, as_json=as_json, quiet=quiet)
 
 
 def _dry_run_in_child(
@@ -252,7 +266,7 @@ def replay(
         print_verification(verification, source, path=log, as_json=as_json, quiet=quiet)
     else:
         wall = {"imports": imported - BEGAN, "replay": perf_counter() - imported}
-        print_summary(again, path=out, wall=wall, profile=None, as_json=as_json, quiet=quiet)
+        print_summary(again, wall=wall, profile=None, as_json=as_json, quiet=quiet)
 
 
 @app.command()
@@ -753,11 +767,62 @@ def _keep_stdout() -> TextIO | None:
     return sys.stdout
 
 
+@contextmanager
+def _ended_by_signals() -> Iterator[None]:
+    """Let a request to terminate and a closed terminal end the program as Ctrl-C does.
+
+    What it has begun is so cleaned up, such as temporary folders. In a run they end that.
+    """
+    received: list[int] = []
+
+    def receive(number: int, frame: FrameType | None) -> None:
+        received.append(number)
+        raise KeyboardInterrupt
+
+    numbers: list[int] = []
+    if threading.current_thread() is threading.main_thread():
+        numbers += [number for number in ENDING if signal.getsignal(number) == signal.SIG_DFL]
+    for number in numbers:
+        signal.signal(number, receive)
+    try:
+        yield
+    except SystemExit as end:
+        if received and end.code == INTERRUPTED:
+            sys.exit(128 + received[0])
+        raise
+    finally:
+        for number in numbers:
+            signal.signal(number, signal.SIG_DFL)
+
+
+class _Terminal(io.TextIOWrapper):
+    """Messages to a terminal, which may be closed while the program goes on: then they are lost."""
+
+    def write(self, text: str) -> int:
+        with suppress(OSError):
+            super().write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        with suppress(OSError):
+            super().flush()
+
+
+def _outlive_terminal() -> None:
+    """Let nothing fail because a message finds the terminal closed."""
+    stderr = sys.stderr
+    if isinstance(stderr, io.TextIOWrapper) and stderr.isatty():
+        encoding = stderr.encoding
+        errors = stderr.errors
+        sys.stderr = _Terminal(stderr.detach(), encoding, errors, line_buffering=True)
+
+
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line; every deliberate error becomes one message and an exit code."""
+    _outlive_terminal()
     stdout = _keep_stdout()
     try:
-        with shell_language():
+        with shell_language(), _ended_by_signals():
             app(args=arguments, prog_name="cosim")
     except CosimError as error:
         lines = printable(str(error)).splitlines() or [type(error).__name__]

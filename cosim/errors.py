@@ -15,7 +15,7 @@
     └── RunError              the run began and could not go on; exit 1
         ├── NonFiniteError    the first NaN or infinity, with component, signal and time
         ├── LogWriteError     a full disk, a lost file; what was written stays valid
-        └── Interrupted       Ctrl-C; exit 130
+        └── Interrupted       Ctrl-C or another signal; exit 128 + its number
 
 Every message names the thing, what was found, what was needed and the way out, in the language of
 the caller: :func:`option` and :func:`flag` name an argument as it is written in Python, or in the
@@ -24,12 +24,13 @@ shell under :func:`shell_language`.
 
 from __future__ import annotations
 
+import signal
 import unicodedata
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from difflib import get_close_matches
-from typing import ClassVar, Final
+from typing import Final
 
 MOST_NAMES: Final = 100  # that a message about an unknown name lists
 
@@ -41,7 +42,7 @@ _in_shell: ContextVar[bool] = ContextVar("in_shell", default=False)
 class CosimError(Exception):
     """Base of every deliberate error; ``exit_code`` is what the command line returns."""
 
-    exit_code: ClassVar[int] = 1
+    exit_code: int = 1
 
 
 class UsageError(CosimError):
@@ -97,9 +98,18 @@ class LogWriteError(RunError):
 
 
 class Interrupted(RunError):
-    """The user interrupted the run."""
+    """The user interrupted the run, or a signal from outside did.
 
-    exit_code = 130
+    Parameters
+    ----------
+    text : str
+    signal_number : int
+        Of what came; the exit code is what a shell says of a program that it killed.
+    """
+
+    def __init__(self, text: str, signal_number: int = signal.SIGINT) -> None:
+        super().__init__(text)
+        self.exit_code = 128 + signal_number
 
 
 # --- the parts of a message ---

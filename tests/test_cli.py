@@ -7,7 +7,6 @@ import json
 import os
 import pty
 import re
-import signal
 import struct
 import subprocess
 import sys
@@ -403,47 +402,6 @@ def test_a_run_without_fmus_does_not_import_fmpy(tmp_path):
         "print([name for name in names if name in sys.modules])\n"
     )
     assert run_python(code, str(tmp_path / "a.mcap")).strip() == "[]"
-
-
-@pytest.mark.parametrize(
-    ("number", "reason"),
-    [(signal.SIGINT, "interrupted by the user"), (signal.SIGTERM, "terminated from outside")],
-)
-def test_an_interrupt_ends_the_run_cleanly_with_exit_130(tmp_path, number, reason):
-    """Ctrl-C and a request to terminate leave a valid log with everything up to that moment.
-
-    Its status says so.
-    """
-    path = tmp_path / "long.mcap"
-    command = [
-        sys.executable,
-        "-m",
-        "cosim",
-        "run",
-        "closed-loop",
-        "--stop",
-        "10000",
-        "--out",
-        str(path),
-    ]
-    with subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as process:
-        for _ in range(3000):  # until the first chunk is in the file
-            if path.exists() and path.stat().st_size > 100_000:
-                break
-            try:
-                process.wait(0.01)
-            except subprocess.TimeoutExpired:
-                continue
-            pytest.fail(f"ended early: {process.communicate()}")
-        os.kill(process.pid, number)
-        out, err = process.communicate(timeout=60)
-    assert (process.returncode, out, err) == (130, "", f"cosim: {reason}\n")
-    log = cosim.open_log(path)
-    assert log.status == "interrupted"
-    assert len(log["plant.y"]) == log.result["steps"] + 1
-    assert cosim.diff(log, cosim.replay(path)).equal
 
 
 def test_progress_shows_time_speed_and_time_left_on_a_terminal(tmp_path):

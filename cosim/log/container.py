@@ -25,6 +25,7 @@ from mcap.summary import Summary
 from cosim.errors import LogError
 from cosim.log.compression import MOST_BYTES, decompress
 from cosim.log.layout import HEADER
+from cosim.log.own_file import OwnFile
 from cosim.log.paths import open_file
 from cosim.log.scan import OtherRecord, scan
 from cosim.log.walk import RecordSpan, damage_error, walk
@@ -58,6 +59,8 @@ class Container:
     Parameters
     ----------
     path : Path
+    own : OwnFile, optional
+        The file, where a run of this process has written it: the path may lead to another by now.
 
     Raises
     ------
@@ -65,10 +68,11 @@ class Container:
         If the file is no MCAP, truncated or damaged.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, own: OwnFile | None = None) -> None:
         self.path = path
+        self.own = own
         try:
-            with open_file(path) as stream:
+            with self._stream() as stream:
                 self._identity = _identity(os.fstat(stream.fileno()))
                 self.contents = walk(path, stream)
                 self.summary = self._read_summary(stream)
@@ -88,11 +92,15 @@ class Container:
         LogError
             If it cannot be read, or is not the file it was.
         """
-        stream = open_file(self.path)
+        stream = self._stream()
         if _identity(os.fstat(stream.fileno())) != self._identity:
             stream.close()
             raise LogError(f"{self.path} has changed since it was opened; open it again")
         return stream
+
+    def _stream(self) -> BinaryIO:
+        stream = None if self.own is None else self.own.open()
+        return open_file(self.path) if stream is None else stream
 
     def blocks(self) -> Iterator[bytes]:
         """Yield the message records chunk by chunk, decompressed and checked.

@@ -1,21 +1,31 @@
-"""Ctrl-C and requests to terminate, deferred where a file and its bookkeeping change together."""
+"""Ctrl-C and other signals that end a program: Ctrl-C, a request to terminate, a closed terminal.
+
+They are deferred where a file and its bookkeeping change together.
+"""
 
 from __future__ import annotations
 
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 from typing import Any, TypeAlias
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM)
+REASONS: dict[int, str] = {
+    signal.SIGINT: "interrupted by the user",
+    signal.SIGTERM: "terminated from outside",
+}
+if sys.platform != "win32":
+    REASONS[signal.SIGHUP] = "its terminal was closed"
+SIGNALS = tuple(REASONS)
 Handler: TypeAlias = Callable[[int, FrameType | None], Any]
 
 
 @contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Defer SIGINT and SIGTERM until the block has ended, however it ends.
+    """Defer the signals until the block has ended, however it ends.
 
     Only the main thread runs Python's handlers, and only those can raise within the block;
     elsewhere, and where a signal is ignored or kills, nothing is changed.

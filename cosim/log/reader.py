@@ -34,6 +34,7 @@ from cosim.log.metadata import (
     shown,
     verify_checksum,
 )
+from cosim.log.own_file import OwnFile
 from cosim.log.paths import log_path
 from cosim.log.preamble import FORMAT, LOG_TOPIC
 from cosim.log.result import RESULT, RESULT_FILE
@@ -80,6 +81,8 @@ class Log(RecordedSignals):
     Parameters
     ----------
     path : Path or str
+    own : OwnFile, optional
+        The file itself, held open by the run that wrote it.
 
     Raises
     ------
@@ -87,8 +90,8 @@ class Log(RecordedSignals):
         From every method: if the file is damaged, has changed, or lacks what is asked for.
     """
 
-    def __init__(self, path: Path | str) -> None:
-        self._file = Container(log_path(path))
+    def __init__(self, path: Path | str, own: OwnFile | None = None) -> None:
+        self._file = Container(log_path(path), own)
         self.path = self._file.path
         self._declared = self._file.channels()
         self._metadata = self._read_metadata()
@@ -104,6 +107,12 @@ class Log(RecordedSignals):
     def label(self) -> str:
         """The path."""
         return str(self.path)
+
+    @property
+    def is_at_its_path(self) -> bool:
+        """Whether the path leads to this log; not where a run's own was replaced or removed."""
+        own = self._file.own
+        return self.path.exists() if own is None else own.is_at_its_path
 
     @property
     def channels(self) -> Mapping[str, Channel]:

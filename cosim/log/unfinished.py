@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import final
 
 from cosim.errors import LogError, flag
+from cosim.log.own_file import OwnFile
 
 _KEPT_NAME = 48  # characters of the path's name in the hidden one: names end at 255 bytes
 
@@ -32,12 +33,23 @@ class UnfinishedLog:
         Where it goes; missing folders are created.
     force : bool
         Replace a file that exists there.
+    numbered : bool
+        Where a file exists, go to the next free one of ``x-2.mcap``, ``x-3.mcap``, ...
+
+    Attributes
+    ----------
+    path : Path
+        Where it goes; with ``numbered`` it is known once the file is published.
+    own : OwnFile or None
+        The file, to be read whatever stands at the path; None before it is created.
     """
 
-    def __init__(self, path: Path, *, force: bool) -> None:
+    def __init__(self, path: Path, *, force: bool, numbered: bool) -> None:
         self.path = path
         self._force = force
+        self._numbered = numbered
         self.published = False
+        self.own: OwnFile | None = None
         self._hidden_path: Path | None = None
         self._stream: io.RawIOBase | None = None
 
@@ -56,6 +68,7 @@ class UnfinishedLog:
             self._hidden_path = self.path.with_name(hidden_name)
             # After the path is known: an error or interrupt in here must not leave the file.
             self._stream = create(self._hidden_path)
+            self.own = OwnFile(self._hidden_path)
         except OSError as error:
             reason = error.strerror or error
             raise LogError(f"{self.path} cannot be created: {reason}") from error
@@ -63,6 +76,8 @@ class UnfinishedLog:
 
     def publish(self) -> None:
         """Rename the file to its path, the first time this is called; it stays open.
+
+        The name is taken in one step: of any number of runs at once each gets its own.
 
         Raises
         ------
@@ -73,9 +88,12 @@ class UnfinishedLog:
         if self.published:
             return
         assert self._hidden_path is not None
+        assert self.own is not None
         try:
             if self._force:
                 self._hidden_path.replace(self.path)  # readers of the old file keep it whole
+            elif self._numbered:
+                self.path = _move_to_free(self._hidden_path, self.path)
             else:
                 _move(self._hidden_path, self.path)
         except FileExistsError as error:
@@ -85,6 +103,7 @@ class UnfinishedLog:
         except OSError as error:
             reason = error.strerror or error
             raise LogError(f"{self.path} cannot be created: {reason}") from error
+        self.own.hold(self.path)
         self.published = True
 
     def discard(self) -> None:
@@ -95,6 +114,26 @@ class UnfinishedLog:
             if self._stream is not None:
                 self._stream.close()
             self._hidden_path.unlink(missing_ok=True)
+
+
+def _move_to_free(source: Path, first: Path) -> Path:
+    """Rename a file to the first free one of ``x.mcap``, ``x-2.mcap``, ...; return that.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be moved.
+    """
+    number = 1
+    target = first
+    while True:
+        try:
+            _move(source, target)
+        except FileExistsError:
+            number += 1
+            target = first.with_name(f"{first.stem}-{number}{first.suffix}")
+        else:
+            return target
 
 
 def _move(source: Path, target: Path) -> None:

@@ -26,6 +26,7 @@ from cosim.log.interrupts import uninterrupted
 from cosim.log.layout import Part, signals_json, split_channel
 from cosim.log.paths import log_path
 from cosim.log.preamble import Attachment, write_parts, write_preamble
+from cosim.log.reader import Log
 from cosim.log.result import LastRow, write_result
 from cosim.log.schema import encode_log
 from cosim.log.sink import Mark, Sink
@@ -59,6 +60,9 @@ class McapRecorder:
         File to write; missing folders are created.
     force : bool
         Replace a file that exists, at the first row.
+    numbered : bool
+        Where a file exists, write to the next free one of ``x-2.mcap``, ``x-3.mcap``, ...; which
+        it is, ``path`` says from the first row on.
     compression : {"zstd", "lz4", "none"}
     kinds : mapping of component name to str
         Kinds of the components, as the scenario calls them.
@@ -73,13 +77,14 @@ class McapRecorder:
         path: Path | str,
         *,
         force: bool = False,
+        numbered: bool = False,
         compression: Compression = "zstd",
         kinds: Mapping[str, str] | None = None,
         metadata: Mapping[str, Mapping[str, str]] | None = None,
         attachments: Sequence[Attachment] = (),
     ) -> None:
-        self.path = log_path(path)
         self._force = force
+        self._numbered = numbered
         self._compression = compression
         self._kinds = kinds or {}
         self._metadata = metadata or {}
@@ -87,9 +92,26 @@ class McapRecorder:
         self._result: dict[str, Any] = {}
         self._messages: list[tuple[int, bytes]] = []
         self._last_row = LastRow()
-        self._file = UnfinishedLog(self.path, force=force)
+        self._file = UnfinishedLog(log_path(path), force=force, numbered=numbered)
         self._sink: Sink | None = None
         self._checkpoints: deque[_Checkpoint] = deque(maxlen=_CHECKPOINTS)
+
+    @property
+    def path(self) -> Path:
+        """Where the file is, or will be."""
+        return self._file.path
+
+    def recorded(self) -> Log:
+        """Return the log that was written: this very file, whatever stands at its path by now.
+
+        Raises
+        ------
+        LogError
+            If nothing was written.
+        """
+        if not self._file.published:
+            raise LogError(f"{self.path} was not written")
+        return Log(self.path, self._file.own)
 
     def __enter__(self) -> Self:
         """Refuse a path that exists.
@@ -99,6 +121,8 @@ class McapRecorder:
         LogError
             If the file exists and ``force`` is false, or the path is a folder.
         """
+        if self._numbered:
+            return self
         if self.path.is_dir():
             raise LogError(
                 f"{self.path} is a folder; name a file, such as {self.path / 'run.mcap'}"

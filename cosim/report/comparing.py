@@ -113,7 +113,7 @@ class Comparison:
         for outcome in self.outcomes:
             plant: dict[str, Any] = {"plant": outcome.label, "error": outcome.error or None}
             plant["log"] = plant["summary"] = None
-            if isinstance(outcome.recording, Log):
+            if isinstance(outcome.recording, Log) and outcome.recording.is_at_its_path:
                 plant["log"] = str(outcome.recording.path)
             if outcome.label in summaries:
                 plant["summary"] = summaries[outcome.label].to_dict()

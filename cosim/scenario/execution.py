@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import os
-import signal
-import threading
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
-from dataclasses import replace
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
-from types import FrameType
 from typing import Any, TypeVar, overload
 
 from cosim.arguments import (
@@ -24,13 +21,14 @@ from cosim.core.contracts import Block, Design, Recorder
 from cosim.core.graph import Graph
 from cosim.core.master import run as run_graph
 from cosim.core.recorders import Memory, Watched
-from cosim.errors import Interrupted, LogError, UsageError, command, option, quoted
+from cosim.errors import LogError, UsageError, command, option, quoted
 from cosim.log import Log, McapRecorder, open_log
 from cosim.log.metadata import json_table, shown
 from cosim.log.paths import log_path
 from cosim.scenario.build import Builder, Experiment, parse
 from cosim.scenario.document import Document, find
 from cosim.scenario.edits import short
+from cosim.scenario.interrupting import interruptible
 from cosim.scenario.parsing import Scenario, read
 from cosim.scenario.profile import Timed
 from cosim.scenario.recorded import ReplayOrigin
@@ -48,6 +46,15 @@ from cosim.scenario.swap_report import SwapReports
 Progress = Callable[[float, float], None]  # simulated time, end [s]
 
 OwnRecorder = TypeVar("OwnRecorder", bound=Recorder)
+
+
+@dataclass(frozen=True, slots=True)
+class _Target:
+    """Where a run is recorded, and what is done with a log that is there; None: in memory."""
+
+    out: str | Path | None
+    force: bool = False
+    numbered: bool = False
 
 
 def load(name: str | Path) -> Scenario:
@@ -69,6 +76,7 @@ def run(
     *,
     out: str | Path | None = None,
     force: bool = False,
+    numbered: bool = False,
     set: Mapping[str, Any] | None = None,
     swap: Mapping[str, str | Path] | None = None,
     map: Mapping[str, PortNames] | None = None,
@@ -98,6 +106,7 @@ def run(
     *,
     out: str | Path | None = None,
     force: bool = False,
+    numbered: bool = False,
     set: Mapping[str, Any] | None = None,
     swap: Mapping[str, str | Path] | None = None,
     map: Mapping[str, PortNames] | None = None,
@@ -116,6 +125,9 @@ def run(
         Log file to write; without it the run is kept in memory.
     force : bool
         Replace an existing log.
+    numbered : bool
+        Where there is a log, write to the next free one of ``x-2.mcap``, ``x-3.mcap``, ...; the
+        ``path`` of the result says which. Any number of runs at once may share one ``out``.
     set : mapping of dotted key to value, optional
         Such as ``{"observer.filter_rate": 500.0, "scenario.stop": 10.0}``; applied after ``swap``.
     swap : mapping of component name to path, optional
@@ -146,6 +158,12 @@ def run(
     """
     _check_target(out, recorder)
     truth_argument("force", force)
+    truth_argument("numbered", numbered)
+    if force and numbered:
+        raise UsageError(
+            "found both force and numbered; needed one of them: a log is replaced, or "
+            "kept beside the new one"
+        )
     whole_argument("block", block)
     callable_argument("progress", progress)
     _check_profile(profile)
@@ -156,7 +174,8 @@ def run(
         if recorder is not None:
             _run_into(recorder, experiment, {}, progress=progress, profile=profile)
             return recorder
-        return _record(experiment, {}, out=out, force=force, progress=progress, profile=profile)
+        target = _Target(out, force, numbered)
+        return _record(experiment, {}, target, progress=progress, profile=profile)
 
 
 def _check_profile(profile: object) -> None:
@@ -240,7 +259,7 @@ def replay(
         copied = tuple(recorded_components(experiment))
         origin = ReplayOrigin(str(source.path), source.recorded_hash, copied)
         experiment = replace(experiment, origin=origin)
-        return _record(experiment, designs, out=out, force=force, progress=progress)
+        return _record(experiment, designs, _Target(out, force), progress=progress)
 
 
 def _replay_changes(source: Log, wanted: Mapping[str, Any]) -> dict[str, Any]:
@@ -372,22 +391,23 @@ def _check_path(out: str | Path | None) -> None:
 def _record(
     experiment: Experiment,
     designs: Mapping[str, Design],
+    target: _Target,
     *,
-    out: str | Path | None,
-    force: bool,
     progress: Progress | None,
     profile: dict[str, float] | None = None,
 ) -> Log | Memory:
-    """Run an experiment and return its recording: the log file if ``out`` is given."""
-    if out is not None and Path(os.path.realpath(out)) in experiment.files:
-        raise UsageError(f"{out} is read in this run; choose another path for the log")
+    """Run an experiment and return its recording: the log file if a path is given."""
+    out = target.out
     if out is None:
         memory = Memory(metadata_of(experiment))
         _run_into(memory, experiment, designs, progress=progress, profile=profile)
         return memory
-    log = _log_recorder(experiment, out, force)
+    is_read = Path(os.path.realpath(out)) in experiment.files
+    if is_read and not target.numbered:
+        raise UsageError(f"{out} is read in this run; choose another path for the log")
+    log = _log_recorder(experiment, out, target)
     _run_into(log, experiment, designs, progress=progress, profile=profile)
-    return open_log(out)
+    return log.recorded()
 
 
 def _run_into(
@@ -403,7 +423,7 @@ def _run_into(
     graph = experiment.graph if profile is None else _timed(experiment.graph, seconds)
     with_messages = MessageRecorder(recorder, experiment)
     began = perf_counter()
-    with _interruptible() as check:
+    with interruptible() as check:
         watched = _watched(with_messages, experiment, progress, check)
         plan = experiment.plan or graph.prepare(experiment.clock.step_ns, designs)
         run_graph(graph, experiment.clock, watched, plan)
@@ -413,11 +433,18 @@ def _run_into(
         profile.update(seconds)
 
 
-def _log_recorder(experiment: Experiment, out: str | Path, force: bool) -> McapRecorder:
+def _log_recorder(experiment: Experiment, out: str | Path, target: _Target) -> McapRecorder:
     kinds = {name: spec.kind for name, spec in experiment.scenario.specs.items()}
     metadata = metadata_of(experiment)
     attachments = attachments_of(experiment)
-    return McapRecorder(out, force=force, kinds=kinds, metadata=metadata, attachments=attachments)
+    return McapRecorder(
+        out,
+        force=target.force,
+        numbered=target.numbered,
+        kinds=kinds,
+        metadata=metadata,
+        attachments=attachments,
+    )
 
 
 def _with_reports(experiment: Experiment, reports: SwapReports) -> Experiment:
@@ -454,44 +481,3 @@ def _watched(
         check()
 
     return Watched(recorder, reached)
-
-
-@contextmanager
-def _interruptible() -> Iterator[Callable[[], None]]:
-    """Yield a check that raises where the run was interrupted, called after every block.
-
-    The first Ctrl-C, or request to terminate, so ends the run cleanly; the second ends it at once.
-    """
-    if threading.current_thread() is not threading.main_thread():
-        yield lambda: None
-        return
-    received: list[int] = []
-
-    def receive(number: int, frame: FrameType | None) -> None:
-        received.append(number)
-        if len(received) > 1:
-            raise KeyboardInterrupt
-
-    def check() -> None:
-        if received:
-            by_user = received[0] == signal.SIGINT
-            raise Interrupted("interrupted by the user" if by_user else "terminated from outside")
-
-    handlers = {}
-    for number in (signal.SIGINT, signal.SIGTERM):
-        handlers[number] = signal.signal(number, receive)
-    try:
-        yield check
-    finally:
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
-
-
-def default_log(name: str, folder: Path = Path("logs")) -> Path:
-    """Return the first free path of ``logs/<name>.mcap``, ``logs/<name>-2.mcap``, ..."""
-    path = folder / f"{name}.mcap"
-    number = 1
-    while path.exists():
-        number += 1
-        path = folder / f"{name}-{number}.mcap"
-    return path

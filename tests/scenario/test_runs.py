@@ -15,7 +15,6 @@ from cosim.errors import LogError, NonFiniteError, RunError, UsageError
 from cosim.log import open_log
 from cosim.report.summary import summarize
 from cosim.scenario.document import shipped
-from cosim.scenario.execution import default_log
 from cosim.scenario.exporting import export_component
 from cosim.scenario.recorded import ReplayOrigin, replay_origin
 from tests.fmi import lag
@@ -352,13 +351,21 @@ def test_an_existing_log_needs_force(tmp_path):
     )
 
 
-def test_default_logs_count_up(tmp_path):
-    """Without a path, logs are numbered."""
-    assert default_log("a", tmp_path).name == "a.mcap"
-    (tmp_path / "a.mcap").touch()
-    assert default_log("a", tmp_path).name == "a-2.mcap"
-    (tmp_path / "a-2.mcap").touch()
-    assert default_log("a", tmp_path).name == "a-3.mcap"
+def test_numbered_logs_count_up(tmp_path):
+    """A name is free where nothing stands: no file, no folder, no link that leads nowhere."""
+
+    def name():
+        out = tmp_path / "a.mcap"
+        log = cosim.run("academic", out=out, numbered=True, set={"scenario.stop": 0.01})
+        return log.path.name
+
+    assert name() == "a.mcap"
+    assert name() == "a-2.mcap"
+    (tmp_path / "a-3.mcap").mkdir()
+    (tmp_path / "a-4.mcap").symlink_to(tmp_path / "nowhere")
+    assert name() == "a-5.mcap"
+    with pytest.raises(UsageError, match="found both force and numbered; needed one of them"):
+        cosim.run("academic", out=tmp_path / "a.mcap", numbered=True, force=True)
 
 
 def test_a_log_carries_what_it_takes_to_check_it(logged):

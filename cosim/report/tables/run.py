@@ -10,6 +10,7 @@ import typer
 from rich.table import Table
 
 from cosim.core.contracts import Recording
+from cosim.log import Log
 from cosim.report.recorded import signal_of
 from cosim.report.summary import Identification, Summary, span, summarize
 from cosim.report.tables.console import new_table, print_json, print_line, print_table
@@ -20,7 +21,6 @@ from cosim.scenario.recorded import component_metadata, recorded_warnings
 def print_summary(
     recording: Recording,
     *,
-    path: Path | None,
     wall: Mapping[str, float],
     profile: Mapping[str, float] | None,
     as_json: bool,
@@ -31,8 +31,6 @@ def print_summary(
     Parameters
     ----------
     recording : Recording
-    path : Path or None
-        The log that was written.
     wall : mapping of name to float
         Wall times [s].
     profile : mapping of component name to float, or None
@@ -40,6 +38,7 @@ def print_summary(
     as_json, quiet : bool
     """
     summary = summarize(recording)
+    path = _path_of(recording)
     if as_json:
         content: dict[str, Any] = summary.to_dict()
         content["wall"] = dict(wall)
@@ -60,6 +59,18 @@ def print_summary(
     print_table(table)
     if profile is not None:
         print_table(_profile_table(profile))
+
+
+def _path_of(recording: Recording) -> Path | None:
+    """Return where the log of a run is; None where it is in memory, or no longer at its path."""
+    if not isinstance(recording, Log):
+        return None
+    if recording.is_at_its_path:
+        return recording.path
+    state = "holds the log of another run by now" if recording.path.exists() else "was removed"
+    text = f"warning: {recording.path} {state}; what is shown is of this run, whose log is lost"
+    print_line(text, error=True)
+    return None
 
 
 def _summary_table(summary: Summary, recording: Recording) -> Table:

@@ -1,0 +1,242 @@
+"""Runs beside each other, and how they end: each has its own log, and leaves nothing else."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import pty
+import re
+import signal
+import subprocess
+import sys
+import threading
+
+import pytest
+
+import cosim
+
+ONE = "from cosim.cli import main; main()"
+EIGHT = """
+import os, sys
+import cosim.report.tables.run, cosim.scenario.execution
+from cosim.cli import main
+children = []
+for _ in range(8):
+    children.append(os.fork())
+    if children[-1] == 0:
+        main()
+codes = [os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) for child in children]
+sys.exit(max(codes))
+"""
+LONG = ("closed-loop", "--stop", "10000")
+
+
+@pytest.fixture(autouse=True)
+def listening():
+    """Let signals end the child processes, also in tests started where they are ignored."""
+    defaults = {signal.SIGINT: signal.default_int_handler, signal.SIGHUP: signal.SIG_DFL}
+    before = {number: signal.signal(number, handler) for number, handler in defaults.items()}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+@pytest.fixture
+def start(tmp_path):
+    """Start cosim in a process of its own, with temporary files in ``tmp_path/temporary``."""
+    (tmp_path / "temporary").mkdir()
+    with contextlib.ExitStack() as processes:
+
+        def start(*arguments, code=ONE, **options):
+            environment = {**os.environ, "TMPDIR": str(tmp_path / "temporary")}
+            process = subprocess.Popen(
+                [sys.executable, "-c", code, *map(str, arguments)],
+                cwd=tmp_path,
+                env=environment,
+                **{"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, **options},
+            )
+            processes.enter_context(process)
+            processes.callback(process.kill)
+            return process
+
+        yield start
+
+
+def wait_for(path, process, size=20_000):
+    """Wait until a log has that many bytes."""
+    for _ in range(6000):
+        if path.exists() and path.stat().st_size > size:
+            return
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(0.01)
+            pytest.fail(f"ended early: {process.communicate()}")
+    pytest.fail("has not begun to write")
+
+
+def test_runs_at_once_without_a_path_get_one_name_each(start, tmp_path):
+    """Of eight processes none fails, no number is left out, and nothing else is left."""
+    process = start("run", "academic", "--stop", "0.05", "--json", code=EIGHT)
+    out, err = process.communicate(timeout=120)
+    assert (process.returncode, err) == (0, "")
+    logs = {json.loads(text)["log"] for text in re.findall(r"^\{.*?^\}", out, re.M | re.S)}
+    names = ["academic.mcap", *(f"academic-{number}.mcap" for number in range(2, 9))]
+    assert logs == {f"logs/{name}" for name in names}
+    assert sorted(os.listdir(tmp_path / "logs")) == sorted(names)
+
+
+def test_threads_may_share_a_path_too(tmp_path):
+    """Each of eight threads gets its own log back, with the value that it set."""
+    logs = {}
+
+    def run(rate):
+        edits = {"scenario.stop": 0.02, "u.rate": rate}
+        out = tmp_path / "a.mcap"
+        logs[rate] = cosim.run("academic", out=out, numbered=True, set=edits)
+
+    threads = [threading.Thread(target=run, args=(float(rate),)) for rate in range(1, 9)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len({log.path for log in logs.values()}) == 8
+    assert len(os.listdir(tmp_path)) == 8
+    for rate, log in logs.items():
+        table = json.loads(log.metadata["cosim.component.u"]["table"])
+        assert table["rate"] == rate
+        assert cosim.diff(log, cosim.open_log(log.path)).equal
+
+
+def test_a_run_reads_its_own_log_where_another_replaced_it(start, tmp_path):
+    """Two runs with --force on one path: the first to finish tells of itself, and of that."""
+    path = tmp_path / "a.mcap"
+    first = start("run", *LONG, "--out", path, "--force", "--json")
+    wait_for(path, first)
+    inode = path.stat().st_ino
+    second = start("run", "academic", "--stop", "0.01", "--out", path, "--force")
+    assert second.wait(60) == 0
+    assert path.stat().st_ino != inode
+    first.send_signal(signal.SIGINT)
+    _, err = first.communicate(timeout=60)
+    assert (first.returncode, err) == (130, "cosim: interrupted by the user\n")
+    assert cosim.open_log(path).metadata["cosim.run"]["scenario"] == "academic"
+
+
+@pytest.mark.parametrize("removed", [False, True])
+def test_what_a_run_returns_is_its_own(tmp_path, capsys, removed):
+    """Whatever happens to the path meanwhile: rows, summary, and what is said of the path."""
+    path = tmp_path / "a.mcap"
+
+    def displace(time, end):
+        if time < end:
+            return
+        path.unlink()
+        if not removed:
+            cosim.run("academic", out=path, set={"scenario.stop": 0.01})
+
+    log = cosim.run("academic", out=path, set={"scenario.stop": 0.02}, progress=displace)
+    assert not log.is_at_its_path
+    assert log.time("plant")[-1] == 0.02
+    assert log.content_hash() == log.recorded_hash
+    assert log.status == "complete"
+    from cosim.report.tables.run import print_summary
+
+    print_summary(log, wall={}, profile=None, as_json=True, quiet=False)
+    out, err = capsys.readouterr()
+    assert json.loads(out)["log"] is None
+    assert json.loads(out)["end"] == 0.02
+    state = "was removed" if removed else "holds the log of another run by now"
+    assert err.startswith(f"warning: {path} {state}")
+
+
+def test_the_files_of_very_many_runs_are_not_held_open(tmp_path):
+    """A process may keep the logs of more runs than it may have open files."""
+    from cosim.log import own_file
+
+    own_files = []
+    for number in range(own_file._MOST_HELD + 10):
+        path = tmp_path / f"{number}"
+        path.write_text(f"{number}")
+        own = own_file.OwnFile(path)
+        own.hold(path)
+        own_files.append(own)
+        if number == 3:
+            path.unlink()
+    assert [own.open() is None for own in own_files].count(True) == 9  # not the one that was lost
+    with own_files[3].open() as stream:
+        assert stream.read() == b"3"
+    with own_files[-1].open() as one, own_files[-1].open() as other:
+        assert one.read() == other.read() == f"{own_file._MOST_HELD + 9}".encode()
+        assert one.seek(-1, os.SEEK_END) == 1
+        assert one.read() == b"3"
+
+
+ENDS = [
+    (signal.SIGINT, 130, "interrupted by the user"),
+    (signal.SIGTERM, 143, "terminated from outside"),
+    (signal.SIGHUP, 129, "its terminal was closed"),
+]
+
+
+def assert_whole(path, reason):
+    log = cosim.open_log(path)
+    assert (log.status, log.reason) == ("interrupted", reason)
+    assert len(log["plant.y"]) == log.steps + 1
+    assert log.content_hash() == log.recorded_hash
+    assert cosim.diff(log, cosim.replay(path)).equal
+
+
+@pytest.mark.parametrize(("number", "code", "reason"), ENDS)
+def test_a_signal_ends_a_run_with_a_whole_log(start, tmp_path, number, code, reason):
+    """With the exit code that a shell gives, and nothing is left but the log."""
+    path = tmp_path / "a.mcap"
+    process = start("run", *LONG, "--out", path)
+    wait_for(path, process)
+    os.kill(process.pid, number)
+    out, err = process.communicate(timeout=60)
+    assert (process.returncode, out, err) == (code, "", f"cosim: {reason}\n")
+    assert_whole(path, reason)
+    assert sorted(os.listdir(tmp_path)) == ["a.mcap", "temporary"]
+    assert not os.listdir(tmp_path / "temporary")
+
+
+def test_a_closed_terminal_ends_a_run_with_a_whole_log(start, tmp_path):
+    """The kernel sends SIGHUP to the programs of a terminal, and nothing can be written to it."""
+    path = tmp_path / "a.mcap"
+    pid, terminal = pty.fork()
+    if pid == 0:
+        with contextlib.suppress(BaseException):
+            os.chdir(tmp_path)
+            arguments = [sys.executable, "-m", "cosim", "run", *LONG, "--out", str(path)]
+            os.execv(sys.executable, arguments)
+        os._exit(99)
+    for _ in range(6000):
+        assert os.waitpid(pid, os.WNOHANG) == (0, 0)
+        if path.exists() and path.stat().st_size > 20_000:
+            break
+        threading.Event().wait(0.01)
+    os.close(terminal)
+    _, status = os.waitpid(pid, 0)
+    assert os.waitstatus_to_exitcode(status) == 129
+    assert_whole(path, "its terminal was closed")
+
+
+def test_an_ignored_signal_does_not_end_a_run(start, tmp_path):
+    """Such as SIGHUP in a program that nohup started, or SIGINT in a shell's background."""
+    path = tmp_path / "a.mcap"
+    ignored = (signal.SIGHUP, signal.SIGINT)
+    for number in ignored:
+        signal.signal(number, signal.SIG_IGN)
+    reader, writer = pty.openpty()  # its messages go to a terminal that is closed
+    process = start("run", *LONG, "--out", path, stderr=writer)
+    os.close(writer)
+    wait_for(path, process)
+    os.close(reader)
+    size = path.stat().st_size
+    for number in ignored * 2:
+        os.kill(process.pid, number)
+    wait_for(path, process, size + 20_000)
+    os.kill(process.pid, signal.SIGTERM)
+    process.communicate(timeout=60)
+    assert process.returncode == 143
+    assert_whole(path, "terminated from outside")
