@@ -302,6 +302,17 @@ def test_what_is_no_component_is_refused(component, text):
         ),
         (lambda: Connection("c.y", unit=3), GraphError, "'c.y': unit: found 3, needed a str"),
         (lambda: Port("a", "b", -1), GraphError, "'a.b' has no elements -1; needed a number from"),
+        (
+            lambda: Port("a", "b", range(-2, 1)),
+            GraphError,
+            r"'a.b' has no elements range\(-2, 1\); needed a number from 0",
+        ),
+        (lambda: Port("a", "b", range(0, 4, 2)), GraphError, "'a.b' has no elements range"),
+        (
+            lambda: Connection("c.y", np.ma.masked_array([[1.0]], mask=True)),
+            GraphError,
+            "'c.y': found gain .*; needed finite numbers or a matrix",
+        ),
         (lambda: Port("a", ""), GraphError, "port: found '', needed the name of a component and"),
         (
             lambda: nanoseconds("1e999999999"),
