@@ -19,7 +19,6 @@ from typing import ClassVar, Protocol, final
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import expm
 
 from cosim.arrays import NAN, Matrix, Vector
 from cosim.errors import AssumptionError, nearest
@@ -176,6 +175,8 @@ def K(family: Family, theta: ArrayLike, D: float) -> Vector:
             f"theta of family {family.name!r} has shape {shape}; needed {needed}: {names}"
         )
     exponent = -family.G(parameters) * D
+    from scipy.linalg import expm  # takes long to import, and is rarely needed
+
     row: Vector = family.c @ expm(exponent)
     return row
 

@@ -25,7 +25,6 @@ from enum import IntEnum
 from itertools import combinations, pairwise
 
 import numpy as np
-from scipy.linalg import solve_triangular
 
 from cosim.arrays import NAN, Matrix, Vector
 from cosim.errors import AssumptionError
@@ -178,6 +177,8 @@ def least_squares(mu: Matrix, weights: Vector, prior: float | None = None) -> Ve
     largest = pivots.max()
     if not pivots.min() > RANK * largest:
         return undetermined
+    from scipy.linalg import solve_triangular  # takes long to import, and is rarely needed
+
     eta: Vector = solve_triangular(R_m, R_p)
     return eta
 

@@ -1,12 +1,15 @@
 """The catalog of what a scenario can be made of."""
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 import cosim
-from cosim.report.tables.catalog import print_catalog
+from cosim.native.expression import FUNCTIONS
+from cosim.report.tables.catalog import print_catalog, print_kind
 from cosim.scenario.schema import Settings
 
 
@@ -26,3 +29,30 @@ def test_every_key_of_a_scenario_stands_in_the_catalog_with_its_meaning(capsys):
 def test_readme_names_the_keys_that_change_results(name):
     """Beside those that its scenarios have."""
     assert f"`{name}`" in (Path(cosim.__file__).parents[1] / "README.md").read_text()
+
+
+def test_kinds_say_their_ports_and_expressions_their_functions(capsys):
+    """In the list, and where a kind is explained."""
+    print_catalog(as_json=False)
+    lines = capsys.readouterr().out.splitlines()
+    assert any(line.startswith("sum\tu1, u2, ... -> y\t") for line in lines)
+    print_kind("expression", as_json=False)
+    text = capsys.readouterr().out
+    assert "ports: -> y" in text
+    assert all(f" {name}" in text for name in FUNCTIONS)
+    print_kind("lag", as_json=True)
+    assert json.loads(capsys.readouterr().out)["ports"] == "u -> y"
+
+
+def test_a_list_needs_no_numerical_library_but_numpy():
+    """It is what people call most often, and should not take a second."""
+    code = (
+        "import sys\n"
+        "from cosim.report.tables.catalog import print_catalog\n"
+        "print_catalog(as_json=False)\n"
+        "print([name for name in ('scipy', 'mcap', 'fmpy') if name in sys.modules])\n"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    assert result.stdout.splitlines()[-1] == "[]"

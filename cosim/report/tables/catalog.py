@@ -8,7 +8,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from cosim.errors import UsageError, nearest
-from cosim.report.tables.console import new_table, print_json, print_table
+from cosim.report.tables.console import new_table, print_json, print_line, print_table
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -21,13 +21,15 @@ KINDS_TITLE = "component kinds; [optional parameters]; 'cosim list KIND' explain
 
 def print_catalog(*, as_json: bool) -> None:
     """Print the shipped scenarios and the component kinds with their parameters."""
-    from cosim.scenario.document import shipped
-    from cosim.scenario.execution import load
+    from cosim.scenario.document import find, shipped
     from cosim.scenario.kinds import KINDS
     from cosim.scenario.kinds.parameters import parameters_of
     from cosim.scenario.schema import Settings
 
-    scenarios = {name: load(name).file.scenario.description for name in shipped()}
+    scenarios = {}
+    for name in shipped():
+        tree, _ = find(name).tree()
+        scenarios[name] = tree["scenario"].get("description", "")
     if as_json:
         kinds = {name: _plain(kind) for name, kind in KINDS.items()}
         settings = _plain_parameters(parameters_of(Settings))
@@ -38,14 +40,14 @@ def print_catalog(*, as_json: bool) -> None:
         table.add_row(name, description or name)
     print_table(table)
     print_table(_parameters_table("keys of [scenario]", parameters_of(Settings)))
-    table = new_table(KINDS_TITLE, ("kind", "parameters", "description"))
+    table = new_table(KINDS_TITLE, ("kind", "ports", "parameters", "description"))
     for name, kind in KINDS.items():
-        table.add_row(name, _names(parameters_of(kind)), _description(kind))
+        table.add_row(name, kind.ports, _names(parameters_of(kind)), _description(kind))
     print_table(table)
 
 
 def print_kind(name: str, *, as_json: bool) -> None:
-    """Print the parameters of a component kind, with their defaults and what they mean.
+    """Print the ports of a component kind and its parameters, with defaults and meanings.
 
     Raises
     ------
@@ -61,7 +63,9 @@ def print_kind(name: str, *, as_json: bool) -> None:
     if as_json:
         print_json(_plain(kind))
         return
-    print_table(_parameters_table(f"{name}: {_description(kind)}", parameters_of(kind)))
+    print_line(f"{name}: {_description(kind)}")
+    print_line(f"ports: {kind.ports}")
+    print_table(_parameters_table("", parameters_of(kind)))
 
 
 def _parameters_table(title: str, parameters: Iterable[Parameter]) -> Table:
@@ -77,7 +81,7 @@ def _plain(kind: type[Kind]) -> dict[str, Any]:
     from cosim.scenario.kinds.parameters import parameters_of
 
     parameters = _plain_parameters(parameters_of(kind))
-    return {"description": _description(kind), "parameters": parameters}
+    return {"description": _description(kind), "ports": kind.ports, "parameters": parameters}
 
 
 def _plain_parameters(parameters: Iterable[Parameter]) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from cosim.blocks import source
 from cosim.core.contracts import Component
 from cosim.core.signals import SignalType, Variability
 from cosim.errors import UsageError
-from cosim.native.expression import compile_expression
+from cosim.native.expression import FUNCTIONS, compile_expression
 from cosim.scenario.csv_file import read_csv
 from cosim.scenario.kinds.base import BuildContext, Kind
 from cosim.scenario.kinds.jumps import check_continuous, check_sampled, held_from_points
@@ -123,7 +123,8 @@ class ExpressionKind(Kind):
     ports: ClassVar[str] = "-> y"
     kind: Literal["expression"]
     y: str | tuple[str, ...] = Field(
-        description='an expression, like "1 + 0.5*sin(2*t)", or several'
+        description='an expression, like "1 + 0.5*sin(2*t)", or several: numbers, t, pi, e, '
+        f"+ - * / **, min, max, {', '.join(FUNCTIONS)}"
     )
     discrete: Flag = Field(
         False,
