@@ -311,7 +311,7 @@ def test_what_is_no_component_is_refused(component, text):
         (
             lambda: Connection("c.y", np.ma.masked_array([[1.0]], mask=True)),
             GraphError,
-            "'c.y': found gain .*; needed finite numbers or a matrix",
+            r"'c.y': found gain masked_array",
         ),
         (lambda: Port("a", ""), GraphError, "port: found '', needed the name of a component and"),
         (
