@@ -522,7 +522,8 @@ def show(scenario: ScenarioArgument) -> None:
     """Print the text of a scenario, to start your own from."""
     from cosim.scenario.document import find
 
-    typer.echo(find(scenario).text, nl=False)
+    text = find(scenario).text
+    typer.echo(printable(text) if sys.stdout.isatty() else text, nl=False)
 
 
 @app.command()

@@ -93,10 +93,11 @@ def test_python_runs(tmp_path, monkeypatch, capsys):
     for command in exports:
         run_command(command, capsys)
     first, relay = blocks("README", "python")
-    exec(compile(first, "README block 1", "exec"), {"__name__": "readme"})
-    printed = capsys.readouterr().out.split()
-    assert printed[0] == "10.0"
-    assert 0.0 < float(printed[-1]) < 1e-2  # half the step, half the error of first order
+    for _ in range(2):  # as one does who reads and tries
+        exec(compile(first, "README block 1", "exec"), {"__name__": "readme"})
+        printed = capsys.readouterr().out.split()
+        assert printed[0] == "10.0"
+        assert 0.0 < float(printed[-1]) < 1e-2  # half the step, half the error of first order
     exec(compile(relay, "README block 2", "exec"), {"__name__": "readme"})
     lowest, highest = map(float, capsys.readouterr().out.split())
     # The relay switches one step of 0.1 s late, where the slope is at most 0.1 / s.

@@ -203,7 +203,7 @@ def test_an_interface_type_that_is_not_there(edited):
 def test_wrong_identifier(edited):
     refused(
         edited(('modelIdentifier="academic"', 'modelIdentifier="../x"')),
-        "modelIdentifier '../x' is no identifier of C",
+        r"modelIdentifier '\.\./x' is no name of a file \(no path, at most 200 bytes\)",
     )
 
 

@@ -179,8 +179,6 @@ def test_a_dry_run_has_rows_proposals_and_problems_for_programs(folder, capsys):
         "plant.u": "error",
         "plant.delta": "error",
         "plant.y": "error",
-        "plant.force": "error",
-        "plant.push": "error",
     }
     assert {one["option"] for one in found["swaps"]["plant"]["proposals"]} >= {"--map plant.y=out1"}
     options = []

@@ -1,0 +1,111 @@
+"""No command sends a terminal what it would obey, whatever a log, an FMU or a scenario says."""
+
+import re
+import sys
+
+import pytest
+
+import cosim
+from cosim.cli import main
+from tests.fmi.archives import write
+from tests.log.crafting import put_together, take_apart
+
+OBEYED = re.compile(
+    r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u2029\u200e\u200f\u202a-\u202e\u2066-\u2069]"
+)
+ATTACK = "\x1b]0;owned\x07\x1b[2J\u202e\x9b5m"
+IN_JSON = "\\u001b]0;owned\\u0007\\u001b[2J\\u202e\\u009b5m"
+# XML has no escape, but the other control sequence introducer and the direction of texts
+IN_XML = "&#x9b;2J&#x202e;&#x2028;"
+FMU = f"""<?xml version="1.0"?><fmiModelDescription fmiVersion="2.0" modelName="m{IN_XML}"
+guid="{IN_XML}" description="{IN_XML}" generationTool="{IN_XML}" author="{IN_XML}">
+<CoSimulation modelIdentifier="m{IN_XML}"/><UnitDefinitions><Unit name="{IN_XML}"/>
+</UnitDefinitions><ModelVariables><ScalarVariable name="y{IN_XML}" valueReference="0"
+causality="output" description="{IN_XML}"><Real unit="{IN_XML}"/></ScalarVariable>
+<ScalarVariable name="s{IN_XML}" valueReference="1" causality="parameter" variability="fixed">
+<String start="{IN_XML}"/></ScalarVariable></ModelVariables><ModelStructure><Outputs>
+<Unknown index="1"/></Outputs></ModelStructure></fmiModelDescription>"""
+SCENARIO = f"""
+[scenario]
+name = "x"
+stop = 0.1
+step = 0.1
+description = "{IN_JSON}"
+[components]
+"a{IN_JSON}" = {{ kind = "constant", value = 1.0, unit = "{IN_JSON}" }}
+b = {{ kind = "constant", value = 1.0, "{IN_JSON}" = 1 }}
+c = {{ kind = "{IN_JSON}" }}
+d = {{ kind = "expression", y = "{IN_JSON}" }}
+e = {{ kind = "fmu", path = "{IN_JSON}.fmu" }}
+"""
+
+
+@pytest.fixture
+def printed(tmp_path, monkeypatch, capsys):
+    """Return all that a command prints; it must not be obeyed."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(*arguments):
+        with pytest.raises(SystemExit):
+            main([str(argument) for argument in arguments])
+        output = capsys.readouterr()
+        for text in (output.out, output.err):
+            assert not OBEYED.search(text), (arguments, OBEYED.search(text))
+        return output.out + output.err
+
+    return run
+
+
+@pytest.mark.parametrize("attack", [ATTACK, IN_JSON])
+def test_texts_of_logs_are_shown_and_not_obeyed(printed, tmp_path, attack):
+    """In every metadata record and channel, raw and as JSON writes it."""
+    log = cosim.run("academic", set={"scenario.stop": 0.02}, out=tmp_path / "a.mcap")
+    content = take_apart(log.path)
+    words = ("academic", "complete", "output", "continuous", "descriptor", '"unit": null')
+    changed = 0
+    for word in words:
+        crafted = take_apart(log.path)
+        replacement = f"{word}{attack}" if word.isalpha() else f'"unit": "{attack}"'
+        for items in [items for _, items in crafted.metadata] + [
+            items for _, _, items in crafted.channels.values()
+        ]:
+            for key, value in items.items():
+                if word in value:
+                    items[key] = value.replace(word, replacement)
+                    changed += 1
+        path = put_together(crafted, tmp_path / "crafted.mcap")
+        for command in ("info", "replay"):
+            printed(command, path)
+        printed("replay", path, "--verify")
+        printed("diff", path, log.path)
+        printed("plot", path, "plant.y", "-o", tmp_path / "a.svg")
+    assert changed > len(words)
+    assert content.metadata
+
+
+def test_texts_of_fmus_are_shown_and_not_obeyed(printed, tmp_path):
+    """Names, units, texts and problems."""
+    path = write(tmp_path / "m.fmu", [], xml=FMU.encode())
+    assert "\\x9b2J\\u202e\\u2028" in printed("info", path)
+    assert "\\x9b2J" in printed("check", path)
+    printed("linearize", path)
+    printed("run", "academic", "--swap", f"plant={path}", "--dry-run")
+    printed("run", "academic", "--swap", f"plant={path}")
+
+
+def test_texts_of_scenarios_are_shown_and_not_obeyed(printed, tmp_path, monkeypatch):
+    """Keys, values and names in messages, and what comes on the command line."""
+    path = tmp_path / "x.toml"
+    path.write_text(SCENARIO)
+    text = printed("run", path)
+    assert "\\x1b]0;owned" in text
+    printed("info", path)
+    printed("run", f"{ATTACK}.toml")
+    printed("run", "academic", "--set", f"plant.{ATTACK}=1")
+    printed("run", "academic", "--swap", f"{ATTACK}={ATTACK}")
+    printed("list", ATTACK)
+    printed(ATTACK)
+    (tmp_path / "raw.toml").write_text(f"# {ATTACK}\n{SCENARIO}", encoding="utf-8")
+    printed("run", tmp_path / "raw.toml")
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    printed("show", tmp_path / "raw.toml")
