@@ -339,8 +339,8 @@ def test_export_refuses_what_cannot_be_an_fmu(call):
     assert code == 2
     assert (
         "'delta' is of kind 'disturbance', which cannot be exported; what can be: "
-        "sum, gain, limit, lag, delay, controller, descriptor, unknown-input-observer, "
-        "regressor, identifier\n"
+        "sum, gain, product, limit, switch, lag, integrator, transfer-function, delay, controller, "
+        "discrete-state-space, pid, descriptor, unknown-input-observer, regressor, identifier\n"
     ) in err
     code, _, err = call("export", "academic", "--component", "plnt", "--out", "i.fmu")
     assert "there is no component 'plnt'; did you mean 'plant'?" in err

@@ -10,18 +10,27 @@ from typing import TYPE_CHECKING
 from cosim.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from cosim.blocks.arithmetic import gain, limit, sum_of
-    from cosim.blocks.dynamics import Delay, lag
+    from cosim.blocks.arithmetic import gain, limit, sum_of, switch
+    from cosim.blocks.dynamics import Delay, integrator, lag
     from cosim.blocks.identifier import LeastSquaresIdentifier
+    from cosim.blocks.limited_integrator import LimitedIntegrator
     from cosim.blocks.look_up import LookUpTable
     from cosim.blocks.observer import observer_model
+    from cosim.blocks.pid import Pid, PidParameters
     from cosim.blocks.plant import descriptor_model
+    from cosim.blocks.product import Product
     from cosim.blocks.regressor import Regressor
     from cosim.blocks.renamed import Renamed
     from cosim.blocks.replay import Replay
     from cosim.blocks.sampled import Decimated, Sampled
     from cosim.blocks.source import Expression, Noise, Table, chirp, constant, ramp, sine, step
-    from cosim.blocks.state_space import controller
+    from cosim.blocks.state_space import (
+        DiscreteStateSpace,
+        SystemMatrices,
+        controller,
+        system_matrices,
+    )
+    from cosim.blocks.transfer import transfer_function
 
 _HOMES = {
     "chirp": "cosim.blocks.source",
@@ -30,14 +39,20 @@ _HOMES = {
     "Decimated": "cosim.blocks.sampled",
     "Delay": "cosim.blocks.dynamics",
     "descriptor_model": "cosim.blocks.plant",
+    "DiscreteStateSpace": "cosim.blocks.state_space",
     "Expression": "cosim.blocks.source",
     "gain": "cosim.blocks.arithmetic",
+    "integrator": "cosim.blocks.dynamics",
     "lag": "cosim.blocks.dynamics",
     "LeastSquaresIdentifier": "cosim.blocks.identifier",
     "limit": "cosim.blocks.arithmetic",
+    "LimitedIntegrator": "cosim.blocks.limited_integrator",
     "LookUpTable": "cosim.blocks.look_up",
     "Noise": "cosim.blocks.source",
     "observer_model": "cosim.blocks.observer",
+    "Pid": "cosim.blocks.pid",
+    "PidParameters": "cosim.blocks.pid",
+    "Product": "cosim.blocks.product",
     "ramp": "cosim.blocks.source",
     "Regressor": "cosim.blocks.regressor",
     "Renamed": "cosim.blocks.renamed",
@@ -46,26 +61,37 @@ _HOMES = {
     "sine": "cosim.blocks.source",
     "step": "cosim.blocks.source",
     "sum_of": "cosim.blocks.arithmetic",
+    "switch": "cosim.blocks.arithmetic",
+    "system_matrices": "cosim.blocks.state_space",
+    "SystemMatrices": "cosim.blocks.state_space",
     "Table": "cosim.blocks.source",
+    "transfer_function": "cosim.blocks.transfer",
 }
 
 __all__ = [
     "Decimated",
     "Delay",
+    "DiscreteStateSpace",
     "Expression",
     "LeastSquaresIdentifier",
+    "LimitedIntegrator",
     "LookUpTable",
     "Noise",
+    "Pid",
+    "PidParameters",
+    "Product",
     "Regressor",
     "Renamed",
     "Replay",
     "Sampled",
+    "SystemMatrices",
     "Table",
     "chirp",
     "constant",
     "controller",
     "descriptor_model",
     "gain",
+    "integrator",
     "lag",
     "limit",
     "observer_model",
@@ -73,6 +99,9 @@ __all__ = [
     "sine",
     "step",
     "sum_of",
+    "switch",
+    "system_matrices",
+    "transfer_function",
 ]
 
 __getattr__ = lazy_names(__name__, _HOMES)

@@ -1,4 +1,4 @@
-"""Parts without memory: sum, gain, limit."""
+"""Parts without memory: sum, gain, limit, switch."""
 
 from __future__ import annotations
 
@@ -105,3 +105,32 @@ def limit(*, lower: float, upper: float, size: int = 1, unit: str | None = None)
     u = Signal("u", size, unit)
     interface = _with_feedthrough([u], size, unit)
     return Static(interface, clipped)
+
+
+def switch(
+    *, threshold: float = 0.5, size: int = 1, discrete: bool = False, unit: str | None = None
+) -> Static:
+    """Build ``y = u1`` where ``control >= threshold``, else ``y = u2``.
+
+    Parameters
+    ----------
+    threshold : float
+        With 0.5 the control may be a Boolean signal.
+    size : int
+        Number of elements of y, u1 and u2.
+    discrete : bool
+        y keeps its value over a communication step. Else it does so where all inputs do.
+    unit : str, optional
+        The unit of y, u1 and u2.
+    """
+
+    def chosen(u: Matrix) -> Matrix:
+        first = u[:, :size]
+        second = u[:, size:-1]
+        control = u[:, -1:]
+        return np.where(control >= threshold, first, second)
+
+    inputs = (Signal("u1", size, unit), Signal("u2", size, unit), Signal("control"))
+    names = tuple(signal.name for signal in inputs)
+    y = Signal("y", size, unit, "discrete" if discrete else "inherited")
+    return Static(Interface(inputs, (y,), {"y": names}), chosen)

@@ -1,4 +1,4 @@
-"""Small dynamic parts: first-order lag, delay."""
+"""Small dynamic parts: first-order lag, integrator, delay."""
 
 from __future__ import annotations
 
@@ -58,6 +58,17 @@ def lag(
         X0 = np.full(size, initial)
         Xu = np.zeros((size, size))
     return LinearModel(interface, states, A, B, C, D, X0, Xu)
+
+
+def integrator(*, initial: float = 0.0, size: int = 1, unit: str | None = None) -> LinearModel:
+    """Build ``y' = u`` from ``y(0) = initial``; ``unit`` is that of y."""
+    u = Signal("u", size)
+    y = Signal("y", size, unit, role="state")
+    states = tuple(y.elements)
+    zero = np.zeros((size, size))
+    one = np.eye(size)
+    X0 = np.full(size, initial)
+    return LinearModel(Interface((u,), (y,)), states, zero, one, one, zero, X0, zero)
 
 
 class Delay:

@@ -1,37 +1,59 @@
-"""A linear controller with a state of its own."""
+"""Linear systems given by their matrices: a controller, and a system in discrete time."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 
 from cosim.arrays import Matrix, Vector
 from cosim.blocks.plant import linear_model
-from cosim.core.linear import LinearModel
-from cosim.core.signals import Signal
+from cosim.core.linear import LinearModel, feedthrough_of
+from cosim.core.signals import Interface, Signal
 from cosim.errors import UsageError
+from cosim.native.step import DiscretizedDynamics, affine, linear_step
 
 
-def controller(
-    *,
-    A: Matrix,
-    B: Matrix,
-    C: Matrix,
-    D: Matrix | None = None,
-    x0: Vector | None = None,
-    unit: str | None = None,
-) -> LinearModel:
-    """Build ``x' = A x + B u``, ``y = C x + D u``: input u, output y, and the state x as an output.
+@dataclass(frozen=True, slots=True)
+class SystemMatrices:
+    """The matrices of a system with n states, m inputs and p outputs y, whose state is shown too.
 
     Parameters
     ----------
+    A, B, x0 : shapes (n, n), (n, m), (n,)
+    C, D : Matrix, shapes (p + n, n), (p + n, m)
+        The rows of the outputs, then those of the state.
+    """
+
+    A: Matrix
+    B: Matrix
+    C: Matrix
+    D: Matrix
+    x0: Vector
+
+    def signals(self, unit: str | None) -> tuple[Signal, Signal, Signal]:
+        """Return the input u and the outputs y, in ``unit``, and x."""
+        n, m = self.B.shape
+        u = Signal("u", m, role="input")
+        y = Signal("y", len(self.C) - n, unit)
+        x = Signal("x", n, role="state")
+        return u, y, x
+
+
+def system_matrices(
+    kind: str, *, A: Matrix, B: Matrix, C: Matrix, D: Matrix | None, x0: Vector | None
+) -> SystemMatrices:
+    """Complete the matrices of a system; ``kind`` is what messages call it.
+
+    Parameters
+    ----------
+    kind : str
     A, B, C : Matrix
         Shapes ``(n, n)``, ``(n, m)``, ``(p, n)``.
-    D : Matrix, optional
-        Shape ``(p, m)``; by default 0.
-    x0 : Vector, optional
-        Initial state, shape ``(n,)``; by default 0.
-    unit : str, optional
-        The unit of y.
+    D : Matrix or None
+        Shape ``(p, m)``; None: 0.
+    x0 : Vector or None
+        Initial state, shape ``(n,)``; None: 0.
 
     Raises
     ------
@@ -45,22 +67,99 @@ def controller(
         D = np.zeros((p, m))
     if x0 is None:
         x0 = np.zeros(n)
-    _check_shape("A", A, (n, n))
-    _check_shape("B", B, (n, m))
-    _check_shape("C", C, (p, n))
-    _check_shape("D", D, (p, m))
-    _check_shape("x0", x0, (n,))
-    u = Signal("u", m, role="input")
-    y = Signal("y", p, unit)
-    x = Signal("x", n, role="state")
-    states = tuple(x.elements)
+    _check_shape(kind, "A", A, (n, n))
+    _check_shape(kind, "B", B, (n, m))
+    _check_shape(kind, "C", C, (p, n))
+    _check_shape(kind, "D", D, (p, m))
+    _check_shape(kind, "x0", x0, (n,))
     C_x = np.eye(n)
     D_x = np.zeros((n, m))
-    C_all = np.vstack([C, C_x])
-    D_all = np.vstack([D, D_x])
-    return linear_model((u,), (y, x), states=states, A=A, B=B, C=C_all, D=D_all, X0=x0)
+    return SystemMatrices(A, B, np.vstack([C, C_x]), np.vstack([D, D_x]), x0)
 
 
-def _check_shape(name: str, array: Matrix | Vector, needed: tuple[int, ...]) -> None:
+def _check_shape(kind: str, name: str, array: Matrix | Vector, needed: tuple[int, ...]) -> None:
     if array.shape != needed:
-        raise UsageError(f"controller: {name} has shape {array.shape}, needed {needed}")
+        raise UsageError(f"{kind}: {name} has shape {array.shape}, needed {needed}")
+
+
+def controller(
+    *,
+    A: Matrix,
+    B: Matrix,
+    C: Matrix,
+    D: Matrix | None = None,
+    x0: Vector | None = None,
+    unit: str | None = None,
+) -> LinearModel:
+    """Build ``x' = A x + B u``, ``y = C x + D u``: input u, output y, and the state x as an output.
+
+    Parameters are those of :func:`system_matrices`; ``unit`` is that of y.
+
+    Raises
+    ------
+    UsageError
+        If the shapes do not fit together.
+    """
+    system = system_matrices("controller", A=A, B=B, C=C, D=D, x0=x0)
+    u, y, x = system.signals(unit)
+    return linear_model(
+        (u,),
+        (y, x),
+        states=tuple(x.elements),
+        A=system.A,
+        B=system.B,
+        C=system.C,
+        D=system.D,
+        X0=system.x0,
+    )
+
+
+class DiscreteStateSpace:
+    """``x+ = A x + B u``, ``y = C x + D u``: x changes at every step, by u at its start.
+
+    In a scenario a step is a sample period: ``Sampled(DiscreteStateSpace(system), n, hold=True)``.
+
+    Parameters
+    ----------
+    system : SystemMatrices
+    unit : str, optional
+        The unit of y.
+    """
+
+    def __init__(self, system: SystemMatrices, *, unit: str | None = None) -> None:
+        self.system = system
+        u, y, x = system.signals(unit)
+        feedthrough = feedthrough_of(Interface((u,), (y, x)), system.D)
+        self.interface = Interface((u,), (y, x), feedthrough, rollback=True)
+        self._step = linear_step(self.dynamics, system.C, system.D)
+
+    @property
+    def dynamics(self) -> DiscretizedDynamics:
+        """What a step does; u at its end does not matter."""
+        B1 = np.zeros(self.system.B.shape)
+        return DiscretizedDynamics(self.system.A, self.system.B, B1)
+
+    @property
+    def _state(self) -> Vector:
+        return self._step.memory[: len(self.system.x0)]
+
+    def initialize(self, t: float, u: Vector) -> Vector:
+        """Set the initial state."""
+        self._state[:] = self.system.x0
+        return self.outputs(t, u)
+
+    def outputs(self, t: float, u: Vector) -> Vector:
+        """Return y and x."""
+        return affine([(self.system.C, self._state), (self.system.D, u)])
+
+    def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
+        """Take K steps."""
+        return self._step.advance(t, h, u)
+
+    def save(self) -> Vector:
+        """Copy the state."""
+        return self._step.save()
+
+    def restore(self, state: Vector) -> None:
+        """Go back to a saved state."""
+        self._step.restore(state)

@@ -21,6 +21,7 @@ HERE = Path(__file__).resolve().parent
 SOURCES = (
     "loops.c",
     "linear.c",
+    "control.c",
     "elementary.c",
     "runge_kutta.c",
     "expression.c",

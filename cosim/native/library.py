@@ -44,6 +44,28 @@ class DelayStruct(ctypes.Structure):
     _fields_ = (("steps", c_int32), ("width", c_int32), ("memory", c_void_p))
 
 
+class IntegratorStruct(ctypes.Structure):
+    """cosim_integrator."""
+
+    _fields_ = (
+        ("width", c_int32),
+        *((name, c_double) for name in ("lower", "upper")),
+        *((name, c_void_p) for name in ("held", "memory")),
+    )
+
+
+class PidStruct(ctypes.Structure):
+    """cosim_pid."""
+
+    _fields_ = (
+        *((name, c_double) for name in ("gain", "integral_gain", "derivative_gain")),
+        *((name, c_double) for name in ("setpoint_weight", "derivative_weight")),
+        *((name, c_double) for name in ("filter_rate", "tracking_rate")),
+        *((name, c_double) for name in ("lower", "upper", "initial_integral")),
+        *((name, c_void_p) for name in ("held", "memory")),
+    )
+
+
 class MethodStruct(ctypes.Structure):
     """cosim_method."""
 
@@ -183,6 +205,8 @@ _SIGNATURES: dict[str, tuple[Any, tuple[Any, ...]]] = {
             _POINTER,
         ),
     ),
+    "cosim_pid_start": (None, (_POINTER, _POINTER)),
+    "cosim_pid_outputs": (None, (_POINTER, _POINTER, _POINTER)),
     "cosim_method_named": (_INT, (c_char_p, POINTER(MethodStruct))),
     "cosim_runge_kutta_memory": (c_int64, (POINTER(MethodStruct), _INT)),
     "cosim_runge_kutta_start": (_INT, (_POINTER, c_double, _POINTER, _POINTER)),

@@ -6,17 +6,21 @@ import numpy as np
 import pytest
 
 from cosim.arrays import NAN
-from cosim.blocks.arithmetic import Static, gain, limit, sum_of
-from cosim.blocks.dynamics import Delay, lag
+from cosim.blocks.arithmetic import Static, gain, limit, sum_of, switch
+from cosim.blocks.dynamics import Delay, integrator, lag
 from cosim.blocks.identifier import LeastSquaresIdentifier
+from cosim.blocks.limited_integrator import LimitedIntegrator
 from cosim.blocks.look_up import LookUpTable
 from cosim.blocks.observer import observer_model
+from cosim.blocks.pid import Pid, PidParameters
 from cosim.blocks.plant import descriptor_model
+from cosim.blocks.product import Product
 from cosim.blocks.regressor import Regressor
 from cosim.blocks.replay import Replay
 from cosim.blocks.sampled import Decimated, Sampled
 from cosim.blocks.source import Expression, Noise, Table, chirp, constant, ramp, sine, step
-from cosim.blocks.state_space import controller
+from cosim.blocks.state_space import DiscreteStateSpace, controller, system_matrices
+from cosim.blocks.transfer import transfer_function
 from cosim.core.clock import Clock
 from cosim.core.graph import Graph
 from cosim.core.linear import Linear
@@ -84,6 +88,28 @@ def identifier(**options):
     )
 
 
+def discrete():
+    """Return a discrete-time system with a state and feedthrough from its first input only."""
+    A = np.array([[0.9, 0.1], [0.0, -0.5]])
+    D = np.array([[0.5, 0.0], [0.0, 0.0]])
+    return DiscreteStateSpace(
+        system_matrices("test", A=A, B=np.eye(2), C=np.eye(2), D=D, x0=np.array([1.0, -2.0]))
+    )
+
+
+def limited_pid(**more):
+    """Return a PID controller whose output is at its limits much of the time."""
+    times = {"integral_time": 0.01, "derivative_time": 0.005, "lower": -1.0, "upper": 0.5}
+    return Pid(PidParameters(2.0, **times, **more))
+
+
+def sampled_pid():
+    parameters = PidParameters(
+        -2.0, integral_time=0.05, derivative_time=0.01, lower=-1.0, upper=0.5, initial_integral=0.1
+    )
+    return Pid(parameters, period=4 * H)
+
+
 def recording():
     memory = Memory()
     run(
@@ -117,6 +143,10 @@ COMPONENTS = {
     "sum": lambda: sum_of([1.0, -2.0, 0.5], size=2),
     "gain": lambda: gain(np.array([[1.0, 2.0], [0.0, -1.0], [3.0, 0.5]])),
     "limit": lambda: limit(lower=-0.5, upper=0.7, size=2),
+    "product": lambda: Product("*/*", size=2),
+    "reciprocal": lambda: Product("/"),
+    "switch": lambda: switch(threshold=0.3, size=2),
+    "held switch": lambda: switch(discrete=True),
     "look-up table": lambda: LookUpTable(
         [np.array([-1.0, 0.5, 2.0])], np.array([3.0, -1.0, 4.0]), extrapolation="linear"
     ),
@@ -130,7 +160,21 @@ COMPONENTS = {
     "delay": lambda: Delay(3, size=2),
     "delay of one step": lambda: Delay(1),
     "delay from a given start": lambda: Delay(4, initial=7.0),
+    "integrator": lambda: Linear(integrator(initial=1.0, size=2)),
+    "limited integrator": lambda: LimitedIntegrator(lower=-1e-3, upper=2e-3, size=2),
+    "integrator with a lower limit": lambda: LimitedIntegrator(lower=0.0),
+    "transfer function": lambda: Linear(transfer_function([3.0, 1.0, 2.0], [1.0, 70.0, 100.0])),
+    "steady transfer function": lambda: Linear(transfer_function([1.0], [1e-4, 2.0], steady=True)),
     "controller": through,
+    "discrete state space": discrete,
+    "sampled discrete state space": lambda: Sampled(discrete(), 3, hold=True),
+    "P controller": lambda: Pid(PidParameters(2.0, initial_integral=1.0)),
+    "PI controller": lambda: Pid(PidParameters(2.0, integral_time=0.1)),
+    "limited PID controller": limited_pid,
+    "I-PD controller": lambda: limited_pid(setpoint_weight=0.0, tracking_time=1e-4),
+    "PID controller with all weights": lambda: limited_pid(derivative_setpoint_weight=0.5),
+    "PID step of a period": sampled_pid,
+    "sampled PID controller": lambda: Sampled(sampled_pid(), 4, hold=True),
     "plant": plant,
     "plant without algebraic states": plant_without_algebraic_states,
     "observer": observer,
@@ -155,6 +199,12 @@ ROLLBACK = [
     "delay",
     "delay of one step",
     "controller",
+    "integrator",
+    "limited integrator",
+    "transfer function",
+    "discrete state space",
+    "limited PID controller",
+    "PID step of a period",
     "plant",
     "observer",
     "regressor",

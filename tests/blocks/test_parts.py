@@ -1,11 +1,12 @@
-"""Sum, gain, limit, lag, delay, controller, replay against closed forms."""
+"""Sum, gain, product, limit, switch, lag, delay, controller, replay against closed forms."""
 
 import numpy as np
 import pytest
 
 from cosim.blocks import dynamics
-from cosim.blocks.arithmetic import gain, limit, sum_of
+from cosim.blocks.arithmetic import gain, limit, sum_of, switch
 from cosim.blocks.dynamics import Delay, lag
+from cosim.blocks.product import Product
 from cosim.blocks.replay import Replay
 from cosim.blocks.source import sine
 from cosim.blocks.state_space import controller
@@ -15,7 +16,7 @@ from cosim.core.graph import Graph
 from cosim.core.linear import Linear
 from cosim.core.master import run
 from cosim.core.recorders import Memory
-from cosim.errors import GraphError, LogError, UsageError
+from cosim.errors import GraphError, LogError, RunError, UsageError
 from tests.blocks.stepping import drive, times
 
 RANDOM = np.random.default_rng(11).standard_normal((60, 2))
@@ -175,3 +176,43 @@ def test_a_delay_line_counts_the_values_of_all_elements(monkeypatch):
     for steps, size in ((13, 1), (3, 5), (5, 3), (1, 13)):
         with pytest.raises(UsageError, match=f"{steps} communication steps of {size} values do"):
             Delay(steps, size=size)
+
+
+@pytest.mark.parametrize(
+    ("operations", "function"),
+    [
+        ("**", lambda a, b: a * b),
+        ("*/", lambda a, b: a / b),
+        ("/*", lambda a, b: 1.0 / a * b),
+        ("//", lambda a, b: 1.0 / a / b),
+    ],
+)
+def test_a_product_multiplies_and_divides_from_left_to_right(operations, function):
+    """On vectors, with the bits of plain Python."""
+    u = np.hstack([RANDOM, RANDOM[::-1]])
+    y = drive(Product(operations, size=2), u)
+    assert y.tolist() == [[function(a, c), function(b, d)] for a, b, c, d in u.tolist()]
+
+
+def test_a_division_by_zero_stops_the_run_with_the_rows_before_it():
+    """The input is named; it may be 0 where y is multiplied by it."""
+    u = np.array([[0.0, 1.0], [1.0, 2.0], [1.0, 0.0]])
+    text = "product: u2 is 0, and y is divided by it"
+    with pytest.raises(Stopped, match=text) as stop:
+        drive(Product("*/"), u)
+    assert stop.value.outputs.tolist() == [[0.5]]
+    with pytest.raises(RunError, match=r"u1\[1\] is 0, and y is divided by it"):
+        Product("/", size=2).initialize(0.0, np.array([1.0, 0.0]))
+    with pytest.raises(UsageError, match=r"found operations '\*-', needed \* or / for each input"):
+        Product("*-")
+    with pytest.raises(UsageError, match="found operations ''"):
+        Product("")
+
+
+def test_a_switch_takes_the_first_input_at_the_threshold():
+    """And above it; else the second one, as vectors."""
+    control = np.array([0.5, 0.4999, -1.0, 1.0])
+    u = np.column_stack([np.ones((4, 2)), np.full((4, 2), 2.0), control])
+    y = drive(switch(size=2), u)
+    assert y.tolist() == [[1.0, 1.0], [2.0, 2.0], [2.0, 2.0], [1.0, 1.0]]
+    assert drive(switch(threshold=-1.0), u[:, [0, 2, 4]])[2] == 1.0

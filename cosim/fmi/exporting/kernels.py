@@ -14,6 +14,7 @@ import numpy as np
 
 from cosim.arrays import Matrix, Vector
 from cosim.core.signals import Interface
+from cosim.native.control import PidConstants
 from cosim.native.expression import Program
 from cosim.native.step import (
     DiscretizedDynamics,
@@ -22,7 +23,8 @@ from cosim.native.step import (
     RegressorConstants,
 )
 
-# files of cosim/native that a kernel of the method needs
+# files of cosim/native that kernels need: those of controllers, those of the method
+CONTROL: Final = ("control.c", "linear.c")
 ESTIMATION: Final = ("estimate.c", "expression.c", "elementary.c")
 
 
@@ -229,3 +231,54 @@ def limit(lower: float, upper: float) -> Kernel:
     """Write a limit; it has no memory."""
     bounds = f"const double kernel_lower = {lower.hex()}, kernel_upper = {upper.hex()};"
     return Kernel("limit.c", (), 0, (bounds,), f"y = u, at least {lower} and at most {upper}.")
+
+
+def product(operations: str) -> Kernel:
+    """Write a product; it has no memory."""
+    count = len(operations)
+    divides = [operation == "/" for operation in operations]
+    lines = (integer("kernel_count", count), integers("kernel_divides", divides))
+    factors = " ".join(f"{operation} u{i}" for i, operation in enumerate(operations, 1))
+    return Kernel("product.c", (), 0, lines, f"y = 1 {factors}, element by element.")
+
+
+def switch(threshold: float) -> Kernel:
+    """Write a switch; it has no memory."""
+    lines = (f"const double kernel_threshold = {threshold.hex()};",)
+    return Kernel("switch.c", (), 0, lines, f"y = u1 where control >= {threshold}, else y = u2.")
+
+
+def integrator(width: int, lower: float, upper: float, initial: float) -> Kernel:
+    """Write an integrator with limits."""
+    bounds = f"{float(lower).hex()}, {float(upper).hex()}"
+    lines = (
+        f"static const uint8_t held[{width}];",
+        f"const cosim_integrator kernel_constants = {{{width}, {bounds}, held, 0}};",
+        f"const double kernel_initial = {float(initial).hex()};",
+    )
+    equations = (
+        f"y' = u, initially y = {initial}, at least {lower} and at most {upper}: there y stays as "
+        "long as u points outwards. Steps are exact for linearly interpolated inputs."
+    )
+    return Kernel("integrator.c", CONTROL, width, lines, equations)
+
+
+def pid(constants: PidConstants, *, sampled: bool) -> Kernel:
+    """Write a PID controller."""
+    lines = (
+        "static const uint8_t held[2];",
+        f"const cosim_pid kernel_constants = {{{_hexadecimal(constants.numbers)}, held, 0}};",
+        integer("kernel_is_sampled", int(sampled)),
+    )
+    c = constants
+    step = ""
+    if sampled:
+        step = "by Euler's methods from sample to sample, forward for I and backward for w; "
+    equations = (
+        f"v = {c.gain} ({c.setpoint_weight} setpoint - measurement) + I + d - w; "
+        f"y = v, at least {c.lower} and at most {c.upper}; integral = I; {step}"
+        f"I' = {c.integral_gain} (setpoint - measurement) + {c.tracking_rate} (y - v), initially "
+        f"{c.initial_integral}; w' = {c.filter_rate} (d - w), initially d; "
+        f"d = {c.derivative_gain} ({c.derivative_weight} setpoint - measurement)"
+    )
+    return Kernel("pid.c", CONTROL, 2, lines, equations)

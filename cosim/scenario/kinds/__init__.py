@@ -69,17 +69,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from cosim.scenario.kinds.arithmetic import (
+    GainKind,
+    LimitKind,
+    ProductKind,
+    SumKind,
+    SwitchKind,
+)
 from cosim.scenario.kinds.base import BuildContext, ExportableKind, Kind, LinearKind
+from cosim.scenario.kinds.controllers import ControllerKind, DiscreteStateSpaceKind, PidKind
+from cosim.scenario.kinds.dynamics import (
+    DelayKind,
+    IntegratorKind,
+    LagKind,
+    TransferFunctionKind,
+)
 from cosim.scenario.kinds.look_up import LookUpTableKind
 from cosim.scenario.kinds.method import IdentifierKind, RegressorKind, UnknownInputObserverKind
-from cosim.scenario.kinds.parts import (
-    ControllerKind,
-    DelayKind,
-    GainKind,
-    LagKind,
-    LimitKind,
-    SumKind,
-)
 from cosim.scenario.kinds.plants import DescriptorKind, FmuKind, RecordingKind
 from cosim.scenario.kinds.sources import (
     ChirpKind,
@@ -105,11 +111,17 @@ KINDS: Mapping[str, type[Kind]] = {
     "disturbance": DisturbanceKind,
     "sum": SumKind,
     "gain": GainKind,
+    "product": ProductKind,
     "limit": LimitKind,
-    "lag": LagKind,
+    "switch": SwitchKind,
     "look-up-table": LookUpTableKind,
+    "lag": LagKind,
+    "integrator": IntegratorKind,
+    "transfer-function": TransferFunctionKind,
     "delay": DelayKind,
     "controller": ControllerKind,
+    "discrete-state-space": DiscreteStateSpaceKind,
+    "pid": PidKind,
     "descriptor": DescriptorKind,
     "fmu": FmuKind,
     "recording": RecordingKind,

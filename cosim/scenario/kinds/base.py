@@ -240,7 +240,7 @@ class LinearKind(ExportableKind):
     def build(self, name: str, context: BuildContext) -> Component:
         return Linear(self.linear_model(name, context))
 
-    def linear_system(self, name: str, context: BuildContext) -> LinearSystem:
+    def linear_system(self, name: str, context: BuildContext) -> LinearSystem | None:
         model = self.linear_model(name, context)
         return LinearSystem(model.A, model.B, model.C, model.D, error=0.0)
 

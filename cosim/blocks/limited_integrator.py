@@ -1,0 +1,87 @@
+"""Integrator with limits, where integration stops."""
+
+from __future__ import annotations
+
+import sys
+
+from cosim.arrays import Mask, Matrix, Vector
+from cosim.core.contracts import Design
+from cosim.core.signals import Interface, Signal
+from cosim.errors import UsageError
+from cosim.native.control import integrator_step
+
+LARGEST_NUMBER = sys.float_info.max  # a limit that no value reaches
+
+
+class LimitedIntegrator:
+    """``y' = u`` with ``lower <= y <= upper``: at a limit y stays, as long as u points outwards.
+
+    It leaves the limit as soon as u changes its sign (no windup), also inside a communication step:
+    the steps are exact for inputs that are interpolated linearly or held.
+
+    Parameters
+    ----------
+    lower, upper : float
+    initial : float
+        y(0).
+    size : int
+        Number of elements of u and y.
+    unit : str, optional
+        The unit of y.
+
+    Raises
+    ------
+    UsageError
+        If lower is not below upper, or the initial value not within them.
+    """
+
+    def __init__(
+        self,
+        *,
+        lower: float = -LARGEST_NUMBER,
+        upper: float = LARGEST_NUMBER,
+        initial: float = 0.0,
+        size: int = 1,
+        unit: str | None = None,
+    ) -> None:
+        if not lower < upper:
+            raise UsageError(
+                f"integrator: found lower = {lower} and upper = {upper}, needed lower < upper"
+            )
+        if not lower <= initial <= upper:
+            raise UsageError(
+                f"integrator: found initial = {initial}, needed a value from lower = {lower} to "
+                f"upper = {upper}"
+            )
+        self.lower = lower
+        self.upper = upper
+        self.initial = initial
+        u = Signal("u", size)
+        y = Signal("y", size, unit, role="state")
+        self.interface = Interface((u,), (y,), prepares=True, rollback=True)
+
+    def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
+        """Take which inputs are held; there is nothing to record."""
+        self._step = integrator_step(self.lower, self.upper, held)
+        return recorded
+
+    def initialize(self, t: float, u: Vector) -> Vector:
+        """Set y to its initial value."""
+        self._step.memory[:] = self.initial
+        return self.outputs(t, u)
+
+    def outputs(self, t: float, u: Vector) -> Vector:
+        """Return y; ``u`` does not matter."""
+        return self._step.memory.copy()
+
+    def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
+        """Integrate over K steps."""
+        return self._step.advance(t, h, u)
+
+    def save(self) -> Vector:
+        """Copy the state."""
+        return self._step.save()
+
+    def restore(self, state: Vector) -> None:
+        """Go back to a saved state."""
+        self._step.restore(state)

@@ -1,0 +1,91 @@
+"""The steps of ``control.c``: an integrator with limits, and PID controllers."""
+
+from __future__ import annotations
+
+import ctypes
+from dataclasses import astuple, dataclass
+
+import numpy as np
+
+from cosim.arrays import Mask, Vector
+from cosim.native.library import IntegratorStruct, PidStruct, address, library, pointer
+from cosim.native.step import NativeStep
+
+
+def integrator_step(lower: float, upper: float, held: Mask) -> NativeStep:
+    """Build an integrator with limits; its memory is x, shape (n,).
+
+    ``held``, shape (n,): which inputs have a zero-order hold.
+    """
+    width = len(held)
+    memory = np.zeros(width)
+    flags = held.astype(np.uint8)
+    state = IntegratorStruct(width, lower, upper, pointer(flags), pointer(memory))
+    function = address("cosim_integrator_step")
+    return NativeStep(function, state, n_y=width, memory=memory, keep=(flags,))
+
+
+@dataclass(frozen=True, slots=True)
+class PidConstants:
+    """The numbers of cosim_pid, in their order there; ``control.c`` has the equations.
+
+    Parameters
+    ----------
+    gain, integral_gain, derivative_gain : float
+    setpoint_weight, derivative_weight : float
+        Of the setpoint in the proportional and in the derivative part.
+    filter_rate, tracking_rate : float
+        [1/s]; tracking rate 0: there are no limits.
+    lower, upper : float
+    initial_integral : float
+    """
+
+    gain: float
+    integral_gain: float
+    derivative_gain: float
+    setpoint_weight: float
+    derivative_weight: float
+    filter_rate: float
+    tracking_rate: float
+    lower: float
+    upper: float
+    initial_integral: float
+
+    @property
+    def numbers(self) -> tuple[float, ...]:
+        """All of them, in order."""
+        return astuple(self)
+
+
+class PidStep:
+    """The step of a PID controller with its initialization and its outputs.
+
+    Parameters
+    ----------
+    constants : PidConstants
+    held : Mask, shape (2,)
+        Which inputs have a zero-order hold.
+    sampled : bool
+        Euler's methods from sample to sample, instead of what is continuous in time.
+    """
+
+    def __init__(self, constants: PidConstants, held: Mask, *, sampled: bool) -> None:
+        memory = np.zeros(2)
+        flags = held.astype(np.uint8)
+        state = PidStruct(*constants.numbers, pointer(flags), pointer(memory))
+        function = address("cosim_sampled_pid_step" if sampled else "cosim_pid_step")
+        self.step = NativeStep(function, state, n_y=2, memory=memory, keep=(flags,))
+
+    def initialize(self, u: Vector) -> None:
+        """Begin with the initial integral part, and as if the inputs had been constant before."""
+        state = ctypes.addressof(self.step.state)
+        inputs = np.ascontiguousarray(u)
+        library.cosim_pid_start(state, pointer(inputs))
+
+    def outputs(self, u: Vector) -> Vector:
+        """Compute y and the integral part, for inputs ``u`` at the time reached."""
+        state = ctypes.addressof(self.step.state)
+        inputs = np.ascontiguousarray(u)
+        y = np.empty(2)
+        library.cosim_pid_outputs(state, pointer(inputs), pointer(y))
+        return y

@@ -1,0 +1,168 @@
+"""Controllers: linear ones by their matrices, continuous or discrete in time, and PID."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Literal
+
+import numpy as np
+from pydantic import Field
+
+from cosim.blocks.pid import Pid, PidParameters
+from cosim.blocks.sampled import Sampled
+from cosim.blocks.state_space import DiscreteStateSpace, controller, system_matrices
+from cosim.core.clock import NANOSECONDS
+from cosim.core.contracts import Component
+from cosim.core.linear import Linear, LinearModel
+from cosim.core.signals import Interface
+from cosim.fmi.exporting import kernels
+from cosim.fmi.exporting.kernels import DiscreteModel, Kernel
+from cosim.fmi.exporting.specifications import Exportable
+from cosim.native.step import first_order_hold
+from cosim.scenario.kinds.base import (
+    BuildContext,
+    ExportableKind,
+    LinearKind,
+    PeriodicKind,
+    Wiring,
+)
+from cosim.scenario.schema import Number, NumberRow, NumberRows, matrix
+
+
+class ControllerKind(PeriodicKind, LinearKind):
+    """Linear controller x' = A x + B u, y = C x + D u; with a period: zero-order hold of u."""
+
+    ports: ClassVar[str] = "u -> y, x"
+    kind: Literal["controller"]
+    A: NumberRows = Field(description="matrix (n, n)")
+    B: NumberRows = Field(description="matrix (n, inputs)")
+    C: NumberRows = Field(description="matrix (outputs, n)")
+    D: NumberRows | None = Field(None, description="matrix (outputs, inputs); default: zero")
+    x0: NumberRow | None = Field(None, description="x(0); default: zero")
+
+    def with_period(self, component: Component, n: int) -> Component:
+        # A period of one communication step still holds u over it.
+        return component if self.period is None else Sampled(component, n, hold=True)
+
+    def linear_model(self, name: str, context: BuildContext) -> LinearModel:
+        D = None if self.D is None else matrix(self.D, "D")
+        x0 = None if self.x0 is None else np.array(self.x0)
+        A = matrix(self.A, "A")
+        B = matrix(self.B, "B")
+        C = matrix(self.C, "C")
+        return controller(A=A, B=B, C=C, D=D, x0=x0, unit=self.unit_name)
+
+    def exportable(self, name: str, context: BuildContext, wiring: Wiring) -> Exportable:
+        model = self.linear_model(name, context)
+        if self.period is None:
+            return model
+        every = self.period_steps(name, context.step_ns)
+        period = context.step_ns * every / NANOSECONDS
+        all_held = np.ones(model.interface.n_u, np.bool_)
+        discretization = first_order_hold(model.A, model.B, period, all_held)
+        kernel = kernels.sampled(discretization, C=model.C, D=model.D, X0=model.X0)
+        component = self.with_period(Linear(model), every)
+        return _sampled_model(component.interface, kernel, context.step_ns, every)
+
+
+class DiscreteStateSpaceKind(PeriodicKind, ExportableKind):
+    """Discrete-time system x+ = A x + B u, y = C x + D u; u is sampled, y and x are held."""
+
+    ports: ClassVar[str] = "u -> y, x"
+    kind: Literal["discrete-state-space"]
+    period: Number = Field(description="sample period [s], whole communication steps")
+    A: NumberRows = Field(description="matrix (n, n)")
+    B: NumberRows = Field(description="matrix (n, inputs)")
+    C: NumberRows = Field(description="matrix (outputs, n)")
+    D: NumberRows | None = Field(None, description="matrix (outputs, inputs); default: zero")
+    x0: NumberRow | None = Field(None, description="x(0); default: zero")
+
+    def with_period(self, component: Component, n: int) -> Component:
+        return Sampled(component, n, hold=True)
+
+    def build(self, name: str, context: BuildContext) -> DiscreteStateSpace:
+        system = system_matrices(
+            "discrete-state-space",
+            A=matrix(self.A, "A"),
+            B=matrix(self.B, "B"),
+            C=matrix(self.C, "C"),
+            D=None if self.D is None else matrix(self.D, "D"),
+            x0=None if self.x0 is None else np.array(self.x0),
+        )
+        return DiscreteStateSpace(system, unit=self.unit_name)
+
+    def exportable(self, name: str, context: BuildContext, wiring: Wiring) -> Exportable:
+        component = self.build(name, context)
+        system = component.system
+        kernel = kernels.sampled(component.dynamics, C=system.C, D=system.D, X0=system.x0)
+        every = self.period_steps(name, context.step_ns)
+        interface = self.with_period(component, every).interface
+        return _sampled_model(interface, kernel, context.step_ns, every)
+
+
+class PidKind(PeriodicKind, ExportableKind):
+    """PID controller in ISA form with limits and anti-windup; with a period: a digital one."""
+
+    ports: ClassVar[str] = "setpoint, measurement -> y, integral"
+    kind: Literal["pid"]
+    gain: Number = Field(description="K; y = K (b setpoint - measurement) + integral + derivative")
+    integral_time: Number | None = Field(None, description="Ti [s]; default: no integral part")
+    derivative_time: Number = Field(0.0, description="Td [s]; 0: no derivative part")
+    derivative_gain_limit: Number = Field(
+        10.0, description="N: the derivative is filtered with the time constant Td/N"
+    )
+    setpoint_weight: Number = Field(1.0, description="b, of the setpoint in the proportional part")
+    derivative_setpoint_weight: Number = Field(
+        0.0, description="c, of the setpoint in the derivative part"
+    )
+    lower: Number | None = Field(None, description="lower limit of y; default: none")
+    upper: Number | None = Field(None, description="upper limit of y; default: none")
+    tracking_time: Number | None = Field(
+        None,
+        description="Tt [s]: how fast the integral part follows y at a limit (back-calculation "
+        "against windup); default: sqrt(Ti Td), without a derivative part Ti",
+    )
+    initial_integral: Number = Field(
+        0.0, description="integral(0), for a bumpless start; without integral_time it stays"
+    )
+
+    def with_period(self, component: Component, n: int) -> Component:
+        return component if self.period is None else Sampled(component, n, hold=True)
+
+    def build(self, name: str, context: BuildContext) -> Pid:
+        parameters = PidParameters(
+            gain=self.gain,
+            integral_time=self.integral_time,
+            derivative_time=self.derivative_time,
+            derivative_gain_limit=self.derivative_gain_limit,
+            setpoint_weight=self.setpoint_weight,
+            derivative_setpoint_weight=self.derivative_setpoint_weight,
+            lower=self.lower,
+            upper=self.upper,
+            tracking_time=self.tracking_time,
+            initial_integral=self.initial_integral,
+        )
+        period = None
+        if self.period is not None:
+            period = context.step_ns * self.period_steps(name, context.step_ns) / NANOSECONDS
+        return Pid(parameters, period=period, unit=self.unit_name)
+
+    def exportable(self, name: str, context: BuildContext, wiring: Wiring) -> Exportable:
+        component = self.build(name, context)
+        kernel = kernels.pid(component.constants, sampled=self.period is not None)
+        if self.period is None:
+            reason = "its output reaches and leaves its limits within a step"
+            return DiscreteModel(component.interface, kernel, 0, reason)
+        every = self.period_steps(name, context.step_ns)
+        interface = self.with_period(component, every).interface
+        return _sampled_model(interface, kernel, context.step_ns, every)
+
+
+def _sampled_model(interface: Interface, kernel: Kernel, step_ns: int, every: int) -> DiscreteModel:
+    """Return a controller that samples and holds every so many communication steps."""
+    reason = (
+        "with a period the controller samples and holds, so it lives at the communication "
+        "points and has no derivatives"
+    )
+    return DiscreteModel(
+        interface, kernel, step_ns, reason, steps_per_sample=every, zero_order_hold=True
+    )
