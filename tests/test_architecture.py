@@ -10,12 +10,13 @@ import pytest
 import cosim
 
 ROOT = Path(cosim.__file__).parent
-BASE = {"errors", "arguments", "arrays", "files", "units", "version", "lazy"}
+BASE = {"errors", "arguments", "arrays", "files", "temporary", "units", "version", "lazy"}
 ALLOWED = {
     "errors": set(),
     "arguments": {"errors"},
     "arrays": set(),
     "files": set(),
+    "temporary": set(),
     "units": set(),
     "version": set(),
     "lazy": set(),

@@ -15,6 +15,7 @@ import threading
 import pytest
 
 import cosim
+from tests.fmi.eventful import build
 
 ONE = "from cosim.cli import main; main()"
 EIGHT = """
@@ -240,3 +241,54 @@ def test_an_ignored_signal_does_not_end_a_run(start, tmp_path):
     process.communicate(timeout=60)
     assert process.returncode == 143
     assert_whole(path, "terminated from outside")
+
+
+SCENARIO = """
+[scenario]
+name = "x"
+stop = {stop}
+step = 0.1
+[components.plant]
+kind = "fmu"
+path = "{path}"
+start = {{ p = {p} }}
+[components.zero]
+kind = "constant"
+value = 0.0
+[connections]
+"plant.u" = "zero.y"
+"plant.d" = "zero.y"
+"""
+
+
+@pytest.mark.parametrize("end", ["success", "stop", "refused", "failed", *ENDS, "killed"])
+def test_no_temporary_folder_is_left(start, tmp_path, end):
+    """However a run with an FMU ends; what a killed one leaves, the next removes."""
+    scenario = tmp_path / "x.toml"
+    stop = 1e6 if end in (*ENDS, "killed") else 1.0
+    p = 0.325 if end == "stop" else 1e9
+    text = SCENARIO.format(stop=stop, path=build("ENDS"), p=p)
+    if end == "failed":
+        text += '[components.large]\nkind = "ramp"\nvalue = 1.7e308\nslope = 1e308\n'
+    if end == "refused":
+        text += '"plant.none" = "zero.y"\n'
+    scenario.write_text(text)
+    path = tmp_path / "x.mcap"
+    process = start("run", scenario, "--out", path)
+    if stop > 1.0:
+        wait_for(path, process)
+        (folder,) = (tmp_path / "temporary").iterdir()
+        assert folder.name.startswith("cosim.fmu-")
+        process.send_signal(signal.SIGKILL if end == "killed" else end[0])
+    process.communicate(timeout=60)
+    codes = {"success": 0, "stop": 0, "refused": 2, "failed": 1, "killed": -9}
+    assert process.returncode == (codes[end] if end in codes else end[1])
+    if end == "killed":
+        assert folder.exists()
+        long_ago = folder.stat().st_mtime - 3600
+        os.utime(folder, (long_ago, long_ago))
+        scenario.write_text(text.replace(f"stop = {stop}", "stop = 1.0"))
+        start("run", scenario, "--out", path, "--force").communicate(timeout=60)
+    assert os.listdir(tmp_path / "temporary") == []
+    expected = {"temporary", "x.toml"} | ({"x.mcap"} if end != "refused" else set())
+    assert set(os.listdir(tmp_path)) == expected

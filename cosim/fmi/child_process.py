@@ -15,11 +15,11 @@ from collections.abc import Sequence
 from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, TypeAlias
 
 from cosim.errors import RunError
 from cosim.fmi.trial_cache import keep_problems, read_problems
+from cosim.temporary import TemporaryFolder
 
 if TYPE_CHECKING:
     from cosim.fmi.description import InterfaceType
@@ -107,8 +107,8 @@ def attempt(task: TrialTask, *arguments: str, timeout: float = TIMEOUT) -> tuple
     timeout : float
         After it the child and what it started are killed [s].
     """
-    with TemporaryDirectory(prefix="cosim-trial-", ignore_cleanup_errors=True) as folder:
-        log = Path(folder) / "result"
+    with TemporaryFolder("trial") as folder:
+        log = folder / "result"
         log.touch()
         child = subprocess.Popen(
             [sys.executable, "-m", TRIAL, task, str(log), *arguments],
@@ -150,7 +150,7 @@ def run_command(arguments: Sequence[str], *, columns: int | None) -> CommandResu
     RunError
         If the child crashes.
     """
-    with TemporaryDirectory(prefix="cosim-command-", ignore_cleanup_errors=True) as folder:
+    with TemporaryFolder("command") as folder:
         child = subprocess.Popen(
             [sys.executable, "-m", "cosim", *arguments],
             env=_environment(folder, COMMAND_VARIABLE, str(columns or 0)),
@@ -172,7 +172,7 @@ def run_command(arguments: Sequence[str], *, columns: int | None) -> CommandResu
     return CommandResult(output, messages, child.returncode)
 
 
-def _environment(folder: str, variable: str, value: str = "1") -> dict[str, str]:
+def _environment(folder: Path, variable: str, value: str = "1") -> dict[str, str]:
     """Return one in which the child finds this package, and keeps temporary files in ``folder``.
 
     ``variable`` says to the child what it is.
@@ -184,7 +184,7 @@ def _environment(folder: str, variable: str, value: str = "1") -> dict[str, str]
         variable: value,
         "PYTHONIOENCODING": "utf-8",
     }
-    return os.environ | added | dict.fromkeys(("TMPDIR", "TEMP", "TMP"), folder)
+    return os.environ | added | dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(folder))
 
 
 def _kill(child: subprocess.Popen[Any]) -> None:

@@ -6,8 +6,6 @@
 
 from __future__ import annotations
 
-import shutil
-import tempfile
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -32,6 +30,7 @@ from cosim.fmi.options import DEFAULT_OPTIONS, FmuOptions
 from cosim.fmi.platforms import ARCHITECTURE, SUFFIX, folders
 from cosim.fmi.reading.archive import read_archive
 from cosim.fmi.reading.model_description import Archive, read
+from cosim.temporary import TemporaryFolder
 
 __all__ = ["CoSimulation", "DescribedFmu", "Fmu", "ModelExchange", "describe", "load"]
 
@@ -49,7 +48,7 @@ class Fmu:
     interface_type : {"me", "cs"}
     instance : LoadedInstance
     component : Guarded
-    folder : Path
+    folder : TemporaryFolder
         Where it was unpacked.
     solving : mapping
         Of a model exchange FMU: what is known of its solver.
@@ -64,7 +63,7 @@ class Fmu:
         *,
         instance: LoadedInstance,
         component: Guarded,
-        folder: Path,
+        folder: TemporaryFolder,
         solving: Mapping[str, str | float],
         notes: tuple[str, ...] = (),
     ) -> None:
@@ -161,7 +160,7 @@ class Fmu:
             with self.component.outside(None):
                 self._instance.free_instance()
         finally:
-            shutil.rmtree(self._folder, ignore_errors=True)
+            self._folder.remove()
 
 
 def load(
@@ -188,7 +187,8 @@ def load(
         If it is no FMU, cannot run here or with these options, or a start value is wrong. Nothing
         is left behind.
     """
-    folder = Path(tempfile.mkdtemp(prefix="cosim-fmu-"))
+    temporary = TemporaryFolder("fmu")
+    folder = temporary.path
     instance: LoadedInstance | None = None
     process = Process()
     process.save()
@@ -213,7 +213,7 @@ def load(
     except BaseException:
         if instance is not None:
             instance.free_instance()
-        shutil.rmtree(folder, ignore_errors=True)
+        temporary.remove()
         process.restore()
         raise
     changes = process.restore()
@@ -225,7 +225,7 @@ def load(
         interface_type,
         instance=instance,
         component=Guarded(component, description.name),
-        folder=folder,
+        folder=temporary,
         solving=solving,
         notes=notes,
     )

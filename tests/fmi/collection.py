@@ -15,9 +15,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 from zipfile import BadZipFile, ZipFile
+
+from cosim.temporary import TemporaryFolder
 
 STEPS = 10  # communication steps of a run
 TIMEOUT = 40.0  # s, of a child
@@ -113,15 +114,15 @@ def interface_types(path: Path) -> list[str]:
 
 def run_in_child(tool: str, path: Path, interface_type: str) -> Outcome:
     """Run an FMU with one tool."""
-    with TemporaryDirectory(prefix="cosim-collection-") as folder:
-        result = Path(folder) / "result.json"
+    with TemporaryFolder("collection") as folder:
+        result = folder / "result.json"
         root = Path(__file__).parents[2]
         arguments = [tool, str(path.resolve()), interface_type, str(result)]
         try:
             child = subprocess.run(
                 [sys.executable, "-m", "tests.fmi.collection", "--child", *arguments],
                 cwd=folder,
-                env={**os.environ, "PYTHONPATH": str(root), "TMPDIR": folder},
+                env={**os.environ, "PYTHONPATH": str(root), "TMPDIR": str(folder)},
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.PIPE,

@@ -1,28 +1,27 @@
 """FMUs of C, compiled for the tests: what no generator of Python FMUs can show."""
 
+import atexit
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from types import MappingProxyType
 
 import fmpy
 
 from cosim.fmi.platforms import SUFFIX, folders
 from cosim.native import build
+from cosim.temporary import TemporaryFolder
 
 HERE = Path(__file__).parent / "c"
 NOTHING: Mapping[str, str] = MappingProxyType({})
 HEADERS = Path(fmpy.__file__).parent / "c-code"
 
 
-_FOLDERS: list[TemporaryDirectory[str]] = []  # they are removed when the process ends
-
-
 def kept_folder() -> Path:
     """Make a folder that stays until the process ends."""
-    _FOLDERS.append(TemporaryDirectory(prefix="cosim-test-", ignore_cleanup_errors=True))
-    return Path(_FOLDERS[-1].name)
+    folder = TemporaryFolder("test")
+    atexit.register(folder.remove)
+    return folder.path
 
 
 def compile_fmu(

@@ -55,7 +55,7 @@ def check_binaries(fmu, platforms, fmi):
             content = archive.read(f"binaries/{folder}/plant{PLATFORMS[platform].suffix}")
             assert machine(content) == MACHINES[platform]
             assert f"fmi{fmi}DoStep".encode() in content
-            assert b"cosim-export" not in content  # where it was compiled
+            assert b"cosim.export" not in content  # where it was compiled
 
 
 @needs_zig

@@ -29,7 +29,7 @@ def mapped():
     if not maps.exists():
         return set()
     lines = maps.read_text().splitlines()
-    return {line.split()[5] for line in lines if "cosim-fmu-" in line}
+    return {line.split()[5] for line in lines if "cosim.fmu-" in line}
 
 
 @pytest.fixture(autouse=True)

@@ -9,7 +9,6 @@ import importlib.util
 import pickle
 from collections.abc import Iterator
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Final
 from xml.etree.ElementTree import Element
 
@@ -38,6 +37,7 @@ from cosim.fmi.reading.model_description import (
     open_description,
 )
 from cosim.fmi.reading.variables import major, read_definitions
+from cosim.temporary import TemporaryFolder
 
 __all__ = ["Finding", "Severity", "check"]
 
@@ -78,8 +78,8 @@ def check(
     """
     path = Path(path)
     need_file(path)
-    with TemporaryDirectory(prefix="cosim-check-") as temporary, collector_paused():
-        folder = Path(temporary) / "unpacked"
+    with TemporaryFolder("check") as temporary, collector_paused():
+        folder = temporary / "unpacked"
         folder.mkdir()
         try:
             root, contents = open_description(path, folder)

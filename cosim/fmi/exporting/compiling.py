@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Final
 
 from cosim.errors import FmuError, nearest, option
 from cosim.fmi.platforms import ARCHITECTURE, SUFFIX, SYSTEM, folders
 from cosim.native import build
+from cosim.temporary import TemporaryFolder
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,19 +111,18 @@ def compile_sources(
     FmuError
         If the compiler refuses the sources.
     """
-    with TemporaryDirectory(prefix="cosim-export-") as folder:
+    with TemporaryFolder("export") as folder:
         for file, content in sources.items():
-            (Path(folder) / file).write_bytes(content)
-        files = [Path(folder) / file for file in main]
+            (folder / file).write_bytes(content)
+        files = [folder / file for file in main]
         try:
             if platforms:
                 return [
-                    _cross_compile(files, Path(folder), name, version, platform)
-                    for platform in platforms
+                    _cross_compile(files, folder, name, version, platform) for platform in platforms
                 ]
             if not build.compiler():
                 return []
-            return [_compile_here(files, Path(folder), name, version)]
+            return [_compile_here(files, folder, name, version)]
         except RuntimeError as error:
             raise FmuError(f"the FMU {name!r} could not be compiled: {error}") from error
 
