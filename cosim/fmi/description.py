@@ -22,7 +22,7 @@ PortVariables: TypeAlias = tuple[tuple[Signal, tuple[Variable, ...]], ...]
 VariableDependencies: TypeAlias = Mapping[str, tuple[str, ...] | None]  # None: not declared
 INTERFACE_TYPES: tuple[InterfaceType, ...] = ("me", "cs")
 INTERFACE_TYPE_NAMES: Mapping[InterfaceType, str] = {"me": "model exchange", "cs": "co-simulation"}
-ELEMENT: Final = re.compile(r"(?P<name>.*[^\]])\[(?P<number>\d+)\]")
+ELEMENT: Final = re.compile(r"(?P<name>.*[^\]])\[(?P<number>[0-9]{1,9})\]")
 # Begins the description of a variable that may have no value; FMI has no other word for it.
 NO_VALUE: Final = "NaN: no value yet"
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from typing import TYPE_CHECKING, Any
 
 from cosim.core.connections import Connection, Ports, unit_reached
@@ -236,7 +236,9 @@ def _vectors(description: Description) -> dict[str, list[str]]:
 
 def _variable_row(variable: Variable) -> Section:
     """Return all of a variable; infinite limits are None."""
-    row = asdict(variable)
+    # Not by asdict, which copies every value of very many variables deeply.
+    row = {field.name: getattr(variable, field.name) for field in fields(variable)}
+    row["base"] = None if variable.base is None else asdict(variable.base)
     for limit in ("minimum", "maximum"):
         if math.isinf(row[limit]):
             row[limit] = None

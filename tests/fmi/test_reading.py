@@ -355,7 +355,7 @@ def test_other_sizes(described):
 @pytest.mark.parametrize(
     ("sizes", "text"),
     [
-        ({"m": 2}, "three: no variable 'm'; .*There is: time, n, u"),
+        ({"m": 2}, "three: no variable 'm'; .*here is: time, n, u"),
         ({"small": 2}, "three: 'small' is no structural parameter, but of causality parameter"),
         ({"n": 0}, "three: structural parameter 'n': found 0, needed a whole number from 1 to 5"),
         ({"n": 6}, "three: structural parameter 'n': found 6, needed a whole number from 1 to 5"),

@@ -8,6 +8,7 @@ from __future__ import annotations
 import importlib.util
 import pickle
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Final
 from xml.etree.ElementTree import Element
@@ -86,13 +87,19 @@ def check(
         except FmuError as error:
             where = "archive" if XML not in str(error) else "XML"
             return (Finding("error", where, _without_path(path, error)),)
-        description, findings = _check_description(path, root, contents)
+        description, findings = _describe(path, root, contents)
         findings += _check_binaries(folder, description)
-        if not any(_prevents_trials(finding) for finding in findings):
+        if any(_prevents_trials(finding) for finding in findings):
+            findings += _check_description(root, contents, description)
+        else:
             check_start(resized(description, start), start)
             given = Path(temporary) / "given"
             given.write_bytes(_trial_input(path, contents, description, start))
-            findings += _run_trials(path, folder, description, given, timeout)
+            # The trials are other processes, and need not be waited for.
+            with ThreadPoolExecutor(max_workers=1) as pool:
+                trials = pool.submit(_run_trials, path, folder, description, given, timeout)
+                findings += _check_description(root, contents, description)
+                findings += trials.result()
     unique = dict.fromkeys(findings)
     return tuple(sorted(unique, key=lambda finding: LEVELS.index(finding.level)))
 
@@ -118,19 +125,26 @@ def _prevents_trials(finding: Finding) -> bool:
 # --- the description ---
 
 
-def _check_description(
+def _describe(
     path: Path, root: Element, contents: ArchiveContents
 ) -> tuple[Description, list[Finding]]:
+    """Return the description, and what is wrong with reading it."""
     attributes = Attributes()
     description = describe_root(root, contents, path.stem, attributes)
-    definitions = read_definitions(root, Attributes())  # its problems are known by now
-    xml = contents.wanted[XML]
     findings = [Finding("error", "XML", problem) for problem in attributes.problems]
     findings += [Finding("warning", "archive", text) for text in contents.warnings]
     findings += [Finding("warning", "XML", text) for text in attributes.warnings]
-    findings += _validate_schema(xml, major(root))
-    findings += check_structure(root, description, definitions)
     return description, findings
+
+
+def _check_description(
+    root: Element, contents: ArchiveContents, description: Description
+) -> list[Finding]:
+    """Return what the schema and the rules beyond it forbid."""
+    definitions = read_definitions(root, Attributes())  # its problems are known by now
+    findings = _validate_schema(contents.wanted[XML], major(root))
+    findings += check_structure(root, description, definitions)
+    return findings
 
 
 def _validate_schema(xml: bytes, version: int) -> list[Finding]:
