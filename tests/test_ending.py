@@ -269,7 +269,7 @@ def test_no_temporary_folder_is_left(start, tmp_path, end):
     p = 0.325 if end == "stop" else 1e9
     text = SCENARIO.format(stop=stop, path=build("ENDS"), p=p)
     if end == "failed":
-        text += '[components.large]\nkind = "ramp"\nvalue = 1.7e308\nslope = 1e308\n'
+        text += '[components.large]\nkind = "ramp"\noffset = 1.7e308\nslope = 1e308\n'
     if end == "refused":
         text += '"plant.none" = "zero.y"\n'
     scenario.write_text(text)
