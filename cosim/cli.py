@@ -183,7 +183,7 @@ def run(
         print_dry_run(edited, as_json=as_json)
         return
     path = out or Path("logs") / f"{edited.name}.mcap"
-    _need_plot(plot)
+    _need_plot(plot, out)
     seconds: dict[str, float] | None = {} if profile else None
     with _progress(quiet or as_json) as progress:
         log = run_scenario(
@@ -256,7 +256,7 @@ def replay(
     edits = _edits(changes)
     if stop is not None:
         edits["scenario.stop"] = stop
-    _need_plot(plot)
+    _need_plot(plot, out)
     with _progress(quiet or as_json) as progress:
         again = replay_log(source, out=out, force=force, set=edits, progress=progress)
     if plot is not None:
@@ -351,7 +351,7 @@ def compare(
         ((name, path),) = _pairs([text], "swap").items()
         alternatives.setdefault(name, []).append(path)
     loaded = load(scenario)
-    _need_plot(plot)
+    _need_plot(plot, out)
     if plot is not None and not loaded.file.truth:
         raise UsageError("the scenario has no [truth], so there are no estimates to plot")
     comparison = compare_plants(
@@ -667,11 +667,19 @@ def linearize(
         print_linearization(linearization, as_json=as_json)
 
 
-def _need_plot(out: Path | None) -> None:
+def _need_plot(plot: Path | None, out: Path | None) -> None:
+    """Refuse a picture that could not be drawn, before the run whose logs go to ``out``."""
     from cosim.report.plots import need_plot
 
-    if out is not None:
-        need_plot(out)
+    if plot is None:
+        return
+    need_plot(plot)
+    if out is None:
+        return
+    picture = Path(os.path.realpath(plot))
+    target = Path(os.path.realpath(out))
+    if target == picture or (target.suffix == ".mcap" and target in picture.parents):
+        raise UsageError(f"--plot {plot}: found the path of the log, --out {out}; needed another")
 
 
 def _pairs(texts: list[str] | None, name: str) -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""Files that are read: regular ones, of a bounded size.
+"""Files that are read: regular ones, of a bounded size; and places where files can be written.
 
 A device, a pipe or a socket may never end, or never begin; what a user names must not stop the
 program there. Whatever is refused is an ``OSError``, as every other reason why a file cannot be
@@ -10,6 +10,7 @@ from __future__ import annotations
 import errno
 import os
 import stat
+import tempfile
 from pathlib import Path
 from typing import Final
 
@@ -70,6 +71,37 @@ def check_size(path: Path, size: int, largest: int) -> None:
     if size > largest:
         text = f"it is too large: more than {largest} bytes"
         raise OSError(errno.EFBIG, text, str(path))
+
+
+def check_writable(path: Path) -> None:
+    """Check that a file can be written, in a folder that is there or can be made.
+
+    Raises
+    ------
+    OSError
+        If it cannot, or something else stands there.
+    """
+    if path.exists():
+        _check_type(str(path), path.stat())
+        if not os.access(path, os.W_OK):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
+    check_folder(path.parent)
+
+
+def check_folder(folder: Path) -> None:
+    """Check that a folder takes new files; where it is missing, that it can be made.
+
+    Raises
+    ------
+    OSError
+        If it does not.
+    """
+    nearest = Path(os.path.abspath(folder))
+    while not os.path.lexists(nearest):
+        nearest = nearest.parent
+    # A file is tried, as permissions do not say everything; it has no name, or not for long.
+    with tempfile.TemporaryFile(dir=nearest):
+        pass
 
 
 def _check_type(path: str, status: os.stat_result) -> None:

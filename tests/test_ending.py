@@ -15,6 +15,7 @@ import threading
 import pytest
 
 import cosim
+from cosim.cli import main
 from tests.fmi.eventful import build
 
 ONE = "from cosim.cli import main; main()"
@@ -292,3 +293,90 @@ def test_no_temporary_folder_is_left(start, tmp_path, end):
     assert os.listdir(tmp_path / "temporary") == []
     expected = {"temporary", "x.toml"} | ({"x.mcap"} if end != "refused" else set())
     assert set(os.listdir(tmp_path)) == expected
+
+
+# --- places that cannot be written ---
+
+
+@pytest.fixture
+def call(tmp_path, monkeypatch, capsys):
+    """Call the command line in an empty folder; a run would be an error of the test."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").touch()
+    (tmp_path / "folder.mcap").mkdir()
+    (tmp_path / "folder.png").mkdir()
+    (tmp_path / "folder.fmu").mkdir()
+    os.mkfifo(tmp_path / "pipe.png")
+
+    def call(*arguments):
+        with pytest.raises(SystemExit) as ended:
+            main(list(arguments))
+        return ended.value.code, capsys.readouterr().err
+
+    return call
+
+
+PLACES = [
+    ("/proc/x{}", "/proc/x{}"),  # a folder that takes no files, whoever asks
+    ("/proc/deep/x{}", "/proc/deep/x{}"),
+    ("file/x{}", "file/x{}"),
+    ("folder{}", "folder{}"),
+]
+COMMANDS = [
+    (".mcap", ("run", "academic", "--force", "--out")),
+    (".png", ("run", "academic", "--plot")),
+    (".mcap", ("replay", "a.mcap", "--force", "--out")),
+    (".png", ("replay", "a.mcap", "--plot")),
+    (".png", ("compare", "academic", "--swap", "plant=a.mcap", "--plot")),
+    (".png", ("plot", "a.mcap", "plant.y", "--out")),
+    (".fmu", ("export", "academic", "--component", "plant", "--force", "--out")),
+]
+
+
+@pytest.mark.parametrize(("ending", "command"), COMMANDS, ids=lambda value: "-".join(value[:1]))
+def test_a_place_that_cannot_be_written_is_refused_before_the_run(
+    call, tmp_path, monkeypatch, ending, command
+):
+    """Every output file of every command: the error names it, and nothing has been computed."""
+    if "a.mcap" in command or "plant=a.mcap" in command:
+        cosim.run("academic", out="a.mcap", set={"scenario.stop": 0.01})
+    monkeypatch.setattr("cosim.scenario.execution._run_into", None)
+    monkeypatch.setattr("cosim.scenario.exporting.export", None)
+    before = set(os.listdir(tmp_path))
+    for place, named in PLACES:
+        code, err = call(*command, place.format(ending))
+        assert code == 2, (place, err)
+        assert named.format(ending) in err
+        assert "cannot be" in err or "is a folder" in err
+    assert set(os.listdir(tmp_path)) == before
+
+
+def test_a_picture_cannot_replace_a_log_or_go_to_a_pipe(call, tmp_path, monkeypatch):
+    """Two outputs need two paths; a pipe may have no other end."""
+    monkeypatch.setattr("cosim.scenario.execution._run_into", None)
+    for arguments, text in [
+        (("--out", "a.mcap", "--plot", "a.mcap"), "found the ending '.mcap'"),
+        (("--out", "a.mcap", "--plot", "a.mcap/x.png"), "found the path of the log"),
+        (("--plot", "pipe.png"), "it is a pipe, not a regular file"),
+        (("--out", "a.log"), "a log needs a path that ends in .mcap"),
+        (("--out", "folder.mcap"), "is a folder; name a file"),
+    ]:
+        code, err = call("run", "academic", *arguments)
+        assert (code, text in err) == (2, True), err
+
+
+def test_a_comparison_is_refused_before_its_first_run(call, tmp_path, monkeypatch):
+    """Where the log of any of its plants exists, or its folder takes none."""
+    cosim.run("academic", out="a.mcap", set={"scenario.stop": 0.01})
+    (tmp_path / "logs").mkdir()
+    (tmp_path / "logs" / "a.mcap").touch()
+    monkeypatch.setattr("cosim.scenario.execution._run_into", None)
+    command = ("compare", "academic", "--swap", "plant=a.mcap", "--out")
+    code, err = call(*command, "logs")
+    assert (code, "logs/a.mcap exists" in err) == (2, True), err
+    for folder in ("/proc", "/proc/x", "file"):
+        code, err = call(*command, folder)
+        assert (code, "cannot be created" in err) == (2, True), err
+    code, err = call(*command, "x.png", "--plot", "x.png")
+    assert (code, "found the path of the log" in err) == (2, True), err
+    assert os.listdir(tmp_path / "logs") == ["a.mcap"]

@@ -6,8 +6,8 @@ import os
 from pathlib import Path
 from typing import BinaryIO
 
-from cosim.errors import LogError
-from cosim.files import regular
+from cosim.errors import LogError, flag
+from cosim.files import check_folder, regular
 
 _SHOWN = 60  # characters of a name that is refused
 
@@ -31,6 +31,26 @@ def log_path(path: str | os.PathLike[str]) -> Path:
         reason = error.strerror or error
         raise LogError(f"{_shown(path)} cannot be used for a log: {reason}") from error
     return result
+
+
+def check_new_log(path: Path, *, force: bool, numbered: bool) -> None:
+    """Check that a log can be written to a path.
+
+    Raises
+    ------
+    LogError
+        If a file stands there and shall neither be replaced nor kept beside the new one, the path
+        is a folder, or its folder takes no files.
+    """
+    if not numbered and path.is_dir():
+        raise LogError(f"{path} is a folder; name a file, such as {path / 'run.mcap'}")
+    if not numbered and not force and path.exists():
+        raise LogError(f"{path} exists; choose another path, or {flag('force')} to replace it")
+    try:
+        check_folder(path.parent)
+    except OSError as error:
+        reason = error.strerror or error
+        raise LogError(f"{path} cannot be created: {reason}") from error
 
 
 def _shown(path: object) -> str:

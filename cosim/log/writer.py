@@ -17,14 +17,14 @@ from cosim.arrays import Matrix
 from cosim.core.contracts import Block, MessageLevel, Plan
 from cosim.core.recorders import EndOfRun, end_of_run
 from cosim.core.signals import Interface
-from cosim.errors import LogError, LogWriteError, RunError, flag
+from cosim.errors import LogError, LogWriteError, RunError
 from cosim.log.buffer import RowBuffer, message_batch
 from cosim.log.compression import Compression
 from cosim.log.content import combine_hashes
 from cosim.log.environment import library_name
 from cosim.log.interrupts import uninterrupted
 from cosim.log.layout import Part, signals_json, split_channel
-from cosim.log.paths import log_path
+from cosim.log.paths import check_new_log, log_path
 from cosim.log.preamble import Attachment, write_parts, write_preamble
 from cosim.log.reader import Log
 from cosim.log.result import LastRow, write_result
@@ -114,23 +114,14 @@ class McapRecorder:
         return Log(self.path, self._file.own)
 
     def __enter__(self) -> Self:
-        """Refuse a path that exists.
+        """Refuse a path that a log cannot be written to.
 
         Raises
         ------
         LogError
-            If the file exists and ``force`` is false, or the path is a folder.
+            If the file exists and is to stay, the path is a folder, or its folder takes no files.
         """
-        if self._numbered:
-            return self
-        if self.path.is_dir():
-            raise LogError(
-                f"{self.path} is a folder; name a file, such as {self.path / 'run.mcap'}"
-            )
-        if not self._force and self.path.exists():
-            raise LogError(
-                f"{self.path} exists; choose another path, or {flag('force')} to replace it"
-            )
+        check_new_log(self.path, force=self._force, numbered=self._numbered)
         return self
 
     def __exit__(

@@ -19,7 +19,7 @@ from cosim.errors import CosimError, Interrupted, UsageError, flag, nearest, opt
 from cosim.log import Log
 from cosim.report.recorded import difference, has_signal
 from cosim.report.summary import Summary, summarize
-from cosim.scenario.execution import load, run
+from cosim.scenario.execution import check_target, load, run
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.recorded import truth_of
 from cosim.scenario.swap import PortNames, component_table, port_names
@@ -186,9 +186,13 @@ def compare(
         alternatives.append(_Alternative(_label(path), path, maps[path], changes))
     loaded.edit(set=common)  # a problem of all plants is raised once, before anything runs
     labels = _distinct([alternative.label for alternative in alternatives])
-    outcomes = []
-    for label, alternative in zip(labels, alternatives, strict=True):
+    logs: list[Path | None] = []
+    for label in labels:
         log = None if folder is None else folder / f"{label.replace('#', '-')}.mcap"
+        check_target(log, force=force)  # all of them, before the first run
+        logs.append(log)
+    outcomes = []
+    for label, alternative, log in zip(labels, alternatives, logs, strict=True):
         outcomes.append(_run(loaded, component, label, alternative, log=log, force=force))
     return Comparison(loaded.name, component, tuple(outcomes))
 

@@ -24,7 +24,7 @@ from cosim.core.recorders import Memory, Watched
 from cosim.errors import LogError, UsageError, command, option, quoted
 from cosim.log import Log, McapRecorder, open_log
 from cosim.log.metadata import json_table, shown
-from cosim.log.paths import log_path
+from cosim.log.paths import check_new_log, log_path
 from cosim.scenario.build import Builder, Experiment, parse
 from cosim.scenario.document import Document, find
 from cosim.scenario.edits import short
@@ -156,7 +156,7 @@ def run(
     CosimError
         UsageError before the first step, RunError after it; see :mod:`cosim.errors`.
     """
-    _check_target(out, recorder)
+    _check_recorder(out, recorder)
     truth_argument("force", force)
     truth_argument("numbered", numbered)
     if force and numbered:
@@ -167,6 +167,7 @@ def run(
     whole_argument("block", block)
     callable_argument("progress", progress)
     _check_profile(profile)
+    check_target(out, force=force, numbered=numbered)
     loaded = scenario if isinstance(scenario, Scenario) else load(scenario)
     edited = loaded.edit(swap=swap, map=map, set=set)
     with ExitStack() as resources:
@@ -183,7 +184,7 @@ def _check_profile(profile: object) -> None:
         raise UsageError(f"{option('profile')}: found {quoted(profile)}; needed a dict, to fill")
 
 
-def _check_target(out: str | Path | None, recorder: Recorder | None) -> None:
+def _check_recorder(out: str | Path | None, recorder: Recorder | None) -> None:
     if out is not None and recorder is not None:
         raise UsageError(
             f"found both out={str(out)!r} and a recorder; needed one of them: "
@@ -194,7 +195,6 @@ def _check_target(out: str | Path | None, recorder: Recorder | None) -> None:
             f"recorder: found {quoted(recorder)}; needed an object with the methods of "
             "cosim.core.Recorder"
         )
-    _check_path(out)
 
 
 def _built(scenario: Scenario, resources: ExitStack, block: int | None) -> Experiment:
@@ -231,11 +231,11 @@ def replay(
     truth_argument("force", force)
     whole_argument("block", block)
     callable_argument("progress", progress)
-    _check_path(out)
     wanted = mapping_argument("set", set)
     source = log if isinstance(log, Log) else open_log(log)
     if out is not None and os.path.realpath(out) == os.path.realpath(source.path):
         raise UsageError(f"{out} is the log that is replayed; choose another path")
+    check_target(out, force=force)
     changes = _replay_changes(source, wanted)
     original = recorded_document(source)
     document = original.with_changes(changes)
@@ -383,9 +383,20 @@ def _recorded_in(source: Log, scenario: Scenario) -> list[str]:
     return [name for name in source.channels if name in specs and not specs[name].computable]
 
 
-def _check_path(out: str | Path | None) -> None:
-    if out is not None and log_path(out).suffix != ".mcap":
+def check_target(out: str | Path | None, *, force: bool = False, numbered: bool = False) -> None:
+    """Refuse a path that the log of a run cannot be written to; None: it is kept in memory.
+
+    Raises
+    ------
+    UsageError
+        If it does not end as a log does, is taken, or no file can be written there.
+    """
+    if out is None:
+        return
+    path = log_path(out)
+    if path.suffix != ".mcap":
         raise UsageError(f"{out}: a log needs a path that ends in .mcap")
+    check_new_log(path, force=force, numbered=numbered)
 
 
 def _record(

@@ -18,6 +18,7 @@ from cosim.core.linear import DescriptorModel
 from cosim.core.port import Port
 from cosim.core.signals import Signal
 from cosim.errors import UsageError, flag, nearest
+from cosim.files import check_writable
 from cosim.fmi.exporting.export import export
 from cosim.fmi.exporting.specifications import Exportable
 from cosim.scenario.build import Builder, build_context
@@ -93,6 +94,10 @@ def _check_path(out: Path, *, force: bool) -> None:
         raise UsageError(f"{out}: needed a path that ends in .fmu")
     if out.exists() and not force:
         raise UsageError(f"{out} exists; choose another path, or {flag('force')} to replace it")
+    try:
+        check_writable(out)
+    except OSError as error:
+        raise UsageError(f"{out} cannot be written: {error.strerror}") from error
 
 
 def model_identifier(name: str) -> str:

@@ -10,6 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from cosim.errors import UsageError
+from cosim.files import check_writable
 
 CENTIMETRE: Final = 1.0 / 2.54  # inches
 SMALLEST: Final = 3.0  # cm
@@ -66,12 +67,17 @@ def need_plot(out: Path) -> None:
     Raises
     ------
     UsageError
-        If there is no matplotlib, or if ``out`` does not end as a picture does.
+        If there is no matplotlib, or if ``out`` does not end as a picture does or cannot be
+        written.
     """
     formats = _new_figure().canvas.get_supported_filetypes()
     if out.suffix.lower().removeprefix(".") not in formats:
         known = ", ".join(sorted(formats))
         raise UsageError(f"{out}: found the ending {out.suffix!r}, needed one of: {known}")
+    try:
+        check_writable(out)
+    except OSError as error:
+        raise UsageError(f"{out} cannot be written: {error.strerror}") from error
 
 
 class Picture:
