@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import sys
-
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.contracts import Design
 from cosim.core.signals import Interface, Signal
 from cosim.errors import UsageError
-from cosim.native.control import integrator_step
-
-LARGEST_NUMBER = sys.float_info.max  # a limit that no value reaches
+from cosim.native.control import LARGEST_NUMBER, integrator_step
 
 
 class LimitedIntegrator:

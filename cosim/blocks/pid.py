@@ -24,11 +24,10 @@ import math
 from dataclasses import dataclass
 
 from cosim.arrays import Mask, Matrix, Vector
-from cosim.blocks.limited_integrator import LARGEST_NUMBER
 from cosim.core.contracts import Design
 from cosim.core.signals import Interface, Signal
 from cosim.errors import UsageError
-from cosim.native.control import PidConstants, PidStep
+from cosim.native.control import LARGEST_NUMBER, PidConstants, PidStep
 
 
 @dataclass(frozen=True, slots=True)

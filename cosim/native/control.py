@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import sys
 from dataclasses import astuple, dataclass
 
 import numpy as np
@@ -10,6 +11,8 @@ import numpy as np
 from cosim.arrays import Mask, Vector
 from cosim.native.library import IntegratorStruct, PidStruct, address, library, pointer
 from cosim.native.step import NativeStep
+
+LARGEST_NUMBER = sys.float_info.max  # a limit that no value reaches
 
 
 def integrator_step(lower: float, upper: float, held: Mask) -> NativeStep:
@@ -50,6 +53,11 @@ class PidConstants:
     lower: float
     upper: float
     initial_integral: float
+
+    @property
+    def is_limited(self) -> bool:
+        """Whether y has a limit that it can reach."""
+        return self.lower > -LARGEST_NUMBER or self.upper < LARGEST_NUMBER
 
     @property
     def numbers(self) -> tuple[float, ...]:

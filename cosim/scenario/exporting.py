@@ -20,6 +20,7 @@ from cosim.core.signals import Signal
 from cosim.errors import UsageError, flag, nearest
 from cosim.files import check_writable
 from cosim.fmi.exporting.export import export
+from cosim.fmi.exporting.kernels import DiscreteModel
 from cosim.fmi.exporting.specifications import Exportable
 from cosim.scenario.build import Builder, build_context
 from cosim.scenario.execution import load
@@ -74,8 +75,8 @@ def export_component(
         if dae:
             model = _descriptor_model(loaded, component, resources)
         else:
-            ordinary, has_held_outputs = _model(loaded, component, resources)
-            model = _discrete(ordinary) if has_held_outputs and fmi == "3" else ordinary
+            # only in FMI 3 has co-simulation events, in which discrete signals jump
+            model, has_held_outputs = _model(loaded, component, resources, has_events=fmi == "3")
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         exported = export(
@@ -126,8 +127,13 @@ def _descriptor_model(scenario: Scenario, component: str, resources: ExitStack) 
     return spec.descriptor_form(build_context(scenario, resources))
 
 
-def _model(scenario: Scenario, component: str, resources: ExitStack) -> tuple[Exportable, bool]:
-    """Return the model of a component, and whether all its signals have a zero-order hold."""
+def _model(
+    scenario: Scenario, component: str, resources: ExitStack, *, has_events: bool
+) -> tuple[Exportable, bool]:
+    """Return the model of a component, and whether all its signals have a zero-order hold.
+
+    ``has_events``: its signals that jump are discrete ones.
+    """
     spec = scenario.specs[component]
     if not isinstance(spec, ExportableKind):
         raise UsageError(
@@ -139,7 +145,12 @@ def _model(scenario: Scenario, component: str, resources: ExitStack) -> tuple[Ex
     interface = declare_units(model.interface, spec.units)
     model = replace(model, interface=interface)
     inherits = any(signal.variability == "inherited" for signal in model.interface.outputs)
-    return model, inherits and wiring.is_discrete
+    is_held = inherits and wiring.is_discrete
+    if has_events and is_held:
+        model = _discrete(model)
+    elif has_events and isinstance(model, DiscreteModel) and not model.kernel.affine:
+        model = _with_jumping_inputs(model, wiring)
+    return model, is_held
 
 
 @final
@@ -160,6 +171,13 @@ class _GraphWiring:
         """Which input elements keep their value over a communication step, shape (n_u,)."""
         return self._graph.held[self._component]
 
+    def is_driven_by_discrete(self, name: str) -> bool:
+        """Return whether all that drives an input is discrete."""
+        connection = self._graph.connections.get(Port(self._component, name))
+        sources = () if connection is None else connection.sources
+        found = {self._graph.variability(port) for port in sources}
+        return found == {"discrete"}
+
     @property
     def is_discrete(self) -> bool:
         """Whether outputs that inherit their variability are discrete."""
@@ -176,6 +194,15 @@ def _discrete(model: Exportable) -> Exportable:
     outputs = _discrete_signals(model.interface.outputs)
     interface = replace(model.interface, inputs=inputs, outputs=outputs)
     return replace(model, interface=interface)
+
+
+def _with_jumping_inputs(model: Exportable, wiring: _GraphWiring) -> Exportable:
+    """Return the model with those inputs discrete that jump, for no derivative leads beyond one."""
+    inputs: list[Signal] = []
+    for signal in model.interface.inputs:
+        jumping = wiring.is_driven_by_discrete(signal.name)
+        inputs.append(replace(signal, variability="discrete") if jumping else signal)
+    return replace(model, interface=replace(model.interface, inputs=tuple(inputs)))
 
 
 def _discrete_signals(signals: Iterable[Signal]) -> tuple[Signal, ...]:

@@ -46,6 +46,9 @@ class Kernel:
         What it computes, for people.
     linear : bool
         The outputs are the inputs times constants.
+    affine : bool
+        At one instant the outputs change in proportion to the inputs, so that derivatives lead from
+        some inputs to others; else an FMU provides none.
     """
 
     source: str
@@ -54,6 +57,7 @@ class Kernel:
     constants: tuple[str, ...]
     equations: str
     linear: bool = False
+    affine: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -230,7 +234,8 @@ def sampled(discrete: DiscretizedDynamics, *, C: Matrix, D: Matrix, X0: Vector) 
 def limit(lower: float, upper: float) -> Kernel:
     """Write a limit; it has no memory."""
     bounds = f"const double kernel_lower = {lower.hex()}, kernel_upper = {upper.hex()};"
-    return Kernel("limit.c", (), 0, (bounds,), f"y = u, at least {lower} and at most {upper}.")
+    equations = f"y = u, at least {lower} and at most {upper}."
+    return Kernel("limit.c", (), 0, (bounds,), equations, affine=False)
 
 
 def product(operations: str) -> Kernel:
@@ -239,13 +244,15 @@ def product(operations: str) -> Kernel:
     divides = [operation == "/" for operation in operations]
     lines = (integer("kernel_count", count), integers("kernel_divides", divides))
     factors = " ".join(f"{operation} u{i}" for i, operation in enumerate(operations, 1))
-    return Kernel("product.c", (), 0, lines, f"y = 1 {factors}, element by element.")
+    equations = f"y = 1 {factors}, element by element."
+    return Kernel("product.c", (), 0, lines, equations, affine=False)
 
 
 def switch(threshold: float) -> Kernel:
     """Write a switch; it has no memory."""
     lines = (f"const double kernel_threshold = {threshold.hex()};",)
-    return Kernel("switch.c", (), 0, lines, f"y = u1 where control >= {threshold}, else y = u2.")
+    equations = f"y = u1 where control >= {threshold}, else y = u2."
+    return Kernel("switch.c", (), 0, lines, equations, affine=False)
 
 
 def integrator(width: int, lower: float, upper: float, initial: float) -> Kernel:
@@ -281,4 +288,4 @@ def pid(constants: PidConstants, *, sampled: bool) -> Kernel:
         f"{c.initial_integral}; w' = {c.filter_rate} (d - w), initially d; "
         f"d = {c.derivative_gain} ({c.derivative_weight} setpoint - measurement)"
     )
-    return Kernel("pid.c", CONTROL, 2, lines, equations)
+    return Kernel("pid.c", CONTROL, 2, lines, equations, affine=not constants.is_limited)

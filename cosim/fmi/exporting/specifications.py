@@ -259,7 +259,13 @@ def _specify_discrete(model: DiscreteModel, name: str) -> ExportSpecification:
     m = model.interface.n_u
     p = model.interface.n_y
     step = model.step_ns / NANOSECONDS if model.step_ns else None
-    able = replace(CO_SIMULATION, variable_step=step is None, fixed_step=step)
+    able = replace(
+        CO_SIMULATION,
+        variable_step=step is None,
+        fixed_step=step,
+        directional_derivatives=model.kernel.affine,
+        adjoint_derivatives=model.kernel.affine,
+    )
     description = replace(
         describe(model, name, None),
         capabilities={"cs": able},

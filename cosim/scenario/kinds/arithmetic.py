@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -135,11 +134,6 @@ class SwitchKind(ExportableKind):
 
     def exportable(self, name: str, context: BuildContext, wiring: Wiring) -> Exportable:
         interface = self.build(name, context).interface
-        if wiring.held[-1]:
-            # an FMU learns of a jump in an event, so that y jumps at its instant
-            u1, u2, control = interface.inputs
-            jumping = replace(control, variability="discrete")
-            interface = replace(interface, inputs=(u1, u2, jumping))
         kernel = kernels.switch(float(self.threshold))
         return DiscreteModel(interface, kernel, 0, "a switch jumps, so it has no derivatives there")
 

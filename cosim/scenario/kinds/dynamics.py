@@ -7,7 +7,7 @@ from typing import ClassVar, Literal
 from pydantic import Field
 
 from cosim.blocks import dynamics
-from cosim.blocks.limited_integrator import LARGEST_NUMBER, LimitedIntegrator
+from cosim.blocks.limited_integrator import LimitedIntegrator
 from cosim.blocks.transfer import transfer_function
 from cosim.core.clock import whole_steps
 from cosim.core.contracts import Component
@@ -15,6 +15,7 @@ from cosim.core.linear import LinearModel
 from cosim.fmi.exporting import kernels
 from cosim.fmi.exporting.kernels import DiscreteModel
 from cosim.fmi.exporting.specifications import Exportable
+from cosim.native.control import LARGEST_NUMBER
 from cosim.scenario.kinds.base import (
     BuildContext,
     ExportableKind,
