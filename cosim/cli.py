@@ -192,6 +192,7 @@ def run(
             force=force and out is not None,
             numbered=out is None,
             progress=progress,
+            notice=None if quiet else _notice,
             profile=seconds,
         )
     wall = {"imports": imported - BEGAN, "run and log": perf_counter() - imported}
@@ -258,7 +259,10 @@ def replay(
         edits["scenario.stop"] = stop
     _need_plot(plot, out)
     with _progress(quiet or as_json) as progress:
-        again = replay_log(source, out=out, force=force, set=edits, progress=progress)
+        notice = None if quiet else _notice
+        again = replay_log(
+            source, out=out, force=force, set=edits, progress=progress, notice=notice
+        )
     if plot is not None:
         plot_run(again, plot)
     if verify:
@@ -665,6 +669,10 @@ def linearize(
         typer.echo(model_table(linearization, disturbances), nl=False)
     else:
         print_linearization(linearization, as_json=as_json)
+
+
+def _notice(text: str) -> None:
+    typer.echo(printable(text), err=True)
 
 
 def _need_plot(plot: Path | None, out: Path | None) -> None:

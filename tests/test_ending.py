@@ -31,7 +31,7 @@ for _ in range(8):
 codes = [os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) for child in children]
 sys.exit(max(codes))
 """
-LONG = ("closed-loop", "--stop", "10000")
+LONG = ("closed-loop", "--stop", "10000", "--quiet")
 
 
 @pytest.fixture(autouse=True)
@@ -293,6 +293,30 @@ def test_no_temporary_folder_is_left(start, tmp_path, end):
     assert os.listdir(tmp_path / "temporary") == []
     expected = {"temporary", "x.toml"} | ({"x.mcap"} if end != "refused" else set())
     assert set(os.listdir(tmp_path)) == expected
+
+
+LIMITED = """
+import resource
+resource.setrlimit(resource.RLIMIT_FSIZE, (1_500_000, 1_500_000))
+from cosim.cli import main
+main()
+"""
+
+
+def test_a_file_that_may_not_grow_ends_the_run_with_a_whole_log(start, tmp_path):
+    """As on a full disk: exit 1, and the message says up to where the log goes."""
+    path = tmp_path / "a.mcap"
+    process = start("run", *LONG, "--out", path, code=LIMITED)
+    out, err = process.communicate(timeout=60)
+    assert (process.returncode, out) == (1, "")
+    message = f"cosim: {path} cannot be written further: File too large; up to t = "
+    assert err.startswith(message)
+    log = cosim.open_log(path)
+    assert err == f"{message}{log.end_ns / 1e9} s it is a valid file\n"
+    assert (log.status, log.content_hash()) == ("failed", log.recorded_hash)
+    assert path.stat().st_size <= 1_500_000
+    assert sorted(os.listdir(tmp_path)) == ["a.mcap", "temporary"]
+    assert os.listdir(tmp_path / "temporary") == []
 
 
 # --- places that cannot be written ---

@@ -209,11 +209,19 @@ class Watched:
     recorder : Recorder
     reached : callable
         Called with every block after it has been recorded; what it raises ends the run, cleanly.
+    began : callable, optional
+        Called once, before the first step.
     """
 
-    def __init__(self, recorder: Recorder, reached: Callable[[Block], None]) -> None:
+    def __init__(
+        self,
+        recorder: Recorder,
+        reached: Callable[[Block], None],
+        began: Callable[[], None] | None = None,
+    ) -> None:
         self._recorder = recorder
         self._reached = reached
+        self._began = began
 
     def __enter__(self) -> Self:
         self._recorder.__enter__()
@@ -228,8 +236,10 @@ class Watched:
         self._recorder.__exit__(error_type, error, trace)
 
     def begin(self, plan: Plan) -> None:
-        """Pass on."""
+        """Pass on, then report."""
         self._recorder.begin(plan)
+        if self._began is not None:
+            self._began()
 
     def message(self, time_ns: int, level: MessageLevel, source: str, text: str) -> None:
         """Pass on."""

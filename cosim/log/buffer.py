@@ -57,6 +57,11 @@ class RowBuffer:
             self._parts.append((part, records))
 
     @property
+    def capacity(self) -> int:
+        """The number of rows that fill a chunk."""
+        return self._capacity
+
+    @property
     def full(self) -> bool:
         """Whether there is no room for another row."""
         return self._count == self._capacity

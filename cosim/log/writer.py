@@ -30,6 +30,7 @@ from cosim.log.reader import Log
 from cosim.log.result import LastRow, write_result
 from cosim.log.schema import encode_log
 from cosim.log.sink import Mark, Sink
+from cosim.log.size import size_bound
 from cosim.log.unfinished import UnfinishedLog
 
 _FLUSH_AFTER = 1.0  # s of wall time
@@ -182,11 +183,22 @@ class McapRecorder:
             self._hashes[channel.name] = hashlib.sha256()
         numbered_parts = list(zip(channel_ids, parts, strict=True))
         self._buffer = RowBuffer(plan.layout, numbered_parts)
+        self._plan = plan
         self._step_ns = plan.step_ns
         self._start_ns = 0  # the first row says it
         # Last: with a sink the file is completed, and that needs everything above.
         self._sink = sink
         self._add_checkpoint()
+
+    def size_bound(self, steps: int) -> int:
+        """Return how large the file can become in a run of so many steps [bytes].
+
+        An upper bound without the messages, of any compression; known once the run has begun.
+        """
+        assert self._sink is not None
+        start = self._sink.mark().position
+        parts = self._parts(self._plan)
+        return size_bound(parts, steps, start=start, capacity=self._buffer.capacity)
 
     def _parts(self, plan: Plan) -> list[Part]:
         parts = []

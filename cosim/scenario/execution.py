@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -44,17 +45,20 @@ from cosim.scenario.swap_comparison import build_swapped
 from cosim.scenario.swap_report import SwapReports
 
 Progress = Callable[[float, float], None]  # simulated time, end [s]
+Notice = Callable[[str], None]
+_LARGE = 10**9  # bytes of a log that are worth a word
 
 OwnRecorder = TypeVar("OwnRecorder", bound=Recorder)
 
 
 @dataclass(frozen=True, slots=True)
 class _Target:
-    """Where a run is recorded, and what is done with a log that is there; None: in memory."""
+    """Where a run is recorded: over or beside a log that is there; None: in memory."""
 
     out: str | Path | None
     force: bool = False
     numbered: bool = False
+    notice: Notice | None = None
 
 
 def load(name: str | Path) -> Scenario:
@@ -82,6 +86,7 @@ def run(
     map: Mapping[str, PortNames] | None = None,
     block: int | None = None,
     progress: Progress | None = None,
+    notice: Notice | None = None,
     profile: dict[str, float] | None = None,
     recorder: None = None,
 ) -> Log | Memory: ...
@@ -96,6 +101,7 @@ def run(
     map: Mapping[str, PortNames] | None = None,
     block: int | None = None,
     progress: Progress | None = None,
+    notice: Notice | None = None,
     profile: dict[str, float] | None = None,
     recorder: OwnRecorder,
 ) -> OwnRecorder: ...
@@ -112,6 +118,7 @@ def run(
     map: Mapping[str, PortNames] | None = None,
     block: int | None = None,
     progress: Progress | None = None,
+    notice: Notice | None = None,
     profile: dict[str, float] | None = None,
     recorder: Recorder | None = None,
 ) -> Log | Memory | Recorder:
@@ -140,6 +147,9 @@ def run(
         Communication steps in a block; the result does not depend on it.
     progress : callable, optional
         Called with simulated time and end [s] as the run goes on.
+    notice : callable, optional
+        Called with a text before the first step, if the log may become large, or larger than the
+        disk has room for.
     profile : dict, optional
         Filled with wall seconds by component.
     recorder : Recorder, optional
@@ -166,6 +176,7 @@ def run(
         )
     whole_argument("block", block)
     callable_argument("progress", progress)
+    callable_argument("notice", notice)
     _check_profile(profile)
     check_target(out, force=force, numbered=numbered)
     loaded = scenario if isinstance(scenario, Scenario) else load(scenario)
@@ -175,7 +186,7 @@ def run(
         if recorder is not None:
             _run_into(recorder, experiment, {}, progress=progress, profile=profile)
             return recorder
-        target = _Target(out, force, numbered)
+        target = _Target(out, force, numbered, notice)
         return _record(experiment, {}, target, progress=progress, profile=profile)
 
 
@@ -213,6 +224,7 @@ def replay(
     set: Mapping[str, Any] | None = None,
     block: int | None = None,
     progress: Progress | None = None,
+    notice: Notice | None = None,
 ) -> Log | Memory:
     """Run the scenario of a log again, with its recorded plants; only the log is needed.
 
@@ -231,6 +243,7 @@ def replay(
     truth_argument("force", force)
     whole_argument("block", block)
     callable_argument("progress", progress)
+    callable_argument("notice", notice)
     wanted = mapping_argument("set", set)
     source = log if isinstance(log, Log) else open_log(log)
     if out is not None and os.path.realpath(out) == os.path.realpath(source.path):
@@ -259,7 +272,7 @@ def replay(
         copied = tuple(recorded_components(experiment))
         origin = ReplayOrigin(str(source.path), source.recorded_hash, copied)
         experiment = replace(experiment, origin=origin)
-        return _record(experiment, designs, _Target(out, force), progress=progress)
+        return _record(experiment, designs, _Target(out, force, notice=notice), progress=progress)
 
 
 def _replay_changes(source: Log, wanted: Mapping[str, Any]) -> dict[str, Any]:
@@ -417,8 +430,24 @@ def _record(
     if is_read and not target.numbered:
         raise UsageError(f"{out} is read in this run; choose another path for the log")
     log = _log_recorder(experiment, out, target)
-    _run_into(log, experiment, designs, progress=progress, profile=profile)
+
+    def began() -> None:
+        if target.notice is not None:
+            _announce_size(log, experiment.clock.steps, target.notice)
+
+    _run_into(log, experiment, designs, progress=progress, profile=profile, began=began)
     return log.recorded()
+
+
+def _announce_size(log: McapRecorder, steps: int, notice: Notice) -> None:
+    """Say how large a log may become, if that is much or more than there is room for."""
+    bound = log.size_bound(steps)
+    free = shutil.disk_usage(log.path.parent).free
+    text = f"{log.path} takes up to {bound / 1e9:.3g} GB, before compression and without messages"
+    if bound > free:
+        notice(f"warning: {text}; there are {free / 1e9:.3g} GB left on its disk")
+    elif bound > _LARGE:
+        notice(text)
 
 
 def _run_into(
@@ -428,18 +457,20 @@ def _run_into(
     *,
     progress: Progress | None,
     profile: dict[str, float] | None,
+    began: Callable[[], None] | None = None,
 ) -> None:
     """Run an experiment; its rows, messages and results go to the recorder."""
     seconds: dict[str, float] = {}  # of this run alone, whatever is in the dict to fill
     graph = experiment.graph if profile is None else _timed(experiment.graph, seconds)
     with_messages = MessageRecorder(recorder, experiment)
-    began = perf_counter()
+    first = perf_counter()
     with interruptible() as check:
-        watched = _watched(with_messages, experiment, progress, check)
+        reached = _reached(experiment, progress, check)
+        watched = Watched(with_messages, reached, began)
         plan = experiment.plan or graph.prepare(experiment.clock.step_ns, designs)
         run_graph(graph, experiment.clock, watched, plan)
     if profile is not None:
-        elapsed = perf_counter() - began
+        elapsed = perf_counter() - first
         seconds["recorder and master"] = elapsed - sum(seconds.values())
         profile.update(seconds)
 
@@ -481,9 +512,9 @@ def _timed(graph: Graph, profile: dict[str, float]) -> Graph:
     )
 
 
-def _watched(
-    recorder: Recorder, experiment: Experiment, progress: Progress | None, check: Callable[[], None]
-) -> Recorder:
+def _reached(
+    experiment: Experiment, progress: Progress | None, check: Callable[[], None]
+) -> Callable[[Block], None]:
     end = experiment.clock.stop
 
     def reached(block: Block) -> None:
@@ -491,4 +522,4 @@ def _watched(
             progress(float(block.time[-1]), end)
         check()
 
-    return Watched(recorder, reached)
+    return reached

@@ -1,0 +1,55 @@
+"""How large a log may become."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+from cosim.core.signals import Channel
+from cosim.log.layout import Part, record_dtype
+
+_LONGEST: Final = 864_000  # s of wall time: ten days, with one chunk a second
+_CHUNK: Final = 256  # bytes of a chunk beside its records, with its entry in the summary; 194
+_CHUNK_CHANNEL: Final = 25  # bytes a chunk has for each channel: 15 in its index, 10 in the summary
+_INDEX_ENTRY: Final = 16  # bytes that the index has for each message
+_EXPANSION: Final = 255  # a compression makes a chunk longer by one part of this, at most
+_END: Final = 8192  # bytes of the result and the records that close the file
+_VALUE: Final = 64  # bytes of a value in the result, beside its name
+_ESCAPED: Final = 6  # bytes of a character of a name in JSON
+
+
+def size_bound(parts: Sequence[Part], steps: int, *, start: int, capacity: int) -> int:
+    """Return how large the log of a run can become, without its messages [bytes].
+
+    It is an upper bound for every compression, of a run that takes ten days at most.
+
+    Parameters
+    ----------
+    parts : sequence of Part
+    steps : int
+        Of the run.
+    start : int
+        Bytes of the file before its first row.
+    capacity : int
+        Rows that fill a chunk.
+    """
+    rows = steps + 1
+    chunks = -(-rows // capacity) + min(rows, _LONGEST)
+    records = 0
+    for part in parts:
+        messages = steps // part.channel.period + 1
+        records += messages * (record_dtype(part.size).itemsize + _INDEX_ENTRY)
+    channels = {part.channel.name: part.channel for part in parts}
+    values = sum(map(_result_bytes, channels.values()))
+    overhead = chunks * (_CHUNK + len(parts) * _CHUNK_CHANNEL)
+    # Twice the start: the summary repeats its schemas and channels.
+    return records + records // _EXPANSION + overhead + 2 * start + values + _END
+
+
+def _result_bytes(channel: Channel) -> int:
+    """Return how long the last values of a channel are in the result, at most."""
+    total = 0
+    for signal in channel.signals:
+        name = len(channel.name) + len(signal.name)
+        total += signal.size * (_VALUE + _ESCAPED * name)
+    return total
