@@ -33,6 +33,10 @@ class ControllerKind(PeriodicKind, LinearKind):
 
     ports: ClassVar[str] = "u -> y, x"
     kind: Literal["controller"]
+    period: Number | None = Field(
+        None,
+        description="sample period [s], whole communication steps; default: continuous in time",
+    )
     A: NumberRows = Field(description="matrix (n, n)")
     B: NumberRows = Field(description="matrix (n, inputs)")
     C: NumberRows = Field(description="matrix (outputs, n)")
@@ -104,6 +108,10 @@ class PidKind(PeriodicKind, ExportableKind):
 
     ports: ClassVar[str] = "setpoint, measurement -> y, integral"
     kind: Literal["pid"]
+    period: Number | None = Field(
+        None,
+        description="sample period [s], whole communication steps; default: continuous in time",
+    )
     gain: Number = Field(description="K; y = K (b setpoint - measurement) + integral + derivative")
     integral_time: Number | None = Field(None, description="Ti [s]; default: no integral part")
     derivative_time: Number = Field(0.0, description="Td [s]; 0: no derivative part")
