@@ -244,6 +244,26 @@ def test_an_ignored_signal_does_not_end_a_run(start, tmp_path):
     assert_whole(path, "terminated from outside")
 
 
+@pytest.mark.parametrize(("number", "reason"), [(number, reason) for number, _, reason in ENDS])
+def test_a_second_signal_ends_a_run_in_the_midst_of_a_block(tmp_path, number, reason):
+    """The first waits for the end of the block; the second raises where the run is."""
+    path = tmp_path / "a.mcap"
+    reached = []
+
+    def press(time, end):
+        signal.raise_signal(number)
+        reached.append("first")
+        signal.raise_signal(number)
+        reached.append("second")
+
+    with pytest.raises(KeyboardInterrupt):
+        cosim.run("academic", out=path, set={"scenario.stop": 0.05}, progress=press)
+    assert reached == ["first"]
+    log = cosim.open_log(path)
+    assert (log.status, log.reason) == ("interrupted", reason)
+    assert log.content_hash() == log.recorded_hash
+
+
 SCENARIO = """
 [scenario]
 name = "x"
