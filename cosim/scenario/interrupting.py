@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import TypeAlias
 
@@ -35,7 +35,8 @@ def interruptible() -> Iterator[Check]:
             return
         before = handlers[number]
         if callable(before):
-            before(number, frame)
+            with suppress(KeyboardInterrupt):  # it has no reason
+                before(number, frame)
         raise KeyboardInterrupt(REASONS[number])
 
     def check() -> None:
