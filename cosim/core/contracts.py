@@ -40,7 +40,9 @@ class Component(Protocol):
     def initialize(self, t: float, u: Vector) -> Vector:
         """Set the initial state at ``t`` for inputs ``u``; return the outputs, shape (n_y,).
 
-        Forgets the past. May be called again with other inputs until the first advance.
+        Forgets the past. May be called again with other inputs until the first advance. The outputs
+        that a run starts with are those of :meth:`outputs` then, which may differ: an FMU leaves
+        its initialization there.
         """
         ...
 

@@ -17,9 +17,15 @@ sweep along the rest of it gives them back as w(v), and w(v) = v is solved
 3. the residual is compared with the values, and 1 - w' must be regular: else the initial values are
    not determined.
 
+Then each component shows the outputs with which it starts: ``outputs`` at its inputs. An FMU may
+show others there than in its initialization (exit_initialization_mode, and the event that follows).
+Such a component is initialized and asked for its outputs in one from then on, and the ports are
+taken again. No component is asked before those that drive it, so that outside loops none is
+initialized again that has started.
+
 At the end every input is what its connection gives, and every component was initialized with its
-inputs. Only the outputs of a component at whose inputs a loop was torn belong to v, which is as far
-from the recorded input as the residual.
+inputs and shows what it starts with. Only the outputs of a component at whose inputs a loop was
+torn belong to v, which is as far from the recorded input as the residual.
 """
 
 from __future__ import annotations
@@ -27,14 +33,14 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from graphlib import TopologicalSorter
-from itertools import pairwise
+from itertools import chain, pairwise
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Vector
-from cosim.core.cycles import find_cycle, strongly_connected
+from cosim.core.cycles import find_cycle, groups_in_order, strongly_connected
 from cosim.core.feedthrough import PortDependencies, Sources
 from cosim.core.fixed_point import Candidate, SingularError, iterate, measure, newton, newton_step
 from cosim.core.member import Member, Wire
@@ -106,6 +112,7 @@ class InitialValues:
                 self.columns[port] = columns
                 self._signals[port] = signal
         self.wires = wires
+        self.starting_order = _drivers_first(self.members, sources)
         self.order = self._ordered(_dependencies(channels, sources))
         self.outputs_outside_loops = self._outputs_outside_loops()
 
@@ -170,6 +177,12 @@ class InitialValues:
             for signal in channel.interface.inputs:
                 row[self.columns[Port(channel.name, signal.name)]] = signal.start or 0.0
         values = _InitialRow(self, t, row)
+        self._settle(values, row)
+        while values.starts_differently():
+            self._settle(values, row)
+
+    def _settle(self, values: _InitialRow, row: Vector) -> None:
+        """Compute all ports until none changes."""
         # One round reaches what is declared. What is not may pass one component in each round more;
         # the last round only sees that nothing has changed.
         rounds = len(self.members) + 2
@@ -197,6 +210,8 @@ class _InitialRow:
         self._t = t
         self._row = row
         self._initialized: dict[str, tuple[bytes, Vector]] = {}
+        self._started: dict[str, bytes] = {}  # the inputs with which each was asked for its outputs
+        self._starting_differently: set[str] = set()
         self._solved: set[tuple[Port, ...]] = set()
 
     def fill(self) -> None:
@@ -212,6 +227,27 @@ class _InitialRow:
         # Last, so that every component was initialized with the inputs that the row shows.
         for name in self._plan.members:
             self._initialize(name)
+
+    def starts_differently(self) -> bool:
+        """Return whether a component starts with other outputs than it shows so far.
+
+        The first one is enough: those that it drives are not asked before they have its outputs.
+        """
+        for name in self._plan.starting_order:
+            inputs, y = self._initialized[name]
+            if self._started.get(name) == inputs:
+                continue
+            outputs = self._start(name, inputs)
+            if outputs.tobytes() != y.tobytes():
+                self._starting_differently.add(name)
+                self._initialized[name] = inputs, outputs
+                return True
+        return False
+
+    def _start(self, name: str, inputs: bytes) -> Vector:
+        """Return the outputs that a component starts with, initialized with the bits ``inputs``."""
+        self._started[name] = inputs
+        return self._plan.members[name].initial_outputs(self._t, np.frombuffer(inputs))
 
     def _update(self, port: Port) -> None:
         """Bring an input or an output up to date."""
@@ -233,6 +269,8 @@ class _InitialRow:
         initialized_with, y = self._initialized.get(name, (None, NO_OUTPUTS))
         if bits != initialized_with:
             y = member.initialize(self._t, u)
+            if name in self._starting_differently:
+                y = self._start(name, bits)
             self._initialized[name] = bits, y
         return y
 
@@ -316,6 +354,15 @@ def _dependencies(channels: Iterable[Channel], sources: Sources) -> PortDependen
             inputs = channel.interface.feeds_initially(output.name)
             dependencies[Port(name, output.name)] = tuple(Port(name, signal) for signal in inputs)
     return dependencies
+
+
+def _drivers_first(members: Iterable[str], sources: Sources) -> list[str]:
+    """Return the components, each behind those that drive it, as far as they are in no loop."""
+    drivers: dict[str, set[str]] = {}
+    for name in members:
+        ports = chain.from_iterable(sources[name].values())
+        drivers[name] = {port.component for port in ports}
+    return list(chain.from_iterable(groups_in_order(drivers)))
 
 
 def _inputs_first(dependencies: PortDependencies, inputs: Collection[Port]) -> Iterator[Port]:

@@ -179,6 +179,19 @@ class Member:
             raise RunError(f"{self.name!r}: initialize {problem}")
         return y.copy()
 
+    def initial_outputs(self, t: float, u: Vector) -> Vector:
+        """Return a copy of the outputs that the component starts with, initialized with ``u``.
+
+        Raises
+        ------
+        RunError
+            As from :meth:`outputs_at`, with its name and the time.
+        """
+        try:
+            return self.outputs_at(t, u).copy()
+        except RunError as error:
+            raise RunError(f"{self.name!r} stopped at t = {t} s: {error}") from error
+
     def outputs_at(self, t: float, u: Vector) -> Vector:
         """Return the outputs at ``t``.
 

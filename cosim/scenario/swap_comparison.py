@@ -131,19 +131,6 @@ class _InitialState:
         y = self._row[channel.outputs]
         return _InitialSignals.of(channel.interface, u, y)
 
-    def leave_initialization(self, component: str) -> None:
-        """Make a component leave its initialization, as at the begin of a run.
-
-        A reset of its FMU, which linearizing needs, would otherwise go unnoticed: an FMU in
-        initialization mode is only given its inputs when it is initialized again.
-        """
-        signals = self.signals(component)
-        if self.experiment is not None and signals is not None:
-            u = np.concatenate([np.zeros(0), *signals.inputs.values()])
-            t = self.experiment.clock.start_time
-            with suppress(CosimError):  # then it does not repeat either
-                self.experiment.graph.components[component].outputs(t, u)
-
     def repeats(self) -> bool:
         """Return whether the scenario can be initialized again, to the same bits."""
         if self.experiment is None or self.failure:
@@ -192,7 +179,6 @@ class _SwapComparison:
         initial = self._initial.signals(name)
         if initial is None and before.initial is not None:
             initial = _initialize_alone(builder, name, before.initial)
-        self._initial.leave_initialization(name)
         after = _compared_component(builder, name, initial)
         names = builder.port_maps[name].names if name in builder.port_maps else {}
         connected = _connected_ports(builder.scenario, name)
@@ -232,7 +218,6 @@ def _replaced_components(scenario: Scenario) -> dict[str, _ReplacedComponent]:
         for name in scenario.document.swapped_components():
             if name in builder.components:
                 initial = state.signals(name)
-                state.leave_initialization(name)
                 component = _compared_component(builder, name, initial)
                 components[name] = _ReplacedComponent(component, initial)
     return components
@@ -255,7 +240,8 @@ def _initialize_alone(
     held = np.zeros(len(u), np.bool_)
     with suppress(CosimError):
         prepare(component, builder.clock.step_ns / 1e9, held, {})
-        y = component.initialize(builder.clock.start_time, u)
+        component.initialize(builder.clock.start_time, u)
+        y = component.outputs(builder.clock.start_time, u)
         return _InitialSignals.of(interface, u, y)
     return None
 

@@ -62,6 +62,52 @@ def test_a_chain_starts_in_its_order():
     assert parts["b"].calls == [[3.0]]
 
 
+class LateStarter(Starter):
+    """A component that shows 1 more once it has started; it records when it was asked for that."""
+
+    def outputs(self, t, u):
+        self.calls.append("outputs")
+        return self.y + 1.0
+
+
+def test_row_0_shows_what_components_start_with():
+    """Behind one that starts with other outputs than initially all are initialized with these.
+
+    No one is asked for them before its inputs are final: an FMU can be initialized again before
+    that without a reset.
+    """
+    parts = {
+        "c": LateStarter(lambda u: 2.0 * u),
+        "b": LateStarter(lambda u: 10.0 * u),
+        "a": constant([3.0]),
+    }
+    found = start(parts, {"b.u": "a.y", "c.u": "b.y"})
+    assert {name: value.item() for name, value in found.items()} == {
+        "a.y": 3.0,
+        "b.u": 3.0,
+        "b.y": 31.0,
+        "c.u": 31.0,
+        "c.y": 63.0,
+    }
+    assert parts["b"].calls == [[3.0], "outputs"]
+    assert parts["c"].calls == [[30.0], [31.0], "outputs"]
+
+
+def test_a_loop_is_solved_for_what_its_components_start_with():
+    """y = u / 2 + 1 in both: 2, and everything was initialized with the recorded inputs.
+
+    Initially y = u / 2, so 0.
+    """
+    parts = {name: LateStarter(lambda u: 0.5 * u) for name in ("a", "b")}
+    found = start(parts, {"a.u": "b.y", "b.u": "a.y"})
+    for value in found.values():
+        assert value.item() == pytest.approx(2.0, abs=1e-12)
+    for name, part in parts.items():
+        initializations = [call for call in part.calls if call != "outputs"]
+        assert initializations[-1] == found[f"{name}.u"].tolist()
+        assert part.calls[-1] == "outputs"
+
+
 def test_an_input_that_nothing_drives_yet_has_its_start_value():
     """v = 2 w is taken before u is known; then the component starts again with u, and v stays."""
     interface = Interface(

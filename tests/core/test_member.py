@@ -153,10 +153,10 @@ def test_results_that_are_none_are_refused(wrong, build):
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 def test_results_that_are_not_finite_are_refused(value):
     """By component, signal and time; of a design by its name."""
-    part = Custom(initialize=lambda t, u: np.array([value]))
-    error, _ = failure(cascade(part))
+    error, _ = failure(cascade(Custom(outputs=lambda t, u: np.array([value]))))
     assert str(error).startswith(f"'x.y' became {value} at t = 0.0 s")
-    error, _ = failure(loop(Custom(outputs=lambda t, u: np.array([value]))))
+    later = np.array([value])
+    error, _ = failure(loop(Custom(outputs=lambda t, u: later if t else np.zeros(1))))
     assert str(error).startswith(f"'x.y' became {value} at t = 0.001 s")
     error, _ = failure(cascade(Custom(advance=lambda t, h, u: np.full((len(t) - 1, 1), value))))
     assert str(error).startswith(f"'x.y' became {value} at t = 0.001 s")

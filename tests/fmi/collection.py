@@ -62,12 +62,8 @@ class Line:
 
     @property
     def difference(self) -> float | None:
-        """That of the ends of all steps.
-
-        At the start FMPy records outputs after the initialization and its event, here they are
-        those of the initialization mode.
-        """
-        return self.largest_difference(slice(1, None))
+        """That of all rows."""
+        return self.largest_difference(slice(None))
 
     @property
     def agrees(self) -> bool:

@@ -172,13 +172,14 @@ class Stepper:
         self.begin(u, y)
 
     def leave_initialization(self, t: float) -> None:
-        """Handle the event that the initialization ends with, if the FMU has event mode.
+        """Handle the event that the initialization ends with; read the outputs after it.
 
-        exit_initialization_mode leads to event mode then (FMI 3.0 section 2.3.3).
+        exit_initialization_mode leads to event mode where the FMU has it (FMI 3.0 section 2.3.3),
+        else to step mode, and may change outputs.
         """
         if self._capabilities.event_mode:
             self._iterate_event(t)
-            self.state.outputs = self._instance.get_float64(self._outputs)
+        self.state.outputs = self._instance.get_float64(self._outputs)
 
     def save(self) -> StepperState:
         """Copy everything but the FMU's own state."""
