@@ -167,16 +167,10 @@ def run(
     from cosim.scenario.execution import run as run_scenario
 
     if dry_run and COMMAND_VARIABLE not in os.environ:
-        options = {"--set": changes or [], "--swap": swaps or [], "--map": maps or []}
-        options["--stop"] = [] if stop is None else [repr(stop)]
-        options["--step"] = [] if step is None else [repr(step)]
-        _dry_run_in_child(scenario, options, as_json=as_json)
+        options = {"--set": changes, "--swap": swaps, "--map": maps}
+        _dry_run_in_child(scenario, options, {"--stop": stop, "--step": step}, as_json=as_json)
     imported = perf_counter()
-    edits = _edits(changes)
-    if stop is not None:
-        edits["scenario.stop"] = stop
-    if step is not None:
-        edits["scenario.step"] = step
+    edits = _edits(changes) | _given({"scenario.stop": stop, "scenario.step": step})
     loaded = load(scenario)
     edited = loaded.edit(swap=_once(swaps, "swap"), map=_once(maps, "map"), set=edits)
     if dry_run:
@@ -203,16 +197,27 @@ def run(
     print_summary(log, wall=wall, profile=seconds, as_json=as_json, quiet=quiet)
 
 
+def _given(values: Mapping[str, float | None]) -> dict[str, float]:
+    """Return the values of the options that were given."""
+    return {key: value for key, value in values.items() if value is not None}
+
+
 def _dry_run_in_child(
-    scenario: str, options: Mapping[str, Sequence[str]], *, as_json: bool
+    scenario: str,
+    options: Mapping[str, Sequence[str] | None],
+    numbers: Mapping[str, float | None],
+    *,
+    as_json: bool,
 ) -> NoReturn:
     """Do a dry run in a child process, as it runs the code of FMUs; exit as that does."""
     from cosim.report.tables.console import terminal_width
 
     arguments = ["run", scenario, "--dry-run"]
     for name, values in options.items():
-        for value in values:
+        for value in values or ():
             arguments += [name, value]
+    for name, number in _given(numbers).items():
+        arguments += [name, repr(number)]
     if as_json:
         arguments.append("--json")
     result = run_command(arguments, columns=terminal_width())
@@ -254,9 +259,7 @@ def replay(
     source = open_log(log)
     if verify and stop is not None:
         raise UsageError("--verify compares the whole log; leave out --stop")
-    edits = _edits(changes)
-    if stop is not None:
-        edits["scenario.stop"] = stop
+    edits = _edits(changes) | _given({"scenario.stop": stop})
     _need_plot(plot, out)
     with _progress(quiet or as_json) as progress:
         notice = None if quiet else _notice

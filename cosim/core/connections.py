@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import InitVar, dataclass, field
-from typing import Literal, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -159,7 +159,7 @@ class Ports:
         channel = self._channel(port)
         signal = self._inputs[channel.name].get(port.name)
         if signal is None:
-            raise _unknown_port(port, channel, "input")
+            raise _unknown_input(port, channel)
         return channel, signal
 
     def source(self, port: Port) -> Source:
@@ -173,7 +173,7 @@ class Ports:
         channel = self._channel(port)
         match = port.find_in(self._outputs[channel.name])
         if match is None:
-            raise _unknown_port(port, channel, "output")
+            raise _unknown_output(port, channel)
         signal, elements = match
         start = self._columns[channel.name][signal.name].start
         part = slice(start + elements.start, start + elements.stop)
@@ -190,31 +190,39 @@ def _unknown_component(port: Port, known: Iterable[str]) -> GraphError:
     return GraphError(f"'{port}': there is no component {name!r}; {nearest(name, known)}")
 
 
-def _unknown_port(
-    port: Port, channel: Channel, causality: Literal["input", "output"]
-) -> GraphError:
-    interface = channel.interface
-    signals = interface.inputs if causality == "input" else interface.outputs
-    names = [signal.name for signal in signals]
-    wanted = port.signal if causality == "output" else port.name
-    if wanted in (signal.name for signal in interface.signals):
-        other = "input" if causality == "output" else "output"
-        return GraphError(
-            f"'{port}' is an {other} of {channel.name!r}; needed an {causality}; "
-            f"there is: {', '.join(names) or 'none'}"
-        )
-    whole = next((signal for signal in signals if signal.name == port.signal), None)
-    if whole is not None and causality == "input":
-        elements = "1 element" if whole.size == 1 else f"{whole.size} elements"
-        origin = f" (of the FMU: {whole.origin})" if whole.origin else ""
-        return GraphError(
-            f"'{port}' is a part of the input '{port.whole}', which has {elements}{origin} and is "
-            f'connected as a whole: "{port.whole}" = ["...", "..."]'
-        )
-    suggestion = nearest(wanted, names)
-    if "[" in wanted and causality == "output":
+def _unknown_output(port: Port, channel: Channel) -> GraphError:
+    names = [signal.name for signal in channel.interface.outputs]
+    if port.signal in (signal.name for signal in channel.interface.inputs):
+        return _other_causality(port, channel, "input", "output", names)
+    suggestion = nearest(port.signal, names)
+    if "[" in port.signal:
         suggestion = f"{suggestion} (elements are [i] or [i:j], numbered from 0)"
-    return GraphError(f"'{port}': {channel.name!r} has no {causality} {wanted!r}; {suggestion}")
+    return GraphError(f"'{port}': {channel.name!r} has no output {port.signal!r}; {suggestion}")
+
+
+def _unknown_input(port: Port, channel: Channel) -> GraphError:
+    inputs = {signal.name: signal for signal in channel.interface.inputs}
+    if port.name in (signal.name for signal in channel.interface.outputs):
+        return _other_causality(port, channel, "output", "input", inputs)
+    whole = inputs.get(port.signal)
+    if whole is None:
+        suggestion = nearest(port.name, inputs)
+        return GraphError(f"'{port}': {channel.name!r} has no input {port.name!r}; {suggestion}")
+    elements = "1 element" if whole.size == 1 else f"{whole.size} elements"
+    origin = f" (of the FMU: {whole.origin})" if whole.origin else ""
+    return GraphError(
+        f"'{port}' is a part of the input '{port.whole}', which has {elements}{origin} and is "
+        f'connected as a whole: "{port.whole}" = ["...", "..."]'
+    )
+
+
+def _other_causality(
+    port: Port, channel: Channel, found: str, needed: str, names: Iterable[str]
+) -> GraphError:
+    return GraphError(
+        f"'{port}' is an {found} of {channel.name!r}; needed an {needed}; "
+        f"there is: {', '.join(names) or 'none'}"
+    )
 
 
 def check_connections(
@@ -258,16 +266,11 @@ def _problems(
 ) -> Iterator[str]:
     """Yield the problems of one connection."""
     ends = (to, *connection.sources)
-    unknown = []
-    for port in ends:
-        if port.component not in ports.channels and port.component not in missing:
-            unknown.append(port)
-    if unknown:
-        known = [*ports.channels, *missing]
-        for port in unknown:
-            yield str(_unknown_component(port, known))
-        return
-    if any(port.component in missing for port in ends):
+    known = [*ports.channels, *missing]
+    unknown = [port for port in ends if port.component not in known]
+    for port in unknown:
+        yield str(_unknown_component(port, known))
+    if unknown or any(port.component in missing for port in ends):
         return
     try:
         _, target = ports.input(to)

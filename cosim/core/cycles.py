@@ -72,21 +72,27 @@ def groups_in_order(dependencies: Mapping[Node, Collection[Node]]) -> list[list[
     needed: dict[Node, set[Node]] = {group: set() for group in groups}
     for node, others in dependencies.items():
         needed[group_of[node]].update(group_of[other] for other in others)
-    followers: dict[Node, list[Node]] = {group: [] for group in groups}
-    missing: dict[Node, int] = {}
     for group, others in needed.items():
         others.discard(group)
-        missing[group] = len(others)
+    first_names = {group: nodes[0] for group, nodes in groups.items()}
+    return [groups[group] for group in _in_order(needed, first_names)]
+
+
+def _in_order(needed: Mapping[Node, Collection[Node]], names: Mapping[Node, Node]) -> list[Node]:
+    """Return groups after those that they need; of several, the one with the first name first."""
+    followers: dict[Node, list[Node]] = {group: [] for group in needed}
+    for group, others in needed.items():
         for other in others:
             followers[other].append(group)
-    ready = [(groups[group][0], group) for group, count in missing.items() if count == 0]
+    missing = {group: len(others) for group, others in needed.items()}
+    ready = [(names[group], group) for group, count in missing.items() if count == 0]
     heapify(ready)
     order = []
     while ready:
         _, group = heappop(ready)
-        order.append(groups[group])
+        order.append(group)
         for follower in followers[group]:
             missing[follower] -= 1
             if missing[follower] == 0:
-                heappush(ready, (groups[follower][0], follower))
+                heappush(ready, (names[follower], follower))
     return order

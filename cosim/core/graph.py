@@ -443,10 +443,9 @@ class Graph:
         for name in inheriting:
             ports = dict.fromkeys(chain.from_iterable(self._sources[name].values()))
             followed[name] = ports
-            inherited = [port for port in ports if found[port] == "inherited"]
-            drivers[name] = [port.component for port in inherited]
-        discrete = [port for port, variability in found.items() if variability == "discrete"]
-        continuous = [port for port, variability in found.items() if variability == "continuous"]
+            drivers[name] = [port.component for port in _with(found, "inherited", ports)]
+        discrete = _with(found, "discrete", found)
+        continuous = _with(found, "continuous", found)
         for name in _on_cycles(drivers):
             discrete += inheriting[name]
         for port in _reached(discrete, followed, inheriting):
@@ -455,6 +454,13 @@ class Graph:
         for port in _reached(continuous, followed, inheriting):
             found[port] = "continuous"
         return found
+
+
+def _with(
+    variabilities: Mapping[Port, Variability], wanted: Variability, ports: Iterable[Port]
+) -> list[Port]:
+    """Return those of the ports that have a variability."""
+    return [port for port in ports if variabilities[port] == wanted]
 
 
 def _on_cycles(drivers: Mapping[str, list[str]]) -> list[str]:

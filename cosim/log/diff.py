@@ -8,7 +8,7 @@ elements, or where both are NaN.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal, TypeAlias, final
 
@@ -153,10 +153,10 @@ def diff(
     UsageError
         If a tolerance is no number from 0 on.
     """
-    for name, run in (("a", a), ("b", b)):
-        _check_recording(name, run)
-    for name, tolerance in (("atol", atol), ("rtol", rtol)):
-        _check_tolerance(name, tolerance)
+    _check_recording("a", a)
+    _check_recording("b", b)
+    _check_tolerance("atol", atol)
+    _check_tolerance("rtol", rtol)
     if signals:
         chosen = [signals] if isinstance(signals, str) else signals
         columns_a, columns_b = _chosen(a, b, chosen)
@@ -166,11 +166,7 @@ def diff(
         columns_b = _all_columns(b)
         names = list(dict.fromkeys([*columns_a, *columns_b]))
     rows: dict[str, SignalDifference] = {}
-    for component, members in _by_component(names).items():
-        pairs = []
-        for name in members:
-            if name in columns_a and name in columns_b:
-                pairs.append(_Comparison(name, columns_a[name], columns_b[name]))
+    for component, pairs in _pairs_by_component(names, columns_a, columns_b).items():
         rows.update(_compare(component, pairs, a, b, atol=atol, rtol=rtol))
     for name in names:
         if name not in rows:
@@ -180,11 +176,16 @@ def diff(
     return LogDifference(tuple(rows[name] for name in names), atol, rtol)
 
 
-def _by_component(names: Sequence[str]) -> dict[str, list[str]]:
-    by_component: dict[str, list[str]] = {}
+def _pairs_by_component(
+    names: Sequence[str], columns_a: Mapping[str, slice], columns_b: Mapping[str, slice]
+) -> dict[str, list[_Comparison]]:
+    """Return a comparison of every signal that both runs have, by component."""
+    pairs: dict[str, list[_Comparison]] = {}
     for name in names:
-        by_component.setdefault(_component_of(name), []).append(name)
-    return by_component
+        if name in columns_a and name in columns_b:
+            comparison = _Comparison(name, columns_a[name], columns_b[name])
+            pairs.setdefault(_component_of(name), []).append(comparison)
+    return pairs
 
 
 def _check_recording(name: str, run: object) -> None:

@@ -75,21 +75,13 @@ class Document:
                 paths[name] = str(path_argument("path", path).absolute())
             except UsageError as error:
                 raise UsageError(f"{option('swap', name)}: {error}") from error
-        for port, names in (maps or {}).items():
-            if not (isinstance(names, str) or _is_list_of_names(names)):
-                found = quoted(names)
-                raise UsageError(
-                    f"{option('map', port)}: found {found}; needed a name, or a list of names"
-                )
         kept = dict(self.maps)
         if kept:
             tree, _ = self.tree()
             for port in self.maps:
                 if owner_of(tree, port) in swaps:
                     del kept[port]
-        if maps is not None:
-            kept |= maps
-        return replace(self, swaps=paths, maps=kept)
+        return replace(self, swaps=paths, maps=kept | _checked_maps(maps or {}))
 
     def with_changes(self, changes: Mapping[str, Any]) -> Document:
         """Set values; ``components.observer.L`` and ``observer.L`` are the same key.
@@ -199,6 +191,22 @@ class Document:
             swapped=self.swapped_components(),
         )
         return ScenarioError(places.report(problems))
+
+
+def _checked_maps(maps: Mapping[str, PortNames]) -> dict[str, PortNames]:
+    """Return a copy of names by port, after a check of each.
+
+    Raises
+    ------
+    UsageError
+        If what a port is mapped to is no name and no list of names.
+    """
+    for port, names in maps.items():
+        if not (isinstance(names, str) or _is_list_of_names(names)):
+            raise UsageError(
+                f"{option('map', port)}: found {quoted(names)}; needed a name, or a list of names"
+            )
+    return dict(maps)
 
 
 def _is_list_of_names(value: object) -> bool:

@@ -136,11 +136,12 @@ def change(tree: dict[str, Any], key: str, value: Any) -> str | None:
         return None
     if first in FLAT:
         _set_port(table, rest, value)
-        return None
-    path = rest if first in TABLES else [first, *rest]
-    if name == "components" and rest and first not in table:
+    elif first in TABLES:
+        _set_value(table, rest, value)
+    elif rest and first not in table:
         return f"there is no component {first!r}; {nearest(first, [*table, *TABLES])}"
-    _set_value(table, path, value)
+    else:
+        _set_value(table, [first, *rest], value)
     return None
 
 

@@ -62,18 +62,16 @@ def export_component(
         If the file is wrong, or what the component rests on cannot be built.
     """
     loaded = load(scenario).set(set or {})
-    if out is None:
-        out = Path("fmus") / f"{loaded.name}-{component}.fmu"
+    out = out or Path("fmus") / f"{loaded.name}-{component}.fmu"
     _check_path(out, force=force)
     if component not in loaded.specs:
         raise UsageError(f"there is no component {component!r}; {nearest(component, loaded.specs)}")
     name = model_identifier(f"{loaded.name}_{component}")
     description = f"{component} of scenario {loaded.name}"
-    model: DescriptorModel | Exportable
-    has_held_outputs = False
     with ExitStack() as resources:
         if dae:
-            model = _descriptor_model(loaded, component, resources)
+            model: DescriptorModel | Exportable = _descriptor_model(loaded, component, resources)
+            has_held_outputs = False
         else:
             # only in FMI 3 has co-simulation events, in which discrete signals jump
             model, has_held_outputs = _model(loaded, component, resources, has_events=fmi == "3")

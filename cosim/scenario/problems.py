@@ -114,10 +114,7 @@ class _Alternatives:
         self, choice: Key, problems: Sequence[_ValueProblem], level: int
     ) -> list[_ValueProblem]:
         """Return the problems of the nearest alternative of one value."""
-        groups: dict[str | int, list[_ValueProblem]] = {}
-        for problem in problems:
-            _, alternative = problem.choices[level]
-            groups.setdefault(alternative, []).append(problem)
+        groups = _by_alternative(problems, level)
         found = [self.nearest(group, level + 1) for group in groups.values()]
         inside = [group for group in found if any(len(one.path) > len(choice) for one in group)]
         candidates = inside or found
@@ -128,6 +125,17 @@ class _Alternatives:
         needed = described(annotation_at(self._table, choice))
         whole = (choice, f"found {value}; needed {needed}")
         return [_ValueProblem(choice, problems[0].choices[:level], True, whole)]
+
+
+def _by_alternative(
+    problems: Sequence[_ValueProblem], level: int
+) -> dict[str | int, list[_ValueProblem]]:
+    """Return problems of one value by the alternative that was tried."""
+    groups: dict[str | int, list[_ValueProblem]] = {}
+    for problem in problems:
+        _, alternative = problem.choices[level]
+        groups.setdefault(alternative, []).append(problem)
+    return groups
 
 
 def _children(data: Any) -> Mapping[Any, Any]:
@@ -143,9 +151,7 @@ def _value(data: Any, path: Key) -> Any:
 
 
 def _message(details: Mapping[str, Any], path: Key, table: type[BaseModel]) -> str:
-    value = quoted(details.get("input"))
     name = str(details["loc"][-1])
-    context = details.get("ctx", {})
     match details["type"]:
         case "extra_forbidden":
             known = sorted(_fields(table, path[:-1]))
@@ -154,25 +160,33 @@ def _message(details: Mapping[str, Any], path: Key, table: type[BaseModel]) -> s
             field = _fields(table, path).get(name)
             description = None if field is None else field.description
             return f"{name!r} is missing; needed {description or 'a value'}"
-        case "finite_number":
-            return f"found {value}; needed a finite number"
-        case "greater_than_equal":
-            return f"found {value}; needed at least {context['ge']}"
-        case "less_than_equal":
-            return f"found {value}; needed at most {context['le']}"
         case "value_error":
-            return str(context["error"])
+            return str(details["ctx"]["error"])
+        case _:
+            return f"found {quoted(details.get('input'))}; {_needed(details, path, table)}"
+
+
+def _needed(details: Mapping[str, Any], path: Key, table: type[BaseModel]) -> str:
+    """Return what is needed in place of a value that is wrong."""
+    context = details.get("ctx", {})
+    match details["type"]:
+        case "finite_number":
+            return "needed a finite number"
+        case "greater_than_equal":
+            return f"needed at least {context['ge']}"
+        case "less_than_equal":
+            return f"needed at most {context['le']}"
         case "literal_error":
             expected = str(context["expected"]).replace(" or ", ", ")
             choices = [choice.strip().strip("'") for choice in expected.split(",")]
-            return f"found {value}; {nearest(str(details['input']), choices)}"
+            return nearest(str(details["input"]), choices)
         case "float_type" if isinstance(details["input"], int) and details["input"] is not True:
-            return f"found {value}; needed a number of at most {sys.float_info.max:g}"
+            return f"needed a number of at most {sys.float_info.max:g}"
         case kind if kind in TYPES:
-            return f"found {value}; needed {described(annotation_at(table, path))}"
+            return f"needed {described(annotation_at(table, path))}"
         case _:
             message = str(details["msg"])
-            return f"found {value}; {message[0].lower()}{message[1:]}"
+            return f"{message[0].lower()}{message[1:]}"
 
 
 # --- the types of a schema ---

@@ -227,6 +227,10 @@ def _check_model_structure(root: Element, description: Description) -> Iterator[
         if section in expected:
             yield from _compare_listed(section, set(listed) - {""}, expected[section])
     yield from _check_dependencies(description)
+    yield from _check_states(description)
+
+
+def _check_states(description: Description) -> Iterator[Finding]:
     for name in description.states:
         state = description[name]
         if state.type not in FLOATS or state.variability != "continuous":

@@ -143,13 +143,7 @@ def _check_entries(
 ) -> tuple[Mapping[str, zipfile.ZipInfo], list[str]]:
     """Return the files by name, if the archive may be unpacked, and warnings."""
     entries = archive.infolist()
-    if len(entries) > MOST:
-        raise FmuError(f"{path}: the archive has {len(entries)} entries; needed at most {MOST}")
-    size = sum(entry.file_size for entry in entries)
-    if size > LARGEST:
-        raise FmuError(
-            f"{path}: unpacked, the archive would have {size} bytes; needed at most {LARGEST}"
-        )
+    _check_extent(path, entries)
     for entry in entries:
         # The original name: zipfile alters ``filename``, so that some problems no longer show.
         name = entry.orig_filename
@@ -167,6 +161,17 @@ def _check_entries(
     _check_overlap(path, archive, entries)
     files = {_member(entry.orig_filename): entry for entry in entries if not _is_folder(entry)}
     return files, warnings
+
+
+def _check_extent(path: Path, entries: Sequence[zipfile.ZipInfo]) -> None:
+    """Check the number of entries and their size unpacked."""
+    if len(entries) > MOST:
+        raise FmuError(f"{path}: the archive has {len(entries)} entries; needed at most {MOST}")
+    size = sum(entry.file_size for entry in entries)
+    if size > LARGEST:
+        raise FmuError(
+            f"{path}: unpacked, the archive would have {size} bytes; needed at most {LARGEST}"
+        )
 
 
 def _member(name: str) -> str:

@@ -48,14 +48,21 @@ def print_fmu(content: Row) -> None:
     states = content["fmu"]["states"]
     variables = content["variables"]
     print_section("variables", [_variable_row(row, states, dependencies) for row in variables])
-    initial = content["initial_dependencies"]
-    rows = {}
-    for variable in variables:
-        if variable["name"] in initial:
-            rows[variable["name"]] = _names(initial[variable["name"]])
-    print_section("initial dependencies", rows)
+    print_section("initial dependencies", _initial_rows(variables, content["initial_dependencies"]))
     if content["residual_form"]:
         print_section("residual form", _residual_form_rows(content["residual_form"]))
+
+
+def _initial_rows(
+    variables: Sequence[Row], dependencies: Mapping[str, Sequence[str] | None]
+) -> Row:
+    """Return what initial unknowns depend on, in the order of the variables."""
+    rows = {}
+    for variable in variables:
+        name = variable["name"]
+        if name in dependencies:
+            rows[name] = _names(dependencies[name])
+    return rows
 
 
 def _words(key: str) -> str:
