@@ -7,7 +7,7 @@ from typing import Any
 
 from cosim.core.contracts import Component, Recorder
 from cosim.core.signals import Interface
-from cosim.errors import GraphError, UsageError
+from cosim.errors import GraphError, UsageError, quoted
 
 RECORDER_METHODS = ("__enter__", "__exit__", "begin", "write", "message", "result")
 
@@ -27,8 +27,7 @@ def check_type(label: str, value: object, needed: type, error: type[UsageError])
 def kind_of(value: object) -> str:
     """Return in words what a value is: itself where it is plain, else its type."""
     if value is None or isinstance(value, bool | int | float | str):
-        text = repr(value)
-        return text if len(text) <= 60 else f"{text[:60]}..."
+        return quoted(value)
     if isinstance(value, type):
         return f"the class {value.__name__}"
     return f"an object of type {type(value).__name__}"

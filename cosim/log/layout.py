@@ -23,12 +23,12 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Matrix
 from cosim.core.signals import Channel, Interface, Role, Signal, SignalType, Variability
+from cosim.errors import quoted
 from cosim.log.metadata import (
     add_checksum,
     compact,
     json_table,
     read_json,
-    shown,
     verify_checksum,
 )
 from cosim.units import BASE, BaseUnit
@@ -131,7 +131,7 @@ def read_part(metadata: Mapping[str, str]) -> Part:
     items = verify_checksum(_CHECKSUM_NAME, metadata)
     name = items["cosim.component"]
     if not name or "." in name:
-        raise ValueError(f"a component has the name {shown(name)}; needed one without a dot")
+        raise ValueError(f"a component has the name {quoted(name)}; needed one without a dot")
     step_ns = read_number(items["cosim.step_ns"])
     period_ns = read_number(items["cosim.period_ns"])
     start, stop = map(read_number, items["cosim.columns"].split(":"))
@@ -159,7 +159,7 @@ def read_number(text: str) -> int:
         If ``text`` is none.
     """
     if not (text.isascii() and text.isdigit()) or len(text) > _MOST_DIGITS:
-        raise ValueError(f"found {shown(text)}, needed a whole number")
+        raise ValueError(f"found {quoted(text)}, needed a whole number")
     number = int(text)
     if number > LARGEST_TIME:
         raise ValueError(f"found {number}, needed at most {LARGEST_TIME}")
@@ -195,13 +195,13 @@ def _signal_entry(signal: Signal, causality: str) -> dict[str, Any]:
 
 def _read_interface(entries: Any, initial: Mapping[str, Any]) -> Interface:
     if not isinstance(entries, list):
-        raise ValueError(f"found {shown(entries)}, needed a list of signals")
+        raise ValueError(f"found {quoted(entries)}, needed a list of signals")
     inputs: list[Signal] = []
     outputs: list[Signal] = []
     feedthrough = {}
     for entry in entries:
         if not isinstance(entry, dict):
-            raise ValueError(f"found {shown(entry)}, needed a signal")
+            raise ValueError(f"found {quoted(entry)}, needed a signal")
         fields = dict(entry)
         # First: causality and feedthrough belong to the interface, and are no fields of a signal.
         causality = fields.pop("causality")
@@ -232,7 +232,7 @@ def _check_dependencies(
     for output, names in dependencies.items():
         if output not in known_outputs or not known_inputs.issuperset(names or ()):
             raise ValueError(
-                f"{shown(output)} is said to depend on {shown(names)}, which are no inputs"
+                f"{quoted(output)} is said to depend on {quoted(names)}, which are no inputs"
             )
 
 
@@ -252,9 +252,9 @@ def _read_signal(fields: dict[str, Any]) -> Signal:
 
 def _numbers(name: str, values: Any) -> tuple[float, ...]:
     if not isinstance(values, list) or not all(_is_number(value) for value in values):
-        raise ValueError(f"found {name} {shown(values)}, needed a list of numbers")
+        raise ValueError(f"found {name} {quoted(values)}, needed a list of numbers")
     if not np.isfinite([float(value) for value in values]).all():
-        raise ValueError(f"found {name} {shown(values)}, needed finite numbers")
+        raise ValueError(f"found {name} {quoted(values)}, needed finite numbers")
     return tuple(values)
 
 
@@ -283,7 +283,7 @@ def _check_types(signal: Signal) -> None:
     for name, right in is_right.items():
         if not right:
             raise ValueError(
-                f"signal {shown(signal.name)}: found {name} {shown(getattr(signal, name))}"
+                f"signal {quoted(signal.name)}: found {name} {quoted(getattr(signal, name))}"
             )
 
 
@@ -297,7 +297,7 @@ def _input_names(names: Any) -> tuple[str, ...] | None:
     if names is None:
         return None
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-        raise ValueError(f"found {shown(names)}, needed a list of inputs")
+        raise ValueError(f"found {quoted(names)}, needed a list of inputs")
     return tuple(names)
 
 

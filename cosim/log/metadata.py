@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.core.contracts import Design
+from cosim.errors import quoted
 
 PREFIX = "cosim."
 CHECKSUM = "cosim.sha256"
-_SHOWN = 60  # characters of a wrong value in a message
 _MOST_AXES = 8
 _SURROGATE = re.compile(r"\\u[dD][89a-fA-F]")
 
@@ -60,7 +60,7 @@ def json_table(text: str | bytes) -> dict[str, Any]:
     """
     value = read_json(text)
     if not isinstance(value, dict):
-        raise ValueError(f"found {shown(value)}, needed a table")
+        raise ValueError(f"found {quoted(value)}, needed a table")
     return value
 
 
@@ -74,14 +74,8 @@ def json_texts(text: str) -> list[str]:
     """
     value = read_json(text)
     if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
-        raise ValueError(f"found {shown(value)}, needed a list of texts")
+        raise ValueError(f"found {quoted(value)}, needed a list of texts")
     return value
-
-
-def shown(value: object) -> str:
-    """Return a value from outside for a message, cut where it is long."""
-    text = repr(value)
-    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
 
 
 def add_checksum(name: str, items: Mapping[str, str]) -> dict[str, str]:
@@ -147,13 +141,13 @@ def decode_design(text: str) -> dict[str, NDArray[np.float64]]:
 def _shape(value: Any) -> tuple[int, ...]:
     is_shape = isinstance(value, list) and len(value) <= _MOST_AXES
     if not is_shape or not all(type(size) is int and size >= 0 for size in value):
-        raise ValueError(f"found shape {shown(value)}, needed a list of sizes")
+        raise ValueError(f"found shape {quoted(value)}, needed a list of sizes")
     return tuple(value)
 
 
 def _decode_doubles(data: str) -> NDArray[np.float64]:
     if not isinstance(data, str):
-        raise TypeError(f"found {shown(data)}, needed base64")
+        raise TypeError(f"found {quoted(data)}, needed base64")
     decoded = base64.b64decode(data, validate=True)
     little_endian = np.frombuffer(decoded, dtype="<f8")
     return little_endian.astype(np.float64)

@@ -6,10 +6,8 @@ import os
 from pathlib import Path
 from typing import BinaryIO
 
-from cosim.errors import LogError, flag
+from cosim.errors import LogError, flag, quoted
 from cosim.files import check_folder, regular
-
-_SHOWN = 60  # characters of a name that is refused
 
 
 def log_path(path: str | os.PathLike[str]) -> Path:
@@ -26,10 +24,10 @@ def log_path(path: str | os.PathLike[str]) -> Path:
     except (FileNotFoundError, NotADirectoryError, PermissionError):
         return result  # whoever reads or writes the file says that
     except (TypeError, ValueError) as error:  # no text, a NUL, no text that the system can write
-        raise LogError(f"{_shown(path)} is no path of a log: {error}") from error
+        raise LogError(f"{quoted(path)} is no path of a log: {error}") from error
     except OSError as error:
         reason = error.strerror or error
-        raise LogError(f"{_shown(path)} cannot be used for a log: {reason}") from error
+        raise LogError(f"{quoted(path)} cannot be used for a log: {reason}") from error
     return result
 
 
@@ -51,11 +49,6 @@ def check_new_log(path: Path, *, force: bool, numbered: bool) -> None:
     except OSError as error:
         reason = error.strerror or error
         raise LogError(f"{path} cannot be created: {reason}") from error
-
-
-def _shown(path: object) -> str:
-    text = repr(path)
-    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
 
 
 def open_file(path: Path) -> BinaryIO:

@@ -21,7 +21,7 @@ from cosim.arrays import Mask, Matrix, Nanoseconds
 from cosim.core.contracts import Design, MessageLevel
 from cosim.core.recorded import RecordedSignals, find_channel
 from cosim.core.signals import Channel
-from cosim.errors import GraphError, LogError, nearest
+from cosim.errors import GraphError, LogError, nearest, quoted
 from cosim.log.columns import SignalRows
 from cosim.log.container import MALFORMED, Container
 from cosim.log.content import combine_hashes, hash_input
@@ -31,7 +31,6 @@ from cosim.log.metadata import (
     json_table,
     json_texts,
     read_json,
-    shown,
     verify_checksum,
 )
 from cosim.log.own_file import OwnFile
@@ -639,7 +638,7 @@ def _side_by_side(parts: list[SignalRows]) -> tuple[Nanoseconds, Matrix]:
 def _read_mask(text: str) -> Mask:
     values = read_json(text)
     if not isinstance(values, list) or not all(isinstance(value, bool) for value in values):
-        raise ValueError(f"found {shown(values)}, needed a list of truth values")
+        raise ValueError(f"found {quoted(values)}, needed a list of truth values")
     mask = np.array(values, dtype=np.bool_)
     mask.setflags(write=False)
     return mask

@@ -21,7 +21,13 @@ from cosim.scenario.edits import SET, TOO_MANY_DIGITS, change, flatten_tables, p
 from cosim.scenario.lines import key_lines
 from cosim.scenario.places import Places
 from cosim.scenario.problems import Problem
-from cosim.scenario.swap import PortNames, owner_of, replace_components, swapped_components
+from cosim.scenario.swap import (
+    PortNames,
+    is_port_names,
+    owner_of,
+    replace_components,
+    swapped_components,
+)
 
 SUFFIX = ".toml"
 LARGEST = 2**26  # bytes of a scenario
@@ -202,15 +208,11 @@ def _checked_maps(maps: Mapping[str, PortNames]) -> dict[str, PortNames]:
         If what a port is mapped to is no name and no list of names.
     """
     for port, names in maps.items():
-        if not (isinstance(names, str) or _is_list_of_names(names)):
+        if not is_port_names(names):
             raise UsageError(
                 f"{option('map', port)}: found {quoted(names)}; needed a name, or a list of names"
             )
     return dict(maps)
-
-
-def _is_list_of_names(value: object) -> bool:
-    return isinstance(value, list | tuple) and all(isinstance(name, str) for name in value)
 
 
 def _quotes_missing(key: str) -> str:

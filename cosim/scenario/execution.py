@@ -24,7 +24,7 @@ from cosim.core.master import run as run_graph
 from cosim.core.recorders import Memory, Watched
 from cosim.errors import LogError, UsageError, command, option, quoted
 from cosim.log import Log, McapRecorder, open_log
-from cosim.log.metadata import json_table, shown
+from cosim.log.metadata import json_table
 from cosim.log.paths import check_new_log, log_path
 from cosim.scenario.build import Builder, Experiment, parse
 from cosim.scenario.document import Document, find
@@ -40,7 +40,7 @@ from cosim.scenario.replaying import (
     texts_in,
     valid_designs,
 )
-from cosim.scenario.swap import PortNames, is_map_key
+from cosim.scenario.swap import PortNames, is_map_key, is_port_names
 from cosim.scenario.swap_comparison import build_swapped
 from cosim.scenario.swap_report import SwapReports
 
@@ -378,15 +378,16 @@ def _edits(text: str) -> dict[str, Any]:
     edits = json_table(text)
     for key, kind in (("source", str), ("swaps", dict), ("changes", dict)):
         if not isinstance(edits.get(key), kind):
-            raise ValueError(f"found {key} {shown(edits.get(key))}")
+            raise ValueError(f"found {key} {quoted(edits.get(key))}")
     maps = edits.setdefault("maps", {})
     if not isinstance(maps, dict):
-        raise ValueError(f"found maps {shown(maps)}")
-    for table in (edits["swaps"], maps):
-        for name, value in table.items():
-            is_list = isinstance(value, list) and all(isinstance(item, str) for item in value)
-            if not isinstance(value, str) and not (is_list and table is maps):
-                raise ValueError(f"found {shown(value)} for {name!r}")
+        raise ValueError(f"found maps {quoted(maps)}")
+    for name, path in edits["swaps"].items():
+        if not isinstance(path, str):
+            raise ValueError(f"found {quoted(path)} for {name!r}")
+    for port, names in maps.items():
+        if not is_port_names(names):
+            raise ValueError(f"found {quoted(names)} for {port!r}")
     return edits
 
 

@@ -262,6 +262,12 @@ def unknown_ports(
     return problems
 
 
+def is_port_names(value: object) -> bool:
+    """Return whether a value from outside is a name or a list of names."""
+    names = value if isinstance(value, list | tuple) else (value,)
+    return all(isinstance(name, str) for name in names)
+
+
 def port_names(names: PortNames) -> list[str]:
     """Return the names in an entry of a map: one, a list, or a text such as ``[s1, s2]``.
 

@@ -7,9 +7,9 @@ from contextlib import suppress
 from dataclasses import dataclass
 from xml.etree.ElementTree import Element
 
-from cosim.errors import listing
+from cosim.errors import listing, quoted, shortened
 from cosim.fmi.description import VariableDependencies
-from cosim.fmi.reading.markup import LONGEST_QUOTE, Attributes, integers, whole
+from cosim.fmi.reading.markup import Attributes, integers, whole
 from cosim.fmi.reading.variables import major
 from cosim.fmi.variable import Variable
 
@@ -123,7 +123,7 @@ class _UnknownsReader:
         for element in self._root.iterfind(where):
             name = self._names.get(self._number(element))
             if name is None:
-                found = element.get(self._key, "")[:LONGEST_QUOTE]
+                found = shortened(element.get(self._key, ""))
                 findings.append(f"{where}: {self._key}={found} is no variable")
                 continue
             which = f"{where} {name!r}"
@@ -149,9 +149,7 @@ def known_names(
     try:
         numbers = integers(text)
     except ValueError:
-        attributes.warnings.append(
-            f"{where}: dependencies: found {text[:LONGEST_QUOTE]!r}, needed integers"
-        )
+        attributes.warnings.append(f"{where}: dependencies: found {quoted(text)}, needed integers")
         return None
     missing = [str(number) for number in numbers if number not in names]
     if missing:

@@ -9,8 +9,9 @@ from itertools import chain
 from typing import Final, TypeVar, final
 from xml.etree.ElementTree import Element, ParseError, TreeBuilder, XMLParser
 
+from cosim.errors import quoted
+
 DEEPEST: Final = 64  # elements in elements
-LONGEST_QUOTE: Final = 100  # characters of what was found, in a message
 CHUNK: Final = 2**16  # bytes: entities of a document type cannot grow large before it is refused
 
 Value = TypeVar("Value")
@@ -103,9 +104,7 @@ class Attributes:
         try:
             return real(text)
         except ValueError:
-            self.warnings.append(
-                f"{where}: {name}: found {text[:LONGEST_QUOTE]!r}, needed a number"
-            )
+            self.warnings.append(f"{where}: {name}: found {quoted(text)}, needed a number")
             return None
 
     def integer(self, element: Element, name: str, where: str) -> int | None:
@@ -144,7 +143,7 @@ class Attributes:
         try:
             return convert(text)
         except ValueError:
-            self.report(where, repr(text[:LONGEST_QUOTE]), needed)
+            self.report(where, quoted(text), needed)
             return None
 
 
