@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from html import escape
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,14 +13,36 @@ from numpy.typing import NDArray
 from cosim.arrays import Matrix, Nanoseconds, Vector, as_columns
 from cosim.core.contracts import SignalNames
 from cosim.core.port import Port
-from cosim.core.signals import Channel
+from cosim.core.signals import Channel, Signal
 from cosim.errors import GraphError, LogError, UnknownSignalError, nearest
+
+
+class RecordedPort(NamedTuple):
+    """A recorded signal, or elements of it.
+
+    Parameters
+    ----------
+    channel : Channel
+        Of its component.
+    signal : Signal
+    columns : slice
+        Of the elements, in the rows of the component.
+    """
+
+    channel: Channel
+    signal: Signal
+    columns: slice
+
+    @property
+    def size(self) -> int:
+        """Number of elements."""
+        return int(self.columns.stop - self.columns.start)
 
 
 def find_signal(
     channels: Mapping[str, Channel], signal: str | Port, *, source: str
-) -> tuple[Channel, slice]:
-    """Return the channel of a recorded signal, or of elements of it, and its columns in the row.
+) -> RecordedPort:
+    """Return a recorded signal, or elements of it.
 
     Parameters
     ----------
@@ -47,9 +70,11 @@ def find_signal(
             f"{suggestion}"
         )
     meant, elements = match
-    for known, columns in channel.signal_columns():
+    for known, whole in channel.signal_columns():
         if known is meant:
-            return channel, slice(columns.start + elements.start, columns.start + elements.stop)
+            begin = whole.start - channel.start
+            columns = slice(begin + elements.start, begin + elements.stop)
+            return RecordedPort(channel, meant, columns)
     raise AssertionError("the signal was found among those of the channel")
 
 
@@ -126,11 +151,9 @@ class RecordedSignals(Mapping[str, NDArray[np.float64]]):
         """
         if not isinstance(signal, str | Port):
             return self._stacked(signal)
-        channel, columns = find_signal(self.channels, signal, source=self.label)
-        first = columns.start - channel.start
-        stop = columns.stop - channel.start
-        values = self.rows(channel.name)[:, first:stop]
-        return values[:, 0] if values.shape[1] == 1 else values
+        port = find_signal(self.channels, signal, source=self.label)
+        values = self.rows(port.channel.name)[:, port.columns]
+        return values[:, 0] if port.size == 1 else values
 
     def _stacked(self, signals: Sequence[str | Port]) -> Matrix:
         """Return several signals of the same instants side by side.
@@ -194,8 +217,8 @@ class RecordedSignals(Mapping[str, NDArray[np.float64]]):
             If there is no such component, signal or element; names the nearest.
         """
         if isinstance(name, str) and "." in name:
-            channel, _ = find_signal(self.channels, name, source=self.label)
-            return self.time_ns(channel.name) / 1e9
+            port = find_signal(self.channels, name, source=self.label)
+            return self.time_ns(port.channel.name) / 1e9
         return self.time_ns(name) / 1e9
 
     def __repr__(self) -> str:

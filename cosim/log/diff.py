@@ -207,12 +207,9 @@ def _all_columns(run: Recording) -> dict[str, slice]:
     columns = {}
     for channel in run.channels.values():
         for signal, whole_row in channel.signal_columns():
-            columns[f"{channel.name}.{signal.name}"] = _shifted(whole_row, channel.start)
+            own = slice(whole_row.start - channel.start, whole_row.stop - channel.start)
+            columns[f"{channel.name}.{signal.name}"] = own
     return columns
-
-
-def _shifted(columns: slice, start: int) -> slice:
-    return slice(columns.start - start, columns.stop - start)
 
 
 def _chosen(
@@ -233,11 +230,9 @@ def _chosen(
         problem: LogError | None = None
         for run, columns in ((a, columns_a), (b, columns_b)):
             try:
-                channel, whole_row = find_signal(run.channels, signal, source="the first run")
+                columns[signal] = find_signal(run.channels, signal, source="the first run").columns
             except LogError as error:
                 problem = problem or error  # of the reference, where neither has it
-            else:
-                columns[signal] = _shifted(whole_row, channel.start)
         if problem is not None and signal not in columns_a and signal not in columns_b:
             raise problem
     return columns_a, columns_b

@@ -10,9 +10,9 @@ import numpy as np
 from cosim.arrays import Matrix, Nanoseconds, as_columns
 from cosim.core.contracts import Recording
 from cosim.core.port import Port
-from cosim.core.recorded import find_channel
+from cosim.core.recorded import find_signal
 from cosim.core.signals import Signal
-from cosim.errors import GraphError, LogError
+from cosim.errors import LogError, UnknownSignalError
 from cosim.units import conversion
 
 
@@ -21,16 +21,10 @@ def signal_of(recording: Recording, port: str) -> Signal:
 
     Raises
     ------
-    LogError, GraphError
+    UnknownSignalError
         If there is none.
     """
-    parsed = Port.parse(port)
-    channel = find_channel(recording.channels, parsed.component, source="the recording")
-    match = parsed.find(channel.signals)
-    if match is None:
-        raise LogError(f"the recording has no signal {port!r}")
-    signal, _ = match
-    return signal
+    return find_signal(recording.channels, port, source="the recording").signal
 
 
 def element_names(port: str, size: int) -> list[str]:
@@ -50,14 +44,11 @@ def element_names(port: str, size: int) -> list[str]:
 
 def has_signal(recording: Recording, port: str) -> bool:
     """Return whether a port was recorded."""
-    parsed = Port.parse(port)
-    channel = recording.channels.get(parsed.component)
-    if channel is None:
-        return False
     try:
-        return parsed.find(channel.signals) is not None
-    except GraphError:  # the signal has no such element
+        signal_of(recording, port)
+    except UnknownSignalError:
         return False
+    return True
 
 
 def time_ns_of(recording: Recording, port: str) -> Nanoseconds:

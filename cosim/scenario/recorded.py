@@ -184,28 +184,22 @@ def truth_of(recording: Recording) -> dict[str, Any]:
 
 
 def _check_truth(recording: Recording, estimate: str, truth: Any) -> None:
-    _, columns = find_signal(recording.channels, estimate, source="truth")
+    estimated = find_signal(recording.channels, estimate, source="truth")
     ports = truth_ports(truth)
     size = len(truth) if isinstance(truth, list) else 1
     if ports:
         size = sum(_comparable_size(recording, port, estimate) for port in ports)
-    if size != columns.stop - columns.start:
+    if size != estimated.size:
         raise LogError(f"truth: {estimate!r} has another size than {truth!r}")
 
 
 def _comparable_size(recording: Recording, port: str, estimate: str) -> int:
     """Return the size of a true signal, whose unit must be of the same kind."""
-    units = []
-    for name in (port, estimate):
-        channel, columns = find_signal(recording.channels, name, source="truth")
-        for signal, whole in channel.signal_columns():
-            if whole.start <= columns.start < whole.stop:
-                units.append(signal.measure)
-        if name == port:
-            size = columns.stop - columns.start
-    if conversion(*units) is None:
+    true = find_signal(recording.channels, port, source="truth")
+    estimated = find_signal(recording.channels, estimate, source="truth")
+    if conversion(true.signal.measure, estimated.signal.measure) is None:
         raise LogError(f"truth: {estimate!r} has another kind of unit than {port!r}")
-    return int(size)
+    return true.size
 
 
 def _json(text: str, what: str) -> Any:
