@@ -789,7 +789,7 @@ def _keep_stdout() -> TextIO | None:
 
 @contextmanager
 def _ended_by_signals() -> Iterator[None]:
-    """Let a request to terminate and a closed terminal end the program as Ctrl-C does.
+    """Turn a request to terminate and a closed terminal into what Ctrl-C does.
 
     What it has begun is so cleaned up, such as temporary folders. In a run they end that.
     """
@@ -829,7 +829,7 @@ class _Terminal(io.TextIOWrapper):
 
 
 def _outlive_terminal() -> None:
-    """Let nothing fail because a message finds the terminal closed."""
+    """Ignore messages that find the terminal closed."""
     stderr = sys.stderr
     if isinstance(stderr, io.TextIOWrapper) and stderr.isatty():
         encoding = stderr.encoding

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.connections import Connection, Source
 from cosim.core.contracts import Component, Design, Preparable, Stopped
-from cosim.core.signals import Channel
+from cosim.core.signals import Channel, element_names
 from cosim.errors import CosimError, RunError
 from cosim.units import Conversion
 
@@ -130,10 +130,7 @@ class Member:
 
     def label(self, column: int) -> str:
         """Return the name of one of its elements, numbered from the first input."""
-        elements: list[str] = []
-        for signal in self.channel.signals:
-            elements += signal.elements
-        return f"{self.name}.{elements[column]}"
+        return f"{self.name}.{element_names(self.channel.signals)[column]}"
 
     def gather(self, signals: Matrix, rows: slice) -> None:
         """Bring the inputs of some rows up to date."""

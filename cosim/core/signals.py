@@ -114,6 +114,14 @@ class Signal:
         return [f"{self.name}[{i}]" for i in range(self.size)]
 
 
+def element_names(signals: Iterable[Signal]) -> list[str]:
+    """Return the names of the elements of all signals, in their order."""
+    names: list[str] = []
+    for signal in signals:
+        names += signal.elements
+    return names
+
+
 @dataclass(frozen=True, slots=True)
 class Interface:
     """What a component shows to the outside.

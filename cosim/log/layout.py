@@ -35,7 +35,7 @@ from cosim.units import BASE, BaseUnit
 
 MOST_ELEMENTS = 4096
 HEADER = 9  # bytes: opcode u1, length u8
-LARGEST_TIME = 2**63 - 1  # ns
+_LARGEST_WHOLE = 2**63 - 1  # of a time in ns, a size
 _MOST_DIGITS = 19  # of that
 _LARGEST_POWER = 10_000  # of a base unit
 Records: TypeAlias = NDArray[np.void]  # shape (n,), of a dtype by record_dtype
@@ -161,8 +161,8 @@ def read_number(text: str) -> int:
     if not (text.isascii() and text.isdigit()) or len(text) > _MOST_DIGITS:
         raise ValueError(f"found {quoted(text)}, needed a whole number")
     number = int(text)
-    if number > LARGEST_TIME:
-        raise ValueError(f"found {number}, needed at most {LARGEST_TIME}")
+    if number > _LARGEST_WHOLE:
+        raise ValueError(f"found {number}, needed at most {_LARGEST_WHOLE}")
     return number
 
 
@@ -272,7 +272,7 @@ def _check_types(signal: Signal) -> None:
     """
     is_right = {
         "name": isinstance(signal.name, str) and bool(signal.name),
-        "size": type(signal.size) is int and signal.size <= LARGEST_TIME,
+        "size": type(signal.size) is int and signal.size <= _LARGEST_WHOLE,
         "unit": signal.unit is None or isinstance(signal.unit, str),
         "variability": signal.variability in get_args(Variability),
         "optional": isinstance(signal.optional, bool),

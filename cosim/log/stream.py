@@ -8,7 +8,8 @@ from typing import TypeAlias, final
 import numpy as np
 
 from cosim.arrays import Matrix, Nanoseconds
-from cosim.log.layout import LARGEST_TIME, Part, Records, copy_values
+from cosim.core.clock import LARGEST_NS
+from cosim.log.layout import Part, Records, copy_values
 
 TimedRows: TypeAlias = tuple[Nanoseconds, Matrix]  # shapes (n,) and (n, width)
 
@@ -26,7 +27,7 @@ def record_times(records: Records) -> Nanoseconds:
     """
     times: Nanoseconds = records["log_time"].astype(np.int64)
     if (times < 0).any():
-        raise ValueError(f"a time beyond {LARGEST_TIME} ns")
+        raise ValueError(f"a time beyond {LARGEST_NS} ns")
     return times
 
 

@@ -15,7 +15,7 @@ from cosim.native.library import MethodStruct, RungeKuttaStruct, library, pointe
 
 FIXED_STEP: Final = ("euler", "rk4")  # take the steps they are given
 EMBEDDED: Final = ("RK23", "RK45", "DOP853")  # estimate their error and keep to a tolerance
-EXPLICIT: Final = ("euler", "rk4", "RK23", "RK45", "DOP853")
+EXPLICIT: Final = (*FIXED_STEP, *EMBEDDED)
 
 RightHandSide: TypeAlias = Callable[[float, Vector], Vector]  # (t, x) -> x'
 

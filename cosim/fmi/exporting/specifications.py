@@ -16,7 +16,7 @@ import numpy as np
 from cosim.arrays import Matrix
 from cosim.core.clock import NANOSECONDS
 from cosim.core.linear import DescriptorModel, LinearModel
-from cosim.core.signals import Signal
+from cosim.core.signals import element_names
 from cosim.fmi.describing import describe, element_dependencies, states_of_outputs
 from cosim.fmi.description import (
     Capabilities,
@@ -227,8 +227,8 @@ def _residual_variables(model: DescriptorModel, n_z: int, first_reference: int) 
 def _residual_form(model: DescriptorModel, residuals: Sequence[str]) -> Dae:
     interface = model.reduced.interface
     states = model.reduced.states
-    inputs = _elements(interface.inputs)
-    outputs = _elements(interface.outputs)
+    inputs = element_names(interface.inputs)
+    outputs = element_names(interface.outputs)
     algebraic = outputs[interface.output_columns()[model.algebraic]]
     derivatives = [f"der({x})" for x in states]
     knowns = [*states, *algebraic, *inputs]
@@ -321,10 +321,3 @@ def _discrete_equations(model: DiscreteModel) -> str:
         )
     reason = f"Co-simulation only: {escape(model.reason)}."
     return f"<p>{escape(model.kernel.equations)}</p>\n<p>{step}{period}{reason}</p>"
-
-
-def _elements(signals: Sequence[Signal]) -> list[str]:
-    elements: list[str] = []
-    for signal in signals:
-        elements += signal.elements
-    return elements
