@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Final, Protocol
 
 import numpy as np
 
@@ -106,6 +106,9 @@ class Cascade:
             raise Cut(stop.steps, stop) from error
 
 
+SECOND_ORDER: Final = "(second order)"  # at the end of a description
+
+
 @dataclass(frozen=True, slots=True)
 class Loop:
     """Components of a cycle of the graph, advanced step by step in a fixed order of operations."""
@@ -114,14 +117,20 @@ class Loop:
     members: tuple[Member, ...]
     operations: tuple[tuple[OperationKind, Member], ...]
     extrapolated: Mapping[str, frozenset[str]]
+    broken: int
     warnings: tuple[tuple[str, str], ...]
 
     @property
     def description(self) -> str:
-        """The operations in order, for the log; in parentheses: outputs are evaluated again."""
+        """The operations in order, for the log; in parentheses: outputs are evaluated again.
+
+        Where no connection is broken the coupling is of second order, which is said.
+        """
         words = [self.coupling]
         for kind, member in self.operations:
             words.append(member.name if kind == "advance" else f"({member.name})")
+        if not self.broken and not self.warnings:
+            words.append(SECOND_ORDER)
         return " ".join(words)
 
     def advance(self, block: Block, signals: Matrix) -> None:

@@ -325,7 +325,12 @@ class Graph:
         operations = [(kind, self._members[name]) for kind, name in order.operations]
         warnings = [(unknown.component, str(unknown)) for unknown in order.unknown]
         return Loop(
-            self.coupling, tuple(members), tuple(operations), order.extrapolated, tuple(warnings)
+            self.coupling,
+            tuple(members),
+            tuple(operations),
+            order.extrapolated,
+            order.broken,
+            tuple(warnings),
         )
 
     def _held_connections(self, names: list[str]) -> set[tuple[Port, Port]]:

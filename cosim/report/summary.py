@@ -13,6 +13,7 @@ import numpy as np
 
 from cosim.arrays import Matrix, Vector, as_columns
 from cosim.core.contracts import Recording
+from cosim.core.coupling import SECOND_ORDER
 from cosim.errors import LogError
 from cosim.report.recorded import element_names, rows_of, stacked_rows_of, time_ns_of
 from cosim.scenario.recorded import (
@@ -120,7 +121,7 @@ def summarize(recording: Recording) -> Summary:
         if "unknowns" in entry:
             identifications.append(_identification(recording, name, entry))
     stages = recorded_stages(recording)
-    loops = tuple(stage for stage in stages if not stage.startswith("cascade "))
+    loops = tuple(filter(_is_of_first_order, stages))
     last = {} if truth else _last_values(recording)
     return Summary(
         scenario=run.get("scenario", ""),
@@ -135,6 +136,10 @@ def summarize(recording: Recording) -> Summary:
         last=last,
         loops=loops,
     )
+
+
+def _is_of_first_order(stage: str) -> bool:
+    return not stage.startswith("cascade ") and not stage.endswith(SECOND_ORDER)
 
 
 def _last_values(recording: Recording) -> dict[str, float | list[float]]:

@@ -18,6 +18,7 @@ from cosim.blocks.state_space import controller
 from cosim.core import order as order_module
 from cosim.core.clock import Clock
 from cosim.core.connections import Connection
+from cosim.core.coupling import SECOND_ORDER
 from cosim.core.cycles import groups_in_order
 from cosim.core.graph import Graph
 from cosim.core.linear import Linear
@@ -84,10 +85,28 @@ def test_a_loop_with_a_delay_is_second_order(names):
     assert 3.8 < coarse / fine < 4.2
 
 
+@pytest.mark.parametrize(
+    ("first", "coupling", "is_second"),
+    [
+        (lambda: Delay(1), "gauss-seidel", True),
+        (lambda: Sampled(integrator(), 1, hold=True), "gauss-seidel", True),
+        (integrator, "gauss-seidel", False),
+        (lambda: Delay(1), "jacobi", False),
+    ],
+)
+def test_a_loop_says_whether_it_is_second_order(first, coupling, is_second):
+    """The log and the summary of a run rest on it."""
+    components = {"a": first(), "b": integrator()}
+    graph = Graph(components, {"a.u": "b.y", "b.u": "a.y"}, coupling=coupling)
+    (stage,) = graph.stages
+    assert stage.description.endswith(f" {SECOND_ORDER}") == is_second
+
+
 def order_of(components, connections, **options):
     graph = Graph(components, connections, **options)
     (loop,) = [stage for stage in graph.stages if len(stage.members) > 1]
-    return loop.description.removeprefix("gauss-seidel ").split(), loop.extrapolated
+    operations = loop.description.removeprefix("gauss-seidel ").removesuffix(SECOND_ORDER)
+    return operations.split(), loop.extrapolated
 
 
 @pytest.mark.parametrize(
