@@ -50,6 +50,7 @@ FMI_ROOMS = [
     "references",
     "description",
     "platforms",
+    "bundled",
     "describing",
     "instance",
     "generated",

@@ -1,6 +1,6 @@
 """FMI in both directions: an FMU as a component, a model of ours as an FMU.
 
-fmpy is imported in here only, and only when an FMU is opened or written.
+fmpy is imported in here only, and only for CVode; its headers and schemas are read as files.
 """
 
 from __future__ import annotations

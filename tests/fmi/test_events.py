@@ -210,6 +210,21 @@ def test_a_sawtooth_on_and_between_communication_points(solver, version, period)
     assert events == pytest.approx(expected, abs=1e-15)
 
 
+@pytest.mark.parametrize(("model", "solver"), [("SAW", "rk4"), ("COUNTER", "rk4")])
+@pytest.mark.parametrize("spacings", [-5, -3, 0, 1, 3, 4, 5, 8])
+def test_a_time_event_a_few_roundings_from_a_communication_point_is_there(model, solver, spacings):
+    """Within four spacings of floats it is one time with the point, whose row shows the event.
+
+    No FMU is asked before the time that it announced: one behind the point happens at its own time.
+    """
+    period = 0.1 - spacings * math.ulp(0.1)
+    with Run(model, solver, p=period) as run:
+        rows = run(0.2, 0.1)
+        first, *_ = run.events("time event")
+    assert first == (0.1 if 0 <= spacings <= 4 else period)
+    assert rows[1, 3] == (0.0 if spacings < -4 else 1.0)
+
+
 @pytest.mark.parametrize("solver", STEPPING)
 def test_an_fmu_without_states_runs(solver):
     """A counter: events only, whose times it adds up.

@@ -375,6 +375,21 @@ def test_the_step_is_chosen_by_the_error(f, slope, z, scale):
     assert abs(derivative[0] - slope) <= error[0] <= 1e-5 * max(1.0, abs(slope))
 
 
+@pytest.mark.parametrize("column", [1, 2, 3])
+def test_every_column_removes_one_more_even_power(column):
+    """Of z^(2 i + 1) the i-th column is exact, and what is computed from two exact entries says so.
+
+    The first such entry is that of step i + 1. What is left in its estimate is the rounding of f,
+    twice 2 eps |f| over the step h, where |f| is at most (1 + h)^(2 i + 1), and what rounding moved
+    one quotient from the other, which is no more.
+    """
+    power = 2 * column + 1
+    derivative, error = differentiate(lambda z: np.array([z**power]), 1.0, scale=1.0)
+    h = 0.125 / 4 ** (column + 1)
+    rounding = 4.0 * np.finfo(np.float64).eps * (1.0 + h) ** power / h
+    assert abs(derivative[0] - power) <= error[0] <= 2.0 * rounding
+
+
 REFUSED = {
     "no such input": (
         {"inputs": ["torqe"]},

@@ -5,7 +5,6 @@ What runs foreign code does so in child processes.
 
 from __future__ import annotations
 
-import importlib.util
 import pickle
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -15,6 +14,7 @@ from xml.etree.ElementTree import Element
 
 from cosim.errors import FmuError
 from cosim.fmi.binary.headers import built_for
+from cosim.fmi.bundled import bundled
 from cosim.fmi.checking.binaries import machine_of, required_functions
 from cosim.fmi.checking.structure import Finding, Severity, check_structure
 from cosim.fmi.child_process import (
@@ -151,11 +151,7 @@ def _validate_schema(xml: bytes, version: int) -> list[Finding]:
     """Validate with the schema of the standard, which comes with fmpy."""
     from lxml import etree
 
-    package = importlib.util.find_spec("fmpy")
-    assert package is not None
-    assert package.origin is not None
-    schema_path = Path(package.origin).parent / "schema" / SCHEMAS[version]
-    schema = etree.XMLSchema(file=str(schema_path))
+    schema = etree.XMLSchema(file=str(bundled("schema", SCHEMAS[version])))
     parser = etree.XMLParser(resolve_entities=False, no_network=True, huge_tree=True)
     try:
         document = etree.fromstring(xml, parser)

@@ -29,6 +29,7 @@ import numpy as np
 
 from cosim.core.linear import DescriptorModel
 from cosim.errors import FmuError, nearest, quoted
+from cosim.fmi.bundled import bundled
 from cosim.fmi.description import INTERFACE_TYPE_NAMES, Description, InterfaceType
 from cosim.fmi.exporting.arrays import with_arrays
 from cosim.fmi.exporting.compiling import Binary, advice, check_platforms, compile_sources
@@ -333,9 +334,7 @@ def _with_identifier(description: Description, version: Version) -> Description:
 
 def _sources(specification: ExportSpecification, version: Version) -> dict[str, bytes]:
     """Read the files that are the same for every model of this kind."""
-    import fmpy
-
-    standard = Path(fmpy.__file__).parent / "c-code"
+    standard = bundled("c-code")
     ours = (version.source, "instance.c", *specification.sources)
     headers = ("instance.h", "model.h", *specification.headers)
     paths = [HERE / name for name in (*ours, *headers)]
