@@ -64,6 +64,26 @@ def test_the_identification_start_time_is_the_papers(case, epsilon):
     assert times.T_id == times.T_obs + times.T_f + times.D_max
 
 
+def test_a_slow_design_starts_as_much_later():
+    """(36)-(38) have no time of their own: all rates over 2^12, all delays times that, so T_id."""
+    slower = 2.0**12
+    fast = identification_start_time(
+        lambda_obs=2.0,
+        filter_rate=1e3,
+        delays=(1.0,),
+        epsilon_observer=0.1,
+        epsilon_filter=0.2,
+    )
+    slow = identification_start_time(
+        lambda_obs=2.0 / slower,
+        filter_rate=1e3 / slower,
+        delays=(slower,),
+        epsilon_observer=0.1,
+        epsilon_filter=0.2,
+    )
+    assert slow.T_id == slower * fast.T_id
+
+
 def test_the_realization_is_the_papers(case):
     """(29)-(30) written out by hand: z' , delta_hat and x_b_hat of the example."""
     reduced = reduce(academic())
