@@ -64,6 +64,14 @@ def test_the_identification_start_time_is_the_papers(case, epsilon):
     assert times.T_id == times.T_obs + times.T_f + times.D_max
 
 
+def test_a_gain_for_one_output_may_be_a_list_or_a_column():
+    """Both are the same observer."""
+    reduced = reduce(academic())
+    as_list = design(reduced, L=[4, 0], filter_rate=1e3)
+    as_column = design(reduced, L=[[4], [0]], filter_rate=1e3)
+    assert np.array_equal(as_list.L, as_column.L)
+
+
 def test_a_slow_design_starts_as_much_later():
     """(36)-(38) have no time of their own: all rates over 2^12, all delays times that, so T_id."""
     slower = 2.0**12
