@@ -485,7 +485,7 @@ def plot(
         plot_run(logs[0], out, options)
     else:
         raise UsageError("several logs have no standard picture; name the signals to plot")
-    typer.echo(str(out))
+    typer.echo(printable(str(out)))
 
 
 def _size(text: str | None) -> tuple[float, float] | None:

@@ -111,7 +111,7 @@ class Port:
         return self.find_in({signal.name: signal for signal in signals})
 
     def find_in(self, by_name: Mapping[str, Signal]) -> tuple[Signal, slice] | None:
-        """Do the same with signals by their names."""
+        """Return what :meth:`find` does, of signals by their names."""
         if self.name in by_name:
             signal = by_name[self.name]
             return signal, slice(0, signal.size)

@@ -193,10 +193,7 @@ def load(
     process = Process()
     process.save()
     try:
-        if archive is None:
-            archive = read(path, into=folder)
-        else:
-            read_archive(Path(path), (), folder)
+        archive = _unpack(path, archive, folder)
         interface_type, description = _with_options(archive, options)
         library = folder / _library(archive, interface_type)
         _check_architecture(archive, library)
@@ -217,9 +214,6 @@ def load(
         process.restore()
         raise
     changes = process.restore()
-    if changes:
-        text = f"{description.name}: changed {describe_changes(changes)} when it was loaded"
-        notes = (*notes, f"{text}; it is as before again")
     return Fmu(
         archive,
         interface_type,
@@ -227,8 +221,16 @@ def load(
         component=Guarded(component, description.name),
         folder=temporary,
         solving=solving,
-        notes=notes,
+        notes=(*notes, *_notes_on_loading(description.name, changes)),
     )
+
+
+def _unpack(path: Path | str, archive: Archive | None, folder: Path) -> Archive:
+    """Unpack an FMU into a folder; return what was read from it before, or now."""
+    if archive is None:
+        return read(path, into=folder)
+    read_archive(Path(path), (), folder)
+    return archive
 
 
 def describe(path: Path | str, options: FmuOptions = DEFAULT_OPTIONS) -> DescribedFmu:
@@ -386,6 +388,14 @@ def _shortened(warnings: Sequence[str]) -> list[str]:
     if omitted:
         shown.append(f"and {omitted} more warnings; 'cosim check' lists all")
     return shown
+
+
+def _notes_on_loading(name: str, changes: int) -> list[str]:
+    """Return what loading changed of the process, and was put back."""
+    if not changes:
+        return []
+    text = f"{name}: changed {describe_changes(changes)} when it was loaded"
+    return [f"{text}; it is as before again"]
 
 
 def _notes_on_texts(description: Description) -> list[str]:

@@ -18,6 +18,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
+from cosim.files import read_bounded
 from cosim.fmi.platforms import ARCHITECTURE, SYSTEM
 from cosim.version import __version__
 
@@ -70,8 +71,7 @@ def read_problems(task: str, sha256: str, interface_type: str) -> tuple[str, ...
     if file is None:
         return None
     try:
-        with file.open("rb") as opened:
-            content = json.loads(opened.read(LARGEST))
+        content = json.loads(read_bounded(file, LARGEST))
     except (OSError, ValueError, RecursionError):
         return None
     if not isinstance(content, dict) or content.get("key") != key:

@@ -17,11 +17,12 @@ from cosim.core.recorders import Memory
 from cosim.core.signals import Interface
 from cosim.errors import CosimError, Interrupted, UsageError, flag, nearest, option, quoted
 from cosim.log import Log
-from cosim.report.recorded import difference, has_signal
+from cosim.report.recorded_rows import difference, has_signal
 from cosim.report.summary import Summary, summarize
+from cosim.scenario.edits import short
 from cosim.scenario.execution import check_target, load, run
 from cosim.scenario.parsing import Scenario
-from cosim.scenario.recorded import truth_of
+from cosim.scenario.recorded_metadata import truth_of
 from cosim.scenario.swap import PortNames, component_table, port_names
 
 
@@ -201,7 +202,7 @@ def _changes_of_others(changes: Mapping[str, Any], component: str) -> dict[str, 
     """Return the changes without those of the component."""
     others = {}
     for key, value in changes.items():
-        if not key.removeprefix("components.").startswith(f"{component}."):
+        if not short(key).startswith(f"{component}."):
             others[key] = value
     return others
 

@@ -13,7 +13,7 @@ from cosim.core.port import Port
 from cosim.core.signals import Channel, Signal
 from cosim.scenario.build import describe
 from cosim.scenario.document import find
-from cosim.scenario.recorded import (
+from cosim.scenario.recorded_metadata import (
     component_metadata,
     recorded_start,
     replay_origin,

@@ -15,8 +15,8 @@ from cosim.arrays import Matrix, Vector, as_columns
 from cosim.core.contracts import Recording
 from cosim.core.coupling import SECOND_ORDER
 from cosim.errors import LogError
-from cosim.report.recorded import element_names, rows_of, stacked_rows_of, time_ns_of
-from cosim.scenario.recorded import (
+from cosim.report.recorded_rows import element_names, rows_of, stacked_rows_of, time_ns_of
+from cosim.scenario.recorded_metadata import (
     component_metadata,
     recorded_stages,
     recorded_start,

@@ -16,10 +16,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from cosim.core.contracts import Recording
+from cosim.errors import command
 from cosim.log import Log
 from cosim.log.diff import LogDifference, SignalDifference, diff
 from cosim.scenario.execution import recorded_document
-from cosim.scenario.recorded import replay_origin
+from cosim.scenario.recorded_metadata import replay_origin
 
 
 @dataclass(frozen=True)
@@ -69,7 +70,8 @@ class Verification:
             names = ", ".join(self.copied)
             lines.append(
                 f"not computed, but copied from the log: {names}; to compute these too, run "
-                f"{self.scenario!r} again with the changes it had, and compare with 'cosim diff'"
+                f"{self.scenario!r} again with the changes it had, and compare with "
+                f"{command('diff')}"
             )
         return lines
 

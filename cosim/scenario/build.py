@@ -33,7 +33,7 @@ from cosim.scenario.document import Document
 from cosim.scenario.kinds import BuildContext, Kind
 from cosim.scenario.parsing import Scenario, read
 from cosim.scenario.problems import Key, Problem
-from cosim.scenario.recorded import ReplayOrigin
+from cosim.scenario.recorded_metadata import ReplayOrigin
 from cosim.scenario.swap import MapEntry, unknown_ports
 from cosim.scenario.truth import check_truth
 

@@ -15,7 +15,7 @@ from cosim.errors import LogError, UsageError, nearest, option, quoted
 from cosim.scenario.kinds import Kind
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.problems import Key
-from cosim.scenario.recorded import component_metadata
+from cosim.scenario.recorded_metadata import component_metadata
 from cosim.scenario.schema import matrix
 from cosim.theory.descriptor import DescriptorSystem
 

@@ -32,7 +32,7 @@ from cosim.scenario.edits import short
 from cosim.scenario.interrupting import interruptible
 from cosim.scenario.parsing import Scenario, read
 from cosim.scenario.profile import Timed
-from cosim.scenario.recorded import ReplayOrigin
+from cosim.scenario.recorded_metadata import ReplayOrigin
 from cosim.scenario.records import SCENARIO_FILE, MessageRecorder, attachments_of, metadata_of
 from cosim.scenario.replaying import (
     check_changes,
@@ -441,7 +441,7 @@ def _record(
 
 
 def _announce_size(log: McapRecorder, steps: int, notice: Notice) -> None:
-    """Say how large a log may become, if that is much or more than there is room for."""
+    """Announce how large a log may become, if that is much or more than there is room for."""
     bound = log.size_bound(steps)
     free = shutil.disk_usage(log.path.parent).free
     text = f"{log.path} takes up to {bound / 1e9:.3g} GB, before compression and without messages"

@@ -16,7 +16,7 @@ from cosim.log import open_log
 from cosim.report.summary import summarize
 from cosim.scenario.document import shipped
 from cosim.scenario.exporting import export_component
-from cosim.scenario.recorded import ReplayOrigin, replay_origin
+from cosim.scenario.recorded_metadata import ReplayOrigin, replay_origin
 from tests.fmi import lag
 
 SHORT = {"scenario.stop": 8.0}  # past the start of the identification at 6.461 s

@@ -146,13 +146,13 @@ def _difference(detour: str, component: FmuComponent, expected: Matrix, repeated
     """Return how far the outputs are from those before, relative to how far they moved."""
     import numpy as np
 
+    from cosim.core.signals import element_names
+
     motion = np.ptp(expected, axis=0)
     rounding = ROUNDING * np.maximum(1.0, np.abs(expected).max(axis=0))
     by_output = np.abs(repeated - expected).max(axis=0) / (motion + rounding)
     worst = int(by_output.argmax())
-    names: list[str] = []
-    for signal in component.interface.outputs:
-        names += signal.elements
+    names = element_names(component.interface.outputs)
     is_close = bool(by_output[worst] <= CLOSE)  # not where it is NaN
     return (
         f"{INEXACT if is_close else WRONG}: after {detour} the same steps give other outputs, "

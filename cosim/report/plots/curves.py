@@ -14,7 +14,7 @@ from cosim.core.contracts import Recording
 from cosim.errors import UsageError
 from cosim.report.plots.picture import PictureOptions
 from cosim.report.printable import printable_line
-from cosim.report.recorded import element_names, rows_of, signal_of, time_ns_of
+from cosim.report.recorded_rows import element_names, rows_of, signal_of, time_ns_of
 from cosim.units import Unit, conversion
 
 Style: TypeAlias = Mapping[str, Any]

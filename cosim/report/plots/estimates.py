@@ -19,8 +19,8 @@ from cosim.report.plots.curves import (
     draw_curves,
 )
 from cosim.report.plots.picture import Picture, PictureOptions, need_plot
-from cosim.report.recorded import rows_of, stacked_rows_of, time_ns_of
-from cosim.scenario.recorded import run_metadata, truth_of
+from cosim.report.recorded_rows import rows_of, stacked_rows_of, time_ns_of
+from cosim.scenario.recorded_metadata import run_metadata, truth_of
 from cosim.scenario.schema import truth_ports
 
 MOST_OUTPUTS: Final = 12  # of a run without truth that a picture shows

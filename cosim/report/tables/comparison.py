@@ -113,7 +113,7 @@ def _largest_differences(difference: EstimateDifference) -> dict[tuple[str, str]
 
     Elements without a value are left out.
     """
-    from cosim.report.recorded import element_names
+    from cosim.report.recorded_rows import element_names
 
     elements: dict[tuple[str, str], float] = {}
     names = element_names(difference.estimate, len(difference.largest))

@@ -219,11 +219,11 @@ def print_cache(*, clear: bool, as_json: bool) -> None:
     if as_json:
         print_json(content)
     elif folder is None:
-        typer.echo("no cache: COSIM_CACHE is empty")
+        print_line("no cache: COSIM_CACHE is empty")
     elif clear:
-        typer.echo(f"{folder}: {removed} removed")
+        print_line(f"{folder}: {removed} removed")
     else:
-        typer.echo(f"{folder}: {len(sizes)} results of trials, {sum(sizes)} bytes")
+        print_line(f"{folder}: {len(sizes)} results of trials, {sum(sizes)} bytes")
 
 
 def print_linearization(linearization: Linearization, *, as_json: bool) -> None:

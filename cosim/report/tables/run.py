@@ -11,11 +11,11 @@ from rich.table import Table
 
 from cosim.core.contracts import Recording
 from cosim.log import Log
-from cosim.report.recorded import signal_of
+from cosim.report.recorded_rows import signal_of
 from cosim.report.summary import Identification, Summary, span, summarize
 from cosim.report.tables.console import new_table, print_json, print_line, print_table
 from cosim.report.verification import Verification
-from cosim.scenario.recorded import component_metadata, recorded_warnings
+from cosim.scenario.recorded_metadata import component_metadata, recorded_warnings
 
 
 def print_summary(
@@ -182,4 +182,4 @@ def _warn_of_environment(source: Recording) -> None:
     for name in source.channels:
         bits = component_metadata(source, name).get("bits")
         if bits is not None:
-            typer.echo(f"note: {name}: {bits}", err=True)
+            print_line(f"note: {name}: {bits}", error=True)
