@@ -252,8 +252,8 @@ def check_points(t: Vector, y: Matrix, *, hold: bool) -> None:
             raise UsageError(
                 f"table: t[{before}] and t[{after}] are both {t[after]} s, a jump, and what is "
                 "interpolated linearly cannot jump: its value at a communication point counts "
-                'before it and after it; use interpolation = "zero-order", or leave a '
-                "communication step between the two"
+                'before it and after it; use interpolation = "zero-order" with '
+                "the second row alone, or leave a communication step between the two"
             )
         raise UsageError(
             f"table: t[{after}] = {t[after]} s does not come after {t[before]} s; "

@@ -283,6 +283,14 @@ class DescribedFmu:
         """Refuse."""
         raise self._refusal
 
+    def save(self) -> None:
+        """Refuse; an interface that declares ``rollback`` asks for the method."""
+        raise self._refusal
+
+    def restore(self, state: None) -> None:
+        """Refuse."""
+        raise self._refusal
+
 
 def _with_options(archive: Archive, options: FmuOptions) -> tuple[InterfaceType, Description]:
     """Return the interface type that options ask for, and the description with them."""

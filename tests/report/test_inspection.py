@@ -1,6 +1,9 @@
 """What info shows of a scenario."""
 
+import pytest
+
 from cosim.report.inspection import describe_scenario
+from cosim.scenario.exporting import export_component
 
 SCENARIO = """
 [scenario]
@@ -39,3 +42,24 @@ def test_a_connection_shows_all_its_sources_and_one_conversion(tmp_path):
     assert row["map"] == "v - 0.5"
     assert row["unit"] == "m -> mm"
     assert row["conversion"] == "((v * 1.0 + 0.0) - 0.0) / 0.001"
+
+
+@pytest.mark.parametrize("interface_type", ["me", "cs"])
+def test_an_fmu_that_saves_its_state_is_shown(interface_type, tmp_path):
+    """The description is enough, whatever the FMU could do if it ran."""
+    fmu = tmp_path / "plant.fmu"
+    export_component("closed-loop", "plant", fmu)
+    path = tmp_path / "x.toml"
+    path.write_text(
+        f'''
+[scenario]
+name = "x"
+stop = 0.2
+step = 0.1
+
+[components]
+plant = {{ kind = "fmu", path = "{fmu}", interface_type = "{interface_type}" }}
+'''
+    )
+    signals = [row["signal"] for row in describe_scenario(str(path))["signals"]]
+    assert signals == ["plant.u", "plant.delta", "plant.y", "plant.x_a", "plant.x_b"]
