@@ -24,7 +24,7 @@ from cosim.core.graph import Graph
 from cosim.errors import RunError
 
 CALL_WORK: Final = 1e-3  # s of wall time that one call of a component should take
-STAGE_WORK: Final = 1e-4  # s of wall time that a stage may take of a block: calls cost a tenth
+STAGE_WORK: Final = 5e-4  # s of wall time that a stage may take of a block: calls cost a tenth
 PIECE_WORK: Final = 0.3  # s of wall time after which a block is divided
 GROWTH: Final = 4  # steps of a call, at most, in units of those of the last
 

@@ -23,6 +23,8 @@ from cosim.log.result import LastRow
 from cosim.log.sink import MessageBatch
 
 CHUNK_BYTES = 2**20  # of records, uncompressed
+_CHANNELS = 256  # of a chunk; of more it is larger, as small pieces cost more than their rows
+_LARGEST_CHUNK = 16  # in units of CHUNK_BYTES
 _BUFFER_BYTES = 2**22  # of rows, where long periods leave few of them in a chunk
 _DOUBLE_BYTES = 8
 _SEQUENCE_MASK = 0xFFFFFFFF  # MCAP's sequence has 32 bits
@@ -158,7 +160,8 @@ def _capacity(layout: Layout, parts: Sequence[Part]) -> int:
     for part in parts:
         record_bytes = record_dtype(part.size).itemsize
         record_bytes_per_step += record_bytes / part.channel.period
-    rows_in_chunk = CHUNK_BYTES // max(record_bytes_per_step, 1.0)
+    chunks = min(max(len(parts) / _CHANNELS, 1.0), _LARGEST_CHUNK)
+    rows_in_chunk = chunks * CHUNK_BYTES // max(record_bytes_per_step, 1.0)
     row_bytes = _DOUBLE_BYTES * max(layout.width, 1)
     rows_in_buffer = _BUFFER_BYTES // row_bytes
     capacity = int(min(rows_in_chunk, rows_in_buffer))

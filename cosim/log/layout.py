@@ -15,6 +15,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
+from types import MappingProxyType
 from typing import Any, TypeAlias, get_args
 
 import numpy as np
@@ -41,6 +43,7 @@ _LARGEST_POWER = 10_000  # of a base unit
 Records: TypeAlias = NDArray[np.void]  # shape (n,), of a dtype by record_dtype
 
 _CHECKSUM_NAME = "cosim.channel"  # metadata of channels have no name of their own
+_TAGGED_SIZES = 64  # most components have one of few sizes
 _DOUBLE_WIRE_TYPE = 1  # of protobuf: 64 bits
 
 # Groups of fields whose tags have 1, 2 and 3 bytes: name, first field number, one past the last.
@@ -333,8 +336,9 @@ def blank_records(channel_id: int, size: int, count: int) -> Records:
     return records
 
 
-def field_tags(size: int) -> dict[str, NDArray[np.uint8]]:
-    """Return the tags of each group of fields, shape (fields, bytes).
+@lru_cache(_TAGGED_SIZES)
+def field_tags(size: int) -> Mapping[str, NDArray[np.uint8]]:
+    """Return the tags of each group of fields, shape (fields, bytes); read-only.
 
     A tag is ``number << 3 | wire type`` as a varint: seven bits a byte, the lowest first, with the
     highest bit set in every byte but the last.
@@ -350,8 +354,9 @@ def field_tags(size: int) -> dict[str, NDArray[np.uint8]]:
         for position in range(tag_bytes):
             varint[:, position] = (keys >> 7 * position) & 0x7F
         varint[:, :-1] |= 0x80
+        varint.setflags(write=False)
         tags[name] = varint
-    return tags
+    return MappingProxyType(tags)
 
 
 def group_columns(size: int) -> dict[str, slice]:

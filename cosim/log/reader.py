@@ -45,6 +45,7 @@ _LOG_TIME = slice(6, 14)  # of a message record's content
 _DATA = slice(22, None)
 _DOUBLE_BYTES = 8
 _MOST_AHEAD = 2**26  # bytes of rows that are read ahead, or that a block has
+_AHEAD_GROWTH = 64  # components that a pass reads ahead, in units of those of the one before
 _MOST_SORTED = 2**28  # bytes of rows that are sorted in memory to be hashed
 
 _Parsed = TypeVar("_Parsed")
@@ -398,8 +399,9 @@ class Log(RecordedSignals):
     def _read_ahead(self, component: str) -> TimedRows:
         """Return the rows of a component; read those behind it in the same pass.
 
-        Each pass reads eight times as many as the one before: whoever asks for one component
-        after another needs few passes, and whoever asks for one only reads no other.
+        The first pass reads one component, the second 64, those behind it 4096, as far as they
+        fit: whoever asks for one component after another needs few passes, however many there
+        are, and whoever asks for one only reads no other.
         """
         if component not in self._ahead:
             names = list(self._channels)
@@ -407,7 +409,7 @@ class Log(RecordedSignals):
             others = [*names[first + 1 :], *names[:first]]
             batch = [component]
             size = self._row_bytes(component)
-            for name in others[: 8**self._passes - 1]:
+            for name in others[: _AHEAD_GROWTH ** min(self._passes, 2) - 1]:
                 size += self._row_bytes(name)
                 if size > _MOST_AHEAD:
                     break

@@ -103,6 +103,8 @@ class RowStream:
 
     def _whole(self) -> TimedRows:
         """Take the rows of which every part has come."""
+        if len(self._pending) == 1:
+            return self._whole_part()
         count = min(len(times) for times, _ in self._pending.values())
         taken_times = []
         taken_values = []
@@ -113,6 +115,10 @@ class RowStream:
         for other in taken_times[1:]:
             if not np.array_equal(taken_times[0], other):
                 raise ValueError("the channels of a component have rows at different times")
-        if len(taken_values) == 1:
-            return taken_times[0], taken_values[0]
         return taken_times[0], np.hstack(taken_values)
+
+    def _whole_part(self) -> TimedRows:
+        """Take all rows of the only part."""
+        ((number, (times, values)),) = self._pending.items()
+        self._pending[number] = (times[:0].copy(), values[:0].copy())
+        return times, values

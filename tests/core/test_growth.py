@@ -115,5 +115,6 @@ def test_blocks_grow_with_the_number_of_stages():
     components, connections = star(600)
     pacer = pacing.Pacer(Graph(components, connections), divide=True)
     assert pacer.work == pytest.approx(602 * pacing.STAGE_WORK)
+    assert pacing.STAGE_WORK >= clock_module.BLOCK_WORK / 100  # what each of a hundred has
     few = pacing.Pacer(Graph(*star(10)), divide=True)
     assert few.work == clock_module.BLOCK_WORK

@@ -8,6 +8,7 @@ import os
 import struct
 import subprocess
 import sys
+from time import process_time
 
 import numpy as np
 import pytest
@@ -156,12 +157,49 @@ def test_many_components_need_few_passes(tmp_path, monkeypatch):
     assert len(passes) == 1
     for i in range(300):
         assert same_bits(log[f"c{i}.y"], rows[:, 2 * i : 2 * i + 2])
-    assert len(passes) <= 1 + 4  # 1 + 8 + 64 + 512 components
+    assert len(passes) <= 1 + 3  # 1 + 64 + 4096 components
     passes.clear()
     backwards = open_log(tmp_path / "a.mcap")
     for name in reversed(backwards.signals()):
         assert len(backwards[name]) == 6
     assert len(passes) <= 20
+
+
+def test_many_components_have_no_more_pieces_than_few(tmp_path):
+    """A piece is what a chunk has of a component: it costs the same, however few rows it has.
+
+    Of 2000 components a step takes 98 kB: chunks of 1 MiB would have 11 rows of each, in 6 pieces.
+    """
+    record(tmp_path / "a.mcap", steps=60, size=60, lay=many(2000))
+    with (tmp_path / "a.mcap").open("rb") as stream:
+        assert make_reader(stream).get_summary().statistics.chunk_count <= 2
+
+
+def reading_costs(path, count):
+    """Return the processor time for each component: to hash it, to read it."""
+    hashed = open_log(path)
+    log = open_log(path)
+    began = process_time()
+    hashed.content_hash()
+    between = process_time()
+    for name in log.channels:
+        log.rows(name)
+    return np.diff([began, between, process_time()]) / count
+
+
+def test_the_cost_to_read_a_component_does_not_grow(tmp_path):
+    """As a ratio within one run; the smallest counts, as another process can only add time."""
+    small = tmp_path / "small.mcap"
+    large = tmp_path / "large.mcap"
+    record(small, steps=100, size=100, lay=many(100))
+    record(large, steps=100, size=100, lay=many(1000))
+    ratios = np.full(2, np.inf)
+    for _ in range(5):
+        base = np.min([reading_costs(small, 100) for _ in range(2)], axis=0)
+        ratios = np.minimum(ratios, reading_costs(large, 1000) / base)
+        if (ratios <= 1.5).all():
+            return
+    raise AssertionError(f"a component costs {ratios} times as much to hash and to read")
 
 
 def test_designs_are_decoded_once(tmp_path, monkeypatch):
