@@ -35,7 +35,7 @@ from cosim.core.initial_values import InitialValues
 from cosim.core.member import Member, Wire, constant_wires, wires_of
 from cosim.core.order import order_loop
 from cosim.core.port import Port
-from cosim.core.signals import Channel, Signal, Variability
+from cosim.core.signals import Channel, Interface, Signal, Variability
 from cosim.errors import GraphError, NonFiniteError, nearest
 from cosim.units import Conversion
 
@@ -415,6 +415,7 @@ class Graph:
             if connection.matrix.ndim == 2:
                 for text in self._ramps_of(self._sources[to.component][to.signal]):
                     yield to.component, text
+        yield from self._jumps_of_continuous()
 
     def _ramps_of(self, ports: Iterable[Port]) -> Iterator[str]:
         """Yield what becomes of the jumps in a signal that follows several outputs."""
@@ -429,11 +430,59 @@ class Graph:
                 "ramp over the step before it: an error of first order in the step"
             )
 
+    def _jumps_of_continuous(self) -> Iterator[tuple[str, str]]:
+        """Yield (component, text) of continuous outputs that jump and are interpolated."""
+        becomes = "the jump becomes a ramp over the step before it: an error of first order"
+        for output in self._interpolated():
+            name = output.component
+            interface = self.layout[name].interface
+            if _starts_apart(interface, output.signal):
+                yield (
+                    name,
+                    f"{output} begins with a value of its own and jumps where the first of its "
+                    f"input arrives, unless both are equal; {becomes} in the step",
+                )
+            jumping = self._jumps_fed_to(output)
+            if jumping:
+                yield (
+                    name,
+                    f"{output} jumps with {', '.join(map(str, jumping))}, which feeds through, "
+                    f"and is interpolated linearly: {becomes} in the step",
+                )
+
+    def _interpolated(self) -> list[Port]:
+        """Return the continuous outputs that drive inputs which are followed through a step."""
+        outputs: dict[Port, None] = {}
+        for name, inputs in self._sources.items():
+            interface = self.layout[name].interface
+            for signal in interface.inputs:
+                is_followed = (
+                    signal.variability != "discrete" and signal.name not in interface.delayed
+                )
+                if is_followed and signal.name in inputs:
+                    outputs |= dict.fromkeys(inputs[signal.name])
+        return [output for output in outputs if self.variability(output) == "continuous"]
+
+    def _jumps_fed_to(self, output: Port) -> list[Port]:
+        """Return the discrete signals that are known to feed through to an output.
+
+        What inherits its variability is left out: there they meet continuous ones, which is said.
+        """
+        interface = self.layout[output.component].interface
+        declared = {signal.name: signal.variability for signal in interface.outputs}
+        if declared[output.signal] == "inherited" or not interface.knows(output.signal):
+            return []
+        inputs = self._sources[output.component]
+        fed = [inputs[name] for name in interface.feeds(output.signal) if name in inputs]
+        ports = dict.fromkeys(chain.from_iterable(fed))
+        return [port for port in ports if self.variability(port) == "discrete"]
+
     @cached_property
     def _variabilities(self) -> dict[Port, Variability]:
         """The variability of every output: what inherits it follows what is behind it.
 
-        A cycle of components that inherit theirs is discrete, unless something continuous enters.
+        A cycle of components that inherit theirs is discrete, unless something continuous enters;
+        and so is what begins with another value than the constant that arrives later.
         """
         found: dict[Port, Variability] = {}
         inheriting: dict[str, list[Port]] = {}
@@ -453,6 +502,9 @@ class Graph:
         continuous = _with(found, "continuous", found)
         for name in _on_cycles(drivers):
             discrete += inheriting[name]
+        for name, outputs in inheriting.items():
+            interface = self.layout[name].interface
+            discrete += [port for port in outputs if _starts_apart(interface, port.signal)]
         for port in _reached(discrete, followed, inheriting):
             found[port] = "discrete"
         # Last, as one continuous signal is enough.
@@ -466,6 +518,13 @@ def _with(
 ) -> list[Port]:
     """Return those of the ports that have a variability."""
     return [port for port in ports if variabilities[port] == wanted]
+
+
+def _starts_apart(interface: Interface, output: str) -> bool:
+    """Return whether an output follows inputs with a delay, and does not begin with their value."""
+    delays = bool(interface.delayed) and not interface.feeds_initially(output)
+    variability = {signal.name: signal.variability for signal in interface.outputs}
+    return delays and variability[output] == "inherited"
 
 
 def _on_cycles(drivers: Mapping[str, list[str]]) -> list[str]:

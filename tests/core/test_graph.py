@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 
+from cosim.blocks import dynamics
 from cosim.blocks.arithmetic import gain, sum_of
 from cosim.blocks.dynamics import Delay, lag
-from cosim.blocks.source import Noise, Table, constant, sine, step
+from cosim.blocks.source import Expression, Noise, Table, constant, sine, step
+from cosim.blocks.transfer import transfer_function
 from cosim.core.clock import Clock
 from cosim.core.connections import Connection
 from cosim.core.graph import Graph
@@ -484,3 +486,55 @@ def test_jumps_that_are_interpolated_with_what_is_continuous_are_said():
     product = Connection(["step.y", "line.y"], ((1.0, 1.0),))
     ((name, _),) = Graph(components, {"lag.u": product}).warnings
     assert name == "lag"
+
+
+def step_into(part, **options):
+    """Return the graph of a step at 0.5 s, a part, and an integrator that follows it."""
+    components = {
+        "step": step(time=0.5),
+        "part": part,
+        "integral": Linear(dynamics.integrator()),
+    }
+    connections = {"part.u": "step.y", "integral.u": "part.y"}
+    return Graph(components, connections, **options)
+
+
+def test_a_jump_that_feeds_through_what_is_continuous_is_said():
+    """(s + 2)/(s + 1) of a step begins with 1: behind it that is a ramp over the step before.
+
+    The integral of it has h/2 more than 1/2 + (1 - e^-1/2) at 1 s.
+    """
+    graph = step_into(Linear(transfer_function([1.0, 2.0], [1.0, 1.0])))
+    ((name, text),) = graph.warnings
+    assert name == "part"
+    assert text.startswith("part.y jumps with step.y, which feeds through, and is interpolated")
+    memory = Memory()
+    run(graph, Clock(1.0, 0.25), memory)
+    exact = 2.0 * 0.5 - (1.0 - np.exp(-0.5))
+    assert memory["integral.y"][-1] - exact == pytest.approx(0.125, rel=0.1)
+    assert step_into(Linear(transfer_function([1.0], [1.0, 1.0]))).warnings == []
+    held = step_into(
+        Linear(transfer_function([1.0, 2.0], [1.0, 1.0])), input_interpolation="zero-order"
+    )
+    assert held.warnings == []
+
+
+def test_a_delay_that_begins_with_a_value_of_its_own_is_said():
+    """It jumps once to what arrives; of a constant that is held, of a continuous signal said."""
+    components = {
+        "source": constant([3.0]),
+        "delay": Delay(2, initial=0.0),
+        "integral": Linear(dynamics.integrator()),
+    }
+    connections = {"delay.u": "source.y", "integral.u": "delay.y"}
+    graph = Graph(components, connections)
+    assert graph.warnings == []
+    memory = Memory()
+    run(graph, Clock(1.0, 0.25), memory)
+    assert memory["integral.y"].tolist() == [0.0, 0.0, 0.0, 0.75, 1.5]
+    components["source"] = Expression(["3 + t"])
+    ((name, text),) = Graph(components, connections).warnings
+    assert name == "delay"
+    assert text.startswith("delay.y begins with a value of its own and jumps where the first")
+    components["delay"] = Delay(2)
+    assert Graph(components, connections).warnings == []
