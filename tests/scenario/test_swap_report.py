@@ -320,6 +320,45 @@ def test_what_cannot_be_linearized_is_unknown(folder, tmp_path):
                 kind.linear_system("plant", context)
 
 
+PAIR = """
+[scenario]
+name = "pair"
+stop = 0.1
+step = 0.01
+[components]
+source = { kind = "sine", rate = 2.0, unit = "N" }
+part = { kind = "transfer-function", numerator = [NUMBER], denominator = [0.5, 1.0], unit = UNITS }
+after = { kind = "lag", time_constant = 0.3, unit = "m" }
+[connections]
+"part.u" = "source.y"
+"after.u" = "part.y"
+"""
+
+
+def pair(folder, number, units):
+    path = folder / f"{number}.toml"
+    path.write_text(PAIR.replace("NUMBER", number).replace("UNITS", units))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("units", "verdict", "ratio"), [('{ u = "kN", y = "mm" }', "ok", 1.0), ("{}", "differs", 1e6)]
+)
+def test_the_static_gain_of_an_fmu_with_local_states_is_known(tmp_path, units, verdict, ratio):
+    """Its states are recorded behind its outputs: the gain has rows for them too.
+
+    2 m/N are 2e6 mm/kN; without units the gain alone says that they are others, as all begins at 0.
+    """
+    original = cosim.load(pair(tmp_path, "2.0", '{ u = "N", y = "m" }'))
+    milli = pair(tmp_path, "2e6", units)
+    path = tmp_path / "part.fmu"
+    export_component(milli, "part", path)
+    rows = compare_swaps(original.edit(swap={"part": path})).reports["part"].rows
+    gain = next(row for row in rows if (row.port, row.aspect) == ("y", "static gain"))
+    assert gain.verdict == verdict
+    assert gain.ratio == pytest.approx(ratio, rel=1e-9)
+
+
 @pytest.fixture
 def counted(monkeypatch):
     """Return what is counted: TOML texts that are parsed, FMUs that are read, instances."""

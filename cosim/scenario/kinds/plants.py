@@ -155,13 +155,14 @@ class FmuKind(PlantKind, PeriodicKind):
         path = context.file(self.path)
         start = self._numeric_start(path)
         fmu = context.opened(name)
+        outputs = _continuous_outputs(fmu.description)
         if fmu.interface_type == "me":
-            linearization = linearize(fmu.instance, start=start)
+            linearization = linearize(fmu.instance, start=start, outputs=outputs)
         else:
             capabilities = fmu.description.capabilities.values()
             if any(capability.once_per_process for capability in capabilities):
                 raise UsageError(f"{path}: there can be one instance only, which is in use")
-            linearization = linearize(path, start=start)
+            linearization = linearize(path, start=start, outputs=outputs)
         errors = [error or 0.0 for error in linearization.errors.values()]
         return LinearSystem(
             linearization.A,
@@ -178,6 +179,18 @@ class FmuKind(PlantKind, PeriodicKind):
                 raise UsageError(f"{path}: can be linearized with numbers as start values only")
             numbers[variable] = float(value)
         return numbers
+
+
+def _continuous_outputs(description: Description) -> list[str]:
+    """Return the variables of the output ports, states among them, that can be linearized for."""
+    names = []
+    for _, variables in description.ports("output"):
+        for variable in variables:
+            is_known = variable.causality == "output" or variable.name in description.local_states
+            is_continuous = variable.signal_type == "real" and variable.variability == "continuous"
+            if is_known and is_continuous:
+                names.append(variable.name)
+    return names
 
 
 class RecordingKind(PlantKind):
