@@ -26,8 +26,14 @@ gain = { kind = "gain", K = 2.0 }
 limit = { kind = "limit", lower = 0.0, upper = 1.0 }
 lag = { kind = "lag", time_constant = 1.0 }
 delay = { kind = "delay", delay = 0.1 }
+product = { kind = "product", operations = "*/" }
+switch = { kind = "switch" }
+integrator = { kind = "integrator" }
+transfer = { kind = "transfer-function", numerator = [1.0], denominator = [1.0, 1.0] }
+pid = { kind = "pid", gain = 1.0 }
 look = { kind = "look-up-table", u = [0.0, 1.0], y = [0.0, 1.0] }
 controller = { kind = "controller", A = [[-1.0]], B = [[1.0]], C = [[1.0]] }
+sampled = { kind = "discrete-state-space", period = 0.1, A = [[0.5]], B = [[1.0]], C = [[1.0]] }
 [connections]
 "sum.u1" = "step.y"
 "sum.u2" = "ramp.y"
@@ -35,6 +41,16 @@ controller = { kind = "controller", A = [[-1.0]], B = [[1.0]], C = [[1.0]] }
 "limit.u" = "ramp.y"
 "lag.u" = "ramp.y"
 "delay.u" = "ramp.y"
+"product.u1" = "ramp.y"
+"product.u2" = "constant.y"
+"switch.u1" = "ramp.y"
+"switch.u2" = "ramp.y"
+"switch.control" = "step.y"
+"integrator.u" = "ramp.y"
+"transfer.u" = "ramp.y"
+"pid.setpoint" = "ramp.y"
+"pid.measurement" = "ramp.y"
+"sampled.u" = "ramp.y"
 "look.u" = "ramp.y"
 "controller.u" = "ramp.y"
 """
