@@ -10,12 +10,23 @@ import pytest
 import cosim
 
 ROOT = Path(cosim.__file__).parent
-BASE = {"errors", "arguments", "arrays", "files", "temporary", "units", "version", "lazy"}
+BASE = {
+    "errors",
+    "arguments",
+    "arrays",
+    "files",
+    "filters",
+    "temporary",
+    "units",
+    "version",
+    "lazy",
+}
 ALLOWED = {
     "errors": set(),
     "arguments": {"errors"},
     "arrays": set(),
     "files": set(),
+    "filters": set(),
     "temporary": set(),
     "units": set(),
     "version": set(),

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import ast
 import math
-import warnings
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cosim.errors import UsageError, nearest, quoted
+from cosim.filters import ignored_warnings
 
 FUNCTIONS = (
     "sin",
@@ -111,10 +111,9 @@ def parse(text: str) -> ast.expr:
             f"expression {quoted(text)}: has {len(text)} characters; needed at most {MOST_TEXT}"
         )
     try:
-        with warnings.catch_warnings():  # of what Python may not read in a later version: "1or 2"
-            warnings.simplefilter("error")
+        with ignored_warnings():  # of "1or 2" and the like, which the compiler refuses
             return ast.parse(text.strip(), mode="eval").body
-    except (SyntaxError, ValueError, RecursionError, MemoryError, Warning) as error:
+    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         column = error.offset if isinstance(error, SyntaxError) else None
         place = f" at column {column}" if column else ""
         raise UsageError(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import threading
-import warnings
 from collections import Counter
 from collections.abc import Sequence
 
@@ -11,10 +9,9 @@ import numpy as np
 
 from cosim.arrays import Matrix, Vector
 from cosim.errors import AssumptionError
+from cosim.filters import ignored_warnings
 from cosim.theory.descriptor import ComplexVector
 from cosim.theory.geometry import RANK_TOLERANCE
-
-_FILTERS = threading.Lock()  # of warnings, which are one for all threads
 
 # largest error of the characteristic polynomial, with rates relative to the fastest pole
 PLACED = 1e-6
@@ -137,10 +134,7 @@ def _place_with_several_outputs(A: Matrix, rows: Matrix, poles: ComplexVector) -
         )
     from scipy.signal import place_poles  # takes 0.5 s to import, and is rarely needed
 
-    # One thread at a time: two of them would put back each other's filters, and leave one of these.
-    with _FILTERS, warnings.catch_warnings():
-        # it warns of poles that it did not reach, which is checked afterwards
-        warnings.simplefilter("ignore")
+    with ignored_warnings():  # of poles that it did not reach, which is checked afterwards
         placement = place_poles(A.T, rows.T, poles)
     gain: Matrix = placement.gain_matrix.T
     return gain

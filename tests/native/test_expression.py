@@ -2,6 +2,7 @@
 
 import ast
 import math
+import warnings
 
 import numpy as np
 import pytest
@@ -203,3 +204,20 @@ def test_what_is_too_deep_to_be_read_is_refused(text):
     """The parser's limits are not the user's traceback."""
     with pytest.raises(UsageError, match=r"not an expression|nested too deep to be read"):
         compile_expression(text)
+
+
+def test_reading_an_expression_makes_no_warning_an_error(monkeypatch):
+    """Filters of warnings are one for all threads: others may warn while an expression is read."""
+    actions = []
+    parse = ast.parse
+
+    def observed(*arguments, **options):
+        actions.append(warnings.filters[0][0])
+        return parse(*arguments, **options)
+
+    monkeypatch.setattr(ast, "parse", observed)
+    before = list(warnings.filters)
+    with pytest.raises(UsageError, match="found '1or 2'; only numbers"):
+        compile_expression("1or 2")
+    assert actions == ["ignore"]
+    assert warnings.filters == before
