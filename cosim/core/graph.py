@@ -35,7 +35,7 @@ from cosim.core.initial_values import InitialValues
 from cosim.core.member import Member, Wire, constant_wires, wires_of
 from cosim.core.order import order_loop
 from cosim.core.port import Port
-from cosim.core.signals import Channel, Interface, Signal, Variability
+from cosim.core.signals import Channel, Signal, Variability
 from cosim.errors import GraphError, NonFiniteError, nearest
 from cosim.units import Conversion
 
@@ -435,8 +435,7 @@ class Graph:
         becomes = "the jump becomes a ramp over the step before it: an error of first order"
         for output in self._interpolated():
             name = output.component
-            interface = self.layout[name].interface
-            if _starts_apart(interface, output.signal):
+            if self._starts_apart(output):
                 yield (
                     name,
                     f"{output} begins with a value of its own and jumps where the first of its "
@@ -477,6 +476,13 @@ class Graph:
         ports = dict.fromkeys(chain.from_iterable(fed))
         return [port for port in ports if self.variability(port) == "discrete"]
 
+    def _starts_apart(self, output: Port) -> bool:
+        """Return whether an output follows a delayed input, and does not begin with its value."""
+        interface = self.layout[output.component].interface
+        delays = bool(interface.delayed) and not interface.feeds_initially(output.signal)
+        variability = {signal.name: signal.variability for signal in interface.outputs}
+        return delays and variability[output.signal] == "inherited"
+
     @cached_property
     def _variabilities(self) -> dict[Port, Variability]:
         """The variability of every output: what inherits it follows what is behind it.
@@ -502,9 +508,8 @@ class Graph:
         continuous = _with(found, "continuous", found)
         for name in _on_cycles(drivers):
             discrete += inheriting[name]
-        for name, outputs in inheriting.items():
-            interface = self.layout[name].interface
-            discrete += [port for port in outputs if _starts_apart(interface, port.signal)]
+        inherited = _with(found, "inherited", found)
+        discrete += [port for port in inherited if self._starts_apart(port)]
         for port in _reached(discrete, followed, inheriting):
             found[port] = "discrete"
         # Last, as one continuous signal is enough.
@@ -518,13 +523,6 @@ def _with(
 ) -> list[Port]:
     """Return those of the ports that have a variability."""
     return [port for port in ports if variabilities[port] == wanted]
-
-
-def _starts_apart(interface: Interface, output: str) -> bool:
-    """Return whether an output follows inputs with a delay, and does not begin with their value."""
-    delays = bool(interface.delayed) and not interface.feeds_initially(output)
-    variability = {signal.name: signal.variability for signal in interface.outputs}
-    return delays and variability[output] == "inherited"
 
 
 def _on_cycles(drivers: Mapping[str, list[str]]) -> list[str]:
