@@ -16,16 +16,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Matrix, Vector
-from cosim.core.signals import Dependencies, Interface, Signal
+from cosim.core.signals import Causality, Dependencies, Interface, Signal
 from cosim.units import Conversion, conversion
-
-Causality: TypeAlias = Literal["input", "output"]
 
 
 @dataclass(frozen=True, slots=True)

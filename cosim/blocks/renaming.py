@@ -13,9 +13,9 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 
-from cosim.blocks.port_map import Causality, PortElement, PortMap, ShownPort, names_of
+from cosim.blocks.port_map import PortElement, PortMap, ShownPort, names_of
 from cosim.core.port import Port
-from cosim.core.signals import Interface, Need, Signal
+from cosim.core.signals import Causality, Interface, Need, Signal
 from cosim.errors import GraphError, nearest
 from cosim.units import Unit, comparable, conversion
 

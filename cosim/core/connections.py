@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import InitVar, dataclass, field
 from typing import TypeAlias
@@ -12,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from cosim.core.arguments import check_type, kind_of
 from cosim.core.contracts import Component
 from cosim.core.port import Port
-from cosim.core.signals import Channel, Layout, Signal
+from cosim.core.signals import Causality, Channel, Layout, Signal
 from cosim.errors import GraphError, nearest
 from cosim.units import BASE, BaseUnit, Conversion, Unit, comparable, conversion, unknown_unit
 
@@ -114,16 +115,17 @@ def _label(sources: Iterable[Port]) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Source:
-    """An output, or elements of it, and their columns in the row."""
+class ConnectionEnd:
+    """An input or an output, or elements of it, and their columns in the row."""
 
     channel: Channel
     signal: Signal
     columns: slice
+    elements: slice
 
     @property
     def port(self) -> Port:
-        """The whole output."""
+        """The whole input or output."""
         return Port(self.channel.name, self.signal.name)
 
     @property
@@ -137,32 +139,28 @@ class Ports:
 
     def __init__(self, layout: Layout) -> None:
         self.channels = {channel.name: channel for channel in layout.channels}
-        self._inputs: dict[str, dict[str, Signal]] = {}
-        self._outputs: dict[str, dict[str, Signal]] = {}
+        self._signals: dict[tuple[str, Causality], dict[str, Signal]] = {}
         self._columns: dict[str, dict[str, slice]] = {}
         for channel in layout.channels:
+            name = channel.name
             interface = channel.interface
-            self._inputs[channel.name] = {signal.name: signal for signal in interface.inputs}
-            self._outputs[channel.name] = {signal.name: signal for signal in interface.outputs}
-            self._columns[channel.name] = {
+            self._signals[name, "input"] = {signal.name: signal for signal in interface.inputs}
+            self._signals[name, "output"] = {signal.name: signal for signal in interface.outputs}
+            self._columns[name] = {
                 signal.name: columns for signal, columns in channel.signal_columns()
             }
 
-    def input(self, port: Port) -> tuple[Channel, Signal]:
-        """Return the channel and the signal of an input.
+    def input(self, port: Port) -> ConnectionEnd:
+        """Return an input, or elements of it.
 
         Raises
         ------
         GraphError
-            If there is no such input; names the nearest.
+            If there is no such input or element; names the nearest.
         """
-        channel = self._channel(port)
-        signal = self._inputs[channel.name].get(port.name)
-        if signal is None:
-            raise _unknown_input(port, channel)
-        return channel, signal
+        return self._find(port, "input")
 
-    def source(self, port: Port) -> Source:
+    def source(self, port: Port) -> ConnectionEnd:
         """Return an output, or elements of it.
 
         Raises
@@ -170,19 +168,23 @@ class Ports:
         GraphError
             If there is no such output or element; names the nearest.
         """
-        channel = self._channel(port)
-        match = port.find_in(self._outputs[channel.name])
-        if match is None:
-            raise _unknown_output(port, channel)
-        signal, elements = match
-        start = self._columns[channel.name][signal.name].start
-        part = slice(start + elements.start, start + elements.stop)
-        return Source(channel, signal, part)
+        return self._find(port, "output")
 
-    def _channel(self, port: Port) -> Channel:
+    def _find(self, port: Port, causality: Causality) -> ConnectionEnd:
         if port.component not in self.channels:
             raise _unknown_component(port, self.channels)
-        return self.channels[port.component]
+        channel = self.channels[port.component]
+        match = port.find_in(self._signals[channel.name, causality])
+        if match is None:
+            raise _unknown_port(port, channel, causality)
+        signal, elements = match
+        columns = self.columns(Port(channel.name, signal.name), elements)
+        return ConnectionEnd(channel, signal, columns, elements)
+
+    def columns(self, port: Port, elements: slice) -> slice:
+        """Return the columns of some elements of a whole signal."""
+        start = self._columns[port.component][port.signal].start
+        return slice(start + elements.start, start + elements.stop)
 
 
 def _unknown_component(port: Port, known: Iterable[str]) -> GraphError:
@@ -190,45 +192,29 @@ def _unknown_component(port: Port, known: Iterable[str]) -> GraphError:
     return GraphError(f"'{port}': there is no component {name!r}; {nearest(name, known)}")
 
 
-def _unknown_output(port: Port, channel: Channel) -> GraphError:
-    names = [signal.name for signal in channel.interface.outputs]
-    if port.signal in (signal.name for signal in channel.interface.inputs):
-        return _other_causality(port, channel, "input", "output", names)
+def _unknown_port(port: Port, channel: Channel, causality: Causality) -> GraphError:
+    interface = channel.interface
+    signals = interface.inputs if causality == "input" else interface.outputs
+    names = [signal.name for signal in signals]
+    own_names = [signal.name for signal in interface.signals]
+    if port.name in own_names or port.signal in own_names:
+        other = "input" if causality == "output" else "output"
+        return GraphError(
+            f"'{port}' is an {other} of {channel.name!r}; needed an {causality}; "
+            f"there is: {', '.join(names) or 'none'}"
+        )
     suggestion = nearest(port.signal, names)
     if "[" in port.signal:
         suggestion = f"{suggestion} (elements are [i] or [i:j], numbered from 0)"
-    return GraphError(f"'{port}': {channel.name!r} has no output {port.signal!r}; {suggestion}")
-
-
-def _unknown_input(port: Port, channel: Channel) -> GraphError:
-    inputs = {signal.name: signal for signal in channel.interface.inputs}
-    if port.name in (signal.name for signal in channel.interface.outputs):
-        return _other_causality(port, channel, "output", "input", inputs)
-    whole = inputs.get(port.signal)
-    if whole is None:
-        suggestion = nearest(port.name, inputs)
-        return GraphError(f"'{port}': {channel.name!r} has no input {port.name!r}; {suggestion}")
-    elements = "1 element" if whole.size == 1 else f"{whole.size} elements"
-    origin = f" (of the FMU: {whole.origin})" if whole.origin else ""
     return GraphError(
-        f"'{port}' is a part of the input '{port.whole}', which has {elements}{origin} and is "
-        f'connected as a whole: "{port.whole}" = ["...", "..."]'
-    )
-
-
-def _other_causality(
-    port: Port, channel: Channel, found: str, needed: str, names: Iterable[str]
-) -> GraphError:
-    return GraphError(
-        f"'{port}' is an {found} of {channel.name!r}; needed an {needed}; "
-        f"there is: {', '.join(names) or 'none'}"
+        f"'{port}': {channel.name!r} has no {causality} {port.signal!r}; {suggestion}"
     )
 
 
 def check_connections(
     layout: Layout, connections: Mapping[Port, Connection], missing: Collection[str] = ()
 ) -> dict[Port, str]:
-    """Return every problem of the connections, by the input it belongs to.
+    """Return every problem of the connections, by the input, or elements of it, it belongs to.
 
     ``missing`` names components that are meant to be there but could not be built: connections to
     and from them are not checked.
@@ -239,26 +225,101 @@ def check_connections(
         text = "; ".join(_problems(ports, to, connection, missing))
         if text:
             problems[to] = text
-    connected = {str(to) for to in connections}
+    connected, unknown = _connected_parts(ports, connections)
     for channel in layout.channels:
         for signal in channel.interface.inputs:
             port = Port(channel.name, signal.name)
-            text = _problem_of_need(port, signal, connected=str(port) in connected)
-            if text:
-                problems.setdefault(port, text)
+            if port not in unknown:
+                for to, text in _problems_of_input(port, signal, connected.get(port, ())):
+                    problems[to] = f"{problems[to]}; {text}" if to in problems else text
     return problems
 
 
-def _problem_of_need(port: Port, signal: Signal, *, connected: bool) -> str:
-    """Return what is wrong with an input that is connected or not; empty: nothing."""
-    if connected and signal.connection == "forbidden":
-        return (
-            f"'{port}' is connected, and has a start value that was set for it, which the "
-            "connection would overwrite; leave one of both out"
-        )
-    if not connected and signal.connection == "required":
+def _connected_parts(
+    ports: Ports, connections: Iterable[Port]
+) -> tuple[dict[Port, list[tuple[Port, ConnectionEnd]]], set[Port]]:
+    """Return what is connected of every input, and the inputs of which an element is not there."""
+    connected: dict[Port, list[tuple[Port, ConnectionEnd]]] = {}
+    unknown: set[Port] = set()
+    for to in connections:
+        try:
+            end = ports.input(to)
+        except GraphError:
+            unknown.add(to.whole)
+        else:
+            connected.setdefault(end.port, []).append((to, end))
+    return connected, unknown
+
+
+def _problems_of_input(
+    port: Port, signal: Signal, parts: Sequence[tuple[Port, ConnectionEnd]]
+) -> Iterator[tuple[Port, str]]:
+    """Yield what is wrong with how often elements of an input are connected, and where."""
+    driven_by: dict[int, Port] = {}
+    for to, end in parts:
+        driven = range(end.elements.start, end.elements.stop)
+        overlapped = [driven_by[i] for i in driven if i in driven_by]
+        if overlapped:
+            yield to, _overlap_text(to, list(dict.fromkeys(overlapped)), port)
+        driven_by |= dict.fromkeys(driven, to)
+    undriven = undriven_parts(port, signal, (end for _, end in parts))
+    if parts and signal.connection == "forbidden":
+        yield parts[0][0], _forbidden_text(port, undriven)
+    if undriven and signal.connection == "required":
+        yield parts[-1][0] if parts else port, _undriven_text(port, signal, undriven)
+
+
+def _undriven_text(port: Port, signal: Signal, undriven: Sequence[Port]) -> str:
+    if undriven[0] == port:
         return f"'{port}' is not connected; give it a source in [connections]"
-    return ""
+    names = ", ".join(f"'{part}'" for part in undriven)
+    is_one = len(undriven) == 1 and isinstance(undriven[0].element, int)
+    problem = "is not connected; give it" if is_one else "are not connected; give them"
+    origin = f" (of the FMU: {signal.origin})" if signal.origin else ""
+    return (
+        f"{names} {problem} a source in [connections]; '{port}' has {signal.size} elements, "
+        f"numbered from 0{origin}"
+    )
+
+
+def _overlap_text(to: Port, others: Sequence[Port], port: Port) -> str:
+    names = ", ".join(f"'{other}'" for other in others)
+    if names == f"'{to}'":
+        return f"'{to}' is given twice; an input has one source"
+    return (
+        f"'{to}' overlaps {names}: an element has one source (add signals with a 'sum'); needed "
+        f"'{port}' as a whole, or each of its elements once"
+    )
+
+
+def _forbidden_text(port: Port, undriven: Sequence[Port]) -> str:
+    if undriven:
+        return (
+            f"'{port}' is connected in part, and has a start value that was set for it; leave one "
+            "of both out, or drive its other elements with a 'constant'"
+        )
+    return (
+        f"'{port}' is connected, and has a start value that was set for it, which the "
+        "connection would overwrite; leave one of both out"
+    )
+
+
+def undriven_parts(port: Port, signal: Signal, ends: Iterable[ConnectionEnd]) -> list[Port]:
+    """Return the parts of an input that nothing drives: all of it, or runs of its elements."""
+    driven: set[int] = set()
+    for end in ends:
+        driven.update(range(end.elements.start, end.elements.stop))
+    if not driven:
+        return [port]
+    parts = []
+    start = 0
+    for stop in (*sorted(driven), signal.size):
+        if stop - start == 1:
+            parts.append(Port(port.component, port.signal, start))
+        elif stop > start:
+            parts.append(Port(port.component, port.signal, range(start, stop)))
+        start = stop + 1
+    return parts
 
 
 def _problems(
@@ -273,7 +334,7 @@ def _problems(
     if unknown or any(port.component in missing for port in ends):
         return
     try:
-        _, target = ports.input(to)
+        target = ports.input(to)
         sources = [ports.source(port) for port in connection.sources]
     except GraphError as error:
         yield str(error)
@@ -282,9 +343,12 @@ def _problems(
         yield f"{connection.label} -> {to}: {problem}"
 
 
-def _mismatches(connection: Connection, target: Signal, sources: Sequence[Source]) -> Iterator[str]:
+def _mismatches(
+    connection: Connection, end: ConnectionEnd, sources: Sequence[ConnectionEnd]
+) -> Iterator[str]:
     """Yield what does not fit between the sources of a connection and its input."""
-    yield from _size_mismatches(connection, target, sources)
+    target = end.signal
+    yield from _size_mismatches(connection, end, sources)
     for source in sources:
         yield from _unit_mismatches(connection, source.signal, target)
     if connection.matrix.ndim and not _one_conversion(connection, target, sources):
@@ -295,7 +359,7 @@ def _mismatches(connection: Connection, target: Signal, sources: Sequence[Source
 
 
 def _size_mismatches(
-    connection: Connection, target: Signal, sources: Sequence[Source]
+    connection: Connection, target: ConnectionEnd, sources: Sequence[ConnectionEnd]
 ) -> Iterator[str]:
     size = sum(source.size for source in sources)
     shape = connection.matrix.shape
@@ -303,11 +367,13 @@ def _size_mismatches(
         yield f"gain has shape {shape}, needed ({target.size}, {size})"
     if not shape and size != target.size:
         source_unit = _bracketed_unit(sources[0].signal)
-        target_unit = _bracketed_unit(target)
+        target_unit = _bracketed_unit(target.signal)
         yield f"size {size}{source_unit} cannot drive size {target.size}{target_unit}"
 
 
-def _one_conversion(connection: Connection, target: Signal, sources: Sequence[Source]) -> bool:
+def _one_conversion(
+    connection: Connection, target: Signal, sources: Sequence[ConnectionEnd]
+) -> bool:
     conversions = {_conversion(connection, source.signal, target) for source in sources}
     return len(conversions) == 1
 
@@ -357,7 +423,7 @@ def unit_warnings(
     """Yield (component, text) for units of checked connections that cannot be compared."""
     ports = Ports(layout)
     for to, connection in connections.items():
-        _, target = ports.input(to)
+        target = ports.input(to).signal
         units = []
         for port in connection.sources:
             reached = unit_reached(connection, ports.source(port).signal, target)
@@ -378,9 +444,17 @@ def element_warnings(
 ) -> Iterator[tuple[str, str]]:
     """Yield (component, text) for elements whose numbers are others in the FMU they come from."""
     ports = Ports(layout)
+    driven = Counter[Port]()
+    for to in connections:
+        end = ports.input(to)
+        driven[end.port] += end.size
     for to, connection in connections.items():
-        for port in connection.sources:
-            signal = ports.source(port).signal
+        end = ports.input(to)
+        named = [(port, ports.source(port).signal) for port in connection.sources]
+        # Who drives every element knows that they are numbered from 0.
+        if driven[end.port] < end.signal.size:
+            named.append((to, end.signal))
+        for port, signal in named:
             if signal.first and isinstance(port.element, int) and port.name != signal.name:
                 number = port.element + signal.first
                 part = f"{port.whole}[{port.element}:{port.element + 1}]"
@@ -412,7 +486,7 @@ def _all_same(units: Sequence[Unit]) -> bool:
 
 def conversions_of(ports: Ports, to: Port, connection: Connection) -> tuple[Conversion, ...]:
     """Return the conversion at the end of a checked connection, for each of its sources."""
-    _, target = ports.input(to)
+    target = ports.input(to).signal
     conversions = []
     for port in connection.sources:
         converted = _conversion(connection, ports.source(port).signal, target)

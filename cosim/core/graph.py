@@ -26,6 +26,7 @@ from cosim.core.connections import (
     conversions_of,
     element_warnings,
     layout_of,
+    undriven_parts,
     unit_warnings,
 )
 from cosim.core.contracts import Component, Design, Plan
@@ -52,6 +53,8 @@ class Graph:
     ----------
     components : mapping of name to Component
     connections : mapping of ``component.input`` to Connection, or to what it takes as its source
+        An input is connected as a whole, or by elements: ``component.input[1]``,
+        ``component.input[0:2]``, each driven once.
     coupling : {"gauss-seidel", "jacobi"}
         How the components of a loop advance.
     input_interpolation : {"linear", "zero-order"}
@@ -64,10 +67,11 @@ class Graph:
     Attributes
     ----------
     connections : dict of Port to Connection
+        By input, or elements of it.
     conversions : dict of Port to tuple of Conversion
         Where a connection converts units: its conversion for each source.
     unconnected : dict of Port to tuple of float
-        The inputs that nothing drives, and the value that each keeps.
+        The inputs, or elements of them, that nothing drives, and the values that they keep.
     held : dict of component name to Mask, shape (n_u,)
         Which input elements have a zero-order hold.
     initializations : int
@@ -99,6 +103,7 @@ class Graph:
         self.layout = layout_of(self.components, self.periods)
         self._ports = Ports(self.layout)
         self.connections = self._checked(connections)
+        self._parts = self._parts_by_input()
         self.conversions = self._conversions()
         self.unconnected = self._find_unconnected()
         self._sources = {
@@ -239,15 +244,37 @@ class Graph:
         parsed: dict[Port, Connection] = {}
         for to, given in connections.items():
             port = to if isinstance(to, Port) else Port.parse(to)
+            if port in parsed:
+                raise GraphError(f"'{port}' is given twice; an input has one source")
             parsed[port] = given if isinstance(given, Connection) else Connection(given)
         problems = check_connections(self.layout, parsed)
         if problems:
             raise GraphError("\n".join(problems.values()))
         by_input = {}
         for port, connection in parsed.items():
-            channel, signal = self._ports.input(port)
-            by_input[Port(channel.name, signal.name)] = connection
+            whole = self._ports.input(port).port
+            # a signal may have a name that looks like that of an element
+            by_input[whole if port.name == whole.signal else port] = connection
         return by_input
+
+    def _parts_by_input(self) -> dict[Port, list[Port]]:
+        """Return the connected ports of every input, in the order of its elements."""
+        parts: dict[Port, list[Port]] = {}
+        for channel in self.layout.channels:
+            for signal in channel.interface.inputs:
+                parts[Port(channel.name, signal.name)] = []
+        for to in self.connections:
+            parts[self._ports.input(to).port].append(to)
+        for ports in parts.values():
+            ports.sort(key=lambda to: self._ports.input(to).elements.start)
+        return parts
+
+    def sources_of(self, port: Port) -> tuple[Port, ...]:
+        """Return the outputs, or elements of them, that drive an input, in its order."""
+        sources: list[Port] = []
+        for part in self._parts[port]:
+            sources += self.connections[part].sources
+        return tuple(sources)
 
     def _conversions(self) -> dict[Port, tuple[Conversion, ...]]:
         conversions = {}
@@ -262,36 +289,46 @@ class Graph:
         for channel in self.layout.channels:
             for signal in channel.interface.inputs:
                 port = Port(channel.name, signal.name)
-                if port not in self.connections:
-                    unconnected[port] = signal.initial_values
+                for part in self._undriven(port, signal):
+                    unconnected[part] = signal.initial_values[part.elements_of(signal)]
         return unconnected
+
+    def _undriven(self, port: Port, signal: Signal) -> list[Port]:
+        """Return the parts of an input that nothing drives."""
+        ends = [self._ports.input(to) for to in self._parts[port]]
+        return undriven_parts(port, signal, ends)
 
     def _sources_of(self, channel: Channel) -> dict[str, tuple[Port, ...]]:
         """Return the outputs that drive each input."""
         sources = {}
         for signal in channel.interface.inputs:
-            connection = self.connections.get(Port(channel.name, signal.name))
-            driving = () if connection is None else connection.sources
+            driving = self.sources_of(Port(channel.name, signal.name))
             ports = [self._ports.source(port).port for port in driving]
             sources[signal.name] = tuple(dict.fromkeys(ports))
         return sources
 
     def _wires_of(self, name: str) -> dict[Port, tuple[Wire, ...]]:
         """Return the wires that feed each input of a component."""
-        wires = {}
+        wires: dict[Port, tuple[Wire, ...]] = {}
         channel = self.layout[name]
-        for signal, columns in channel.signal_columns():
+        for signal in channel.interface.inputs:
             port = Port(name, signal.name)
-            connection = self.connections.get(port)
-            if connection is None:
-                if port in self.unconnected:
-                    wires[port] = constant_wires(columns, signal.initial_values)
-                continue  # else an output
-            sources = [self._ports.source(source) for source in connection.sources]
-            copies = (Conversion(),) * len(sources)
-            conversions = self.conversions.get(port, copies)
-            wires[port] = wires_of(columns, connection, sources, conversions)
+            feeding: list[Wire] = []
+            for to in self._parts[port]:
+                feeding += self._wires_to(to)
+            for part in self._undriven(port, signal):
+                columns = self._ports.columns(port, part.elements_of(signal))
+                feeding += constant_wires(columns, self.unconnected[part])
+            wires[port] = tuple(feeding)
         return wires
+
+    def _wires_to(self, to: Port) -> tuple[Wire, ...]:
+        """Return the wires of a connection."""
+        connection = self.connections[to]
+        sources = [self._ports.source(source) for source in connection.sources]
+        copies = (Conversion(),) * len(sources)
+        conversions = self.conversions.get(to, copies)
+        return wires_of(self._ports.input(to).columns, connection, sources, conversions)
 
     def _member(self, name: str, wires: Mapping[Port, tuple[Wire, ...]]) -> Member:
         flat = chain.from_iterable(wires.values())
@@ -339,17 +376,20 @@ class Graph:
         for name in names:
             for signal in self.layout[name].interface.inputs:
                 to = Port(name, signal.name)
-                connection = self.connections.get(to)
-                if connection is None:  # constant
-                    continue
-                ports = [self._ports.source(port).port for port in connection.sources]
-                is_held = [self._is_held(signal, port) for port in ports]
-                if connection.matrix.ndim == 2:  # every element may be a sum of all sources
-                    is_held = [self._is_held(signal, *ports)] * len(ports)
                 # An output that drives some elements continuously is no held source.
-                open_ports = {port for port, hold in zip(ports, is_held, strict=True) if not hold}
-                held.update((to, port) for port in ports if port not in open_ports)
+                open_ports: set[Port] = set()
+                for part in self._parts[to]:
+                    open_ports |= self._open_sources(signal, self.connections[part])
+                held.update((to, port) for port in self._sources[name][signal.name])
+                held.difference_update((to, port) for port in open_ports)
         return held
+
+    def _open_sources(self, signal: Signal, connection: Connection) -> set[Port]:
+        """Return the outputs that drive elements of an input without a zero-order hold."""
+        ports = [self._ports.source(port).port for port in connection.sources]
+        if connection.matrix.ndim == 2:  # every element may be a sum of all sources
+            return set() if self._is_held(signal, *ports) else set(ports)
+        return {port for port in ports if not self._is_held(signal, port)}
 
     def _is_held(self, signal: Signal, *sources: Port) -> bool:
         """Return whether an input has a zero-order hold, by itself or by what drives it."""
@@ -373,9 +413,14 @@ class Graph:
 
     def _held_elements(self, to: Port, size: int, loop: frozenset[str]) -> list[bool]:
         """Return which elements of an input are driven by discrete signals, or from a loop."""
-        connection = self.connections.get(to)
-        if connection is None:  # constant
-            return [False] * size
+        held = [False] * size  # where nothing drives it: constant
+        for part in self._parts[to]:
+            end = self._ports.input(part)
+            held[end.elements] = self._held_by(self.connections[part], end.size, loop)
+        return held
+
+    def _held_by(self, connection: Connection, size: int, loop: frozenset[str]) -> list[bool]:
+        """Return which elements of what a connection drives have a zero-order hold."""
         sources = [self._ports.source(port) for port in connection.sources]
         inside = [source.port.component in loop for source in sources]
         if connection.matrix.ndim == 2:  # every element may be a sum of all sources
@@ -413,7 +458,8 @@ class Graph:
                     yield name, text
         for to, connection in self.connections.items():
             if connection.matrix.ndim == 2:
-                for text in self._ramps_of(self._sources[to.component][to.signal]):
+                behind = [self._ports.source(port).port for port in connection.sources]
+                for text in self._ramps_of(behind):
                     yield to.component, text
         yield from self._jumps_of_continuous()
 

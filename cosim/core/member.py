@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Matrix, Vector
-from cosim.core.connections import Connection, Source
+from cosim.core.connections import Connection, ConnectionEnd
 from cosim.core.contracts import Component, Design, Preparable, Stopped
 from cosim.core.signals import Channel, element_names
 from cosim.errors import CosimError, RunError
@@ -54,7 +54,7 @@ class Wire:
 def wires_of(
     to: slice,
     connection: Connection,
-    sources: Sequence[Source],
+    sources: Sequence[ConnectionEnd],
     conversions: Sequence[Conversion],
 ) -> tuple[Wire, ...]:
     """Return the wires of a connection: one for each source, or one for all under a matrix."""
@@ -83,7 +83,7 @@ def constant_wires(to: slice, values: Sequence[float]) -> tuple[Wire, ...]:
     return tuple(wires)
 
 
-def _joined(sources: Sequence[Source]) -> Columns:
+def _joined(sources: Sequence[ConnectionEnd]) -> Columns:
     if len(sources) == 1:
         return sources[0].columns
     ranges = [np.arange(source.columns.start, source.columns.stop) for source in sources]

@@ -118,9 +118,16 @@ class Port:
         if self.signal not in by_name:
             return None
         signal = by_name[self.signal]
-        return signal, self._elements_of(signal)
+        return signal, self.elements_of(signal)
 
-    def _elements_of(self, signal: Signal) -> slice:
+    def elements_of(self, signal: Signal) -> slice:
+        """Return which elements of its signal are meant.
+
+        Raises
+        ------
+        GraphError
+            If the signal has no such element.
+        """
         match self.element:
             case None:
                 return slice(0, signal.size)

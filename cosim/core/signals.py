@@ -14,6 +14,7 @@ from cosim.units import BaseUnit, Unit
 Variability = Literal["continuous", "discrete", "inherited"]
 SignalType = Literal["real", "integer", "boolean"]
 Role = Literal["input", "output", "state", "estimate"]
+Causality = Literal["input", "output"]
 Need = Literal["required", "optional", "forbidden"]
 Dependencies: TypeAlias = Mapping[str, tuple[str, ...] | None]  # input names by output name
 

@@ -124,7 +124,7 @@ def describe_scenario(name: str) -> Section:
     for channel in graph.layout.channels:
         signals += _signal_rows(channel, loaded.specs[channel.name].kind)
     connections = []
-    for to, connection in loaded.connections.items():
+    for to, connection in graph.connections.items():
         connections.append(_connection_row(graph, to, connection))
     for to, values in graph.unconnected.items():
         connections.append(_start_row(graph, to, values))
@@ -139,7 +139,7 @@ def describe_scenario(name: str) -> Section:
 def _connection_row(graph: Graph, to: Port, connection: Connection) -> Section:
     """Describe one connection: its map and its unit conversions, where it has them."""
     ports = Ports(graph.layout)
-    _, target = ports.input(to)
+    target = ports.input(to).signal
     sources = [ports.source(port).signal for port in connection.sources]
     units = [unit_reached(connection, source, target).name for source in sources]
     unit = ", ".join(dict.fromkeys(name for name in units if name is not None)) or None
@@ -160,7 +160,7 @@ def _connection_row(graph: Graph, to: Port, connection: Connection) -> Section:
 
 def _start_row(graph: Graph, to: Port, values: tuple[float, ...]) -> Section:
     """Describe an input that nothing drives."""
-    _, target = Ports(graph.layout).input(to)
+    target = Ports(graph.layout).input(to).signal
     value = ", ".join(f"{value:.6g}" for value in values)
     return {
         "to": str(to),

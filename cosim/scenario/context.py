@@ -17,6 +17,7 @@ from cosim.scenario.parsing import Scenario
 from cosim.scenario.problems import Key
 from cosim.scenario.recorded_metadata import component_metadata
 from cosim.scenario.schema import matrix
+from cosim.scenario.swap import ports_in
 from cosim.theory.descriptor import DescriptorSystem
 
 if TYPE_CHECKING:
@@ -153,7 +154,10 @@ class ScenarioBuildContext:
 
     def driver(self, to: Port) -> str | None:
         """Return the component that drives an input alone; None: there is no such component."""
-        self._need(("connections", str(to)))
+        self._need(("connections",))
+        for key in self.invalid:
+            if key[0] == "connections" and to in [port.whole for port in ports_in(key[1:2])]:
+                raise DependsOnInvalid
         return self._scenario.driver(to)
 
     def file(self, path: str) -> Path:

@@ -171,8 +171,7 @@ class _GraphWiring:
 
     def is_driven_by_discrete(self, name: str) -> bool:
         """Return whether all that drives an input is discrete."""
-        connection = self._graph.connections.get(Port(self._component, name))
-        sources = () if connection is None else connection.sources
+        sources = self._graph.sources_of(Port(self._component, name))
         found = {self._graph.variability(port) for port in sources}
         return found == {"discrete"}
 

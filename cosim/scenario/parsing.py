@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from cosim.arguments import mapping_argument
 from cosim.core.connections import Connection
 from cosim.core.port import Port
-from cosim.errors import CosimError, nearest, quoted
+from cosim.errors import CosimError, GraphError, nearest, quoted
 from cosim.scenario.document import Document
 from cosim.scenario.kinds import KINDS, Kind
 from cosim.scenario.problems import Key, Problem, problems_of
@@ -32,7 +32,8 @@ class Scenario:
     document : Document
     file : File
     specs : mapping of component name to Kind
-    connections : mapping of input Port to Connection
+    connections : mapping of Port to Connection
+        By input, or elements of it.
     maps : mapping of component name to list of MapEntry
         Of the swapped components.
     tree : mapping
@@ -59,13 +60,14 @@ class Scenario:
         return self.file.scenario.name
 
     def driver(self, to: Port) -> str | None:
-        """Return the component that drives an input alone.
+        """Return the component that drives an input alone, as a whole or by its elements.
 
         None: nothing drives it, or sources of several components do.
         """
-        if to not in self.connections:
-            return None
-        drivers = {source.component for source in self.connections[to].sources}
+        drivers: set[str] = set()
+        for port, connection in self.connections.items():
+            if port.component == to.component and to in (port, port.whole):
+                drivers.update(source.component for source in connection.sources)
         return drivers.pop() if len(drivers) == 1 else None
 
     def edit(
@@ -212,6 +214,8 @@ def _connections(file: File) -> tuple[dict[Port, Connection], list[Problem]]:
     for to, value in file.connections.items():
         try:
             port = Port.parse(to)
+            if port in connections:
+                raise GraphError(f"'{port}' is given twice; an input has one source")
             if isinstance(value, ConnectionTable):
                 connections[port] = Connection(value.source)
                 connections[port] = Connection(value.source, value.gain, value.offset, value.unit)

@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
-from cosim.blocks.port_map import Causality
-from cosim.core.signals import Interface, Signal
+from cosim.core.signals import Causality, Interface, Signal
 from cosim.fmi.description import INTERFACE_TYPE_NAMES
 from cosim.fmi.linearizing.linearization import pole_text, poles, static_gain
 from cosim.scenario.kinds.base import LinearSystem

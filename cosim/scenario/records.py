@@ -128,7 +128,7 @@ def _start_values(experiment: Experiment) -> Iterator[tuple[str, str]]:
     texts: dict[str, list[str]] = {}
     for port, values in experiment.graph.unconnected.items():
         value = ", ".join(map(repr, values))
-        texts.setdefault(port.component, []).append(f"{port.signal} = {value}")
+        texts.setdefault(port.component, []).append(f"{port.name} = {value}")
     for name, inputs in texts.items():
         yield name, f"not connected, so at their start values: {'; '.join(inputs)}"
 
@@ -164,7 +164,7 @@ def metadata_of(experiment: Experiment) -> dict[str, dict[str, str]]:
     if experiment.origin is not None:
         run["replay"] = json.dumps(asdict(experiment.origin))
     connections = {}
-    for to, connection in scenario.connections.items():
+    for to, connection in experiment.graph.connections.items():
         conversions = experiment.graph.conversions.get(to, ())
         connections[str(to)] = json.dumps(_plain(connection, conversions))
     records = {"cosim.run": run, "cosim.connections": connections}

@@ -18,13 +18,13 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from cosim.blocks.port_map import Causality
 from cosim.blocks.renaming import Renaming
 from cosim.core.port import Port
-from cosim.core.signals import Interface
+from cosim.core.signals import Causality, Interface
 from cosim.errors import GraphError, UsageError, nearest, option
 from cosim.scenario.problems import Key, Problem
 from cosim.scenario.schema import truth_ports
@@ -326,13 +326,13 @@ class WrittenPorts:
                 names += [str(port), str(port.whole)]
         for to, sources in self._sources.items():
             if any(source.component == component for source in sources):
-                names.append(str(to))
+                names += [str(to), str(to.whole)]
         return list(dict.fromkeys(names))
 
     def owner(self, written: str, swapped: Sequence[str]) -> str | None:
         """Return the swapped component that a port belongs to, else the one that drives it."""
         for port in ports_in([written]):
-            drivers = [source.component for source in self._sources.get(port, [])]
+            drivers = [source.component for source in self._driving(port)]
             for name in (port.component, *drivers):
                 if name in swapped:
                     return name
@@ -350,14 +350,22 @@ class WrittenPorts:
         ports = ports_in([written])
         if ports and ports[0].component == component:
             return ports[0]
-        if not self._writes(written, component) or ports[0] not in self._sources:
+        driving = self._driving(ports[0]) if ports else []
+        own = [source for source in driving if source.component == component]
+        sources = list(dict.fromkeys(own))
+        if not sources:
             raise GraphError(self.unknown(written, [component]))
-        port = ports[0]
-        sources = [source for source in self._sources[port] if source.component == component]
         if len(sources) > 1:
             names = ", ".join(map(str, sources))
             raise GraphError(f"{written!r} is driven by several ports; name them: {names}")
         return sources[0]
+
+    def _driving(self, to: Port) -> list[Port]:
+        """Return what is written to drive an input: as a whole, or else by its elements."""
+        if to in self._sources:
+            return self._sources[to]
+        parts = [sources for part, sources in self._sources.items() if part.whole == to]
+        return list(chain.from_iterable(parts))
 
     def _writes(self, written: str, component: str) -> bool:
         """Return whether a port, or the whole of it, is one that a map of a component may name."""
@@ -367,7 +375,8 @@ class WrittenPorts:
 
     def causality(self, port: Port) -> Causality | None:
         """Return what a port must be where the scenario connects it; None: anything."""
-        if port in self._sources or port.whole in self._sources:
+        inputs = [to.whole for to in self._sources]
+        if port in self._sources or port.whole in inputs:
             return "input"
         wholes = [output.whole for output in self._outputs]
         return "output" if port.whole in wholes else None

@@ -16,10 +16,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cosim.arrays import Vector
-from cosim.blocks.port_map import Causality
 from cosim.core.contracts import Plan, prepare
 from cosim.core.port import Port
-from cosim.core.signals import Interface
+from cosim.core.signals import Causality, Interface
 from cosim.errors import CosimError, ScenarioError
 from cosim.fmi.description import INTERFACE_TYPE_NAMES, Description, InterfaceType
 from cosim.scenario.build import Builder, Experiment, parse
