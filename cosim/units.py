@@ -76,6 +76,7 @@ _PREFIX: Final = {
     "M": Fraction(10**6),
     "G": Fraction(10**9),
 }
+_MICRO: Final = {"\N{MICRO SIGN}": "u", "\N{GREEK SMALL LETTER MU}": "u"}  # they look the same
 # only what is in use, and has one reading: no Gs (gauss), no cd (candela), no min, no kt (knot)
 _PREFIXED: Final[Mapping[str, str]] = {
     "m": "pnumck", "s": "num", "g": "num", "A": "pnumk", "K": "m", "mol": "umk", "rad": "um",
@@ -238,7 +239,7 @@ class _Symbol:
 
 def _parse_factor(part: str) -> tuple[_Symbol, int] | None:
     """Read one factor of a unit, like ``mm``, ``s2`` or ``s^-1``: its symbol and its exponent."""
-    match = re.fullmatch(r"([A-Za-z]+|1|%)\^?(-?\d)?", part.strip())
+    match = re.fullmatch(r"([A-Za-z\u00b5\u03bc]+|1|%)\^?(-?\d)?", part.strip())
     symbol = _parse_symbol(match[1]) if match else None
     if match is None or symbol is None:
         return None
@@ -248,7 +249,7 @@ def _parse_factor(part: str) -> tuple[_Symbol, int] | None:
 def _parse_symbol(name: str) -> _Symbol | None:
     if name in _DERIVED or name in BASE:
         return _plain_symbol(name)
-    prefix = name[:1]
+    prefix = _MICRO.get(name[:1], name[:1])
     symbol = name[1:]
     if prefix not in _PREFIXED.get(symbol, ""):
         return None

@@ -25,7 +25,8 @@ TABLE = {  # factor to the base unit, and the base unit itself
     "W/degC": (1.0, "W/K"), "mK": (1e-3, "K"), "%": (0.01, "1"), "%/s": (0.01, "1/s"),
     "t": (1e3, "kg"), "L": (si.liter, "m3"), "mL": (1e-6, "m3"), "ul": (1e-9, "m3"),
     "l/min": (1e-3 / 60.0, "m3/s"), "kg/L": (1e3, "kg/m3"), "rev": (2.0 * si.pi, "rad"),
-    "rev/min": (2.0 * si.pi / si.minute, "rad/s"), "W/degF": (1.8, "W/K"),
+    "\u00b5m": (si.micro, "m"), "\u03bcs": (si.micro, "s"), "W/degF": (1.8, "W/K"),
+    "rev/min": (2.0 * si.pi / si.minute, "rad/s"),
 }  # fmt: skip
 
 

@@ -117,6 +117,13 @@ def test_what_cannot_be_drawn_is_refused(options, text):
         PictureOptions(**options)
 
 
+@pytest.mark.parametrize("window", [{"start": 2.0}, {"stop": -1.0}])
+def test_a_window_without_rows_is_refused(runs, tmp_path, window):
+    """An empty picture says nothing; the message names the times that there are."""
+    with pytest.raises(UsageError, match="needed one within 0 s to 1 s"):
+        plot_signals(runs[0], ["a.y"], tmp_path / "a.svg", PictureOptions(**window))
+
+
 def test_the_standard_picture_shows_estimates_truth_and_errors(academic, tmp_path):
     """A panel of errors for each estimate; the errors are those of the summary."""
     from cosim.report.plots.estimates import error_curves

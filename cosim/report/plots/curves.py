@@ -97,6 +97,7 @@ def curves_of(
     unit = signal.measure if like is None else signal_of(recording, like).measure
     held = signal.variability == "discrete"
     curves = []
+    options.check_shows(times)
     for name, values in zip(element_names(port, rows.shape[1]), rows.T, strict=True):
         curve = Curve(name, unit, times, values, held)
         curves.append(curve.within(options))

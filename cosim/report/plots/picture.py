@@ -9,6 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from cosim.arrays import Vector
 from cosim.errors import UsageError
 from cosim.files import check_writable
 
@@ -58,6 +59,24 @@ class PictureOptions:
         if self.start is not None and self.stop is not None and self.stop <= self.start:
             raise UsageError(
                 f"found a picture from {self.start:g} s to {self.stop:g} s; needed a later end"
+            )
+
+    def check_shows(self, times: Vector) -> None:
+        """Check that something of a signal with rows at ``times`` is shown.
+
+        Raises
+        ------
+        UsageError
+            If the signal begins after the last time shown, or ends before the first.
+        """
+        if not len(times):
+            return
+        too_late = self.start is not None and self.start > times[-1]
+        too_early = self.stop is not None and self.stop < times[0]
+        if too_late or too_early:
+            raise UsageError(
+                f"found a picture of a time without rows; needed one within {times[0]:g} s to "
+                f"{times[-1]:g} s"
             )
 
 

@@ -7,6 +7,7 @@ import math
 import os
 import sys
 from collections.abc import Mapping, Sequence
+from textwrap import TextWrapper
 from typing import Any, Final
 
 import typer
@@ -49,7 +50,7 @@ def print_table(table: Table) -> None:
         console.print(printable(title), style="bold", soft_wrap=True)
     widths = _column_widths(rows, width)
     if widths is None:
-        _print_records(rows)
+        _print_records(rows, width)
     else:
         console.print(_aligned(table, rows, widths))
 
@@ -129,15 +130,22 @@ def _print_lines(title: str, rows: Sequence[Sequence[str]]) -> None:
             typer.echo("\t".join(map(printable_line, row)).rstrip("\t"))
 
 
-def _print_records(rows: Sequence[Sequence[str]]) -> None:
-    """Print the cells of every row below each other."""
+def _print_records(rows: Sequence[Sequence[str]], width: int) -> None:
+    """Print the cells of every row below each other, wrapped between words."""
+    wrapper = TextWrapper(
+        width,
+        initial_indent="  ",
+        subsequent_indent="    ",
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
     header = rows[0]
     for first, *others in rows[1:]:
         cells = zip(header[1:], others, strict=True)
         labelled = [f"{name}: {cell}" if name else cell for name, cell in cells if cell]
         typer.echo(first)
         for text in labelled:
-            typer.echo(f"  {text}")
+            typer.echo(wrapper.fill(text))
 
 
 def print_section(title: str, content: Any) -> None:
