@@ -212,12 +212,22 @@ def _unknown_port(port: Port, channel: Channel, causality: Causality) -> GraphEr
 
 
 def check_connections(
-    layout: Layout, connections: Mapping[Port, Connection], missing: Collection[str] = ()
+    layout: Layout,
+    connections: Mapping[Port, Connection],
+    missing: Collection[str] = (),
+    unread: Iterable[Port] = (),
 ) -> dict[Port, str]:
     """Return every problem of the connections, by the input, or elements of it, it belongs to.
 
-    ``missing`` names components that are meant to be there but could not be built: connections to
-    and from them are not checked.
+    Parameters
+    ----------
+    layout : Layout
+    connections : mapping of Port to Connection
+    missing : collection of component names
+        Components that are meant to be there but could not be built: connections to and from them
+        are not checked.
+    unread : iterable of Port
+        Inputs, or elements of them, whose connections could not be read.
     """
     ports = Ports(layout)
     problems: dict[Port, str] = {}
@@ -226,6 +236,7 @@ def check_connections(
         if text:
             problems[to] = text
     connected, unknown = _connected_parts(ports, connections)
+    unknown.update(port.whole for port in unread)
     for channel in layout.channels:
         for signal in channel.interface.inputs:
             port = Port(channel.name, signal.name)

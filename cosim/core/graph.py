@@ -272,7 +272,7 @@ class Graph:
     def sources_of(self, port: Port) -> tuple[Port, ...]:
         """Return the outputs, or elements of them, that drive an input, in its order."""
         sources: list[Port] = []
-        for part in self._parts[port]:
+        for part in self._parts[self._ports.input(port).port]:
             sources += self.connections[part].sources
         return tuple(sources)
 

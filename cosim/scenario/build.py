@@ -34,7 +34,7 @@ from cosim.scenario.kinds import BuildContext, Kind
 from cosim.scenario.parsing import Scenario, read
 from cosim.scenario.problems import Key, Problem
 from cosim.scenario.recorded_metadata import ReplayOrigin
-from cosim.scenario.swap import MapEntry, unknown_ports
+from cosim.scenario.swap import MapEntry, ports_in, unknown_ports
 from cosim.scenario.truth import check_truth
 
 if TYPE_CHECKING:
@@ -279,7 +279,9 @@ class Builder:
         if not components or not invalid.isdisjoint({("components",), ("connections",)}):
             return
         layout = layout_of(components)
-        problems = check_connections(layout, self.scenario.connections, self._invalid)
+        unread = ports_in(key[1] for key in invalid if key[0] == "connections")
+        connections = self.scenario.connections
+        problems = check_connections(layout, connections, self._invalid, unread)
         for to, text in problems.items():
             key = ("connections", str(to))
             if key not in invalid:

@@ -19,7 +19,7 @@ from cosim.arrays import Vector
 from cosim.core.contracts import Plan, prepare
 from cosim.core.port import Port
 from cosim.core.signals import Causality, Interface
-from cosim.errors import CosimError, ScenarioError
+from cosim.errors import CosimError, GraphError, ScenarioError
 from cosim.fmi.description import INTERFACE_TYPE_NAMES, Description, InterfaceType
 from cosim.scenario.build import Builder, Experiment, parse
 from cosim.scenario.kinds import Kind
@@ -390,8 +390,12 @@ def _unconverted_ports(builder: Builder, name: str) -> frozenset[str]:
 
 def _has_unit(builder: Builder, port: Port) -> bool:
     """Return whether a port that there is declares its unit."""
-    component = builder.components.get(port.component)
-    match = None if component is None else port.find(component.interface.signals)
+    if port.component not in builder.components:
+        return False
+    try:
+        match = port.find(builder.components[port.component].interface.signals)
+    except GraphError:  # no such element: that of its connection
+        return False
     return match is not None and match[0].unit is not None
 
 

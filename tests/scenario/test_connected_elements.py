@@ -174,10 +174,39 @@ def test_an_identifier_finds_its_regressor_behind_slices():
     assert np.isfinite(first["identifier.theta"]).any()
 
 
-def test_a_wrong_element_hides_no_other_problem(tmp_path):
-    """What reads the driver waits until the connection is right: one problem, not two."""
+@pytest.mark.parametrize("wrong", ["5.0", '{ from = "a.y", gain = "2" }', '"ay"'])
+def test_an_element_that_cannot_be_read_is_the_one_problem(path, wrong):
+    """It is not reported as missing too, and the other elements are checked all the same."""
+    text = path.read_text().replace('"plant.u[0]" = "a.y"', f'"plant.u[0]" = {wrong}')
+    path.write_text(text.replace('"b.y"', '"b.yy"'))
+    with pytest.raises(ScenarioError, match=r"plant\.toml:18: connections\.plant\.u\[0\]") as error:
+        cosim.load(path)
+    first, second = str(error.value).splitlines()
+    assert "plant.toml:17: connections.plant.u[1]: 'b.yy': 'b' has no output" in second + first
+
+
+def test_an_identifier_waits_for_its_elements():
+    """What reads the driver of a wrong element is not reported too."""
     document = find("academic")
     text = document.text.replace('"identifier.regressor" =', '"identifier.regressor[0]" = 5.0 #')
     with pytest.raises(ScenarioError, match=r"identifier\.regressor\[0\]") as error:
         parse(replace(document, text=text))
     assert len(str(error.value).splitlines()) == 1
+
+
+def test_a_swap_with_an_element_that_is_not_there_is_refused(path, other):
+    """By the connection, though the swap is compared at the same time."""
+    names = {"plant.u": ["force", "torque"], "plant.y": "out"}
+    change = {"connections.plant.u[5]": "a.y"}
+    with pytest.raises(ScenarioError, match=r"'plant\.u' has 2 elements, numbered from 0"):
+        cosim.run(path, swap={"plant": other}, map=names, set=change)
+
+
+def test_a_swap_with_a_source_that_has_no_such_element_names_its_line(path, other):
+    """The comparison of the swap leaves the connection to its own check."""
+    names = {"plant.u": ["force", "torque"], "plant.y": "out"}
+    path.write_text(path.read_text().replace('"meter.u" = "plant.y"', '"meter.u" = "plant.y[3]"'))
+    with pytest.raises(
+        ScenarioError, match=r"plant\.toml:19: connections\.meter\.u: 'plant\.y\[3\]'"
+    ):
+        cosim.run(path, swap={"plant": other}, map=names)
