@@ -162,7 +162,7 @@ def test_a_replay_stops_where_the_recording_ends(recording):
 
 def test_a_replay_refuses_what_was_not_recorded(recording):
     """A component that is not there, a time before the recording."""
-    with pytest.raises(LogError, match=r"the log has no component 'lab'; it has: u, lag"):
+    with pytest.raises(LogError, match=r"the log has no component 'lab'; did you mean 'lag'\?"):
         Replay(recording, "lab")
     with pytest.raises(GraphError, match=r"the recording begins at 0.0 s, was asked for -1.0 s"):
         Replay(recording, "u").initialize(-1.0, np.zeros(0))
@@ -170,7 +170,7 @@ def test_a_replay_refuses_what_was_not_recorded(recording):
 
 def test_a_delay_line_counts_the_values_of_all_elements(monkeypatch):
     """As many as the limit fit, one more does not, whichever of the two makes it long."""
-    monkeypatch.setattr(dynamics, "LARGEST", 12)
+    monkeypatch.setattr(dynamics, "LARGEST_MEMORY", 12)
     for steps, size in ((12, 1), (3, 4), (4, 3), (1, 12)):
         assert Delay(steps, size=size).interface.outputs[0].size == size
     for steps, size in ((13, 1), (3, 5), (5, 3), (1, 13)):
