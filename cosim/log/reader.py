@@ -102,6 +102,7 @@ class Log(RecordedSignals):
         self._rows: dict[str, TimedRows] = {}
         self._ahead: dict[str, TimedRows] = {}  # read together with the last one asked for
         self._passes = 0
+        self._check_rows_of_run()
 
     @property
     def label(self) -> str:
@@ -500,6 +501,28 @@ class Log(RecordedSignals):
             if count != needed:
                 name = self._parts[number].channel.name
                 raise ValueError(f"{count} rows of {name!r} found, its summary says {needed}")
+
+    def _check_rows_of_run(self) -> None:
+        """Check that the summary counts the rows of as many steps as the run has recorded.
+
+        Raises
+        ------
+        LogError
+            If rows of a component are missing, or there are too many.
+        """
+        statistics = self._file.summary.statistics
+        text = self._metadata.get(RESULT, {}).get("steps", "")
+        if statistics is None or not text.isdecimal():
+            return  # what is no number is refused where it is asked for
+        steps = self.steps
+        for number, part in self._parts.items():
+            count = statistics.channel_message_counts.get(number, 0)
+            needed = steps // part.channel.period + 1
+            if count != needed and (count or steps):  # a run may end before its first row
+                raise LogError(
+                    f"{self.path} is damaged: {count} rows of {part.channel.name!r}; needed "
+                    f"{needed}, as the run recorded {steps} steps"
+                )
 
     @cached_property
     def _parts_of(self) -> dict[str, dict[int, Part]]:

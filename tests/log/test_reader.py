@@ -17,12 +17,14 @@ from mcap.reader import make_reader
 from mcap.records import Chunk
 from mcap.writer import CompressionType, IndexType, Writer
 
+import cosim
 from cosim.core.contracts import Recording
 from cosim.core.recorders import Memory
 from cosim.core.signals import Channel, Interface, Layout, Signal
 from cosim.errors import LogError
 from cosim.log import McapRecorder, open_log, preamble
 from cosim.log import buffer as row_buffer
+from tests.log.crafting import put_together, take_apart
 
 from .recordings import STEP_NS, blocks, layout, plan, record, same_bits, table
 
@@ -482,5 +484,19 @@ def test_a_log_of_another_format_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(preamble, "FORMAT", "1")
     record(path, steps=10)
     text = r"old\.mcap: written in log format '1', .*; needed format '2': run its scenario"
+    with pytest.raises(LogError, match=text):
+        open_log(path)
+
+
+@pytest.mark.parametrize("row", [0, 3, -1])
+def test_a_log_whose_rows_are_not_those_of_its_steps_is_refused(tmp_path, row):
+    """Also where its summary agrees with what is left: it is no whole run."""
+    log = cosim.run("academic", set={"scenario.stop": 0.02}, out=tmp_path / "a.mcap")
+    content = take_apart(log.path)
+    (plant,) = [number for number, channel in content.channels.items() if channel[0] == "/plant"]
+    rows = [message for message in content.messages if message[0] == plant]
+    content.messages.remove(rows[row])
+    path = put_together(content, tmp_path / "b.mcap")
+    text = r"b\.mcap is damaged: 20 rows of 'plant'; needed 21, as the run recorded 20 steps"
     with pytest.raises(LogError, match=text):
         open_log(path)
