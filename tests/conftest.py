@@ -34,7 +34,7 @@ def no_cache_of_the_user() -> Iterator[None]:
 
 @pytest.fixture(scope="session", autouse=True)
 def signals_of_a_terminal() -> Iterator[None]:
-    """Processes that tests start may be interrupted, also where the suite runs in the background.
+    """Let processes of tests be interrupted, also where the suite runs in the background.
 
     There a shell ignores SIGINT, and ``nohup`` SIGHUP; what is ignored is ignored in children too.
     """
