@@ -67,7 +67,7 @@ def test_a_function_by_its_values(tmp_path, table, inputs, y):
         ("u1 = [0.0, 1.0]\nu2 = [0.0, 1.0]\ny = [0.0, 1.0]", "y needs one number for each"),
         ('file = "f.csv"\ny = [0.0]', "found file and arrays, needed one of them"),
         ('file = "f.csv"\ncolumns = ["a"]', "found 1 columns; needed one or two of inputs"),
-        ('file = "f.csv"\ncolumns = ["a", "d"]', "has no column 'd'; There is: a, b, c"),
+        ('file = "f.csv"\ncolumns = ["a", "d"]', "has no column 'd'; there is: a, b, c"),
         ('file = "f.csv"', r"has 3 rows over 2 and 2 points.*each pair of them once, 4 rows"),
         ('file = "g.csv"', r"has 4 rows over 2 and 2 points.*each pair of them once, 4 rows"),
     ],

@@ -10,9 +10,11 @@ import pytest
 import typer
 
 import cosim
+from cosim.log.diff import diff
 from cosim.native.runge_kutta import EXPLICIT
 from cosim.report.inspection import describe_log
 from cosim.report.tables.run import print_verification
+from cosim.report.verification import Verification
 from cosim.scenario.exporting import export_component
 
 KERNELS = ("Haswell", "Nehalem", "SkylakeX")  # of OpenBLAS, with AVX2, SSE and AVX-512
@@ -92,8 +94,9 @@ def test_a_replay_that_differs_names_what_its_log_depends_on(plant, tmp_path, ca
         }
         log = tmp_path / f"{tolerance}.mcap"
         runs.append(cosim.run("academic", swap={"plant": f"{plant}#me"}, set=settings, out=log))
+    verification = Verification("", "", diff(*runs), (), "academic")
     with pytest.raises(typer.Exit):
-        print_verification(*runs, path=log, as_json=False, quiet=False)
+        print_verification(verification, runs[0], path=log, as_json=False, quiet=False)
     message = capsys.readouterr().err
     assert "the replay differs from the log; first: plant." in message
     assert "note: plant: solver BDF computes with LAPACK: on another processor" in message

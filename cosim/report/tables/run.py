@@ -174,11 +174,7 @@ def _warn_of_environment(source: Recording) -> None:
     from cosim.log.environment import environment_changes
 
     for key, (recorded, current) in environment_changes(source).items():
-        print_line(
-            f"note: {key} was {recorded}, is {current}; "
-            "sin, exp and log may differ in their last bit",
-            error=True,
-        )
+        print_line(f"note: {key} was {recorded}, is {current}", error=True)
     for name in source.channels:
         bits = component_metadata(source, name).get("bits")
         if bits is not None:
