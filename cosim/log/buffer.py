@@ -23,8 +23,8 @@ from cosim.log.result import LastRow
 from cosim.log.sink import MessageBatch
 
 CHUNK_BYTES = 2**20  # of records, uncompressed
-_CHANNELS = 256  # of a chunk; of more it is larger, as small pieces cost more than their rows
-_LARGEST_CHUNK = 16  # in units of CHUNK_BYTES
+_CHANNELS = 128  # of a chunk; of more it is larger, as small pieces cost more than their rows
+_LARGEST_CHUNK = 32  # in units of CHUNK_BYTES
 _BUFFER_BYTES = 2**22  # of rows, where long periods leave few of them in a chunk
 _DOUBLE_BYTES = 8
 _SEQUENCE_MASK = 0xFFFFFFFF  # MCAP's sequence has 32 bits

@@ -43,7 +43,7 @@ _LARGEST_POWER = 10_000  # of a base unit
 Records: TypeAlias = NDArray[np.void]  # shape (n,), of a dtype by record_dtype
 
 _CHECKSUM_NAME = "cosim.channel"  # metadata of channels have no name of their own
-_TAGGED_SIZES = 64  # most components have one of few sizes
+_CACHED_SIZES = 64  # most components have one of few sizes
 _DOUBLE_WIRE_TYPE = 1  # of protobuf: 64 bits
 
 # Groups of fields whose tags have 1, 2 and 3 bytes: name, first field number, one past the last.
@@ -304,6 +304,7 @@ def _input_names(names: Any) -> tuple[str, ...] | None:
     return tuple(names)
 
 
+@lru_cache(_CACHED_SIZES)
 def record_dtype(size: int) -> np.dtype[np.void]:
     """Return the dtype of a whole message record of ``size`` doubles."""
     # The order of the fields is the order of the bytes in the file; numpy adds no padding.
@@ -336,7 +337,7 @@ def blank_records(channel_id: int, size: int, count: int) -> Records:
     return records
 
 
-@lru_cache(_TAGGED_SIZES)
+@lru_cache(_CACHED_SIZES)
 def field_tags(size: int) -> Mapping[str, NDArray[np.uint8]]:
     """Return the tags of each group of fields, shape (fields, bytes); read-only.
 
@@ -359,14 +360,15 @@ def field_tags(size: int) -> Mapping[str, NDArray[np.uint8]]:
     return MappingProxyType(tags)
 
 
-def group_columns(size: int) -> dict[str, slice]:
+@lru_cache(_CACHED_SIZES)
+def group_columns(size: int) -> Mapping[str, slice]:
     """Return which elements of a part stand in which group of fields."""
     columns = {}
     for name, first, stop in _GROUPS:
         if size >= first:
             last = min(size, stop - 1)
             columns[name] = slice(first - 1, last)  # field numbers begin at 1, elements at 0
-    return columns
+    return MappingProxyType(columns)
 
 
 def copy_values(records: Records, target: Matrix) -> None:

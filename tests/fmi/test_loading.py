@@ -5,6 +5,7 @@ import os
 import resource
 import tracemalloc
 import zipfile
+from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
@@ -290,7 +291,9 @@ def traced():
 def test_cycles_leave_nothing_behind(request, model1, slave1, number, interface_type):
     """5 MB in 10 000 cycles are 500 bytes in each.
 
-    CPython keeps up to about 50 kB of small objects for the next ones.
+    CPython keeps up to about 50 kB of small objects for the next ones, and enlarges tables that all
+    modules share, such as that of interned strings, by megabytes at once: in one of three
+    measurements at most, while a leak shows in each.
     """
     path = (
         {"me": model1, "cs": slave1}[interface_type]
@@ -299,9 +302,12 @@ def test_cycles_leave_nothing_behind(request, model1, slave1, number, interface_
     )
     tracemalloc.start()
     try:
-        files, maps, memory = grown(path, interface_type, warm_up=20, cycles=50, measure=traced)
+        growths = [
+            grown(path, interface_type, warm_up=20, cycles=50, measure=traced) for _ in range(3)
+        ]
     finally:
         tracemalloc.stop()
+    files, maps, memory = min(growths, key=itemgetter(2))
     assert (files, abs(maps) <= 2) == (0, True)
     assert memory < 50 * 500 + 50_000
 
