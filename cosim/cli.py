@@ -25,6 +25,7 @@ import typer
 from cosim import completion
 from cosim.errors import CosimError, UsageError, option, quoted, shell_language
 from cosim.fmi.child_process import COMMAND_VARIABLE, run_command
+from cosim.interrupts import REASONS
 from cosim.report.printable import printable
 from cosim.version import __version__
 
@@ -33,7 +34,6 @@ if TYPE_CHECKING:
 
 BEGAN = perf_counter()
 INTERRUPTED = 130  # exit code after a KeyboardInterrupt
-ENDING = [signal.SIGTERM] if sys.platform == "win32" else [signal.SIGTERM, signal.SIGHUP]
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -250,7 +250,6 @@ def replay(
     The log is all that is needed.
     """
     from cosim.log import open_log
-    from cosim.report.plots import plot_run
     from cosim.report.tables.run import print_summary, print_verification
     from cosim.report.verification import verify as verify_replay
     from cosim.scenario.execution import replay as replay_log
@@ -267,6 +266,8 @@ def replay(
             source, out=out, force=force, set=edits, progress=progress, notice=notice
         )
     if plot is not None:
+        from cosim.report.plots import plot_run
+
         plot_run(again, plot)
     if verify:
         verification = verify_replay(source, again)
@@ -680,10 +681,10 @@ def _notice(text: str) -> None:
 
 def _need_plot(plot: Path | None, out: Path | None) -> None:
     """Refuse a picture that could not be drawn, before the run whose logs go to ``out``."""
-    from cosim.report.plots import need_plot
-
     if plot is None:
         return
+    from cosim.report.plots import need_plot
+
     need_plot(plot)
     if out is None:
         return
@@ -801,7 +802,7 @@ def _ended_by_signals() -> Iterator[None]:
 
     numbers: list[int] = []
     if threading.current_thread() is threading.main_thread():
-        numbers += [number for number in ENDING if signal.getsignal(number) == signal.SIG_DFL]
+        numbers += [number for number in REASONS if signal.getsignal(number) == signal.SIG_DFL]
     for number in numbers:
         signal.signal(number, receive)
     try:

@@ -1,44 +1,15 @@
-"""Parts without memory: sum, gain, limit, switch."""
+"""Sum, gain, limit and switch: functions of the inputs at the same instant."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
-from cosim.arrays import Matrix, Vector
+from cosim.arrays import Matrix
+from cosim.blocks.static import Static
 from cosim.core.signals import Interface, Signal
 from cosim.errors import UsageError
-
-
-class Static:
-    """``y = g(u)`` at every instant.
-
-    Parameters
-    ----------
-    interface : Interface
-        Every output feeds through from every input.
-    function : callable
-        From inputs, shape (K, n_u), to outputs, shape (K, n_y), row by row.
-    """
-
-    def __init__(self, interface: Interface, function: Callable[[Matrix], Matrix]) -> None:
-        self.interface = interface
-        self._function = function
-
-    def initialize(self, t: float, u: Vector) -> Vector:
-        """Return y(t)."""
-        return self.outputs(t, u)
-
-    def outputs(self, t: float, u: Vector) -> Vector:
-        """Return y(t)."""
-        rows = self._function(u[np.newaxis])
-        y: Vector = rows[0]
-        return y
-
-    def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
-        """Return y at ``t[1:]``."""
-        return self._function(u[1:])
 
 
 def _with_feedthrough(inputs: Sequence[Signal], size: int, unit: str | None) -> Interface:

@@ -15,15 +15,15 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.arrays import Mask, Matrix, Vector, frozen
-from cosim.core.contracts import Stopped
+from cosim.arrays import Matrix, Vector, frozen
+from cosim.blocks.static import Static
 from cosim.core.signals import Interface, Signal
-from cosim.errors import RunError, UsageError
+from cosim.errors import UsageError
 
 Extrapolation = Literal["error", "hold", "linear"]
 
 
-class LookUpTable:
+class LookUpTable(Static):
     """``y = f(u)`` or ``y = f(u1, u2)``, interpolated linearly.
 
     Parameters
@@ -33,8 +33,8 @@ class LookUpTable:
     values : Matrix
         y on the grid, shape (N,) or (N1, N2).
     extrapolation : {"error", "hold", "linear"}
-        Outside of the grid: the run stops, or the inputs are taken at its border, or the border's
-        cell goes on.
+        Outside of the grid: y is not defined there, or the inputs are taken at its border, or the
+        border's cell goes on.
     unit : str, optional
         The unit of y.
 
@@ -42,9 +42,6 @@ class LookUpTable:
     ------
     UsageError
         If grid and values are no table.
-    RunError
-        From ``initialize`` and ``outputs``, where an input is outside of the grid and that is an
-        error; from ``advance`` it is :class:`Stopped`.
     """
 
     def __init__(
@@ -62,42 +59,19 @@ class LookUpTable:
         self.extrapolation = extrapolation
         inputs = tuple(Signal(name) for name in self.names)
         y = Signal("y", 1, unit, "inherited")
-        self.interface = Interface(inputs, (y,), {"y": self.names})
+        super().__init__(Interface(inputs, (y,), {"y": self.names}), self._at, self._first_outside)
 
-    def initialize(self, t: float, u: Vector) -> Vector:
-        """Return y(t)."""
-        return self.outputs(t, u)
-
-    def outputs(self, t: float, u: Vector) -> Vector:
-        """Return y(t)."""
-        rows = u[np.newaxis]
-        if self._refused(rows).any():
-            raise RunError(self._beyond(u))
-        y: Vector = self._at(rows)[0]
-        return y
-
-    def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
-        """Return y at ``t[1:]``.
-
-        Raises
-        ------
-        Stopped
-            Where an input is outside of the grid and that is an error; with the rows before it.
-        """
-        rows = u[1:]
-        refused = np.flatnonzero(self._refused(rows))
-        if refused.size:
-            first = int(refused[0])
-            raise Stopped(self._at(rows[:first]), self._beyond(rows[first]))
-        return self._at(rows)
-
-    def _refused(self, u: Matrix) -> Mask:
-        """Return which rows are outside of the grid, where that is an error."""
-        refused = np.zeros(len(u), np.bool_)
-        if self.extrapolation == "error":
-            for column, points in zip(u.T, self.grid, strict=True):
-                refused |= (column < points[0]) | (column > points[-1])
-        return refused
+    def _first_outside(self, u: Matrix) -> tuple[int, str] | None:
+        """Return the first row that is outside of the grid, where that is an error."""
+        if self.extrapolation != "error":
+            return None
+        outside = np.zeros(len(u), np.bool_)
+        for column, points in zip(u.T, self.grid, strict=True):
+            outside |= (column < points[0]) | (column > points[-1])
+        if not outside.any():
+            return None
+        first = int(outside.argmax())
+        return first, self._beyond(u[first])
 
     def _beyond(self, u: Vector) -> str:
         covered = []

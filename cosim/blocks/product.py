@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from cosim.arrays import Mask, Matrix, Vector
-from cosim.core.contracts import Stopped
-from cosim.core.signals import Interface, Signal
-from cosim.errors import RunError, UsageError
+from cosim.arrays import Matrix
+from cosim.blocks.static import Static
+from cosim.core.signals import Interface, Signal, element_names
+from cosim.errors import UsageError
 
 
-class Product:
+class Product(Static):
     """``y = u1 u2 ...``, or divided by some of them, element by element.
+
+    Not defined where an input to divide by is 0.
 
     Parameters
     ----------
@@ -26,9 +28,6 @@ class Product:
     ------
     UsageError
         If there are no operations, or others.
-    RunError
-        From ``initialize`` and ``outputs``, where an input to divide by is 0; from ``advance`` it
-        is :class:`Stopped`.
     """
 
     def __init__(self, operations: str, *, size: int = 1, unit: str | None = None) -> None:
@@ -41,35 +40,8 @@ class Product:
         names = tuple(f"u{i}" for i in range(1, len(operations) + 1))
         inputs = tuple(Signal(name, size) for name in names)
         y = Signal("y", size, unit, "inherited")
-        self.interface = Interface(inputs, (y,), {"y": names})
         self._size = size
-
-    def initialize(self, t: float, u: Vector) -> Vector:
-        """Return y(t)."""
-        return self.outputs(t, u)
-
-    def outputs(self, t: float, u: Vector) -> Vector:
-        """Return y(t)."""
-        rows = u[np.newaxis]
-        if self._zeros(rows).any():
-            raise RunError(self._not_divided(u))
-        y: Vector = self._at(rows)[0]
-        return y
-
-    def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
-        """Return y at ``t[1:]``.
-
-        Raises
-        ------
-        Stopped
-            Where an input to divide by is 0; with the rows before it.
-        """
-        rows = u[1:]
-        refused = np.flatnonzero(self._zeros(rows).any(axis=1))
-        if refused.size:
-            first = int(refused[0])
-            raise Stopped(self._at(rows[:first]), self._not_divided(rows[first]))
-        return self._at(rows)
+        super().__init__(Interface(inputs, (y,), {"y": names}), self._at, self._first_zero)
 
     def _at(self, u: Matrix) -> Matrix:
         """Return y, shape (K, size), for inputs of shape (K, n_u)."""
@@ -81,15 +53,14 @@ class Product:
                 y = y * factor if operation == "*" else y / factor
         return y
 
-    def _zeros(self, u: Matrix) -> Mask:
-        """Return which inputs are to divide by and 0, of the shape of u."""
+    def _first_zero(self, u: Matrix) -> tuple[int, str] | None:
+        """Return the first row with an input that is 0 and to divide by."""
         divides = [operation == "/" for operation in self.operations]
-        zeros: Mask = np.repeat(divides, self._size) & (u == 0.0)
-        return zeros
-
-    def _not_divided(self, u: Vector) -> str:
-        elements: list[str] = []
-        for signal in self.interface.inputs:
-            elements += signal.elements
-        first = int(np.flatnonzero(self._zeros(u))[0])
-        return f"product: {elements[first]} is 0, and y is divided by it; needed another value"
+        zeros = np.repeat(divides, self._size) & (u == 0.0)
+        refused = zeros.any(axis=1)
+        if not refused.any():
+            return None
+        first = int(refused.argmax())
+        elements = element_names(self.interface.inputs)
+        name = elements[int(zeros[first].argmax())]
+        return first, f"product: {name} is 0, and y is divided by it; needed another value"

@@ -18,11 +18,11 @@ from cosim.core.contracts import Block, MessageLevel, Plan
 from cosim.core.recorders import EndOfRun, end_of_run
 from cosim.core.signals import Interface
 from cosim.errors import LogError, LogWriteError, RunError
+from cosim.interrupts import uninterrupted
 from cosim.log.buffer import RowBuffer, message_batch
 from cosim.log.compression import Compression
 from cosim.log.content import combine_hashes
 from cosim.log.environment import library_name
-from cosim.log.interrupts import uninterrupted
 from cosim.log.layout import Part, signals_json, split_channel
 from cosim.log.paths import check_new_log, log_path
 from cosim.log.preamble import Attachment, write_parts, write_preamble

@@ -10,7 +10,7 @@ from types import FrameType
 from typing import TypeAlias
 
 from cosim.errors import Interrupted
-from cosim.log.interrupts import REASONS
+from cosim.interrupts import REASONS
 
 Check: TypeAlias = Callable[[], None]
 

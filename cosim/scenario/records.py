@@ -14,8 +14,8 @@ from cosim.core.connections import Connection
 from cosim.core.contracts import Block, MessageLevel, Plan, Recorder, Stopped
 from cosim.core.recorders import end_of_run
 from cosim.errors import Interrupted, RunError
+from cosim.interrupts import uninterrupted
 from cosim.log import Attachment
-from cosim.log.interrupts import uninterrupted
 from cosim.scenario.build import Experiment, fingerprint
 from cosim.units import Conversion
 

@@ -21,6 +21,7 @@ def _check_bits(number: int) -> int:
 
 
 Whole = Annotated[int, Field(strict=True), AfterValidator(_check_bits)]
+Size = Annotated[Whole, Field(ge=1, le=100_000)]  # of a signal
 Flag = Annotated[bool, Field(strict=True)]
 NumberRow = tuple[Number, ...]
 NumberRows = tuple[NumberRow, ...]

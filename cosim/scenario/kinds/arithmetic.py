@@ -18,7 +18,7 @@ from cosim.fmi.exporting import kernels
 from cosim.fmi.exporting.kernels import DiscreteModel
 from cosim.fmi.exporting.specifications import Exportable
 from cosim.scenario.kinds.base import BuildContext, ExportableKind, PortUnits, Wiring, unit_of
-from cosim.scenario.schema import Flag, Number, NumberRow, NumberRows, Whole, matrix
+from cosim.scenario.schema import Flag, Number, NumberRow, NumberRows, Size, matrix
 
 
 class SumKind(ExportableKind):
@@ -27,7 +27,7 @@ class SumKind(ExportableKind):
     ports: ClassVar[str] = "u1, u2, ... -> y"
     kind: Literal["sum"]
     signs: NumberRow = Field(description="one number an input, like [1, -1]")
-    size: Whole = Field(1, ge=1, le=100_000, description="number of elements of every signal")
+    size: Size = Field(1, description="number of elements of every signal")
     unit: PortUnits = Field(None, description=unit_of("y and all inputs"))
 
     def build(self, name: str, context: BuildContext) -> Component:
@@ -64,7 +64,7 @@ class ProductKind(ExportableKind):
     ports: ClassVar[str] = "u1, u2, ... -> y"
     kind: Literal["product"]
     operations: str = Field(description='* or / for each input, like "*/" for u1/u2')
-    size: Whole = Field(1, ge=1, le=100_000, description="number of elements of every signal")
+    size: Size = Field(1, description="number of elements of every signal")
 
     def build(self, name: str, context: BuildContext) -> Product:
         return Product(self.operations, size=self.size, unit=self.unit_name)
@@ -82,7 +82,7 @@ class LimitKind(ExportableKind):
     kind: Literal["limit"]
     lower: Number = Field(description="lower limit")
     upper: Number = Field(description="upper limit")
-    size: Whole = Field(1, ge=1, le=100_000, description="number of elements")
+    size: Size = Field(1, description="number of elements")
     unit: PortUnits = Field(None, description=unit_of("u and y"))
 
     def build(self, name: str, context: BuildContext) -> Component:
@@ -114,7 +114,7 @@ class SwitchKind(ExportableKind):
     ports: ClassVar[str] = "u1, u2, control -> y"
     kind: Literal["switch"]
     threshold: Number = Field(0.5, description="least control for u1; 0.5 also fits true and false")
-    size: Whole = Field(1, ge=1, le=100_000, description="number of elements of u1, u2 and y")
+    size: Size = Field(1, description="number of elements of u1, u2 and y")
     discrete: Flag = Field(
         False,
         description="y is held over a step, so that it jumps at communication points; "

@@ -28,24 +28,29 @@ from cosim.scenario.kinds.base import (
 from cosim.scenario.schema import Number, NumberRow, NumberRows, matrix
 
 
-class ControllerKind(PeriodicKind, LinearKind):
-    """Linear controller x' = A x + B u, y = C x + D u; with a period: zero-order hold of u."""
+class SampledKind(PeriodicKind):
+    """A controller that samples its inputs and holds them over its period, if it has one."""
 
-    ports: ClassVar[str] = "u -> y, x"
-    kind: Literal["controller"]
     period: Number | None = Field(
         None,
         description="sample period [s], whole communication steps; default: continuous in time",
     )
+
+    def with_period(self, component: Component, n: int) -> Component:
+        # A period of one communication step still holds u over it.
+        return component if self.period is None else Sampled(component, n, hold=True)
+
+
+class ControllerKind(SampledKind, LinearKind):
+    """Linear controller x' = A x + B u, y = C x + D u; with a period: zero-order hold of u."""
+
+    ports: ClassVar[str] = "u -> y, x"
+    kind: Literal["controller"]
     A: NumberRows = Field(description="matrix (n, n)")
     B: NumberRows = Field(description="matrix (n, inputs)")
     C: NumberRows = Field(description="matrix (outputs, n)")
     D: NumberRows | None = Field(None, description="matrix (outputs, inputs); default: zero")
     x0: NumberRow | None = Field(None, description="x(0); default: zero")
-
-    def with_period(self, component: Component, n: int) -> Component:
-        # A period of one communication step still holds u over it.
-        return component if self.period is None else Sampled(component, n, hold=True)
 
     def linear_model(self, name: str, context: BuildContext) -> LinearModel:
         D = None if self.D is None else matrix(self.D, "D")
@@ -68,7 +73,7 @@ class ControllerKind(PeriodicKind, LinearKind):
         return _sampled_model(component.interface, kernel, context.step_ns, every)
 
 
-class DiscreteStateSpaceKind(PeriodicKind, ExportableKind):
+class DiscreteStateSpaceKind(SampledKind, ExportableKind):
     """Discrete-time system x+ = A x + B u, y = C x + D u; u is sampled, y and x are held."""
 
     ports: ClassVar[str] = "u -> y, x"
@@ -79,9 +84,6 @@ class DiscreteStateSpaceKind(PeriodicKind, ExportableKind):
     C: NumberRows = Field(description="matrix (outputs, n)")
     D: NumberRows | None = Field(None, description="matrix (outputs, inputs); default: zero")
     x0: NumberRow | None = Field(None, description="x(0); default: zero")
-
-    def with_period(self, component: Component, n: int) -> Component:
-        return Sampled(component, n, hold=True)
 
     def build(self, name: str, context: BuildContext) -> DiscreteStateSpace:
         system = system_matrices(
@@ -103,15 +105,11 @@ class DiscreteStateSpaceKind(PeriodicKind, ExportableKind):
         return _sampled_model(interface, kernel, context.step_ns, every)
 
 
-class PidKind(PeriodicKind, ExportableKind):
+class PidKind(SampledKind, ExportableKind):
     """PID controller in ISA form with limits and anti-windup; with a period: a digital one."""
 
     ports: ClassVar[str] = "setpoint, measurement -> y, integral"
     kind: Literal["pid"]
-    period: Number | None = Field(
-        None,
-        description="sample period [s], whole communication steps; default: continuous in time",
-    )
     gain: Number = Field(description="K; y = K (b setpoint - measurement) + integral + derivative")
     integral_time: Number | None = Field(None, description="Ti [s]; default: no integral part")
     derivative_time: Number = Field(0.0, description="Td [s]; 0: no derivative part")
@@ -132,9 +130,6 @@ class PidKind(PeriodicKind, ExportableKind):
     initial_integral: Number = Field(
         0.0, description="integral(0), for a bumpless start; without integral_time it stays"
     )
-
-    def with_period(self, component: Component, n: int) -> Component:
-        return component if self.period is None else Sampled(component, n, hold=True)
 
     def build(self, name: str, context: BuildContext) -> Pid:
         parameters = PidParameters(

@@ -25,7 +25,7 @@ from cosim.scenario.kinds.base import (
     Wiring,
     unit_of,
 )
-from cosim.scenario.schema import Number, NumberRow, Whole
+from cosim.scenario.schema import Number, NumberRow, Size
 
 
 class LagKind(LinearKind):
@@ -35,7 +35,7 @@ class LagKind(LinearKind):
     kind: Literal["lag"]
     time_constant: Number = Field(description="time constant [s]")
     initial: Number | None = Field(None, description="y(0); default: u(0)")
-    size: Whole = Field(1, ge=1, le=100_000, description="number of elements")
+    size: Size = Field(1, description="number of elements")
     unit: PortUnits = Field(None, description=unit_of("u and y"))
 
     def linear_model(self, name: str, context: BuildContext) -> LinearModel:
@@ -55,7 +55,7 @@ class IntegratorKind(LinearKind):
     initial: Number = Field(0.0, description="y(0)")
     lower: Number | None = Field(None, description="lower limit of y; default: none")
     upper: Number | None = Field(None, description="upper limit of y; default: none")
-    size: Whole = Field(1, ge=1, le=100_000, description="number of elements")
+    size: Size = Field(1, description="number of elements")
 
     @property
     def _is_limited(self) -> bool:
@@ -115,7 +115,7 @@ class DelayKind(ExportableKind):
     kind: Literal["delay"]
     delay: Number = Field(description="a whole number of communication steps [s]")
     initial: Number | None = Field(None, description="y until then; default: u(0)")
-    size: Whole = Field(1, ge=1, le=100_000, description="number of elements")
+    size: Size = Field(1, description="number of elements")
     unit: PortUnits = Field(None, description=unit_of("u and y"))
 
     def build(self, name: str, context: BuildContext) -> Component:

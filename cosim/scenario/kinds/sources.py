@@ -18,7 +18,16 @@ from cosim.native.expression import FUNCTIONS, compile_expression
 from cosim.scenario.csv_file import read_csv
 from cosim.scenario.kinds.base import BuildContext, Kind
 from cosim.scenario.kinds.jumps import check_continuous, check_sampled, held_from_points
-from cosim.scenario.schema import Flag, Number, NumberRow, NumberRows, TomlTable, Whole, matrix
+from cosim.scenario.schema import (
+    Flag,
+    Number,
+    NumberRow,
+    NumberRows,
+    Size,
+    TomlTable,
+    Whole,
+    matrix,
+)
 from cosim.theory.disturbance import family_named
 
 
@@ -212,7 +221,7 @@ class NoiseKind(Kind):
     kind: Literal["noise"]
     deviation: Number = Field(ge=0.0, description="standard deviation")
     seed: Whole = Field(ge=0, description="seed of the generator")
-    size: Whole = Field(1, ge=1, le=100_000, description="number of elements")
+    size: Size = Field(1, description="number of elements")
 
     def build(self, name: str, context: BuildContext) -> Component:
         return source.Noise(

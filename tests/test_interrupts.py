@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 
 import cosim.log
+from cosim.interrupts import uninterrupted
 from cosim.log import McapRecorder, open_log
 from cosim.log import buffer as row_buffer
-from cosim.log.interrupts import uninterrupted
 
 from .recordings import STEP_NS, blocks, layout, plan, same_bits, table
 

@@ -1,0 +1,72 @@
+"""Components without memory: outputs that are a function of the inputs at the same instant."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from cosim.arrays import Matrix, Vector
+from cosim.core.contracts import Stopped
+from cosim.core.signals import Interface
+from cosim.errors import RunError
+
+
+class Static:
+    """``y = g(u)`` at every instant.
+
+    Parameters
+    ----------
+    interface : Interface
+        Every output feeds through from every input.
+    function : callable
+        From inputs, shape (K, n_u), to outputs, shape (K, n_y), row by row.
+    first_refused : callable, optional
+        From inputs, shape (K, n_u), to the first row that the function is not defined at, with the
+        reason; None: it is defined at all of them.
+    """
+
+    def __init__(
+        self,
+        interface: Interface,
+        function: Callable[[Matrix], Matrix],
+        first_refused: Callable[[Matrix], tuple[int, str] | None] = lambda u: None,
+    ) -> None:
+        self.interface = interface
+        self._function = function
+        self._first_refused = first_refused
+
+    def initialize(self, t: float, u: Vector) -> Vector:
+        """Return y(t)."""
+        return self.outputs(t, u)
+
+    def outputs(self, t: float, u: Vector) -> Vector:
+        """Return y(t).
+
+        Raises
+        ------
+        RunError
+            Where the function is not defined.
+        """
+        rows = u[np.newaxis]
+        refused = self._first_refused(rows)
+        if refused is not None:
+            _, reason = refused
+            raise RunError(reason)
+        y: Vector = self._function(rows)[0]
+        return y
+
+    def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
+        """Return y at ``t[1:]``.
+
+        Raises
+        ------
+        Stopped
+            Where the function is not defined; with the rows before it.
+        """
+        rows = u[1:]
+        refused = self._first_refused(rows)
+        if refused is not None:
+            first, reason = refused
+            raise Stopped(self._function(rows[:first]), reason)
+        return self._function(rows)
