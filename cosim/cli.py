@@ -30,7 +30,7 @@ from cosim.report.printable import printable
 from cosim.version import __version__
 
 if TYPE_CHECKING:
-    from cosim.scenario.execution import Progress
+    from cosim.scenario.recording import Progress
 
 BEGAN = perf_counter()
 INTERRUPTED = 130  # exit code after a KeyboardInterrupt

@@ -9,9 +9,9 @@ takes rad as 1 (FMI 3.0 section 2.4.4). A conversion computes, in this order,
 
 and copies the bits where both units are the same. The meaning of a unit is its definition where
 there is one, else that of its name: ``m/s2``, ``kN.m``, ``kg.m2/s^2``, ``degC``. A ``/`` divides by
-the one factor after it. A temperature in degC or degF has an offset; in a product, such as W/degC,
-it is a difference and has none. A unit whose name says nothing is not known: nothing is compared
-with it, and nothing converted.
+the one factor after it, or by those in parentheses, as in ``W/(m2.K)``. A temperature in degC or
+degF has an offset; in a product, such as W/degC, it is a difference and has none. A unit whose name
+says nothing is not known: nothing is compared with it, and nothing converted.
 """
 
 from __future__ import annotations
@@ -47,6 +47,8 @@ _DERIVED: Final[Mapping[str, tuple[Fraction, Mapping[str, int]]]] = {
     "Pa": (_ONE, {"kg": 1, "m": -1, "s": -2}),
     "bar": (Fraction(100_000), {"kg": 1, "m": -1, "s": -2}),
     "J": (_ONE, {"kg": 1, "m": 2, "s": -2}),
+    "Nm": (_ONE, {"kg": 1, "m": 2, "s": -2}),
+    "Wh": (Fraction(3600), {"kg": 1, "m": 2, "s": -2}),
     "W": (_ONE, {"kg": 1, "m": 2, "s": -3}),
     "C": (_ONE, {"A": 1, "s": 1}),
     "V": (_ONE, {"kg": 1, "m": 2, "s": -3, "A": -1}),
@@ -82,8 +84,9 @@ _PREFIXED: Final[Mapping[str, str]] = {
     "m": "pnumck", "s": "num", "g": "num", "A": "pnumk", "K": "m", "mol": "umk", "rad": "um",
     "Hz": "mkMG", "N": "umkM", "Pa": "hkMG", "bar": "m", "J": "mkMG", "W": "numkMG", "C": "pnum",
     "V": "numkM", "Ohm": "mkMG", "S": "um", "F": "pnum", "H": "num", "Wb": "m", "T": "num",
-    "l": "um", "L": "um",
+    "l": "um", "L": "um", "Nm": "mkM", "Wh": "kMG",
 }  # fmt: skip
+_DENOMINATOR: Final = re.compile(r"/\(([^()/]+)\)")  # in W/(m2.K)
 _ROUNDED: Final = 1e-9  # definitions of one name differ only by the digits that were written
 
 
@@ -197,7 +200,7 @@ def _same_name(first: Unit, second: Unit) -> bool:
 def unknown_unit(name: str) -> str:
     """Return what is wrong with a unit that is not known, and what is needed."""
     return (
-        f"{name!r} is not known; needed a product of units, such as mm, kN.m, kg/m3, degC or "
+        f"{name!r} is not known; needed a product of units, such as mm, kN.m, W/(m2.K), degC or "
         "rev/min, or none at all"
     )
 
@@ -208,7 +211,7 @@ def base_unit(unit: str) -> BaseUnit | None:
     factor = _ONE
     pi_power = 0
     sign = 1
-    for part in re.split(r"([./*])", unit):
+    for part in re.split(r"([./*])", _DENOMINATOR.sub(_one_by_one, unit)):
         if part in (".", "*", "/"):
             sign = -1 if part == "/" else 1
             continue
@@ -226,6 +229,11 @@ def base_unit(unit: str) -> BaseUnit | None:
         return None
     offset = _OFFSETS.get(unit.strip(), 0.0)
     return BaseUnit(tuple(exponents.values()), size, offset)
+
+
+def _one_by_one(denominator: re.Match[str]) -> str:
+    """Return /a/b for /(a.b)."""
+    return "/" + re.sub("[.*]", "/", denominator[1])
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,7 +26,9 @@ TABLE = {  # factor to the base unit, and the base unit itself
     "t": (1e3, "kg"), "L": (si.liter, "m3"), "mL": (1e-6, "m3"), "ul": (1e-9, "m3"),
     "l/min": (1e-3 / 60.0, "m3/s"), "kg/L": (1e3, "kg/m3"), "rev": (2.0 * si.pi, "rad"),
     "\u00b5m": (si.micro, "m"), "\u03bcs": (si.micro, "s"), "W/degF": (1.8, "W/K"),
-    "rev/min": (2.0 * si.pi / si.minute, "rad/s"),
+    "rev/min": (2.0 * si.pi / si.minute, "rad/s"), "Nm": (1.0, "N.m"), "kNm": (1e3, "J"),
+    "kWh": (3.6e6, "J"), "W/(m2.K)": (1.0, "W/m2/K"), "kJ/(kg*K)": (1e3, "m2/s2/K"),
+    "m3/(h.bar)": (1.0 / 3.6e8, "m3/s/Pa"),
 }  # fmt: skip
 
 
@@ -52,7 +54,11 @@ def test_what_has_more_than_one_reading_is_not_read():
     for name in (
         "Gs",
         "furlong",
-        "Nm",
+        "NM",
+        "W/(m2/K)",
+        "W/(m2.K",
+        "(m)",
+        "W/()",
         "kkg",
         "mmin",
         "ft",

@@ -20,9 +20,10 @@ from cosim.log import Log
 from cosim.report.recorded_rows import difference, has_signal
 from cosim.report.summary import Summary, summarize
 from cosim.scenario.edits import short
-from cosim.scenario.execution import check_target, load, run
+from cosim.scenario.execution import load, run
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.recorded_metadata import truth_of
+from cosim.scenario.recording import check_target
 from cosim.scenario.swap import PortNames, component_table, port_names
 
 

@@ -19,8 +19,8 @@ from cosim.core.contracts import Recording
 from cosim.errors import command
 from cosim.log import Log
 from cosim.log.diff import LogDifference, SignalDifference, diff
-from cosim.scenario.execution import recorded_document
 from cosim.scenario.recorded_metadata import replay_origin
+from cosim.scenario.replaying import recorded_document
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from typing import Any
 from cosim.arguments import path_argument
 from cosim.errors import ScenarioError, UsageError, command, nearest, option, quoted
 from cosim.files import read_bounded
+from cosim.log.metadata import json_table
 from cosim.scenario.edits import SET, TOO_MANY_DIGITS, change, flatten_tables, plain, short
 from cosim.scenario.lines import key_lines
 from cosim.scenario.places import Places
@@ -127,15 +128,29 @@ class Document:
         return json.dumps({"source": self.source, **edits})
 
     @staticmethod
-    def recorded(text: str, edits: Mapping[str, Any], folder: Path) -> Document:
-        """Rebuild a document from a log; ``edits`` as :meth:`edits` returns them."""
+    def recorded(text: str, edits: str, folder: Path) -> Document:
+        """Rebuild a document from a log.
+
+        Parameters
+        ----------
+        text : str
+        edits : str
+            As :meth:`edits` returned them.
+        folder : Path
+
+        Raises
+        ------
+        ValueError
+            If the edits are something else.
+        """
+        recorded = _read_edits(edits)
         return Document(
             text,
-            edits["source"],
+            recorded["source"],
             folder,
-            swaps=edits["swaps"],
-            maps=edits["maps"],
-            changes=edits["changes"],
+            swaps=recorded["swaps"],
+            maps=recorded["maps"],
+            changes=recorded["changes"],
         )
 
     # --- tables ---
@@ -197,6 +212,30 @@ class Document:
             swapped=self.swapped_components(),
         )
         return ScenarioError(places.report(problems))
+
+
+def _read_edits(text: str) -> dict[str, Any]:
+    """Read the edits of a document from JSON.
+
+    Raises
+    ------
+    ValueError
+        If they are not what :meth:`Document.edits` writes.
+    """
+    edits = json_table(text)
+    for key, kind in (("source", str), ("swaps", dict), ("changes", dict)):
+        if not isinstance(edits.get(key), kind):
+            raise ValueError(f"found {key} {quoted(edits.get(key))}")
+    maps = edits.setdefault("maps", {})
+    if not isinstance(maps, dict):
+        raise ValueError(f"found maps {quoted(maps)}")
+    for name, path in edits["swaps"].items():
+        if not isinstance(path, str):
+            raise ValueError(f"found {quoted(path)} for {name!r}")
+    for port, names in maps.items():
+        if not is_port_names(names):
+            raise ValueError(f"found {quoted(names)} for {port!r}")
+    return edits
 
 
 def _checked_maps(maps: Mapping[str, PortNames]) -> dict[str, PortNames]:

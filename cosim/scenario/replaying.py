@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Set
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from cosim.core.clock import Clock
 from cosim.core.contracts import Design, prepare
 from cosim.core.port import Port
-from cosim.errors import LogError, UsageError, option
+from cosim.errors import LogError, UsageError, command, option
 from cosim.log import Log
 from cosim.scenario.build import Experiment, fingerprint
 from cosim.scenario.document import Document
 from cosim.scenario.edits import short
+from cosim.scenario.parsing import Scenario
+from cosim.scenario.records import SCENARIO_FILE
 
 EVERYWHERE = {"scenario.input_interpolation", "scenario.coupling"}  # what matters to all inputs
 _TABLES = ("components", "models", "connections")
@@ -31,6 +35,98 @@ def texts_in(value: Any) -> set[str]:
         for item in value:
             texts |= texts_in(item)
     return texts
+
+
+def recorded_document(log: Log) -> Document:
+    """Return the scenario of a log.
+
+    Raises
+    ------
+    LogError
+        If the log carries none.
+    """
+    edits = log.metadata.get("cosim.run", {}).get("edits")
+    if SCENARIO_FILE not in log.attachments or edits is None:
+        raise LogError(
+            f"the log carries no {SCENARIO_FILE}; needed a log that {command('run')} wrote"
+        )
+    try:
+        text = log.attachment(SCENARIO_FILE).decode()
+        return Document.recorded(text, edits, Path.cwd())
+    except ValueError as error:
+        raise LogError(f"{log.path}: its scenario cannot be understood: {error}") from error
+
+
+def replay_changes(source: Log, wanted: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the changes of a replay: those that are wanted, and the end of the recording.
+
+    Raises
+    ------
+    LogError
+        If there is no step in it.
+    UsageError
+        If they change the communication points, or go beyond the recording.
+    """
+    changes = {short(key): value for key, value in wanted.items()}
+    if "scenario.step" in changes:
+        recorded_step = source.step_ns / 1e9
+        raise UsageError(
+            f"scenario.step: found {changes['scenario.step']} s, a replay keeps the recorded "
+            f"{recorded_step} s; run the scenario to change it"
+        )
+    if "scenario.start_time" in changes:
+        raise UsageError(
+            f"scenario.start_time: found {changes['scenario.start_time']} s, a replay keeps the "
+            "recorded one; run the scenario to change it"
+        )
+    _check_end(source)
+    recorded_end = source.end_ns / 1e9
+    stop = changes.setdefault("scenario.stop", recorded_end)
+    if isinstance(stop, (int, float)) and stop > recorded_end:
+        raise UsageError(
+            f"{option('set', 'scenario.stop')}: found {stop} s, the recording ends at "
+            f"{recorded_end} s; needed no more than that"
+        )
+    return changes
+
+
+def check_clock(clock: Clock, source: Log) -> None:
+    """Check that a scenario has the communication points of the rows in its log.
+
+    Raises
+    ------
+    LogError
+        If it has not.
+    """
+    first_ns = source.end_ns - source.steps * source.step_ns
+    if (clock.start_ns, clock.step_ns) != (first_ns, source.step_ns):
+        raise LogError(
+            f"{source.path}: its scenario has steps of {clock.step_ns} ns from {clock.start_ns} ns "
+            f"on, its rows of {source.step_ns} ns from {first_ns} ns on"
+        )
+
+
+def _check_end(source: Log) -> None:
+    """Check that the recorded end is that of the rows: a replay would go on to it.
+
+    Raises
+    ------
+    LogError
+        If there is no step in the log, or its rows end elsewhere.
+    """
+    end_ns = source.end_ns
+    if source.steps == 0:
+        raise LogError("the log has no step to replay; it ends where it begins")
+    channel = next(iter(source.channels.values()))
+    times = source.time_ns(channel.name).tolist() or [0]
+    first_ns = times[0]
+    last_ns = times[-1]
+    is_last = 0 <= end_ns - last_ns < channel.period * source.step_ns
+    if end_ns != first_ns + source.steps * source.step_ns or not is_last:
+        raise LogError(
+            f"{source.path}: it is said to end at {end_ns / 1e9} s after {source.steps} steps, but "
+            f"the rows of {channel.name!r} end at {last_ns / 1e9} s"
+        )
 
 
 def check_changes(experiment: Experiment, original: Document, changes: Mapping[str, Any]) -> None:
@@ -82,15 +178,18 @@ def _check_change(experiment: Experiment, key: str, changed: Set[str]) -> None:
                 f"{option('set', short(key))}: {name!r} is taken from the recording; {_REMEDY}"
             )
     affected = _reached(origins, experiment)
-    if not EVERYWHERE.isdisjoint(changed):
-        affected = set(experiment.scenario.specs)
     for name in recorded:
         causes = sorted(drivers[name] & affected)
         if causes:
-            raise UsageError(
-                f"{option('set', short(key))}: this changes {causes[0]!r}, which drives {name!r}; "
-                f"{name!r} is taken from the recording and cannot follow: {_REMEDY}"
-            )
+            what = f"this changes {causes[0]!r}, which drives {name!r}"
+        elif drivers[name] and not EVERYWHERE.isdisjoint(changed):
+            what = f"this may change the inputs of {name!r}"
+        else:
+            continue
+        raise UsageError(
+            f"{option('set', short(key))}: {what}; {name!r} is taken from the recording and cannot "
+            f"follow: {_REMEDY}"
+        )
 
 
 def _origins(experiment: Experiment, changed: Set[str]) -> set[str]:
@@ -136,6 +235,12 @@ def _drivers(experiment: Experiment) -> dict[str, set[str]]:
         for source in connection.sources:
             drivers[to.component].add(source.component)
     return drivers
+
+
+def recorded_in(source: Log, scenario: Scenario) -> list[str]:
+    """Return the components of a scenario that are taken from a log, as far as it has them."""
+    specs = scenario.specs
+    return [name for name in source.channels if name in specs and not specs[name].computable]
 
 
 def valid_designs(experiment: Experiment, source: Log) -> dict[str, Design]:

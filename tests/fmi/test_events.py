@@ -406,10 +406,18 @@ def test_nominal_values_scale_the_absolute_tolerance():
     assert count[1e-6] > 1.5 * count[1.0]
 
 
-def test_a_nominal_value_of_zero_is_refused():
-    message = "SWITCH: nominal value of state 0: found 0.0, needed a number other than zero"
-    with Run("SWITCH", "BDF", p=0.5, nominal=0.0) as run, pytest.raises(Stopped, match=message):
-        run(1.0, 0.1)
+def test_a_nominal_value_of_zero_is_taken_as_one():
+    """With the same rows as 1 itself, and said once."""
+    rows = []
+    warnings = []
+    for nominal in (0.0, 1.0):
+        with Run("SWITCH", "BDF", p=0.5, nominal=nominal) as run:
+            rows.append(run(1.0, 0.1))
+            messages = run.component.drain()
+        warnings.append([message.text for message in messages if message.level == "warning"])
+    assert np.array_equal(*rows)
+    text = "SWITCH: nominal value of state 0: found 0.0; needed a number other than zero"
+    assert warnings == [[f"{text}, taken as 1"], []]
 
 
 @pytest.mark.parametrize("rtol", [0.0, 1e-16, 1.0, math.nan])

@@ -62,7 +62,7 @@ import numpy as np
 import cosim
 from cosim.core import Clock, Graph, Interface, Memory, Signal
 from cosim.errors import Interrupted
-from cosim.scenario import execution
+from cosim.scenario import recording
 from cosim.scenario.build import Builder
 
 class Slow:
@@ -93,7 +93,7 @@ with ExitStack() as resources:
     experiment = replace(experiment, graph=Graph({"x": slow}, {}), clock=clock)
     memory = Memory()
     try:
-        execution._run_into(memory, experiment, {}, progress=None, profile=None)
+        recording.run_into(memory, experiment, {}, progress=None, profile=None)
     except (Interrupted, KeyboardInterrupt) as error:
         rows = len(memory["x.y"]) - 1
         same = (memory["x.y"] == np.arange(rows + 1.0)).all()

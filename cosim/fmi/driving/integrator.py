@@ -40,6 +40,7 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
 from cosim.errors import RunError
+from cosim.fmi.driving.diagnostics import Diagnostics
 from cosim.fmi.driving.events import (
     EVENTS,
     EventKind,
@@ -122,6 +123,7 @@ class Integrator:
     event_inputs : array of int
         Which inputs change in events only: held and discrete ones; set by the owner.
     events : EventList
+    diagnostics : Diagnostics
     """
 
     def __init__(self, instance: ModelExchangeInstance, solver: str, *, rtol: float) -> None:
@@ -150,6 +152,7 @@ class Integrator:
         self.state = IntegratorState()
         self.event_inputs: NDArray[np.intp] = np.flatnonzero(description.discrete_inputs)
         self.events = EventList()
+        self.diagnostics = Diagnostics(self._name)
 
     def begin(self) -> None:
         """Handle the event that the initialization ends with; from here on time may advance.
@@ -421,19 +424,23 @@ class Integrator:
             state.nominals = self._read_nominals()
 
     def _read_nominals(self) -> Vector:
-        """Return the nominal values that the solver scales its tolerances with."""
+        """Return the nominal values that the solver scales its tolerances with.
+
+        In place of one that is none: 1, as of a state without information (FMI 2.0.4 section
+        3.2.2).
+        """
+        nominals = np.ones(self._n_x)
         if self._uses_nominals:
-            nominals = np.abs(self._instance.get_nominals())
-        else:
-            nominals = np.ones(self._n_x)
-        valid = (nominals > 0.0) & (nominals < math.inf)
-        invalid = np.flatnonzero(~valid)
-        if invalid.size:
-            i = int(invalid[0])
-            raise RunError(
-                f"{self._name}: nominal value of state {i}: found {nominals[i]}, "
-                "needed a number other than zero"
-            )
+            given = np.abs(self._instance.get_nominals())
+            valid = (given > 0.0) & (given < math.inf)
+            nominals[valid] = given[valid]
+            for i in np.flatnonzero(~valid).tolist():
+                self.diagnostics.add(
+                    self.state.t,
+                    f"nominal value of state {i}",
+                    f"nominal value of state {i}: found {given[i]}; needed a number other than "
+                    "zero, taken as 1",
+                )
         if self._form is None:
             return nominals
         return np.concatenate([nominals, self._form.nominals])

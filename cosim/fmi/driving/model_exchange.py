@@ -154,8 +154,8 @@ class ModelExchange:
         return self._integrate(t, u)
 
     def drain(self) -> list[Message]:
-        """Return the events since the last call, at level debug."""
-        return self._integrator.events.drain()
+        """Return the events since the last call, at level debug, and warnings."""
+        return self._integrator.events.drain() + self._integrator.diagnostics.drain()
 
     def save(self) -> SavedState[ModelExchangeState]:
         """Copy the state, the solver's included.

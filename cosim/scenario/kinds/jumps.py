@@ -119,9 +119,10 @@ def held_from_points(t: Vector, y: Matrix, clock: Clock) -> Vector:
         first = int(wrong[0])
         instant = float(t[first])
         before, after = clock.points_around(instant)
+        others = f" ({wrong.size} such instants)" if wrong.size > 1 else ""
         raise UsageError(
             f"table: y jumps at t[{first}] = {instant!r} s, between the communication points "
-            f"{before!r} s and {after!r} s; needed one of them ({wrong.size} such instants)"
+            f"{before!r} s and {after!r} s; needed one of them{others}"
         )
     held: Vector = np.where(on_grid, clock.nearest_points(t), t)
     return held

@@ -1,0 +1,155 @@
+"""Run an experiment into its recording: a log file, memory, or a recorder of one's own."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from time import perf_counter
+
+from cosim.core.contracts import Block, Design, Recorder
+from cosim.core.graph import Graph
+from cosim.core.master import run as run_graph
+from cosim.core.recorders import Memory, Watched
+from cosim.errors import UsageError
+from cosim.log import Log, McapRecorder
+from cosim.log.paths import check_new_log, log_path
+from cosim.scenario.build import Experiment
+from cosim.scenario.interrupting import interruptible
+from cosim.scenario.profile import Timed
+from cosim.scenario.records import MessageRecorder, attachments_of, metadata_of
+
+Progress = Callable[[float, float], None]  # simulated time, end [s]
+Notice = Callable[[str], None]
+_LARGE = 10**9  # bytes of a log that are worth a word
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """Where a run is recorded: over or beside a log that is there; None: in memory."""
+
+    out: str | Path | None
+    force: bool = False
+    numbered: bool = False
+    notice: Notice | None = None
+
+
+def check_target(out: str | Path | None, *, force: bool = False, numbered: bool = False) -> None:
+    """Refuse a path that the log of a run cannot be written to; None: it is kept in memory.
+
+    Raises
+    ------
+    UsageError
+        If it does not end as a log does, is taken, or no file can be written there.
+    """
+    if out is None:
+        return
+    path = log_path(out)
+    if path.suffix != ".mcap":
+        raise UsageError(f"{out}: a log needs a path that ends in .mcap")
+    check_new_log(path, force=force, numbered=numbered)
+
+
+def record(
+    experiment: Experiment,
+    designs: Mapping[str, Design],
+    target: Target,
+    *,
+    progress: Progress | None,
+    profile: dict[str, float] | None = None,
+) -> Log | Memory:
+    """Run an experiment and return its recording: the log file if a path is given."""
+    out = target.out
+    if out is None:
+        memory = Memory(metadata_of(experiment))
+        run_into(memory, experiment, designs, progress=progress, profile=profile)
+        return memory
+    is_read = Path(os.path.realpath(out)) in experiment.files
+    if is_read and not target.numbered:
+        raise UsageError(f"{out} is read in this run; choose another path for the log")
+    log = _log_recorder(experiment, out, target)
+
+    def began() -> None:
+        if target.notice is not None:
+            _announce_size(log, experiment.clock.steps, target.notice)
+
+    run_into(log, experiment, designs, progress=progress, profile=profile, began=began)
+    return log.recorded()
+
+
+def _announce_size(log: McapRecorder, steps: int, notice: Notice) -> None:
+    """Announce how large a log may become, if that is much or more than there is room for."""
+    bound = log.size_bound(steps)
+    free = shutil.disk_usage(log.path.parent).free
+    text = f"{log.path} takes up to {bound / 1e9:.3g} GB, before compression and without messages"
+    if bound > free:
+        notice(f"warning: {text}; there are {free / 1e9:.3g} GB left on its disk")
+    elif bound > _LARGE:
+        notice(text)
+
+
+def run_into(
+    recorder: Recorder,
+    experiment: Experiment,
+    designs: Mapping[str, Design],
+    *,
+    progress: Progress | None,
+    profile: dict[str, float] | None,
+    began: Callable[[], None] | None = None,
+) -> None:
+    """Run an experiment; its rows, messages and results go to the recorder."""
+    seconds: dict[str, float] = {}  # of this run alone, whatever is in the dict to fill
+    graph = experiment.graph if profile is None else _timed(experiment.graph, seconds)
+    with_messages = MessageRecorder(recorder, experiment)
+    first = perf_counter()
+    with interruptible() as check:
+        reached = _reached(experiment, progress, check)
+        watched = Watched(with_messages, reached, began)
+        plan = experiment.plan or graph.prepare(experiment.clock.step_ns, designs)
+        run_graph(graph, experiment.clock, watched, plan)
+    if profile is not None:
+        elapsed = perf_counter() - first
+        seconds["recorder and master"] = elapsed - sum(seconds.values())
+        profile.update(seconds)
+
+
+def _log_recorder(experiment: Experiment, out: str | Path, target: Target) -> McapRecorder:
+    kinds = {name: spec.kind for name, spec in experiment.scenario.specs.items()}
+    metadata = metadata_of(experiment)
+    attachments = attachments_of(experiment)
+    return McapRecorder(
+        out,
+        force=target.force,
+        numbered=target.numbered,
+        kinds=kinds,
+        metadata=metadata,
+        attachments=attachments,
+    )
+
+
+def _timed(graph: Graph, profile: dict[str, float]) -> Graph:
+    components = {}
+    for name, component in graph.components.items():
+        components[name] = Timed(component, name, profile)
+    return Graph(
+        components,
+        graph.connections,
+        coupling=graph.coupling,
+        input_interpolation=graph.input_interpolation,
+        periods=graph.periods,
+    )
+
+
+def _reached(
+    experiment: Experiment, progress: Progress | None, check: Callable[[], None]
+) -> Callable[[Block], None]:
+    end = experiment.clock.stop
+
+    def reached(block: Block) -> None:
+        if progress is not None:
+            progress(float(block.time[-1]), end)
+        check()
+
+    return reached
