@@ -1,6 +1,8 @@
 """Pictures: what they show, read back from the SVG, whose text is text."""
 
 import re
+from contextlib import nullcontext
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -156,3 +158,19 @@ def test_every_format_is_written(academic, tmp_path):
         path = tmp_path / f"a{suffix}"
         plot_run(academic, path)
         assert path.read_bytes().startswith(begin)
+
+
+def test_a_picture_that_is_interrupted_leaves_the_one_before(runs, tmp_path, monkeypatch):
+    """Ctrl-C while it is drawn."""
+    path = tmp_path / "a.png"
+    path.write_bytes(b"before")
+
+    def interrupted(figure, target, **options):
+        with open(target, "wb") if isinstance(target, str | Path) else nullcontext(target) as file:
+            file.write(b"half")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        plot_signals(runs[0], ["a.y"], path)
+    assert path.read_bytes() == b"before"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import Any, Final
 
@@ -90,7 +91,7 @@ def need_plot(out: Path) -> None:
         written.
     """
     formats = _new_figure().canvas.get_supported_filetypes()
-    if out.suffix.lower().removeprefix(".") not in formats:
+    if _format(out) not in formats:
         known = ", ".join(sorted(formats))
         raise UsageError(f"{out}: found the ending {out.suffix!r}, needed one of: {known}")
     try:
@@ -156,14 +157,21 @@ class Picture:
         for panel in self.panels[-self._columns :]:
             panel.set_xlabel("t [s]")
         self.panels[0].set_xlim(self._options.start, self._options.stop)
+        picture = BytesIO()  # a file that is there stays whole if this is interrupted
         try:
-            out.parent.mkdir(parents=True, exist_ok=True)
             with rc_context(_TEXT_AS_TEXT):
-                self._figure.savefig(out, dpi=_DOTS_PER_INCH)
+                self._figure.savefig(picture, format=_format(out), dpi=_DOTS_PER_INCH)
+            out.parent.mkdir(parents=True, exist_ok=True)
+            out.write_bytes(picture.getvalue())
         except ValueError as error:
             raise UsageError(f"{out}: {error}") from error
         except OSError as error:
             raise UsageError(f"{out} cannot be written: {error.strerror}") from error
+
+
+def _format(out: Path) -> str:
+    """Return the format of a picture, by its ending."""
+    return out.suffix.lower().removeprefix(".")
 
 
 def _new_figure() -> Any:
