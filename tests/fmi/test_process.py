@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import cosim
-from cosim.core import Clock, Graph
+from cosim.core import Clock, Graph, Stopped
 from cosim.core.master import run as run_graph
 from cosim.core.recorders import Memory
 from cosim.core.signals import Interface
@@ -111,6 +111,35 @@ def test_another_rounding_mode_in_a_step_ends_the_run(rogue, tmp_path):
     log = cosim.open_log(out)
     assert log.status == "failed"
     assert log["plant.y"].tolist() == [1.0]
+    assert 1.0 + 2.0**-54 == 1.0
+
+
+@pytest.mark.parametrize(
+    ("what", "reason"),
+    [
+        ("ROUNDS_ENDS", "the FMU requests the end of the run"),
+        ("ROUNDS_FAILS", "fmi2DoStep returned 3 (error)"),
+    ],
+)
+def test_no_row_of_another_rounding_mode_is_kept_where_the_fmu_stops(rogue, what, reason):
+    """It stops in its third step, on request or with an error; the mode changed in the first."""
+    path = rogue(what).with_name("rogue.fmu")
+    t = np.arange(6) / 100
+    with load(path) as fmu:
+        fmu.component.initialize(0.0, np.zeros(1))
+        with pytest.raises(RunError, match="rogue: changed the rounding") as caught:
+            fmu.component.advance(t, 0.01, np.zeros((6, 1)))
+    assert not isinstance(caught.value, Stopped)
+    assert reason in str(caught.value)
+
+
+@pytest.mark.parametrize("call", ["save", "restore"])
+def test_another_rounding_mode_from_saving_a_state_is_undone(call):
+    """Else it would be taken for what the next call found, and be kept."""
+    libm = ctypes.CDLL("libm.so.6")
+    guarded = Guarded(Rounding(lambda: libm.fesetround(0x800)), "rounder")
+    with pytest.raises(RunError, match=r"rounder: changed the rounding mode"):
+        getattr(guarded, call)(*([None] if call == "restore" else []))
     assert 1.0 + 2.0**-54 == 1.0
 
 
@@ -259,6 +288,16 @@ def test_a_graph_in_a_thread_runs(rogue):
             graph = Graph({"a": fmu.component, "b": source.component}, {"a.u": "b.y", "b.u": "a.y"})
             pool.submit(run_graph, graph, Clock(0.05, 0.01), memory).result()
     assert memory.status == "complete"
+
+
+class Rounding:
+    """A component that changes the rounding mode where its state is saved or restored."""
+
+    def __init__(self, change):
+        self.save = change
+
+    def restore(self, state):
+        self.save()
 
 
 class Moving:

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any, Protocol, final
+from typing import Any, Protocol, TypeVar, final
 
 from cosim.arrays import Mask, Matrix, Vector
-from cosim.core.contracts import Component, Design, Preparable, Rollback
+from cosim.core.contracts import Component, Design, Preparable, Rollback, Stopped
 from cosim.core.signals import Interface
 from cosim.errors import RunError
 from cosim.fmi.binary.messages import Message
 from cosim.fmi.binary.process import ROUNDING, Process, describe_changes
 from cosim.fmi.driving.diagnostics import Diagnostics
+
+Result = TypeVar("Result")
 
 
 class FmuComponent(Component, Preparable, Rollback[Any], Protocol):
@@ -65,44 +67,23 @@ class Guarded:
 
     def initialize(self, t: float, u: Vector) -> Vector:
         """Pass on."""
-        self._process.save()
-        try:
-            y = self._component.initialize(t, u)
-        except BaseException:
-            self._put_back(t)
-            raise
-        self._check(t)
-        return y
+        return self._call(t, lambda: self._component.initialize(t, u))
 
     def outputs(self, t: float, u: Vector) -> Vector:
         """Pass on."""
-        self._process.save()
-        try:
-            y = self._component.outputs(t, u)
-        except BaseException:
-            self._put_back(t)
-            raise
-        self._check(t)
-        return y
+        return self._call(t, lambda: self._component.outputs(t, u))
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
         """Pass on."""
-        self._process.save()
-        try:
-            y = self._component.advance(t, h, u)
-        except BaseException:
-            self._put_back(float(t[0]))
-            raise
-        self._check(float(t[0]))
-        return y
+        return self._call(float(t[0]), lambda: self._component.advance(t, h, u))
 
     def save(self) -> Any:
         """Pass on."""
-        return self._component.save()
+        return self._call(None, self._component.save)
 
     def restore(self, state: Any) -> None:
         """Pass on."""
-        self._component.restore(state)
+        self._call(None, lambda: self._component.restore(state))
 
     @contextmanager
     def outside(self, t: float | None) -> Iterator[None]:
@@ -117,21 +98,34 @@ class Guarded:
         """Return the events and warnings since the last call."""
         return self._component.drain() + self._diagnostics.drain()
 
-    def _check(self, t: float) -> None:
-        """Put back what changed.
+    def _call(self, t: float | None, call: Callable[[], Result]) -> Result:
+        """Return what a call of the run returns, and put back what it changed.
 
         Raises
         ------
         RunError
-            If the rounding mode did.
+            If it changed the rounding mode; also in the place of a stop, which brings rows.
         """
-        changes = self._put_back(t)
-        if changes & ROUNDING:
-            raise RunError(
-                f"{self._name}: changed {describe_changes(ROUNDING)} in a call at t = {t} s or "
-                "after it; it is as before again, but what was computed since then is not to be "
-                "relied on, and left out"
-            )
+        self._process.save()
+        try:
+            result = call()
+        except Stopped as stop:
+            if self._put_back(t) & ROUNDING:
+                raise RunError(f"{self._distrust(t)}; the call ended with: {stop}") from stop
+            raise
+        except BaseException:
+            self._put_back(t)
+            raise
+        if self._put_back(t) & ROUNDING:
+            raise RunError(self._distrust(t))
+        return result
+
+    def _distrust(self, t: float | None) -> str:
+        call = "a call for its state" if t is None else f"a call at t = {t} s or after it"
+        return (
+            f"{self._name}: changed {describe_changes(ROUNDING)} in {call}; it is as before "
+            "again, but what was computed since then is not to be relied on, and left out"
+        )
 
     def _put_back(self, t: float | None) -> int:
         changes = self._process.restore()

@@ -15,7 +15,7 @@ enum {
     GOOD, CRASH, HANG, EXITS, REFUSES, NAN_OUTPUT, OTHER_START, LIES, FORGETS,
     HANGS_BACK, CRASHES_FREE, FAILS_STEP, LOUD, LITTERS, PRINTS, REFUSES_STATE, REFUSES_BACK,
     NEARLY, FAILS_END, WARNS, ROUNDS, FLUSHES, TRAPS, SPEAKS, MOVES, CATCHES, CLOSES,
-    ABORTS_LATER
+    ABORTS_LATER, ROUNDS_FAILS, ROUNDS_ENDS
 };
 enum { INSTANTIATE, INITIALIZE, STEP, TERMINATE };
 #ifndef WHERE
@@ -24,6 +24,7 @@ enum { INSTANTIATE, INITIALIZE, STEP, TERMINATE };
 
 typedef struct {
     double x, u, memory;
+    int steps;
 } Model;
 
 /* Change the process. */
@@ -32,7 +33,9 @@ static void change(int where)
     if (where != WHERE)
         return;
     switch (ROGUE) {
-    case ROUNDS: fesetround(FE_UPWARD); break;
+    case ROUNDS:
+    case ROUNDS_FAILS:
+    case ROUNDS_ENDS: fesetround(FE_UPWARD); break;
     case FLUSHES: _mm_setcsr(_mm_getcsr() | 0x8040); break;
     case TRAPS: feenableexcept(FE_DIVBYZERO | FE_OVERFLOW); break;
     case SPEAKS: setlocale(LC_NUMERIC, "C.UTF-8"); break;
@@ -171,6 +174,10 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no_wa
     m->x =
         ROGUE == NAN_OUTPUT ? NAN : m->x + h * (m->u - m->x) + (ROGUE == FORGETS ? m->memory : 0.0);
     change(STEP);
+    if (++m->steps == 3 && ROGUE == ROUNDS_FAILS)
+        return fmi2Error;
+    if (m->steps == 3 && ROGUE == ROUNDS_ENDS)
+        return fmi2Discard;
     return ROGUE == WARNS ? fmi2Warning : fmi2OK;
 }
 #endif
@@ -185,5 +192,9 @@ fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind k, fmi2Real *
 }
 fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind k, fmi2Boolean *v)
 {
+    if (ROGUE == ROUNDS_ENDS && k == fmi2Terminated) {
+        *v = fmi2True;
+        return fmi2OK;
+    }
     return fmi2Discard;
 }
