@@ -100,7 +100,8 @@ class BaseUnit:
     Raises
     ------
     ValueError
-        If a number is not finite or the factor is 0.
+        If there is not one whole exponent for each of ``BASE``, a number is not finite or the
+        factor is 0.
     """
 
     exponents: tuple[int, ...]
@@ -108,6 +109,12 @@ class BaseUnit:
     offset: float = 0.0
 
     def __post_init__(self) -> None:
+        is_whole = [type(exponent) is int for exponent in self.exponents]
+        if len(is_whole) != len(BASE) or not all(is_whole):
+            raise ValueError(
+                f"unit: found exponents {self.exponents!r}; needed a whole number for each of "
+                f"{', '.join(BASE)}"
+            )
         finite = math.isfinite(self.factor) and math.isfinite(self.offset)
         if not finite or self.factor == 0.0:
             raise ValueError(

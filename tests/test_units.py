@@ -151,6 +151,13 @@ def test_a_unit_that_cannot_be_converted_back_is_refused(factor, offset):
         BaseUnit(LENGTH, factor, offset)
 
 
+@pytest.mark.parametrize("exponents", [(), (1,), (0.5,) * 8, (True,) * 8])
+def test_a_unit_has_one_whole_exponent_for_each_base_unit(exponents):
+    """No more, no fewer, and no fractions."""
+    with pytest.raises(ValueError, match="needed a whole number for each of kg, m, s, A, K, mol"):
+        BaseUnit(exponents)
+
+
 sizes = st.floats(1e-9, 1e9)
 units = st.builds(
     lambda name, factor, offset: Unit(name, BaseUnit(LENGTH, factor, offset)),

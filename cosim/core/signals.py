@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any, Literal, TypeAlias, get_args
+from typing import Any, Final, Literal, TypeAlias, get_args
 
-from cosim.errors import GraphError, nearest
+from cosim.errors import GraphError, nearest, quoted
 from cosim.units import BaseUnit, Unit
 
 Variability = Literal["continuous", "discrete", "inherited"]
@@ -17,6 +18,13 @@ Role = Literal["input", "output", "state", "estimate"]
 Causality = Literal["input", "output"]
 Need = Literal["required", "optional", "forbidden"]
 Dependencies: TypeAlias = Mapping[str, tuple[str, ...] | None]  # input names by output name
+
+_CHOICES: Final[Mapping[str, tuple[str, ...]]] = {
+    "variability": get_args(Variability),
+    "type": get_args(SignalType),
+    "role": get_args(Role),
+    "connection": get_args(Need),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +60,11 @@ class Signal:
     first : int
         Number of its first element where it comes from, such as 1 for the vector that the variables
         ``x[1]``, ``x[2]`` of an FMU are. Here elements are numbered from 0.
+
+    Raises
+    ------
+    GraphError
+        If a field has another type or value than these.
     """
 
     name: str
@@ -67,23 +80,36 @@ class Signal:
     first: int = 0
 
     def __post_init__(self) -> None:
-        if not isinstance(self.name, str):
-            raise GraphError(f"signal {self.name!r}: needed a text as its name")
+        if not isinstance(self.name, str) or not self.name:
+            raise GraphError(f"signal {self.name!r}: needed a string that is not empty as its name")
         if type(self.size) is not int or self.size < 1:
             raise GraphError(f"signal {self.name!r}: size {self.size!r}, needed at least 1")
-        for key, value, choices in (
-            ("variability", self.variability, get_args(Variability)),
-            ("type", self.type, get_args(SignalType)),
-            ("role", self.role, get_args(Role)),
-        ):
-            if value not in choices:
-                suggestion = nearest(str(value), choices)
-                raise GraphError(f"signal {self.name!r}: {key} {value!r}; {suggestion}")
+        self._check_choices()
+        self._check_types()
         if self.start and len(self.start) != self.size:
             count = len(self.start)
             raise GraphError(
                 f"signal {self.name!r}: {count} start values, needed {self.size} or none"
             )
+
+    def _check_choices(self) -> None:
+        for key, choices in _CHOICES.items():
+            value = getattr(self, key)
+            if value not in choices:
+                suggestion = nearest(str(value), choices)
+                raise GraphError(f"signal {self.name!r}: {key} {value!r}; {suggestion}")
+
+    def _check_types(self) -> None:
+        for key, is_right, needed in (
+            ("unit", self.unit is None or isinstance(self.unit, str), "a string or None"),
+            ("optional", isinstance(self.optional, bool), "True or False"),
+            ("base", self.base is None or isinstance(self.base, BaseUnit), "a BaseUnit or None"),
+            ("start", _are_numbers(self.start), "a tuple of numbers, none of them NaN"),
+            ("first", type(self.first) is int and self.first >= 0, "a whole number from 0 on"),
+        ):
+            if not is_right:
+                found = quoted(getattr(self, key))
+                raise GraphError(f"signal {self.name!r}: {key} {found}, needed {needed}")
 
     @property
     def initial_values(self) -> tuple[float, ...]:
@@ -113,6 +139,17 @@ class Signal:
         if self.size == 1:
             return [self.name]
         return [f"{self.name}[{i}]" for i in range(self.size)]
+
+
+def _are_numbers(values: object) -> bool:
+    if not isinstance(values, tuple):
+        return False
+    for value in values:
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            return False
+        if isinstance(value, float) and math.isnan(value):
+            return False
+    return True
 
 
 def element_names(signals: Iterable[Signal]) -> list[str]:

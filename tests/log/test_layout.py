@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import struct
 from dataclasses import replace
@@ -13,12 +14,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cosim.core.signals import Channel, Interface, Signal
+from cosim.errors import GraphError
 from cosim.log.layout import (
     blank_records,
     copy_values,
     group_columns,
     read_part,
     record_dtype,
+    signals_json,
     split_channel,
 )
 from cosim.log.metadata import add_checksum, decode_design, encode_design, verify_checksum
@@ -136,8 +139,10 @@ plain = st.builds(
     type=st.sampled_from(["real", "integer", "boolean"]),
     role=st.sampled_from(["input", "output", "state", "estimate"]),
     base=st.none() | bases,
+    connection=st.sampled_from(["required", "optional", "forbidden"]),
+    first=st.integers(0, 9),
 )
-numbers = st.floats(-1e9, 1e9)
+numbers = st.floats(allow_nan=False)
 signals = plain | st.builds(
     lambda signal, x: replace(signal, start=(x,) * signal.size), plain, numbers
 )
@@ -177,6 +182,49 @@ def test_metadata_describe_the_whole_component(channel, step_ns):
     for signal in channel.signals:
         declared += signal.elements
     assert elements == declared
+
+
+def test_a_declaration_has_defaults_only_of_the_first_fields():
+    """The text that the hash covers stays what the first logs have, until a new field is used."""
+    plain = '"name":"u","size":1,"unit":null,"variability":"continuous","optional":false,'
+    plain += '"type":"real","role":"output"'
+    assert signals_json(Interface((Signal("u"),))) == f'[{{"causality":"input",{plain}}}]'
+    driven = Signal("u", start=(1.0,), connection="optional", first=1)
+    added = '"start":[1.0],"connection":"optional","first":1'
+    assert signals_json(Interface((driven,))) == f'[{{"causality":"input",{plain},{added}}}]'
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("name", ""),
+        ("size", 0),
+        ("size", 2**63),
+        ("unit", 5),
+        ("variability", 5),
+        ("optional", 1),
+        ("type", "text"),
+        ("role", None),
+        ("base", {"exponents": [1], "factor": 1.0, "offset": 0.0}),
+        ("base", {"exponents": [0.5] * len(BASE), "factor": 1.0, "offset": 0.0}),
+        ("start", {}),
+        ("start", ["1"]),
+        ("start", [True]),
+        ("connection", 5),
+        ("first", "x"),
+        ("first", -1),
+    ],
+)
+def test_a_declaration_of_anything_else_is_refused(name, value):
+    """Every field that is read has the type and one of the values that a signal may have."""
+    (part,) = split_channel(layout()["plant"], kind="", step_ns=1)
+    items = part.metadata
+    signals = json.loads(items["cosim.signals"])
+    signals[-1][name] = value
+    items["cosim.signals"] = json.dumps(signals)
+    items.pop("cosim.sha256")
+    with pytest.raises((GraphError, ValueError), match=rf"{name}|exponents"):
+        read_part(add_checksum("cosim.channel", items))
 
 
 def test_a_changed_channel_is_noticed():
