@@ -140,15 +140,11 @@ class Ports:
     def __init__(self, layout: Layout) -> None:
         self.channels = {channel.name: channel for channel in layout.channels}
         self._signals: dict[tuple[str, Causality], dict[str, Signal]] = {}
-        self._columns: dict[str, dict[str, slice]] = {}
         for channel in layout.channels:
             name = channel.name
             interface = channel.interface
             self._signals[name, "input"] = {signal.name: signal for signal in interface.inputs}
             self._signals[name, "output"] = {signal.name: signal for signal in interface.outputs}
-            self._columns[name] = {
-                signal.name: columns for signal, columns in channel.signal_columns()
-            }
 
     def input(self, port: Port) -> ConnectionEnd:
         """Return an input, or elements of it.
@@ -183,7 +179,7 @@ class Ports:
 
     def columns(self, port: Port, elements: slice) -> slice:
         """Return the columns of some elements of a whole signal."""
-        start = self._columns[port.component][port.signal].start
+        start = self.channels[port.component].signal_columns[port.signal].start
         return slice(start + elements.start, start + elements.stop)
 
 

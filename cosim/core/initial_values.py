@@ -107,9 +107,9 @@ class InitialValues:
         self.columns: dict[Port, slice] = {}
         self._signals: dict[Port, Signal] = {}
         for channel in channels:
-            for signal, columns in channel.signal_columns():
-                port = Port(channel.name, signal.name)
-                self.columns[port] = columns
+            for name, signal in channel.by_name.items():
+                port = Port(channel.name, name)
+                self.columns[port] = channel.signal_columns[name]
                 self._signals[port] = signal
         self.wires = wires
         self.starting_order = _drivers_first(self.members, sources)

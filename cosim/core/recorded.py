@@ -60,7 +60,7 @@ def find_signal(
     try:
         port = signal if isinstance(signal, Port) else Port.parse(signal)
         channel = find_channel(channels, port.component, source=source)
-        match = port.find(channel.signals)
+        match = port.find_in(channel.by_name)
     except GraphError as error:
         raise UnknownSignalError(f"{source}: {error}") from error
     if match is None:
@@ -70,12 +70,9 @@ def find_signal(
             f"{suggestion}"
         )
     meant, elements = match
-    for known, whole in channel.signal_columns():
-        if known is meant:
-            begin = whole.start - channel.start
-            columns = slice(begin + elements.start, begin + elements.stop)
-            return RecordedPort(channel, meant, columns)
-    raise AssertionError("the signal was found among those of the channel")
+    begin = channel.signal_columns[meant.name].start - channel.start
+    columns = slice(begin + elements.start, begin + elements.stop)
+    return RecordedPort(channel, meant, columns)
 
 
 def find_channel(channels: Mapping[str, Channel], component: str, *, source: str) -> Channel:

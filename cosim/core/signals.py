@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from types import MappingProxyType
 from typing import Any, Final, Literal, TypeAlias, get_args
 
@@ -160,7 +161,7 @@ def element_names(signals: Iterable[Signal]) -> list[str]:
     return names
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Interface:
     """What a component shows to the outside.
 
@@ -248,17 +249,17 @@ class Interface:
                 raise GraphError(f"{label}: there is no input {name!r}; {suggestion}")
         return checked
 
-    @property
+    @cached_property
     def signals(self) -> tuple[Signal, ...]:
         """Inputs, then outputs."""
         return self.inputs + self.outputs
 
-    @property
+    @cached_property
     def n_u(self) -> int:
         """Number of input elements."""
         return sum(signal.size for signal in self.inputs)
 
-    @property
+    @cached_property
     def n_y(self) -> int:
         """Number of output elements."""
         return sum(signal.size for signal in self.outputs)
@@ -301,16 +302,15 @@ def _signals(key: str, signals: Iterable[Signal]) -> tuple[Signal, ...]:
     return checked
 
 
-def _columns(signals: tuple[Signal, ...]) -> dict[str, slice]:
+def _columns(signals: tuple[Signal, ...], start: int = 0) -> dict[str, slice]:
     columns = {}
-    start = 0
     for signal in signals:
         columns[signal.name] = slice(start, start + signal.size)
         start += signal.size
     return columns
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Channel:
     """One component's contiguous part of a row: its applied inputs, then its outputs."""
 
@@ -319,17 +319,17 @@ class Channel:
     start: int
     period: int = 1  # communication steps between the rows that the log keeps
 
-    @property
+    @cached_property
     def inputs(self) -> slice:
         """Columns of the applied inputs."""
         return slice(self.start, self.start + self.interface.n_u)
 
-    @property
+    @cached_property
     def outputs(self) -> slice:
         """Columns of the outputs."""
         return slice(self.inputs.stop, self.inputs.stop + self.interface.n_y)
 
-    @property
+    @cached_property
     def columns(self) -> slice:
         """All columns of the component."""
         return slice(self.start, self.outputs.stop)
@@ -339,12 +339,15 @@ class Channel:
         """Inputs, then outputs."""
         return self.interface.signals
 
-    def signal_columns(self) -> Iterator[tuple[Signal, slice]]:
-        """Yield every signal with its columns in the row."""
-        start = self.start
-        for signal in self.signals:
-            yield signal, slice(start, start + signal.size)
-            start += signal.size
+    @cached_property
+    def by_name(self) -> Mapping[str, Signal]:
+        """The signals by their names."""
+        return {signal.name: signal for signal in self.signals}
+
+    @cached_property
+    def signal_columns(self) -> Mapping[str, slice]:
+        """Columns of every signal in the row, by its name."""
+        return _columns(self.signals, self.start)
 
 
 @dataclass(frozen=True, slots=True)

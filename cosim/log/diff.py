@@ -206,9 +206,9 @@ def _all_columns(run: Recording) -> dict[str, slice]:
     """Return the columns of all signals by ``component.signal``."""
     columns = {}
     for channel in run.channels.values():
-        for signal, whole_row in channel.signal_columns():
+        for name, whole_row in channel.signal_columns.items():
             own = slice(whole_row.start - channel.start, whole_row.stop - channel.start)
-            columns[f"{channel.name}.{signal.name}"] = own
+            columns[f"{channel.name}.{name}"] = own
     return columns
 
 

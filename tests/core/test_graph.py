@@ -136,29 +136,6 @@ def test_names_and_numbers_are_checked():
         Interface((Signal("y"),), (Signal("y"),))
 
 
-@pytest.mark.parametrize(
-    ("fields", "message"),
-    [
-        ({"name": ""}, "signal '': needed a string that is not empty as its name"),
-        ({"unit": 5}, "signal 'u': unit 5, needed a string or None"),
-        ({"optional": 1}, "signal 'u': optional 1, needed True or False"),
-        ({"base": "m"}, "signal 'u': base 'm', needed a BaseUnit or None"),
-        (
-            {"start": [1.0]},
-            r"signal 'u': start \[1\.0\], needed a tuple of numbers, none of them NaN",
-        ),
-        ({"start": (np.nan,)}, r"start \(nan,\), needed a tuple of numbers, none of them NaN"),
-        ({"connection": "requierd"}, "connection 'requierd'; did you mean 'required'"),
-        ({"first": "x"}, "first 'x', needed a whole number from 0 on"),
-        ({"first": -1}, "first -1, needed a whole number from 0 on"),
-    ],
-)
-def test_every_field_of_a_signal_is_checked(fields, message):
-    """Where it is declared: a log of it could not be read."""
-    with pytest.raises(GraphError, match=message):
-        Signal(**{"name": "u", **fields})
-
-
 def test_an_optional_output_drives_only_what_takes_no_value():
     """NaN means "no value yet" and must not reach an input that needs one."""
     with pytest.raises(

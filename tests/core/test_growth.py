@@ -12,9 +12,11 @@ from cosim.blocks.source import sine
 from cosim.core import clock as clock_module
 from cosim.core import pacing
 from cosim.core.clock import Clock
+from cosim.core.contracts import Plan
 from cosim.core.graph import Graph
 from cosim.core.master import run
 from cosim.core.recorders import Memory
+from cosim.core.signals import Channel, Interface, Layout, Signal
 from tests.core.parts import integrator
 
 LARGEST_RATIO = 1.5
@@ -108,6 +110,30 @@ def test_the_cost_of_a_component_does_not_grow(make, small, large, monkeypatch):
 def test_the_cost_of_a_component_does_not_grow_to_thousands(make, small, large, monkeypatch):
     """The same with 3000 components, and a loop of 300."""
     check_growth(make, small, large, monkeypatch)
+
+
+def reading_cost(size):
+    """Return the processor time for each signal of one component to be read by its name."""
+    signals = tuple(Signal(f"s{i}") for i in range(size))
+    layout = Layout((Channel("c", Interface((), signals), 0),))
+    memory = Memory()
+    memory.begin(Plan(layout, 1, {}, {}, ()))
+    began = process_time()
+    assert len(dict(memory)) == size
+    for name in memory:
+        memory.time(name)
+    return (process_time() - began) / size
+
+
+def test_the_cost_to_read_a_signal_by_name_does_not_grow():
+    """In a component of many signals each is found as fast as in one of few."""
+    ratio = np.inf
+    for _ in range(ATTEMPTS):
+        base = min(reading_cost(200) for _ in range(2))
+        ratio = min(ratio, reading_cost(2000) / base)
+        if ratio <= LARGEST_RATIO:
+            return
+    raise AssertionError(f"a signal costs {ratio} times as much to read")
 
 
 def test_blocks_grow_with_the_number_of_stages():

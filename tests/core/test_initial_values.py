@@ -32,8 +32,8 @@ def start(components, connections):
     found.initialize(0.0, row)
     values = {}
     for channel in found.layout.channels:
-        for signal, columns in channel.signal_columns():
-            values[f"{channel.name}.{signal.name}"] = row[columns]
+        for name, columns in channel.signal_columns.items():
+            values[f"{channel.name}.{name}"] = row[columns]
     return values
 
 

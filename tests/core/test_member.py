@@ -328,17 +328,29 @@ def test_declarations_of_what_is_not_there_are_refused(options, text):
 @pytest.mark.parametrize(
     ("options", "text"),
     [
-        ({"name": 5}, "signal 5: needed a text"),
+        ({"name": 5}, "signal 5: needed a string that is not empty as its name"),
         ({"size": 0}, "signal 'y': size 0, needed at least 1"),
         ({"size": 1.5}, r"signal 'y': size 1\.5, needed at least 1"),
         ({"size": True}, "signal 'y': size True, needed at least 1"),
         ({"variability": "discret"}, "signal 'y': variability 'discret'; did you mean 'discrete'"),
         ({"type": "int"}, "signal 'y': type 'int'; did you mean 'integer'"),
         ({"role": "out"}, "signal 'y': role 'out'; did you mean"),
+        ({"name": ""}, "signal '': needed a string that is not empty as its name"),
+        ({"unit": 5}, "signal 'y': unit 5, needed a string or None"),
+        ({"optional": 1}, "signal 'y': optional 1, needed True or False"),
+        ({"base": "m"}, "signal 'y': base 'm', needed a BaseUnit or None"),
+        (
+            {"start": [1.0]},
+            r"signal 'y': start \[1\.0\], needed a tuple of numbers, none of them NaN",
+        ),
+        ({"start": (np.nan,)}, r"start \(nan,\), needed a tuple of numbers, none of them NaN"),
+        ({"connection": "requierd"}, "connection 'requierd'; did you mean 'required'"),
+        ({"first": "x"}, "first 'x', needed a whole number from 0 on"),
+        ({"first": -1}, "first -1, needed a whole number from 0 on"),
     ],
 )
 def test_signals_that_are_none_are_refused(options, text):
-    """With what was found, and what there is."""
+    """With what was found, and what is needed: a log of them could not be read."""
     with pytest.raises(GraphError, match=text):
         Signal(**({"name": "y"} | options))
 
