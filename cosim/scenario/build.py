@@ -17,12 +17,11 @@ from cosim.blocks.renamed import Renamed
 from cosim.blocks.renaming import resolve
 from cosim.blocks.replay import Replay
 from cosim.core.clock import Clock, start_nanoseconds
-from cosim.core.connections import Connection, check_connections, layout_of
+from cosim.core.connections import check_connections, layout_of
 from cosim.core.contracts import Component, Plan, Recording
 from cosim.core.graph import Graph
-from cosim.core.port import Port
 from cosim.core.signals import Interface
-from cosim.errors import CosimError, ScenarioError
+from cosim.errors import CosimError
 from cosim.scenario.context import (
     DependsOnInvalid,
     MessageSource,
@@ -304,9 +303,9 @@ class Builder:
         if self._invalid or any(key[:1] == ("connections",) for key in keys):
             return []
         try:
-            self._graph(self.components, self.scenario.connections)
-        except ScenarioError as error:
-            return [(("connections",), str(error.__cause__))]
+            self._graph()
+        except CosimError as error:
+            return [(("connections",), str(error))]
         return []
 
     def experiment(self) -> Experiment:
@@ -319,7 +318,7 @@ class Builder:
         """
         self.check()
         context = self.context
-        graph = self._graph(self.components, self.scenario.connections)
+        graph = self.graph()
         self._warn(graph)
         return Experiment(
             self.scenario,
@@ -348,50 +347,32 @@ class Builder:
         for name, text in graph.warnings:
             self.context.warn(name, text)
 
-    def upstream(self, component: str) -> Graph:
-        """Return the graph of a component and of all that it depends on.
-
-        What is wrong with other components does not matter.
+    def graph(self) -> Graph:
+        """Return the graph of the components; what is wrong beside them does not matter.
 
         Raises
         ------
         ScenarioError
-            With every problem of the file, if one of these cannot be built or connected.
+            If one of them cannot be built, with every problem of the file; or they do not fit
+            together.
         """
-        connections: dict[Port, Connection] = {}
-        needed: set[str] = set()
-        waiting = {component}
-        while waiting:
-            name = waiting.pop()
-            needed.add(name)
-            for to, connection in self.scenario.connections.items():
-                if to.component == name:
-                    connections[to] = connection
-                    waiting |= {port.component for port in connection.sources} - needed
-        if not needed <= self.components.keys() - self._invalid:
+        if not self.scenario.specs.keys() <= self.components.keys() - self._invalid:
             raise self.scenario.document.report(self.problems)
-        components = {}
-        for name, part in self.components.items():
-            if name in needed:
-                components[name] = part
-        return self._graph(components, connections)
-
-    def _graph(
-        self, components: Mapping[str, Component], connections: Mapping[Port, Connection]
-    ) -> Graph:
-        settings = self.scenario.file.scenario
-        periods = {name: self._periods[name] for name in components}
         try:
-            return Graph(
-                components,
-                connections,
-                coupling=settings.coupling,
-                input_interpolation=settings.input_interpolation,
-                periods=periods,
-            )
+            return self._graph()
         except CosimError as error:
             problem = (("connections",), str(error))
             raise self.scenario.document.report([problem]) from error
+
+    def _graph(self) -> Graph:
+        settings = self.scenario.file.scenario
+        return Graph(
+            self.components,
+            self.scenario.connections,
+            coupling=settings.coupling,
+            input_interpolation=settings.input_interpolation,
+            periods=self._periods,
+        )
 
 
 def parse(document: Document) -> Scenario:

@@ -162,7 +162,8 @@ class _GraphWiring:
 
     @cached_property
     def _graph(self) -> Graph:
-        return Builder(self._scenario, self._resources).upstream(self._component)
+        needed = self._scenario.upstream(self._component)
+        return Builder(needed, self._resources).graph()
 
     @property
     def held(self) -> Mask:

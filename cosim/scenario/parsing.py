@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
@@ -69,6 +69,21 @@ class Scenario:
             if port.component == to.component and to in (port, port.whole):
                 drivers.update(source.component for source in connection.sources)
         return drivers.pop() if len(drivers) == 1 else None
+
+    def upstream(self, component: str) -> Scenario:
+        """Return the scenario of a component and of all that it depends on, without the others."""
+        connections: dict[Port, Connection] = {}
+        needed: set[str] = set()
+        waiting = {component}
+        while waiting:
+            name = waiting.pop()
+            needed.add(name)
+            for to, connection in self.connections.items():
+                if to.component == name:
+                    connections[to] = connection
+                    waiting |= {port.component for port in connection.sources} - needed
+        specs = {name: spec for name, spec in self.specs.items() if name in needed}
+        return replace(self, specs=specs, connections=connections)
 
     def edit(
         self,

@@ -11,11 +11,12 @@ import cosim
 from cosim.cli import main
 from cosim.core.contracts import prepare
 from cosim.core.linear import Linear
-from cosim.errors import CosimError
+from cosim.errors import CosimError, UsageError
 from cosim.fmi.component import ModelExchange, load
 from cosim.fmi.generated import GeneratedInstance
 from cosim.fmi.options import FmuOptions
 from cosim.fmi.reading.model_description import read
+from cosim.scenario.context import ScenarioBuildContext
 from cosim.scenario.document import find
 from cosim.scenario.exporting import export_component
 from tests.scenario.exported import ACADEMIC, COMPONENTS, STATES, STOP, H, case, drive, export
@@ -414,3 +415,20 @@ def test_what_a_component_does_not_rest_on_need_not_be_there(tmp_path):
     assert "FMI 2.0, model exchange and co-simulation" in lines[0]
     with pytest.raises(CosimError, match=r"missing\.fmu"):
         export_component(str(scenario), "identifier", tmp_path / "identifier.fmu")
+
+
+def test_nothing_is_built_that_a_component_does_not_rest_on(tmp_path, monkeypatch):
+    """The gain takes what the wave makes: an FMU beside both is not even opened."""
+    opened = []
+
+    def fmu(context, name, path, options):
+        opened.append(name)
+        raise UsageError("is not needed")
+
+    monkeypatch.setattr(ScenarioBuildContext, "fmu", fmu)
+    scenario = tmp_path / "parts.toml"
+    beside = '[components.other]\nkind = "fmu"\npath = "other.fmu"\n[connections]\n'
+    text = PARTS.replace("[connections]\n", f'{beside}"other.u" = "gain.y"\n')
+    scenario.write_text(text, encoding="utf-8")
+    export_component(str(scenario), "gain", tmp_path / "gain.fmu", fmi="3")
+    assert opened == []
