@@ -17,14 +17,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
 from cosim.arrays import Matrix
 from cosim.core.arguments import check_recorder, check_type
 from cosim.core.clock import Clock
-from cosim.core.contracts import Block, Plan, Recorder, Stopped
+from cosim.core.contracts import Block, Design, Plan, Recorder, Stopped
 from cosim.core.graph import Graph
 from cosim.core.pacing import Pacer
 from cosim.errors import UsageError
@@ -36,7 +36,14 @@ TWO_SIMULATIONS = (
 )
 
 
-def run(graph: Graph, clock: Clock, recorder: Recorder, plan: Plan | None = None) -> None:
+def run(
+    graph: Graph,
+    clock: Clock,
+    recorder: Recorder,
+    plan: Plan | None = None,
+    *,
+    designs: Mapping[str, Design] | None = None,
+) -> None:
     """Run a graph from ``clock.start_time`` to ``clock.stop``.
 
     Parameters
@@ -47,8 +54,9 @@ def run(graph: Graph, clock: Clock, recorder: Recorder, plan: Plan | None = None
         Takes every block; is entered and left here, so that it is complete however the run ends.
         A block that takes long comes in pieces, so that the run can be watched and ended.
     plan : Plan, optional
-        What ``graph.prepare`` returned, perhaps with recorded designs; left out, the graph is
-        prepared here.
+        What ``graph.prepare`` returned; left out, the graph is prepared here.
+    designs : mapping of component name to Design, optional
+        Recorded designs to use where the graph is prepared here.
 
     Raises
     ------
@@ -58,14 +66,17 @@ def run(graph: Graph, clock: Clock, recorder: Recorder, plan: Plan | None = None
         If a component cannot go on; everything before is recorded. A regular stop ends the run
         without an error; its reason is recorded.
     UsageError
-        If an argument is not what it should be, or the plan is not that of the graph and the clock.
+        If an argument is not what it should be, the plan is not that of the graph and the clock, or
+        there are designs beside it.
     """
     _check(graph, clock, plan)
     check_recorder(recorder)
+    if plan is not None and designs is not None:
+        raise UsageError("found both a plan and designs; needed one of them: a plan has designs")
     try:
         with recorder:
             if plan is None:
-                plan = graph.prepare(clock.step_ns)
+                plan = graph.prepare(clock.step_ns, designs)
             recorder.begin(plan)
             for block, signals in _advance(graph, clock, divide=True):
                 recorder.write(block, signals)

@@ -18,7 +18,7 @@ from cosim.blocks.renaming import resolve
 from cosim.blocks.replay import Replay
 from cosim.core.clock import Clock, start_nanoseconds
 from cosim.core.connections import check_connections, layout_of
-from cosim.core.contracts import Component, Plan, Recording
+from cosim.core.contracts import Component, Design, Plan, Recording
 from cosim.core.graph import Graph
 from cosim.core.signals import Interface
 from cosim.errors import CosimError
@@ -64,6 +64,8 @@ class Experiment:
         What is read beside the scenario.
     plan : Plan or None
         Of the graph, where it was prepared already.
+    designs : mapping of component name to Design, or None
+        Of a replay: the recorded designs that it takes.
     messages : mapping of component name to list of Message
         What was drained from ``fmus`` already.
     origin : ReplayOrigin or None
@@ -81,6 +83,7 @@ class Experiment:
     fmus: Mapping[str, MessageSource]
     files: frozenset[Path]
     plan: Plan | None = None
+    designs: Mapping[str, Design] | None = None
     messages: Mapping[str, Sequence[Message]] = field(default_factory=dict)
     origin: ReplayOrigin | None = None
 

@@ -159,10 +159,10 @@ def run(
     with ExitStack() as resources:
         experiment = _built(edited, resources, block)
         if recorder is not None:
-            run_into(recorder, experiment, {}, progress=progress, profile=profile)
+            run_into(recorder, experiment, progress=progress, profile=profile)
             return recorder
         target = Target(out, force, numbered, notice)
-        return record(experiment, {}, target, progress=progress, profile=profile)
+        return record(experiment, target, progress=progress, profile=profile)
 
 
 def _check_profile(profile: object) -> None:
@@ -256,5 +256,5 @@ def replay(
         designs = valid_designs(experiment, source)
         copied = tuple(recorded_components(experiment))
         origin = ReplayOrigin(str(source.path), source.recorded_hash, copied)
-        experiment = replace(experiment, origin=origin)
-        return record(experiment, designs, Target(out, force, notice=notice), progress=progress)
+        experiment = replace(experiment, origin=origin, designs=designs)
+        return record(experiment, Target(out, force, notice=notice), progress=progress)

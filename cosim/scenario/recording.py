@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
 
-from cosim.core.contracts import Block, Design, Recorder
+from cosim.core.contracts import Block, Recorder
 from cosim.core.graph import Graph
 from cosim.core.master import run as run_graph
 from cosim.core.recorders import Memory, Watched
@@ -54,7 +54,6 @@ def check_target(out: str | Path | None, *, force: bool = False, numbered: bool 
 
 def record(
     experiment: Experiment,
-    designs: Mapping[str, Design],
     target: Target,
     *,
     progress: Progress | None,
@@ -64,7 +63,7 @@ def record(
     out = target.out
     if out is None:
         memory = Memory(metadata_of(experiment))
-        run_into(memory, experiment, designs, progress=progress, profile=profile)
+        run_into(memory, experiment, progress=progress, profile=profile)
         return memory
     is_read = Path(os.path.realpath(out)) in experiment.files
     if is_read and not target.numbered:
@@ -75,7 +74,7 @@ def record(
         if target.notice is not None:
             _announce_size(log, experiment.clock.steps, target.notice)
 
-    run_into(log, experiment, designs, progress=progress, profile=profile, began=began)
+    run_into(log, experiment, progress=progress, profile=profile, began=began)
     return log.recorded()
 
 
@@ -93,7 +92,6 @@ def _announce_size(log: McapRecorder, steps: int, notice: Notice) -> None:
 def run_into(
     recorder: Recorder,
     experiment: Experiment,
-    designs: Mapping[str, Design],
     *,
     progress: Progress | None,
     profile: dict[str, float] | None,
@@ -107,8 +105,7 @@ def run_into(
     with interruptible() as check:
         reached = _reached(experiment, progress, check)
         watched = Watched(with_messages, reached, began)
-        plan = experiment.plan or graph.prepare(experiment.clock.step_ns, designs)
-        run_graph(graph, experiment.clock, watched, plan)
+        run_graph(graph, experiment.clock, watched, experiment.plan, designs=experiment.designs)
     if profile is not None:
         elapsed = perf_counter() - first
         seconds["recorder and master"] = elapsed - sum(seconds.values())

@@ -271,6 +271,11 @@ def test_what_is_no_component_is_refused(component, text):
             "plan: found one for steps of 100000000 ns, the clock has 100000000 ns, or for another",
         ),
         (
+            lambda: run(small(), Clock(1.0, 0.1), Nothing(), small().prepare(10**8), designs={}),
+            UsageError,
+            "found both a plan and designs; needed one of them: a plan has designs",
+        ),
+        (
             lambda: small().prepare(0),
             GraphError,
             "step_ns: found 0, needed a whole number of nanoseconds, at least 1",

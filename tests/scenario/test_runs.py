@@ -565,6 +565,19 @@ def test_a_recorder_of_ones_own_is_left_with_the_error_of_a_failed_run():
     assert recorder.calls == ["enter", "begin", ("error", "run"), ["last"], "exit NonFiniteError"]
 
 
+def test_a_recorder_of_ones_own_is_left_where_a_component_cannot_be_prepared():
+    """As of a graph that is run: exp(A h) is infinite; messages up to there reach it."""
+    recorder = Extremes()
+    growing = {"kind": "transfer-function", "numerator": [1.0], "denominator": [1.0, -1e6]}
+    with pytest.raises(RunError, match="'bad': prepare returned"):
+        cosim.run(
+            "academic",
+            recorder=recorder,
+            set={"components.bad": growing, "connections.bad.u": "u.y"},
+        )
+    assert recorder.calls == ["enter", ("error", "run"), "exit RunError"]
+
+
 def test_a_run_has_one_recorder(tmp_path):
     out = tmp_path / "a.mcap"
     with pytest.raises(UsageError, match=r"both out='.*a\.mcap' and a recorder; needed one"):
