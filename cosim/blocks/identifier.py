@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cosim.arrays import Mask, Matrix, Vector
-from cosim.core.contracts import Design, Stopped
+from cosim.core.contracts import Design, Stopped, check_design
 from cosim.core.signals import Interface, Signal
 from cosim.errors import UsageError
 from cosim.native.step import NO_VALUE, LeastSquares, LeastSquaresConstants, RecoveryConstants
@@ -64,6 +64,7 @@ class LeastSquaresIdentifier:
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Return the start time: it depends on eigenvalues, so it is recorded."""
         design = dict(recorded) or {"start": np.array([self.start_time])}
+        check_design(design, {"start": (1,)})
         (start_time,) = design["start"]
         self._counts_from = float(start_time)
         zero_order = bool(held.any())

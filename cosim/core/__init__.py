@@ -21,6 +21,7 @@ if TYPE_CHECKING:
         Recording,
         Rollback,
         Stopped,
+        check_design,
         prepare,
     )
     from cosim.core.graph import Graph
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
 _HOMES = {
     "Block": "cosim.core.contracts",
     "Channel": "cosim.core.signals",
+    "check_design": "cosim.core.contracts",
     "Clock": "cosim.core.clock",
     "Component": "cosim.core.contracts",
     "Connection": "cosim.core.connections",
@@ -90,6 +92,7 @@ __all__ = [
     "Signal",
     "Stopped",
     "Watched",
+    "check_design",
     "end_of_run",
     "prepare",
     "run",

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from cosim.arrays import Mask, Matrix, Nanoseconds, Vector
 from cosim.core.port import Port
 from cosim.core.signals import Channel, Interface, Layout
-from cosim.errors import RunError
+from cosim.errors import LogError, RunError
 
 Design: TypeAlias = Mapping[str, NDArray[np.float64]]
 MessageLevel: TypeAlias = Literal["debug", "info", "warning", "error", "fatal"]
@@ -101,7 +101,8 @@ class Preparable(Protocol):
             The others are interpolated linearly. What an input is at the end of a step reaches the
             outputs there in both cases.
         recorded : Design
-            Arrays to take instead of computing them; empty, or complete.
+            Arrays to take instead of computing them; empty, or complete. They come from a log:
+            :func:`check_design` checks them.
 
         Returns
         -------
@@ -133,6 +134,22 @@ def prepare(component: Component, h: float, held: Mask, recorded: Design) -> Des
     if not component.interface.prepares:
         return {}
     return cast(Preparable, component).prepare(h, held, recorded)
+
+
+def check_design(recorded: Design, shapes: Mapping[str, tuple[int, ...]]) -> None:
+    """Check names and shapes of the arrays that a component takes: kernels that step trust them.
+
+    Raises
+    ------
+    LogError
+        If they are not those needed.
+    """
+    found = {name: np.shape(array) for name, array in recorded.items()}
+    if found != shapes:
+        raise LogError(
+            f"the recorded design has arrays of shapes {found}, needed {dict(shapes)}; run the "
+            "scenario to compute it again"
+        )
 
 
 class Stopped(RunError):

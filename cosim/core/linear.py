@@ -6,10 +6,11 @@ points, by the matrix exponential: there is no error but rounding.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from cosim.arrays import Mask, Matrix, Vector
-from cosim.core.contracts import Design
+from cosim.core.contracts import Design, check_design
 from cosim.core.signals import Interface
 from cosim.errors import GraphError
 from cosim.native.step import DiscretizedDynamics, NativeStep, affine, first_order_hold, linear_step
@@ -128,10 +129,15 @@ class Linear:
     def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
         """Discretize, or take the recorded matrices."""
         arrays = dict(recorded) or self._discretized(h, held)
+        check_design(arrays, self._shapes())
         discrete = DiscretizedDynamics(arrays["Ad"], arrays["B0"], arrays["B1"])
         self._arrays = arrays
         self._step: NativeStep = linear_step(discrete, arrays["C"], arrays["D"])
         return arrays
+
+    def _shapes(self) -> dict[str, tuple[int, ...]]:
+        by_u = self.model.B.shape
+        return {**shapes_of(self.model.arrays), "Ad": self.model.A.shape, "B0": by_u, "B1": by_u}
 
     def _discretized(self, h: float, held: Mask) -> dict[str, Matrix]:
         discrete = first_order_hold(self.model.A, self.model.B, h, held)
@@ -162,6 +168,11 @@ class Linear:
     def restore(self, state: Vector) -> None:
         """Go back to a saved state."""
         self._step.restore(state)
+
+
+def shapes_of(arrays: Mapping[str, Matrix]) -> dict[str, tuple[int, ...]]:
+    """Return the shapes of arrays by name."""
+    return {name: array.shape for name, array in arrays.items()}
 
 
 def initial_dependencies(

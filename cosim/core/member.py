@@ -18,7 +18,7 @@ from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.connections import Connection, ConnectionEnd
 from cosim.core.contracts import Component, Design, Preparable, Stopped
 from cosim.core.signals import Channel, element_names
-from cosim.errors import CosimError, RunError
+from cosim.errors import CosimError, LogError, RunError
 from cosim.units import Conversion
 
 Columns: TypeAlias = slice | NDArray[np.intp]
@@ -142,6 +142,8 @@ class Member:
 
         Raises
         ------
+        LogError
+            If the recorded design does not fit it.
         RunError
             If it raises what is no error of cosim, or its design is not finite float64 arrays.
         """
@@ -151,6 +153,8 @@ class Member:
         try:
             design = cast(Preparable, self._component).prepare(h, held, taken)
             arrays = dict(design)
+        except LogError as error:  # of the recorded design, which has no name there
+            raise LogError(f"{self.name!r}: {error}") from error
         except CosimError:
             raise
         except Exception as error:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from cosim.core.clock import Clock
-from cosim.core.contracts import Design, prepare
+from cosim.core.contracts import Design
 from cosim.core.port import Port
 from cosim.errors import LogError, UsageError, command, option
 from cosim.log import Log
@@ -244,13 +244,7 @@ def recorded_in(source: Log, scenario: Scenario) -> list[str]:
 
 
 def valid_designs(experiment: Experiment, source: Log) -> dict[str, Design]:
-    """Return the recorded designs that still hold: those that rest on nothing that changed.
-
-    Raises
-    ------
-    LogError
-        If one does not fit its component.
-    """
+    """Return the recorded designs that still hold: those that rest on nothing that changed."""
     designs = {}
     recorded_designs = source.designs
     recorded_masks = source.held
@@ -260,28 +254,6 @@ def valid_designs(experiment: Experiment, source: Log) -> dict[str, Design]:
         same_tables = recorded.get("fingerprint") == current
         held = experiment.graph.held[name]
         same_hold = name in recorded_masks and np.array_equal(recorded_masks[name], held)
-        if not spec.computable:
-            designs[name] = recorded_designs[name]
-        elif same_tables and same_hold and recorded_designs[name]:
-            component = experiment.graph.components[name]
-            needed = prepare(component, experiment.clock.step_ns / 1e9, held, {})
-            _check_design(source, name, recorded_designs[name], needed)
+        if not spec.computable or (same_tables and same_hold):
             designs[name] = recorded_designs[name]
     return designs
-
-
-def _check_design(source: Log, name: str, found: Design, needed: Design) -> None:
-    """Check names and shapes: the kernels that step trust them.
-
-    Raises
-    ------
-    LogError
-        If they are not those of the component.
-    """
-    shapes_found = {key: np.shape(array) for key, array in found.items()}
-    shapes_needed = {key: np.shape(array) for key, array in needed.items()}
-    if shapes_found != shapes_needed:
-        raise LogError(
-            f"{source.path}: the design of {name!r} has arrays of shapes {shapes_found}, "
-            f"needed {shapes_needed}"
-        )

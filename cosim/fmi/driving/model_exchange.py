@@ -12,8 +12,8 @@ from typing import Final, NamedTuple, final
 import numpy as np
 
 from cosim.arrays import Mask, Matrix, Vector
-from cosim.core.contracts import Design, Stopped
-from cosim.core.linear import Linear, LinearModel
+from cosim.core.contracts import Design, Stopped, check_design
+from cosim.core.linear import Linear, LinearModel, shapes_of
 from cosim.errors import FmuError, RunError, nearest
 from cosim.fmi.binary.messages import Message
 from cosim.fmi.driving.initialization import Initialization, Starts
@@ -120,13 +120,14 @@ class ModelExchange:
         model = self._instance.linear
         if model is None:
             return {}
-        if recorded:
-            model = _with_numbers(model, recorded)
-            self._instance.linear = model
-        if self.solver != "exact":
-            return model.arrays
-        self._exact = Linear(model)
-        return self._exact.prepare(h, held, recorded)
+        if self.solver == "exact":
+            self._exact = Linear(model)
+            design = self._exact.prepare(h, held, recorded)
+        else:
+            design = recorded or model.arrays
+            check_design(design, shapes_of(model.arrays))
+        self._instance.linear = _with_numbers(model, design)
+        return design
 
     def initialize(self, t: float, u: Vector) -> Vector:
         """Initialize at ``t``; stays in initialization mode until the first advance."""
