@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
 from fractions import Fraction
+from functools import cached_property
 from time import perf_counter
 
 import numpy as np
@@ -110,7 +111,7 @@ def whole_steps(time: float | str, step_ns: int, what: str, *, start_ns: int = 0
     return steps
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Clock:
     """A regular grid of communication points from ``start_time`` to ``stop``.
 
@@ -137,7 +138,7 @@ class Clock:
     start_time: float = 0.0
 
     def __post_init__(self) -> None:
-        if nanoseconds(self.step) <= 0:
+        if self.step_ns <= 0:
             raise ClockError(f"step: found {self.step} s, needed a positive time")
         if nanoseconds(self.stop) <= self.start_ns:
             needed = f"a time after start_time, {self.start_time} s"
@@ -149,17 +150,17 @@ class Clock:
             found = kind_of(self.block)
             raise ClockError(f"block: found {found} steps, needed at least 1, or None")
 
-    @property
+    @cached_property
     def step_ns(self) -> int:
         """Communication step [ns]."""
         return nanoseconds(self.step)
 
-    @property
+    @cached_property
     def start_ns(self) -> int:
         """First communication point [ns]."""
         return start_nanoseconds(self.start_time)
 
-    @property
+    @cached_property
     def steps(self) -> int:
         """Number of communication steps of the run."""
         return (nanoseconds(self.stop) - self.start_ns) // self.step_ns

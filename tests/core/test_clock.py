@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cosim.core import clock as clock_module
 from cosim.core.clock import LARGEST_NS, Clock, nanoseconds, seconds, whole_steps
 from cosim.errors import ClockError
 
@@ -87,6 +88,22 @@ def test_blocks_cover_the_grid_once_whatever_their_size(steps, step_ns, size, li
     assert all(
         (block.time == block.time_ns / 1e9).all() and block.h == step_ns / 1e9 for block in blocks
     )
+
+
+def test_times_are_converted_once(monkeypatch):
+    """Not for every block: reading a decimal takes longer than the block."""
+    converted = []
+    whole = clock_module.nanoseconds
+
+    def counted(time):
+        converted.append(time)
+        return whole(time)
+
+    monkeypatch.setattr(clock_module, "nanoseconds", counted)
+    clock = Clock(1.0, 0.01, block=1, start_time=0.5)
+    assert sum(block.steps for block in clock.blocks(100)) == 50
+    assert converted.count(0.01) == 1
+    assert converted.count(0.5) == 1
 
 
 def test_a_block_can_be_cut():
