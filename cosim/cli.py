@@ -8,32 +8,23 @@ Imports of a command are in its function: ``cosim --help`` imports neither numpy
 
 from __future__ import annotations
 
-import io
 import os
-import signal
 import sys
-import threading
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from time import perf_counter
-from types import FrameType
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn, TextIO
+from typing import Annotated, Any, NoReturn
 
 import typer
 
 from cosim import completion
 from cosim.errors import CosimError, UsageError, option, quoted, shell_language
-from cosim.fmi.child_process import COMMAND_VARIABLE, run_command
-from cosim.interrupts import REASONS
 from cosim.report.printable import printable
+from cosim.terminal import ended_by_signals, keep_stdout, outlive_terminal, show_progress
 from cosim.version import __version__
 
-if TYPE_CHECKING:
-    from cosim.scenario.recording import Progress
-
 BEGAN = perf_counter()
-INTERRUPTED = 130  # exit code after a KeyboardInterrupt
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -161,6 +152,7 @@ def run(
     dry_run: DryRunOption = False,
 ) -> None:
     """Run a scenario and record every signal to an MCAP log."""
+    from cosim.processes import COMMAND_VARIABLE
     from cosim.report.tables.comparison import print_dry_run
     from cosim.report.tables.run import print_summary
     from cosim.scenario.execution import load
@@ -179,7 +171,7 @@ def run(
     path = out or Path("logs") / f"{edited.name}.mcap"
     _need_plot(plot, out)
     seconds: dict[str, float] | None = {} if profile else None
-    with _progress(quiet or as_json) as progress:
+    with show_progress(quiet or as_json) as progress:
         log = run_scenario(
             edited,
             out=path,
@@ -210,6 +202,7 @@ def _dry_run_in_child(
     as_json: bool,
 ) -> NoReturn:
     """Do a dry run in a child process, as it runs the code of FMUs; exit as that does."""
+    from cosim.processes import run_command
     from cosim.report.tables.console import terminal_width
 
     arguments = ["run", scenario, "--dry-run"]
@@ -260,7 +253,7 @@ def replay(
         raise UsageError("--verify compares the whole log; leave out --stop")
     edits = _edits(changes) | _given({"scenario.stop": stop})
     _need_plot(plot, out)
-    with _progress(quiet or as_json) as progress:
+    with show_progress(quiet or as_json) as progress:
         notice = None if quiet else _notice
         again = replay_log(
             source, out=out, force=force, set=edits, progress=progress, notice=notice
@@ -730,120 +723,12 @@ def _edits(texts: list[str] | None) -> dict[str, Any]:
     return edits
 
 
-@contextmanager
-def _progress(hidden: bool) -> Iterator[Progress | None]:
-    """Show simulated time, speed relative to real time and remaining time on stderr.
-
-    Nothing is shown where stderr is no terminal.
-    """
-    if hidden or not sys.stderr.isatty():
-        yield None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (
-        TextColumn("{task.fields[clock]}"),
-        BarColumn(),
-        TextColumn("{task.fields[speed]}"),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("", total=None, clock="", speed="")
-        began = perf_counter()
-        first: float | None = None
-
-        def update(time: float, end: float) -> None:
-            nonlocal first
-            if first is None:
-                first = time  # after one step, or a fixed block
-            elapsed = max(perf_counter() - began, 1e-9)
-            clock = f"t = {time:.2f} of {end:g} s"
-            speed = f"{(time - first) / elapsed:.3g} x real time"
-            bar.update(task, completed=time - first, total=end - first, clock=clock, speed=speed)
-
-        yield update
-
-
-def _keep_stdout() -> TextIO | None:
-    """Keep stdout for data: from here on, what C code prints to descriptor 1 goes to stderr.
-
-    Returns
-    -------
-    TextIO or None
-        The stream that is stdout now; None where Python's stdout is not descriptor 1, or stdout or
-        stderr is closed.
-    """
-    try:
-        if sys.stdout.fileno() != 1:
-            return None
-        sys.stdout.flush()
-        data = os.dup(1)
-        os.dup2(sys.stderr.fileno(), 1)
-    except (AttributeError, OSError, ValueError):  # no stream, no descriptor, or a closed one
-        return None
-    sys.stdout = open(  # noqa: SIM115  stays open as stdout until the end
-        data, "w", encoding=sys.stdout.encoding, errors=sys.stdout.errors, closefd=False
-    )
-    return sys.stdout
-
-
-@contextmanager
-def _ended_by_signals() -> Iterator[None]:
-    """Turn a request to terminate and a closed terminal into what Ctrl-C does.
-
-    What it has begun is so cleaned up, such as temporary folders. In a run they end that.
-    """
-    received: list[int] = []
-
-    def receive(number: int, frame: FrameType | None) -> None:
-        received.append(number)
-        raise KeyboardInterrupt
-
-    numbers: list[int] = []
-    if threading.current_thread() is threading.main_thread():
-        numbers += [number for number in REASONS if signal.getsignal(number) == signal.SIG_DFL]
-    for number in numbers:
-        signal.signal(number, receive)
-    try:
-        yield
-    except SystemExit as end:
-        if received and end.code == INTERRUPTED:
-            sys.exit(128 + received[0])
-        raise
-    finally:
-        for number in numbers:
-            signal.signal(number, signal.SIG_DFL)
-
-
-class _Terminal(io.TextIOWrapper):
-    """Messages to a terminal, which may be closed while the program goes on: then they are lost."""
-
-    def write(self, text: str) -> int:
-        with suppress(OSError):
-            super().write(text)
-        return len(text)
-
-    def flush(self) -> None:
-        with suppress(OSError):
-            super().flush()
-
-
-def _outlive_terminal() -> None:
-    """Ignore messages that find the terminal closed."""
-    stderr = sys.stderr
-    if isinstance(stderr, io.TextIOWrapper) and stderr.isatty():
-        encoding = stderr.encoding
-        errors = stderr.errors
-        sys.stderr = _Terminal(stderr.detach(), encoding, errors, line_buffering=True)
-
-
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line; every deliberate error becomes one message and an exit code."""
-    _outlive_terminal()
-    stdout = _keep_stdout()
+    outlive_terminal()
+    stdout = keep_stdout()
     try:
-        with shell_language(), _ended_by_signals():
+        with shell_language(), ended_by_signals():
             app(args=arguments, prog_name="cosim")
     except CosimError as error:
         lines = printable(str(error)).splitlines() or [type(error).__name__]

@@ -11,14 +11,13 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Sequence
 from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Final, Literal, TypeAlias
 
-from cosim.errors import RunError
 from cosim.fmi.trial_cache import keep_problems, read_problems
+from cosim.processes import child_environment, kill
 from cosim.temporary import TemporaryFolder
 
 if TYPE_CHECKING:
@@ -30,13 +29,10 @@ TrialTask: TypeAlias = Literal["symbols", "run", "rollback"]
 TRIAL: Final = "cosim.fmi.checking.trial"
 TIMEOUT: Final = 20.0  # [s] of wall time
 CHILD_VARIABLE: Final = "COSIM_TRIAL"  # of the environment; set in a child, which starts no other
-# set in a child that does a command of its parent: the columns of the terminal; 0: there is none
-COMMAND_VARIABLE: Final = "COSIM_COMMAND"
 MISSING_FUNCTION: Final = "missing function"
 REFUSED: Final = "is declared and then refused:"  # get or set FMU state
 INEXACT: Final = "goes back inexactly"
 WRONG: Final = "goes back wrongly"
-ROOT: Final = Path(__file__).parents[2]
 
 
 def find_rollback_problems(
@@ -113,7 +109,7 @@ def attempt(task: TrialTask, *arguments: str, timeout: float = TIMEOUT) -> tuple
         child = subprocess.Popen(
             [sys.executable, "-m", TRIAL, task, str(log), *arguments],
             cwd=folder,
-            env=_environment(folder, CHILD_VARIABLE),
+            env=child_environment(folder, CHILD_VARIABLE),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
@@ -124,77 +120,8 @@ def attempt(task: TrialTask, *arguments: str, timeout: float = TIMEOUT) -> tuple
             with suppress(subprocess.TimeoutExpired):
                 exit_code = child.wait(timeout)
         finally:
-            _kill(child)
+            kill(child)
         return _problems(log.read_text(encoding="utf-8", errors="replace"), exit_code, timeout)
-
-
-class CommandResult(NamedTuple):
-    """What a command printed, and how it ended."""
-
-    output: str
-    messages: str
-    exit_code: int
-
-
-def run_command(arguments: Sequence[str], *, columns: int | None) -> CommandResult:
-    """Run a command line of cosim in a child process, in this working directory.
-
-    Parameters
-    ----------
-    arguments : sequence of str
-    columns : int or None
-        Of the terminal that shows what it prints; None: it is a file or a pipe.
-
-    Raises
-    ------
-    RunError
-        If the child crashes.
-    """
-    with TemporaryFolder("command") as folder:
-        child = subprocess.Popen(
-            [sys.executable, "-m", "cosim", *arguments],
-            env=_environment(folder, COMMAND_VARIABLE, str(columns or 0)),
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            encoding="utf-8",
-            errors="replace",
-            start_new_session=True,
-        )
-        try:
-            output, messages = child.communicate()
-        finally:
-            _kill(child)
-    if child.returncode < 0:
-        name = signal.Signals(-child.returncode).name
-        raise RunError(f"{messages}the process that loaded the FMUs crashes: {name}")
-    return CommandResult(output, messages, child.returncode)
-
-
-def _environment(folder: Path, variable: str, value: str = "1") -> dict[str, str]:
-    """Return one in which the child finds this package, and keeps temporary files in ``folder``.
-
-    ``variable`` says to the child what it is.
-    """
-    inherited = os.environ.get("PYTHONPATH", "").split(os.pathsep)
-    import_paths = [str(ROOT), *filter(None, inherited)]
-    added = {
-        "PYTHONPATH": os.pathsep.join(import_paths),
-        variable: value,
-        "PYTHONIOENCODING": "utf-8",
-    }
-    return os.environ | added | dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(folder))
-
-
-def _kill(child: subprocess.Popen[Any]) -> None:
-    """End the child and what it started."""
-    with suppress(ProcessLookupError, PermissionError):
-        if sys.platform == "win32":
-            child.kill()
-        else:
-            os.killpg(child.pid, signal.SIGKILL)
-    child.wait()
 
 
 def _problems(log: str, exit_code: int | None, timeout: float) -> tuple[str, ...]:

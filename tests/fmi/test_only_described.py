@@ -5,7 +5,7 @@ import os
 
 import pytest
 
-from cosim.fmi.child_process import COMMAND_VARIABLE
+from cosim.processes import COMMAND_VARIABLE
 from tests.fmi.compiled import compile_fmu
 from tests.fmi.test_check import XML
 
@@ -86,5 +86,5 @@ def test_a_dry_run_of_an_fmu_that_crashes(call, tmp_path):
 def test_the_child_does_it_itself(call, marked, monkeypatch):
     """A dry run in a child starts no other."""
     monkeypatch.setenv(COMMAND_VARIABLE, "1")
-    monkeypatch.setattr("cosim.cli.run_command", lambda *_: pytest.fail("another child"))
+    monkeypatch.setattr("cosim.processes.run_command", lambda *_: pytest.fail("another child"))
     assert call("run", "marked.toml", "--dry-run")[0] == 0

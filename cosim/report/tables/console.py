@@ -16,7 +16,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from cosim.fmi.child_process import COMMAND_VARIABLE
+from cosim.processes import COMMAND_VARIABLE
 from cosim.report.printable import printable, printable_line
 
 _WIDTH: Final = 80  # columns of a terminal that does not say

@@ -1,0 +1,88 @@
+"""Child processes: what they are given, how they end, and command lines of cosim in one."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+from cosim.errors import RunError
+from cosim.temporary import TemporaryFolder
+
+# set in a child that does a command of its parent: the columns of the terminal; 0: there is none
+COMMAND_VARIABLE: Final = "COSIM_COMMAND"
+_IMPORTED_FROM: Final = Path(__file__).parents[1]
+
+
+class CommandResult(NamedTuple):
+    """What a command printed, and how it ended."""
+
+    output: str
+    messages: str
+    exit_code: int
+
+
+def run_command(arguments: Sequence[str], *, columns: int | None) -> CommandResult:
+    """Run a command line of cosim in a child process, in this working directory.
+
+    Parameters
+    ----------
+    arguments : sequence of str
+    columns : int or None
+        Of the terminal that shows what it prints; None: it is a file or a pipe.
+
+    Raises
+    ------
+    RunError
+        If the child crashes.
+    """
+    with TemporaryFolder("command") as folder:
+        child = subprocess.Popen(
+            [sys.executable, "-m", "cosim", *arguments],
+            env=child_environment(folder, COMMAND_VARIABLE, str(columns or 0)),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            encoding="utf-8",
+            errors="replace",
+            start_new_session=True,
+        )
+        try:
+            output, messages = child.communicate()
+        finally:
+            kill(child)
+    if child.returncode < 0:
+        name = signal.Signals(-child.returncode).name
+        raise RunError(f"{messages}the process that loaded the FMUs crashes: {name}")
+    return CommandResult(output, messages, child.returncode)
+
+
+def child_environment(folder: Path, variable: str, value: str = "1") -> dict[str, str]:
+    """Return one in which the child finds this package, and keeps temporary files in ``folder``.
+
+    ``variable`` says to the child what it is.
+    """
+    inherited = os.environ.get("PYTHONPATH", "").split(os.pathsep)
+    import_paths = [str(_IMPORTED_FROM), *filter(None, inherited)]
+    added = {
+        "PYTHONPATH": os.pathsep.join(import_paths),
+        variable: value,
+        "PYTHONIOENCODING": "utf-8",
+    }
+    return os.environ | added | dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(folder))
+
+
+def kill(child: subprocess.Popen[Any]) -> None:
+    """End a child that leads a session of its own, and what it started."""
+    with suppress(ProcessLookupError, PermissionError):
+        if sys.platform == "win32":
+            child.kill()
+        else:
+            os.killpg(child.pid, signal.SIGKILL)
+    child.wait()

@@ -1,0 +1,129 @@
+"""The terminal of the command line: its streams, its progress, and the signals that it sends."""
+
+from __future__ import annotations
+
+import io
+import os
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from time import perf_counter
+from types import FrameType
+from typing import TYPE_CHECKING, Final, TextIO
+
+from cosim.interrupts import REASONS
+
+if TYPE_CHECKING:
+    from cosim.scenario.recording import Progress
+
+_INTERRUPTED: Final = 130  # exit code after a KeyboardInterrupt
+
+
+@contextmanager
+def show_progress(hidden: bool) -> Iterator[Progress | None]:
+    """Show simulated time, speed relative to real time and remaining time on stderr.
+
+    Nothing is shown where stderr is no terminal.
+    """
+    if hidden or not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (
+        TextColumn("{task.fields[clock]}"),
+        BarColumn(),
+        TextColumn("{task.fields[speed]}"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("", total=None, clock="", speed="")
+        began = perf_counter()
+        first: float | None = None
+
+        def update(time: float, end: float) -> None:
+            nonlocal first
+            if first is None:
+                first = time  # after one step, or a fixed block
+            elapsed = max(perf_counter() - began, 1e-9)
+            clock = f"t = {time:.2f} of {end:g} s"
+            speed = f"{(time - first) / elapsed:.3g} x real time"
+            bar.update(task, completed=time - first, total=end - first, clock=clock, speed=speed)
+
+        yield update
+
+
+def keep_stdout() -> TextIO | None:
+    """Keep stdout for data: from here on, what C code prints to descriptor 1 goes to stderr.
+
+    Returns
+    -------
+    TextIO or None
+        The stream that is stdout now; None where Python's stdout is not descriptor 1, or stdout or
+        stderr is closed.
+    """
+    try:
+        if sys.stdout.fileno() != 1:
+            return None
+        sys.stdout.flush()
+        data = os.dup(1)
+        os.dup2(sys.stderr.fileno(), 1)
+    except (AttributeError, OSError, ValueError):  # no stream, no descriptor, or a closed one
+        return None
+    sys.stdout = open(  # noqa: SIM115  stays open as stdout until the end
+        data, "w", encoding=sys.stdout.encoding, errors=sys.stdout.errors, closefd=False
+    )
+    return sys.stdout
+
+
+@contextmanager
+def ended_by_signals() -> Iterator[None]:
+    """Turn a request to terminate and a closed terminal into what Ctrl-C does.
+
+    What it has begun is so cleaned up, such as temporary folders. In a run they end that.
+    """
+    received: list[int] = []
+
+    def receive(number: int, frame: FrameType | None) -> None:
+        received.append(number)
+        raise KeyboardInterrupt
+
+    numbers: list[int] = []
+    if threading.current_thread() is threading.main_thread():
+        numbers += [number for number in REASONS if signal.getsignal(number) == signal.SIG_DFL]
+    for number in numbers:
+        signal.signal(number, receive)
+    try:
+        yield
+    except SystemExit as end:
+        if received and end.code == _INTERRUPTED:
+            sys.exit(128 + received[0])
+        raise
+    finally:
+        for number in numbers:
+            signal.signal(number, signal.SIG_DFL)
+
+
+class _Terminal(io.TextIOWrapper):
+    """Messages to a terminal, which may be closed while the program goes on: then they are lost."""
+
+    def write(self, text: str) -> int:
+        with suppress(OSError):
+            super().write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        with suppress(OSError):
+            super().flush()
+
+
+def outlive_terminal() -> None:
+    """Ignore messages that find the terminal closed."""
+    stderr = sys.stderr
+    if isinstance(stderr, io.TextIOWrapper) and stderr.isatty():
+        encoding = stderr.encoding
+        errors = stderr.errors
+        sys.stderr = _Terminal(stderr.detach(), encoding, errors, line_buffering=True)
