@@ -6,10 +6,8 @@ whole block in one call. Feedthrough orders only the inside of loops and the ini
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import chain
 from typing import Literal
 
@@ -31,12 +29,13 @@ from cosim.core.connections import (
 )
 from cosim.core.contracts import Component, Design, Plan
 from cosim.core.coupling import Cascade, Loop, Stage
-from cosim.core.cycles import groups_in_order, strongly_connected
+from cosim.core.cycles import groups_in_order
 from cosim.core.initial_values import InitialValues
 from cosim.core.member import Member, Wire, constant_wires, wires_of
 from cosim.core.order import order_loop
 from cosim.core.port import Port
 from cosim.core.signals import Channel, Signal, Variability
+from cosim.core.variability import Variabilities
 from cosim.errors import GraphError, NonFiniteError, nearest
 from cosim.units import Conversion
 
@@ -109,6 +108,13 @@ class Graph:
         self._sources = {
             channel.name: self._sources_of(channel) for channel in self.layout.channels
         }
+        self._variabilities = Variabilities(
+            self._ports,
+            self.connections,
+            self._parts,
+            self._sources,
+            zero_order=input_interpolation == "zero-order",
+        )
         wires: dict[Port, tuple[Wire, ...]] = {}
         self._members: dict[str, Member] = {}
         for name in self.components:
@@ -123,7 +129,9 @@ class Graph:
             loop = frozenset(member.name for member in stage.members)
             for member in stage.members:
                 extrapolated = stage.extrapolated.get(member.name, frozenset())
-                self.held[member.name] = self._held(member.channel, extrapolated, loop)
+                self.held[member.name] = self._variabilities.held(
+                    member.channel, extrapolated, loop
+                )
 
     def prepare(self, step_ns: int, recorded: Mapping[str, Design] | None = None) -> Plan:
         """Prepare every component for the communication step; return what is fixed by that.
@@ -210,10 +218,18 @@ class Graph:
         """What was assumed, and where the interpolation of inputs errs, as (component, text)."""
         warnings = list(unit_warnings(self.layout, self.connections))
         warnings += element_warnings(self.layout, self.connections)
-        warnings += self._ramps()
+        warnings += self._variabilities.warnings()
         for stage in self.stages:
             warnings += stage.warnings
         return warnings
+
+    def variability(self, output: Port) -> Variability:
+        """Return the variability of an output.
+
+        An inherited one is discrete where every input of its component is. It stays inherited where
+        nothing is behind it that changes: constants hold and are interpolated alike.
+        """
+        return self._variabilities.of(output)
 
     def labels(self) -> list[str]:
         """Return the name of every column: ``component.signal`` or ``component.signal[i]``."""
@@ -356,7 +372,7 @@ class Graph:
     def _loop(self, names: list[str]) -> Loop:
         interfaces = {name: self.layout[name].interface for name in names}
         sources = {name: self._sources[name] for name in names}
-        held = self._held_connections(names)
+        held = self._variabilities.held_connections(names)
         order = order_loop(interfaces, sources, jacobi=self.coupling == "jacobi", held=held)
         members = [self._members[name] for name in names]
         operations = [(kind, self._members[name]) for kind, name in order.operations]
@@ -369,242 +385,6 @@ class Graph:
             order.broken,
             tuple(warnings),
         )
-
-    def _held_connections(self, names: list[str]) -> set[tuple[Port, Port]]:
-        """Return the connections of components, as input and source, with a zero-order hold."""
-        held: set[tuple[Port, Port]] = set()
-        for name in names:
-            for signal in self.layout[name].interface.inputs:
-                to = Port(name, signal.name)
-                # An output that drives some elements continuously is no held source.
-                open_ports: set[Port] = set()
-                for part in self._parts[to]:
-                    open_ports |= self._open_sources(signal, self.connections[part])
-                held.update((to, port) for port in self._sources[name][signal.name])
-                held.difference_update((to, port) for port in open_ports)
-        return held
-
-    def _open_sources(self, signal: Signal, connection: Connection) -> set[Port]:
-        """Return the outputs that drive elements of an input without a zero-order hold."""
-        ports = [self._ports.source(port).port for port in connection.sources]
-        if connection.matrix.ndim == 2:  # every element may be a sum of all sources
-            return set() if self._is_held(signal, *ports) else set(ports)
-        return {port for port in ports if not self._is_held(signal, port)}
-
-    def _is_held(self, signal: Signal, *sources: Port) -> bool:
-        """Return whether an input has a zero-order hold, by itself or by what drives it."""
-        if self.input_interpolation == "zero-order" or signal.variability == "discrete":
-            return True
-        return self._combined(sources) == "discrete"
-
-    def _held(self, channel: Channel, extrapolated: frozenset[str], loop: frozenset[str]) -> Mask:
-        """Return which input elements of a component have a zero-order hold."""
-        held: list[bool] = []
-        for signal in channel.interface.inputs:
-            if self._is_held(signal):
-                held += [True] * signal.size
-            else:
-                # Of an extrapolated input only what comes from inside the loop is extrapolated.
-                inside = loop if signal.name in extrapolated else frozenset[str]()
-                held += self._held_elements(Port(channel.name, signal.name), signal.size, inside)
-        mask = np.array(held, dtype=np.bool_)
-        mask.setflags(write=False)
-        return mask
-
-    def _held_elements(self, to: Port, size: int, loop: frozenset[str]) -> list[bool]:
-        """Return which elements of an input are driven by discrete signals, or from a loop."""
-        held = [False] * size  # where nothing drives it: constant
-        for part in self._parts[to]:
-            end = self._ports.input(part)
-            held[end.elements] = self._held_by(self.connections[part], end.size, loop)
-        return held
-
-    def _held_by(self, connection: Connection, size: int, loop: frozenset[str]) -> list[bool]:
-        """Return which elements of what a connection drives have a zero-order hold."""
-        sources = [self._ports.source(port) for port in connection.sources]
-        inside = [source.port.component in loop for source in sources]
-        if connection.matrix.ndim == 2:  # every element may be a sum of all sources
-            together = self._combined([source.port for source in sources])
-            return [any(inside) or together == "discrete"] * size
-        discrete = [self.variability(source.port) == "discrete" for source in sources]
-        elements: list[bool] = []
-        for source, from_loop, is_discrete in zip(sources, inside, discrete, strict=True):
-            elements += [from_loop or is_discrete] * source.size
-        return elements
-
-    def variability(self, output: Port) -> Variability:
-        """Return the variability of an output.
-
-        An inherited one is discrete where every input of its component is. It stays inherited where
-        nothing is behind it that changes: constants hold and are interpolated alike.
-        """
-        return self._variabilities[self._ports.source(output).port]
-
-    def _combined(self, outputs: Iterable[Port]) -> Variability:
-        """Return the variability of what follows several outputs."""
-        found = {self.variability(port) for port in outputs} - {"inherited"}
-        if not found:
-            return "inherited"
-        return "discrete" if found == {"discrete"} else "continuous"
-
-    def _ramps(self) -> Iterator[tuple[str, str]]:
-        """Yield (component, text) where jumps are interpolated with what is continuous."""
-        if self.input_interpolation == "zero-order":
-            return
-        for name, sources in self._sources.items():
-            outputs = self.layout[name].interface.outputs
-            if any(signal.variability == "inherited" for signal in outputs):
-                for text in self._ramps_of(chain.from_iterable(sources.values())):
-                    yield name, text
-        for to, connection in self.connections.items():
-            if connection.matrix.ndim == 2:
-                behind = [self._ports.source(port).port for port in connection.sources]
-                for text in self._ramps_of(behind):
-                    yield to.component, text
-        yield from self._jumps_of_continuous()
-
-    def _ramps_of(self, ports: Iterable[Port]) -> Iterator[str]:
-        """Yield what becomes of the jumps in a signal that follows several outputs."""
-        by_variability: dict[Variability, list[Port]] = {"discrete": [], "continuous": []}
-        for port in dict.fromkeys(ports):
-            by_variability.setdefault(self.variability(port), []).append(port)
-        if by_variability["discrete"] and by_variability["continuous"]:
-            jumping = ", ".join(map(str, by_variability["discrete"]))
-            yield (
-                f"{jumping}: interpolated linearly together with "
-                f"{', '.join(map(str, by_variability['continuous']))}, so that a jump becomes a "
-                "ramp over the step before it: an error of first order in the step"
-            )
-
-    def _jumps_of_continuous(self) -> Iterator[tuple[str, str]]:
-        """Yield (component, text) of continuous outputs that jump and are interpolated."""
-        becomes = "the jump becomes a ramp over the step before it: an error of first order"
-        for output in self._interpolated():
-            name = output.component
-            if self._starts_apart(output):
-                yield (
-                    name,
-                    f"{output} begins with a value of its own and jumps where the first of its "
-                    f"input arrives, unless both are equal; {becomes} in the step",
-                )
-            jumping = self._jumps_fed_to(output)
-            if jumping:
-                yield (
-                    name,
-                    f"{output} jumps with {', '.join(map(str, jumping))}, which feeds through, "
-                    f"and is interpolated linearly: {becomes} in the step",
-                )
-
-    def _interpolated(self) -> list[Port]:
-        """Return the continuous outputs that drive inputs which are followed through a step."""
-        outputs: dict[Port, None] = {}
-        for name, inputs in self._sources.items():
-            interface = self.layout[name].interface
-            for signal in interface.inputs:
-                is_followed = (
-                    signal.variability != "discrete" and signal.name not in interface.delayed
-                )
-                if is_followed and signal.name in inputs:
-                    outputs |= dict.fromkeys(inputs[signal.name])
-        return [output for output in outputs if self.variability(output) == "continuous"]
-
-    def _jumps_fed_to(self, output: Port) -> list[Port]:
-        """Return the discrete signals that are known to feed through to an output.
-
-        What inherits its variability is left out: there they meet continuous ones, which is said.
-        """
-        interface = self.layout[output.component].interface
-        declared = {signal.name: signal.variability for signal in interface.outputs}
-        if declared[output.signal] == "inherited" or not interface.knows(output.signal):
-            return []
-        inputs = self._sources[output.component]
-        fed = [inputs[name] for name in interface.feeds(output.signal) if name in inputs]
-        ports = dict.fromkeys(chain.from_iterable(fed))
-        return [port for port in ports if self.variability(port) == "discrete"]
-
-    def _starts_apart(self, output: Port) -> bool:
-        """Return whether an output follows a delayed input, and does not begin with its value."""
-        interface = self.layout[output.component].interface
-        delays = bool(interface.delayed) and not interface.feeds_initially(output.signal)
-        variability = {signal.name: signal.variability for signal in interface.outputs}
-        return delays and variability[output.signal] == "inherited"
-
-    @cached_property
-    def _variabilities(self) -> dict[Port, Variability]:
-        """The variability of every output: what inherits it follows what is behind it.
-
-        A cycle of components that inherit theirs is discrete, unless something continuous enters;
-        and so is what begins with another value than the constant that arrives later.
-        """
-        found: dict[Port, Variability] = {}
-        inheriting: dict[str, list[Port]] = {}
-        for channel in self.layout.channels:
-            for signal in channel.interface.outputs:
-                port = Port(channel.name, signal.name)
-                found[port] = signal.variability
-                if signal.variability == "inherited":
-                    inheriting.setdefault(channel.name, []).append(port)
-        followed: dict[str, dict[Port, None]] = {}
-        drivers: dict[str, list[str]] = {}
-        for name in inheriting:
-            ports = dict.fromkeys(chain.from_iterable(self._sources[name].values()))
-            followed[name] = ports
-            drivers[name] = [port.component for port in _with(found, "inherited", ports)]
-        discrete = _with(found, "discrete", found)
-        continuous = _with(found, "continuous", found)
-        for name in _on_cycles(drivers):
-            discrete += inheriting[name]
-        inherited = _with(found, "inherited", found)
-        discrete += [port for port in inherited if self._starts_apart(port)]
-        for port in _reached(discrete, followed, inheriting):
-            found[port] = "discrete"
-        # Last, as one continuous signal is enough.
-        for port in _reached(continuous, followed, inheriting):
-            found[port] = "continuous"
-        return found
-
-
-def _with(
-    variabilities: Mapping[Port, Variability], wanted: Variability, ports: Iterable[Port]
-) -> list[Port]:
-    """Return those of the ports that have a variability."""
-    return [port for port in ports if variabilities[port] == wanted]
-
-
-def _on_cycles(drivers: Mapping[str, list[str]]) -> list[str]:
-    """Return the components that drive themselves, by others or directly."""
-    group_of = strongly_connected(drivers)
-    sizes = Counter(group_of.values())
-    return [name for name in drivers if sizes[group_of[name]] > 1 or name in drivers[name]]
-
-
-def _reached(
-    ports: Iterable[Port],
-    followed: Mapping[str, Iterable[Port]],
-    inheriting: Mapping[str, list[Port]],
-) -> list[Port]:
-    """Return ports and the outputs that inherit from them, also through others.
-
-    Parameters
-    ----------
-    ports : iterable of Port
-    followed : mapping of component name to iterable of Port
-        What drives each component that inherits.
-    inheriting : mapping of component name to list of Port
-        Its outputs that inherit.
-    """
-    followers: dict[Port, list[str]] = {}
-    for name, sources in followed.items():
-        for port in sources:
-            followers.setdefault(port, []).append(name)
-    reached = list(ports)
-    visited: set[str] = set()
-    for port in reached:  # grows on the way
-        for name in followers.get(port, ()):
-            if name not in visited:
-                visited.add(name)
-                reached += inheriting[name]
-    return reached
 
 
 def _check_choice(key: str, value: str, choices: tuple[str, ...]) -> None:

@@ -1,0 +1,291 @@
+"""How signals vary between communication points, and which inputs have a zero-order hold.
+
+A continuous signal is interpolated linearly through a step, a discrete one holds its value from the
+start of the step. An output that inherits its variability is discrete where everything behind it
+is. An input is held by itself, or where everything that drives it is discrete. What drives an input
+may jump and be interpolated all the same: the jump becomes a ramp over one step, which is warned
+of.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import chain
+
+import numpy as np
+
+from cosim.arrays import Mask
+from cosim.core.connections import Connection, Ports
+from cosim.core.cycles import strongly_connected
+from cosim.core.feedthrough import Sources
+from cosim.core.port import Port
+from cosim.core.signals import Channel, Signal, Variability
+
+
+class Variabilities:
+    """The variability of every output of a graph, and what follows from it for the inputs.
+
+    Parameters
+    ----------
+    ports : Ports
+    connections : mapping of Port to Connection
+        By input, or elements of it; checked.
+    parts : mapping of Port to sequence of Port
+        The connected inputs, or elements of them, of every input.
+    sources : mapping of component name to mapping of input to tuple of Port
+        The outputs that drive each input.
+    zero_order : bool
+        Whether every input has a zero-order hold, whatever drives it.
+    """
+
+    def __init__(
+        self,
+        ports: Ports,
+        connections: Mapping[Port, Connection],
+        parts: Mapping[Port, Sequence[Port]],
+        sources: Sources,
+        *,
+        zero_order: bool,
+    ) -> None:
+        self._ports = ports
+        self._channels = ports.channels
+        self._connections = connections
+        self._parts = parts
+        self._sources = sources
+        self._zero_order = zero_order
+        self._by_output = self._variabilities()
+
+    def of(self, output: Port) -> Variability:
+        """Return the variability of an output; inherited where nothing behind it changes."""
+        return self._by_output[self._ports.source(output).port]
+
+    def held_connections(self, names: list[str]) -> set[tuple[Port, Port]]:
+        """Return the connections of components, as input and source, with a zero-order hold."""
+        held: set[tuple[Port, Port]] = set()
+        for name in names:
+            for signal in self._channels[name].interface.inputs:
+                to = Port(name, signal.name)
+                # An output that drives some elements continuously is no held source.
+                open_ports: set[Port] = set()
+                for part in self._parts[to]:
+                    open_ports |= self._open_sources(signal, self._connections[part])
+                held.update((to, port) for port in self._sources[name][signal.name])
+                held.difference_update((to, port) for port in open_ports)
+        return held
+
+    def _open_sources(self, signal: Signal, connection: Connection) -> set[Port]:
+        """Return the outputs that drive elements of an input without a zero-order hold."""
+        ports = self._driving(connection)
+        if connection.matrix.ndim == 2:  # every element may be a sum of all sources
+            return set() if self._is_held(signal, *ports) else set(ports)
+        return {port for port in ports if not self._is_held(signal, port)}
+
+    def _driving(self, connection: Connection) -> list[Port]:
+        """Return the whole outputs behind a connection."""
+        return [self._ports.source(port).port for port in connection.sources]
+
+    def _is_held(self, signal: Signal, *sources: Port) -> bool:
+        """Return whether an input has a zero-order hold, by itself or by what drives it."""
+        if self._zero_order or signal.variability == "discrete":
+            return True
+        return self._combined(sources) == "discrete"
+
+    def held(self, channel: Channel, extrapolated: frozenset[str], loop: frozenset[str]) -> Mask:
+        """Return which input elements of a component have a zero-order hold."""
+        held: list[bool] = []
+        for signal in channel.interface.inputs:
+            if self._is_held(signal):
+                held += [True] * signal.size
+            else:
+                # Of an extrapolated input only what comes from inside the loop is extrapolated.
+                inside = loop if signal.name in extrapolated else frozenset[str]()
+                held += self._held_elements(Port(channel.name, signal.name), signal.size, inside)
+        mask = np.array(held, dtype=np.bool_)
+        mask.setflags(write=False)
+        return mask
+
+    def _held_elements(self, to: Port, size: int, loop: frozenset[str]) -> list[bool]:
+        """Return which elements of an input are driven by discrete signals, or from a loop."""
+        held = [False] * size  # where nothing drives it: constant
+        for part in self._parts[to]:
+            end = self._ports.input(part)
+            held[end.elements] = self._held_by(self._connections[part], end.size, loop)
+        return held
+
+    def _held_by(self, connection: Connection, size: int, loop: frozenset[str]) -> list[bool]:
+        """Return which elements of what a connection drives have a zero-order hold."""
+        sources = [self._ports.source(port) for port in connection.sources]
+        inside = [source.port.component in loop for source in sources]
+        if connection.matrix.ndim == 2:  # every element may be a sum of all sources
+            together = self._combined([source.port for source in sources])
+            return [any(inside) or together == "discrete"] * size
+        discrete = [self.of(source.port) == "discrete" for source in sources]
+        elements: list[bool] = []
+        for source, from_loop, is_discrete in zip(sources, inside, discrete, strict=True):
+            elements += [from_loop or is_discrete] * source.size
+        return elements
+
+    def _combined(self, outputs: Iterable[Port]) -> Variability:
+        """Return the variability of what follows several outputs."""
+        variabilities = {self.of(port) for port in outputs} - {"inherited"}
+        if not variabilities:
+            return "inherited"
+        return "discrete" if variabilities == {"discrete"} else "continuous"
+
+    def warnings(self) -> Iterator[tuple[str, str]]:
+        """Yield (component, text) where jumps are interpolated with what is continuous."""
+        if self._zero_order:
+            return
+        for name, sources in self._sources.items():
+            outputs = self._channels[name].interface.outputs
+            if any(signal.variability == "inherited" for signal in outputs):
+                for text in self._ramps_of(chain.from_iterable(sources.values())):
+                    yield name, text
+        for to, connection in self._connections.items():
+            if connection.matrix.ndim == 2:
+                for text in self._ramps_of(self._driving(connection)):
+                    yield to.component, text
+        yield from self._jumps_of_continuous()
+
+    def _ramps_of(self, ports: Iterable[Port]) -> Iterator[str]:
+        """Yield what becomes of the jumps in a signal that follows several outputs."""
+        by_variability: dict[Variability, list[Port]] = {"discrete": [], "continuous": []}
+        for port in dict.fromkeys(ports):
+            by_variability.setdefault(self.of(port), []).append(port)
+        if by_variability["discrete"] and by_variability["continuous"]:
+            jumping = ", ".join(map(str, by_variability["discrete"]))
+            yield (
+                f"{jumping}: interpolated linearly together with "
+                f"{', '.join(map(str, by_variability['continuous']))}, so that a jump becomes a "
+                "ramp over the step before it: an error of first order in the step"
+            )
+
+    def _jumps_of_continuous(self) -> Iterator[tuple[str, str]]:
+        """Yield (component, text) of continuous outputs that jump and are interpolated."""
+        becomes = "the jump becomes a ramp over the step before it: an error of first order"
+        for output in self._interpolated():
+            name = output.component
+            if self._starts_apart(output):
+                yield (
+                    name,
+                    f"{output} begins with a value of its own and jumps where the first of its "
+                    f"input arrives, unless both are equal; {becomes} in the step",
+                )
+            jumping = self._jumps_fed_to(output)
+            if jumping:
+                yield (
+                    name,
+                    f"{output} jumps with {', '.join(map(str, jumping))}, which feeds through, "
+                    f"and is interpolated linearly: {becomes} in the step",
+                )
+
+    def _interpolated(self) -> list[Port]:
+        """Return the continuous outputs that drive inputs which are followed through a step."""
+        outputs: dict[Port, None] = {}
+        for name, inputs in self._sources.items():
+            interface = self._channels[name].interface
+            for signal in interface.inputs:
+                is_followed = (
+                    signal.variability != "discrete" and signal.name not in interface.delayed
+                )
+                if is_followed and signal.name in inputs:
+                    outputs |= dict.fromkeys(inputs[signal.name])
+        return [output for output in outputs if self.of(output) == "continuous"]
+
+    def _jumps_fed_to(self, output: Port) -> list[Port]:
+        """Return the discrete signals that are known to feed through to an output.
+
+        What inherits its variability is left out: there they meet continuous ones, which is said.
+        """
+        interface = self._channels[output.component].interface
+        declared = {signal.name: signal.variability for signal in interface.outputs}
+        if declared[output.signal] == "inherited" or not interface.knows(output.signal):
+            return []
+        inputs = self._sources[output.component]
+        fed = [inputs[name] for name in interface.feeds(output.signal) if name in inputs]
+        ports = dict.fromkeys(chain.from_iterable(fed))
+        return [port for port in ports if self.of(port) == "discrete"]
+
+    def _starts_apart(self, output: Port) -> bool:
+        """Return whether an output follows a delayed input, and does not begin with its value."""
+        interface = self._channels[output.component].interface
+        delays = bool(interface.delayed) and not interface.feeds_initially(output.signal)
+        variability = {signal.name: signal.variability for signal in interface.outputs}
+        return delays and variability[output.signal] == "inherited"
+
+    def _variabilities(self) -> dict[Port, Variability]:
+        """Return the variability of every output: what inherits it follows what is behind it.
+
+        A cycle of components that inherit theirs is discrete, unless something continuous enters;
+        and so is what begins with another value than the constant that arrives later.
+        """
+        variabilities: dict[Port, Variability] = {}
+        inheriting: dict[str, list[Port]] = {}
+        for channel in self._channels.values():
+            for signal in channel.interface.outputs:
+                port = Port(channel.name, signal.name)
+                variabilities[port] = signal.variability
+                if signal.variability == "inherited":
+                    inheriting.setdefault(channel.name, []).append(port)
+        followed: dict[str, dict[Port, None]] = {}
+        drivers: dict[str, list[str]] = {}
+        for name in inheriting:
+            ports = dict.fromkeys(chain.from_iterable(self._sources[name].values()))
+            followed[name] = ports
+            drivers[name] = [port.component for port in _with(variabilities, "inherited", ports)]
+        discrete = _with(variabilities, "discrete", variabilities)
+        continuous = _with(variabilities, "continuous", variabilities)
+        for name in _on_cycles(drivers):
+            discrete += inheriting[name]
+        inherited = _with(variabilities, "inherited", variabilities)
+        discrete += [port for port in inherited if self._starts_apart(port)]
+        for port in _reached(discrete, followed, inheriting):
+            variabilities[port] = "discrete"
+        # Last, as one continuous signal is enough.
+        for port in _reached(continuous, followed, inheriting):
+            variabilities[port] = "continuous"
+        return variabilities
+
+
+def _with(
+    variabilities: Mapping[Port, Variability], wanted: Variability, ports: Iterable[Port]
+) -> list[Port]:
+    """Return those of the ports that have a variability."""
+    return [port for port in ports if variabilities[port] == wanted]
+
+
+def _on_cycles(drivers: Mapping[str, list[str]]) -> list[str]:
+    """Return the components that drive themselves, by others or directly."""
+    group_of = strongly_connected(drivers)
+    sizes = Counter(group_of.values())
+    return [name for name in drivers if sizes[group_of[name]] > 1 or name in drivers[name]]
+
+
+def _reached(
+    ports: Iterable[Port],
+    followed: Mapping[str, Iterable[Port]],
+    inheriting: Mapping[str, list[Port]],
+) -> list[Port]:
+    """Return ports and the outputs that inherit from them, also through others.
+
+    Parameters
+    ----------
+    ports : iterable of Port
+    followed : mapping of component name to iterable of Port
+        What drives each component that inherits.
+    inheriting : mapping of component name to list of Port
+        Its outputs that inherit.
+    """
+    followers: dict[Port, list[str]] = {}
+    for name, sources in followed.items():
+        for port in sources:
+            followers.setdefault(port, []).append(name)
+    reached = list(ports)
+    visited: set[str] = set()
+    for port in reached:  # grows on the way
+        for name in followers.get(port, ()):
+            if name not in visited:
+                visited.add(name)
+                reached += inheriting[name]
+    return reached
