@@ -112,14 +112,16 @@ def mapping_argument(name: str, value: object) -> Mapping[str, Any]:
     return value
 
 
-def texts_argument(name: str, value: object) -> tuple[str, ...]:
-    """Return an argument that is a sequence of texts; a single text is none.
+def texts_argument(name: str, value: object) -> tuple[str, ...] | None:
+    """Return an argument that is a sequence of texts, or None; a single text is none.
 
     Raises
     ------
     UsageError
-        If it is none.
+        If it is something else.
     """
+    if value is None:
+        return None
     items = value if isinstance(value, Sequence) and not isinstance(value, str) else (None,)
     if not all(isinstance(item, str) for item in items):
         raise UsageError(f"{option(name)}: found {quoted(value)}; needed a list of texts")

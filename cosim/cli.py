@@ -168,6 +168,8 @@ def run(
     if dry_run:
         print_dry_run(edited, as_json=as_json)
         return
+    if force and out is None:
+        raise UsageError("--force replaces the log at --out; needed both, or neither")
     path = out or Path("logs") / f"{edited.name}.mcap"
     _need_plot(plot, out)
     seconds: dict[str, float] | None = {} if profile else None
@@ -175,7 +177,7 @@ def run(
         log = run_scenario(
             edited,
             out=path,
-            force=force and out is not None,
+            force=force,
             numbered=out is None,
             progress=progress,
             notice=None if quiet else _notice,

@@ -104,6 +104,9 @@ def test_an_existing_log_is_refused_with_exit_2(call):
     assert (code, out) == (2, "")
     assert err == "cosim: a.mcap exists; choose another path, or --force to replace it\n"
     assert call("run", "academic", *SHORT, "--out", "a.mcap", "--force")[0] == 0
+    code, _, err = call("run", "academic", *SHORT, "--force")
+    assert code == 2
+    assert err == "cosim: --force replaces the log at --out; needed both, or neither\n"
 
 
 def test_a_failed_run_is_exit_1_and_leaves_a_valid_log(call, tmp_path):

@@ -37,9 +37,14 @@ def check_new_log(path: Path, *, force: bool, numbered: bool) -> None:
     Raises
     ------
     LogError
-        If a file stands there and shall neither be replaced nor kept beside the new one, the path
-        is a folder, or its folder takes no files.
+        If a file stands there and shall neither be replaced nor kept beside the new one, or both;
+        the path is a folder, or its folder takes no files.
     """
+    if force and numbered:
+        raise LogError(
+            "found both force and numbered; needed one of them: a log is replaced, or kept beside "
+            "the new one"
+        )
     if not numbered and path.is_dir():
         raise LogError(f"{path} is a folder; name a file, such as {path / 'run.mcap'}")
     if not numbered and not force and path.exists():

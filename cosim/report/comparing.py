@@ -174,7 +174,8 @@ def compare(
         If there is not one component, fewer than two plants, or an entry of ``map`` that none of
         them can use. The problems of a single plant are its outcome.
     """
-    truth_argument("force", force)
+    force = truth_argument("force", force)
+    base = truth_argument("base", base)
     folder = None if out is None else path_argument("out", out)
     loaded = scenario if isinstance(scenario, Scenario) else load(scenario)
     component, paths = _paths(loaded, swap, base=base)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, TypeVar, overload
 
 from cosim.arguments import callable_argument, mapping_argument, truth_argument, whole_argument
+from cosim.core.arguments import check_recorder
 from cosim.core.contracts import Recorder
 from cosim.core.recorders import Memory
 from cosim.errors import UsageError, option, quoted
@@ -76,7 +77,6 @@ def run(
     map: Mapping[str, PortNames] | None = None,
     block: int | None = None,
     progress: Progress | None = None,
-    notice: Notice | None = None,
     profile: dict[str, float] | None = None,
     recorder: OwnRecorder,
 ) -> OwnRecorder: ...
@@ -141,18 +141,15 @@ def run(
     CosimError
         UsageError before the first step, RunError after it; see :mod:`cosim.errors`.
     """
-    _check_recorder(out, recorder)
-    truth_argument("force", force)
-    truth_argument("numbered", numbered)
-    if force and numbered:
-        raise UsageError(
-            "found both force and numbered; needed one of them: a log is replaced, or "
-            "kept beside the new one"
-        )
-    whole_argument("block", block)
+    force = truth_argument("force", force)
+    numbered = truth_argument("numbered", numbered)
+    block = whole_argument("block", block)
     callable_argument("progress", progress)
     callable_argument("notice", notice)
     _check_profile(profile)
+    if recorder is not None:
+        check_recorder(recorder)
+        _check_unaccompanied(out, notice)
     check_target(out, force=force, numbered=numbered)
     loaded = scenario if isinstance(scenario, Scenario) else load(scenario)
     edited = loaded.edit(swap=swap, map=map, set=set)
@@ -170,16 +167,17 @@ def _check_profile(profile: object) -> None:
         raise UsageError(f"{option('profile')}: found {quoted(profile)}; needed a dict, to fill")
 
 
-def _check_recorder(out: str | Path | None, recorder: Recorder | None) -> None:
-    if out is not None and recorder is not None:
+def _check_unaccompanied(out: str | Path | None, notice: Notice | None) -> None:
+    """Check that nothing is given beside a recorder that is about a log file."""
+    if out is not None:
         raise UsageError(
             f"found both out={str(out)!r} and a recorder; needed one of them: "
             "out writes a log file, recorder takes the run itself"
         )
-    if recorder is not None and (isinstance(recorder, type) or not isinstance(recorder, Recorder)):
+    if notice is not None:
         raise UsageError(
-            f"recorder: found {quoted(recorder)}; needed an object with the methods of "
-            "cosim.core.Recorder"
+            "found both a notice and a recorder; needed one of them: notice is called about the "
+            "log at out"
         )
 
 
@@ -225,8 +223,8 @@ def replay(
         If ``set`` changes the communication step, a recorded component, or what drives one: its
         recording cannot follow.
     """
-    truth_argument("force", force)
-    whole_argument("block", block)
+    force = truth_argument("force", force)
+    block = whole_argument("block", block)
     callable_argument("progress", progress)
     callable_argument("notice", notice)
     wanted = mapping_argument("set", set)

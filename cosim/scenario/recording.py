@@ -13,7 +13,7 @@ from cosim.core.contracts import Block, Recorder
 from cosim.core.graph import Graph
 from cosim.core.master import run as run_graph
 from cosim.core.recorders import Memory, Watched
-from cosim.errors import UsageError
+from cosim.errors import UsageError, flag, option
 from cosim.log import Log, McapRecorder
 from cosim.log.paths import check_new_log, log_path
 from cosim.scenario.build import Experiment
@@ -37,14 +37,21 @@ class Target:
 
 
 def check_target(out: str | Path | None, *, force: bool = False, numbered: bool = False) -> None:
-    """Refuse a path that the log of a run cannot be written to; None: it is kept in memory.
+    """Refuse a path that the log of a run cannot be written to; None: there is no log.
 
     Raises
     ------
     UsageError
-        If it does not end as a log does, is taken, or no file can be written there.
+        If it does not end as a log does, is taken, or no file can be written there; or if it is
+        said what becomes of a log where there is none.
     """
     if out is None:
+        for name, value in (("force", force), ("numbered", numbered)):
+            if value:
+                raise UsageError(
+                    f"found {flag(name)}, which is about the log at {option('out')}, and no "
+                    f"{option('out')}; needed both, or neither"
+                )
         return
     path = log_path(out)
     if path.suffix != ".mcap":

@@ -4,6 +4,7 @@ import json
 import math
 import re
 from dataclasses import replace
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -208,6 +209,12 @@ def test_the_error_of_the_states_at_the_operating_point_is_among_the_errors(able
                 # the reference itself is off by some 1e-13
                 assert abs(getattr(found, letter) - exact).max() <= claimed + 1e-12, (at, letter)
                 assert claimed < 1e-6
+
+
+def test_times_of_other_numeric_types_are_recorded_as_numbers(exported):
+    """A fraction is a number too, and the request goes to a log as JSON."""
+    linearization = cosim.linearize(exported, at=Fraction(1, 2))
+    assert json.loads(json.dumps(linearization.to_dict()))["t"] == 0.5
 
 
 def test_the_operating_point_of_a_linear_fmu_adds_no_error(exported):

@@ -12,7 +12,7 @@ import pytest
 
 import cosim
 from cosim.errors import LogError, NonFiniteError, RunError, UsageError
-from cosim.log import open_log
+from cosim.log import McapRecorder, open_log
 from cosim.report.summary import summarize
 from cosim.scenario.document import shipped
 from cosim.scenario.exporting import export_component
@@ -366,6 +366,32 @@ def test_numbered_logs_count_up(tmp_path):
     assert name() == "a-5.mcap"
     with pytest.raises(UsageError, match="found both force and numbered; needed one of them"):
         cosim.run("academic", out=tmp_path / "a.mcap", numbered=True, force=True)
+    recorder = McapRecorder(tmp_path / "a.mcap", numbered=True, force=True)
+    with pytest.raises(UsageError, match="found both force and numbered; needed one of them"):
+        cosim.run("academic", recorder=recorder)
+
+
+@pytest.mark.parametrize("option", ["force", "numbered"])
+def test_what_is_for_a_log_is_refused_where_none_is_written(option, logged):
+    """It would be ignored."""
+    name, path, _ = logged
+    message = f"found {option}=True, which is about the log at out, and no out; needed both"
+    settings = {option: True}
+    with pytest.raises(UsageError, match=message):
+        cosim.run(name, **settings)
+    with pytest.raises(UsageError, match=message):
+        cosim.run(name, recorder=Extremes(), **settings)
+    if option == "force":
+        with pytest.raises(UsageError, match=message):
+            cosim.replay(path, **settings)
+        with pytest.raises(UsageError, match=message):
+            cosim.compare("academic", swap={"plant": [path]}, **settings)
+
+
+def test_numbers_of_numpy_are_numbers():
+    """A block of numpy's integer is one of that many steps."""
+    run = cosim.run("academic", set={"scenario.stop": 0.01}, block=np.int64(3), force=np.False_)
+    assert run.steps == 10
 
 
 def test_a_log_carries_what_it_takes_to_check_it(logged):
@@ -583,6 +609,8 @@ def test_a_run_has_one_recorder(tmp_path):
     with pytest.raises(UsageError, match=r"both out='.*a\.mcap' and a recorder; needed one"):
         cosim.run("academic", out=out, recorder=Extremes())
     assert not out.exists()
+    with pytest.raises(UsageError, match="both a notice and a recorder; needed one of them"):
+        cosim.run("academic", recorder=Extremes(), notice=print)
 
 
 @pytest.mark.parametrize("in_memory", [True, False], ids=["memory", "log"])

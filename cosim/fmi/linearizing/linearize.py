@@ -90,16 +90,12 @@ def linearize(
     RunError
         If the instance cannot go on.
     """
-    number_argument("at", at)
-    for name, names in (("inputs", inputs), ("outputs", outputs), ("states", states)):
-        if names is not None:
-            texts_argument(name, names)
     request = LinearizationRequest(
-        at=at,
+        at=number_argument("at", at),
         start=mapping_argument("start", start),
-        inputs=inputs,
-        outputs=outputs,
-        states=states,
+        inputs=texts_argument("inputs", inputs),
+        outputs=texts_argument("outputs", outputs),
+        states=texts_argument("states", states),
         method=method,
     )
     if isinstance(fmu, ModelExchangeInstance):
