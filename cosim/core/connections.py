@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import InitVar, dataclass, field
-from typing import TypeAlias
+from typing import Final, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,6 +16,8 @@ from cosim.core.port import Port
 from cosim.core.signals import Causality, Channel, Layout, Signal
 from cosim.errors import GraphError, nearest
 from cosim.units import BASE, BaseUnit, Conversion, Unit, comparable, conversion, unknown_unit
+
+ONE_SOURCE: Final = "an input has one source (add signals with a 'sum')"
 
 SourceText: TypeAlias = str | Port | Sequence[str | Port]
 
@@ -292,7 +294,7 @@ def _undriven_text(port: Port, signal: Signal, undriven: Sequence[Port]) -> str:
 def _overlap_text(to: Port, others: Sequence[Port], port: Port) -> str:
     names = ", ".join(f"'{other}'" for other in others)
     if names == f"'{to}'":
-        return f"'{to}' is given twice; an input has one source"
+        return f"'{to}' is given twice; {ONE_SOURCE}"
     return (
         f"'{to}' overlaps {names}: an element has one source (add signals with a 'sum'); needed "
         f"'{port}' as a whole, or each of its elements once"

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.arguments import check_type, checked_components, kind_of
 from cosim.core.connections import (
+    ONE_SOURCE,
     Connection,
     Ports,
     SourceText,
@@ -261,7 +262,7 @@ class Graph:
         for to, given in connections.items():
             port = to if isinstance(to, Port) else Port.parse(to)
             if port in parsed:
-                raise GraphError(f"'{port}' is given twice; an input has one source")
+                raise GraphError(f"'{port}' is given twice; {ONE_SOURCE}")
             parsed[port] = given if isinstance(given, Connection) else Connection(given)
         problems = check_connections(self.layout, parsed)
         if problems:

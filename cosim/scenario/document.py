@@ -18,7 +18,15 @@ from cosim.arguments import path_argument
 from cosim.errors import ScenarioError, UsageError, command, nearest, option, quoted
 from cosim.files import read_bounded
 from cosim.log.metadata import json_table
-from cosim.scenario.edits import SET, TOO_MANY_DIGITS, change, flatten_tables, plain, short
+from cosim.scenario.edits import (
+    SET,
+    TOO_MANY_DIGITS,
+    change,
+    flatten_tables,
+    given_twice,
+    plain,
+    short,
+)
 from cosim.scenario.lines import key_lines
 from cosim.scenario.places import Places
 from cosim.scenario.problems import Problem
@@ -199,7 +207,7 @@ class Document:
         key = line.split("=")[0].strip()
         if "overwrite" not in message and "twice" not in message:
             return f"{place}: not TOML: {message}{_quotes_missing(key)}"
-        return f"{place}: {key} is given twice; keep one (an input is driven by one source)"
+        return f"{place}: {given_twice(key, key_lines(self.text).table(number))}"
 
     def report(self, problems: Iterable[Problem]) -> ScenarioError:
         """Return one error with every problem at its place."""

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from cosim.core.connections import ONE_SOURCE
 from cosim.errors import UsageError, nearest, option, quoted
 from cosim.scenario.lines import MOST_LEVELS, key_lines
 from cosim.scenario.problems import Key, Problem
@@ -103,6 +104,18 @@ def flatten_tables(tree: dict[str, Any]) -> list[Problem]:
     return problems
 
 
+def given_twice(key: str, table: str) -> str:
+    """Return what to say of a key that a table of the scenario has twice."""
+    match table:
+        case "connections":
+            reason = ONE_SOURCE
+        case "truth":
+            reason = "an estimate has one truth"
+        case _:
+            reason = "keep one"
+    return f"{key} is given twice; {reason}"
+
+
 def _flatten(tree: Mapping[str, Any], prefix: Key) -> tuple[dict[str, Any], list[Problem]]:
     """Return a table with every port as one dotted key, and the problems of that.
 
@@ -116,9 +129,7 @@ def _flatten(tree: Mapping[str, Any], prefix: Key) -> tuple[dict[str, Any], list
             pairs = {f"{key}.{name}": item for name, item in value.items()}
         for port, item in pairs.items():
             if port in flat:
-                text = (
-                    f"'{port}' is given twice; an input has one source (add signals with a 'sum')"
-                )
+                text = given_twice(f"'{port}'", str(prefix[0]))
                 problems.append(((*prefix, port), text))
             flat[port] = item
     return flat, problems

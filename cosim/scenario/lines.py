@@ -63,6 +63,12 @@ class KeyLines:
                 return line
         return None
 
+    def table(self, number: int) -> str:
+        """Return the name of the outermost table that a line is part of; empty: there is none."""
+        above = [(line, key) for key, line in self.lines.items() if line <= number]
+        _, key = max(above, key=lambda item: item[0], default=(0, ("",)))
+        return str(key[0])
+
     def check_depth(self) -> None:
         """Check that no value is nested too deep.
 

@@ -11,7 +11,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from cosim.arguments import mapping_argument
-from cosim.core.connections import Connection
+from cosim.core.connections import ONE_SOURCE, Connection
 from cosim.core.port import Port
 from cosim.errors import CosimError, GraphError, nearest, quoted
 from cosim.scenario.document import Document
@@ -230,7 +230,7 @@ def _connections(file: File) -> tuple[dict[Port, Connection], list[Problem]]:
         try:
             port = Port.parse(to)
             if port in connections:
-                raise GraphError(f"'{port}' is given twice; an input has one source")
+                raise GraphError(f"'{port}' is given twice; {ONE_SOURCE}")
             if isinstance(value, ConnectionTable):
                 connections[port] = Connection(value.source)
                 connections[port] = Connection(value.source, value.gain, value.offset, value.unit)

@@ -193,7 +193,7 @@ def test_any_partition_of_an_input_equals_the_stack(data):
         ),
         (
             {"sink.u[1]": "smooth.y", "sink.u[01]": "smooth.y"},
-            "'sink.u[1]' is given twice; an input has one source",
+            "'sink.u[1]' is given twice; an input has one source (add signals with a 'sum')",
         ),
         (
             {"sink.u[2:4]": "fixed.y[0:2]"},

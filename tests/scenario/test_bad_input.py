@@ -84,7 +84,28 @@ CASES = {
     ),
     "input driven twice": (
         [('"plant.u" = "u.y"', '"plant.u" = "u.y"\n"plant.u" = "delta.y"')],
-        r'/mine\.toml:57: "plant\.u" is given twice; keep one \(an input is driven by one source\)',
+        r'/mine\.toml:57: "plant\.u" is given twice; an input has one source \(add signals with',
+    ),
+    "setting given twice": (
+        [("step = 1e-3", "step = 1e-3\nstep = 2e-3")],
+        r"/mine\.toml:\d+: step is given twice; keep one$",
+    ),
+    "truth given twice": (
+        [('"observer.delta" =', '"observer.delta" = "plant.x_b"\n"observer.delta" =')],
+        r'/mine\.toml:\d+: "observer\.delta" is given twice; an estimate has one truth$',
+    ),
+    "truth given twice in two spellings": (
+        [('"observer.delta" =', 'observer.delta = "plant.x_b"\n"observer.delta" =')],
+        r"truth\.observer\.delta: 'observer\.delta' is given twice; an estimate has one truth$",
+    ),
+    "port mapped twice in two spellings": (
+        [
+            (
+                "[truth]",
+                '[swap.plant]\npath = "x.fmu"\nmap = { "plant.u" = "a", plant.u = "b" }\n[truth]',
+            )
+        ],
+        r"swap\.plant\.map\.plant\.u: 'plant\.u' is given twice; keep one\n",
     ),
     "input driven twice in two spellings": (
         [('"plant.u" = "u.y"', '"plant.u" = "u.y"\nplant.u = "delta.y"')],
