@@ -8,8 +8,9 @@ import numpy as np
 
 from cosim.arrays import Mask, Matrix, Vector, as_columns
 from cosim.core.contracts import Design, Recording, Stopped
+from cosim.core.recorded import find_channel
 from cosim.core.signals import Interface, Signal
-from cosim.errors import GraphError, LogError, nearest
+from cosim.errors import GraphError, LogError
 
 
 class Replay:
@@ -27,8 +28,10 @@ class Replay:
 
     Raises
     ------
+    UnknownSignalError
+        If the recording has no such component; names the nearest.
     LogError
-        If the recording has no such component, or no row of it.
+        If it has no row of it.
     GraphError
         If the run starts before the recording.
     Stopped
@@ -36,14 +39,11 @@ class Replay:
     """
 
     def __init__(self, recording: Recording, component: str, *, inputs: bool = True) -> None:
-        channel = recording.channels.get(component)
-        if channel is None:
-            suggestion = nearest(component, recording.channels)
-            raise LogError(f"the log has no component {component!r}; {suggestion}")
+        channel = find_channel(recording.channels, component, source=recording.label)
         time_ns = recording.time_ns(component)
         if not len(time_ns):
             raise LogError(
-                f"the log has no rows of {component!r}; needed at least the one at t = 0"
+                f"{recording.label} has no rows of {component!r}; needed at least the one at t = 0"
             )
         recorded = channel.interface
         shown = Interface((), recorded.outputs, {})

@@ -28,7 +28,8 @@ if TYPE_CHECKING:
     from cosim.core.linear import Linear, LinearModel
     from cosim.core.master import run, simulate
     from cosim.core.port import Port
-    from cosim.core.recorders import EndOfRun, Memory, Nothing, RunMessage, Watched, end_of_run
+    from cosim.core.recorded import RunMessage
+    from cosim.core.recorders import EndOfRun, Memory, Nothing, Watched, end_of_run
     from cosim.core.signals import Channel, Interface, Layout, Signal
 
 _HOMES = {
@@ -58,7 +59,7 @@ _HOMES = {
     "Recording": "cosim.core.contracts",
     "Rollback": "cosim.core.contracts",
     "run": "cosim.core.master",
-    "RunMessage": "cosim.core.recorders",
+    "RunMessage": "cosim.core.recorded",
     "Signal": "cosim.core.signals",
     "simulate": "cosim.core.master",
     "Stopped": "cosim.core.contracts",

@@ -5,13 +5,13 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from html import escape
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Nanoseconds, Vector, as_columns
-from cosim.core.contracts import SignalNames
+from cosim.core.contracts import MessageLevel, SignalNames
 from cosim.core.port import Port
 from cosim.core.signals import Channel, Signal
 from cosim.errors import GraphError, LogError, UnknownSignalError, nearest
@@ -37,6 +37,15 @@ class RecordedPort(NamedTuple):
     def size(self) -> int:
         """Number of elements."""
         return int(self.columns.stop - self.columns.start)
+
+
+class RunMessage(NamedTuple):
+    """A message of a run, or of a component in it."""
+
+    time_ns: int
+    level: MessageLevel
+    source: str  # "run", or the component's name
+    text: str
 
 
 def find_signal(
@@ -117,6 +126,20 @@ class RecordedSignals(Mapping[str, NDArray[np.float64]]):
     @abstractmethod
     def status(self) -> str:
         """How the run ended."""
+
+    @property
+    @abstractmethod
+    def reason(self) -> str:
+        """The stop reason; empty where the run came to its end."""
+
+    @property
+    @abstractmethod
+    def results(self) -> Mapping[str, Any]:
+        """What was recorded of the end of the run."""
+
+    @abstractmethod
+    def messages(self) -> list[RunMessage]:
+        """Return the messages of the run and its components, in the order of time."""
 
     @property
     @abstractmethod

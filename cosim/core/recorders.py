@@ -1,6 +1,6 @@
 """Recorders: Memory keeps a run and is its recording, Nothing keeps nothing, Watched watches.
 
-Also: how a run ended, and how recorded signals are found by their names.
+Also: how a run ended.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from types import TracebackType
-from typing import Any, Literal, NamedTuple, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from cosim.arrays import Matrix, Nanoseconds
 from cosim.core.arguments import check_type
 from cosim.core.contracts import Block, MessageLevel, Plan, Recorder, Stopped
-from cosim.core.recorded import RecordedSignals, find_channel
+from cosim.core.recorded import RecordedSignals, RunMessage, find_channel
 from cosim.core.signals import Channel
 from cosim.errors import Interrupted, UsageError
 
@@ -43,23 +43,8 @@ def end_of_run(error: BaseException | None) -> EndOfRun:
             return EndOfRun("failed", str(error) or type(error).__name__)
 
 
-class RunMessage(NamedTuple):
-    """A message of a run, or of a component in it."""
-
-    time_ns: int
-    level: MessageLevel
-    source: str
-    text: str
-
-
 class Memory(RecordedSignals):
-    """Keeps every row of a run in memory; implements Recorder and Recording.
-
-    Attributes
-    ----------
-    results : dict
-        What was recorded of the end of the run.
-    """
+    """Keeps every row of a run in memory; implements Recorder and Recording."""
 
     def __init__(self, metadata: Mapping[str, Any] | None = None) -> None:
         if metadata is not None:
@@ -67,7 +52,7 @@ class Memory(RecordedSignals):
         self.metadata: Mapping[str, Any] = metadata or {}
         self._channels: dict[str, Channel] = {}
         self._messages: list[RunMessage] = []
-        self.results: dict[str, Any] = {}
+        self._results: dict[str, Any] = {}
         self._rows: list[Matrix] = []
         self._times: list[Nanoseconds] = []
         self._steps: list[NDArray[np.int64]] = []
@@ -105,11 +90,16 @@ class Memory(RecordedSignals):
 
     def result(self, values: Mapping[str, Any]) -> None:
         """Keep values of the end of the run."""
-        self.results.update(values)
+        self._results.update(values)
 
     def messages(self) -> list[RunMessage]:
-        """Return the messages of the run and its components."""
-        return list(self._messages)
+        """Return the messages of the run and its components, in the order of time."""
+        return sorted(self._messages, key=lambda message: message.time_ns)
+
+    @property
+    def results(self) -> Mapping[str, Any]:
+        """What was recorded of the end of the run."""
+        return self._results
 
     @property
     def label(self) -> str:
@@ -148,18 +138,36 @@ class Memory(RecordedSignals):
         return kept
 
     def rows(self, component: str) -> Matrix:
-        """Return all rows of a component: applied inputs, then outputs; shape (N, width)."""
+        """Return all rows of a component: applied inputs, then outputs; shape (N, width).
+
+        Raises
+        ------
+        UnknownSignalError
+            If there is no such component; names the nearest.
+        """
         channel = find_channel(self.channels, component, source=self.label)
         rows, _, _ = self._table
         own_rows = rows[:, channel.columns]
         return own_rows if channel.period == 1 else own_rows[self._is_kept(channel)]
 
     def blocks(self, component: str) -> Iterator[tuple[Nanoseconds, Matrix]]:
-        """Yield times and rows of a component: all at once, as they are in memory anyway."""
+        """Yield times and rows of a component: all at once, as they are in memory anyway.
+
+        Raises
+        ------
+        UnknownSignalError
+            If there is no such component; names the nearest.
+        """
         yield self.time_ns(component), self.rows(component)
 
     def time_ns(self, component: str) -> Nanoseconds:
-        """Return the instants of a component's rows, shape (N,) [ns]."""
+        """Return the instants of a component's rows, shape (N,) [ns].
+
+        Raises
+        ------
+        UnknownSignalError
+            If there is no such component; names the nearest.
+        """
         channel = find_channel(self.channels, component, source=self.label)
         _, times, _ = self._table
         return times[self._is_kept(channel)]

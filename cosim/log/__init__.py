@@ -8,18 +8,17 @@ from cosim.lazy import lazy_names
 
 if TYPE_CHECKING:
     from cosim.log.preamble import Attachment
-    from cosim.log.reader import Log, LogMessage, open_log
+    from cosim.log.reader import Log, open_log
     from cosim.log.writer import McapRecorder
 
 _HOMES = {
     "Attachment": "cosim.log.preamble",
     "Log": "cosim.log.reader",
-    "LogMessage": "cosim.log.reader",
     "McapRecorder": "cosim.log.writer",
     "open_log": "cosim.log.reader",
 }
 
-__all__ = ["Attachment", "Log", "LogMessage", "McapRecorder", "open_log"]
+__all__ = ["Attachment", "Log", "McapRecorder", "open_log"]
 
 __getattr__ = lazy_names(__name__, _HOMES)
 

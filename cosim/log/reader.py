@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
@@ -18,8 +17,8 @@ from mcap.opcode import Opcode
 
 from cosim.arguments import log_argument
 from cosim.arrays import Mask, Matrix, Nanoseconds
-from cosim.core.contracts import Design, MessageLevel
-from cosim.core.recorded import RecordedSignals, find_channel
+from cosim.core.contracts import Design
+from cosim.core.recorded import RecordedSignals, RunMessage, find_channel
 from cosim.core.signals import Channel
 from cosim.errors import GraphError, LogError, nearest, quoted
 from cosim.log.columns import SignalRows
@@ -49,16 +48,6 @@ _AHEAD_GROWTH = 64  # components that a pass reads ahead, in units of those of t
 _MOST_SORTED = 2**28  # bytes of rows that are sorted in memory to be hashed
 
 _Parsed = TypeVar("_Parsed")
-
-
-@dataclass(frozen=True, slots=True)
-class LogMessage:
-    """A message of the run or of a component."""
-
-    time_ns: int
-    level: MessageLevel
-    source: str  # "run", or the component's name
-    text: str
 
 
 def open_log(path: Path | str) -> Log:
@@ -193,8 +182,10 @@ class Log(RecordedSignals):
             raise LogError(f"{self.path}: stages cannot be understood: {error}") from error
 
     @property
-    def result(self) -> Mapping[str, Any]:
-        """The content of ``result.json``; empty if there is none.
+    def results(self) -> Mapping[str, Any]:
+        """What was recorded of the end of the run, with how it ended and the content hash.
+
+        It is the content of ``result.json``; empty if there is none.
 
         Raises
         ------
@@ -235,17 +226,39 @@ class Log(RecordedSignals):
         """Return all rows of a component: applied inputs, then outputs.
 
         Shape (N, width), read-only.
+
+        Raises
+        ------
+        UnknownSignalError
+            If there is no such component; names the nearest.
+        LogError
+            If the file is damaged.
         """
         return self._times_and_rows(component)[1]
 
     def time_ns(self, component: str) -> Nanoseconds:
-        """Return the instants of a component's rows, shape (N,) [ns]; read-only."""
+        """Return the instants of a component's rows, shape (N,) [ns]; read-only.
+
+        Raises
+        ------
+        UnknownSignalError
+            If there is no such component; names the nearest.
+        LogError
+            If the file is damaged.
+        """
         return self._times_and_rows(component)[0]
 
     def blocks(self, component: str) -> Iterator[TimedRows]:
         """Yield times and rows of a component in order of time; of a long log some at a time.
 
         Nothing is kept: the memory that this takes does not grow with the log.
+
+        Raises
+        ------
+        UnknownSignalError
+            If there is no such component; names the nearest.
+        LogError
+            If the file is damaged.
         """
         find_channel(self._channels, component, source=str(self.path))
         if component in self._rows:
@@ -256,7 +269,15 @@ class Log(RecordedSignals):
             yield from self._stream(component)
 
     def load(self, *components: str) -> None:
-        """Read several components in one pass over the file; none named: all."""
+        """Read several components in one pass over the file; none named: all.
+
+        Raises
+        ------
+        UnknownSignalError
+            If there is no such component; names the nearest.
+        LogError
+            If the file is damaged.
+        """
         for name in components:
             find_channel(self._channels, name, source=str(self.path))
         wanted = components or tuple(self._channels)
@@ -276,7 +297,7 @@ class Log(RecordedSignals):
             raise LogError(f"{self.path} has no attachment {name!r}; {nearest_names}")
         return self._file.attachment(self._attachments[name])
 
-    def messages(self) -> list[LogMessage]:
+    def messages(self) -> list[RunMessage]:
         """Return the messages of the run and its components, in the order of time.
 
         Raises
@@ -286,7 +307,7 @@ class Log(RecordedSignals):
         """
         return sorted(self.each_message(), key=lambda message: message.time_ns)
 
-    def each_message(self) -> Iterator[LogMessage]:
+    def each_message(self) -> Iterator[RunMessage]:
         """Yield the messages in the order of the file.
 
         Raises
@@ -303,7 +324,7 @@ class Log(RecordedSignals):
                 if record.opcode == Opcode.MESSAGE and record.channel_id in channel_ids:
                     time_ns = int.from_bytes(record.content[_LOG_TIME], "little")
                     level, source, text = decode_log(record.content[_DATA])
-                    yield LogMessage(time_ns, level, source, text)
+                    yield RunMessage(time_ns, level, source, text)
         except MALFORMED as error:
             raise LogError(f"{self.path} is damaged: {error}") from error
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from cosim.core.connections import Connection, Ports, unit_reached
 from cosim.core.graph import Graph
 from cosim.core.port import Port
+from cosim.core.recorded import RunMessage
 from cosim.core.signals import Channel, Signal
 from cosim.scenario.build import describe
 from cosim.scenario.document import find
@@ -23,7 +24,7 @@ from cosim.scenario.recorded_metadata import (
 if TYPE_CHECKING:
     from cosim.fmi.description import Description
     from cosim.fmi.variable import Variable
-    from cosim.log import Log, LogMessage
+    from cosim.log import Log
 
 Section = dict[str, Any]
 
@@ -75,7 +76,7 @@ def describe_log(path: str) -> Section:
 
 def _messages(log: Log) -> tuple[list[Section], int]:
     """Return the messages in the order of time, and how many there are beyond those shown."""
-    kept: list[LogMessage] = []
+    kept: list[RunMessage] = []
     size = 0
     more = 0
     for message in log.each_message():

@@ -162,7 +162,7 @@ def test_a_replay_stops_where_the_recording_ends(recording):
 
 def test_a_replay_refuses_what_was_not_recorded(recording):
     """A component that is not there, a time before the recording."""
-    with pytest.raises(LogError, match=r"the log has no component 'lab'; did you mean 'lag'\?"):
+    with pytest.raises(LogError, match=r"the run has no component 'lab'; did you mean 'lag'\?"):
         Replay(recording, "lab")
     with pytest.raises(GraphError, match=r"the recording begins at 0.0 s, was asked for -1.0 s"):
         Replay(recording, "u").initialize(-1.0, np.zeros(0))

@@ -425,12 +425,14 @@ def test_a_simulation_raises_behind_the_last_block():
 
 
 def test_memory_keeps_messages_and_results():
-    """A recorder that is no file needs no other place for them."""
+    """A recorder that is no file needs no other place for them; messages are sorted by time."""
     memory = Memory()
     memory.message(5, "warning", "plant", "slow")
+    memory.message(3, "info", "sensor", "warm")
     memory.result({"last": 1.0})
     memory.result({"steps": 2})
-    assert memory.messages() == [(5, "warning", "plant", "slow")]
+    messages = [(3, "info", "sensor", "warm"), (5, "warning", "plant", "slow")]
+    assert memory.messages() == messages
     assert memory.results == {"last": 1.0, "steps": 2}
 
 

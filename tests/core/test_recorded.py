@@ -82,6 +82,6 @@ def test_both_have_the_same_signals_times_and_messages(in_memory, from_file):
     assert len({in_memory, from_file}) == 2
     for name in in_memory:
         assert np.array_equal(in_memory.time(name), from_file.time(name))
-    first = [tuple(message) for message in in_memory.messages()]
-    second = [tuple(message) for message in from_file.messages()]
-    assert first == second
+    assert in_memory.messages() == from_file.messages()
+    for values in (in_memory.results, from_file.results):
+        assert values["last"]["plant.y"] == in_memory["plant.y"][-1]

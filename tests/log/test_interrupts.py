@@ -80,7 +80,7 @@ def assert_whole(path, rows, instant):
     assert same_bits(log.rows("plant"), rows[:count, :5]), instant
     assert same_bits(log.rows("identifier"), rows[:count:5, 5:]), instant
     assert (log.steps, log.end_ns) == (last_step, last_step * STEP_NS), instant
-    assert log.content_hash() == log.result["content_hash"], instant
+    assert log.content_hash() == log.results["content_hash"], instant
     assert texts == [f"block {number}" for number in range(len(texts))], instant
 
 

@@ -130,7 +130,7 @@ def test_a_run_without_rows_is_a_log(tmp_path):
         recorder.begin(plan())
     log = open_log(tmp_path / "a.mcap")
     assert log["plant.x_a"].shape == (0, 2)
-    assert log.content_hash() == log.result["content_hash"]
+    assert log.content_hash() == log.results["content_hash"]
 
 
 @pytest.mark.parametrize(

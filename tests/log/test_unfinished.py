@@ -68,7 +68,7 @@ def test_a_run_that_failed_at_its_start_leaves_a_log(path, force, error):
     log = open_log(path)
     assert log.steps == 0
     assert len(log.rows("plant")) == 0
-    assert log.result["reason"] == str(error)
+    assert log.results["reason"] == str(error)
 
 
 def test_a_complete_run_without_rows_leaves_a_log(path, force):

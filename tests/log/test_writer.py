@@ -201,7 +201,7 @@ def test_content_does_not_depend_on_blocks_chunks_or_compression(tmp_path, monke
         assert np.array_equal(log.time_ns("identifier"), steps * STEP_NS)
         hashes.add(log.content_hash())
         hashes.add(log.metadata["cosim.result"]["content_hash"])
-        hashes.add(log.result["content_hash"])
+        hashes.add(log.results["content_hash"])
     assert len(hashes) == 1
 
 
@@ -248,11 +248,11 @@ def test_an_error_in_the_run_leaves_a_whole_file(tmp_path, error, status):
         fail()
     log = open_log(tmp_path / "a.mcap")
     assert log.status == status
-    assert log.result["reason"] == (str(error) or "interrupted by the user")
-    assert log.result["steps"] == 50
-    assert log.result["end_ns"] == 50 * STEP_NS
+    assert log.results["reason"] == (str(error) or "interrupted by the user")
+    assert log.results["steps"] == 50
+    assert log.results["end_ns"] == 50 * STEP_NS
     assert same_bits(log.rows("plant"), rows[:51, :5])
-    assert log.content_hash() == log.result["content_hash"]
+    assert log.content_hash() == log.results["content_hash"]
 
 
 class FullDisk(io.FileIO):
@@ -284,8 +284,8 @@ def test_a_full_disk_leaves_a_whole_file(tmp_path, monkeypatch, room):
     assert 0 < count < 1001
     rows = table(layout(), 1000)
     assert same_bits(log.rows("plant"), rows[:count, :5])
-    assert (log.status, log.result["steps"]) == ("failed", count - 1)
-    assert log.content_hash() == log.result["content_hash"]
+    assert (log.status, log.results["steps"]) == ("failed", count - 1)
+    assert log.content_hash() == log.results["content_hash"]
     with (tmp_path / "a.mcap").open("rb") as stream:
         reader = NonSeekingReader(stream, validate_crcs=True)
         assert len(list(reader.iter_messages("/plant"))) == count
@@ -315,8 +315,8 @@ def test_an_interrupt_within_a_write_loses_nothing(tmp_path, monkeypatch):
     count = len(log.rows("plant"))
     assert count > 100
     assert log.status == "interrupted"
-    assert log.result["steps"] == count - 1
-    assert log.result["content_hash"] == log.content_hash()
+    assert log.results["steps"] == count - 1
+    assert log.results["content_hash"] == log.content_hash()
 
 
 def test_a_disk_full_from_the_start_leaves_nothing(tmp_path, monkeypatch):

@@ -449,7 +449,7 @@ def test_a_log_that_lacks_a_component_is_refused(tmp_path):
     cosim.run("academic", out=path, set={"scenario.stop": 0.1})
     with pytest.raises(
         ScenarioError,
-        match=r"the log has no component 'plnat'; did you mean 'plant'\? There is: u, delta",
+        match=r"a\.mcap has no component 'plnat'; did you mean 'plant'\? There is: u, delta",
     ):
         cosim.run(
             "academic", swap={"plant": path}, set={"scenario.stop": 0.1, "plant.component": "plnat"}

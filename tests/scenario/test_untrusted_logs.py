@@ -36,7 +36,7 @@ def read_everything(path, valid):
         lambda: open_log(path).load(),
         lambda: open_log(path).messages(),
         lambda: open_log(path).content_hash(),
-        lambda: (open_log(path).result, open_log(path).designs, open_log(path).held),
+        lambda: (open_log(path).results, open_log(path).designs, open_log(path).held),
         lambda: summarize(open_log(path)),
         lambda: cosim.diff(open_log(valid), open_log(path), rtol=1e-9),
         lambda: cosim.diff(open_log(path), open_log(valid)),
