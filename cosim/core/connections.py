@@ -210,7 +210,7 @@ def _unknown_port(port: Port, channel: Channel, causality: Causality) -> GraphEr
 
 
 def check_connections(
-    layout: Layout,
+    ports: Ports,
     connections: Mapping[Port, Connection],
     missing: Collection[str] = (),
     unread: Iterable[Port] = (),
@@ -219,7 +219,7 @@ def check_connections(
 
     Parameters
     ----------
-    layout : Layout
+    ports : Ports
     connections : mapping of Port to Connection
     missing : collection of component names
         Components that are meant to be there but could not be built: connections to and from them
@@ -227,7 +227,6 @@ def check_connections(
     unread : iterable of Port
         Inputs, or elements of them, whose connections could not be read.
     """
-    ports = Ports(layout)
     problems: dict[Port, str] = {}
     for to, connection in connections.items():
         text = "; ".join(_problems(ports, to, connection, missing))
@@ -235,7 +234,7 @@ def check_connections(
             problems[to] = text
     connected, unknown = _connected_parts(ports, connections)
     unknown.update(port.whole for port in unread)
-    for channel in layout.channels:
+    for channel in ports.channels.values():
         for signal in channel.interface.inputs:
             port = Port(channel.name, signal.name)
             if port not in unknown:
@@ -427,10 +426,9 @@ def _conversion(connection: Connection, source: Signal, target: Signal) -> Conve
 
 
 def unit_warnings(
-    layout: Layout, connections: Mapping[Port, Connection]
+    ports: Ports, connections: Mapping[Port, Connection]
 ) -> Iterator[tuple[str, str]]:
     """Yield (component, text) for units of checked connections that cannot be compared."""
-    ports = Ports(layout)
     for to, connection in connections.items():
         target = ports.input(to).signal
         units = []
@@ -449,10 +447,9 @@ def unit_warnings(
 
 
 def element_warnings(
-    layout: Layout, connections: Mapping[Port, Connection]
+    ports: Ports, connections: Mapping[Port, Connection]
 ) -> Iterator[tuple[str, str]]:
     """Yield (component, text) for elements whose numbers are others in the FMU they come from."""
-    ports = Ports(layout)
     driven = Counter[Port]()
     for to in connections:
         end = ports.input(to)

@@ -66,6 +66,8 @@ class Graph:
 
     Attributes
     ----------
+    ports : Ports
+        Inputs and outputs by their names.
     connections : dict of Port to Connection
         By input, or elements of it.
     conversions : dict of Port to tuple of Conversion
@@ -101,7 +103,7 @@ class Graph:
         self.coupling = coupling
         self.input_interpolation = input_interpolation
         self.layout = layout_of(self.components, self.periods)
-        self._ports = Ports(self.layout)
+        self.ports = Ports(self.layout)
         self.connections = self._checked(connections)
         self._parts = self._parts_by_input()
         self.conversions = self._conversions()
@@ -110,7 +112,7 @@ class Graph:
             channel.name: self._sources_of(channel) for channel in self.layout.channels
         }
         self._variabilities = Variabilities(
-            self._ports,
+            self.ports,
             self.connections,
             self._parts,
             self._sources,
@@ -217,8 +219,8 @@ class Graph:
     @property
     def warnings(self) -> list[tuple[str, str]]:
         """What was assumed, and where the interpolation of inputs errs, as (component, text)."""
-        warnings = list(unit_warnings(self.layout, self.connections))
-        warnings += element_warnings(self.layout, self.connections)
+        warnings = list(unit_warnings(self.ports, self.connections))
+        warnings += element_warnings(self.ports, self.connections)
         warnings += self._variabilities.warnings()
         for stage in self.stages:
             warnings += stage.warnings
@@ -264,12 +266,12 @@ class Graph:
             if port in parsed:
                 raise GraphError(f"'{port}' is given twice; {ONE_SOURCE}")
             parsed[port] = given if isinstance(given, Connection) else Connection(given)
-        problems = check_connections(self.layout, parsed)
+        problems = check_connections(self.ports, parsed)
         if problems:
             raise GraphError("\n".join(problems.values()))
         by_input = {}
         for port, connection in parsed.items():
-            whole = self._ports.input(port).port
+            whole = self.ports.input(port).port
             # a signal may have a name that looks like that of an element
             by_input[whole if port.name == whole.signal else port] = connection
         return by_input
@@ -281,22 +283,22 @@ class Graph:
             for signal in channel.interface.inputs:
                 parts[Port(channel.name, signal.name)] = []
         for to in self.connections:
-            parts[self._ports.input(to).port].append(to)
+            parts[self.ports.input(to).port].append(to)
         for ports in parts.values():
-            ports.sort(key=lambda to: self._ports.input(to).elements.start)
+            ports.sort(key=lambda to: self.ports.input(to).elements.start)
         return parts
 
     def sources_of(self, port: Port) -> tuple[Port, ...]:
         """Return the outputs, or elements of them, that drive an input, in its order."""
         sources: list[Port] = []
-        for part in self._parts[self._ports.input(port).port]:
+        for part in self._parts[self.ports.input(port).port]:
             sources += self.connections[part].sources
         return tuple(sources)
 
     def _conversions(self) -> dict[Port, tuple[Conversion, ...]]:
         conversions = {}
         for to, connection in self.connections.items():
-            by_source = conversions_of(self._ports, to, connection)
+            by_source = conversions_of(self.ports, to, connection)
             if not all(conversion.copies for conversion in by_source):
                 conversions[to] = by_source
         return conversions
@@ -312,7 +314,7 @@ class Graph:
 
     def _undriven(self, port: Port, signal: Signal) -> list[Port]:
         """Return the parts of an input that nothing drives."""
-        ends = [self._ports.input(to) for to in self._parts[port]]
+        ends = [self.ports.input(to) for to in self._parts[port]]
         return undriven_parts(port, signal, ends)
 
     def _sources_of(self, channel: Channel) -> dict[str, tuple[Port, ...]]:
@@ -320,7 +322,7 @@ class Graph:
         sources = {}
         for signal in channel.interface.inputs:
             driving = self.sources_of(Port(channel.name, signal.name))
-            ports = [self._ports.source(port).port for port in driving]
+            ports = [self.ports.source(port).port for port in driving]
             sources[signal.name] = tuple(dict.fromkeys(ports))
         return sources
 
@@ -334,7 +336,7 @@ class Graph:
             for to in self._parts[port]:
                 feeding += self._wires_to(to)
             for part in self._undriven(port, signal):
-                columns = self._ports.columns(port, part.elements_of(signal))
+                columns = self.ports.columns(port, part.elements_of(signal))
                 feeding += constant_wires(columns, self.unconnected[part])
             wires[port] = tuple(feeding)
         return wires
@@ -342,10 +344,10 @@ class Graph:
     def _wires_to(self, to: Port) -> tuple[Wire, ...]:
         """Return the wires of a connection."""
         connection = self.connections[to]
-        sources = [self._ports.source(source) for source in connection.sources]
+        sources = [self.ports.source(source) for source in connection.sources]
         copies = (Conversion(),) * len(sources)
         conversions = self.conversions.get(to, copies)
-        return wires_of(self._ports.input(to).columns, connection, sources, conversions)
+        return wires_of(self.ports.input(to).columns, connection, sources, conversions)
 
     def _member(self, name: str, wires: Mapping[Port, tuple[Wire, ...]]) -> Member:
         flat = chain.from_iterable(wires.values())

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, fields
 from typing import TYPE_CHECKING, Any
 
-from cosim.core.connections import Connection, Ports, unit_reached
+from cosim.core.connections import Connection, unit_reached
 from cosim.core.graph import Graph
 from cosim.core.port import Port
 from cosim.core.recorded import RunMessage
@@ -139,9 +139,8 @@ def describe_scenario(name: str) -> Section:
 
 def _connection_row(graph: Graph, to: Port, connection: Connection) -> Section:
     """Describe one connection: its map and its unit conversions, where it has them."""
-    ports = Ports(graph.layout)
-    target = ports.input(to).signal
-    sources = [ports.source(port).signal for port in connection.sources]
+    target = graph.ports.input(to).signal
+    sources = [graph.ports.source(port).signal for port in connection.sources]
     units = [unit_reached(connection, source, target).name for source in sources]
     unit = ", ".join(dict.fromkeys(name for name in units if name is not None)) or None
     by_source = graph.conversions.get(to, ())
@@ -161,7 +160,7 @@ def _connection_row(graph: Graph, to: Port, connection: Connection) -> Section:
 
 def _start_row(graph: Graph, to: Port, values: tuple[float, ...]) -> Section:
     """Describe an input that nothing drives."""
-    target = Ports(graph.layout).input(to).signal
+    target = graph.ports.input(to).signal
     value = ", ".join(f"{value:.6g}" for value in values)
     return {
         "to": str(to),

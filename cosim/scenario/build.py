@@ -17,7 +17,7 @@ from cosim.blocks.renamed import Renamed
 from cosim.blocks.renaming import resolve
 from cosim.blocks.replay import Replay
 from cosim.core.clock import Clock, start_nanoseconds
-from cosim.core.connections import check_connections, layout_of
+from cosim.core.connections import Ports, check_connections, layout_of
 from cosim.core.contracts import Component, Design, Plan, Recording
 from cosim.core.graph import Graph
 from cosim.core.signals import Interface
@@ -280,10 +280,10 @@ class Builder:
         invalid = self.scenario.invalid
         if not components or not invalid.isdisjoint({("components",), ("connections",)}):
             return
-        layout = layout_of(components)
+        ports = Ports(layout_of(components))
         unread = ports_in(key[1] for key in invalid if key[0] == "connections")
         connections = self.scenario.connections
-        problems = check_connections(layout, connections, self._invalid, unread)
+        problems = check_connections(ports, connections, self._invalid, unread)
         for to, text in problems.items():
             key = ("connections", str(to))
             if key not in invalid:

@@ -1,5 +1,7 @@
 """What info shows of a scenario."""
 
+from time import process_time
+
 import pytest
 
 from cosim.report.inspection import describe_scenario
@@ -63,3 +65,29 @@ plant = {{ kind = "fmu", path = "{fmu}", interface_type = "{interface_type}" }}
     )
     signals = [row["signal"] for row in describe_scenario(str(path))["signals"]]
     assert signals == ["plant.u", "plant.delta", "plant.y", "plant.x_a", "plant.x_b"]
+
+
+def describing_cost(folder, size):
+    """Return the processor time for each component to describe a chain of gains."""
+    lines = ["[scenario]", 'name = "gains"', "stop = 0.01", "step = 1e-3"]
+    connections = ["[connections]"]
+    lines += ["[components.g0]", 'kind = "constant"', "value = 1.0"]
+    for i in range(1, size):
+        lines += [f"[components.g{i}]", 'kind = "gain"', "K = 2.0"]
+        connections.append(f'"g{i}.u" = "g{i - 1}.y"')
+    path = folder / f"{size}.toml"
+    path.write_text("\n".join(lines + connections), encoding="utf-8")
+    began = process_time()
+    assert len(describe_scenario(str(path))["connections"]) == size - 1
+    return (process_time() - began) / size
+
+
+def test_the_cost_to_describe_a_component_does_not_grow(tmp_path):
+    """The table of the ports is made once, not for every connection."""
+    ratio = float("inf")
+    for _ in range(5):  # the smallest counts: another process can only add time
+        base = min(describing_cost(tmp_path, 100) for _ in range(2))
+        ratio = min(ratio, describing_cost(tmp_path, 600) / base)
+        if ratio <= 1.5:
+            return
+    raise AssertionError(f"a component costs {ratio} times as much to describe")
