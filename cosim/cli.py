@@ -22,6 +22,7 @@ from cosim import completion
 from cosim.errors import CosimError, UsageError, option, quoted, shell_language
 from cosim.report.printable import printable
 from cosim.terminal import ended_by_signals, keep_stdout, outlive_terminal, show_progress
+from cosim.unanswered import ended_if_unanswered
 from cosim.version import __version__
 
 BEGAN = perf_counter()
@@ -730,7 +731,7 @@ def main(arguments: list[str] | None = None) -> None:
     outlive_terminal()
     stdout = keep_stdout()
     try:
-        with shell_language(), ended_by_signals():
+        with ended_if_unanswered(), shell_language(), ended_by_signals():
             app(args=arguments, prog_name="cosim")
     except CosimError as error:
         lines = printable(str(error)).splitlines() or [type(error).__name__]

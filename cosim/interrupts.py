@@ -11,7 +11,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, final
 
 REASONS: dict[int, str] = {
     signal.SIGINT: "interrupted by the user",
@@ -34,17 +34,33 @@ def uninterrupted() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread() or not handlers:
         yield
         return
-    deferred: list[tuple[int, FrameType | None]] = []
+    deferred = _Deferred()
     for number in handlers:
-        signal.signal(number, lambda number, frame: deferred.append((number, frame)))
+        signal.signal(number, deferred)
     try:
         yield
     finally:
         # All handlers first: the first deferred signal usually raises, and ends this loop.
         for number, handler in handlers.items():
             signal.signal(number, handler)
-        for number, frame in deferred:
+        for number, frame in deferred.signals:
             handlers[number](number, frame)
+
+
+def is_deferred() -> bool:
+    """Return whether Ctrl-C has to wait for the end of such a block; any thread may ask."""
+    return isinstance(signal.getsignal(signal.SIGINT), _Deferred)
+
+
+@final
+class _Deferred:
+    """A handler that keeps the signals."""
+
+    def __init__(self) -> None:
+        self.signals: list[tuple[int, FrameType | None]] = []
+
+    def __call__(self, number: int, frame: FrameType | None) -> None:
+        self.signals.append((number, frame))
 
 
 def _python_handlers() -> dict[int, Handler]:

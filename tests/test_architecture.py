@@ -46,6 +46,7 @@ ALLOWED = {
     "report": BASE | {"theory", "core", "fmi", "log", "scenario"},
     "completion": {"errors", "scenario"},
     "terminal": {"interrupts", "scenario"},
+    "unanswered": {"interrupts"},
     "cli": {
         "errors",
         "processes",
@@ -56,6 +57,7 @@ ALLOWED = {
         "fmi",
         "completion",
         "terminal",
+        "unanswered",
     },
     "__main__": {"cli"},
     "__init__": {"scenario", "log", "fmi", "report", "version", "lazy"},

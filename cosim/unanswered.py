@@ -1,0 +1,113 @@
+"""Ctrl-C while the main thread is in a call of C that does not return: a second one ends all.
+
+Python runs its handlers in the main thread, between two instructions, so that Ctrl-C waits as long
+as an FMU hangs. A thread of the command line hears of it at once, and asks whether the main thread
+still runs Python. Where it does, all is left to its handlers. Where it does not, that is said, and
+if it still does not when Ctrl-C comes again, the process ends.
+
+Only the command line does so: the process is its own. One that uses the package may hold more than
+a run, such as the session of a notebook. Only Ctrl-C does: a closed terminal may send its signal
+twice, and who requests to terminate can kill.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from typing import Any, Final
+
+from cosim.interrupts import REASONS, is_deferred
+
+PATIENCE: Final = 1.0  # s in which the main thread is to run an instruction of Python
+EXIT_CODE: Final = 128 + signal.SIGINT
+_ALL: Final = 4096  # bytes, more than there can be
+_SHOW_CURSOR: Final = "\x1b[?25h"  # progress hides it
+_questions: list[Any] = []  # kept, as the main thread may come to them late
+
+
+@contextmanager
+def ended_if_unanswered() -> Iterator[None]:
+    """End the process at a second Ctrl-C that the main thread cannot answer.
+
+    Elsewhere than in the main thread, and where another hears of the signals already, such as an
+    event loop, nothing is changed.
+    """
+    if sys.platform == "win32" or not _may_listen():
+        yield
+        return
+    reader, writer = os.pipe()
+    os.set_blocking(writer, False)
+    ended = threading.Event()
+    thread = threading.Thread(target=_listen, args=(reader, ended), daemon=True)
+    thread.start()
+    signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
+    try:
+        yield
+    finally:
+        signal.set_wakeup_fd(-1)
+        ended.set()
+        os.close(writer)  # the thread reads the end of the pipe
+        thread.join()
+        os.close(reader)
+
+
+def _may_listen() -> bool:
+    if threading.current_thread() is not threading.main_thread():
+        return False
+    listener = signal.set_wakeup_fd(-1)
+    signal.set_wakeup_fd(listener)
+    return listener == -1
+
+
+def _listen(reader: int, ended: threading.Event) -> None:
+    """Read the numbers of the signals that come, and act where the main thread does not."""
+    answered = threading.Event()
+    answered.set()
+    while numbers := os.read(reader, _ALL):
+        if signal.SIGINT not in numbers:
+            continue
+        if answered.is_set():
+            answered = _ask_main_thread()
+            if ended.is_set() or answered.wait(PATIENCE) or is_deferred():
+                continue
+            _write(
+                "ends when the call under way returns, such as one of an FMU; Ctrl-C again ends it "
+                "at once, without a complete log"
+            )
+            if select.select([reader], [], [], 0.0)[0]:
+                os.read(reader, _ALL)  # what came before that was said
+        elif not is_deferred():
+            _write(
+                "ended at once; a log that has rows is not closed: 'cosim info' says up to where "
+                "it is whole",
+                start=_SHOW_CURSOR if os.isatty(2) else "",
+            )
+            os._exit(EXIT_CODE)
+
+
+def _ask_main_thread() -> threading.Event:
+    """Return what the main thread sets as soon as it runs Python."""
+    import ctypes  # here, as --help does without
+
+    answered = threading.Event()
+
+    def answer(_: int | None) -> int:
+        answered.set()
+        return 0
+
+    question = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p)(answer)
+    _questions.append(question)
+    ctypes.pythonapi.Py_AddPendingCall(question, None)
+    return answered
+
+
+def _write(text: str, start: str = "") -> None:
+    """Write a message, unless nobody takes it; sys.stderr may be locked by the main thread."""
+    with suppress(OSError, ValueError):
+        if select.select([], [2], [], 0.0)[1]:
+            os.write(2, f"{start}cosim: {REASONS[signal.SIGINT]}: {text}\n".encode())
