@@ -160,6 +160,11 @@ class Conversion:
         """Whether values stay as they are, bit for bit."""
         return self.factor1 == self.factor2 and self.offset1 == self.offset2
 
+    @property
+    def factor(self) -> float:
+        """What a difference of two values is multiplied with."""
+        return self.factor1 / self.factor2
+
     def __call__(self, values: Values) -> Values:
         """Convert a value or an array of them."""
         if self.copies:

@@ -230,8 +230,7 @@ def _convert(values: Matrix, conversions: Sequence[Conversion]) -> Matrix:
 
 
 def _factors(conversions: Iterable[Conversion]) -> Vector:
-    factors = [conversion.factor1 / conversion.factor2 for conversion in conversions]
-    return np.array(factors, np.float64)
+    return np.array([conversion.factor for conversion in conversions], np.float64)
 
 
 def names_of(elements: Iterable[PortElement]) -> list[str]:

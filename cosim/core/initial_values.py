@@ -175,7 +175,7 @@ class InitialValues:
         """
         for channel in self.layout.channels:
             for signal in channel.interface.inputs:
-                row[self.columns[Port(channel.name, signal.name)]] = signal.start or 0.0
+                row[self.columns[Port(channel.name, signal.name)]] = signal.initial_values
         values = _InitialRow(self, t, row)
         self._settle(values, row)
         while values.starts_differently():

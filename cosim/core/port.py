@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 from cosim.core.signals import Signal
@@ -119,6 +119,12 @@ class Port:
             return None
         signal = by_name[self.signal]
         return signal, self.elements_of(signal)
+
+    def element_names(self, size: int) -> list[str]:
+        """Return the names of its elements, numbered as in its signal; a scalar's is its own."""
+        if isinstance(self.element, range):
+            return [str(replace(self, element=i)) for i in self.element]
+        return [str(self)] if size == 1 else [f"{self}[{i}]" for i in range(size)]
 
     def elements_of(self, signal: Signal) -> slice:
         """Return which elements of its signal are meant.

@@ -100,18 +100,14 @@ class Fmu:
     def metadata(self) -> dict[str, Any]:
         """What a log keeps of the file and of how it was opened.
 
-        Path, sha256 and modelDescription.xml of the file, FMI version, interface type, solver and
-        tolerance.
+        Path and sha256 of the file, FMI version, interface type, solver and tolerance.
         """
-        archive = self._archive
-        return {
-            "path": str(archive.path),
-            "sha256": archive.sha256,
-            "fmi_version": archive.description.version,
-            "interface_type": self.interface_type,
-            **self._solving,
-            "model_description": archive.xml,
-        }
+        return {**_metadata(self._archive, self.interface_type), **self._solving}
+
+    @property
+    def model_description(self) -> str:
+        """The modelDescription.xml of the file."""
+        return self._archive.xml
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -263,12 +259,7 @@ class DescribedFmu:
     ) -> None:
         rollback = description.capabilities[interface_type].saves_state
         self.interface = replace(description.interface, rollback=rollback)
-        self.metadata: dict[str, Any] = {
-            "path": str(archive.path),
-            "sha256": archive.sha256,
-            "fmi_version": description.version,
-            "interface_type": interface_type,
-        }
+        self.metadata = _metadata(archive, interface_type)
         self._refusal = FmuError(f"{archive.path}: only its description was read")
 
     def initialize(self, t: float, u: Vector) -> Vector:
@@ -290,6 +281,16 @@ class DescribedFmu:
     def restore(self, state: None) -> None:
         """Refuse."""
         raise self._refusal
+
+
+def _metadata(archive: Archive, interface_type: InterfaceType) -> dict[str, Any]:
+    """Return what a log keeps of every FMU, whether it was opened or only described."""
+    return {
+        "path": str(archive.path),
+        "sha256": archive.sha256,
+        "fmi_version": archive.description.version,
+        "interface_type": interface_type,
+    }
 
 
 def _with_options(archive: Archive, options: FmuOptions) -> tuple[InterfaceType, Description]:

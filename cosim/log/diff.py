@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Any, Literal, TypeAlias, final
 
 import numpy as np
@@ -388,15 +388,7 @@ def _first_outside(
         return None
     size = outside.shape[1]
     row, column = divmod(int(outside.argmax()), size)
-    element = name if size == 1 else _element(name, column)
+    element = Port.parse(name).element_names(size)[column]
     value_a = float(a[row, column])
     value_b = float(b[row, column])
     return ElementDifference(element, int(times[row]), value_a, value_b)
-
-
-def _element(name: str, column: int) -> str:
-    """Return the name of an element of a signal, or of a slice of one."""
-    port = Port.parse(name)
-    if isinstance(port.element, range):
-        return str(replace(port, element=port.element[column]))
-    return f"{name}[{column}]"

@@ -24,7 +24,7 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from cosim.arrays import Matrix
-from cosim.core.signals import Channel, Interface, Signal
+from cosim.core.signals import Channel, Interface, Signal, element_names
 from cosim.errors import quoted
 from cosim.log.metadata import (
     add_checksum,
@@ -87,10 +87,7 @@ class Part:
     @property
     def elements(self) -> list[str]:
         """Names of the elements."""
-        names: list[str] = []
-        for signal in self.channel.signals:
-            names += signal.elements
-        return names[self.columns]
+        return element_names(self.channel.signals)[self.columns]
 
     @property
     def metadata(self) -> dict[str, str]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -36,10 +35,7 @@ def element_names(port: str, size: int) -> list[str]:
     size : int
         Number of its elements.
     """
-    parsed = Port.parse(port)
-    if isinstance(parsed.element, range):
-        return [str(replace(parsed, element=i)) for i in parsed.element]
-    return [port] if size == 1 else [f"{port}[{i}]" for i in range(size)]
+    return Port.parse(port).element_names(size)
 
 
 def has_signal(recording: Recording, port: str) -> bool:

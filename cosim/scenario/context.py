@@ -206,9 +206,8 @@ class ScenarioBuildContext:
             return described
         opened = load(self.file(path), options, instance_name=name)
         loaded = self._resources.enter_context(opened)
-        metadata = loaded.metadata
-        self.attachments[f"{name}/modelDescription.xml"] = metadata.pop("model_description")
-        self.add_metadata(name, metadata)
+        self.attachments[f"{name}/modelDescription.xml"] = loaded.model_description
+        self.add_metadata(name, loaded.metadata)
         for note in loaded.notes:
             self.warn(name, note)
         self.fmus[name] = loaded

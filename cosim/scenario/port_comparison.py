@@ -215,7 +215,7 @@ def _factors(signals: Sequence[Signal], other: ComparedComponent) -> Vector:
     for signal in signals:
         port = other.port(signal.name)
         convert = None if port is None else conversion(signal.measure, port.signal.measure)
-        factor = 1.0 if convert is None else convert.factor1 / convert.factor2
+        factor = 1.0 if convert is None else convert.factor
         factors += [factor] * signal.size
     return np.array(factors)
 

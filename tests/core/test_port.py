@@ -54,6 +54,21 @@ def test_a_port_finds_its_elements(text, name, elements):
     assert (found[0].name, found[1]) == (name, elements)
 
 
+@pytest.mark.parametrize(
+    ("text", "size", "names"),
+    [
+        ("c.x", 1, ["c.x"]),
+        ("c.x", 2, ["c.x[0]", "c.x[1]"]),
+        ("c.x[2]", 1, ["c.x[2]"]),
+        ("c.x[2:3]", 1, ["c.x[2]"]),
+        ("c.x[1:3]", 2, ["c.x[1]", "c.x[2]"]),
+    ],
+)
+def test_elements_of_a_port_are_numbered_as_in_its_signal(text, size, names):
+    """Of a slice too, also of one element."""
+    assert Port.parse(text).element_names(size) == names
+
+
 def test_a_port_of_another_signal_finds_nothing():
     """None says that there is no such signal."""
     assert Port("plant", "z").find(SIGNALS) is None

@@ -198,7 +198,7 @@ def _initial_inputs(component: FmuComponent, steps: int) -> Matrix:
 
     values: list[float] = []
     for signal in component.interface.inputs:
-        values += signal.start or (0.0,) * signal.size
+        values += signal.initial_values
     return np.tile(np.array(values, np.float64), (steps + 1, 1))
 
 
