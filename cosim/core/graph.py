@@ -216,6 +216,16 @@ class Graph:
         value = float(rows[row, member.columns.start + column])
         return NonFinite(row, member.label(column), value)
 
+    def measure(self) -> dict[str, float]:
+        """Measure the calls of every component from now on; return its wall time [s] by name.
+
+        The times grow as the graph runs.
+        """
+        seconds: dict[str, float] = {}
+        for member in self._members.values():
+            member.measure(seconds)
+        return seconds
+
     @property
     def warnings(self) -> list[tuple[str, str]]:
         """What was assumed, and where the interpolation of inputs errs, as (component, text)."""

@@ -7,8 +7,10 @@ to, what they return is checked and copied, and what they raise is named.
 from __future__ import annotations
 
 import traceback
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from time import perf_counter
 from typing import Any, Final, TypeAlias, cast
 
 import numpy as np
@@ -16,7 +18,7 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.connections import Connection, ConnectionEnd
-from cosim.core.contracts import Component, Design, Preparable, Stopped
+from cosim.core.contracts import Component, Design, Preparable, Stopped, prepare
 from cosim.core.signals import Channel, element_names
 from cosim.errors import CosimError, LogError, RunError
 from cosim.units import Conversion
@@ -127,6 +129,10 @@ class Member:
         for signal in channel.signals:
             optional += [signal.optional] * signal.size
         self.optional = np.array(optional, np.bool_)
+
+    def measure(self, seconds: dict[str, float]) -> None:
+        """Add the wall time of every call from now on to ``seconds``, under its name."""
+        self._component = Timed(self._component, self.name, seconds)
 
     def label(self, column: int) -> str:
         """Return the name of one of its elements, numbered from the first input."""
@@ -253,6 +259,44 @@ class Member:
                 "needed a float64 array of finite numbers"
             )
         return read_only(array.copy())
+
+
+class Timed:
+    """Passes every call on and adds its wall time to ``seconds[name]``."""
+
+    def __init__(self, component: Component, name: str, seconds: dict[str, float]) -> None:
+        self.interface = component.interface
+        self._component = component
+        self._name = name
+        self._seconds = seconds
+        seconds[name] = 0.0
+
+    @contextmanager
+    def _measured(self) -> Iterator[None]:
+        """Add the wall time of the block, if nothing is raised in it."""
+        began = perf_counter()
+        yield
+        self._seconds[self._name] += perf_counter() - began
+
+    def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
+        """Pass on."""
+        with self._measured():
+            return prepare(self._component, h, held, recorded)
+
+    def initialize(self, t: float, u: Vector) -> Vector:
+        """Pass on."""
+        with self._measured():
+            return self._component.initialize(t, u)
+
+    def outputs(self, t: float, u: Vector) -> Vector:
+        """Pass on."""
+        with self._measured():
+            return self._component.outputs(t, u)
+
+    def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
+        """Pass on."""
+        with self._measured():
+            return self._component.advance(t, h, u)
 
 
 def read_only(array: NDArray[np.float64]) -> NDArray[np.float64]:

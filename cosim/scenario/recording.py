@@ -10,7 +10,6 @@ from pathlib import Path
 from time import perf_counter
 
 from cosim.core.contracts import Block, Recorder
-from cosim.core.graph import Graph
 from cosim.core.master import run as run_graph
 from cosim.core.recorders import Memory, Watched
 from cosim.errors import UsageError, flag, option
@@ -18,7 +17,6 @@ from cosim.log import Log, McapRecorder
 from cosim.log.paths import check_new_log, log_path
 from cosim.scenario.build import Experiment
 from cosim.scenario.interrupting import interruptible
-from cosim.scenario.profile import Timed
 from cosim.scenario.records import MessageRecorder, attachments_of, metadata_of
 
 Progress = Callable[[float, float], None]  # simulated time, end [s]
@@ -105,8 +103,8 @@ def run_into(
     began: Callable[[], None] | None = None,
 ) -> None:
     """Run an experiment; its rows, messages and results go to the recorder."""
-    seconds: dict[str, float] = {}  # of this run alone, whatever is in the dict to fill
-    graph = experiment.graph if profile is None else _timed(experiment.graph, seconds)
+    graph = experiment.graph
+    seconds = {} if profile is None else graph.measure()
     with_messages = MessageRecorder(recorder, experiment)
     first = perf_counter()
     with interruptible() as check:
@@ -130,19 +128,6 @@ def _log_recorder(experiment: Experiment, out: str | Path, target: Target) -> Mc
         kinds=kinds,
         metadata=metadata,
         attachments=attachments,
-    )
-
-
-def _timed(graph: Graph, profile: dict[str, float]) -> Graph:
-    components = {}
-    for name, component in graph.components.items():
-        components[name] = Timed(component, name, profile)
-    return Graph(
-        components,
-        graph.connections,
-        coupling=graph.coupling,
-        input_interpolation=graph.input_interpolation,
-        periods=graph.periods,
     )
 
 

@@ -93,7 +93,7 @@ with ExitStack() as resources:
     experiment = replace(experiment, graph=Graph({"x": slow}, {}), clock=clock)
     memory = Memory()
     try:
-        recording.run_into(memory, experiment, {}, progress=None, profile=None)
+        recording.run_into(memory, experiment, progress=None, profile=None)
     except (Interrupted, KeyboardInterrupt) as error:
         rows = len(memory["x.y"]) - 1
         same = (memory["x.y"] == np.arange(rows + 1.0)).all()

@@ -101,6 +101,17 @@ def test_a_map_means_what_was_edited_by_hand(other, by_hand, tmp_path, monkeypat
         assert json.loads(run.metadata["cosim.run"]["truth"])["observer.x_a"] == "plant.x_a"
 
 
+def test_a_swapped_run_is_measured_and_the_same(other):
+    """The wall time of every component, whose graph was prepared for the comparison already."""
+    short = {"scenario.stop": 0.1}
+    profile = {}
+    measured = cosim.run("academic", swap={"plant": other}, map=MAP, set=short, profile=profile)
+    plain = cosim.run("academic", swap={"plant": other}, map=MAP, set=short)
+    assert profile.keys() == {*measured.channels, "recorder and master"}
+    assert min(profile.values()) > 0.0
+    assert cosim.diff(measured, plain).equal
+
+
 def test_an_element_may_take_a_ports_place(by_hand, tmp_path):
     """out[2] is y, for the observer and in the truth; the vector is recorded too."""
     path = packed(tmp_path / "packed.fmu")
