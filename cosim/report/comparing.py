@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -70,7 +71,7 @@ class Comparison:
     component: str
     outcomes: tuple[PlantRun, ...]
 
-    @property
+    @cached_property
     def recordings(self) -> dict[str, Recording]:
         """The runs that did not fail, by label."""
         recordings: dict[str, Recording] = {}
@@ -79,7 +80,7 @@ class Comparison:
                 recordings[outcome.label] = outcome.recording
         return recordings
 
-    @property
+    @cached_property
     def estimates(self) -> dict[str, Any]:
         """The estimates with their truth, in the order of the scenario."""
         estimates: dict[str, Any] = {}
@@ -88,12 +89,12 @@ class Comparison:
                 estimates.setdefault(estimate, truth)  # the names of the first plant that has it
         return estimates
 
-    @property
+    @cached_property
     def summaries(self) -> dict[str, Summary]:
         """The summary of each run, by label."""
         return {label: summarize(recording) for label, recording in self.recordings.items()}
 
-    @property
+    @cached_property
     def differences(self) -> list[EstimateDifference]:
         """The distance of every estimate from that of the first run, at their shared instants."""
         if not self.recordings:
@@ -288,6 +289,8 @@ def _maps_by_path(
     component: str, paths: Sequence[str], maps: Mapping[str, PortNames]
 ) -> dict[str, dict[str, PortNames]]:
     """Return for each alternative the entries whose names are ports of it."""
+    if not maps:
+        return {path: {} for path in paths}  # without a look into the files
     maps_by_path: dict[str, dict[str, PortNames]] = {}
     known: dict[str, None] = {}
     for path in paths:

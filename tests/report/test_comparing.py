@@ -9,6 +9,7 @@ import pytest
 import cosim
 from cosim.cli import main
 from cosim.errors import ScenarioError, UsageError
+from cosim.report import comparing
 from cosim.report.comparing import compare
 from cosim.scenario.exporting import export_component
 from tests.scenario.renamed import MAP, renamed
@@ -58,6 +59,22 @@ def test_four_plants_are_one_scenario(four):
         assert apart[estimate, "plant#cs"] == apart[estimate, "log"] == 0.0
     assert 0.0 < apart["observer.x_a", "plant"] <= 1e-11
     assert 0.0 < apart["observer.delta", "plant"] <= 1e-8
+
+
+def test_what_is_computed_of_the_runs_is_computed_once(four):
+    """Every access of a summary would read the whole logs again."""
+    assert four.summaries is four.summaries
+    assert four.differences is four.differences
+
+
+def test_files_are_looked_into_for_a_map_alone(folder, monkeypatch):
+    """Without one their ports do not matter; each run reads its own."""
+    looked = []
+    monkeypatch.setattr(comparing, "_interface", lambda *arguments: looked.append(arguments))
+    alternatives = {"plant": [folder / "missing.fmu", folder / "lost.mcap"]}
+    found = compare("academic", swap=alternatives, set={"scenario.stop": 0.01})
+    assert [bool(outcome.error) for outcome in found.outcomes] == [False, True, True]
+    assert looked == []
 
 
 def test_a_failed_plant_does_not_lose_the_others(folder, tmp_path, capsys):

@@ -37,8 +37,10 @@ def print_summary(
         Wall time of each component [s].
     as_json, quiet : bool
     """
-    summary = summarize(recording)
     path = _path_of(recording)
+    if quiet and not as_json:
+        return
+    summary = summarize(recording)
     if as_json:
         content: dict[str, Any] = summary.to_dict()
         content["wall"] = dict(wall)
@@ -46,8 +48,6 @@ def print_summary(
         if profile is not None:
             content["profile"] = dict(profile)
         print_json(content)
-        return
-    if quiet:
         return
     for component, text in recorded_warnings(recording):
         print_line(f"warning: {component}: {text}", error=True)
