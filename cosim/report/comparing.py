@@ -172,8 +172,8 @@ def compare(
     Raises
     ------
     UsageError
-        If there is not one component, fewer than two plants, or an entry of ``map`` that none of
-        them can use. The problems of a single plant are its outcome.
+        If there is not one component, fewer than two plants, a path that no plant has, or an entry
+        of ``map`` that none of them can use. Other problems of a single plant are its outcome.
     """
     force = truth_argument("force", force)
     base = truth_argument("base", base)
@@ -269,7 +269,16 @@ def _paths(
             f"{option('swap', component)}: found one plant, needed two to compare; "
             f"give another, or leave out {flag('base', False)}"
         )
-    return component, [str(path_argument("swap", path)) for path in paths]
+    listed = [str(path_argument("swap", path)) for path in paths]
+    problems = []
+    for path in listed:
+        try:
+            component_table(component, path)
+        except UsageError as error:
+            problems.append(f"{option('swap', component)}: {error}")
+    if problems:
+        raise UsageError("\n".join(problems))
+    return component, listed
 
 
 def _distinct(labels: Sequence[str]) -> list[str]:

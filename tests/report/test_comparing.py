@@ -116,6 +116,20 @@ def test_a_failed_plant_does_not_lose_the_others(folder, tmp_path, capsys):
     assert "nix: failed: --swap plant: components.plant: " in shown.err
 
 
+def test_a_path_that_no_plant_has_is_refused_before_the_first_run(call, monkeypatch):
+    """All of them at once, exit 2; that a file is missing is the outcome of its plant."""
+    monkeypatch.setattr("cosim.scenario.recording.run_into", None)
+    swaps = ("--swap", "plant=/dev/zero", "--swap", "plant=a.fmu", "--swap", "plant=a.fmu#xs")
+    code, out, err = call("compare", "academic", *swaps)
+    assert (code, out) == (2, "")
+    assert err.splitlines() == [
+        "cosim: --swap plant: found '/dev/zero', needed a path that ends in .fmu (an FMU) or .mcap "
+        "(a recorded log)",
+        "cosim: --swap plant: found '#xs' behind the path, needed '#me' (model exchange) or '#cs' "
+        "(co-simulation)",
+    ]
+
+
 def test_a_map_is_for_those_that_have_its_names(folder):
     """The renamed FMU needs it, the exported one keeps the scenario's names."""
     found = compare(
