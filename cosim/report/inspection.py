@@ -30,7 +30,6 @@ Section = dict[str, Any]
 
 MOST_MESSAGES = 10_000  # that are shown of a log
 MOST_TEXT = 2**22  # characters of them
-DIFFERENCES = "differences from the replaced component"  # end of the title of their section
 
 
 def describe_log(path: str) -> Section:
@@ -62,10 +61,11 @@ def describe_log(path: str) -> Section:
     for name in log.channels:
         entry = component_metadata(log, name)
         report = entry.pop("swap_report", {})
-        differences[f"{name}: {DIFFERENCES}"] = _differences(report)
+        if report:
+            differences[name] = _differences(report)
         if entry:
             metadata[name] = entry
-    content = {"run": about, "signals": signals, "metadata": metadata, **differences}
+    content = {"run": about, "signals": signals, "metadata": metadata, "differences": differences}
     messages, more = _messages(log)
     if messages:
         content["messages"] = messages

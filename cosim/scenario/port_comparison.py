@@ -246,15 +246,15 @@ class ComparedAspect:
 
     Parameters
     ----------
-    port : str
-        Its name; after ``->`` what it stands for in the new component, where that differs.
-    aspect : str
+    port, aspect : str
     before, after : plain value; None: unknown, or there is none
     verdict : Verdict
     connected : bool
         Whether the scenario names the port.
     ratio : float or None
         Size of the numbers after to that before, in the same unit; None: no numbers, or zeros.
+    source : str or None
+        What the port stands for in the new component; None: the port of its name.
     """
 
     port: str
@@ -264,6 +264,12 @@ class ComparedAspect:
     verdict: Verdict
     connected: bool
     ratio: float | None = None
+    source: str | None = None
+
+    @property
+    def label(self) -> str:
+        """The port, and what it stands for in the new component."""
+        return port_label(self.port, self.source)
 
     @property
     def of_another_size(self) -> bool:
@@ -292,21 +298,24 @@ def compare_components(
         Those of them whose connection stops the run: only they can be errors.
     """
     rows: list[ComparedAspect] = []
+    sources = {} if names is None else names
     for port in dict.fromkeys([*before.ports, *after.ports]):
-        label = port
-        if names is not None and port in names:
-            label = f"{port} -> {names[port]}"
         severity: Verdict = "error" if port in refused else "differs"
         old = before.port(port)
         new = after.port(port)
         for aspect in _port_aspects(old, new, severity):
-            rows.append(_row(label, aspect, port in connected))
+            rows.append(_row(port, aspect, port in connected, sources.get(port)))
     for aspect in _whole_aspects(before, after):
         rows.append(_row("", aspect, True))
     return tuple(rows)
 
 
-def _row(port: str, aspect: Aspect, connected: bool) -> ComparedAspect:
+def port_label(port: str, source: str | None) -> str:
+    """Return a port, and behind an arrow what it stands for in a new component."""
+    return port if source is None else f"{port} -> {source}"
+
+
+def _row(port: str, aspect: Aspect, connected: bool, source: str | None = None) -> ComparedAspect:
     return ComparedAspect(
         port,
         aspect.name,
@@ -315,6 +324,7 @@ def _row(port: str, aspect: Aspect, connected: bool) -> ComparedAspect:
         aspect.verdict,
         connected,
         aspect.ratio,
+        source,
     )
 
 

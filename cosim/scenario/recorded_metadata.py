@@ -36,6 +36,7 @@ class _SwapRow(_Record):
     after: Any
     verdict: Text
     connected: Any
+    source: Text | None = None
 
 
 class _SwapRecord(_Record):

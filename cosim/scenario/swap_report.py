@@ -8,7 +8,13 @@ from itertools import groupby
 from typing import Any
 
 from cosim.errors import ScenarioError, option
-from cosim.scenario.port_comparison import ComparedAspect, Proposal, feedthrough_text, shown
+from cosim.scenario.port_comparison import (
+    ComparedAspect,
+    Proposal,
+    feedthrough_text,
+    port_label,
+    shown,
+)
 
 
 @dataclass(frozen=True)
@@ -82,8 +88,7 @@ class SwapReport:
         """Return whether a row has another unit which nothing converts."""
         if row.aspect != "unit":
             return False
-        own_port = row.port.split(" ")[0]
-        unconverted = row.verdict == "differs" and own_port in self.unconverted
+        unconverted = row.verdict == "differs" and row.port in self.unconverted
         return row.verdict == "unknown" or unconverted
 
     @property
@@ -108,14 +113,14 @@ class SwapReport:
 def _change_text(row: ComparedAspect) -> str:
     before = _aspect_text(row.aspect, row.before)
     after = _aspect_text(row.aspect, row.after)
-    subject = f"{row.port} {row.aspect}".strip()
+    subject = f"{row.label} {row.aspect}".strip()
     return f"{subject} {after} (was {before})"
 
 
 def _size_text(row: ComparedAspect) -> str:
     assert row.ratio is not None
     factor = f"{row.ratio:.3g}" if row.ratio > 1.0 else f"1/{1.0 / row.ratio:.3g}"
-    return f"{row.port} {row.aspect} {factor} times as large"
+    return f"{row.label} {row.aspect} {factor} times as large"
 
 
 def _agreed(rows: Sequence[ComparedAspect]) -> ComparedAspect:
@@ -147,7 +152,7 @@ def row_texts(row: Mapping[str, Any], *, whole: bool) -> dict[str, str]:
     verdict = row["verdict"]
     same = verdict == "ok"
     return {
-        "": row["port"],
+        "": port_label(row["port"], row.get("source")),
         "aspect": aspect,
         "before": _aspect_text(aspect, row["before"]),
         "after": "the same" if same else _aspect_text(aspect, row["after"]),

@@ -118,9 +118,9 @@ def test_a_row_shows_what_its_port_stands_for():
     before = ComparedComponent(BEFORE, ABLE)
     after = ComparedComponent(AFTER, ABLE)
     rows = compare_components(before, after, names={"u": "k", "x_a": "s1, s2"}, connected={"u"})
-    labels = list(dict.fromkeys(row.port for row in rows))
+    labels = list(dict.fromkeys(row.label for row in rows))
     assert labels == ["u -> k", "delta", "y", "x_a -> s1, s2", "x_b", "s", "n", "k", ""]
-    assert {row.port for row in rows if row.connected} == {"u -> k", ""}
+    assert {row.port for row in rows if row.connected} == {"u", ""}
 
 
 def test_what_fits_best_is_proposed_with_its_reasons():

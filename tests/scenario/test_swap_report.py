@@ -131,10 +131,12 @@ def test_a_mapped_port_is_compared_with_the_one_it_replaces(folder):
     found = report(folder, "other.fmu", MAP)
     assert not found.problems
     rows = {(row.port, row.aspect): row for row in found.reports["plant"].rows}
-    initial = rows["y -> out1", "initial output"]
+    initial = rows["y", "initial output"]
     assert (initial.before, initial.verdict) == ([1.0], "ok")
-    ports = {row.port: row for row in found.reports["plant"].rows}
-    assert {"u -> force", "delta -> push", "y -> out1", "x_a -> s"} <= set(ports)
+    labels = {row.label for row in found.reports["plant"].rows}
+    assert {"u -> force", "delta -> push", "y -> out1", "x_a -> s"} <= labels
+    recorded = {(row["port"], row["source"]) for row in found.reports["plant"].to_dict()["ports"]}
+    assert {("plant.y", "out1"), ("plant.x_b", None), ("plant", None)} <= recorded
     assert set(verdicts(found, "differs", "error")) == {
         ("x_b", "causality"),
         ("aux", "causality"),
@@ -169,7 +171,7 @@ def test_a_dry_run_has_rows_proposals_and_problems_for_programs(folder, capsys):
     assert set(found) == {"swaps", "problems"}
     assert set(found["swaps"]["plant"]) == {"ports", "proposals"}
     assert {frozenset(row) for row in found["swaps"]["plant"]["ports"]} == {
-        frozenset({"port", "aspect", "before", "after", "verdict", "connected", "ratio"})
+        frozenset({"port", "aspect", "before", "after", "verdict", "connected", "ratio", "source"})
     }
     assert {
         row["port"]: row["verdict"]
@@ -228,6 +230,10 @@ def test_a_run_with_a_swap_says_what_differs_on_stderr(folder, tmp_path, capsys)
     row = next(line for line in shown.splitlines() if "model exchange" in line)
     aspect = "plant interface type"
     assert " ".join(row.split()) == f"{aspect} model exchange co-simulation differs"
+    with pytest.raises(SystemExit):
+        main(["info", str(tmp_path / "a.mcap"), "--json"])
+    (found,) = json.loads(capsys.readouterr().out)["differences"]["plant"]
+    assert (found["port"], found["aspect"]) == ("plant", "interface type")
 
 
 def test_no_direct_feedthrough_is_said_so():
@@ -240,6 +246,17 @@ def test_no_direct_feedthrough_is_said_so():
     ]
     assert report.to_dict()["ports"][0]["before"] == []
     assert row_texts(report.to_dict()["ports"][0], whole=False) == report.lines[0]
+
+
+def test_a_port_may_have_any_name():
+    """Blanks too, which FMI allows: its unit is warned of like that of any other."""
+    row = ComparedAspect("my port", "unit", "m", "mm", "differs", True, source="its -> port")
+    report = SwapReport("plant", (row,), (), frozenset({"my port"}))
+    assert report.warnings == [
+        "differs from what it replaces: my port -> its -> port unit mm (was m)",
+        "units that cannot be compared with what is connected: my port -> its -> port unit mm "
+        "(was m); values are taken as they are",
+    ]
 
 
 @pytest.fixture(scope="module")

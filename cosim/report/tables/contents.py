@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from typing import Any
+
 from cosim.arguments import path_argument
 from cosim.errors import UsageError
 from cosim.report.tables.console import print_json, print_section
@@ -17,7 +20,6 @@ def print_contents(source: str, *, as_json: bool) -> None:
     """
     from cosim.report import inspection
     from cosim.report.tables.fmu import print_fmu
-    from cosim.scenario.swap_report import row_texts
 
     path = path_argument("source", source)
     if path.is_dir():
@@ -38,8 +40,16 @@ def print_contents(source: str, *, as_json: bool) -> None:
         print_fmu(content)
     else:
         for title, section in content.items():
-            component, _, subject = title.partition(": ")
-            rows = section
-            if subject == inspection.DIFFERENCES:
-                rows = [row_texts(row, whole=row["port"] == component) for row in section]
-            print_section(title, rows)
+            if title == "differences":
+                _print_differences(section)
+            else:
+                print_section(title, section)
+
+
+def _print_differences(differences: Mapping[str, Sequence[Mapping[str, Any]]]) -> None:
+    """Print what differs between swapped components and those that they replaced."""
+    from cosim.scenario.swap_report import row_texts
+
+    for component, rows in differences.items():
+        texts = [row_texts(row, whole=row["port"] == component) for row in rows]
+        print_section(f"{component}: differences from the replaced component", texts)
