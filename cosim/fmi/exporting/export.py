@@ -62,8 +62,8 @@ class Version:
         Writes the modelDescription.xml.
     arrange : callable
         Gives the description its variables: scalars, or arrays.
-    write_build : callable
-        Writes files beside the sources, by name.
+    write_build : callable or None
+        Writes the buildDescription.xml; None: the version has none.
     """
 
     number: str
@@ -71,7 +71,7 @@ class Version:
     headers: tuple[str, ...]
     write: Callable[..., str]
     arrange: Callable[[Description], Description]
-    write_build: Callable[[str, Sequence[str]], Mapping[str, str]]
+    write_build: Callable[[str, Sequence[str]], str] | None
 
 
 def _arrays_and_time(description: Description) -> Description:
@@ -92,14 +92,6 @@ def _scalars(description: Description) -> Description:
     return description
 
 
-def _build_description(name: str, sources: Sequence[str]) -> dict[str, str]:
-    return {"buildDescription.xml": write_build_description(name, sources)}
-
-
-def _no_build_description(name: str, sources: Sequence[str]) -> dict[str, str]:
-    return {}
-
-
 VERSIONS: Final[Mapping[str, Version]] = {
     "2": Version(
         "2.0",
@@ -107,7 +99,7 @@ VERSIONS: Final[Mapping[str, Version]] = {
         ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"),
         write_fmi2,
         _scalars,
-        _no_build_description,
+        None,
     ),
     "3": Version(
         "3.0",
@@ -115,7 +107,7 @@ VERSIONS: Final[Mapping[str, Version]] = {
         ("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h"),
         write_fmi3,
         _arrays_and_time,
-        _build_description,
+        write_build_description,
     ),
 }
 
@@ -285,9 +277,9 @@ class _ArchiveContent:
         }
         for name, content in self.sources.items():
             files[f"sources/{name}"] = content
-        build_files = self.version.write_build(self.description.name, self.main)
-        for name, xml in build_files.items():
-            files[f"sources/{name}"] = xml.encode()
+        if self.version.write_build is not None:
+            build = self.version.write_build(self.description.name, self.main)
+            files["sources/buildDescription.xml"] = build.encode()
         for binary in binaries:
             files[f"binaries/{binary.folder}/{binary.name}"] = binary.content
         if self.description.dae:

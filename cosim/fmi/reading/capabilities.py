@@ -28,13 +28,16 @@ def read_capabilities(root: Element, attributes: Attributes) -> dict[InterfaceTy
         if implementation is None:
             return {"me": Capabilities(identifier)}
         return {"cs": _capabilities_1(implementation, identifier)}
-    read = _capabilities_2 if version == 2 else _capabilities_3
     capabilities: dict[InterfaceType, Capabilities] = {}
     for interface_type, tag in ELEMENTS.items():
         element = root.find(tag)
         if element is not None:
             identifier = _identifier(element, attributes)
-            capabilities[interface_type] = read(element, identifier, interface_type, attributes)
+            if version == 2:
+                declared = _capabilities_2(element, identifier, interface_type)
+            else:
+                declared = _capabilities_3(element, identifier, interface_type, attributes)
+            capabilities[interface_type] = declared
     return capabilities
 
 
@@ -81,7 +84,7 @@ def _capabilities_1(implementation: Element, identifier: str) -> Capabilities:
 
 
 def _capabilities_2(
-    element: Element, identifier: str, interface_type: InterfaceType, attributes: Attributes
+    element: Element, identifier: str, interface_type: InterfaceType
 ) -> Capabilities:
     not_needed = flag(element, "completedIntegratorStepNotNeeded")
     return Capabilities(
