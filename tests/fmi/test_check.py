@@ -250,7 +250,9 @@ def _described(xml):
     from cosim.fmi.reading.markup import Attributes
     from cosim.fmi.reading.model_description import describe_root
 
-    return describe_root(fromstring(xml), ArchiveContents("", frozenset(), {}), "x", Attributes())
+    contents = ArchiveContents("", frozenset(), {})
+    description, _ = describe_root(fromstring(xml), contents, "x", Attributes())
+    return description
 
 
 def test_a_library_that_is_missing_is_named(rogue, tmp_path):
@@ -520,7 +522,7 @@ def test_all_problems_at_once(rogue):
         ),
         (
             '<x fmiVersion="4"/>',
-            "archive: unknown FMI version '4'; FMI 1.0, 2.0 and 3.0 are supported",
+            "XML: unknown FMI version '4'; FMI 1.0, 2.0 and 3.0 are supported",
         ),
     ],
 )
@@ -528,10 +530,15 @@ def test_what_cannot_be_read_has_one_finding(tmp_path, xml, text):
     assert problems_of(write(tmp_path / "x.fmu", [], xml=xml.encode()))[0].startswith(text)
 
 
-def test_no_archive(tmp_path):
-    (tmp_path / "x.fmu").write_text("hello")
-    assert problems_of(tmp_path / "x.fmu")[0].startswith(
+@pytest.mark.parametrize("name", ["x.fmu", "modelDescription.xml"])
+def test_no_archive(tmp_path, name):
+    """Whatever its name is, and where it holds no description."""
+    (tmp_path / name).write_text("hello")
+    assert problems_of(tmp_path / name)[0].startswith(
         "archive: not an FMU, as it is no zip archive"
     )
+    assert problems_of(write(tmp_path / name, [], xml=None)) == [
+        "archive: not an FMU, as the archive has no modelDescription.xml"
+    ]
     with pytest.raises(FmuError, match=r"no\.fmu: there is no such file"):
         check(tmp_path / "no.fmu")

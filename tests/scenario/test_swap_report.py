@@ -381,7 +381,7 @@ def counted(monkeypatch):
     """Return what is counted: TOML texts that are parsed, FMUs that are read, instances."""
     counts = Counter()
     parse_toml = tomllib.loads
-    read_fmu = model_description.open_description
+    read_fmu = model_description.open_archive
     instantiate = LoadedInstance.__init__
 
     def counted_parse(text):
@@ -397,7 +397,7 @@ def counted(monkeypatch):
         instantiate(self, *arguments, **options)
 
     monkeypatch.setattr(tomllib, "loads", counted_parse)
-    monkeypatch.setattr(model_description, "open_description", counted_read)
+    monkeypatch.setattr(model_description, "open_archive", counted_read)
     monkeypatch.setattr(LoadedInstance, "__init__", counted_instance)
     return counts
 

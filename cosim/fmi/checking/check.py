@@ -35,9 +35,10 @@ from cosim.fmi.reading.model_description import (
     Archive,
     describe_root,
     need_file,
-    open_description,
+    open_archive,
+    parse_description,
 )
-from cosim.fmi.reading.variables import major, read_definitions
+from cosim.fmi.reading.variables import Definitions, major
 from cosim.temporary import TemporaryFolder
 
 __all__ = ["Finding", "Severity", "check"]
@@ -82,15 +83,17 @@ def check(
     with TemporaryFolder("check") as temporary, collector_paused():
         folder = temporary / "unpacked"
         folder.mkdir()
+        where = "archive"
         try:
-            root, contents = open_description(path, folder)
+            contents = open_archive(path, folder)
+            where = "XML"
+            root = parse_description(path, contents)
         except FmuError as error:
-            where = "archive" if XML not in str(error) else "XML"
             return (Finding("error", where, _without_path(path, error)),)
-        description, findings = _describe(path, root, contents)
+        description, definitions, findings = _describe(path, root, contents)
         findings += _check_binaries(folder, description)
         if any(_prevents_trials(finding) for finding in findings):
-            findings += _check_description(root, contents, description)
+            findings += _check_description(root, contents, description, definitions)
         else:
             check_start(resized(description, start), start)
             given = Path(temporary) / "given"
@@ -98,7 +101,7 @@ def check(
             # The trials are other processes, and need not be waited for.
             with ThreadPoolExecutor(max_workers=1) as pool:
                 trials = pool.submit(_run_trials, path, folder, description, given, timeout)
-                findings += _check_description(root, contents, description)
+                findings += _check_description(root, contents, description, definitions)
                 findings += trials.result()
     unique = dict.fromkeys(findings)
     return tuple(sorted(unique, key=lambda finding: LEVELS.index(finding.level)))
@@ -127,21 +130,20 @@ def _prevents_trials(finding: Finding) -> bool:
 
 def _describe(
     path: Path, root: Element, contents: ArchiveContents
-) -> tuple[Description, list[Finding]]:
-    """Return the description, and what is wrong with reading it."""
+) -> tuple[Description, Definitions, list[Finding]]:
+    """Return the description, the units and types in it, and what is wrong with reading it."""
     attributes = Attributes()
-    description = describe_root(root, contents, path.stem, attributes)
+    description, definitions = describe_root(root, contents, path.stem, attributes)
     findings = [Finding("error", "XML", problem) for problem in attributes.problems]
     findings += [Finding("warning", "archive", text) for text in contents.warnings]
     findings += [Finding("warning", "XML", text) for text in attributes.warnings]
-    return description, findings
+    return description, definitions, findings
 
 
 def _check_description(
-    root: Element, contents: ArchiveContents, description: Description
+    root: Element, contents: ArchiveContents, description: Description, definitions: Definitions
 ) -> list[Finding]:
     """Return what the schema and the rules beyond it forbid."""
-    definitions = read_definitions(root, Attributes())  # its problems are known by now
     findings = _validate_schema(contents.wanted[XML], major(root))
     findings += check_structure(root, description, definitions)
     return findings

@@ -22,7 +22,7 @@ from cosim.fmi.reading.capabilities import read_capabilities
 from cosim.fmi.reading.dae import MANIFEST, read_dae
 from cosim.fmi.reading.dependencies import name_states, read_structure
 from cosim.fmi.reading.markup import Attributes, collector_paused, parse
-from cosim.fmi.reading.variables import major, read_definitions, read_variables
+from cosim.fmi.reading.variables import Definitions, major, read_definitions, read_variables
 
 XML: Final = "modelDescription.xml"
 MOST_PROBLEMS: Final = 100  # of one file, in one error
@@ -73,8 +73,9 @@ def read(path: Path | str, into: Path | None = None) -> Archive:
     path = Path(path)
     attributes = Attributes()
     with collector_paused():
-        root, contents = open_description(path, into)
-        description = describe_root(root, contents, path.stem, attributes)
+        contents = open_archive(path, into)
+        root = parse_description(path, contents)
+        description, _ = describe_root(root, contents, path.stem, attributes)
     if attributes.problems:
         lines = [f"{path}: {XML}: {problem}" for problem in attributes.problems[:MOST_PROBLEMS]]
         omitted = len(attributes.problems) - len(lines)
@@ -86,18 +87,29 @@ def read(path: Path | str, into: Path | None = None) -> Archive:
     return Archive(path, contents.sha256, xml, contents.members, description, warnings)
 
 
-def open_description(path: Path, into: Path | None = None) -> tuple[Element, ArchiveContents]:
-    """Return the root of the XML, if its version is known, and what the archive holds.
+def open_archive(path: Path, into: Path | None = None) -> ArchiveContents:
+    """Return what an .fmu holds; unpack it where a folder is given.
 
     Raises
     ------
     FmuError
-        As ``read``, except for what contradicts itself.
+        As ``read``, for all that is wrong with the archive.
     """
     need_file(path)
     contents = read_archive(path, (XML, MANIFEST), into)
     if XML not in contents.wanted:
         raise FmuError(f"{path}: not an FMU, as the archive has no {XML}")
+    return contents
+
+
+def parse_description(path: Path, contents: ArchiveContents) -> Element:
+    """Return the root of the XML.
+
+    Raises
+    ------
+    FmuError
+        If it is not well-formed, or its version is not known.
+    """
     try:
         root = parse(contents.wanted[XML])
     except ValueError as error:
@@ -107,7 +119,7 @@ def open_description(path: Path, into: Path | None = None) -> tuple[Element, Arc
         raise FmuError(
             f"{path}: unknown FMI version {version!r}; FMI 1.0, 2.0 and 3.0 are supported"
         )
-    return root, contents
+    return root
 
 
 def need_file(path: Path) -> None:
@@ -126,8 +138,8 @@ def need_file(path: Path) -> None:
 
 def describe_root(
     root: Element, contents: ArchiveContents, stem: str, attributes: Attributes
-) -> Description:
-    """Read the XML; what is wrong goes to ``attributes``.
+) -> tuple[Description, Definitions]:
+    """Read the XML, and the units and types that it defines; problems go to ``attributes``.
 
     Where there are problems, the result is not to be used. Problems of the manifest of a residual
     form stay with that form: the FMU works without it.
@@ -145,7 +157,7 @@ def describe_root(
     dae = None
     if version == 3 and MANIFEST in contents.wanted:
         dae = read_dae(contents.wanted[MANIFEST], variables)
-    return Description(
+    description = Description(
         name=root.get("modelName") or stem,
         token=token,
         version=root.get("fmiVersion", ""),
@@ -165,6 +177,7 @@ def describe_root(
         tool=root.get("generationTool", ""),
         dae=dae,
     )
+    return description, definitions
 
 
 def _read_experiment(root: Element, attributes: Attributes) -> tuple[float | None, float | None]:
