@@ -97,6 +97,15 @@ class Fmu:
         return self._instance
 
     @property
+    def may_go_back(self) -> bool:
+        """Whether the FMU is told that it may have to go back to an earlier time."""
+        return self._instance.may_go_back
+
+    @may_go_back.setter
+    def may_go_back(self, possible: bool) -> None:
+        self._instance.may_go_back = possible
+
+    @property
     def metadata(self) -> dict[str, Any]:
         """What a log keeps of the file and of how it was opened.
 

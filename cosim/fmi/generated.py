@@ -87,6 +87,7 @@ class GeneratedInstance:
         self._p = model.interface.n_y
         self._state_of = states_of_outputs(linear) if linear else [-1] * self._p
         self._mode: Mode = "instantiated"
+        self.may_go_back = False
         self._set_defaults()
 
     @staticmethod

@@ -61,7 +61,16 @@ class StepEnd(NamedTuple):
 
 
 class Instance(Protocol):
-    """What model exchange and co-simulation have in common."""
+    """What model exchange and co-simulation have in common.
+
+    Attributes
+    ----------
+    may_go_back : bool
+        Whether a state may be restored that was copied at an earlier time than that of the next
+        step: the negation of noSetFMUStatePriorToCurrentPoint.
+    """
+
+    may_go_back: bool
 
     @property
     def description(self) -> Description:

@@ -28,7 +28,10 @@ def test_model_exchange_calls_of_fmi_2(probe2):
         assert instance.get_derivatives().tolist() == [3.0]
         assert instance.get_continuous_states().tolist() == [4.0]
         assert instance.completed_integrator_step() == (True, False)
-        assert got(instance, "no_way_back", "y") == [0.0, 4.0]
+        assert got(instance, "no_way_back", "y") == [1.0, 4.0]
+        instance.may_go_back = True
+        instance.completed_integrator_step()
+        assert got(instance, "no_way_back") == [0.0]
 
 
 def test_co_simulation_calls_of_fmi_2(probe2):
@@ -40,7 +43,10 @@ def test_co_simulation_calls_of_fmi_2(probe2):
         assert instance.do_step(1.0, 0.5) == StepEnd(
             completed=True, terminate=False, last_successful_time=1.5
         )
-        assert got(instance, "slope", "no_way_back", "y") == [6.0, 0.0, 1.0]
+        assert got(instance, "slope", "no_way_back", "y") == [6.0, 1.0, 1.0]
+        instance.may_go_back = True
+        instance.do_step(1.5, 0.5)
+        assert got(instance, "no_way_back") == [0.0]
         with pytest.raises(
             RunError, match=r"probe2.fmu: FMI 2.0 has no event mode in co-simulation"
         ):
@@ -77,8 +83,21 @@ def test_a_state_is_copied_into_the_memory_of_an_earlier_one(probe2):
         assert [text for *_, text in fmu.drain()] == ["allocated a state"]
 
 
+def test_an_fmu_is_told_of_a_way_back_once_a_state_of_it_is_kept(probe2):
+    """Not before: there are FMUs that take the announcement for the order to repeat the step."""
+    with opened(probe2, interface_type="cs") as (fmu, instance):
+        component = fmu.component
+        component.prepare(0.1, np.zeros(1, np.bool_), {})
+        component.initialize(0.0, np.zeros(1))
+        for keeps_state, flag in [(False, 1.0), (True, 0.0)]:
+            saved = component.save() if keeps_state else None
+            component.advance(np.array([0.0, 0.1]), 0.1, np.zeros((2, 1)))
+            assert got(instance, "no_way_back") == [flag]
+        component.restore(saved)
+
+
 def test_without_a_state_there_is_no_rollback(tmp_path):
-    """noSetFMUStatePriorToCurrentPoint is true only then; the state calls raise with the reason."""
+    """The state calls raise with the reason."""
     path = compile_fmu(tmp_path / "x.fmu", xml2(state=False), "probe2.c")
     with opened(path, interface_type="me") as (_, instance):
         instance.enter_initialization_mode(0.0)
@@ -128,7 +147,10 @@ def test_model_exchange_calls_of_fmi_3(probe3):
         assert instance.get_continuous_states().tolist() == [4.0]
         assert instance.get_nominals().tolist() == [7.0]
         assert instance.completed_integrator_step() == (True, False)
-        assert got(instance, "no_way_back", "x") == [0.0, 4.0]
+        assert got(instance, "no_way_back", "x") == [1.0, 4.0]
+        instance.may_go_back = True
+        instance.completed_integrator_step()
+        assert got(instance, "no_way_back") == [0.0]
 
 
 @pytest.mark.parametrize(
@@ -146,7 +168,10 @@ def test_how_a_step_of_fmi_3_ends(probe3, behavior, end):
         instance.exit_initialization_mode()
         put(instance, behavior=behavior)
         assert instance.do_step(1.0, 0.5) == end
-        assert got(instance, "no_way_back", "event_mode", "early_return") == [0.0, 0.0, 1.0]
+        assert got(instance, "no_way_back", "event_mode", "early_return") == [1.0, 0.0, 1.0]
+        instance.may_go_back = True
+        instance.do_step(1.5, 0.5)
+        assert got(instance, "no_way_back") == [0.0]
 
 
 def test_event_mode_in_co_simulation(tmp_path):

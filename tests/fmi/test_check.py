@@ -134,6 +134,7 @@ ROGUES = {
     "'y' by 1 of its change",
     "FORGETS": f"{BACK}: goes back wrongly: after steps with other inputs the same steps give "
     "other outputs",
+    "REPEATS": f"{BACK}: goes back wrongly: after steps the same steps give other outputs, 'y' by",
     "CRASHES_FREE": f"{BACK}: crashes: SIGSEGV at: terminate and free",
 }
 

@@ -66,6 +66,8 @@ class Calls(Protocol):
     """Where the versions differ. A ``Call`` raises RunError for a status above warning."""
 
     library: Library
+    may_go_back: bool
+    """The negation of noSetFMUStatePriorToCurrentPoint."""
     derivatives_function: ClassVar[str]
     """Name of a function that differs in nothing else."""
     nominals_function: ClassVar[str]

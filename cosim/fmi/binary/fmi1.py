@@ -55,6 +55,7 @@ class Fmi1:
         self.library = library
         self._specification = specification
         self._clock = specification.messages.clock
+        self.may_go_back = False  # FMI 1.0 cannot copy states
         self._callbacks = Fmi1CallbackFunctions()  # handed over by value
         self._event_info = Fmi1EventInfo()
         self._start_time: float | None = None  # None: before the initialization mode

@@ -51,7 +51,7 @@ class Fmi2:
         self._free = library.function("FreeInstance", None, c_void_p)
         names = (c_char_p, c_int, c_char_p, c_char_p)  # name, type, token, resources
         self._create = library.function("Instantiate", c_void_p, *names, c_void_p, c_int, c_int)
-        self._no_rollback = int(not capabilities.saves_state)  # noSetFMUStatePriorToCurrentPoint
+        self.may_go_back = False
         self._bind_values(capabilities)
         self._bind_modes()
         if specification.interface_type == "me":
@@ -189,7 +189,7 @@ class Fmi2:
 
     def completed_integrator_step(self) -> tuple[bool, bool]:
         """Accept the step; return (enter event mode, terminate)."""
-        self._completed(self._no_rollback, byref(self._event), byref(self._terminate))
+        self._completed(not self.may_go_back, byref(self._event), byref(self._terminate))
         return bool(self._event.value), bool(self._terminate.value)
 
     # --- co-simulation ---
@@ -203,7 +203,7 @@ class Fmi2:
     def do_step(self, t: float, h: float) -> StepEnd:
         """Advance from ``t`` by ``h`` seconds (section 4.2.2: what discard means is asked for)."""
         self._clock.value = t
-        if self._step(t, h, self._no_rollback) <= WARNING:
+        if self._step(t, h, not self.may_go_back) <= WARNING:
             return StepEnd(completed=True, terminate=False, last_successful_time=t + h)
         terminated = c_int()
         reached = c_double()

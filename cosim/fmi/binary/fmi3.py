@@ -61,7 +61,7 @@ class Fmi3:
         self._clock = specification.messages.clock
         capabilities = specification.capabilities
         self._free = library.function("FreeInstance", None, c_void_p)
-        self._no_rollback = not capabilities.saves_state  # noSetFMUStatePriorToCurrentPoint
+        self.may_go_back = False
         self._interpolation = InterpolationStruct()
         self._interpolated: Group | None = None  # the inputs that it sets
         self._flags = [c_bool() for _ in range(5)]  # results of the calls below
@@ -119,8 +119,7 @@ class Fmi3:
         types = (*_NAMES, *flags, *logger)
         self._create = function("InstantiateModelExchange", c_void_p, *types)
         self.enter_continuous_time_mode = call("EnterContinuousTimeMode")
-        completed = call("CompletedIntegratorStep", c_bool, c_void_p, c_void_p)
-        self._completed = partial(completed, self._no_rollback, *self._flag_pointers[:2])
+        self._completed = call("CompletedIntegratorStep", c_bool, c_void_p, c_void_p)
 
     def _bind_co_simulation(self) -> None:
         call = self.library.call
@@ -132,8 +131,7 @@ class Fmi3:
         self.enter_step_mode = call("EnterStepMode")
         results = [c_void_p] * 4
         self._step = self.library.status_call("DoStep", c_double, c_double, c_bool, *results)
-        result_pointers = (*self._flag_pointers[:3], byref(self._time))
-        self._step_arguments = (self._no_rollback, *result_pointers)
+        self._step_results = (*self._flag_pointers[:3], byref(self._time))
 
     def instantiate(self) -> None:
         """Create the instance."""
@@ -221,7 +219,7 @@ class Fmi3:
 
     def completed_integrator_step(self) -> tuple[bool, bool]:
         """Accept the step; return (enter event mode, terminate)."""
-        self._completed()
+        self._completed(not self.may_go_back, *self._flag_pointers[:2])
         return self._flags[0].value, self._flags[1].value
 
     # --- co-simulation ---
@@ -263,7 +261,7 @@ class Fmi3:
         interpolation.t0 = t
         interpolation.h = h
         interpolation.last_request = -math.inf
-        status = self._step(t, h, *self._step_arguments)
+        status = self._step(t, h, not self.may_go_back, *self._step_results)
         interpolated_until = math.inf
         if interpolation.size:
             interpolated_until = interpolation.last_request

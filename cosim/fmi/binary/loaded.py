@@ -288,6 +288,15 @@ class LoadedInstance:
 
     # --- states ---
 
+    @property
+    def may_go_back(self) -> bool:
+        """Whether a state of an earlier time may be restored."""
+        return self._calls.may_go_back
+
+    @may_go_back.setter
+    def may_go_back(self, possible: bool) -> None:
+        self._calls.may_go_back = possible
+
     def get_fmu_state(self, into: object | None = None) -> object:
         """Copy the FMU state, into the memory of an earlier copy if one is given or released."""
         state: Any = into

@@ -45,6 +45,7 @@ def save(
             f"{instance.description.name}: the FMU cannot save its state "
             "(canGetAndSetFMUstate is false)"
         )
+    instance.may_go_back = True
     saved = SavedState(instance.get_fmu_state(), component)
     weakref.finalize(saved, instance.free_fmu_state, saved.fmu)
     return saved

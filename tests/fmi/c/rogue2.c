@@ -15,7 +15,7 @@ enum {
     GOOD, CRASH, HANG, EXITS, REFUSES, NAN_OUTPUT, OTHER_START, LIES, FORGETS,
     HANGS_BACK, CRASHES_FREE, FAILS_STEP, LOUD, LITTERS, PRINTS, REFUSES_STATE, REFUSES_BACK,
     NEARLY, FAILS_END, WARNS, ROUNDS, FLUSHES, TRAPS, SPEAKS, MOVES, CATCHES, CLOSES,
-    ABORTS_LATER, ROUNDS_FAILS, ROUNDS_ENDS, HANGS_LATER
+    ABORTS_LATER, ROUNDS_FAILS, ROUNDS_ENDS, HANGS_LATER, REPEATS
 };
 enum { INSTANTIATE, INITIALIZE, STEP, TERMINATE };
 #ifndef WHERE
@@ -23,7 +23,7 @@ enum { INSTANTIATE, INITIALIZE, STEP, TERMINATE };
 #endif
 
 typedef struct {
-    double x, u, memory;
+    double x, u, memory, before; /* before: x at the beginning of the last step */
     int steps;
 } Model;
 
@@ -173,6 +173,9 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no_wa
     if (ROGUE == PRINTS)
         puts("a line that nobody asked for");
     m->memory += m->u;
+    if (ROGUE == REPEATS && !no_way_back)
+        m->x = m->before; /* takes it for the same step again */
+    m->before = m->x;
     m->x =
         ROGUE == NAN_OUTPUT ? NAN : m->x + h * (m->u - m->x) + (ROGUE == FORGETS ? m->memory : 0.0);
     change(STEP);
