@@ -58,37 +58,49 @@ def decoupling_matrix(reduced: ReducedSystem) -> Matrix:
     return np.asarray(G, dtype=np.float64)
 
 
-def check_detectable(fixed_modes: ComplexVector, M: Matrix) -> None:
+def check_detectable(fixed_modes: ComplexVector, magnitudes: Matrix) -> None:
     """Check that every fixed mode [1/s] of (M, C3) is stable.
 
-    Raises
-    ------
-    AssumptionError
-        If one is not.
-    """
-    for mode in fixed_modes:
-        if mode.real > -_rounding(M):
-            eigenvalue = modes([mode])
-            raise AssumptionError(
-                f"M - L C is not Hurwitz: eigenvalue {eigenvalue}; the invariant zero at "
-                f"{eigenvalue} cannot be moved by L (NOT_DETECTABLE); another output is needed"
-            )
-
-
-def check_hurwitz(movable: ComplexVector, closed: Matrix, fixed_modes: ComplexVector) -> None:
-    """Check that every movable eigenvalue [1/s] of ``closed = M - L C3`` is stable.
+    Parameters
+    ----------
+    fixed_modes : ComplexVector
+    magnitudes : Matrix
+        Of every entry of M the sum of the absolute values of its terms.
 
     Raises
     ------
     AssumptionError
         If one is not.
     """
-    unstable = movable[movable.real > -_rounding(closed)]
+    unstable = _unstable(fixed_modes, magnitudes)
     if len(unstable):
-        fixed = modes(fixed_modes)
+        eigenvalue = _eigenvalues_text(unstable[:1], magnitudes)
         raise AssumptionError(
-            f"M - L C is not Hurwitz: eigenvalue {modes(unstable)}; another L moves it: "
-            f"{len(movable)} eigenvalue(s) can be placed, fixed: {fixed}"
+            f"M - L C is not Hurwitz: eigenvalue {eigenvalue}; the invariant zero at "
+            f"{modes(unstable[:1])} cannot be moved by L (NOT_DETECTABLE); another output is needed"
+        )
+
+
+def check_hurwitz(movable: ComplexVector, magnitudes: Matrix, fixed_modes: ComplexVector) -> None:
+    """Check that every movable eigenvalue [1/s] of `M - L C3` is stable.
+
+    Parameters
+    ----------
+    movable, fixed_modes : ComplexVector
+    magnitudes : Matrix
+        Of every entry of `M - L C3` the sum of the absolute values of its terms.
+
+    Raises
+    ------
+    AssumptionError
+        If one is not.
+    """
+    unstable = _unstable(movable, magnitudes)
+    if len(unstable):
+        eigenvalues = _eigenvalues_text(unstable, magnitudes)
+        raise AssumptionError(
+            f"M - L C is not Hurwitz: eigenvalue {eigenvalues}; another L moves it: "
+            f"{len(movable)} eigenvalue(s) can be placed, fixed: {modes(fixed_modes)}"
         )
 
 
@@ -119,7 +131,21 @@ def _markov_parameters(reduced: ReducedSystem) -> str:
     return ", ".join(listed)
 
 
-def _rounding(matrix: Matrix) -> float:
-    """Return how far rounding may move an eigenvalue at zero."""
+def _unstable(eigenvalues: ComplexVector, magnitudes: Matrix) -> ComplexVector:
+    """Return the eigenvalues that are not stable, or may only be by rounding."""
+    return eigenvalues[eigenvalues.real > -_rounding(magnitudes)]
+
+
+def _eigenvalues_text(eigenvalues: ComplexVector, magnitudes: Matrix) -> str:
+    if (eigenvalues.real >= 0.0).any():
+        return modes(eigenvalues)
+    return f"{modes(eigenvalues)}, which rounding may move by {_rounding(magnitudes):.1g}"
+
+
+def _rounding(magnitudes: Matrix) -> float:
+    """Return how far rounding may move an eigenvalue at zero.
+
+    It scales with the terms of a matrix, not with their sums, in which they may cancel.
+    """
     epsilon = float(np.finfo(np.float64).eps)
-    return 100.0 * epsilon * float(np.linalg.norm(matrix))
+    return 100.0 * epsilon * float(np.linalg.norm(magnitudes))

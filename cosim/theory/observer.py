@@ -122,11 +122,13 @@ def design(
     G = decoupling_matrix(reduced)
     F = reduced.B_2a @ G
     M = A_a - F @ (C3 @ A_a)
+    size_of_correction = np.abs(F) @ (np.abs(C3) @ np.abs(A_a))
+    magnitudes = np.abs(A_a) + size_of_correction
     N = B_1a - F @ (C3 @ B_1a)
     V = _unobservable_subspace(M, C3)
     W = orthogonal_complement(V)
     fixed_modes = _sorted_eigenvalues(V.T @ M @ V)
-    check_detectable(fixed_modes, M)
+    check_detectable(fixed_modes, magnitudes)
     observable = W.T @ M @ W
     C_observable = C3 @ W
     if poles is not None:
@@ -135,8 +137,8 @@ def design(
         gain = _given_gain(L, C3.T.shape)
     correction = W.T @ gain @ C_observable
     movable = _sorted_eigenvalues(observable - correction)
-    closed = M - gain @ C3
-    check_hurwitz(movable, closed, fixed_modes)
+    size_of_feedback = np.abs(gain) @ np.abs(C3)
+    check_hurwitz(movable, magnitudes + size_of_feedback, fixed_modes)
     eigenvalues = np.sort_complex(np.concatenate([movable, fixed_modes]))
     return ObserverDesign(
         F=F,

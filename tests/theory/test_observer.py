@@ -1,3 +1,5 @@
+from fractions import Fraction
+
 import numpy as np
 import pytest
 from hypothesis import assume, given
@@ -312,6 +314,75 @@ def test_a_design_that_cannot_work_is_refused(reduced, options, message):
             reduce(academic()) if reduced is None else reduced_system(*reduced),
             **({"filter_rate": 1e3} | options),
         )
+
+
+def exact(matrix):
+    """Return a matrix of fractions that is what the doubles are, without rounding."""
+    return np.vectorize(Fraction, otypes=[object])(np.asarray(matrix, np.float64))
+
+
+def exact_decoupled(A, B, C):
+    """Return M (16) in exact arithmetic, for one disturbance."""
+    CB = exact(C) @ exact(B)
+    G = CB.T / (CB.T @ CB)[0, 0]
+    return exact(A) - exact(B) @ G @ exact(C) @ exact(A)
+
+
+def with_a_movable_mode_at(rate, size, rng):
+    """Return A, B, C, L with ``M - L C`` of about [-1 1; 0 rate], and terms of about ``size``.
+
+    Also whether it is Hurwitz in exact arithmetic.
+    """
+    A = np.round(size * rng.normal(size=(2, 2)), 1)
+    B = np.round(rng.normal(size=(2, 1)), 2)
+    C = np.round(rng.normal(size=(2, 2)), 2)
+    M = exact_decoupled(A, B, C)
+    goal = np.array([[-1.0, 1.0], [0.0, rate]])
+    L = np.linalg.solve(C.T, (M.astype(np.float64) - goal).T).T
+    closed = M - exact(L) @ exact(C)
+    determinant = closed[0, 0] * closed[1, 1] - closed[0, 1] * closed[1, 0]
+    return (A, B, C), {"L": L}, closed.trace() < 0 < determinant
+
+
+def with_a_fixed_mode_at(rate, size, rng):
+    """Return A, B, C with one output and a fixed mode of about ``rate``, terms of about ``size``.
+
+    Also whether it is stable in exact arithmetic: C M = 0, so it is the trace of M.
+    """
+    B = np.round(rng.normal(size=(2, 1)), 2)
+    C = np.round(rng.normal(size=(1, 2)), 2)
+    A = B @ np.round(size * rng.normal(size=(1, 2)), 1) + np.round(rng.normal(size=(2, 2)), 2)
+    unseen = np.array([[-C[0, 1]], [C[0, 0]]])  # C unseen = 0
+    projected = unseen.T @ (np.eye(2) - B @ C / (C @ B)) @ unseen
+    shift = rate - float(exact_decoupled(A, B, C).trace())
+    A = A + shift / projected * unseen @ unseen.T
+    return (A, B, C), {"L": C.T}, exact_decoupled(A, B, C).trace() < 0
+
+
+@pytest.mark.parametrize(
+    ("make", "verdict"),
+    [
+        (with_a_movable_mode_at, "M - L C is not Hurwitz: .*; another L moves it"),
+        (with_a_fixed_mode_at, "M - L C is not Hurwitz: .*NOT_DETECTABLE"),
+    ],
+)
+@pytest.mark.parametrize("size", [1.0, 1e4])
+def test_what_is_stable_by_rounding_alone_is_refused(make, verdict, size):
+    """The terms of M - L C cancel: what is left of a mode at 0 is their rounding, not its own.
+
+    Beyond that, 100 eps times a few times their size, it is not refused.
+    """
+    unstable = 0
+    for seed in range(60):
+        matrices, options, is_stable = make(0.0, size, np.random.default_rng(seed))
+        if not is_stable:
+            unstable += 1
+            with pytest.raises(AssumptionError, match=verdict):
+                design(reduced_system(*matrices), **options, filter_rate=1e3)
+        matrices, options, is_stable = make(-1e-9 * size, size, np.random.default_rng(seed))
+        assert is_stable
+        design(reduced_system(*matrices), **options, filter_rate=1e3)
+    assert unstable > 10
 
 
 def test_a_disturbance_that_reaches_the_output_is_refused_by_the_observer_only():
