@@ -85,15 +85,15 @@ class Connection:
 def _number(key: str, label: str, value: ArrayLike) -> NDArray[np.float64]:
     """Return finite real numbers as an array that cannot be written to."""
     try:
-        found = np.asarray(value)
+        array = np.asarray(value)
     except ValueError as error:
         raise GraphError(
             f"'{label}': {key} has rows of different lengths; needed a number or a matrix"
         ) from error
-    is_real = found.dtype.kind in "iuf" and type(value) is not np.ma.MaskedArray
-    if not is_real or not np.isfinite(found).all():
+    is_real = array.dtype.kind in "iuf" and type(value) is not np.ma.MaskedArray
+    if not is_real or not np.isfinite(array).all():
         raise GraphError(f"'{label}': found {key} {value!r}; needed finite numbers or a matrix")
-    numbers = found.astype(np.float64)
+    numbers = array.astype(np.float64)
     numbers.setflags(write=False)
     return numbers
 
@@ -158,7 +158,7 @@ class Ports:
         """
         return self._find(port, "input")
 
-    def source(self, port: Port) -> ConnectionEnd:
+    def output(self, port: Port) -> ConnectionEnd:
         """Return an output, or elements of it.
 
         Raises
@@ -343,7 +343,7 @@ def _problems(
         return
     try:
         target = ports.input(to)
-        sources = [ports.source(port) for port in connection.sources]
+        sources = [ports.output(port) for port in connection.sources]
     except GraphError as error:
         yield str(error)
         return
@@ -433,7 +433,7 @@ def unit_warnings(
         target = ports.input(to).signal
         units = []
         for port in connection.sources:
-            reached = unit_reached(connection, ports.source(port).signal, target)
+            reached = unit_reached(connection, ports.output(port).signal, target)
             units.append(reached)
             for text in incomparable(reached, target.measure):
                 yield to.component, f"{port} -> {to}: {text}"
@@ -456,7 +456,7 @@ def element_warnings(
         driven[end.port] += end.size
     for to, connection in connections.items():
         end = ports.input(to)
-        named = [(port, ports.source(port).signal) for port in connection.sources]
+        named = [(port, ports.output(port).signal) for port in connection.sources]
         # Who drives every element knows that they are numbered from 0.
         if driven[end.port] < end.signal.size:
             named.append((to, end.signal))
@@ -495,7 +495,7 @@ def conversions_of(ports: Ports, to: Port, connection: Connection) -> tuple[Conv
     target = ports.input(to).signal
     conversions = []
     for port in connection.sources:
-        converted = _conversion(connection, ports.source(port).signal, target)
+        converted = _conversion(connection, ports.output(port).signal, target)
         assert converted is not None
         conversions.append(converted)
     return tuple(conversions)

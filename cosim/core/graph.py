@@ -332,7 +332,7 @@ class Graph:
         sources = {}
         for signal in channel.interface.inputs:
             driving = self.sources_of(Port(channel.name, signal.name))
-            ports = [self.ports.source(port).port for port in driving]
+            ports = [self.ports.output(port).port for port in driving]
             sources[signal.name] = tuple(dict.fromkeys(ports))
         return sources
 
@@ -354,7 +354,7 @@ class Graph:
     def _wires_to(self, to: Port) -> tuple[Wire, ...]:
         """Return the wires of a connection."""
         connection = self.connections[to]
-        sources = [self.ports.source(source) for source in connection.sources]
+        sources = [self.ports.output(source) for source in connection.sources]
         copies = (Conversion(),) * len(sources)
         conversions = self.conversions.get(to, copies)
         return wires_of(self.ports.input(to).columns, connection, sources, conversions)

@@ -58,7 +58,7 @@ class Variabilities:
 
     def of(self, output: Port) -> Variability:
         """Return the variability of an output; inherited where nothing behind it changes."""
-        return self._by_output[self._ports.source(output).port]
+        return self._by_output[self._ports.output(output).port]
 
     def held_connections(self, names: list[str]) -> set[tuple[Port, Port]]:
         """Return the connections of components, as input and source, with a zero-order hold."""
@@ -83,7 +83,7 @@ class Variabilities:
 
     def _driving(self, connection: Connection) -> list[Port]:
         """Return the whole outputs behind a connection."""
-        return [self._ports.source(port).port for port in connection.sources]
+        return [self._ports.output(port).port for port in connection.sources]
 
     def _is_held(self, signal: Signal, *sources: Port) -> bool:
         """Return whether an input has a zero-order hold, by itself or by what drives it."""
@@ -115,7 +115,7 @@ class Variabilities:
 
     def _held_by(self, connection: Connection, size: int, loop: frozenset[str]) -> list[bool]:
         """Return which elements of what a connection drives have a zero-order hold."""
-        sources = [self._ports.source(port) for port in connection.sources]
+        sources = [self._ports.output(port) for port in connection.sources]
         inside = [source.port.component in loop for source in sources]
         if connection.matrix.ndim == 2:  # every element may be a sum of all sources
             together = self._combined([source.port for source in sources])

@@ -63,13 +63,13 @@ def jumps(text: str) -> tuple[Jump, ...]:
         If the text is no expression.
     """
     compile_expression(text)
-    found = []
+    calls = []
     for node in ast.walk(parse(text)):
         match node:
             case ast.Call(func=ast.Name(id="step" | "sign" as function), args=[argument]):
                 if _depends_on_time(argument):
-                    found.append(_jump(function, argument))
-    return tuple(jump for jump in found if jump.slope != 0.0)
+                    calls.append(_jump(function, argument))
+    return tuple(jump for jump in calls if jump.slope != 0.0)
 
 
 def _jump(function: str, argument: ast.expr) -> Jump:

@@ -140,7 +140,7 @@ def describe_scenario(name: str) -> Section:
 def _connection_row(graph: Graph, to: Port, connection: Connection) -> Section:
     """Describe one connection: its map and its unit conversions, where it has them."""
     target = graph.ports.input(to).signal
-    sources = [graph.ports.source(port).signal for port in connection.sources]
+    sources = [graph.ports.output(port).signal for port in connection.sources]
     units = [unit_reached(connection, source, target).name for source in sources]
     unit = ", ".join(dict.fromkeys(name for name in units if name is not None)) or None
     by_source = graph.conversions.get(to, ())

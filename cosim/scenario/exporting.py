@@ -173,8 +173,8 @@ class _GraphWiring:
     def is_driven_by_discrete(self, name: str) -> bool:
         """Return whether all that drives an input is discrete."""
         sources = self._graph.sources_of(Port(self._component, name))
-        found = {self._graph.variability(port) for port in sources}
-        return found == {"discrete"}
+        variabilities = {self._graph.variability(port) for port in sources}
+        return variabilities == {"discrete"}
 
     @property
     def is_discrete(self) -> bool:

@@ -53,10 +53,10 @@ def problems_of(
     error: ValidationError, table: type[BaseModel], data: Any, prefix: Key
 ) -> list[Problem]:
     """Translate a validation error of ``data``, which stands under the key ``prefix``."""
-    found: list[Mapping[str, Any]] = [dict(item) for item in error.errors(include_url=False)]
-    unknown = [str(item["loc"][-1]) for item in found if item["type"] == "extra_forbidden"]
+    items: list[Mapping[str, Any]] = [dict(item) for item in error.errors(include_url=False)]
+    unknown = [str(item["loc"][-1]) for item in items if item["type"] == "extra_forbidden"]
     value_problems = []
-    for item in found:
+    for item in items:
         is_missing = item["type"] == "missing"
         if is_missing and get_close_matches(str(item["loc"][-1]), unknown, cutoff=0.5):
             continue  # the unknown key is probably this one
@@ -115,9 +115,9 @@ class _Alternatives:
     ) -> list[_ValueProblem]:
         """Return the problems of the nearest alternative of one value."""
         groups = _by_alternative(problems, level)
-        found = [self.nearest(group, level + 1) for group in groups.values()]
-        inside = [group for group in found if any(len(one.path) > len(choice) for one in group)]
-        candidates = inside or found
+        kept = [self.nearest(group, level + 1) for group in groups.values()]
+        inside = [group for group in kept if any(len(one.path) > len(choice) for one in group)]
+        candidates = inside or kept
         exact = [group for group in candidates if not any(one.is_type for one in group)]
         if len(candidates) == 1 or exact:
             return (exact or candidates)[0]
@@ -223,10 +223,10 @@ def _alternatives(annotation: Any) -> list[Any]:
     if get_origin(annotation) is Annotated:
         return _alternatives(get_args(annotation)[0])
     if get_origin(annotation) in (Union, UnionType):
-        found = []
+        alternatives = []
         for argument in get_args(annotation):
-            found += _alternatives(argument)
-        return [alternative for alternative in found if alternative is not type(None)]
+            alternatives += _alternatives(argument)
+        return [alternative for alternative in alternatives if alternative is not type(None)]
     return [annotation]
 
 

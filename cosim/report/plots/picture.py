@@ -14,7 +14,7 @@ from cosim.arrays import Vector
 from cosim.errors import UsageError
 from cosim.files import check_writable
 
-CENTIMETRE: Final = 1.0 / 2.54  # inches
+CENTIMETER: Final = 1.0 / 2.54  # inches
 SMALLEST: Final = 3.0  # cm
 LARGEST: Final = 200.0  # cm
 _DOTS_PER_INCH: Final = 150
@@ -129,7 +129,7 @@ class Picture:
             height = 3.0 + (5.0 if columns == 1 else 6.0) * rows
         else:
             width, height = options.size
-        self._figure.set_size_inches(width * CENTIMETRE, height * CENTIMETRE)
+        self._figure.set_size_inches(width * CENTIMETER, height * CENTIMETER)
         self._figure.set_layout_engine("constrained")
         grid = self._figure.subplots(rows, columns, sharex=True, squeeze=False)
         self.panels: list[Any] = list(np.ravel(grid))
