@@ -14,7 +14,7 @@ import sys
 from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, TypeAlias
 
 from cosim.fmi.trial_cache import keep_problems, read_problems
 from cosim.processes import child_environment, kill
@@ -25,14 +25,24 @@ if TYPE_CHECKING:
     from cosim.fmi.reading.model_description import Archive
 
 TrialTask: TypeAlias = Literal["symbols", "run", "rollback"]
+ProblemKind: TypeAlias = Literal["missing function", "refused", "inexact", "wrong", "other"]
 
 TRIAL: Final = "cosim.fmi.checking.trial"
 TIMEOUT: Final = 20.0  # [s] of wall time
 CHILD_VARIABLE: Final = "COSIM_TRIAL"  # of the environment; set in a child, which starts no other
-MISSING_FUNCTION: Final = "missing function"
-REFUSED: Final = "is declared and then refused:"  # get or set FMU state
-INEXACT: Final = "goes back inexactly"
-WRONG: Final = "goes back wrongly"
+# What the FMU itself shows, on any machine.
+OF_STATE: Final[frozenset[ProblemKind]] = frozenset(("refused", "inexact", "wrong"))
+
+
+class TrialProblem(NamedTuple):
+    """What a trial shows to be wrong.
+
+    The kind says where a required function is missing, and whether saving or restoring the state is
+    refused, not exact, or wrong; all else is another.
+    """
+
+    text: str
+    kind: ProblemKind = "other"
 
 
 def find_rollback_problems(
@@ -62,14 +72,15 @@ def _try_rollback(
     path: Path, sha256: str, interface_type: InterfaceType, timeout: float
 ) -> tuple[str, ...]:
     """Try it once for each content of the file: ``sha256`` is part of the cache's key."""
-    known_problems = read_problems("rollback", sha256, interface_type)
-    if known_problems is not None:
-        return known_problems
+    known_texts = read_problems("rollback", sha256, interface_type)
+    if known_texts is not None:
+        return known_texts
     problems = try_fmu("rollback", path, interface_type, timeout=timeout)
+    texts = tuple(problem.text for problem in problems)
     # A hang or a missing library may belong to this moment and this machine.
-    if all(problem.startswith((REFUSED, INEXACT, WRONG)) for problem in problems):
-        keep_problems("rollback", sha256, interface_type, problems)
-    return problems
+    if all(problem.kind in OF_STATE for problem in problems):
+        keep_problems("rollback", sha256, interface_type, texts)
+    return texts
 
 
 def try_fmu(
@@ -79,7 +90,7 @@ def try_fmu(
     *,
     given: Path | None = None,
     timeout: float = TIMEOUT,
-) -> tuple[str, ...]:
+) -> tuple[TrialProblem, ...]:
     """Do a task with an FMU in a child process; return the problems, without its path.
 
     ``given`` is a file that this process wrote: pickled, the Archive and the start values.
@@ -87,10 +98,13 @@ def try_fmu(
     absolute_path = str(path.resolve())
     arguments = [] if given is None else [str(given)]
     problems = attempt(task, absolute_path, interface_type, *arguments, timeout=timeout)
-    return tuple(problem.replace(f"{absolute_path}: ", "") for problem in problems)
+    shortened = []
+    for problem in problems:
+        shortened.append(problem._replace(text=problem.text.replace(f"{absolute_path}: ", "")))
+    return tuple(shortened)
 
 
-def attempt(task: TrialTask, *arguments: str, timeout: float = TIMEOUT) -> tuple[str, ...]:
+def attempt(task: TrialTask, *arguments: str, timeout: float = TIMEOUT) -> tuple[TrialProblem, ...]:
     """Do a task in a child process and return the problems; empty where there are none.
 
     Parameters
@@ -124,19 +138,24 @@ def attempt(task: TrialTask, *arguments: str, timeout: float = TIMEOUT) -> tuple
         return _problems(log.read_text(encoding="utf-8", errors="replace"), exit_code, timeout)
 
 
-def _problems(log: str, exit_code: int | None, timeout: float) -> tuple[str, ...]:
+def _problems(log: str, exit_code: int | None, timeout: float) -> tuple[TrialProblem, ...]:
     """Return the problems that the child logged, and how it ended if not at the end."""
-    records: list[dict[str, str]] = []
+    records: list[dict[str, Any]] = []
     for line in log.splitlines():
         with suppress(ValueError):  # the last one may be cut
             records.append(json.loads(line))
-    problems = [record["problem"] for record in records if "problem" in record]
+    problems = [
+        TrialProblem(record["problem"], record["kind"]) for record in records if "problem" in record
+    ]
     stages = [record["stage"] for record in records if "stage" in record]
     last_stage = stages[-1] if stages else "the start of the process"
     if exit_code is None:
-        problems.append(f"hangs: did not end within {timeout:g} s, at: {last_stage}")
+        text = f"hangs: did not end within {timeout:g} s, at: {last_stage}"
+        problems.append(TrialProblem(text))
     elif exit_code < 0:
-        problems.append(f"crashes: {signal.Signals(-exit_code).name} at: {last_stage}")
+        text = f"crashes: {signal.Signals(-exit_code).name} at: {last_stage}"
+        problems.append(TrialProblem(text))
     elif not any("done" in record for record in records):
-        problems.append(f"ends the process with exit code {exit_code} at: {last_stage}")
+        text = f"ends the process with exit code {exit_code} at: {last_stage}"
+        problems.append(TrialProblem(text))
     return tuple(problems)

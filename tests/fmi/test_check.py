@@ -14,7 +14,7 @@ from cosim.fmi import child_process
 from cosim.fmi.binary.headers import built_for
 from cosim.fmi.checking.binaries import machine_of, required_functions
 from cosim.fmi.checking.check import check
-from cosim.fmi.child_process import attempt, find_rollback_problems
+from cosim.fmi.child_process import TrialProblem, attempt, find_rollback_problems
 from cosim.fmi.component import load
 from cosim.fmi.platforms import SUFFIX, folders
 from cosim.fmi.reading.model_description import read
@@ -361,9 +361,9 @@ def test_no_binary_for_this_machine(tmp_path):
 def test_a_trial_that_cannot_be(tmp_path):
     """What Python raises in the child is a problem."""
     assert attempt("run", str(tmp_path / "no.fmu"), "cs") == (
-        f"{tmp_path / 'no.fmu'}: there is no such file",
+        TrialProblem(f"{tmp_path / 'no.fmu'}: there is no such file"),
     )
-    assert attempt("run")[0].startswith("TypeError: run() missing")
+    assert attempt("run")[0].text.startswith("TypeError: run() missing")
 
 
 # --- the description ---

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from cosim.fmi import child_process, trial_cache
-from cosim.fmi.child_process import find_rollback_problems
+from cosim.fmi.child_process import TrialProblem, find_rollback_problems
 from cosim.fmi.reading.model_description import read
 from cosim.fmi.trial_cache import cache_folder, cached_files, keep_problems, read_problems
 from tests.fmi.compiled import compile_fmu
@@ -35,7 +35,8 @@ def trials(monkeypatch) -> list[str]:
 
     def attempt(task, *arguments, timeout):
         made.append(task)
-        return made_problems(arguments[0])
+        kind = "wrong" if "lies" in arguments[0] else "other"
+        return tuple(TrialProblem(text, kind) for text in made_problems(arguments[0]))
 
     monkeypatch.setattr(child_process, "attempt", attempt)
     return made

@@ -17,14 +17,7 @@ from cosim.fmi.binary.headers import built_for
 from cosim.fmi.bundled import bundled
 from cosim.fmi.checking.binaries import machine_of, required_functions
 from cosim.fmi.checking.structure import Finding, Severity, check_structure
-from cosim.fmi.child_process import (
-    INEXACT,
-    MISSING_FUNCTION,
-    REFUSED,
-    TIMEOUT,
-    attempt,
-    try_fmu,
-)
+from cosim.fmi.child_process import TIMEOUT, TrialProblem, attempt, try_fmu
 from cosim.fmi.description import INTERFACE_TYPE_NAMES, Description, InterfaceType
 from cosim.fmi.driving.initialization import Starts, check_start, resized
 from cosim.fmi.platforms import ARCHITECTURE, SUFFIX, SYSTEM, folders
@@ -218,24 +211,24 @@ def _run_trials(
     for interface_type, capabilities in description.capabilities.items():
         name = INTERFACE_TYPE_NAMES[interface_type]
         problems = _try_symbols(folder, description, interface_type, timeout)
-        findings += [Finding("error", f"binary, {name}", problem) for problem in problems]
+        findings += [Finding("error", f"binary, {name}", problem.text) for problem in problems]
         # It may run all the same where all that is wrong is a missing function: nobody may call it.
-        if not all(problem.startswith(MISSING_FUNCTION) for problem in problems):
+        if any(problem.kind != "missing function" for problem in problems):
             continue
         problems = try_fmu("run", path, interface_type, given=given, timeout=timeout)
-        findings += [Finding("error", f"trial run, {name}", problem) for problem in problems]
+        findings += [Finding("error", f"trial run, {name}", problem.text) for problem in problems]
         if capabilities.saves_state and not problems:
             where = f"trial save and restore, {name}"
             for problem in try_fmu("rollback", path, interface_type, given=given, timeout=timeout):
                 # Its state is not saved then, and all else works.
-                harmless = problem.startswith((REFUSED, INEXACT))
-                findings.append(Finding("warning" if harmless else "error", where, problem))
+                level: Severity = "warning" if problem.kind in ("refused", "inexact") else "error"
+                findings.append(Finding(level, where, problem.text))
     return findings
 
 
 def _try_symbols(
     folder: Path, description: Description, interface_type: InterfaceType, timeout: float
-) -> tuple[str, ...]:
+) -> tuple[TrialProblem, ...]:
     """Look the required functions up in the binary for this machine."""
     library = f"{description.capabilities[interface_type].identifier}{SUFFIX}"
     names = required_functions(description, interface_type)

@@ -11,16 +11,16 @@ import json
 import os
 import pickle
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NoReturn, TextIO
 
 from cosim.errors import CosimError
-from cosim.fmi.child_process import INEXACT, MISSING_FUNCTION, REFUSED, WRONG
 
 if TYPE_CHECKING:
     from cosim.arrays import Matrix, Vector
+    from cosim.fmi.child_process import ProblemKind
     from cosim.fmi.component import Fmu
     from cosim.fmi.description import Description, InterfaceType
     from cosim.fmi.driving.guarded import FmuComponent
@@ -40,18 +40,18 @@ class TrialLog:
 
     def stage(self, text: str) -> None:
         """Record what begins now."""
-        self._write("stage", text)
+        self._write({"stage": text})
 
-    def problem(self, text: str) -> None:
+    def problem(self, text: str, kind: ProblemKind = "other") -> None:
         """Record a problem."""
-        self._write("problem", text)
+        self._write({"problem": text, "kind": kind})
 
     def done(self, task: str) -> None:
         """Record the end."""
-        self._write("done", task)
+        self._write({"done": task})
 
-    def _write(self, key: str, text: str) -> None:
-        self._file.write(json.dumps({key: text}) + "\n")
+    def _write(self, record: Mapping[str, str]) -> None:
+        self._file.write(json.dumps(record) + "\n")
         self._file.flush()
 
 
@@ -70,7 +70,7 @@ def find_symbols(log: TrialLog, path: str, *names: str) -> None:
         try:
             library[name]
         except AttributeError:
-            log.problem(f"{MISSING_FUNCTION} {name}")
+            log.problem(f"missing function {name}", "missing function")
 
 
 def run(log: TrialLog, path: str, interface_type: InterfaceType, given: str = "") -> None:
@@ -115,7 +115,7 @@ def _compare_repeated_steps(log: TrialLog, fmu: Fmu, t: Vector, h: float, u: Mat
     try:
         saved = component.save()
     except CosimError as error:
-        log.problem(f"{REFUSED} {error}")
+        log.problem(f"is declared and then refused: {error}", "refused")
         return
     log.stage("steps after the state was saved")
     fmu.may_go_back = False
@@ -139,16 +139,18 @@ def _compare_repeated_steps(log: TrialLog, fmu: Fmu, t: Vector, h: float, u: Mat
         try:
             component.restore(saved)
         except CosimError as error:
-            log.problem(f"{REFUSED} {error}")
+            log.problem(f"is declared and then refused: {error}", "refused")
             return
         repeated = component.advance(t, h, u)
         if repeated.tobytes() != expected.tobytes():
-            log.problem(_difference(name, component, expected, repeated))
+            _record_difference(log, name, component, expected, repeated)
             return
 
 
-def _difference(detour: str, component: FmuComponent, expected: Matrix, repeated: Matrix) -> str:
-    """Return how far the outputs are from those before, relative to how far they moved."""
+def _record_difference(
+    log: TrialLog, detour: str, component: FmuComponent, expected: Matrix, repeated: Matrix
+) -> None:
+    """Record how far the outputs are from those before, relative to how far they moved."""
     import numpy as np
 
     from cosim.core.signals import element_names
@@ -159,9 +161,10 @@ def _difference(detour: str, component: FmuComponent, expected: Matrix, repeated
     worst = int(by_output.argmax())
     names = element_names(component.interface.outputs)
     is_close = bool(by_output[worst] <= CLOSE)  # not where it is NaN
-    return (
-        f"{INEXACT if is_close else WRONG}: after {detour} the same steps give other outputs, "
-        f"{names[worst]!r} by {by_output[worst]:.1g} of its change"
+    log.problem(
+        f"goes back {'inexactly' if is_close else 'wrongly'}: after {detour} the same steps give "
+        f"other outputs, {names[worst]!r} by {by_output[worst]:.1g} of its change",
+        "inexact" if is_close else "wrong",
     )
 
 
