@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Final, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -58,6 +58,11 @@ class Stage(Protocol):
         ...
 
     @property
+    def is_first_order(self) -> bool:
+        """Whether its error is one of first order in the communication step, or may be."""
+        ...
+
+    @property
     def description(self) -> str:
         """The components and the order of their operations, for the log."""
         ...
@@ -80,6 +85,7 @@ class Cascade:
     member: Member
     extrapolated: Mapping[str, frozenset[str]] = field(default_factory=dict)
     warnings: tuple[tuple[str, str], ...] = ()
+    is_first_order: bool = False
 
     @property
     def members(self) -> tuple[Member, ...]:
@@ -106,9 +112,6 @@ class Cascade:
             raise Cut(stop.steps, stop) from error
 
 
-SECOND_ORDER: Final = "(second order)"  # at the end of a description
-
-
 @dataclass(frozen=True, slots=True)
 class Loop:
     """Components of a cycle of the graph, advanced step by step in a fixed order of operations."""
@@ -121,16 +124,18 @@ class Loop:
     warnings: tuple[tuple[str, str], ...]
 
     @property
-    def description(self) -> str:
-        """The operations in order, for the log; in parentheses: outputs are evaluated again.
+    def is_first_order(self) -> bool:
+        """Whether a connection is broken, or a feedthrough is not known, which may break one."""
+        return bool(self.broken or self.warnings)
 
-        Where no connection is broken the coupling is of second order, which is said.
-        """
+    @property
+    def description(self) -> str:
+        """The operations in order, for the log; in parentheses: outputs are evaluated again."""
         words = [self.coupling]
         for kind, member in self.operations:
             words.append(member.name if kind == "advance" else f"({member.name})")
-        if not self.broken and not self.warnings:
-            words.append(SECOND_ORDER)
+        if not self.is_first_order:
+            words.append("(second order)")
         return " ".join(words)
 
     def advance(self, block: Block, signals: Matrix) -> None:

@@ -13,12 +13,11 @@ import numpy as np
 
 from cosim.arrays import Matrix, Vector, as_columns
 from cosim.core.contracts import Recording
-from cosim.core.coupling import SECOND_ORDER
 from cosim.errors import LogError
 from cosim.report.recorded_rows import element_names, rows_of, stacked_rows_of, time_ns_of
 from cosim.scenario.recorded_metadata import (
     component_metadata,
-    recorded_stages,
+    first_order_loops,
     recorded_start,
     run_metadata,
     truth_of,
@@ -120,8 +119,6 @@ def summarize(recording: Recording) -> Summary:
     for name, entry in metadata.items():
         if "unknowns" in entry:
             identifications.append(_identification(recording, name, entry))
-    stages = recorded_stages(recording)
-    loops = tuple(filter(_is_of_first_order, stages))
     last = {} if truth else _last_values(recording)
     return Summary(
         scenario=run.get("scenario", ""),
@@ -134,12 +131,8 @@ def summarize(recording: Recording) -> Summary:
         values=tuple(values),
         identifications=tuple(identifications),
         last=last,
-        loops=loops,
+        loops=tuple(first_order_loops(recording)),
     )
-
-
-def _is_of_first_order(stage: str) -> bool:
-    return not stage.startswith("cascade ") and not stage.endswith(SECOND_ORDER)
 
 
 def _last_values(recording: Recording) -> dict[str, float | list[float]]:

@@ -90,7 +90,7 @@ _TRUTH: TypeAdapter[dict[str, Any]] = TypeAdapter(
     dict[str, Text | tuple[Text, ...] | Number | NumberRow]
 )
 _WARNINGS: TypeAdapter[list[tuple[str, str]]] = TypeAdapter(list[tuple[Text, Text]])
-_SCHEDULE: TypeAdapter[list[str]] = TypeAdapter(list[Text])
+_LOOPS: TypeAdapter[list[str]] = TypeAdapter(list[Text])
 _TIME: TypeAdapter[float] = TypeAdapter(Number)
 _ORIGIN: TypeAdapter[ReplayOrigin] = TypeAdapter(ReplayOrigin)
 _COMPONENT: TypeAdapter[_ComponentRecord] = TypeAdapter(_ComponentRecord)
@@ -143,16 +143,16 @@ def recorded_warnings(recording: Recording) -> list[tuple[str, str]]:
     return _checked(_WARNINGS, table, "warnings")
 
 
-def recorded_stages(recording: Recording) -> list[str]:
-    """Return the stages of a run in their order.
+def first_order_loops(recording: Recording) -> list[str]:
+    """Return the loops of a run whose error is one of first order in the communication step.
 
     Raises
     ------
     LogError
         If they cannot be understood.
     """
-    table = _json(run_metadata(recording).get("schedule", "[]"), "schedule")
-    return _checked(_SCHEDULE, table, "schedule")
+    table = _json(run_metadata(recording).get("first_order_loops", "[]"), "first_order_loops")
+    return _checked(_LOOPS, table, "first_order_loops")
 
 
 def replay_origin(recording: Recording) -> ReplayOrigin:

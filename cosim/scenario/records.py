@@ -150,7 +150,8 @@ def metadata_of(experiment: Experiment) -> dict[str, dict[str, str]]:
     """
     scenario = experiment.scenario
     settings = scenario.file.scenario
-    schedule = [stage.description for stage in experiment.graph.stages]
+    stages = experiment.graph.stages
+    loops = [stage.description for stage in stages if stage.is_first_order]
     run = {
         "scenario": scenario.name,
         "edits": scenario.document.edits(),
@@ -158,7 +159,7 @@ def metadata_of(experiment: Experiment) -> dict[str, dict[str, str]]:
         "stop": repr(settings.stop),
         "step": repr(settings.step),
         "truth": json.dumps(experiment.truth),
-        "schedule": json.dumps(schedule),
+        "first_order_loops": json.dumps(loops),
         "warnings": json.dumps(experiment.warnings),
     }
     if experiment.origin is not None:
