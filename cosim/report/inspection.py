@@ -15,7 +15,7 @@ from cosim.core.signals import Channel, Signal
 from cosim.scenario.build import describe
 from cosim.scenario.document import find
 from cosim.scenario.recorded_metadata import (
-    component_metadata,
+    component_table,
     recorded_start,
     replay_origin,
     run_metadata,
@@ -59,7 +59,7 @@ def describe_log(path: str) -> Section:
     metadata = {}
     differences = {}
     for name in log.channels:
-        entry = component_metadata(log, name)
+        entry = component_table(log, name)
         report = entry.pop("swap_report", {})
         if report:
             differences[name] = _differences(report)

@@ -16,7 +16,8 @@ from cosim.core.contracts import Recording
 from cosim.errors import LogError
 from cosim.report.recorded_rows import element_names, rows_of, stacked_rows_of, time_ns_of
 from cosim.scenario.recorded_metadata import (
-    component_metadata,
+    ComponentRecord,
+    component_record,
     first_order_loops,
     recorded_start,
     run_metadata,
@@ -103,9 +104,12 @@ def summarize(recording: Recording) -> Summary:
     """Summarize a run; truth and start times come from the recording's metadata."""
     run = run_metadata(recording)
     truth = truth_of(recording)
-    metadata = {name: component_metadata(recording, name) for name in recording.channels}
-    start_times = [entry["start_time"] for entry in metadata.values() if "start_time" in entry]
-    since = max(start_times, default=0.0)
+    identifiers: dict[str, ComponentRecord] = {}
+    for name in recording.channels:
+        record = component_record(recording, name)
+        if record.unknowns is not None:
+            identifiers[name] = record
+    since = max((record.start_time for record in identifiers.values()), default=0.0)
     signals: list[SignalError] = []
     values: list[ValueOutcome] = []
     for estimate, true in truth.items():
@@ -116,9 +120,8 @@ def summarize(recording: Recording) -> Summary:
             true_values = np.atleast_1d(np.array(true, dtype=np.float64))
             values += _value_outcomes(recording, estimate, true_values)
     identifications = []
-    for name, entry in metadata.items():
-        if "unknowns" in entry:
-            identifications.append(_identification(recording, name, entry))
+    for name, record in identifiers.items():
+        identifications.append(_identification(recording, name, record))
     last = {} if truth else _last_values(recording)
     return Summary(
         scenario=run.get("scenario", ""),
@@ -185,10 +188,10 @@ def _value_outcomes(recording: Recording, estimate: str, truth: Vector) -> list[
 
 
 def _identification(
-    recording: Recording, component: str, metadata: Mapping[str, Any]
+    recording: Recording, component: str, record: ComponentRecord
 ) -> Identification:
     """Check the information in the rows that an identifier used."""
-    start_time = metadata["start_time"]
+    start_time = record.start_time
     regressor = as_columns(recording[f"{component}.regressor"])
     time = recording.time_ns(component) / 1e9
     used = regressor[time >= start_time]
@@ -200,13 +203,10 @@ def _identification(
         if not np.isfinite(matrix).all():
             raise LogError(f"'{component}.regressor' has no finite information from its rows")
         values: Vector = np.linalg.eigvalsh(matrix).astype(np.float64)
-        prior = None if metadata["P0"] is None else 1.0 / metadata["P0"]
+        prior = None if record.P0 is None else 1.0 / record.P0
         eigenvalues = tuple(map(float, values))
         sentence = verdict(values, prior)
-    keys = [key for key in ("T_obs", "T_f", "D_max", "T_id") if key in metadata]
-    times = {key: metadata[key] for key in keys}
-    notes = tuple(metadata.get("notes", ()))
-    return Identification(component, start_time, times, eigenvalues, sentence, notes)
+    return Identification(component, start_time, record.times, eigenvalues, sentence, record.notes)
 
 
 def span(start: float, end: float) -> str:

@@ -15,7 +15,7 @@ from cosim.errors import LogError, UsageError, nearest, option, quoted
 from cosim.scenario.kinds import Kind
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.problems import Key
-from cosim.scenario.recorded_metadata import component_metadata
+from cosim.scenario.recorded_metadata import LinearizationRecord, component_record
 from cosim.scenario.schema import matrix
 from cosim.scenario.swap import ports_in
 from cosim.theory.descriptor import DescriptorSystem
@@ -225,8 +225,10 @@ class ScenarioBuildContext:
         if name not in self._linearized:
             self._need_run(path)
             request_record = {"fmu": path, **request.to_dict()}
-            record = self._recorded_metadata(name).get("linearization") or {}
-            if record.get("request") != request_record:
+            recorded = self._recorded_linearization(name)
+            if recorded is not None and recorded.request == request_record:
+                record = recorded.model_dump()
+            else:
                 record = {"request": request_record, **self._linearize(path, request)}
             try:
                 linearization = Linearization.of(record["result"])
@@ -262,8 +264,10 @@ class ScenarioBuildContext:
         result = linearize_file(file, request)
         return {"sha256": sha256, "result": result.to_dict()}
 
-    def _recorded_metadata(self, name: str) -> dict[str, Any]:
-        return {} if self._recording is None else component_metadata(self._recording, name)
+    def _recorded_linearization(self, name: str) -> LinearizationRecord | None:
+        if self._recording is None:
+            return None
+        return component_record(self._recording, name).linearization
 
     def add_metadata(self, name: str, metadata: Mapping[str, Any]) -> None:
         """Record metadata of a component."""

@@ -45,26 +45,36 @@ class _SwapRecord(_Record):
     ports: tuple[_SwapRow, ...] = ()
 
 
-class _LinearizationRecord(_Record):
+class LinearizationRecord(_Record):
     """The linearization of an FMU, and what was asked for."""
 
     request: dict[str, Any]
     result: dict[str, Any]
 
 
-class _ComponentRecord(_Record):
-    """Metadata of a component."""
+class ComponentRecord(_Record):
+    """Metadata of a component; of an identifier with its unknowns.
+
+    The times are those of (36)-(38), all of them or none.
+    """
 
     start_time: Number = 0.0
-    unknowns: Whole = 0
+    unknowns: Whole | None = None
     P0: Annotated[Number, Field(gt=0.0)] | None = None
-    T_obs: Number = 0.0
-    T_f: Number = 0.0
-    D_max: Number = 0.0
-    T_id: Number = 0.0
+    T_obs: Number | None = None
+    T_f: Number | None = None
+    D_max: Number | None = None
+    T_id: Number | None = None
     notes: tuple[Text, ...] = ()
+    bits: Text | None = None
     swap_report: _SwapRecord = _SwapRecord()
-    linearization: _LinearizationRecord | None = None
+    linearization: LinearizationRecord | None = None
+
+    @property
+    def times(self) -> dict[str, float]:
+        """The times of (36)-(38) by name; none where the start was given."""
+        times = {"T_obs": self.T_obs, "T_f": self.T_f, "D_max": self.D_max, "T_id": self.T_id}
+        return {name: time for name, time in times.items() if time is not None}
 
 
 @dataclass(frozen=True)
@@ -93,8 +103,9 @@ _WARNINGS: TypeAdapter[list[tuple[str, str]]] = TypeAdapter(list[tuple[Text, Tex
 _LOOPS: TypeAdapter[list[str]] = TypeAdapter(list[Text])
 _TIME: TypeAdapter[float] = TypeAdapter(Number)
 _ORIGIN: TypeAdapter[ReplayOrigin] = TypeAdapter(ReplayOrigin)
-_COMPONENT: TypeAdapter[_ComponentRecord] = TypeAdapter(_ComponentRecord)
+_COMPONENT: TypeAdapter[ComponentRecord] = TypeAdapter(ComponentRecord)
 _OF_IDENTIFIERS = ("start_time", "P0")
+_TIMES = ("T_obs", "T_f", "D_max", "T_id")
 
 
 def run_metadata(recording: Recording) -> dict[str, str]:
@@ -114,7 +125,19 @@ def recorded_start(recording: Recording) -> float:
     return _checked(_TIME, _json(text, "start_time"), "start_time")
 
 
-def component_metadata(recording: Recording, component: str) -> dict[str, Any]:
+def component_table(recording: Recording, component: str) -> dict[str, Any]:
+    """Return what a component recorded about itself, as plain values to be shown.
+
+    Raises
+    ------
+    LogError
+        If that cannot be understood.
+    """
+    component_record(recording, component)
+    return dict(_component_json(recording, component))
+
+
+def component_record(recording: Recording, component: str) -> ComponentRecord:
     """Return what a component recorded about itself.
 
     Raises
@@ -122,13 +145,19 @@ def component_metadata(recording: Recording, component: str) -> dict[str, Any]:
     LogError
         If that cannot be understood.
     """
-    record = recording.metadata.get(f"cosim.component.{component}", {})
     what = f"metadata of {component!r}"
-    table = _json(record.get("metadata", "{}"), what)
-    _checked(_COMPONENT, table, what)
-    if "unknowns" in table and any(key not in table for key in _OF_IDENTIFIERS):
+    record = _checked(_COMPONENT, _component_json(recording, component), what)
+    known = record.model_fields_set
+    if "unknowns" in known and not known.issuperset(_OF_IDENTIFIERS):
         raise LogError(f"{what}: needed {' and '.join(_OF_IDENTIFIERS)} of an identifier")
-    return dict(table)
+    if len(record.times) not in (0, len(_TIMES)):
+        raise LogError(f"{what}: needed {', '.join(_TIMES)}, or none of them")
+    return record
+
+
+def _component_json(recording: Recording, component: str) -> Any:
+    record = recording.metadata.get(f"cosim.component.{component}", {})
+    return _json(record.get("metadata", "{}"), f"metadata of {component!r}")
 
 
 def recorded_warnings(recording: Recording) -> list[tuple[str, str]]:

@@ -15,7 +15,7 @@ from cosim.report.recorded_rows import signal_of
 from cosim.report.summary import Identification, Summary, span, summarize
 from cosim.report.tables.console import new_table, print_json, print_line, print_table
 from cosim.report.verification import Verification
-from cosim.scenario.recorded_metadata import component_metadata, recorded_warnings
+from cosim.scenario.recorded_metadata import component_record, recorded_warnings
 
 
 def print_summary(
@@ -176,6 +176,6 @@ def _warn_of_environment(source: Recording) -> None:
     for key, (recorded, current) in environment_changes(source).items():
         print_line(f"note: {key} was {recorded}, is {current}", error=True)
     for name in source.channels:
-        bits = component_metadata(source, name).get("bits")
+        bits = component_record(source, name).bits
         if bits is not None:
             print_line(f"note: {name}: {bits}", error=True)
