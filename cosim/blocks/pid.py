@@ -9,8 +9,8 @@ the measurement z::
 
 With limits the right-hand side of I is continuous and linear on each side of a limit. A step takes
 v - I as a straight line, solves each side in closed form, and finds where y reaches and leaves a
-limit: exact for inputs that are straight lines without a derivative part or without limits, else of
-second order.
+limit, unless it does both within one step: exact but for that for inputs that are straight lines,
+without a derivative part or without limits, else of second order.
 
 Sampled with the period h, at the samples k::
 

@@ -79,6 +79,18 @@ def test_adaptive_solvers_drive_a_loaded_fmu(solver, exported):
     assert np.array_equal(y, run(generated(solver), step=0.1))
 
 
+def test_lsoda_says_that_a_smaller_step_makes_it_worse():
+    """It starts anew at every communication point; BDF, which runs on, is as good as before."""
+
+    def error(component, h):
+        return abs(run(component, step=h) - run(generated(), step=h)).max()
+
+    assert error(generated("LSODA"), 0.001) > 10.0 * error(generated("LSODA"), 0.1)
+    assert error(generated("BDF"), 0.001) < 2.0 * error(generated("BDF"), 0.1)
+    assert "the smaller the communication step, the larger" in generated("LSODA").notes[0]
+    assert all(not generated(solver).notes for solver in ("BDF", "RK45", None))
+
+
 def test_rk4_is_fourth_order():
     """Halving the step divides the error by 16."""
 

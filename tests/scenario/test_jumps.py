@@ -1,5 +1,7 @@
 """Sources that jump: at communication points, by discrete signals, or not at all."""
 
+import re
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -227,3 +229,28 @@ def test_a_crafted_table_is_right_or_refused(tmp_path_factory, instants, random,
     if hold:
         between = np.arange(8) * H + H / 2
         assert right_at(t, values, between, hold=True) == found[:-1].tolist()
+
+
+@pytest.mark.parametrize(
+    ("t", "y", "text"),
+    [
+        (
+            [0.0, 0.51, 0.55, 0.59, 1.0],
+            [0.0, 0.0, 100.0, 0.0, 0.0],
+            "1 rows .* t = 0.55 s it is 1 ",
+        ),
+        ([0.0, 0.45, 0.450001, 1.0], [0.0, 0.0, 1.0, 1.0], "2 rows .* t = 0.45 s it is 0.5 "),
+        ([0.0, 0.5, 1.0], [0.0, 1.0, 0.0], ""),  # the kink is at a point
+        ([0.0, 0.55, 1.0], [0.0, 0.55, 1.0], ""),  # no kink
+        ([0.0, 0.55, 1.0], [0.0, 0.5501, 1.0], ""),  # nearly none
+        ([0.0, 2.05, 2.1, 3.0], [0.0, 0.0, 9.0, 9.0], ""),  # behind the run
+    ],
+)
+def test_rows_of_a_table_that_fall_between_communication_points_are_said(tmp_path, t, y, text):
+    """A straight line from point to point cannot show them; step 0.1 s."""
+    table = f'kind = "table"\nextrapolation = "hold"\nt = {t}\ny = {y}'
+    result = run(tmp_path, table, step=0.1)
+    notes = [message.text for message in result.messages() if message.source == "u"]
+    assert len(notes) == bool(text)
+    if text:
+        assert re.search(text, notes[0])

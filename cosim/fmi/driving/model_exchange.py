@@ -86,7 +86,7 @@ class ModelExchange:
         self.solver = _choose_solver(instance, solver, dae)
         tolerance = _choose_tolerance(instance.description.name, self.solver, rtol)
         self.rtol = tolerance if self.solver in TOLERANT else None
-        self.notes: tuple[str, ...] = ()
+        self.notes: tuple[str, ...] = _notes(instance.description.name, self.solver)
         self._instance = instance
         self._initialization = Initialization(instance, starts or {})
         self._discrete = instance.description.discrete_inputs
@@ -231,6 +231,17 @@ class ModelExchange:
             if self._integrator.state.ended:
                 raise Stopped(y[: k + completed].copy(), TERMINATED, failed=False)
         return y
+
+
+def _notes(name: str, solver: str) -> tuple[str, ...]:
+    """Return what is to be known of a solver."""
+    if solver != "LSODA":
+        return ()
+    return (
+        f"{name}: LSODA starts anew at every communication point, which costs accuracy at each: "
+        "the smaller the communication step, the larger the error, beyond the tolerance; BDF and "
+        "CVode run on",
+    )
 
 
 def _choose_solver(instance: ModelExchangeInstance, solver: str | None, dae: DaeForm) -> str:

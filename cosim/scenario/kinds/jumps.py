@@ -8,15 +8,18 @@ can jump there, to the value that it has after the jump.
 from __future__ import annotations
 
 import math
+from typing import Final
 
 import numpy as np
 
 from cosim.arrays import Matrix, Vector
-from cosim.core.clock import Clock
+from cosim.core.clock import NANOSECONDS, Clock
 from cosim.errors import UsageError
 from cosim.native.expression import compile_expression
 from cosim.native.jumps import Jump, jumps
 from cosim.native.step import evaluate
+
+_UNSEEN: Final = 0.01  # of a column's range
 
 
 def check_continuous(text: str, clock: Clock, way_out: str) -> None:
@@ -126,3 +129,40 @@ def held_from_points(t: Vector, y: Matrix, clock: Clock) -> Vector:
         )
     held: Vector = np.where(on_grid, clock.nearest_points(t), t)
     return held
+
+
+def unseen_rows(t: Vector, y: Matrix, clock: Clock) -> list[str]:
+    """Return what is to be known of rows that a linearly interpolated table has between points.
+
+    The signal is a straight line from one communication point to the next, so what the table does
+    between them is lost.
+
+    Parameters
+    ----------
+    t : Vector, shape (N,)
+    y : Matrix, shape (N, n)
+
+    Returns
+    -------
+    list of str
+        Empty where no row is farther from the line than a hundredth of the range of its column.
+    """
+    between = (t > clock.start_time) & (t < clock.stop) & ~clock.is_point(t)
+    times = t[between]
+    h = clock.step_ns / NANOSECONDS
+    before = clock.start_time + np.floor((times - clock.start_time) / h) * h
+    worst = np.zeros(len(times))
+    for column in y.T:
+        first = np.interp(before, t, column)
+        last = np.interp(before + h, t, column)
+        line = first + (last - first) * (times - before) / h
+        tallest = np.ptp(column) or 1.0
+        worst = np.maximum(worst, np.abs(column[between] - line) / tallest)
+    if not (worst > _UNSEEN).any():
+        return []
+    row = int(worst.argmax())
+    return [
+        f"{np.count_nonzero(worst > _UNSEEN)} rows between communication points are not seen: the "
+        f"signal is a straight line there, and at t = {float(times[row])!r} s it is "
+        f"{worst[row]:.2g} of the table's range away from the row; a smaller step shows them"
+    ]

@@ -17,7 +17,12 @@ from cosim.errors import UsageError
 from cosim.native.expression import FUNCTIONS, compile_expression
 from cosim.scenario.csv_file import read_csv
 from cosim.scenario.kinds.base import BuildContext, Kind
-from cosim.scenario.kinds.jumps import check_continuous, check_sampled, held_from_points
+from cosim.scenario.kinds.jumps import (
+    check_continuous,
+    check_sampled,
+    held_from_points,
+    unseen_rows,
+)
 from cosim.scenario.schema import (
     Flag,
     Number,
@@ -194,6 +199,9 @@ class TableKind(Kind):
         source.check_points(t, y, hold=hold)
         if hold:
             t = held_from_points(t, y, clock)
+        else:
+            for note in unseen_rows(t, y, clock):
+                context.warn(name, note)
         extrapolate = self.extrapolation == "hold"
         if not (extrapolate or t[0] <= clock.start_time <= clock.stop <= t[-1]):
             raise UsageError(
