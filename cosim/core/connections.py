@@ -1,9 +1,8 @@
-"""Connections: which outputs drive which input, checked against the ports and their units."""
+"""Connections: which outputs drive which input, with what gain, and in what unit."""
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import InitVar, dataclass, field
 from typing import Final, TypeAlias
 
@@ -11,15 +10,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cosim.core.arguments import check_type, kind_of
-from cosim.core.contracts import Component
 from cosim.core.port import Port
-from cosim.core.signals import Causality, Channel, Layout, Signal
-from cosim.errors import GraphError, nearest
-from cosim.units import BASE, BaseUnit, Conversion, Unit, comparable, conversion, unknown_unit
-
-ONE_SOURCE: Final = "an input has one source (add signals with a 'sum')"
+from cosim.core.ports import Ports
+from cosim.core.signals import Signal
+from cosim.errors import GraphError
+from cosim.units import Conversion, Unit, conversion
 
 SourceText: TypeAlias = str | Port | Sequence[str | Port]
+ONE_SOURCE: Final = "an input has one source (add signals with a 'sum')"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,298 +114,6 @@ def _label(sources: Iterable[Port]) -> str:
     return ", ".join(map(str, sources))
 
 
-@dataclass(frozen=True, slots=True)
-class ConnectionEnd:
-    """An input or an output, or elements of it, and their columns in the row."""
-
-    channel: Channel
-    signal: Signal
-    columns: slice
-    elements: slice
-
-    @property
-    def port(self) -> Port:
-        """The whole input or output."""
-        return Port(self.channel.name, self.signal.name)
-
-    @property
-    def size(self) -> int:
-        """Number of elements."""
-        return int(self.columns.stop - self.columns.start)
-
-
-class Ports:
-    """The ports of a layout by their names."""
-
-    def __init__(self, layout: Layout) -> None:
-        self.channels = {channel.name: channel for channel in layout.channels}
-        self._signals: dict[tuple[str, Causality], dict[str, Signal]] = {}
-        for channel in layout.channels:
-            name = channel.name
-            interface = channel.interface
-            self._signals[name, "input"] = {signal.name: signal for signal in interface.inputs}
-            self._signals[name, "output"] = {signal.name: signal for signal in interface.outputs}
-
-    def input(self, port: Port) -> ConnectionEnd:
-        """Return an input, or elements of it.
-
-        Raises
-        ------
-        GraphError
-            If there is no such input or element; names the nearest.
-        """
-        return self._find(port, "input")
-
-    def output(self, port: Port) -> ConnectionEnd:
-        """Return an output, or elements of it.
-
-        Raises
-        ------
-        GraphError
-            If there is no such output or element; names the nearest.
-        """
-        return self._find(port, "output")
-
-    def _find(self, port: Port, causality: Causality) -> ConnectionEnd:
-        if port.component not in self.channels:
-            raise _unknown_component(port, self.channels)
-        channel = self.channels[port.component]
-        match = port.find_in(self._signals[channel.name, causality])
-        if match is None:
-            raise _unknown_port(port, channel, causality)
-        signal, elements = match
-        columns = self.columns(Port(channel.name, signal.name), elements)
-        return ConnectionEnd(channel, signal, columns, elements)
-
-    def columns(self, port: Port, elements: slice) -> slice:
-        """Return the columns of some elements of a whole signal."""
-        start = self.channels[port.component].signal_columns[port.signal].start
-        return slice(start + elements.start, start + elements.stop)
-
-
-def _unknown_component(port: Port, known: Iterable[str]) -> GraphError:
-    name = port.component
-    return GraphError(f"'{port}': there is no component {name!r}; {nearest(name, known)}")
-
-
-def _unknown_port(port: Port, channel: Channel, causality: Causality) -> GraphError:
-    interface = channel.interface
-    signals = interface.inputs if causality == "input" else interface.outputs
-    names = [signal.name for signal in signals]
-    own_names = [signal.name for signal in interface.signals]
-    if port.name in own_names or port.signal in own_names:
-        other = "input" if causality == "output" else "output"
-        return GraphError(
-            f"'{port}' is an {other} of {channel.name!r}; needed an {causality}; "
-            f"there is: {', '.join(names) or 'none'}"
-        )
-    suggestion = nearest(port.signal, names)
-    if "[" in port.signal:
-        suggestion = f"{suggestion} (elements are [i] or [i:j], numbered from 0)"
-    return GraphError(
-        f"'{port}': {channel.name!r} has no {causality} {port.signal!r}; {suggestion}"
-    )
-
-
-def check_connections(
-    ports: Ports,
-    connections: Mapping[Port, Connection],
-    missing: Collection[str] = (),
-    unread: Iterable[Port] = (),
-) -> dict[Port, str]:
-    """Return every problem of the connections, by the input, or elements of it, it belongs to.
-
-    Parameters
-    ----------
-    ports : Ports
-    connections : mapping of Port to Connection
-    missing : collection of component names
-        Components that are meant to be there but could not be built: connections to and from them
-        are not checked.
-    unread : iterable of Port
-        Inputs, or elements of them, whose connections could not be read.
-    """
-    problems: dict[Port, str] = {}
-    for to, connection in connections.items():
-        text = "; ".join(_problems(ports, to, connection, missing))
-        if text:
-            problems[to] = text
-    connected, unknown = _connected_parts(ports, connections)
-    unknown.update(port.whole for port in unread)
-    for channel in ports.channels.values():
-        for signal in channel.interface.inputs:
-            port = Port(channel.name, signal.name)
-            if port not in unknown:
-                for to, text in _problems_of_input(port, signal, connected.get(port, ())):
-                    problems[to] = f"{problems[to]}; {text}" if to in problems else text
-    return problems
-
-
-def _connected_parts(
-    ports: Ports, connections: Iterable[Port]
-) -> tuple[dict[Port, list[tuple[Port, ConnectionEnd]]], set[Port]]:
-    """Return what is connected of every input, and the inputs of which an element is not there."""
-    connected: dict[Port, list[tuple[Port, ConnectionEnd]]] = {}
-    unknown: set[Port] = set()
-    for to in connections:
-        try:
-            end = ports.input(to)
-        except GraphError:
-            unknown.add(to.whole)
-        else:
-            connected.setdefault(end.port, []).append((to, end))
-    return connected, unknown
-
-
-def _problems_of_input(
-    port: Port, signal: Signal, parts: Sequence[tuple[Port, ConnectionEnd]]
-) -> Iterator[tuple[Port, str]]:
-    """Yield what is wrong with how often elements of an input are connected, and where."""
-    driven_by: dict[int, Port] = {}
-    for to, end in parts:
-        driven = range(end.elements.start, end.elements.stop)
-        overlapped = [driven_by[i] for i in driven if i in driven_by]
-        if overlapped:
-            yield to, _overlap_text(to, list(dict.fromkeys(overlapped)), port)
-        driven_by |= dict.fromkeys(driven, to)
-    undriven = undriven_parts(port, signal, (end for _, end in parts))
-    if parts and signal.connection == "forbidden":
-        yield parts[0][0], _forbidden_text(port, undriven)
-    if undriven and signal.connection == "required":
-        yield parts[-1][0] if parts else port, _undriven_text(port, signal, undriven)
-
-
-def _undriven_text(port: Port, signal: Signal, undriven: Sequence[Port]) -> str:
-    if undriven[0] == port:
-        return f"'{port}' is not connected; give it a source in [connections]"
-    names = ", ".join(f"'{part}'" for part in undriven)
-    is_one = len(undriven) == 1 and isinstance(undriven[0].element, int)
-    problem = "is not connected; give it" if is_one else "are not connected; give them"
-    origin = f" (of the FMU: {signal.origin})" if signal.origin else ""
-    return (
-        f"{names} {problem} a source in [connections]; '{port}' has {signal.size} elements, "
-        f"numbered from 0{origin}"
-    )
-
-
-def _overlap_text(to: Port, others: Sequence[Port], port: Port) -> str:
-    names = ", ".join(f"'{other}'" for other in others)
-    if names == f"'{to}'":
-        return f"'{to}' is given twice; {ONE_SOURCE}"
-    return (
-        f"'{to}' overlaps {names}: an element has one source (add signals with a 'sum'); needed "
-        f"'{port}' as a whole, or each of its elements once"
-    )
-
-
-def _forbidden_text(port: Port, undriven: Sequence[Port]) -> str:
-    if undriven:
-        return (
-            f"'{port}' is connected in part, and has a start value that was set for it; leave one "
-            "of both out, or drive its other elements with a 'constant'"
-        )
-    return (
-        f"'{port}' is connected, and has a start value that was set for it, which the "
-        "connection would overwrite; leave one of both out"
-    )
-
-
-def undriven_parts(port: Port, signal: Signal, ends: Iterable[ConnectionEnd]) -> list[Port]:
-    """Return the parts of an input that nothing drives: all of it, or runs of its elements."""
-    driven: set[int] = set()
-    for end in ends:
-        driven.update(range(end.elements.start, end.elements.stop))
-    if not driven:
-        return [port]
-    parts = []
-    start = 0
-    for stop in (*sorted(driven), signal.size):
-        if stop - start == 1:
-            parts.append(Port(port.component, port.signal, start))
-        elif stop > start:
-            parts.append(Port(port.component, port.signal, range(start, stop)))
-        start = stop + 1
-    return parts
-
-
-def _problems(
-    ports: Ports, to: Port, connection: Connection, missing: Collection[str]
-) -> Iterator[str]:
-    """Yield the problems of one connection."""
-    ends = (to, *connection.sources)
-    known = [*ports.channels, *missing]
-    unknown = [port for port in ends if port.component not in known]
-    for port in unknown:
-        yield str(_unknown_component(port, known))
-    if unknown or any(port.component in missing for port in ends):
-        return
-    try:
-        target = ports.input(to)
-        sources = [ports.output(port) for port in connection.sources]
-    except GraphError as error:
-        yield str(error)
-        return
-    for problem in _mismatches(connection, target, sources):
-        yield f"{connection.label} -> {to}: {problem}"
-
-
-def _mismatches(
-    connection: Connection, end: ConnectionEnd, sources: Sequence[ConnectionEnd]
-) -> Iterator[str]:
-    """Yield what does not fit between the sources of a connection and its input."""
-    target = end.signal
-    yield from _size_mismatches(connection, end, sources)
-    for source in sources:
-        yield from _unit_mismatches(connection, source.signal, target)
-    if connection.matrix.ndim and not _one_conversion(connection, target, sources):
-        units = ", ".join(_unit_text(source.signal.measure) for source in sources)
-        yield f"a gain cannot mix the units {units}; give the unit that it leads to, unit = ..."
-    if not target.optional and any(source.signal.optional for source in sources):
-        yield "the source may carry no value (NaN), the input needs one at every step"
-
-
-def _size_mismatches(
-    connection: Connection, target: ConnectionEnd, sources: Sequence[ConnectionEnd]
-) -> Iterator[str]:
-    size = sum(source.size for source in sources)
-    shape = connection.matrix.shape
-    if shape and shape != (target.size, size):
-        yield f"gain has shape {shape}, needed ({target.size}, {size})"
-    if not shape and size != target.size:
-        source_unit = _bracketed_unit(sources[0].signal)
-        target_unit = _bracketed_unit(target.signal)
-        yield f"size {size}{source_unit} cannot drive size {target.size}{target_unit}"
-
-
-def _one_conversion(
-    connection: Connection, target: Signal, sources: Sequence[ConnectionEnd]
-) -> bool:
-    conversions = {_conversion(connection, source.signal, target) for source in sources}
-    return len(conversions) == 1
-
-
-def _unit_mismatches(connection: Connection, source: Signal, target: Signal) -> Iterator[str]:
-    reached = unit_reached(connection, source, target)
-    used = connection.unit in (None, source.unit, target.unit)
-    if not used and reached.si is None:
-        yield f"unit = {connection.unit!r}: {unknown_unit(str(connection.unit))}"
-    elif conversion(reached, target.measure) is None:
-        yield (
-            f"unit {_unit_text(reached)} cannot drive unit {_unit_text(target.measure)}; convert "
-            f"with {{ from = {connection.label!r}, gain = ..., unit = {target.unit!r} }}"
-        )
-    if _is_identity(connection) and not _same_unit(source.measure, reached):
-        yield (
-            f"the source has unit {source.unit!r}; unit = {connection.unit!r} needs its gain; "
-            "without it the unit is converted"
-        )
-
-
-def _is_identity(connection: Connection) -> bool:
-    gain = connection.matrix
-    return gain.ndim == 0 and bool(gain == 1.0) and connection.offset == 0.0
-
-
 def unit_reached(connection: Connection, source: Signal, target: Signal) -> Unit:
     """Return the unit after gain and offset.
 
@@ -421,73 +127,9 @@ def unit_reached(connection: Connection, source: Signal, target: Signal) -> Unit
     return Unit(connection.unit)
 
 
-def _conversion(connection: Connection, source: Signal, target: Signal) -> Conversion | None:
+def conversion_of(connection: Connection, source: Signal, target: Signal) -> Conversion | None:
+    """Return the conversion from the unit reached to that of the input; None: there is none."""
     return conversion(unit_reached(connection, source, target), target.measure)
-
-
-def unit_warnings(
-    ports: Ports, connections: Mapping[Port, Connection]
-) -> Iterator[tuple[str, str]]:
-    """Yield (component, text) for units of checked connections that cannot be compared."""
-    for to, connection in connections.items():
-        target = ports.input(to).signal
-        units = []
-        for port in connection.sources:
-            reached = unit_reached(connection, ports.output(port).signal, target)
-            units.append(reached)
-            for text in incomparable(reached, target.measure):
-                yield to.component, f"{port} -> {to}: {text}"
-        if target.unit is None and not _all_same(units):
-            names = ", ".join(_unit_text(unit) for unit in units)
-            yield (
-                to.component,
-                f"{connection.label} -> {to}: the input has no unit, so values in {names} are "
-                "stacked as they are",
-            )
-
-
-def element_warnings(
-    ports: Ports, connections: Mapping[Port, Connection]
-) -> Iterator[tuple[str, str]]:
-    """Yield (component, text) for elements whose numbers are others in the FMU they come from."""
-    driven = Counter[Port]()
-    for to in connections:
-        end = ports.input(to)
-        driven[end.port] += end.size
-    for to, connection in connections.items():
-        end = ports.input(to)
-        named = [(port, ports.output(port).signal) for port in connection.sources]
-        # Who drives every element knows that they are numbered from 0.
-        if driven[end.port] < end.signal.size:
-            named.append((to, end.signal))
-        for port, signal in named:
-            if signal.first and isinstance(port.element, int) and port.name != signal.name:
-                number = port.element + signal.first
-                part = f"{port.whole}[{port.element}:{port.element + 1}]"
-                yield (
-                    to.component,
-                    f"{port} is {signal.name}[{number}] of the FMU, as elements are numbered from "
-                    f"0 here; write {part} if it is meant",
-                )
-
-
-def incomparable(reached: Unit, target: Unit) -> Iterator[str]:
-    """Yield, where one of two declared units is not known, what is done with values."""
-    if reached.name is None or target.name is None or comparable(reached, target):
-        return
-    unknown = [repr(unit.name) for unit in (reached, target) if unit.si is None]
-    verb = "are" if len(unknown) > 1 else "is"
-    yield (
-        f"{' and '.join(unknown)} {verb} not known, so values in {reached.name!r} are taken as "
-        f"{target.name!r}, as they are"
-    )
-
-
-def _all_same(units: Sequence[Unit]) -> bool:
-    """Return whether no two units of one dimension are of different size."""
-    known = [unit.si for unit in units if unit.si is not None]
-    sizes: dict[tuple[int, ...], BaseUnit] = {}
-    return all(sizes.setdefault(base.exponents, base) == base for base in known)
 
 
 def conversions_of(ports: Ports, to: Port, connection: Connection) -> tuple[Conversion, ...]:
@@ -495,41 +137,7 @@ def conversions_of(ports: Ports, to: Port, connection: Connection) -> tuple[Conv
     target = ports.input(to).signal
     conversions = []
     for port in connection.sources:
-        converted = _conversion(connection, ports.output(port).signal, target)
+        converted = conversion_of(connection, ports.output(port).signal, target)
         assert converted is not None
         conversions.append(converted)
     return tuple(conversions)
-
-
-def _same_unit(first: Unit, second: Unit) -> bool:
-    converted = conversion(first, second)
-    return converted is not None and converted.copies
-
-
-def _unit_text(unit: Unit) -> str:
-    """Return the name of a unit, with its base units where a definition gives them."""
-    if unit.base is None:
-        return repr(unit.name)
-    powers = []
-    for name, exponent in zip(BASE, unit.base.exponents, strict=True):
-        if exponent:
-            powers.append(name if exponent == 1 else f"{name}{exponent}")
-    return f"{unit.name!r} ({'.'.join(powers) or '1'})"
-
-
-def _bracketed_unit(signal: Signal) -> str:
-    return "" if signal.unit is None else f" [{signal.unit}]"
-
-
-def layout_of(
-    components: Mapping[str, Component], periods: Mapping[str, int] | None = None
-) -> Layout:
-    """Return the layout that gives every component its columns."""
-    channels: list[Channel] = []
-    start = 0
-    for name, component in components.items():
-        period = 1 if periods is None else periods.get(name, 1)
-        channel = Channel(name, component.interface, start, period)
-        channels.append(channel)
-        start = channel.columns.stop
-    return Layout(tuple(channels))

@@ -16,18 +16,8 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.arguments import check_type, checked_components, kind_of
-from cosim.core.connections import (
-    ONE_SOURCE,
-    Connection,
-    Ports,
-    SourceText,
-    check_connections,
-    conversions_of,
-    element_warnings,
-    layout_of,
-    undriven_parts,
-    unit_warnings,
-)
+from cosim.core.connection_checks import check_connections, element_warnings, unit_warnings
+from cosim.core.connections import ONE_SOURCE, Connection, SourceText, conversions_of
 from cosim.core.contracts import Component, Design, Plan
 from cosim.core.coupling import Cascade, Loop, Stage
 from cosim.core.cycles import groups_in_order
@@ -35,6 +25,7 @@ from cosim.core.initial_values import InitialValues
 from cosim.core.member import Member, Wire, constant_wires, wires_of
 from cosim.core.order import order_loop
 from cosim.core.port import Port
+from cosim.core.ports import Ports, layout_of, undriven_parts
 from cosim.core.signals import Channel, Signal, Variability
 from cosim.core.variability import Variabilities
 from cosim.errors import GraphError, NonFiniteError, nearest

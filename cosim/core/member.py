@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Matrix, Vector
-from cosim.core.connections import Connection, ConnectionEnd
+from cosim.core.connections import Connection
 from cosim.core.contracts import Component, Design, Preparable, Stopped, prepare
+from cosim.core.ports import ConnectionEnd
 from cosim.core.signals import Channel, element_names
 from cosim.errors import CosimError, LogError, RunError
 from cosim.units import Conversion

@@ -17,9 +17,10 @@ from cosim.blocks.renamed import Renamed
 from cosim.blocks.renaming import resolve
 from cosim.blocks.replay import Replay
 from cosim.core.clock import Clock, start_nanoseconds
-from cosim.core.connections import Ports, check_connections, layout_of
+from cosim.core.connection_checks import check_connections
 from cosim.core.contracts import Component, Design, Plan, Recording
 from cosim.core.graph import Graph
+from cosim.core.ports import Ports, layout_of
 from cosim.core.signals import Interface
 from cosim.errors import CosimError
 from cosim.scenario.context import (

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.core.connections import incomparable
+from cosim.core.connection_checks import incomparable
 from cosim.core.contracts import Component
 from cosim.core.port import Port
 from cosim.core.signals import Signal
