@@ -18,9 +18,11 @@ if TYPE_CHECKING:
     from cosim.blocks.observer import observer_model
     from cosim.blocks.pid import Pid, PidParameters
     from cosim.blocks.plant import descriptor_model
+    from cosim.blocks.port_map import PortMap
     from cosim.blocks.product import Product
     from cosim.blocks.regressor import Regressor
     from cosim.blocks.renamed import Renamed
+    from cosim.blocks.renaming import Renaming, map_ports
     from cosim.blocks.replay import Replay
     from cosim.blocks.sampled import Decimated, Sampled
     from cosim.blocks.source import Expression, Noise, Table, chirp, constant, ramp, sine, step
@@ -49,13 +51,16 @@ _HOMES = {
     "LimitedIntegrator": "cosim.blocks.limited_integrator",
     "LookUpTable": "cosim.blocks.look_up",
     "Noise": "cosim.blocks.source",
+    "map_ports": "cosim.blocks.renaming",
     "observer_model": "cosim.blocks.observer",
     "Pid": "cosim.blocks.pid",
     "PidParameters": "cosim.blocks.pid",
+    "PortMap": "cosim.blocks.port_map",
     "Product": "cosim.blocks.product",
     "ramp": "cosim.blocks.source",
     "Regressor": "cosim.blocks.regressor",
     "Renamed": "cosim.blocks.renamed",
+    "Renaming": "cosim.blocks.renaming",
     "Replay": "cosim.blocks.replay",
     "Sampled": "cosim.blocks.sampled",
     "sine": "cosim.blocks.source",
@@ -79,9 +84,11 @@ __all__ = [
     "Noise",
     "Pid",
     "PidParameters",
+    "PortMap",
     "Product",
     "Regressor",
     "Renamed",
+    "Renaming",
     "Replay",
     "Sampled",
     "SystemMatrices",
@@ -94,6 +101,7 @@ __all__ = [
     "integrator",
     "lag",
     "limit",
+    "map_ports",
     "observer_model",
     "ramp",
     "sine",

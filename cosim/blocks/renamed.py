@@ -18,7 +18,7 @@ class Renamed:
     ----------
     component : Component
     ports : PortMap
-        Made for the interface of the component.
+        What :func:`cosim.blocks.map_ports` returned for the interface of the component.
     """
 
     def __init__(self, component: Component, ports: PortMap) -> None:

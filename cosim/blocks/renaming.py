@@ -39,7 +39,7 @@ class Renaming:
     causality: Causality | None = None
 
 
-def port_map(
+def map_ports(
     interface: Interface, renamings: Iterable[Renaming], replaced: Interface | None = None
 ) -> PortMap:
     """Return the map of ports for renamings, parameters as of :func:`resolve`.

@@ -215,6 +215,20 @@ def replay(
     again. Designs are taken from the log too, except those of components that ``set`` changes or
     that rest on one that it changes. No file is opened but the log and those that ``set`` names.
 
+    Parameters
+    ----------
+    log : str, Path or Log
+        The recording of a run.
+    out, force, block, progress, notice
+        As of :func:`run`.
+    set : mapping of dotted key to value, optional
+        Such as ``{"observer.filter_rate": 500.0, "scenario.stop": 10.0}``.
+
+    Returns
+    -------
+    Log or Memory
+        The recording: the log file if ``out`` is given.
+
     Raises
     ------
     LogError

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from cosim.blocks.renamed import Renamed
-from cosim.blocks.renaming import Renaming, port_map
+from cosim.blocks import Renamed, Renaming, map_ports
 from cosim.blocks.replay import Replay
 from cosim.blocks.source import Expression
 from cosim.core.clock import Clock
@@ -59,7 +58,7 @@ def renamings(names, component="plant"):
 
 def renamed(names, component=None, replaced=None):
     component = component or linear()
-    return Renamed(component, port_map(component.interface, renamings(names), replaced))
+    return Renamed(component, map_ports(component.interface, renamings(names), replaced))
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -95,7 +94,7 @@ def test_what_depends_on_what_is_shown_in_the_shown_names():
     assert shown.initial == {"x_a": ("u",), "z": ("f_", "u"), "out": ("f_", "u")}
     unknown = Interface((Signal("a"),), (Signal("b"), Signal("c")), {"b": None, "c": ("a",)})
     names = renamings({"y": ["c", "b"]})
-    assert port_map(unknown, names).interface.feedthrough == {"y": None}
+    assert map_ports(unknown, names).interface.feedthrough == {"y": None}
 
 
 def test_inputs_keep_their_initial_values_and_roles():
@@ -140,7 +139,7 @@ def test_a_vector_of_two_units_is_converted_element_by_element():
     assert (shown.interface.inputs[0].unit, shown.interface.outputs[0].unit) == ("m", "cm")
     y = shown.advance(np.array([0.0, 1.0]), 1.0, np.array([[0.0, 0.0], [2.0, 0.003]]))
     assert y == pytest.approx(np.array([[200.0, 0.3]]), rel=1e-15)
-    ports = port_map(Gauge.interface, renamings(names), replaced)
+    ports = map_ports(Gauge.interface, renamings(names), replaced)
     assert ports.shown_gain(np.diag([1.0, 1.0])) == pytest.approx(np.diag([100.0, 100.0]))
     assert ports.shown_inputs(np.array([2.0, 5.0])) == pytest.approx([2.0, 0.005])
     check_component(lambda: renamed(names, Gauge(), replaced))
@@ -148,10 +147,10 @@ def test_a_vector_of_two_units_is_converted_element_by_element():
 
 def test_elements_from_0_on_make_a_port():
     """One that was not there, or one in the place of a port of the component."""
-    whole = port_map(INTERFACE, renamings({"y[1]": ["s[0]"], "y[0]": ["v"]}))
+    whole = map_ports(INTERFACE, renamings({"y[1]": ["s[0]"], "y[0]": ["v"]}))
     assert [signal.name for signal in whole.interface.outputs] == ["s", "out", "y"]
     assert whole.names == {"y": "v, s[0]"}
-    single = port_map(INTERFACE, renamings({"s[0]": ["out[1]"], "push[0]": ["push"]}))
+    single = map_ports(INTERFACE, renamings({"s[0]": ["out[1]"], "push[0]": ["push"]}))
     assert single.names == {"s": "out[1]", "s_": "s"}
     names = {"f[0]": ["f[1]"], "f[1]": ["f[0]"]}
     turned = renamed(names)
@@ -160,13 +159,13 @@ def test_elements_from_0_on_make_a_port():
         ("f", 2),
         ("g", 1),
     ]
-    assert port_map(INTERFACE, renamings(names)).names == {"f": "f[1], f[0]"}
+    assert map_ports(INTERFACE, renamings(names)).names == {"f": "f[1], f[0]"}
     check_component(lambda: renamed(names))
 
 
 def test_a_single_element_of_a_port_of_unknown_size_is_a_signal():
     """No vector of the component is beside it, where it would be in the place of an element."""
-    single = port_map(INTERFACE, renamings({"s[1]": ["v"], "y[1]": ["v"]}))
+    single = map_ports(INTERFACE, renamings({"s[1]": ["v"], "y[1]": ["v"]}))
     assert [(s.name, s.size) for s in single.interface.outputs] == [
         ("s_", 2),
         ("out", 3),
@@ -212,13 +211,13 @@ def test_parts_of_a_port_make_the_whole_of_it(case):
     """They neither overlap nor leave out an element."""
     names, text = PARTS[case]
     with pytest.raises(GraphError, match=text):
-        port_map(INTERFACE, renamings(names), REPLACED)
+        map_ports(INTERFACE, renamings(names), REPLACED)
 
 
 def test_a_name_in_brackets_may_be_that_of_a_port():
     """It is no element of another then; y[0] is the scalar y."""
     names = {"z[1]": ["v"], "z": ["s[0]"], "y[0]": ["s[1]"]}
-    ports = port_map(INTERFACE, renamings(names), REPLACED)
+    ports = map_ports(INTERFACE, renamings(names), REPLACED)
     assert ports.names == {"z[1]": "v", "z": "s[0]", "y": "s[1]"}
 
 
@@ -276,4 +275,4 @@ def test_a_wrong_name_says_what_there_is(case):
     """What was found, and the way out."""
     names, text = WRONG[case]
     with pytest.raises(GraphError, match=text):
-        port_map(MIXED, renamings(names))
+        map_ports(MIXED, renamings(names))
