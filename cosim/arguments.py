@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from cosim.errors import UsageError, command, option, quoted
+from cosim.files import file_type
 
 NO_PATH = (errno.ENAMETOOLONG, errno.EILSEQ, errno.EINVAL)
 
@@ -45,7 +46,7 @@ def log_argument(value: object) -> Path:
     needed = f"{quoted(str(path))}: needed a log (.mcap)"
     if _is_scenario(path):
         raise UsageError(f"{needed}; {command('run')} runs a scenario")
-    if path.suffix.lower() == ".fmu":
+    if file_type(path) == "FMU":
         raise UsageError(f"{needed}; 'cosim info' shows an FMU")
     return path
 
@@ -62,14 +63,14 @@ def fmu_argument(value: object) -> Path:
     needed = f"{quoted(str(path))}: needed an FMU (.fmu)"
     if _is_scenario(path):
         raise UsageError(f"{needed}; 'cosim info' shows a scenario")
-    if path.suffix.lower() == ".mcap":
+    if file_type(path) == "log":
         raise UsageError(f"{needed}; 'cosim info' shows a log")
     return path
 
 
 def _is_scenario(path: Path) -> bool:
     """Return whether a path is that of a scenario, or may be the name of a shipped one."""
-    return path.suffix.lower() == ".toml" or not (path.suffix or path.exists())
+    return file_type(path) == "scenario" or not (path.suffix or path.exists())
 
 
 def check_path(path: str | Path) -> None:

@@ -20,6 +20,7 @@ import typer
 
 from cosim import completion
 from cosim.errors import CosimError, UsageError, option, quoted, shell_language
+from cosim.files import file_type
 from cosim.report.printable import printable
 from cosim.terminal import ended_by_signals, keep_stdout, outlive_terminal, show_progress
 from cosim.unanswered import ended_if_unanswered
@@ -470,8 +471,8 @@ def plot(
     from cosim.report.plots import PictureOptions, plot_run, plot_signals
 
     options = PictureOptions(_size(size), start, stop, title)
-    logs = [open_log(source) for source in sources if source.endswith(".mcap")]
-    signals = [source for source in sources if not source.endswith(".mcap")]
+    logs = [open_log(source) for source in sources if file_type(source) == "log"]
+    signals = [source for source in sources if file_type(source) != "log"]
     if not logs:
         raise UsageError(
             f"found no log among {', '.join(sources)}; needed a path that ends in .mcap"
@@ -686,7 +687,7 @@ def _need_plot(plot: Path | None, out: Path | None) -> None:
         return
     picture = Path(os.path.realpath(plot))
     target = Path(os.path.realpath(out))
-    if target == picture or (target.suffix == ".mcap" and target in picture.parents):
+    if target == picture or (file_type(target) == "log" and target in picture.parents):
         raise UsageError(f"--plot {plot}: found the path of the log, --out {out}; needed another")
 
 

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from cosim.errors import CosimError
+from cosim.files import FileType, file_type
 
 if TYPE_CHECKING:
     from cosim.scenario.parsing import Scenario
@@ -26,12 +27,12 @@ def complete_scenario(incomplete: str) -> list[str]:
     from cosim.scenario.document import shipped
 
     names = [name for name in shipped() if name.startswith(incomplete)]
-    return names + list(_files(incomplete, ".toml"))
+    return names + list(_files(incomplete, "scenario"))
 
 
 def complete_source(incomplete: str) -> list[str]:
     """Return what ``cosim info`` reads: scenarios, FMUs and logs that begin so."""
-    files = [*_files(incomplete, ".fmu"), *_files(incomplete, ".mcap")]
+    files = [*_files(incomplete, "FMU"), *_files(incomplete, "log")]
     return complete_scenario(incomplete) + files
 
 
@@ -52,7 +53,7 @@ def complete_swap(context: typer.Context, incomplete: str) -> list[str]:
     component, equals, path = incomplete.partition("=")
     if not equals:
         return [f"{name}=" for name in complete_component(context, incomplete)]
-    files = [*_files(path, ".fmu"), *_files(path, ".mcap")]
+    files = [*_files(path, "FMU"), *_files(path, "log")]
     return [f"{component}={file}" for file in files]
 
 
@@ -105,13 +106,13 @@ def _scenario(context: typer.Context) -> Scenario | None:
     return None
 
 
-def _files(incomplete: str, suffix: str) -> Iterator[str]:
-    """Yield paths that begin so: files with a suffix, and folders."""
+def _files(incomplete: str, wanted: FileType) -> Iterator[str]:
+    """Yield paths that begin so: files of a type, and folders."""
     folder, slash, begin = incomplete.rpartition("/")
     with suppress(OSError):
         for path in sorted(Path(folder + slash or ".").iterdir()):
             if path.name.startswith(begin) and not path.name.startswith("."):
                 if path.is_dir():
                     yield f"{folder}{slash}{path.name}/"
-                elif path.suffix.lower() == suffix:
+                elif file_type(path) == wanted:
                     yield f"{folder}{slash}{path.name}"

@@ -12,8 +12,11 @@ import os
 import stat
 import tempfile
 from pathlib import Path
-from typing import Final
+from typing import Final, Literal, TypeAlias
 
+FileType: TypeAlias = Literal["log", "FMU", "scenario"]
+
+_ENDINGS: Final[dict[str, FileType]] = {".mcap": "log", ".fmu": "FMU", ".toml": "scenario"}
 # Opening a pipe waits for its other end; on Windows there are none among the files.
 _NO_WAITING: Final = getattr(os, "O_NONBLOCK", 0)
 _TYPES: Final = (
@@ -23,6 +26,11 @@ _TYPES: Final = (
     (stat.S_ISFIFO, "a pipe"),
     (stat.S_ISSOCK, "a socket"),
 )
+
+
+def file_type(path: str | Path) -> FileType | None:
+    """Return what a file is by the ending of its name, in any case; None: something else."""
+    return _ENDINGS.get(Path(path).suffix.lower())
 
 
 def regular(path: str, flags: int) -> int:

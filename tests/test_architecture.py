@@ -25,7 +25,7 @@ BASE = {
 }
 ALLOWED = {
     "errors": set(),
-    "arguments": {"errors"},
+    "arguments": {"errors", "files"},
     "arrays": set(),
     "files": set(),
     "filters": set(),
@@ -44,11 +44,12 @@ ALLOWED = {
     "testing": BASE | {"core"},
     "scenario": BASE | {"native", "theory", "core", "blocks", "fmi", "log"},
     "report": BASE | {"theory", "core", "fmi", "log", "scenario"},
-    "completion": {"errors", "scenario"},
+    "completion": {"errors", "files", "scenario"},
     "terminal": {"interrupts", "scenario"},
     "unanswered": {"interrupts"},
     "cli": {
         "errors",
+        "files",
         "processes",
         "version",
         "scenario",

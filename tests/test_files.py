@@ -1,5 +1,6 @@
 """Files that are read: regular ones, of a bounded size."""
 
+import json
 import os
 import socket
 
@@ -9,9 +10,41 @@ import cosim
 from cosim.errors import ScenarioError
 from cosim.files import read_bounded, regular
 from cosim.scenario.build import parse
-from cosim.scenario.document import Document
+from cosim.scenario.document import Document, find
 
 SCENARIO = '[scenario]\nname = "a"\nstop = 1.0\nstep = 0.5\n[components.u]\n'
+
+
+def test_the_ending_of_a_name_counts_in_any_case(call, tmp_path):
+    """Every command that reads or writes a log, an FMU or a scenario takes it for the same."""
+    pytest.importorskip("matplotlib")
+    (tmp_path / "S.TOML").write_text(find("academic").text)
+    short = ("--stop", "0.01")
+    export = ("export", "S.TOML", "--component", "plant", "--out")
+    commands = [
+        ("run", "S.TOML", *short, "--out", "A.Mcap"),
+        ("info", "A.Mcap"),
+        ("plot", "A.Mcap", "plant.y", "--out", "A.PNG"),
+        (*export, "P.FMU"),
+        ("info", "P.FMU"),
+        ("run", "S.TOML", *short, "--swap", "plant=P.FMU#cs", "--out", "B.MCAP"),
+    ]
+    for command in commands:
+        assert call(*command)[0] == 0, command
+    swaps = ("--swap", "plant=P.FMU#cs", "--swap", "plant=A.Mcap")
+    code, out, _ = call("compare", "S.TOML", *swaps, "--set", "scenario.stop=0.01", "--json")
+    assert code == 0
+    assert [plant["plant"] for plant in json.loads(out)["plants"]] == ["descriptor", "P#cs", "A"]
+    for command, needed in [
+        (("check", "A.Mcap"), "needed an FMU"),
+        (("replay", "P.FMU"), "needed a log"),
+        (("run", "P.FMU"), "needed a scenario"),
+        (("run", "no.Toml"), "cannot be read"),
+        (("run", "academic", "--out", "a.log"), "a log needs a path that ends in .mcap"),
+        ((*export, "P.so"), "needed a path that ends in .fmu"),
+    ]:
+        code, _, err = call(*command)
+        assert (code, needed in err) == (2, True), err
 
 
 def read(path):

@@ -17,6 +17,7 @@ from cosim.core.port import split_element
 from cosim.core.recorders import Memory
 from cosim.core.signals import Interface
 from cosim.errors import CosimError, Interrupted, UsageError, flag, nearest, option, quoted
+from cosim.files import file_type
 from cosim.log import Log
 from cosim.report.recorded_rows import difference, has_signal
 from cosim.report.summary import Summary, summarize
@@ -212,8 +213,10 @@ def _changes_of_others(changes: Mapping[str, Any], component: str) -> dict[str, 
 
 def _label(path: str) -> str:
     """Return ``x`` for x.fmu and x.mcap, ``x#cs`` for x.fmu#cs."""
-    suffix = Path(path).suffix.removeprefix(".fmu").removeprefix(".mcap")
-    return Path(path).stem + suffix
+    file, _, interface_type = path.rpartition("#")
+    if file_type(file) == "FMU":
+        return f"{Path(file).stem}#{interface_type}"
+    return Path(path).stem
 
 
 def _run(

@@ -16,7 +16,7 @@ from typing import Any
 
 from cosim.arguments import path_argument
 from cosim.errors import ScenarioError, UsageError, command, nearest, option, quoted
-from cosim.files import read_bounded
+from cosim.files import file_type, read_bounded
 from cosim.log.metadata import json_table
 from cosim.scenario.edits import (
     SET,
@@ -287,7 +287,7 @@ def find(name: str | Path) -> Document:
     path = path_argument("scenario", name)
     text = str(name)
     way_out = _way_out(path)
-    if path.suffix == SUFFIX or (path.is_file() and not way_out):
+    if file_type(path) == "scenario" or (path.is_file() and not way_out):
         folder = path.absolute().parent
         return Document(_read_text(path), str(path), folder)
     if text in shipped():
@@ -305,10 +305,10 @@ def find(name: str | Path) -> Document:
 
 def _way_out(path: Path) -> str:
     """Return what to do with a log or an FMU instead; empty for another file."""
-    match path.suffix.lower():
-        case ".mcap":
+    match file_type(path):
+        case "log":
             return f"{command('replay')} runs the scenario of a log again, 'cosim info' shows it"
-        case ".fmu":
+        case "FMU":
             return (
                 "'cosim info' shows an FMU, 'cosim check' tests it; a scenario has it as a "
                 f'component of kind "fmu", or in place of another, {option("swap", "NAME", "PATH")}'

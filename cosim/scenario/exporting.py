@@ -18,7 +18,7 @@ from cosim.core.linear import DescriptorModel
 from cosim.core.port import Port
 from cosim.core.signals import Signal
 from cosim.errors import UsageError, flag, nearest
-from cosim.files import check_writable
+from cosim.files import check_writable, file_type
 from cosim.fmi.exporting.export import export
 from cosim.fmi.exporting.kernels import DiscreteModel
 from cosim.fmi.exporting.specifications import Exportable
@@ -89,7 +89,7 @@ def export_component(
 
 def _check_path(out: Path, *, force: bool) -> None:
     check_path(out)
-    if out.suffix != ".fmu":
+    if file_type(out) != "FMU":
         raise UsageError(f"{out}: needed a path that ends in .fmu")
     if out.exists() and not force:
         raise UsageError(f"{out} exists; choose another path, or {flag('force')} to replace it")

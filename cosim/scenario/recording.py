@@ -13,6 +13,7 @@ from cosim.core.contracts import Block, Recorder
 from cosim.core.master import run as run_graph
 from cosim.core.recorders import Memory, Watched
 from cosim.errors import UsageError, flag, option
+from cosim.files import file_type
 from cosim.log import Log, McapRecorder
 from cosim.log.paths import check_new_log, log_path
 from cosim.scenario.build import Experiment
@@ -52,7 +53,7 @@ def check_target(out: str | Path | None, *, force: bool = False, numbered: bool 
                 )
         return
     path = log_path(out)
-    if path.suffix != ".mcap":
+    if file_type(path) != "log":
         raise UsageError(f"{out}: a log needs a path that ends in .mcap")
     check_new_log(path, force=force, numbered=numbered)
 

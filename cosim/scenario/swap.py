@@ -19,13 +19,13 @@ from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import chain
-from pathlib import Path
 from typing import Any, TypeAlias
 
 from cosim.blocks.renaming import Renaming
 from cosim.core.port import Port
 from cosim.core.signals import Causality, Interface
 from cosim.errors import GraphError, UsageError, nearest, option
+from cosim.files import file_type
 from cosim.scenario.problems import Key, Problem
 from cosim.scenario.schema import truth_ports
 
@@ -128,11 +128,11 @@ def component_table(name: str, path: str) -> Tables:
             f"found '#{interface_type}' behind the path, needed '#me' (model exchange) "
             "or '#cs' (co-simulation)"
         )
-    match Path(file).suffix.lower():
-        case ".fmu":
+    match file_type(file):
+        case "FMU":
             table = {"kind": "fmu", "path": file}
             return table if interface_type is None else {**table, "interface_type": interface_type}
-        case ".mcap":
+        case "log":
             return {"kind": "recording", "log": file, "component": name}
         case _:
             raise UsageError(

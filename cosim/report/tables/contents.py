@@ -7,6 +7,7 @@ from typing import Any
 
 from cosim.arguments import path_argument
 from cosim.errors import UsageError
+from cosim.files import file_type
 from cosim.report.tables.console import print_json, print_section
 
 
@@ -26,17 +27,17 @@ def print_contents(source: str, *, as_json: bool) -> None:
         raise UsageError(
             f"{source}: is a folder; needed a log (.mcap), an FMU (.fmu) or a scenario"
         )
-    suffix = path.suffix.lower()
-    match suffix:
-        case ".mcap":
+    source_type = file_type(path)
+    match source_type:
+        case "log":
             content = inspection.describe_log(source)
-        case ".fmu":
+        case "FMU":
             content = inspection.describe_fmu(source)
         case _:
             content = inspection.describe_scenario(source)
     if as_json:
         print_json(content)
-    elif suffix == ".fmu":
+    elif source_type == "FMU":
         print_fmu(content)
     else:
         for title, section in content.items():
