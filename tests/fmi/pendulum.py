@@ -36,8 +36,8 @@ LEVEL = (
 OUTPUTS = ("y", "reach", "power", "angle", "push")
 
 
-def pendulum(path, *, derivatives: bool, level: bool = True, edit=lambda xml: xml):
-    """Compile the FMU; ``level``: with its integer input."""
+def pendulum(path, *, derivatives: bool, level: bool = True, edit=lambda xml: xml, changes=""):
+    """Compile the FMU; ``level``: with its integer input; ``changes``: a statement of C."""
     scalars = []
     for name, reference, roles, start in VARIABLES:
         attributes = f'name="{name}" valueReference="{reference}" {roles}'
@@ -56,6 +56,8 @@ def pendulum(path, *, derivatives: bool, level: bool = True, edit=lambda xml: xm
 <Derivatives><Unknown index="5"/><Unknown index="6"/></Derivatives></ModelStructure>
 </fmiModelDescription>"""
     defines = ("DERIVATIVES",) if derivatives else ()
+    if changes:
+        defines += (f"CHANGES={changes}",)
     return compile_fmu(path, edit(xml), "pendulum.c", defines=defines)
 
 

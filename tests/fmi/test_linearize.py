@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 import re
 from dataclasses import replace
 from fractions import Fraction
@@ -448,6 +449,30 @@ def test_what_cannot_be_linearized_is_refused(name, swinging):
     options, message = REFUSED[name]
     with pytest.raises(FmuError, match=message):
         cosim.linearize(swinging, **options)
+
+
+def test_nothing_is_linearized_with_another_rounding_mode(tmp_path):
+    """It is undone, too: else what is computed after it would have that mode."""
+    path = pendulum(tmp_path / "p.fmu", derivatives=True, changes="fesetround(FE_UPWARD)")
+    message = "pendulum: changed the rounding mode .* while it was linearized"
+    with pytest.raises(RunError, match=message):
+        cosim.linearize(path)
+    with load(path, FmuOptions(interface_type="me")) as fmu:
+        with pytest.raises(RunError, match=message):
+            linearize(fmu.instance)
+        assert 1.0 + 2.0**-54 == 1.0
+
+
+def test_other_changes_of_the_process_are_undone_and_noted(tmp_path):
+    """They do not change the numbers."""
+    home = os.getcwd()
+    path = pendulum(tmp_path / "p.fmu", derivatives=True, changes='chdir("/")')
+    linearization = cosim.linearize(path)
+    assert os.getcwd() == home
+    assert distance(linearization, jacobian(0.5, 0.0, 0.0)) < 1e-15
+    assert linearization.notes[-1] == (
+        "pendulum: changed the working directory while it was linearized; it is as before again"
+    )
 
 
 def test_co_simulation_alone_is_refused(foreign2, exported):

@@ -22,6 +22,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -30,6 +31,7 @@ import numpy as np
 from cosim.arguments import fmu_argument, mapping_argument, number_argument, texts_argument
 from cosim.arrays import Matrix, Vector
 from cosim.errors import FmuError, RunError, nearest
+from cosim.fmi.binary.process import ROUNDING, Process, describe_changes
 from cosim.fmi.component import Fmu, load
 from cosim.fmi.description import Description
 from cosim.fmi.driving.initialization import Starts
@@ -88,7 +90,7 @@ def linearize(
         operating point; or if the file cannot be used: co-simulation alone does not show the
         states.
     RunError
-        If the instance cannot go on.
+        If the instance cannot go on, or changes the rounding mode.
     """
     request = LinearizationRequest(
         at=number_argument("at", at),
@@ -128,7 +130,29 @@ def _open(path: str | Path, start: Starts) -> Fmu:
 def linearize_instance(
     instance: ModelExchangeInstance, request: LinearizationRequest
 ) -> Linearization:
-    """Linearize an instance for model exchange, reset before and after; raises as `linearize`."""
+    """Linearize an instance for model exchange, reset before and after; raises as `linearize`.
+
+    What the instance changes of the process is put back; a changed rounding mode is an error, as
+    the matrices were computed with it, in part at least.
+    """
+    process = Process()
+    process.save()
+    try:
+        linearization = _linearize(instance, request)
+    finally:
+        changes = process.restore()
+    if not changes:
+        return linearization
+    text = (
+        f"{linearization.name}: changed {describe_changes(changes)} while it was linearized; it "
+        "is as before again"
+    )
+    if changes & ROUNDING:
+        raise RunError(f"{text}, but what was computed until then is not to be relied on")
+    return replace(linearization, notes=(*linearization.notes, text))
+
+
+def _linearize(instance: ModelExchangeInstance, request: LinearizationRequest) -> Linearization:
     description = instance.description
     at = request.at
     if not (math.isfinite(at) and at >= 0.0):

@@ -5,9 +5,15 @@
        omega' = -G/length sin(theta) - FRICTION omega + (torque + level + wind)/length^2
 
    Several of its outputs are other names of a state or a derivative: they have its value
-   reference. */
+   reference. With -DCHANGES=<statement> it does that wherever its values are computed. */
+#include <fenv.h>
 #include <math.h>
 #include <stdlib.h>
+#ifdef CHANGES
+#include <unistd.h>
+#else
+#define CHANGES
+#endif
 
 #include "fmi2Functions.h"
 
@@ -33,6 +39,7 @@ static void start(Pendulum *p)
 static void update(Pendulum *p)
 {
     double *v = p->value, l = v[LENGTH];
+    CHANGES;
     v[D_THETA] = v[OMEGA];
     v[D_OMEGA] =
         -G / l * sin(v[THETA]) - FRICTION * v[OMEGA] + (v[TORQUE] + p->level + v[WIND]) / (l * l);
