@@ -230,8 +230,10 @@ def replay(
         bool,
         typer.Option(
             "--verify",
-            help="Check the log's content hash, and compare every signal that is computed again "
-            "bit for bit with the log; exit 1 if one differs.",
+            help="Check the log's content hash, and compare with the log what is computed again: "
+            "every signal, bit for bit, and what the log says of its run (truth, connections, "
+            "schedule, times, component tables, warnings, last row); exit 1 if one differs. A log "
+            "is not signed: one of another run, put in its place as a whole, passes.",
         ),
     ] = False,
     out: OutOption = None,

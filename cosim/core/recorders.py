@@ -5,7 +5,7 @@ Also: how a run ended.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from types import TracebackType
@@ -14,7 +14,7 @@ from typing import Any, Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.arrays import Matrix, Nanoseconds
+from cosim.arrays import Mask, Matrix, Nanoseconds
 from cosim.core.arguments import check_type
 from cosim.core.contracts import Block, MessageLevel, Plan, Recorder, Stopped
 from cosim.core.recorded import RecordedSignals, RunMessage, find_channel
@@ -120,6 +120,16 @@ class Memory(RecordedSignals):
     def channels(self) -> Mapping[str, Channel]:
         """The recorded components by name; none before the run has begun."""
         return self._channels
+
+    @property
+    def schedule(self) -> Sequence[str]:
+        """The stages of the run in their order."""
+        return self.plan.schedule
+
+    @property
+    def held(self) -> Mapping[str, Mask]:
+        """Which input elements of every component had a zero-order hold."""
+        return self.plan.held
 
     @cached_property
     def _table(self) -> tuple[Matrix, Nanoseconds, NDArray[np.int64]]:

@@ -1,24 +1,29 @@
 """What a replay proves of its log.
 
-Three things, and no more:
+Four things, and no more:
 
 * The rows are those that the run recorded: their content hash is the recorded one. That finds every
   change but one by somebody who computes the hash anew.
 * The components that were computed again follow, bit for bit, from those that were copied, by the
   scenario and the designs in the log.
+* What the log says of its run beside its rows follows from its scenario, as far as a replay
+  computes it: see :mod:`cosim.report.statements`.
 * Of what was copied (plants, FMUs, files) a replay proves nothing more. Only the run itself, done
   again, does.
+
+Nothing is signed: the log of another run, put in the place of this one as a whole, passes.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
-from cosim.core.contracts import Recording
+from cosim.core.recorders import Memory
 from cosim.errors import command
 from cosim.log import Log
 from cosim.log.diff import LogDifference, SignalDifference, diff
+from cosim.report.statements import COMPARED, NOT_COMPARED, Contradiction, contradictions
 from cosim.scenario.recorded_metadata import replay_origin
 from cosim.scenario.replaying import recorded_document
 
@@ -35,6 +40,8 @@ class Verification:
         Of the rows in the log.
     difference : LogDifference
         Of the log and its replay.
+    contradictions : tuple of Contradiction
+        What the log says of its run and the replay does not.
     copied : tuple of str
         Signals that the replay took from the log: the outputs of recorded components.
     scenario : str
@@ -44,13 +51,15 @@ class Verification:
     recorded_hash: str
     found_hash: str
     difference: LogDifference
+    contradictions: tuple[Contradiction, ...]
     copied: tuple[str, ...]
     scenario: str
 
     @property
     def passed(self) -> bool:
         """Whether the content is what was recorded, and follows by computation where it can."""
-        return self.found_hash == self.recorded_hash and self.difference.equal
+        same_rows = self.found_hash == self.recorded_hash and self.difference.equal
+        return same_rows and not self.contradictions
 
     @property
     def computed(self) -> tuple[str, ...]:
@@ -65,6 +74,7 @@ class Verification:
         lines = [
             "the content hash is the one that its run recorded",
             f"the replay equals the log bit for bit: {len(self.computed)} signals computed again",
+            f"what the log says of its run is what the replay computes: {COMPARED}",
         ]
         if self.copied:
             names = ", ".join(self.copied)
@@ -73,6 +83,10 @@ class Verification:
                 f"{self.scenario!r} again with the changes it had, and compare with "
                 f"{command('diff')}"
             )
+        lines.append(
+            f"not compared: {NOT_COMPARED}; nor is the log signed: a log of another run, put in "
+            "its place as a whole, passes"
+        )
         return lines
 
     @property
@@ -86,6 +100,8 @@ class Verification:
             )
         if not self.difference.equal:
             problems.append(f"the replay differs from the log; first: {self._first}")
+        for contradiction in self.contradictions:
+            problems.append(f"the log contradicts its scenario: {contradiction}")
         return problems
 
     @property
@@ -108,6 +124,7 @@ class Verification:
             },
             "computed": list(self.computed),
             "copied": list(self.copied),
+            "contradictions": [asdict(entry) for entry in self.contradictions],
             **self.difference.to_dict(),
         }
 
@@ -117,26 +134,33 @@ def _in_words(row: SignalDifference) -> str:
     return f"{row.signal}: {row.status}: {rows_a} rows in the log, {rows_b} in the replay"
 
 
-def verify(source: Log, again: Recording) -> Verification:
+def verify(source: Log, again: Log | Memory) -> Verification:
     """Compare a log with its replay and with the hash that its run recorded.
 
     Parameters
     ----------
     source : Log
-    again : Recording
+    again : Log or Memory
         What :func:`cosim.replay` made of it.
 
     Raises
     ------
     LogError
-        If the log is damaged, or has no content hash.
+        If the log is damaged, has no content hash, or says what cannot be understood.
     """
     recorded_hash = source.recorded_hash
     found_hash = source.content_hash()
+    origin = replay_origin(again)
     copied = []
-    for name in replay_origin(again).copied:
+    for name in origin.copied:
         for signal in again.channels[name].interface.outputs:
             copied.append(f"{name}.{signal.name}")
-    scenario = recorded_document(source).source
-    difference = diff(source, again)
-    return Verification(recorded_hash, found_hash, difference, tuple(copied), scenario)
+    computed = again.channels.keys() - set(origin.copied)
+    return Verification(
+        recorded_hash,
+        found_hash,
+        diff(source, again),
+        contradictions(source, again, computed),
+        tuple(copied),
+        recorded_document(source).source,
+    )

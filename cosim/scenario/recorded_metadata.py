@@ -107,6 +107,11 @@ _COMPONENT: TypeAdapter[ComponentRecord] = TypeAdapter(ComponentRecord)
 _OF_IDENTIFIERS = ("start_time", "P0")
 _TIMES = ("T_obs", "T_f", "D_max", "T_id")
 
+# Metadata of components that come from eigenvalues: their last digits depend on the processor.
+EIGENVALUE_FIGURES = frozenset(
+    {"eigenvalues", "fixed_modes", "lambda_obs", "T_obs", "T_id", "start_time"}
+)
+
 
 def run_metadata(recording: Recording) -> dict[str, str]:
     """Return the metadata of the run as it was recorded: texts, of which some are JSON."""

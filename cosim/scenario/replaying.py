@@ -13,10 +13,10 @@ from cosim.core.contracts import Design
 from cosim.core.port import Port
 from cosim.errors import LogError, UsageError, command, option
 from cosim.log import Log
-from cosim.scenario.build import Experiment, fingerprint
+from cosim.scenario.build import Experiment, fingerprint, parse
 from cosim.scenario.document import Document
 from cosim.scenario.edits import short
-from cosim.scenario.parsing import Scenario
+from cosim.scenario.parsing import Scenario, read
 from cosim.scenario.records import SCENARIO_FILE
 
 EVERYWHERE = {"scenario.input_interpolation", "scenario.coupling"}  # what matters to all inputs
@@ -55,6 +55,20 @@ def recorded_document(log: Log) -> Document:
         return Document.recorded(text, edits, Path.cwd())
     except ValueError as error:
         raise LogError(f"{log.path}: its scenario cannot be understood: {error}") from error
+
+
+def recorded_stop(log: Log) -> float:
+    """Return where the scenario of a log ends [s], which its run need not have reached.
+
+    Raises
+    ------
+    LogError
+        If the log carries none.
+    ScenarioError
+        If that is no TOML.
+    """
+    scenario, _ = read(recorded_document(log), parse)
+    return scenario.file.scenario.stop
 
 
 def replay_changes(source: Log, wanted: Mapping[str, Any]) -> dict[str, Any]:

@@ -165,7 +165,7 @@ def print_verification(
     if not as_json:
         for problem in verification.problems:
             print_line(f"{path}: {problem}", error=True)
-        if not verification.difference.equal:
+        if verification.contradictions or not verification.difference.equal:
             _warn_of_environment(source)
     raise typer.Exit(1)
 

@@ -1,0 +1,215 @@
+"""What a log says of its run beside its rows, compared with what a replay computes anew.
+
+A log says many things twice: in its scenario, which a replay runs, and in its metadata, messages
+and results, which reports show. A replay computes the latter from the former, so they can be
+compared:
+
+* of the run: name, start, step, stop, truth, schedule, connections, and whatever else
+  ``cosim.run`` has;
+* of every component: its table and kind;
+* of those that are computed again, too: the tables that they rest on, their declared signals, held
+  inputs, metadata, warnings and messages;
+* of the end: the content of ``result.json``, its last row included.
+
+Eigenvalues, and times computed from them, are compared to 1 %.
+
+A replay takes the rest as it stands, and nothing here is said of it: designs, the metadata and
+messages of what it copies, why the run ended, the machine.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Collection, Iterable, Iterator
+from dataclasses import dataclass
+from decimal import Decimal
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.core.recorders import Memory
+from cosim.core.signals import Interface
+from cosim.errors import quoted
+from cosim.log import Log
+from cosim.log.layout import signals_json
+from cosim.log.result import RESULT, RESULT_FILE
+from cosim.scenario.recorded_metadata import (
+    EIGENVALUE_FIGURES,
+    component_table,
+    recorded_warnings,
+    run_metadata,
+)
+from cosim.scenario.replaying import recorded_stop
+
+COMPARED = "truth, connections, schedule, times, component tables, warnings, last row"
+NOT_COMPARED = "designs, why the run ended, its machine, what FMUs and files say of themselves"
+
+# An n-fold eigenvalue moves by eps**(1/n) with the last bits of its matrix, which depend on the
+# processor: by 1e-2 for n = 8.
+_EIGENVALUE_RTOL = 1e-2
+# of the record of the run: what a replay takes, has of its own, or is compared below
+_OTHER_KEYS = {"edits", "format", "replay", "stop", "warnings"}
+_END_KEYS = ("status", "reason", "steps", "end_ns", "content_hash")
+
+_Statement: TypeAlias = tuple[str, Any, Any]  # about what, as recorded, as it should be
+
+
+@dataclass(frozen=True, slots=True)
+class Contradiction:
+    """A statement of a log that does not follow from its scenario and rows."""
+
+    statement: str
+    found: Any
+    expected: Any
+
+    def __str__(self) -> str:
+        found = quoted(self.found)
+        return f"{self.statement}: found {found}, the replay has {quoted(self.expected)}"
+
+
+def contradictions(
+    source: Log, again: Log | Memory, computed: Collection[str]
+) -> tuple[Contradiction, ...]:
+    """Return the statements of a log that its replay contradicts.
+
+    Parameters
+    ----------
+    source : Log
+    again : Log or Memory
+        Its replay.
+    computed : collection of str
+        The components that were computed again.
+
+    Raises
+    ------
+    LogError
+        If a statement cannot be understood.
+    """
+    found = []
+    for statement, recorded, expected in _Statements(source, again, computed).pairs():
+        if recorded != expected:
+            found.append(Contradiction(statement, recorded, expected))
+    return tuple(found)
+
+
+class _Statements:
+    """The statements of a log, each beside what its replay says."""
+
+    def __init__(self, source: Log, again: Log | Memory, computed: Collection[str]) -> None:
+        self._source = source
+        self._again = again
+        self._computed = computed
+
+    def pairs(self) -> Iterator[_Statement]:
+        """Yield them all."""
+        yield from self._of_run()
+        yield from self._of_connections()
+        for name in self._again.channels:
+            yield from self._of_component(name)
+        yield from self._of_messages()
+        yield from self._of_end()
+
+    def _of_run(self) -> Iterator[_Statement]:
+        source = self._source
+        recorded = run_metadata(source)
+        expected = run_metadata(self._again)
+        for key in sorted((expected.keys() | recorded.keys()) - _OTHER_KEYS):
+            yield key, recorded.get(key), expected.get(key)
+        stop = recorded_stop(source)
+        yield "stop", recorded.get("stop"), repr(stop)
+        if source.status == "complete" and not source.reason:
+            yield "end of the run [ns]", source.end_ns, int(Decimal(repr(stop)).scaleb(9))
+        yield "stages", source.schedule, list(self._again.schedule)
+        step = source.metadata.get("cosim.schedule", {}).get("step_ns")
+        yield "step of the schedule [ns]", step, str(source.step_ns)
+
+    def _of_connections(self) -> Iterator[_Statement]:
+        recorded = self._source.metadata.get("cosim.connections", {})
+        expected = self._again.metadata["cosim.connections"]
+        for port in {**expected, **recorded}:
+            yield f"connection to {port!r}", recorded.get(port), expected.get(port)
+
+    def _of_component(self, name: str) -> Iterator[_Statement]:
+        source = self._source
+        record = f"cosim.component.{name}"
+        recorded = source.metadata.get(record, {})
+        expected = self._again.metadata[record]
+        yield f"table of {name!r}", recorded.get("table"), expected["table"]
+        kind = json.loads(expected["table"])["kind"]
+        yield f"kind of {name!r}", source.kinds.get(name), kind
+        if name not in self._computed or name not in source.channels:
+            return
+        what = f"tables that {name!r} rests on"
+        yield what, recorded.get("fingerprint"), expected["fingerprint"]
+        held = source.held[name].tolist()
+        yield f"held inputs of {name!r}", held, self._again.held[name].tolist()
+        declared = _declaration(source.channels[name].interface)
+        yield f"signals of {name!r}", declared, _declaration(self._again.channels[name].interface)
+        yield from self._of_metadata(name)
+
+    def _of_metadata(self, name: str) -> Iterator[_Statement]:
+        recorded = component_table(self._source, name)
+        expected = component_table(self._again, name)
+        for key in {**expected, **recorded}:
+            value = recorded.get(key)
+            needed = expected.get(key)
+            if key not in EIGENVALUE_FIGURES or not _are_close(value, needed):
+                yield f"{key} of {name!r}", value, needed
+
+    def _of_messages(self) -> Iterator[_Statement]:
+        warnings = self._own(recorded_warnings(self._source))
+        yield "warnings", warnings, self._own(recorded_warnings(self._again))
+        messages = self._own_messages(self._source)
+        yield "messages", messages, self._own_messages(self._again)
+
+    def _own(self, texts: Iterable[tuple[str, str]]) -> list[tuple[str, str]]:
+        """Return the texts of the components that were computed again."""
+        return [(name, text) for name, text in texts if name in self._computed]
+
+    def _own_messages(self, run: Log | Memory) -> list[tuple[str, str]]:
+        # "run" is how the run ended: a replay ends where the recording does, whatever the reason
+        named = [(message.source, message.text) for message in run.messages()]
+        return [entry for entry in self._own(named) if entry[0] != "run"]
+
+    def _of_end(self) -> Iterator[_Statement]:
+        results = self._source.results
+        recorded = self._source.metadata[RESULT]
+        for key in _END_KEYS:
+            value = results.get(key)
+            found = value if value is None else str(value)
+            yield f"{key} in {RESULT_FILE}", found, recorded.get(key)
+        expected = self._again.results["last"]
+        last = results.get("last")
+        if last is None and self._source.status == "failed":
+            return  # on a full disk, where not even the last rows could be kept
+        if not isinstance(last, dict):
+            last = {}
+        for label in {**expected, **last}:
+            yield f"last row in {RESULT_FILE}: {label}", last.get(label), expected.get(label)
+
+
+def _declaration(interface: Interface) -> tuple[Any, ...]:
+    """Return what a log keeps of an interface."""
+    return signals_json(interface), dict(interface.initial), tuple(interface.delayed)
+
+
+def _are_close(recorded: Any, expected: Any) -> bool:
+    """Return whether eigenvalues, or what is computed from them, are equal but for rounding."""
+    try:
+        a = _complex_numbers(recorded)
+        b = _complex_numbers(expected)
+    except (TypeError, ValueError):
+        return False
+    if len(a) != len(b):
+        return False
+    if not len(a):
+        return True
+    distances = np.abs(a[:, np.newaxis] - b)  # whatever their order, which rounding changes too
+    nearest = max(distances.min(axis=0).max(), distances.min(axis=1).max())
+    return bool(nearest <= _EIGENVALUE_RTOL * np.abs(b).max())
+
+
+def _complex_numbers(values: Any) -> NDArray[np.complex128]:
+    entries = values if isinstance(values, list) else [values]
+    return np.array([complex(value) for value in entries], np.complex128)
