@@ -26,7 +26,7 @@ from cosim.interrupts import REASONS, is_deferred
 PATIENCE: Final = 1.0  # s in which the main thread is to run an instruction of Python
 EXIT_CODE: Final = 128 + signal.SIGINT
 _ALL: Final = 4096  # bytes, more than there can be
-_SHOW_CURSOR: Final = "\x1b[?25h"  # progress hides it
+_BELOW_PROGRESS: Final = "\x1b[?25h\n"  # and with a cursor, which that hides
 _questions: list[Any] = []  # kept, as the main thread may come to them late
 
 
@@ -84,8 +84,7 @@ def _listen(reader: int, ended: threading.Event) -> None:
         elif not is_deferred():
             _write(
                 "ended at once; a log that has rows is not closed: 'cosim info' says up to where "
-                "it is whole",
-                start=_SHOW_CURSOR if os.isatty(2) else "",
+                "it is whole"
             )
             os._exit(EXIT_CODE)
 
@@ -106,8 +105,9 @@ def _ask_main_thread() -> threading.Event:
     return answered
 
 
-def _write(text: str, start: str = "") -> None:
+def _write(text: str) -> None:
     """Write a message, unless nobody takes it; sys.stderr may be locked by the main thread."""
+    start = _BELOW_PROGRESS if os.isatty(2) else ""
     with suppress(OSError, ValueError):
         if select.select([], [2], [], 0.0)[1]:
             os.write(2, f"{start}cosim: {REASONS[signal.SIGINT]}: {text}\n".encode())
