@@ -29,7 +29,7 @@ def path_argument(name: str, value: object) -> Path:
         raise UsageError(f"{option(name)}: found {quoted(value)}; needed a path")
     path = os.fspath(value)
     if not isinstance(path, str):
-        raise UsageError(f"{option(name)}: found {quoted(value)}; needed a path as text")
+        raise UsageError(f"{option(name)}: found {quoted(value)}; needed a path as a string")
     check_path(path)
     return Path(path)
 
@@ -109,7 +109,7 @@ def mapping_argument(name: str, value: object) -> Mapping[str, Any]:
         )
     for key in value:
         if not isinstance(key, str):
-            raise UsageError(f"{option(name)}: found the key {quoted(key)}; needed a text")
+            raise UsageError(f"{option(name)}: found the key {quoted(key)}; needed a string")
     return value
 
 
@@ -125,7 +125,7 @@ def texts_argument(name: str, value: object) -> tuple[str, ...] | None:
         return None
     items = value if isinstance(value, Sequence) and not isinstance(value, str) else (None,)
     if not all(isinstance(item, str) for item in items):
-        raise UsageError(f"{option(name)}: found {quoted(value)}; needed a list of texts")
+        raise UsageError(f"{option(name)}: found {quoted(value)}; needed a list of strings")
     return tuple(items)
 
 

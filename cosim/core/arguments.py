@@ -66,7 +66,8 @@ def checked_components(components: Mapping[str, Component]) -> dict[str, Compone
     for name, component in components.items():
         if not isinstance(name, str) or not name or "." in name:
             raise GraphError(
-                f"component {name!r}: a component's name is a text that is not empty and has no dot"
+                f"component {name!r}: a component's name is a string that is not empty and has no "
+                "dot"
             )
         other = names.setdefault(id(component), name)
         if other != name:

@@ -70,7 +70,7 @@ class Port:
             slice.
         """
         if not isinstance(text, str):
-            raise GraphError(f"{text!r} is no port; needed a text such as 'plant.y'")
+            raise GraphError(f"{text!r} is no port; needed a string such as 'plant.y'")
         component, dot, name = text.partition(".")
         if not (component and dot and name):
             raise GraphError(f"{text!r} is no port; needed COMPONENT.SIGNAL, such as plant.y")

@@ -422,12 +422,12 @@ def _notes_on_texts(description: Description) -> list[str]:
     outputs = description.texts("output")
     if outputs:
         names = listing(outputs)
-        notes.append(f"{description.name}: outputs that are texts are not recorded: {names}")
+        notes.append(f"{description.name}: outputs that are strings are not recorded: {names}")
     inputs = description.texts("input")
     if inputs:
         names = listing(inputs)
         notes.append(
-            f"{description.name}: inputs that are texts keep their start values: {names}; "
+            f"{description.name}: inputs that are strings keep their start values: {names}; "
             "'start' sets them"
         )
     return notes

@@ -288,7 +288,7 @@ class GeneratedInstance:
 
     def set_text(self, variable: Variable, values: tuple[str, ...]) -> None:
         """Raise an error: there are no texts."""
-        raise FmuError(f"{self._name}: a model has no texts")
+        raise FmuError(f"{self._name}: a model has no strings")
 
     def get_text(self, variable: Variable) -> tuple[str, ...]:
         """Return none."""

@@ -74,7 +74,7 @@ def json_texts(text: str) -> list[str]:
     """
     value = read_json(text)
     if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
-        raise ValueError(f"found {quoted(value)}, needed a list of texts")
+        raise ValueError(f"found {quoted(value)}, needed a list of strings")
     return value
 
 

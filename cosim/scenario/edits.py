@@ -73,7 +73,7 @@ def plain(value: Any, level: int = 0) -> Any:
         case bool() | int() | float() | str():
             return value
     raise UsageError(
-        f"found {quoted(value)}; needed a number, true or false, a text, a list or a table"
+        f"found {quoted(value)}; needed a number, true or false, a string, a list or a table"
     )
 
 
@@ -81,7 +81,7 @@ def _plain_table(table: Mapping[Any, Any], level: int) -> dict[str, Any]:
     values = {}
     for key, item in table.items():
         if not isinstance(key, str):
-            raise UsageError(f"found the key {quoted(key)} of a table; needed a text")
+            raise UsageError(f"found the key {quoted(key)} of a table; needed a string")
         values[key] = plain(item, level)
     return values
 

@@ -123,11 +123,11 @@ def test_names_and_numbers_are_checked():
         Graph({}, {})
     with pytest.raises(
         GraphError,
-        match=r"component 'a\.b': a component's name is a text that is not empty and has no dot",
+        match=r"component 'a\.b': a component's name is a string that is not empty and has no dot",
     ):
         Graph({"a.b": constant([1.0])}, {})
     with pytest.raises(
-        GraphError, match="component '': a component's name is a text that is not empty"
+        GraphError, match="component '': a component's name is a string that is not empty"
     ):
         Graph({"": constant([1.0])}, {})
     with pytest.raises(GraphError, match="signal 'y': size 0, needed at least 1"):

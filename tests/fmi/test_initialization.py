@@ -89,9 +89,9 @@ def test_arrays_may_be_flat():
         ("on", "yes", "found 'yes', needed true or false"),
         ("mode", "runing", "no item 'runing'; did you mean 'running'"),
         ("mode", 2, r"found 2, needed one of: 1 \(idle\), 3 \(running\)"),
-        ("file", 1.0, r"found 1.0, needed a text"),
-        ("file", "a\0b", "needed a text without the character 0"),
-        ("key", 12, "found 12, needed a text of hexadecimal digits"),
+        ("file", 1.0, r"found 1.0, needed a string"),
+        ("file", "a\0b", "needed a string without the character 0"),
+        ("key", 12, "found 12, needed a string of hexadecimal digits"),
         ("key", "123", "found '123', needed hexadecimal digits, two for every byte"),
         ("tick", True, r"'tick' has no start value that can be set \(causality input"),
         (

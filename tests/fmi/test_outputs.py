@@ -130,8 +130,8 @@ def test_texts_are_not_dropped_without_a_word(tmp_path):
     path = compile_fmu(tmp_path / "texts.fmu", TEXTS, "many2.c", defines=("N=1",))
     with load(path) as fmu:
         notes = "\n".join(fmu.notes)
-    assert "texts: outputs that are texts are not recorded: status" in notes
-    assert "texts: inputs that are texts keep their start values: command; 'start' sets" in notes
+    assert "texts: outputs that are strings are not recorded: status" in notes
+    assert "texts: inputs that are strings keep their start values: command; 'start' sets" in notes
 
 
 @pytest.mark.parametrize("probe", ["probe2", "model1", "slave1"])

@@ -271,7 +271,7 @@ class LoadedInstance:
         """
         label = f"{self._library.name}: {variable.name}"
         if len(values) != variable.size:
-            raise RunError(f"{label}: found {len(values)} texts, needed {variable.size}")
+            raise RunError(f"{label}: found {len(values)} strings, needed {variable.size}")
         encode = bytes.fromhex if variable.type == "Binary" else _encode_string
         try:
             encoded = [encode(text) for text in values]

@@ -255,15 +255,17 @@ def _text(variable: Variable, scalar: StartScalar) -> str:
     if variable.type == "Binary":
         return _hexadecimal(scalar)
     if not isinstance(scalar, str):
-        raise ValueError(f"found {scalar!r}, needed a text")
+        raise ValueError(f"found {scalar!r}, needed a string")
     if "\0" in scalar:
-        raise ValueError(f"found {scalar!r}, needed a text without the character 0, which ends it")
+        raise ValueError(
+            f"found {scalar!r}, needed a string without the character 0, which ends it"
+        )
     return scalar
 
 
 def _hexadecimal(scalar: StartScalar) -> str:
     if not isinstance(scalar, str):
-        raise ValueError(f"found {scalar!r}, needed a text of hexadecimal digits")
+        raise ValueError(f"found {scalar!r}, needed a string of hexadecimal digits")
     try:
         bytes.fromhex(scalar)
     except ValueError:
