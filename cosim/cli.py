@@ -159,6 +159,7 @@ def run(
     from cosim.report.tables.run import print_summary
     from cosim.scenario.execution import load
     from cosim.scenario.execution import run as run_scenario
+    from cosim.scenario.swap_comparison import compare_swaps
 
     if dry_run and COMMAND_VARIABLE not in os.environ:
         options = {"--set": changes, "--swap": swaps, "--map": maps}
@@ -168,7 +169,10 @@ def run(
     loaded = load(scenario)
     edited = loaded.edit(swap=_once(swaps, "swap"), map=_once(maps, "map"), set=edits)
     if dry_run:
-        print_dry_run(edited, as_json=as_json)
+        reports = compare_swaps(edited)
+        print_dry_run(reports, as_json=as_json)
+        if reports.refusals:
+            raise UsageError("\n".join([*reports.refusals, *reports.hints]))
         return
     if force and out is None:
         raise UsageError("--force replaces the log at --out; needed both, or neither")
@@ -271,6 +275,8 @@ def replay(
     if verify:
         verification = verify_replay(source, again)
         print_verification(verification, source, path=log, as_json=as_json, quiet=quiet)
+        if not verification.passed:
+            raise typer.Exit(1)
     else:
         wall = {"imports": imported - BEGAN, "replay": perf_counter() - imported}
         print_summary(again, wall=wall, profile=None, as_json=as_json, quiet=quiet)
@@ -419,9 +425,15 @@ def check(
 
     Archive, schema, structure, binaries and trial runs; exit 1 if there is an error.
     """
+    from cosim.arguments import fmu_argument
+    from cosim.fmi.checking.check import check as check_fmu
     from cosim.report.tables.fmu import print_check
 
-    print_check(str(fmu), start=_edits(values), strict=strict, as_json=as_json)
+    findings = check_fmu(fmu_argument(fmu), start=_edits(values))
+    print_check(str(fmu), findings, as_json=as_json)
+    refused = {"error", "warning"} if strict else {"error"}
+    if any(finding.level in refused for finding in findings):
+        raise typer.Exit(1)
 
 
 @app.command()

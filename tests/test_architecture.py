@@ -48,6 +48,7 @@ ALLOWED = {
     "terminal": {"interrupts", "scenario"},
     "unanswered": {"interrupts"},
     "cli": {
+        "arguments",
         "errors",
         "files",
         "processes",

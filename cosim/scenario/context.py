@@ -132,7 +132,15 @@ class ScenarioBuildContext:
             raise DependsOnInvalid
 
     def model(self, name: str) -> DescriptorSystem:
-        """Return a model of [models], and record that it was read."""
+        """Return a model of [models], and record that it was read.
+
+        Raises
+        ------
+        UsageError
+            If there is none of that name, or its matrices do not fit together.
+        ValueError
+            If the rows of a matrix have different lengths.
+        """
         models = self._scenario.file.models
         self._need(("models", name))
         if name not in models:
@@ -181,7 +189,15 @@ class ScenarioBuildContext:
         return file
 
     def recording(self, path: str) -> Recording:
-        """Open a log with the scenario's communication step."""
+        """Open a log with the scenario's communication step.
+
+        Raises
+        ------
+        UsageError
+            If it has another one, or is not to be opened; see :meth:`file`.
+        LogError
+            If it cannot be read.
+        """
         from cosim.log import open_log
 
         log = open_log(self.file(path))
@@ -214,12 +230,31 @@ class ScenarioBuildContext:
         return loaded.component
 
     def opened(self, name: str) -> Fmu:
-        """Return the FMU that was loaded for a component."""
+        """Return the FMU that was loaded for a component.
+
+        Raises
+        ------
+        UsageError
+            If only its description is read.
+        """
         self._need_run(name)
         return self.fmus[name]
 
     def linearization(self, name: str, path: str, request: LinearizationRequest) -> Linearization:
-        """Linearize an FMU for a component, or take the recorded result of the same request."""
+        """Linearize an FMU for a component, or take the recorded result of the same request.
+
+        Raises
+        ------
+        UsageError
+            If the FMU would have to be run where nothing is to run, or is not to be opened; see
+            :meth:`file`.
+        FmuError
+            If it cannot be linearized as is asked for.
+        RunError
+            If it cannot go on.
+        LogError
+            If the recorded result cannot be understood.
+        """
         from cosim.fmi.linearizing.linearization import Linearization
 
         if name not in self._linearized:
@@ -248,6 +283,7 @@ class ScenarioBuildContext:
         Raises
         ------
         UsageError
+            If only descriptions are read.
         """
         if self._describes:
             raise UsageError(

@@ -196,6 +196,12 @@ class SwapReports:
             raise ScenarioError("\n".join([*self.problems, *self.hints]))
 
     @property
+    def refusals(self) -> list[str]:
+        """Why the scenario cannot run: its problems, or that of its initialization."""
+        failures = [self.failure] if self.failure else []
+        return [*self.problems, *failures]
+
+    @property
     def hints(self) -> list[str]:
         """The proposals of all reports, in words."""
         hints: list[str] = []

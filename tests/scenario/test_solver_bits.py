@@ -7,7 +7,6 @@ import subprocess
 import sys
 
 import pytest
-import typer
 
 import cosim
 from cosim.log.diff import diff
@@ -95,8 +94,7 @@ def test_a_replay_that_differs_names_what_its_log_depends_on(plant, tmp_path, ca
         log = tmp_path / f"{tolerance}.mcap"
         runs.append(cosim.run("academic", swap={"plant": f"{plant}#me"}, set=settings, out=log))
     verification = Verification("", "", diff(*runs), (), "academic")
-    with pytest.raises(typer.Exit):
-        print_verification(verification, runs[0], path=log, as_json=False, quiet=False)
+    print_verification(verification, runs[0], path=log, as_json=False, quiet=False)
     message = capsys.readouterr().err
     assert "the replay differs from the log; first: plant." in message
     assert "note: plant: solver BDF computes with LAPACK: on another processor" in message

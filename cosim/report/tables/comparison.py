@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
-from cosim.errors import UsageError
 from cosim.report.tables.console import (
     new_table,
     print_json,
@@ -18,7 +17,7 @@ if TYPE_CHECKING:
     from cosim.log.diff import LogDifference
     from cosim.report.comparing import Comparison, EstimateDifference
     from cosim.report.summary import Summary
-    from cosim.scenario.parsing import Scenario
+    from cosim.scenario.swap_report import SwapReports
 
 PlantRow = tuple[str, str, str, str, str, str]  # estimate, truth, plant, value, error, difference
 LargestDifferences = Mapping[tuple[str, str], float]  # by estimate or element, and plant
@@ -47,32 +46,18 @@ def print_difference(difference: LogDifference, *, as_json: bool) -> None:
         )
 
 
-def print_dry_run(scenario: Scenario, *, as_json: bool) -> None:
-    """Compare swapped components with those they replace.
-
-    Raises
-    ------
-    UsageError
-        If the scenario cannot run with them.
-    """
-    from cosim.scenario.swap_comparison import compare_swaps
-
-    reports = compare_swaps(scenario)
-    problems = list(reports.problems)
-    if reports.failure:
-        problems.append(reports.failure)
+def print_dry_run(reports: SwapReports, *, as_json: bool) -> None:
+    """Print how swapped components compare with those that they replace."""
     if as_json:
         swaps = {name: report.to_dict() for name, report in reports.reports.items()}
-        print_json({"swaps": swaps, "problems": problems})
-    else:
-        for report in reports.reports.values():
-            print_section(report.component, report.lines)
-        if not problems:
-            for component, text in reports.warnings:
-                print_line(f"warning: {component}: {text}", error=True)
-            print_line("dry run: the scenario can run")
-    if problems:
-        raise UsageError("\n".join([*problems, *reports.hints]))
+        print_json({"swaps": swaps, "problems": reports.refusals})
+        return
+    for report in reports.reports.values():
+        print_section(report.component, report.lines)
+    if not reports.refusals:
+        for component, text in reports.warnings:
+            print_line(f"warning: {component}: {text}", error=True)
+        print_line("dry run: the scenario can run")
 
 
 def print_plants(comparison: Comparison, *, as_json: bool) -> None:

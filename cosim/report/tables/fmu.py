@@ -5,9 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-import typer
-
-from cosim.arguments import fmu_argument
 from cosim.errors import listing
 from cosim.report.tables.console import (
     new_table,
@@ -20,6 +17,7 @@ from cosim.units import BASE
 
 if TYPE_CHECKING:
     from cosim.arrays import Matrix
+    from cosim.fmi.checking.structure import Finding
     from cosim.fmi.linearizing.linearization import Linearization
 
 Row = dict[str, Any]
@@ -170,30 +168,19 @@ def _depends_on(variable: Row, dependencies: Mapping[str, list[str] | None]) -> 
     return _names(dependencies.get(variable["name"]))
 
 
-def print_check(
-    path: str,
-    *,
-    start: Mapping[str, Any] | None = None,
-    strict: bool = False,
-    as_json: bool = False,
-) -> None:
-    """Print all problems of an FMU; exit 1 if there is an error, or a warning where ``strict``."""
-    from cosim.fmi.checking.check import check
-
-    fmu = fmu_argument(path)
-    findings = [finding._asdict() for finding in check(fmu, start=start or {})]
-    levels = [finding["level"] for finding in findings]
+def print_check(path: str, findings: Sequence[Finding], *, as_json: bool) -> None:
+    """Print all problems that were found of an FMU."""
+    levels = [finding.level for finding in findings]
     errors = levels.count("error")
     warnings = levels.count("warning")
     if as_json:
-        print_json({"path": path, "errors": errors, "warnings": warnings, "findings": findings})
+        rows = [finding._asdict() for finding in findings]
+        print_json({"path": path, "errors": errors, "warnings": warnings, "findings": rows})
     else:
         for finding in findings:
-            print_line(f"{finding['level']}: {finding['where']}: {finding['text']}")
+            print_line(f"{finding.level}: {finding.where}: {finding.text}")
         counts = [*_count(errors, "error"), *_count(warnings, "warning")]
         print_line(f"{path}: {', '.join(counts) or 'no problems found'}")
-    if errors or (strict and warnings):
-        raise typer.Exit(1)
 
 
 def _count(number: int, word: str) -> list[str]:

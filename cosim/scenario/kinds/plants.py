@@ -107,7 +107,7 @@ class FmuKind(PlantKind, PeriodicKind):
     start: dict[str, StartField] = Field(
         {},
         description="start values by variable: number, Boolean, item of an enumeration, "
-        "text (a Binary in hexadecimal), list",
+        "string (a Binary in hexadecimal), list",
     )
     outputs: list[StrictStr] = Field(
         [],
