@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from time import perf_counter
-from typing import Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
@@ -25,6 +25,9 @@ from cosim.report.printable import printable
 from cosim.terminal import ended_by_signals, keep_stdout, outlive_terminal, show_progress
 from cosim.unanswered import ended_if_unanswered
 from cosim.version import __version__
+
+if TYPE_CHECKING:
+    from cosim.scenario.parsing import Scenario
 
 BEGAN = perf_counter()
 
@@ -155,11 +158,9 @@ def run(
 ) -> None:
     """Run a scenario and record every signal to an MCAP log."""
     from cosim.processes import COMMAND_VARIABLE
-    from cosim.report.tables.comparison import print_dry_run
     from cosim.report.tables.run import print_summary
     from cosim.scenario.execution import load
     from cosim.scenario.execution import run as run_scenario
-    from cosim.scenario.swap_comparison import compare_swaps
 
     if dry_run and COMMAND_VARIABLE not in os.environ:
         options = {"--set": changes, "--swap": swaps, "--map": maps}
@@ -169,10 +170,7 @@ def run(
     loaded = load(scenario)
     edited = loaded.edit(swap=_once(swaps, "swap"), map=_once(maps, "map"), set=edits)
     if dry_run:
-        reports = compare_swaps(edited)
-        print_dry_run(reports, as_json=as_json)
-        if reports.refusals:
-            raise UsageError("\n".join([*reports.refusals, *reports.hints]))
+        _dry_run(edited, as_json=as_json)
         return
     if force and out is None:
         raise UsageError("--force replaces the log at --out; needed both, or neither")
@@ -225,6 +223,23 @@ def _dry_run_in_child(
     typer.echo(result.output, nl=False)
     typer.echo(result.messages, nl=False, err=True)
     raise typer.Exit(result.exit_code)
+
+
+def _dry_run(scenario: Scenario, *, as_json: bool) -> None:
+    """Compare swapped components with those they replace.
+
+    Raises
+    ------
+    UsageError
+        If the scenario cannot run with them.
+    """
+    from cosim.report.tables.comparison import print_dry_run
+    from cosim.scenario.swap_comparison import compare_swaps
+
+    reports = compare_swaps(scenario)
+    print_dry_run(reports, as_json=as_json)
+    if reports.refusals:
+        raise UsageError("\n".join([*reports.refusals, *reports.hints]))
 
 
 @app.command()
