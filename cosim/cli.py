@@ -22,7 +22,13 @@ from cosim import completion
 from cosim.errors import CosimError, UsageError, option, quoted, shell_language
 from cosim.files import file_type
 from cosim.report.printable import printable
-from cosim.terminal import ended_by_signals, keep_stdout, outlive_terminal, show_progress
+from cosim.terminal import (
+    ended_by_signals,
+    keep_stdout,
+    open_standard_streams,
+    outlive_terminal,
+    show_progress,
+)
 from cosim.unanswered import ended_if_unanswered
 from cosim.version import __version__
 
@@ -166,7 +172,7 @@ def run(
         options = {"--set": changes, "--swap": swaps, "--map": maps}
         _dry_run_in_child(scenario, options, {"--stop": stop, "--step": step}, as_json=as_json)
     imported = perf_counter()
-    edits = _edits(changes) | _given({"scenario.stop": stop, "scenario.step": step})
+    edits = _edits(changes, {"scenario.stop": stop, "scenario.step": step})
     loaded = load(scenario)
     edited = loaded.edit(swap=_once(swaps, "swap"), map=_once(maps, "map"), set=edits)
     if dry_run:
@@ -276,7 +282,7 @@ def replay(
     source = open_log(log)
     if verify and stop is not None:
         raise UsageError("--verify compares the whole log; leave out --stop")
-    edits = _edits(changes) | _given({"scenario.stop": stop})
+    edits = _edits(changes, {"scenario.stop": stop})
     _need_plot(plot, out)
     with show_progress(quiet or as_json) as progress:
         notice = None if quiet else _notice
@@ -725,8 +731,9 @@ def _pairs(texts: list[str] | None, name: str) -> dict[str, str]:
     pairs = {}
     for text in texts or []:
         key, equals, value = text.partition("=")
-        if not equals or not key:
-            raise UsageError(f"{option(name)} {quoted(text)}: found no '=', needed NAME=VALUE")
+        if not equals or not key.strip():
+            missing = "no name" if equals else "no '='"
+            raise UsageError(f"{option(name)} {quoted(text)}: found {missing}, needed NAME=VALUE")
         pairs[key.strip()] = value.strip()
     return pairs
 
@@ -743,8 +750,13 @@ def _once(texts: list[str] | None, name: str) -> dict[str, str]:
     return pairs
 
 
-def _edits(texts: list[str] | None) -> dict[str, Any]:
-    """Read the pairs of --set; their values are TOML where they can be."""
+def _edits(
+    texts: list[str] | None, options: Mapping[str, float | None] | None = None
+) -> dict[str, Any]:
+    """Read the pairs of --set, whose values are TOML where they can be, and add those of options.
+
+    ``options`` are the values of --stop and --step, by the keys that they set.
+    """
     from cosim.scenario.edits import parse_value
 
     edits = {}
@@ -753,11 +765,17 @@ def _edits(texts: list[str] | None) -> dict[str, Any]:
             edits[key] = parse_value(text)
         except UsageError as error:
             raise UsageError(f"{option('set', key)}: {error}") from error
+    for key, value in _given(options or {}).items():
+        if key in edits:
+            name = key.removeprefix("scenario.")
+            raise UsageError(f"found both --{name} and --set {key}; needed one of them")
+        edits[key] = value
     return edits
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line; every deliberate error becomes one message and an exit code."""
+    open_standard_streams()
     outlive_terminal()
     stdout = keep_stdout()
     try:

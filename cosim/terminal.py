@@ -56,6 +56,23 @@ def show_progress(hidden: bool) -> Iterator[Progress | None]:
         yield update
 
 
+def open_standard_streams() -> None:
+    """Open those of the descriptors 0 to 2 that are closed, on nothing.
+
+    Else the next file that is opened, such as a log, would be stdout to all C code, and Python has
+    no stream where there is no descriptor.
+    """
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # takes the smallest number that is free
+    if sys.stdout is None:
+        sys.stdout = open(1, "w", encoding="utf-8", closefd=False)  # noqa: SIM115  until the end
+    if sys.stderr is None:
+        sys.stderr = open(2, "w", encoding="utf-8", closefd=False)  # noqa: SIM115  until the end
+
+
 def keep_stdout() -> TextIO | None:
     """Keep stdout for data: from here on, what C code prints to descriptor 1 goes to stderr.
 

@@ -716,6 +716,7 @@ def test_linearize_prints_a_table_for_a_scenario(call):
         (["--disturbance", "delta"], "--toml and --disturbance NAME go together"),
         (["--toml", "--json", "--disturbance", "delta"], "--toml and --json: give one of them"),
         (["--set", "u=fast"], "start value of 'u': found 'fast', needed a number"),
+        (["--set", "=3"], "--set '=3': found no name, needed NAME=VALUE"),
         (["--set", "u"], "--set 'u': found no '=', needed NAME=VALUE"),
         (["--input", "w"], "no input 'w'; there is: u, delta"),
     ],
@@ -734,3 +735,11 @@ def test_the_overview_cuts_no_sentence_short(call):
     assert code == 0
     assert "export     Export a component as an FMU, C source and binary." in out
     assert "..." not in out.partition("Commands:")[2]
+
+
+@pytest.mark.parametrize("name", ["stop", "step"])
+def test_an_option_and_set_for_the_same_key_are_refused(call, name):
+    """Neither wins in silence."""
+    code, _, err = call("run", "academic", f"--{name}", "1", "--set", f"scenario.{name}=0.5")
+    assert code == 2
+    assert f"found both --{name} and --set scenario.{name}; needed one of them" in err

@@ -16,6 +16,7 @@ import pytest
 
 import cosim
 from cosim.cli import main
+from cosim.log import open_log
 from tests.fmi.eventful import build
 
 ONE = "from cosim.cli import main; main()"
@@ -424,3 +425,36 @@ def test_a_comparison_is_refused_before_its_first_run(call, tmp_path, monkeypatc
     code, err = call(*command, "x.png", "--plot", "x.png")
     assert (code, "found the path of the log" in err) == (2, True), err
     assert os.listdir(tmp_path / "logs") == ["a.mcap"]
+
+
+@pytest.mark.parametrize("closed", [(1,), (2,), (0, 1, 2)])
+def test_closed_standard_streams_are_nothing(tmp_path, closed):
+    """No traceback, and no file of the run is stdout to C code, whose text would be in it."""
+    redirections = " ".join(f"{number}{'<' if number == 0 else '>'}&-" for number in closed)
+    program = f"{sys.executable} -c '{ONE}'"
+    for arguments in ("run academic --stop 0.1 --out a.mcap", "info a.mcap"):
+        result = subprocess.run(
+            f"{program} {arguments} {redirections}",
+            shell=True,
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+        )
+        assert (result.returncode, result.stderr) == (0, "")
+    assert open_log(tmp_path / "a.mcap").status == "complete"
+
+
+def test_ctrl_c_while_the_command_line_is_imported_ends_without_a_traceback():
+    """As later: with its exit code, and nothing on stderr."""
+    code = (
+        "import sys\n"
+        "class Interrupting:\n"
+        "    def find_spec(self, name, *rest):\n"
+        "        if name == 'typer':\n"
+        "            raise KeyboardInterrupt\n"
+        "sys.meta_path.insert(0, Interrupting())\n"
+        "from cosim.__main__ import main\n"
+        "main()\n"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (result.returncode, result.stderr) == (130, "")

@@ -427,8 +427,8 @@ def _notes_on_texts(description: Description) -> list[str]:
     if inputs:
         names = listing(inputs)
         notes.append(
-            f"{description.name}: inputs that are strings keep their start values: {names}; "
-            "'start' sets them"
+            f"{description.name}: inputs that are strings keep their start values, the FMU's or "
+            f"those of 'start': {names}"
         )
     return notes
 

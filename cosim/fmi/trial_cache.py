@@ -11,6 +11,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
@@ -25,6 +26,7 @@ from cosim.version import __version__
 VARIABLE: Final = "COSIM_CACHE"  # of the environment: the folder; empty: no cache
 TRIAL_VERSION: Final = 2  # to be raised where the trials themselves change
 LARGEST: Final = 2**16  # bytes of one file
+_NAME: Final = re.compile(r"[0-9a-f]{64}(\.json|\.\w+\.part)")
 
 
 def cache_folder() -> Path | None:
@@ -91,7 +93,7 @@ def keep_problems(task: str, sha256: str, interface_type: str, problems: Sequenc
         return
     with suppress(OSError):  # a folder that cannot be written, a full disk
         file.parent.mkdir(parents=True, exist_ok=True)
-        descriptor, name = tempfile.mkstemp(dir=file.parent, suffix=".part")
+        descriptor, name = tempfile.mkstemp(dir=file.parent, prefix=f"{file.stem}.", suffix=".part")
         try:
             with os.fdopen(descriptor, "wb") as opened:
                 opened.write(content)
@@ -101,14 +103,17 @@ def keep_problems(task: str, sha256: str, interface_type: str, problems: Sequenc
 
 
 def cached_files() -> Iterator[tuple[Path, int]]:
-    """Yield the files that are kept, those that were not finished too, with their sizes [bytes]."""
+    """Yield the files that are kept, those that were not finished too, with their sizes [bytes].
+
+    By their names: the folder may hold files of others.
+    """
     folder = cache_folder()
     if folder is None:
         return
-    for pattern in ("*.json", "*.part"):
-        for file in sorted((folder / "trials").glob(pattern)):
+    for file in sorted((folder / "trials").glob("*")):
+        if _NAME.fullmatch(file.name):
             with suppress(OSError):  # another process may clear it
-                yield file, file.stat().st_size
+                yield file, file.lstat().st_size
 
 
 def clear() -> int:

@@ -23,7 +23,7 @@ from cosim.scenario.swap import MapEntry, PortNames, resolve_maps
 STAND_INS = {"name": "unnamed", "stop": 1.0, "step": 1.0}  # for settings without a right value
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Scenario:
     """A validated scenario.
 
@@ -53,6 +53,9 @@ class Scenario:
     tree: Mapping[str, Any]
     parse: Callable[[Document], Scenario] = field(repr=False, compare=False)
     invalid: frozenset[Key] = frozenset()
+
+    def __repr__(self) -> str:
+        return f"<the scenario {self.name!r}: {len(self.specs)} components>"
 
     @property
     def name(self) -> str:

@@ -72,7 +72,7 @@ class Settings(TomlTable):
     """The table [scenario]."""
 
     name: Name = Field(description="of the scenario, and of its logs")
-    start_time: Number = Field(0.0, description="start of the run [s]")
+    start_time: Number = Field(0.0, description="start of the run [s], 0 or later")
     stop: Number = Field(description="end of the run, an instant [s]")
     step: Number = Field(description="communication step [s]")
     coupling: Literal["gauss-seidel", "jacobi"] = Field(

@@ -131,7 +131,7 @@ def test_texts_are_not_dropped_without_a_word(tmp_path):
     with load(path) as fmu:
         notes = "\n".join(fmu.notes)
     assert "texts: outputs that are strings are not recorded: status" in notes
-    assert "texts: inputs that are strings keep their start values: command; 'start' sets" in notes
+    assert "keep their start values, the FMU's or those of 'start': command" in notes
 
 
 @pytest.mark.parametrize("probe", ["probe2", "model1", "slave1"])

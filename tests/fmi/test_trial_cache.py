@@ -152,11 +152,13 @@ def test_many_writers_and_readers_at_once(folder):
 
 def test_clear_removes_what_is_kept_and_nothing_else(folder):
     keep_problems(*KEY, [])
-    foreign = folder / "trials" / "notes.txt"
-    foreign.write_text("mine")
-    (folder / "trials" / "x.part").write_text("unfinished")
+    foreign = [folder / "trials" / name for name in ("notes.txt", "subject-01.json", "a.part")]
+    for file in foreign:
+        file.write_text("mine")
+    (folder / "trials" / f"{'0' * 64}.x_1.part").write_text("unfinished")
+    assert len(list(cached_files())) == 2
     assert trial_cache.clear() == 2
-    assert foreign.is_file()
+    assert all(file.read_text() == "mine" for file in foreign)
     assert read_problems(*KEY) is None
 
 

@@ -68,7 +68,10 @@ def test_units_of_one_kind_share_an_axis_and_others_do_not(runs, tmp_path):
         def set_ylabel(self, text):
             assert text == "[m]"
 
-        def legend(self, **options):
+        def get_legend_handles_labels(self):
+            return [], []
+
+        def legend(self, handles, labels, **options):
             pass
 
     options = PictureOptions()
@@ -174,3 +177,30 @@ def test_a_picture_that_is_interrupted_leaves_the_one_before(runs, tmp_path, mon
     with pytest.raises(KeyboardInterrupt):
         plot_signals(runs[0], ["a.y"], path)
     assert path.read_bytes() == b"before"
+
+
+def test_states_are_shown_of_components_that_have_no_other_outputs(tmp_path):
+    """A lag's y is its state; an observer's state beside its outputs would be too much."""
+    text = (
+        '[scenario]\nname = "lags"\nstop = 1.0\nstep = 0.1\n[components]\n'
+        's = { kind = "step", time = 0.5, before = 0.0, after = 1.0 }\n'
+        'a = { kind = "lag", time_constant = 1.0 }\n'
+        '[connections]\n"a.u" = "s.y"\n'
+    )
+    (tmp_path / "lags.toml").write_text(text)
+    plot_run(cosim.run(tmp_path / "lags.toml"), tmp_path / "a.svg")
+    assert {"s.y", "a.y"} <= set(texts(tmp_path / "a.svg"))
+
+
+def test_a_legend_of_many_curves_fits_its_panel(tmp_path, recwarn):
+    """The first are named, and how many there are."""
+    scenario = tmp_path / "many.toml"
+    components = [f'c{i} = {{ kind = "constant", value = {i}.0 }}' for i in range(60)]
+    lines = ['[scenario]\nname = "many"\nstop = 1.0\nstep = 0.1\n[components]', *components]
+    scenario.write_text("\n".join(lines))
+    names = ",".join(f"c{i}.y" for i in range(60))
+    plot_signals([cosim.run(scenario, out=tmp_path / "m.mcap")], [names], tmp_path / "a.svg")
+    shown = texts(tmp_path / "a.svg")
+    assert "the first 24 of 60" in shown
+    assert ("c23.y" in shown, "c24.y" in shown) == (True, False)
+    assert not recwarn.list

@@ -21,6 +21,8 @@ Style: TypeAlias = Mapping[str, Any]
 
 TRUTH: Final[Style] = {"color": "0.75", "linewidth": 3.0}
 WIDTH: Final = 1.2  # of a line [points]
+MOST_NAMES: Final = 24  # in the legend of a panel
+_NAMES_IN_COLUMN: Final = 8  # of it, at the standard height of a panel
 # Okabe and Ito, without yellow: the color-blind can distinguish them
 COLORS: Final = ("#0072B2", "#D55E00", "#000000", "#009E73", "#E69F00", "#56B4E9", "#CC79A7")
 DASHES: Final = ("-", (0, (6, 2)), (0, (2, 2)), (0, (7, 2, 1, 2)), (0, (1, 1)))
@@ -127,8 +129,20 @@ def draw_curves(panel: Any, curves: Sequence[Curve], *, styles: Sequence[Style])
 
 
 def show_legend(panel: Any) -> None:
-    """Name the curves of a panel beside it, where they hide nothing."""
-    panel.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize="small")
+    """Name the curves of a panel beside it, where they hide nothing; of many only the first."""
+    lines, names = panel.get_legend_handles_labels()
+    shown = lines[:MOST_NAMES]
+    panel.legend(
+        shown,
+        names[:MOST_NAMES],
+        loc="center left",
+        bbox_to_anchor=(1.0, 0.5),
+        frameon=False,
+        fontsize="small",
+        ncols=-(-len(shown) // _NAMES_IN_COLUMN),  # rounded up
+        title=f"the first {len(shown)} of {len(lines)}" if len(shown) < len(lines) else None,
+        title_fontsize="small",
+    )
 
 
 def color_styles(count: int) -> Iterator[Style]:

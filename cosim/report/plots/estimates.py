@@ -31,7 +31,7 @@ def plot_run(recording: Recording, out: Path, options: PictureOptions = _STANDAR
     """Draw the standard picture of a run.
 
     A row for each estimate: on the left with its truth, on the right its error. For a run without
-    truth a panel for each output.
+    truth a panel for each output; states only of components that have no other.
 
     Raises
     ------
@@ -75,19 +75,19 @@ def _plot_estimates(
 def _plot_outputs(recording: Recording, out: Path, options: PictureOptions, scenario: str) -> None:
     names = []
     for component, channel in recording.channels.items():
-        for signal in channel.interface.outputs:
-            if signal.role != "state":
-                names.append(f"{component}.{signal.name}")
+        outputs = channel.interface.outputs
+        shown = [signal for signal in outputs if signal.role != "state"] or outputs
+        names += [f"{component}.{signal.name}" for signal in shown]
     if not names:
         raise UsageError("the run has no outputs to show; name signals: cosim plot LOG SIGNAL...")
-    shown = names[:MOST_OUTPUTS]
-    picture = Picture(len(shown), 1, options)
-    for panel, name in zip(picture.panels, shown, strict=True):
+    drawn = names[:MOST_OUTPUTS]
+    picture = Picture(len(drawn), 1, options)
+    for panel, name in zip(picture.panels, drawn, strict=True):
         curves = curves_of(recording, name, options)
         draw_curves(panel, curves, styles=list(color_styles(len(curves))))
     title = scenario
-    if len(shown) < len(names):
-        title = f"{scenario}: the first {len(shown)} of {len(names)} outputs"
+    if len(drawn) < len(names):
+        title = f"{scenario}: the first {len(drawn)} of {len(names)} outputs"
     picture.save(out, title=title)
 
 

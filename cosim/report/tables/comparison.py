@@ -76,6 +76,11 @@ def print_plants(comparison: Comparison, *, as_json: bool) -> None:
     for outcome in failures:
         table.add_row("", "", outcome.label, "failed", outcome.error.splitlines()[0], "")
     print_table(table)
+    if not comparison.estimates:
+        print_line(
+            "no estimates to compare: the scenario has no [truth]; 'cosim diff' compares all "
+            "signals of two logs, which --out keeps"
+        )
     for outcome in failures:
         for line in outcome.error.splitlines():
             print_line(f"{outcome.label}: failed: {line}", error=True)
