@@ -1,4 +1,5 @@
 from fractions import Fraction
+from functools import partial
 
 import numpy as np
 import pytest
@@ -328,61 +329,115 @@ def exact_decoupled(A, B, C):
     return exact(A) - exact(B) @ G @ exact(C) @ exact(A)
 
 
-def with_a_movable_mode_at(rate, size, rng):
-    """Return A, B, C, L with ``M - L C`` of about [-1 1; 0 rate], and terms of about ``size``.
+def large_states(size, rng):
+    """Return A, B, C with a large A that L C has to cancel."""
+    A = np.round(size * rng.normal(size=(2, 2)), 1)
+    B = np.round(rng.normal(size=(2, 1)), 2)
+    return A, B, np.round(rng.normal(size=(2, 2)), 2)
+
+
+def large_in_the_direction_of_the_disturbance(size, rng):
+    """Return A, B, C with a large A of which the decoupling leaves little: M is of order one."""
+    B = np.round(rng.normal(size=(2, 1)), 2)
+    A = B @ np.round(size * rng.normal(size=(1, 2)), 1) + np.round(rng.normal(size=(2, 2)), 2)
+    return A, B, np.round(rng.normal(size=(2, 2)), 2)
+
+
+def nearly_equal_outputs(size, rng):
+    """Return A, B, C with rows of C so alike that L is large, and cancels in L C."""
+    A = np.round(rng.normal(size=(2, 2)), 2)
+    B = np.round(rng.normal(size=(2, 1)), 2)
+    row = np.round(rng.normal(size=2), 2)
+    return A, B, np.array([row, row + rng.normal(size=2) / size])
+
+
+def with_a_movable_mode_at(rate, size, rng, make):
+    """Return A, B, C and L with ``M - L C`` of about [-1 1; 0 rate].
 
     Also whether it is Hurwitz in exact arithmetic.
     """
-    A = np.round(size * rng.normal(size=(2, 2)), 1)
-    B = np.round(rng.normal(size=(2, 1)), 2)
-    C = np.round(rng.normal(size=(2, 2)), 2)
+    A, B, C = make(size, rng)
     M = exact_decoupled(A, B, C)
     goal = np.array([[-1.0, 1.0], [0.0, rate]])
     L = np.linalg.solve(C.T, (M.astype(np.float64) - goal).T).T
     closed = M - exact(L) @ exact(C)
     determinant = closed[0, 0] * closed[1, 1] - closed[0, 1] * closed[1, 0]
-    return (A, B, C), {"L": L}, closed.trace() < 0 < determinant
+    return (A, B, C), L, closed.trace() < 0 < determinant
 
 
-def with_a_fixed_mode_at(rate, size, rng):
-    """Return A, B, C with one output and a fixed mode of about ``rate``, terms of about ``size``.
+def one_output(size, rng):
+    """Return A, B, C with one output and a large A in the direction of the disturbance."""
+    A, B, C = large_in_the_direction_of_the_disturbance(size, rng)
+    return A, B, C[:1]
+
+
+def nearly_unseen_disturbance(size, rng):
+    """Return A, B, C with one output that sees little of the disturbance: F is large, C A small."""
+    C = np.round(rng.normal(size=(1, 2)), 2)
+    B = np.array([[-C[0, 1]], [C[0, 0]]]) + rng.normal(size=(2, 1)) / size
+    A = B @ np.round(rng.normal(size=(1, 2)), 2) + rng.normal(size=(2, 2)) / size
+    return A, B, C
+
+
+def with_a_fixed_mode_at(rate, size, rng, make):
+    """Return A, B, C and L with one output and a fixed mode of about ``rate``.
 
     Also whether it is stable in exact arithmetic: C M = 0, so it is the trace of M.
     """
-    B = np.round(rng.normal(size=(2, 1)), 2)
-    C = np.round(rng.normal(size=(1, 2)), 2)
-    A = B @ np.round(size * rng.normal(size=(1, 2)), 1) + np.round(rng.normal(size=(2, 2)), 2)
-    unseen = np.array([[-C[0, 1]], [C[0, 0]]])  # C unseen = 0
-    projected = unseen.T @ (np.eye(2) - B @ C / (C @ B)) @ unseen
+    A, B, C = make(size, rng)
+    unseen = np.array([[-C[0, 1]], [C[0, 0]]])  # C unseen = 0: the decoupling leaves it
     shift = rate - float(exact_decoupled(A, B, C).trace())
-    A = A + shift / projected * unseen @ unseen.T
-    return (A, B, C), {"L": C.T}, exact_decoupled(A, B, C).trace() < 0
+    A = A + shift / (unseen.T @ unseen) * unseen @ unseen.T
+    return (A, B, C), C.T, exact_decoupled(A, B, C).trace() < 0
+
+
+MOVABLE = "M - L C is not Hurwitz: .*; another L moves it"
+FIXED = "M - L C is not Hurwitz: .*NOT_DETECTABLE"
 
 
 @pytest.mark.parametrize(
-    ("make", "verdict"),
+    ("made", "verdict"),
     [
-        (with_a_movable_mode_at, "M - L C is not Hurwitz: .*; another L moves it"),
-        (with_a_fixed_mode_at, "M - L C is not Hurwitz: .*NOT_DETECTABLE"),
+        (partial(with_a_movable_mode_at, make=large_states), MOVABLE),
+        (
+            partial(with_a_movable_mode_at, make=large_in_the_direction_of_the_disturbance),
+            MOVABLE,
+        ),
+        (partial(with_a_movable_mode_at, make=nearly_equal_outputs), MOVABLE),
+        (partial(with_a_fixed_mode_at, make=one_output), FIXED),
+        (partial(with_a_fixed_mode_at, make=nearly_unseen_disturbance), FIXED),
     ],
 )
-@pytest.mark.parametrize("size", [1.0, 1e4])
-def test_what_is_stable_by_rounding_alone_is_refused(make, verdict, size):
+def test_what_is_stable_by_rounding_alone_is_refused(made, verdict):
     """The terms of M - L C cancel: what is left of a mode at 0 is their rounding, not its own.
 
     Beyond that, 100 eps times a few times their size, it is not refused.
     """
+    size = 1e4
     unstable = 0
     for seed in range(60):
-        matrices, options, is_stable = make(0.0, size, np.random.default_rng(seed))
+        matrices, L, is_stable = made(0.0, size, np.random.default_rng(seed))
         if not is_stable:
             unstable += 1
             with pytest.raises(AssumptionError, match=verdict):
-                design(reduced_system(*matrices), **options, filter_rate=1e3)
-        matrices, options, is_stable = make(-1e-9 * size, size, np.random.default_rng(seed))
+                design(reduced_system(*matrices), L=L, filter_rate=1e3)
+        matrices, L, is_stable = made(-1e-9 * size, size, np.random.default_rng(seed))
         assert is_stable
-        design(reduced_system(*matrices), **options, filter_rate=1e3)
+        design(reduced_system(*matrices), L=L, filter_rate=1e3)
     assert unstable > 10
+
+
+def test_a_fixed_mode_at_zero_beside_fast_ones_is_refused():
+    """Its rounding is that of the fast ones: exactly singular in whole numbers."""
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        left = rng.integers(1, 100, 2)
+        right = -rng.integers(1, 100, 2)
+        A = np.zeros((3, 3))
+        A[:2, :2] = np.outer(left, right)  # its eigenvalues: 0 and right left < 0
+        system = reduced_system(A, [[0.0], [0.0], [1.0]], [[0.0, 0.0, 1.0]])
+        with pytest.raises(AssumptionError, match=FIXED):
+            design(system, L=[0.0, 0.0, 1.0], filter_rate=1e3)
 
 
 def test_a_disturbance_that_reaches_the_output_is_refused_by_the_observer_only():
