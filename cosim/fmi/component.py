@@ -234,7 +234,8 @@ def _unpack(path: Path | str, archive: Archive | None, folder: Path) -> Archive:
     """Unpack an FMU into a folder; return what was read from it before, or now."""
     if archive is None:
         return read(path, into=folder)
-    read_archive(Path(path), (), folder)
+    if read_archive(Path(path), (), folder).sha256 != archive.sha256:
+        raise FmuError(f"{path}: was changed while it was opened; try it again")
     return archive
 
 

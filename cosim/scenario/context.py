@@ -292,13 +292,12 @@ class ScenarioBuildContext:
             )
 
     def _linearize(self, path: str, request: LinearizationRequest) -> dict[str, Any]:
-        from cosim.fmi.linearizing.linearize import linearize_file
+        from cosim.fmi.linearizing.linearize import linearize_archive
         from cosim.fmi.reading.model_description import read
 
-        file = self.file(path)
-        sha256 = read(file).sha256
-        result = linearize_file(file, request)
-        return {"sha256": sha256, "result": result.to_dict()}
+        archive = read(self.file(path))
+        result = linearize_archive(archive, request)
+        return {"sha256": archive.sha256, "result": result.to_dict()}
 
     def _recorded_linearization(self, name: str) -> LinearizationRecord | None:
         if self._recording is None:

@@ -19,9 +19,12 @@ from cosim.fmi.component import load
 from cosim.fmi.generated import GeneratedInstance
 from cosim.fmi.linearizing.differences import differentiate
 from cosim.fmi.linearizing.linearization import Linearization
-from cosim.fmi.linearizing.linearize import linearize
+from cosim.fmi.linearizing.linearize import linearize, linearize_archive
 from cosim.fmi.linearizing.operating_point import OperatingPoint
+from cosim.fmi.linearizing.request import LinearizationRequest
 from cosim.fmi.options import FmuOptions
+from cosim.fmi.reading import model_description
+from cosim.fmi.reading.model_description import read
 from tests.fmi import plant
 from tests.fmi.compiled import compile_fmu
 from tests.fmi.pendulum import FRICTION, OUTPUTS, G, jacobian, pendulum
@@ -449,6 +452,29 @@ def test_what_cannot_be_linearized_is_refused(name, swinging):
     options, message = REFUSED[name]
     with pytest.raises(FmuError, match=message):
         cosim.linearize(swinging, **options)
+
+
+def test_the_description_of_a_file_is_read_once(swinging, monkeypatch):
+    """It may be long."""
+    parsed = []
+    parse = model_description.parse
+
+    def counted(xml):
+        parsed.append(xml)
+        return parse(xml)
+
+    monkeypatch.setattr(model_description, "parse", counted)
+    cosim.linearize(swinging)
+    assert len(parsed) == 1
+
+
+def test_a_file_that_is_changed_while_it_is_opened_is_refused(tmp_path):
+    """Else the description would be that of another binary."""
+    path = tmp_path / "p.fmu"
+    archive = read(pendulum(path, derivatives=True))
+    pendulum(path, derivatives=False)
+    with pytest.raises(FmuError, match=r"p\.fmu: was changed while it was opened; try it again"):
+        linearize_archive(archive, LinearizationRequest())
 
 
 def test_nothing_is_linearized_with_another_rounding_mode(tmp_path):

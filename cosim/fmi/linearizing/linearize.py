@@ -41,7 +41,7 @@ from cosim.fmi.linearizing.linearization import METHODS, Linearization, Method
 from cosim.fmi.linearizing.operating_point import OperatingPoint
 from cosim.fmi.linearizing.request import LinearizationRequest
 from cosim.fmi.options import FmuOptions
-from cosim.fmi.reading.model_description import read
+from cosim.fmi.reading.model_description import Archive, read
 from cosim.units import BaseUnit
 
 GOOD: Final = 1e-7  # relative error from which on a matrix is noted as poor
@@ -107,24 +107,29 @@ def linearize(
 
 def linearize_file(path: str | Path, request: LinearizationRequest) -> Linearization:
     """Linearize an .fmu for model exchange; raises as :func:`linearize`."""
-    with _open(fmu_argument(path), request.start) as opened:
+    return linearize_archive(read(fmu_argument(path)), request)
+
+
+def linearize_archive(archive: Archive, request: LinearizationRequest) -> Linearization:
+    """Linearize an .fmu for model exchange whose description is read; raises as `linearize`."""
+    with _open(archive, request.start) as opened:
         return linearize_instance(opened.instance, request)
 
 
-def _open(path: str | Path, start: Starts) -> Fmu:
+def _open(archive: Archive, start: Starts) -> Fmu:
     """Open an FMU for model exchange with its structural parameters, which size its arrays."""
-    description = read(path).description
+    description = archive.description
     if "me" not in description.capabilities:
         raise FmuError(
-            f"{path}: is for co-simulation only, which does not show the states; linearizing needs "
-            "model exchange: export it for that too"
+            f"{archive.path}: is for co-simulation only, which does not show the states; "
+            "linearizing needs model exchange: export it for that too"
         )
     structural = {}
     for name, value in start.items():
         if name in description and description[name].causality == "structuralParameter":
             structural[name] = value
     options = FmuOptions(interface_type="me", start=structural)
-    return load(path, options)
+    return load(archive.path, options, archive=archive)
 
 
 def linearize_instance(
