@@ -174,7 +174,8 @@ def compare(
     ------
     UsageError
         If there is not one component, fewer than two plants, a path that no plant has, or an entry
-        of ``map`` that none of them can use. Other problems of a single plant are its outcome.
+        of ``map`` or ``set`` that none of them can use. Other problems of a single plant are its
+        outcome.
     """
     force = truth_argument("force", force)
     base = truth_argument("base", base)
@@ -190,6 +191,7 @@ def compare(
     for path in paths:
         alternatives.append(_Alternative(_label(path), path, maps[path], changes))
     loaded.edit(set=common)  # a problem of all plants is raised once, before anything runs
+    _check_edits(loaded, component, alternatives)
     labels = _distinct([alternative.label for alternative in alternatives])
     logs: list[Path | None] = []
     for label in labels:
@@ -200,6 +202,22 @@ def compare(
     for label, alternative, log in zip(labels, alternatives, logs, strict=True):
         outcomes.append(_run(loaded, component, label, alternative, log=log, force=force))
     return Comparison(loaded.name, component, tuple(outcomes))
+
+
+def _check_edits(loaded: Scenario, component: str, alternatives: Sequence[_Alternative]) -> None:
+    """Refuse edits that make no scenario with any of the alternatives."""
+    problems: dict[str, None] = {}
+    for alternative in alternatives:
+        if alternative.path is None:
+            continue
+        swap = {component: alternative.path}
+        try:
+            loaded.edit(swap=swap, map=alternative.map, set=alternative.changes)
+        except CosimError as error:
+            problems[str(error)] = None
+        else:
+            return  # what the others cannot be is their outcome
+    raise UsageError("\n".join(problems))
 
 
 def _changes_of_others(changes: Mapping[str, Any], component: str) -> dict[str, Any]:

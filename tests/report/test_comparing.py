@@ -130,6 +130,20 @@ def test_a_path_that_no_plant_has_is_refused_before_the_first_run(call, monkeypa
     ]
 
 
+def test_what_no_alternative_can_be_is_refused_before_the_first_run(folder, monkeypatch):
+    """A key that one of them has is set there, and the outcome of the others."""
+    plants = {"plant": [folder / "plant.fmu", f"{folder / 'plant.fmu'}#cs"]}
+    with monkeypatch.context() as patch:
+        patch.setattr("cosim.scenario.recording.run_into", None)
+        message = r"^set\['plant\.nope'\]: components\.plant\.nope: unknown key 'nope'[^\n]*$"
+        with pytest.raises(UsageError, match=message):
+            compare("academic", swap=plants, set={"plant.nope": 1.0})
+    mixed = {"plant": [folder / "plant.fmu", folder / "log.mcap"]}
+    changes = {"plant.solver": "RK23", "scenario.stop": 0.1}
+    found = compare("academic", swap=mixed, set=changes, base=False)
+    assert [bool(outcome.error) for outcome in found.outcomes] == [False, True]
+
+
 def test_a_map_is_for_those_that_have_its_names(folder):
     """The renamed FMU needs it, the exported one keeps the scenario's names."""
     found = compare(
