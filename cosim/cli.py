@@ -163,7 +163,7 @@ def run(
     dry_run: DryRunOption = False,
 ) -> None:
     """Run a scenario and record every signal to an MCAP log."""
-    from cosim.processes import COMMAND_VARIABLE
+    from cosim.processes import COMMAND_VARIABLE, end_with_parent
     from cosim.report.tables.run import print_summary
     from cosim.scenario.execution import load
     from cosim.scenario.execution import run as run_scenario
@@ -171,6 +171,8 @@ def run(
     if dry_run and COMMAND_VARIABLE not in os.environ:
         options = {"--set": changes, "--swap": swaps, "--map": maps}
         _dry_run_in_child(scenario, options, {"--stop": stop, "--step": step}, as_json=as_json)
+    if COMMAND_VARIABLE in os.environ:
+        end_with_parent()
     imported = perf_counter()
     edits = _edits(changes, {"scenario.stop": stop, "scenario.step": step})
     loaded = load(scenario)

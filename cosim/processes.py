@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import signal
 import subprocess
@@ -16,6 +17,7 @@ from cosim.temporary import TemporaryFolder
 
 # set in a child that does a command of its parent: the columns of the terminal; 0: there is none
 COMMAND_VARIABLE: Final = "COSIM_COMMAND"
+_PR_SET_PDEATHSIG: Final = 1  # of linux/prctl.h
 _IMPORTED_FROM: Final = Path(__file__).parents[1]
 
 
@@ -76,6 +78,13 @@ def child_environment(folder: Path, variable: str, value: str = "1") -> dict[str
         "PYTHONIOENCODING": "utf-8",
     }
     return os.environ | added | dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(folder))
+
+
+def end_with_parent() -> None:
+    """Let the kernel end this process when its parent ends, however that ends; on Linux."""
+    if sys.platform == "linux":
+        with suppress(AttributeError):  # no prctl in this C library
+            ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
 
 
 def kill(child: subprocess.Popen[Any]) -> None:

@@ -7,17 +7,21 @@ import json
 import os
 import pty
 import re
+import select
 import signal
 import subprocess
 import sys
 import threading
+from pathlib import Path
 
 import pytest
 
 import cosim
 from cosim.cli import main
 from cosim.log import open_log
+from tests.fmi.compiled import compile_fmu
 from tests.fmi.eventful import build
+from tests.fmi.test_check import XML
 
 ONE = "from cosim.cli import main; main()"
 EIGHT = """
@@ -458,3 +462,34 @@ def test_ctrl_c_while_the_command_line_is_imported_ends_without_a_traceback():
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert (result.returncode, result.stderr) == (130, "")
+
+
+def trials_of(fmu):
+    """Return the processes that try an FMU."""
+    found = []
+    for folder in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):
+            words = (folder / "cmdline").read_bytes().split(b"\0")
+            if b"cosim.fmi.checking.trial" in words and str(fmu).encode() in words:
+                found.append(int(folder.name))
+    return found
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="asks Linux for it")
+def test_a_trial_ends_with_the_command_that_began_it(start, tmp_path):
+    """However that ends; an FMU that hangs in its trial would go on computing without end."""
+    fmu = compile_fmu(tmp_path / "hangs.fmu", XML, "rogue2.c", defines=("ROGUE=HANG",))
+    process = start("check", fmu)
+    for _ in range(3000):
+        trials = trials_of(fmu)
+        if trials:
+            break
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(0.01)
+            pytest.fail(f"ended early: {process.communicate()}")
+    ends = [os.pidfd_open(pid) for pid in trials]
+    process.kill()
+    for end in ends:
+        readable, _, _ = select.select([end], [], [], 10.0)  # readable once the process has ended
+        os.close(end)
+        assert readable

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, NoReturn, TextIO
 
 from cosim.errors import CosimError
+from cosim.processes import end_with_parent
 
 if TYPE_CHECKING:
     from cosim.arrays import Matrix, Vector
@@ -255,6 +256,7 @@ def main(arguments: Sequence[str]) -> NoReturn:
     and then abort) says nothing about the FMU.
     """
     task, path, *task_arguments = arguments
+    end_with_parent()
     with suppress(ImportError):
         import resource
 
