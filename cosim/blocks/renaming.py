@@ -10,7 +10,7 @@ name, so that every output stays visible; where that name is taken, ``_`` is app
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from cosim.blocks.port_map import PortElement, PortMap, ShownPort, names_of
@@ -89,7 +89,7 @@ def _by_port(
 ) -> dict[Port, list[Renaming]]:
     """Return the renamings of every port: of all of it, or of its elements in rising order."""
     # a port whose own name looks like that of an element, such as x[1], is no part of another
-    names = set() if replaced is None else set(_signals(replaced))
+    names = {} if replaced is None else replaced.by_name
     by_port: dict[Port, list[Renaming]] = {}
     for renaming in renamings:
         port = renaming.port
@@ -117,10 +117,10 @@ class _Resolver:
     def __init__(self, interface: Interface, replaced: Interface | None) -> None:
         self.problems: dict[Port, str] = {}
         self._interface = interface
-        self._replaced: dict[str, Signal] = {}
+        self._replaced: Mapping[str, Signal] = {}
         self._replaced_causalities: dict[str, Causality] = {}
         if replaced is not None:
-            self._replaced = _signals(replaced)
+            self._replaced = replaced.by_name
             self._replaced_causalities |= {signal.name: "input" for signal in replaced.inputs}
             self._replaced_causalities |= {signal.name: "output" for signal in replaced.outputs}
         inputs = _elements(interface.inputs, "input")
@@ -210,12 +210,10 @@ class _Resolver:
         GraphError
             If there is no such port of this causality, or no such element.
         """
-        known = [name for name in self._elements if self._is(name, causality)]
-        own = _signals(self._interface)
-        match = source.find(own.values())
+        match = source.find(self._interface.by_name)
         if match is None:
             needed = causality or "input or output"
-            nearest_name = nearest(source.signal, known)
+            nearest_name = nearest(source.signal, self._names(causality))
             raise GraphError(
                 f"'{source}': {source.component!r} has no {needed} {source.signal!r}; "
                 f"{nearest_name}"
@@ -224,12 +222,15 @@ class _Resolver:
         elements = self._elements[signal.name]
         if not self._is(signal.name, causality):
             other = elements[0].causality
-            listed = ", ".join(known) or "none"
+            listed = ", ".join(self._names(causality)) or "none"
             raise GraphError(
                 f"'{source}' is an {other} of {source.component!r}; needed an {causality}; "
                 f"there is: {listed}"
             )
         return elements[part]
+
+    def _names(self, causality: Causality | None) -> list[str]:
+        return [name for name in self._elements if self._is(name, causality)]
 
     def _is(self, name: str, causality: Causality | None) -> bool:
         first = self._elements[name][0]
@@ -315,10 +316,6 @@ class _Resolver:
         inputs = tuple(port for port in ports if port.causality == "input")
         outputs = tuple(port for port in ports if port.causality == "output")
         return PortMap(self._interface, inputs, outputs)
-
-
-def _signals(interface: Interface) -> dict[str, Signal]:
-    return {signal.name: signal for signal in interface.signals}
 
 
 def _elements(signals: Iterable[Signal], causality: Causality) -> dict[str, list[PortElement]]:

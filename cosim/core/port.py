@@ -13,7 +13,7 @@ A signal may have a name of its own that looks like that of an element, such as 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
@@ -98,20 +98,16 @@ class Port:
         """The port of the whole signal."""
         return Port(self.component, self.signal)
 
-    def find(self, signals: Iterable[Signal]) -> tuple[Signal, slice] | None:
+    def find(self, by_name: Mapping[str, Signal]) -> tuple[Signal, slice] | None:
         """Return the signal that is meant, and which of its elements.
 
-        None: it is none of ``signals``.
+        None: it is none of the signals.
 
         Raises
         ------
         GraphError
             If the signal has no such element.
         """
-        return self.find_in({signal.name: signal for signal in signals})
-
-    def find_in(self, by_name: Mapping[str, Signal]) -> tuple[Signal, slice] | None:
-        """Return what :meth:`find` does, of signals by their names."""
         if self.name in by_name:
             signal = by_name[self.name]
             return signal, slice(0, signal.size)

@@ -67,7 +67,7 @@ class Ports:
         if port.component not in self.channels:
             raise unknown_component(port, self.channels)
         channel = self.channels[port.component]
-        match = port.find_in(self._signals[channel.name, causality])
+        match = port.find(self._signals[channel.name, causality])
         if match is None:
             raise _unknown_port(port, channel, causality)
         signal, elements = match

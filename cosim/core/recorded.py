@@ -69,7 +69,7 @@ def find_signal(
     try:
         port = signal if isinstance(signal, Port) else Port.parse(signal)
         channel = find_channel(channels, port.component, source=source)
-        match = port.find_in(channel.by_name)
+        match = port.find(channel.by_name)
     except GraphError as error:
         raise UnknownSignalError(f"{source}: {error}") from error
     if match is None:

@@ -255,6 +255,11 @@ class Interface:
         return self.inputs + self.outputs
 
     @cached_property
+    def by_name(self) -> Mapping[str, Signal]:
+        """The signals by their names."""
+        return {signal.name: signal for signal in self.signals}
+
+    @cached_property
     def n_u(self) -> int:
         """Number of input elements."""
         return sum(signal.size for signal in self.inputs)
@@ -339,10 +344,10 @@ class Channel:
         """Inputs, then outputs."""
         return self.interface.signals
 
-    @cached_property
+    @property
     def by_name(self) -> Mapping[str, Signal]:
         """The signals by their names."""
-        return {signal.name: signal for signal in self.signals}
+        return self.interface.by_name
 
     @cached_property
     def signal_columns(self) -> Mapping[str, slice]:

@@ -393,7 +393,7 @@ def _has_unit(builder: Builder, port: Port) -> bool:
     if port.component not in builder.components:
         return False
     try:
-        match = port.find(builder.components[port.component].interface.signals)
+        match = port.find(builder.components[port.component].interface.by_name)
     except GraphError:  # no such element: that of its connection
         return False
     return match is not None and match[0].unit is not None

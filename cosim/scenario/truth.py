@@ -75,12 +75,12 @@ class _Signals:
     """The signals of components by port."""
 
     def __init__(self, components: Mapping[str, Component]) -> None:
-        self._signals: dict[str, tuple[Signal, ...]] = {}
+        self._signals: dict[str, Mapping[str, Signal]] = {}
         self._names: list[str] = []
         for name, component in components.items():
-            signals = component.interface.signals
+            signals = component.interface.by_name
             self._signals[name] = signals
-            self._names += [f"{name}.{signal.name}" for signal in signals]
+            self._names += [f"{name}.{signal}" for signal in signals]
 
     def unknown(self, ports: Sequence[Port]) -> list[Port]:
         """Return those of some ports that there are not."""
@@ -102,7 +102,7 @@ class _Signals:
         return ComparedSignal(signal, elements.stop - elements.start)
 
     def _match(self, port: Port) -> tuple[Signal, slice] | None:
-        return port.find(self._signals.get(port.component, ()))
+        return port.find(self._signals.get(port.component, {}))
 
 
 def _check_size(

@@ -8,7 +8,8 @@ from cosim.core.port import Port
 from cosim.core.signals import Signal
 from cosim.errors import GraphError
 
-SIGNALS = (Signal("y"), Signal("x", 3), Signal("x[1]"), Signal("a.b", 2))
+DECLARED = (Signal("y"), Signal("x", 3), Signal("x[1]"), Signal("a.b", 2))
+SIGNALS = {signal.name: signal for signal in DECLARED}
 
 
 @pytest.mark.parametrize(
