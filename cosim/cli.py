@@ -171,8 +171,7 @@ def run(
     if dry_run and COMMAND_VARIABLE not in os.environ:
         options = {"--set": changes, "--swap": swaps, "--map": maps}
         _dry_run_in_child(scenario, options, {"--stop": stop, "--step": step}, as_json=as_json)
-    if COMMAND_VARIABLE in os.environ:
-        end_with_parent()
+    end_with_parent()
     imported = perf_counter()
     edits = _edits(changes, {"scenario.stop": stop, "scenario.step": step})
     loaded = load(scenario)

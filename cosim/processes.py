@@ -17,6 +17,7 @@ from cosim.temporary import TemporaryFolder
 
 # set in a child that does a command of its parent: the columns of the terminal; 0: there is none
 COMMAND_VARIABLE: Final = "COSIM_COMMAND"
+_PARENT_VARIABLE: Final = "COSIM_PARENT"  # set in a child: the process that waits for it
 _PR_SET_PDEATHSIG: Final = 1  # of linux/prctl.h
 _IMPORTED_FROM: Final = Path(__file__).parents[1]
 
@@ -75,16 +76,20 @@ def child_environment(folder: Path, variable: str, value: str = "1") -> dict[str
     added = {
         "PYTHONPATH": os.pathsep.join(import_paths),
         variable: value,
+        _PARENT_VARIABLE: str(os.getpid()),
         "PYTHONIOENCODING": "utf-8",
     }
     return os.environ | added | dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(folder))
 
 
 def end_with_parent() -> None:
-    """Let the kernel end this process when its parent ends, however that ends; on Linux."""
-    if sys.platform == "linux":
+    """Let the kernel end this child when the process that waits for it ends; on Linux."""
+    parent = os.environ.get(_PARENT_VARIABLE)
+    if sys.platform == "linux" and parent is not None:
         with suppress(AttributeError):  # no prctl in this C library
             ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+        if parent != str(os.getppid()):
+            os._exit(1)  # it ended before
 
 
 def kill(child: subprocess.Popen[Any]) -> None:
