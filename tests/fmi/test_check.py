@@ -147,6 +147,13 @@ def test_rogues(rogue, what, text):
     assert problems[0].startswith(text)
 
 
+def test_a_trial_of_saved_states_moves_the_inputs(rogue):
+    """At rest an FMU that repeats its last step shows nothing: x' = u - x from x = u = 1."""
+    at_rest = XML.replace('<Real start="0" unit="m"/>', '<Real start="1" unit="m"/>')
+    (problem,) = problems_of(rogue("REPEATS", at_rest))
+    assert problem.startswith(f"{BACK}: goes back wrongly: after steps with other inputs")
+
+
 @pytest.mark.parametrize(
     ("what", "text"),
     [

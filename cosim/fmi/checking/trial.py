@@ -146,6 +146,15 @@ def _compare_repeated_steps(log: TrialLog, fmu: Fmu, t: Vector, h: float, u: Mat
         if repeated.tobytes() != expected.tobytes():
             _record_difference(log, name, component, expected, repeated)
             return
+    log.stage("other inputs")
+    rows = []
+    with suppress(CosimError):  # as above
+        for may_go_back in (False, True):
+            component.restore(saved)
+            fmu.may_go_back = may_go_back
+            rows.append(component.advance(t, h, 2.0 * u + 1.0))
+        if rows[0].tobytes() != rows[1].tobytes():
+            _record_difference(log, "steps with other inputs", component, *rows)
 
 
 def _record_difference(
