@@ -7,6 +7,7 @@ keeps them can be put anywhere in a graph. Everything is compared bit for bit.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Protocol, cast
 
 import numpy as np
@@ -14,6 +15,7 @@ import numpy as np
 from cosim.arrays import NAN, Mask, Matrix, Vector
 from cosim.core.clock import nanoseconds, seconds
 from cosim.core.contracts import Component, Rollback, State, prepare
+from cosim.core.member import read_only, result_problem
 
 
 class RollbackComponent(Component, Rollback[State], Protocol[State]):
@@ -58,7 +60,8 @@ def check_component(
     _check_declared(bench)
     for held in bench.masks():
         expected = bench.run(bench.prepared(held))
-        _check_values(bench, expected)
+        _check_values(bench, "a value", expected)
+        _check_values(bench, "a value of initialize", bench.initialize(bench.prepared(held)))
         _check_repeatable(bench, held, expected)
         _check_design(bench, held, expected)
         _check_blocks(bench, held, expected)
@@ -112,7 +115,7 @@ def check_rollback(
             bench.compare(law, rows, expected, k + 1)
 
 
-def _check_values(bench: _Bench, rows: Matrix) -> None:
+def _check_values(bench: _Bench, what: str, rows: Matrix) -> None:
     """Require that values are finite, but for the one NaN in optional outputs."""
     optional: list[bool] = []
     for signal in bench.interface.outputs:
@@ -121,7 +124,7 @@ def _check_values(bench: _Bench, rows: Matrix) -> None:
     is_nan = rows.view(np.uint64) == nan_bits
     no_value = is_nan & np.array(optional, np.bool_)
     allowed = np.isfinite(rows) | no_value
-    law = "a value is finite, or cosim.arrays.NAN in an optional output"
+    law = f"{what} is finite, or cosim.arrays.NAN in an optional output"
     bench.compare(law, rows, np.where(allowed, rows, 0.0))
 
 
@@ -130,7 +133,7 @@ def _check_repeatable(bench: _Bench, held: Mask, expected: Matrix) -> None:
     component = bench.prepared(held)
     rows = bench.run(component)
     bench.compare("a second component repeats the run", rows, expected)
-    component.initialize(bench.start, bench.perturbed[0].copy())
+    bench.initialize(component, bench.perturbed[0])
     rows = bench.run(component)
     law = "initialize forgets the past, and an earlier initialize with other inputs"
     bench.compare(law, rows, expected)
@@ -253,7 +256,7 @@ def _check_initialization(bench: _Bench, held: Mask) -> None:
     first = bench.initialize(bench.prepared(held))
     for name in bench.input_names:
         component = bench.prepared(held)
-        y = component.initialize(bench.start, bench.perturbed_in(name, 0))
+        y = bench.initialize(component, bench.perturbed_in(name, 0))
         ignoring = np.where(bench.fed_initially(name), first, y)
         law = f"initialize ignores {name!r}, which is not declared to count there"
         bench.compare(law, ignoring, first)
@@ -377,10 +380,11 @@ class _Bench:
         rows = self.advance(component, 0, self.steps)
         return np.vstack([first, rows])
 
-    def initialize(self, component: Component) -> Vector:
-        """Return the initial outputs."""
-        first = component.initialize(self.start, self.u[0].copy())
-        return self._checked("initialize", first, (self.n_y,))
+    def initialize(self, component: Component, u: Vector | None = None) -> Vector:
+        """Return the initial outputs, for other inputs ``u`` where they are given."""
+        inputs = read_only((self.u[0] if u is None else u).copy())
+        call = partial(component.initialize, self.start, inputs)
+        return self._result("initialize", call, (self.n_y,))
 
     def start_outputs(self, component: Component) -> Vector:
         """Initialize a component; return the outputs with which it starts."""
@@ -392,14 +396,15 @@ class _Bench:
         if begin == end:
             return np.empty((0, self.n_y))
         block = slice(begin, end + 1)
-        rows = component.advance(self.t[block], self.h, self.u[block].copy())
-        return self._checked("advance", rows, (end - begin, self.n_y))
+        times = read_only(self.t[block].copy())
+        call = partial(component.advance, times, self.h, read_only(self.u[block].copy()))
+        return self._result("advance", call, (end - begin, self.n_y))
 
     def outputs(self, component: Component, k: int, u: Vector | None = None) -> Vector:
         """Return the outputs at row ``k``, for other inputs ``u`` where they are given."""
-        inputs = self.u[k] if u is None else u
-        y = component.outputs(float(self.t[k]), inputs.copy())
-        return self._checked("outputs", y, (self.n_y,))
+        inputs = read_only((self.u[k] if u is None else u).copy())
+        call = partial(component.outputs, float(self.t[k]), inputs)
+        return self._result("outputs", call, (self.n_y,))
 
     def fed_by(self, name: str) -> Mask:
         """Return which output elements an input is declared to feed through to."""
@@ -438,11 +443,17 @@ class _Bench:
         return labels
 
     @staticmethod
-    def _checked(call: str, values: Vector, shape: tuple[int, ...]) -> Vector:
-        """Return a copy of float64 values of the right shape."""
-        if values.shape != shape or values.dtype != np.float64:
-            raise AssertionError(
-                f"{call} returns float64 of shape {shape}: "
-                f"found {values.dtype} of shape {values.shape}"
-            )
+    def _result(method: str, call: Callable[[], Vector], shape: tuple[int, ...]) -> Vector:
+        """Return a copy of what a method returns, float64 values of the right shape."""
+        try:
+            values = call()
+        except ValueError as error:
+            if "read-only" in str(error):  # as numpy says it, with the line in the traceback
+                raise AssertionError(
+                    f"{method} does not write to its arguments: {error}"
+                ) from error
+            raise
+        problem = result_problem(values, shape)
+        if problem:
+            raise AssertionError(f"{method} {problem}")
         return values.copy()

@@ -177,12 +177,12 @@ class Member:
             If it raises what is no error of cosim, or returns what its interface does not promise.
         """
         try:
-            y = self._component.initialize(t, u)
+            y = self._component.initialize(t, read_only(u))
         except CosimError:
             raise
         except Exception as error:
             raise RunError(f"{self.name!r}: {_raised('initialize', error)}") from error
-        problem = _problem(y, (self._n_y,))
+        problem = result_problem(y, (self._n_y,))
         if problem:
             raise RunError(f"{self.name!r}: initialize {problem}")
         return y.copy()
@@ -214,7 +214,7 @@ class Member:
             raise
         except Exception as error:
             raise RunError(_raised("outputs", error)) from error
-        problem = _problem(y, (self._n_y,))
+        problem = result_problem(y, (self._n_y,))
         if problem:
             raise RunError(f"outputs {problem}")
         return y
@@ -238,7 +238,7 @@ class Member:
             raise
         except Exception as error:
             raise RunError(_raised("advance", error)) from error
-        problem = _problem(y, (steps, self._n_y))
+        problem = result_problem(y, (steps, self._n_y))
         if problem:
             raise RunError(f"advance {problem}")
         return y
@@ -249,7 +249,7 @@ class Member:
         if type(rows) is np.ndarray and rows.ndim == 2 and not len(rows):
             return
         completed = min(np.shape(rows)[0], steps) if np.ndim(rows) else 0
-        problem = _problem(rows, (completed, self._n_y))
+        problem = result_problem(rows, (completed, self._n_y))
         if problem:
             raise RunError(f"advance stopped, {str(stop)!r}, and {problem}") from stop
 
@@ -316,7 +316,7 @@ def _raised(method: str, error: Exception) -> str:
     return f"{method} raised {text} ({last.filename}, line {last.lineno})"
 
 
-def _problem(y: Any, needed: tuple[int, ...]) -> str:
+def result_problem(y: Any, needed: tuple[int, ...]) -> str:
     """Return what is wrong with the outputs of a component; empty: nothing."""
     if type(y) is np.ndarray and y.dtype == FLOAT and y.shape == needed:
         return ""

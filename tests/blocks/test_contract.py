@@ -259,8 +259,13 @@ class Broken(Static):
     def initialize(self, t, u):
         if self.fault != "remembers":
             self.steps = 0
+        if self.fault == "writes initially":
+            u[:] = 9.0
         self.row = self._row(u)
-        return self.outputs(t, u)
+        first = self.outputs(t, u)
+        if self.fault == "starts as nan":
+            first[0] = np.nan
+        return None if self.fault == "starts as nothing" else first
 
     def outputs(self, t, u):
         if self.fault == "outputs count":
@@ -281,6 +286,8 @@ class Broken(Static):
             self.steps += len(rows)
         if self.fault == "writes":
             u[0] = 0.0
+        if self.fault == "writes times":
+            t[0] = 5.0
         if self.fault == "keeps its inputs" and hasattr(self, "kept"):
             rows[0, 1] += self.kept[0, 0] == 1e3
         self.kept = u
@@ -290,6 +297,8 @@ class Broken(Static):
             if self.fault == "shape"
             else rows.astype(np.float32)
             if self.fault == "type"
+            else rows.tolist()
+            if self.fault == "list"
             else rows
         )
 
@@ -313,12 +322,18 @@ FAULTS = {
     "block size": "blocks of 1 give the bits of one block: 'n' at t = 0.001 s: found",
     "writes": "advance does not write to its arguments",
     "keeps its inputs": "arguments and results of earlier calls are no part of the state",
-    "shape": r"advance returns float64 of shape \(30, 2\): found float64 of shape \(30,\)",
-    "type": r"advance returns float64 of shape \(30, 2\): found float32",
+    "writes times": "advance does not write to its arguments",
+    "writes initially": "initialize does not write to its arguments",
+    "starts as nothing": r"initialize returned NoneType; its interface needs a float64 array",
+    "list": r"advance returned list; its interface needs a float64 array of shape \(30, 2\)",
+    "shape": r"advance returned an array of float64, shape \(30,\); its interface needs a "
+    r"float64 array of shape \(30, 2\)",
+    "type": r"advance returned an array of float32, shape \(30, 2\); its interface needs",
     "nan": "a value is finite, or cosim.arrays.NAN in an optional output: "
     "'y' at t = 0.0 s: found nan",
     "infinite": "a value is finite, or cosim.arrays.NAN in an optional output: "
     "'y' at t = 0.0 s: found inf",
+    "starts as nan": "a value of initialize is finite, or .*: 'y' at t = 0.0 s: found nan",
     "by chance": "a second component repeats the run: 'y'",
 }
 

@@ -96,6 +96,18 @@ def test_the_inputs_of_outputs_cannot_be_written_to():
     assert str(error).startswith("'x' stopped at t = 0.0 s: outputs raised ValueError: ")
 
 
+def test_the_inputs_of_initialize_cannot_be_written_to():
+    """The record has what the connection gives there, not what a component made of it."""
+
+    def spoils(t, u):
+        u[:] = 9.0
+        return u.copy()
+
+    error, _ = failure(cascade(Custom(initialize=spoils)))
+    assert str(error).startswith("'x': initialize raised ValueError: ")
+    assert "read-only" in str(error)
+
+
 def test_the_mask_and_the_recorded_design_cannot_be_written_to():
     """The mask goes to the log; the recorded design is another's."""
 
