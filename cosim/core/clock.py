@@ -14,7 +14,7 @@ import numpy as np
 from cosim.arrays import Mask, Nanoseconds, Vector
 from cosim.core.arguments import kind_of
 from cosim.core.contracts import Block
-from cosim.errors import ClockError
+from cosim.errors import ClockError, quoted
 
 NANOSECONDS = 1_000_000_000
 LARGEST_NS = 2**63 - 1
@@ -129,7 +129,7 @@ class Clock:
     Raises
     ------
     ClockError
-        If a time is off the grid, or not positive.
+        If a time is no number, off the grid, or not positive.
     """
 
     stop: float
@@ -138,6 +138,10 @@ class Clock:
     start_time: float = 0.0
 
     def __post_init__(self) -> None:
+        for key in ("stop", "step", "start_time"):
+            value = getattr(self, key)
+            if isinstance(value, str):  # a text is no number here, though nanoseconds reads it
+                raise ClockError(f"{key}: found {quoted(value)}, needed a number of seconds")
         if self.step_ns <= 0:
             raise ClockError(f"step: found {self.step} s, needed a positive time")
         if nanoseconds(self.stop) <= self.start_ns:

@@ -8,7 +8,7 @@ import numpy as np
 
 from cosim.arrays import Matrix, Nanoseconds
 from cosim.log.layout import Part, Records, copy_values
-from cosim.log.stream import record_times
+from cosim.log.stream import check_grid, record_times
 
 _FIRST_ROWS = 1024
 
@@ -51,9 +51,17 @@ class SignalRows:
         self.count = stop
 
     def in_time_order(self) -> tuple[Nanoseconds, Matrix]:
-        """Return times (n,) and values (n, size) in the order of time."""
+        """Return times (n,) and values (n, size) in the order of time.
+
+        Raises
+        ------
+        ValueError
+            If a time is off the grid.
+        """
         time_ns = self._time_ns[: self.count]
         values = self._values[: self.count]
+        if self.count:
+            check_grid(time_ns, int(time_ns[0]), self.part)
         if (time_ns[1:] >= time_ns[:-1]).all():
             return time_ns, values
         # Stable: rows of one instant are the limits of a jump, told apart by their order.

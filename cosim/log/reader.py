@@ -19,8 +19,9 @@ from cosim.arguments import log_argument
 from cosim.arrays import Mask, Matrix, Nanoseconds
 from cosim.core.contracts import Design
 from cosim.core.recorded import RecordedSignals, RunMessage, find_channel
+from cosim.core.recorders import Memory
 from cosim.core.signals import Channel
-from cosim.errors import GraphError, LogError, nearest, quoted
+from cosim.errors import GraphError, LogError, UsageError, nearest, quoted
 from cosim.log.columns import SignalRows
 from cosim.log.container import MALFORMED, Container
 from cosim.log.content import combine_hashes, hash_input
@@ -56,10 +57,15 @@ def open_log(path: Path | str) -> Log:
     Raises
     ------
     UsageError
-        If it is no path, or that of a scenario or an FMU.
+        If it is no path but a run in memory, or the path of a scenario or an FMU.
     LogError
         If the file is no MCAP, truncated or damaged, or was not written by cosim.
     """
+    if isinstance(path, Memory):
+        raise UsageError(
+            f"log: found {path!r}, which was kept in memory; needed the path of a log: a run "
+            "writes one with out='x.mcap'"
+        )
     return Log(log_argument(log_path(path)))
 
 

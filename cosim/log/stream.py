@@ -31,6 +31,25 @@ def record_times(records: Records) -> Nanoseconds:
     return times
 
 
+def check_grid(time_ns: Nanoseconds, first_ns: int, part: Part) -> None:
+    """Check that the times of rows are whole periods of their component away from one of them.
+
+    Raises
+    ------
+    ValueError
+        If one is not.
+    """
+    period_ns = part.channel.period * part.step_ns
+    distance = time_ns - first_ns
+    off = distance // period_ns * period_ns != distance  # much faster than a remainder
+    if off.any():
+        found = time_ns[int(off.argmax())] / 1e9
+        raise ValueError(
+            f"a row of {part.channel.name!r} at t = {found} s is off its grid: there are "
+            f"{period_ns / 1e9} s between two rows, and one is at {first_ns / 1e9} s"
+        )
+
+
 @final
 class RowStream:
     """Joins the parts of one component to its rows.
@@ -50,6 +69,7 @@ class RowStream:
         self._pending: dict[int, TimedRows] = {}
         for number, part in self._parts.items():
             self._pending[number] = (np.empty(0, np.int64), np.empty((0, part.size)))
+        self._first_ns: int | None = None
         self._last_ns = 0
         self.ordered = True
         self.counts = dict.fromkeys(self._parts, 0)
@@ -60,7 +80,8 @@ class RowStream:
         Raises
         ------
         ValueError
-            If the records are damaged, or the channels have rows at different times.
+            If the records are damaged, the channels have rows at different times, or one is off the
+            grid.
         """
         self.counts[number] += len(records)
         for start in range(0, len(records), _ROWS):
@@ -70,6 +91,9 @@ class RowStream:
             time_ns, rows = self._whole()
             if not len(time_ns):
                 continue
+            if self._first_ns is None:
+                self._first_ns = int(time_ns[0])
+            check_grid(time_ns, self._first_ns, self._parts[number])
             in_order = bool((time_ns[1:] >= time_ns[:-1]).all())
             self.ordered = in_order and int(time_ns[0]) >= self._last_ns
             if self.ordered:

@@ -127,6 +127,7 @@ def test_a_block_can_be_cut():
             {"stop": 1.0, "step": 1e-10},
             r"1e-10 s is not a whole number of nanoseconds; nearest: 1e-09 s",
         ),
+        ({"stop": "1", "step": 0.1}, r"stop: found '1', needed a number of seconds"),
         ({"stop": 1.0, "step": 1e-3, "block": 0}, r"block: found 0 steps, needed at least 1"),
     ],
 )

@@ -369,7 +369,7 @@ def test_channels_with_rows_at_other_times_are_damage(tmp_path):
     (last,) = [number for number, channel in content.channels.items() if channel[0] == "/wide.2"]
     position = max(i for i, message in enumerate(content.messages) if message[0] == last)
     number, time_ns, sequence, data = content.messages[position]
-    content.messages[position] = (number, time_ns + 1, sequence, data)
+    content.messages[position] = (number, time_ns + 10**6, sequence, data)
     log = open_log(put_together(content, tmp_path / "b.mcap"))
     for read in (log.content_hash, lambda: log.rows("wide")):
         with pytest.raises(LogError, match="have rows at different times"):

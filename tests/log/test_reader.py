@@ -21,7 +21,7 @@ import cosim
 from cosim.core.contracts import Recording
 from cosim.core.recorders import Memory
 from cosim.core.signals import Channel, Interface, Layout, Signal
-from cosim.errors import LogError
+from cosim.errors import LogError, UsageError
 from cosim.log import McapRecorder, open_log, preamble
 from cosim.log import buffer as row_buffer
 from tests.log.crafting import put_together, take_apart
@@ -500,3 +500,27 @@ def test_a_log_whose_rows_are_not_those_of_its_steps_is_refused(tmp_path, row):
     text = r"b\.mcap is damaged: 20 rows of 'plant'; needed 21, as the run recorded 20 steps"
     with pytest.raises(LogError, match=text):
         open_log(path)
+
+
+@pytest.mark.parametrize("row", [0, 3, -1])
+def test_a_row_off_the_grid_is_named(tmp_path, row):
+    """Its values may be right, but no run has a row there."""
+    log = cosim.run("academic", set={"scenario.stop": 0.02}, out=tmp_path / "a.mcap")
+    content = take_apart(log.path)
+    (plant,) = [number for number, channel in content.channels.items() if channel[0] == "/plant"]
+    rows = [index for index, message in enumerate(content.messages) if message[0] == plant]
+    number, time_ns, sequence, data = content.messages[rows[row]]
+    content.messages[rows[row]] = (number, time_ns + 1, sequence, data)
+    moved = open_log(put_together(content, tmp_path / "b.mcap"))
+    text = r"b\.mcap is damaged: a row of 'plant' at t = .* s is off its grid: there are 0\.001 s"
+    for read in (moved.load, moved.content_hash, lambda: moved.rows("plant")):
+        with pytest.raises(LogError, match=text):
+            read()
+
+
+def test_a_run_in_memory_is_no_log():
+    """It has no file, and says how a run gets one."""
+    memory = cosim.run("academic", set={"scenario.stop": 0.01})
+    for reader in (open_log, cosim.replay):
+        with pytest.raises(UsageError, match=r"kept in memory; needed .* with out='x\.mcap'"):
+            reader(memory)
