@@ -200,8 +200,8 @@ class Variabilities:
         What inherits its variability is left out: there they meet continuous ones, which is said.
         """
         interface = self._channels[output.component].interface
-        declared = {signal.name: signal.variability for signal in interface.outputs}
-        if declared[output.signal] == "inherited" or not interface.knows(output.signal):
+        declared = interface.by_name[output.signal]
+        if declared.variability == "inherited" or not interface.knows(output.signal):
             return []
         inputs = self._sources[output.component]
         fed = [inputs[name] for name in interface.feeds(output.signal) if name in inputs]
@@ -212,8 +212,7 @@ class Variabilities:
         """Return whether an output follows a delayed input, and does not begin with its value."""
         interface = self._channels[output.component].interface
         delays = bool(interface.delayed) and not interface.feeds_initially(output.signal)
-        variability = {signal.name: signal.variability for signal in interface.outputs}
-        return delays and variability[output.signal] == "inherited"
+        return delays and interface.by_name[output.signal].variability == "inherited"
 
     def _variabilities(self) -> dict[Port, Variability]:
         """Return the variability of every output: what inherits it follows what is behind it.

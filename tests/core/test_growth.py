@@ -137,7 +137,32 @@ def renaming_cost(size):
     return (process_time() - began) / size
 
 
-@pytest.mark.parametrize("cost", [reading_cost, renaming_cost])
+class Wide:
+    """A component of many inputs and outputs, which is not run."""
+
+    def __init__(self, inputs, outputs):
+        self.interface = Interface(
+            tuple(Signal(f"u{i}") for i in range(inputs)),
+            tuple(Signal(f"y{i}") for i in range(outputs)),
+        )
+
+    def initialize(self, t, u):
+        raise NotImplementedError
+
+    outputs = advance = initialize
+
+
+def checking_cost(size):
+    """Return the processor time for each of many connections to be searched for jumps."""
+    connections = {f"b.u{i}": f"a.y{i}" for i in range(size)}
+    components = {"a": Wide(0, size), "b": Wide(size, 1)}
+    graph = Graph(components, connections)
+    began = process_time()
+    assert graph.warnings == []
+    return (process_time() - began) / size
+
+
+@pytest.mark.parametrize("cost", [reading_cost, renaming_cost, checking_cost])
 def test_the_cost_of_a_signal_does_not_grow(cost):
     """In a component of many signals each is found as fast as in one of few."""
     ratio = np.inf
