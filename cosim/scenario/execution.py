@@ -106,10 +106,11 @@ def run(
     out : str or Path, optional
         Log file to write; without it the run is kept in memory.
     force : bool
-        Replace an existing log.
+        Replace a log at ``out``.
     numbered : bool
-        Where there is a log, write to the next free one of ``x-2.mcap``, ``x-3.mcap``, ...; the
-        ``path`` of the result says which. Any number of runs at once may share one ``out``.
+        Where there is a log at ``out``, write to the next free one of ``x-2.mcap``, ``x-3.mcap``,
+        ...; the ``path`` of the result says which. Any number of runs at once may share one
+        ``out``.
     set : mapping of dotted key to value, optional
         Such as ``{"observer.filter_rate": 500.0, "scenario.stop": 10.0}``; applied after ``swap``.
     swap : mapping of component name to path, optional
@@ -123,13 +124,14 @@ def run(
     progress : callable, optional
         Called with simulated time and end [s] as the run goes on.
     notice : callable, optional
-        Called with a text before the first step, if the log may become large, or larger than the
-        disk has room for.
+        Called with a text before the first step, if the log at ``out`` may become large, or larger
+        than the disk has room for.
     profile : dict, optional
         Filled with wall seconds by component.
     recorder : Recorder, optional
-        One's own recorder, instead of ``out``: it takes the rows of the run, its messages and its
-        results as they are computed. Nothing else is kept, and nothing is written.
+        One's own recorder, instead of ``out`` and what is about it: it takes the rows of the run,
+        its messages and its results as they are computed. Nothing else is kept, and nothing is
+        written.
 
     Returns
     -------
