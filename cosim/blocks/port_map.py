@@ -47,7 +47,7 @@ class PortElement:
     @property
     def name(self) -> str:
         """Name of the element."""
-        return self.signal.elements[self.index]
+        return self.signal.element(self.index)
 
     @property
     def start(self) -> float:
@@ -242,7 +242,7 @@ def names_of(elements: Iterable[PortElement]) -> list[str]:
     for name, parts in groups.items():
         size = parts[0].signal.size
         indices = [part.index for part in parts]
-        if indices == list(range(size)):
+        if len(indices) == size and indices == list(range(size)):
             names.append(name)
         else:
             names += [part.name for part in parts]

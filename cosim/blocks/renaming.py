@@ -278,12 +278,15 @@ class _Resolver:
                     name = f"{port.component}.{element.name}"
                     self._drop(port, f"{name!r} is given twice, for '{first}' and '{port}'")
                 driven[column] = port
+        missing: dict[str, list[str]] = {}
         for port, shown in inputs.items():
             for name in shown.sources:
-                elements = self._elements[name]
-                missing = [element.name for element in elements if element.column not in driven]
-                if missing:
-                    listed = ", ".join(missing)
+                if name not in missing:
+                    elements = self._elements[name]
+                    undriven = [part.name for part in elements if part.column not in driven]
+                    missing[name] = undriven
+                if missing[name]:
+                    listed = ", ".join(missing[name])
                     self._drop(
                         port,
                         f"'{port}' is a part of the input {name!r}; needed ports for the rest "

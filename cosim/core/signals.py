@@ -137,9 +137,11 @@ class Signal:
     @property
     def elements(self) -> list[str]:
         """Names of the elements: ``y`` for size 1, else ``y[0]``, ``y[1]``, ..."""
-        if self.size == 1:
-            return [self.name]
-        return [f"{self.name}[{i}]" for i in range(self.size)]
+        return [self.element(i) for i in range(self.size)]
+
+    def element(self, index: int) -> str:
+        """Return the name of an element."""
+        return self.name if self.size == 1 else f"{self.name}[{index}]"
 
 
 def _are_numbers(values: object) -> bool:

@@ -7,6 +7,7 @@ import pytest
 
 from cosim.blocks.arithmetic import sum_of
 from cosim.blocks.dynamics import Delay
+from cosim.blocks.port_map import names_of
 from cosim.blocks.renaming import Renaming, map_ports
 from cosim.blocks.replay import Replay
 from cosim.blocks.source import sine
@@ -137,6 +138,16 @@ def renaming_cost(size):
     return (process_time() - began) / size
 
 
+def naming_cost(size):
+    """Return the processor time for each element of one vector to be shown and named."""
+    renamings = [Renaming(Port("c", f"v{i}"), (Port("c", "u", i),)) for i in range(size)]
+    began = process_time()
+    ports = map_ports(Interface((Signal("u", size),)), renamings)
+    for i, port in enumerate(ports.inputs):
+        assert names_of(port.elements) == [f"u[{i}]"]
+    return (process_time() - began) / size
+
+
 class Wide:
     """A component of many inputs and outputs, which is not run."""
 
@@ -162,7 +173,7 @@ def checking_cost(size):
     return (process_time() - began) / size
 
 
-@pytest.mark.parametrize("cost", [reading_cost, renaming_cost, checking_cost])
+@pytest.mark.parametrize("cost", [reading_cost, renaming_cost, naming_cost, checking_cost])
 def test_the_cost_of_a_signal_does_not_grow(cost):
     """In a component of many signals each is found as fast as in one of few."""
     ratio = np.inf
