@@ -243,13 +243,16 @@ class Interface:
         """Return names of inputs, after a check that they are there."""
         if isinstance(names, str) or not isinstance(names, Iterable):
             raise GraphError(f"{label}: found {names!r}, needed a tuple of input names")
-        inputs = {signal.name for signal in self.inputs}
         checked = tuple(names)
         for name in checked:
-            if name not in inputs:
-                suggestion = nearest(str(name), sorted(inputs))
+            if name not in self._known_inputs:
+                suggestion = nearest(str(name), sorted(self._known_inputs))
                 raise GraphError(f"{label}: there is no input {name!r}; {suggestion}")
         return checked
+
+    @cached_property
+    def _known_inputs(self) -> frozenset[str]:
+        return frozenset(signal.name for signal in self.inputs)
 
     @cached_property
     def signals(self) -> tuple[Signal, ...]:

@@ -148,6 +148,16 @@ def naming_cost(size):
     return (process_time() - began) / size
 
 
+def declaring_cost(size):
+    """Return the processor time for each output of one component to be declared."""
+    inputs = tuple(Signal(f"u{i}") for i in range(size))
+    outputs = tuple(Signal(f"y{i}") for i in range(size))
+    feedthrough = {f"y{i}": (f"u{i}",) for i in range(size)}
+    began = process_time()
+    Interface(inputs, outputs, feedthrough, initial=feedthrough)
+    return (process_time() - began) / size
+
+
 class Wide:
     """A component of many inputs and outputs, which is not run."""
 
@@ -173,7 +183,9 @@ def checking_cost(size):
     return (process_time() - began) / size
 
 
-@pytest.mark.parametrize("cost", [reading_cost, renaming_cost, naming_cost, checking_cost])
+@pytest.mark.parametrize(
+    "cost", [declaring_cost, reading_cost, renaming_cost, naming_cost, checking_cost]
+)
 def test_the_cost_of_a_signal_does_not_grow(cost):
     """In a component of many signals each is found as fast as in one of few."""
     ratio = np.inf
