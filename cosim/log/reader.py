@@ -93,6 +93,7 @@ class Log(RecordedSignals):
         self._check_format()
         self._parts = self._read_parts()
         self._channels = self._read_channels()
+        self._kinds = {part.channel.name: part.kind for part in self._parts.values()}
         self._attachments = self._file.attachments()
         self._rows: dict[str, TimedRows] = {}
         self._ahead: dict[str, TimedRows] = {}  # read together with the last one asked for
@@ -118,7 +119,7 @@ class Log(RecordedSignals):
     @property
     def kinds(self) -> Mapping[str, str]:
         """The kinds of the components, as the scenario calls them."""
-        return {part.channel.name: part.kind for part in self._parts.values()}
+        return MappingProxyType(self._kinds)
 
     @property
     def metadata(self) -> Mapping[str, Mapping[str, str]]:

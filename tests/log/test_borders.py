@@ -483,3 +483,15 @@ def test_the_hash_covers_the_declaration_that_was_recorded(path, tmp_path):
     log = open_log(put_together(content, tmp_path / "b.mcap"))
     assert log.content_hash() == needed
     assert log.content_hash() != open_log(path).recorded_hash
+
+
+def test_kinds_are_known_at_the_cost_of_a_look_up(tmp_path):
+    """However many components there are: each of them is asked for."""
+    record(tmp_path / "a.mcap", steps=5, lay=many(1000))
+    log = open_log(tmp_path / "a.mcap")
+    began = process_time()
+    kinds = dict(log.kinds)
+    once = process_time() - began
+    began = process_time()
+    assert [log.kinds[name] for name in log.channels] == list(kinds.values())
+    assert process_time() - began < 100.0 * max(once, 1e-4)
