@@ -9,15 +9,17 @@ is known.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
 from cosim.core.contracts import Block, Stopped
-from cosim.core.member import Member, read_only
+from cosim.core.member import Member, NonFinite, read_only
 from cosim.core.order import OperationKind
 from cosim.errors import RunError
 
@@ -141,16 +143,31 @@ class Loop:
     def advance(self, block: Block, signals: Matrix) -> None:
         """Advance step by step."""
         known = read_only(signals)
+        columns = np.concatenate([_numbers(member.columns) for member in self.members])
         for k in range(block.steps):
             step = slice(k, k + 2)
-            stop = self._step(block.time[step], block.h, signals[step], known[step])
+            results: list[tuple[Member, Vector]] = []
+            stop = self._step(block.time[step], block.h, signals[step], known[step], results)
+            values = signals[k + 1, columns]
+            if stop is not None or not math.isfinite(values.dot(values)):  # of all at once, in time
+                origin = _origin(results)
+                if origin is not None and not math.isfinite(signals[k + 1, origin.column]):
+                    raise Cut(k, origin.error(float(block.time[k + 1])))
             if stop is not None:
                 raise Cut(k + stop.steps, stop)
 
-    def _step(self, time: Vector, h: float, rows: Matrix, known: Matrix) -> Stopped | None:
+    def _step(
+        self,
+        time: Vector,
+        h: float,
+        rows: Matrix,
+        known: Matrix,
+        results: list[tuple[Member, Vector]],
+    ) -> Stopped | None:
         """Fill row 1; return what stopped it, with a row of outputs if the step is complete.
 
-        ``known`` shows the same rows to the components, which cannot write to it.
+        ``known`` shows the same rows to the components, which cannot write to it. What each returns
+        is appended to ``results``.
         """
         end = slice(1, 2)
         stopped: Stopped | None = None
@@ -161,20 +178,33 @@ class Loop:
             member.gather(rows, end)
             try:
                 if kind == "advance":
-                    y = member.advance(time, h, known[:, member.inputs])
-                    rows[1:, member.outputs] = y
+                    y = member.advance(time, h, known[:, member.inputs])[0]
                 else:
                     y = member.outputs_at(float(time[1]), known[1, member.inputs])
-                    rows[1, member.outputs] = y
             except RunError as error:
                 stopped = _stop_of(error, member, time)
                 if not stopped.steps:
                     return stopped
-                rows[1, member.outputs] = stopped.outputs[0]
+                y = stopped.outputs[0]
+            rows[1, member.outputs] = y
+            results.append((member, y))
         # What is recorded as applied at the end of the step is what the sources gave there at last.
         for member in self.members:
             member.gather(rows, end)
         return stopped
+
+
+def _numbers(columns: slice) -> NDArray[np.intp]:
+    return np.arange(columns.start, columns.stop)
+
+
+def _origin(results: Iterable[tuple[Member, Vector]]) -> NonFinite | None:
+    """Return the first value of a step that is not finite: in a loop it goes around from there."""
+    for member, y in results:
+        found = member.first_non_finite_output(y)
+        if found is not None:
+            return found
+    return None
 
 
 def _stop_of(error: RunError, member: Member, time: Vector) -> Stopped:

@@ -7,7 +7,6 @@ whole block in one call. Feedthrough orders only the inside of loops and the ini
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from itertools import chain
 from typing import Literal
 
@@ -22,13 +21,13 @@ from cosim.core.contracts import Component, Design, Plan
 from cosim.core.coupling import Cascade, Loop, Stage
 from cosim.core.cycles import groups_in_order
 from cosim.core.initial_values import InitialValues
-from cosim.core.member import Member, Wire, constant_wires, wires_of
+from cosim.core.member import Member, NonFinite, Wire, constant_wires, wires_of
 from cosim.core.order import order_loop
 from cosim.core.port import Port
 from cosim.core.ports import Ports, layout_of, undriven_parts
 from cosim.core.signals import Channel, Signal, Variability
 from cosim.core.variability import Variabilities
-from cosim.errors import GraphError, NonFiniteError, nearest
+from cosim.errors import GraphError, nearest
 from cosim.units import Conversion
 
 Coupling = Literal["gauss-seidel", "jacobi"]
@@ -177,11 +176,13 @@ class Graph:
             If an initial value is not finite.
         """
         self.initializations += 1
-        self._initial_values.find(t, row)
+        origins = self._initial_values.find(t, row)
         for stage in self.stages:
             bad = self.first_non_finite(stage, row[np.newaxis])
             if bad is not None:
-                raise bad.error(t)
+                names = {member.name for member in stage.members}
+                inside = [origin for name, origin in origins.items() if name in names]
+                raise (inside or [bad])[-1].error(t)
 
     def first_non_finite(self, stage: Stage, rows: Matrix) -> NonFinite | None:
         """Return the first value of a stage that is not finite, by row.
@@ -194,7 +195,7 @@ class Graph:
             values = rows[:, member.columns]
             finite = np.isfinite(values)
             if not finite.all():
-                bad = ~finite & ~(np.isnan(values) & member.optional)
+                bad = member.non_finite(values)
                 if bad.any():
                     suspects.append((member, bad))
         if not suspects:
@@ -204,8 +205,7 @@ class Graph:
         causes = [(member, bad) for member, bad in at_row if not bad[: member.n_u].any()]
         member, bad_columns = (causes or at_row)[0]
         column = int(np.argmax(bad_columns))
-        value = float(rows[row, member.columns.start + column])
-        return NonFinite(row, member.label(column), value)
+        return member.non_finite_value(column, rows[row, member.columns], row)
 
     def measure(self) -> dict[str, float]:
         """Measure the calls of every component from now on; return its wall time [s] by name.
@@ -408,21 +408,3 @@ def _checked_periods(
             found = kind_of(period)
             raise GraphError(f"periods: found {found} steps for {name!r}, needed at least 1")
     return dict(periods)
-
-
-@dataclass(frozen=True, slots=True)
-class NonFinite:
-    """A value that is infinite, or NaN where NaN does not mean "no value yet".
-
-    ``label`` names its column, ``row`` is counted from the first row searched.
-    """
-
-    row: int
-    label: str
-    value: float
-
-    def error(self, t: float) -> NonFiniteError:
-        """Return the error that names it, at time ``t`` [s]."""
-        return NonFiniteError(
-            f"{self.label!r} became {self.value} at t = {t} s; the log keeps everything before"
-        )

@@ -43,7 +43,7 @@ from cosim.arrays import Mask, Vector
 from cosim.core.cycles import find_cycle, groups_in_order, strongly_connected
 from cosim.core.feedthrough import PortDependencies, Sources
 from cosim.core.fixed_point import Candidate, SingularError, iterate, measure, newton, newton_step
-from cosim.core.member import Member, Wire
+from cosim.core.member import Member, NonFinite, Wire
 from cosim.core.port import Port
 from cosim.core.signals import Channel, Interface, Layout, Signal
 from cosim.errors import GraphError
@@ -164,8 +164,14 @@ class InitialValues:
             (*sweep, *torn), tuple(elements), columns, optional, discrete, _path_text(path, ports)
         )
 
-    def find(self, t: float, row: Vector) -> None:
+    def find(self, t: float, row: Vector) -> Mapping[str, NonFinite]:
         """Fill the first row, shape (width,).
+
+        Returns
+        -------
+        mapping of component name to NonFinite
+            The components that made a value of finite inputs that is not finite, the last one last.
+            In a loop that value may have become the input, so that the row does not show it.
 
         Raises
         ------
@@ -180,6 +186,7 @@ class InitialValues:
         self._settle(values, row)
         while values.starts_differently():
             self._settle(values, row)
+        return values.origins
 
     def _settle(self, values: _InitialRow, row: Vector) -> None:
         """Compute all ports until none changes."""
@@ -213,6 +220,7 @@ class _InitialRow:
         self._started: dict[str, bytes] = {}  # the inputs with which each was asked for its outputs
         self._starting_differently: set[str] = set()
         self._solved: set[tuple[Port, ...]] = set()
+        self.origins: dict[str, NonFinite] = {}
 
     def fill(self) -> None:
         """Compute every port once, in order; then no component has inputs that it was not given."""
@@ -247,7 +255,17 @@ class _InitialRow:
     def _start(self, name: str, inputs: bytes) -> Vector:
         """Return the outputs that a component starts with, initialized with the bits ``inputs``."""
         self._started[name] = inputs
-        return self._plan.members[name].initial_outputs(self._t, np.frombuffer(inputs))
+        u = np.frombuffer(inputs)
+        y = self._plan.members[name].initial_outputs(self._t, u)
+        self._note_origin(name, u, y)
+        return y
+
+    def _note_origin(self, name: str, u: Vector, y: Vector) -> None:
+        """Record a component whose outputs are not finite although its inputs are."""
+        found = self._plan.members[name].first_non_finite_output(y)
+        if found is not None and np.isfinite(u).all():
+            self.origins.pop(name, None)
+            self.origins[name] = found  # behind those before it
 
     def _update(self, port: Port) -> None:
         """Bring an input or an output up to date."""
@@ -269,6 +287,7 @@ class _InitialRow:
         initialized_with, y = self._initialized.get(name, (None, NO_OUTPUTS))
         if bits != initialized_with:
             y = member.initialize(self._t, u)
+            self._note_origin(name, u, y)
             if name in self._starting_differently:
                 y = self._start(name, bits)
             self._initialized[name] = bits, y
@@ -300,7 +319,7 @@ class _InitialRow:
                 solution = _need_fixed_point(loop, iterated)
             elif iterated is None or (np.isnan(iterated) & ~loop.optional).any():
                 candidate = newton(sweep, v, lambda: self._largest(loop))
-                solution = _need_small_residual(loop, candidate)
+                solution = _need_small_residual(loop, candidate, self.origins)
             else:
                 solution = iterated
                 if np.isfinite(solution).all():
@@ -336,10 +355,16 @@ def _need_fixed_point(loop: AlgebraicLoop, solution: Vector | None) -> Vector:
     return solution
 
 
-def _need_small_residual(loop: AlgebraicLoop, candidate: Candidate) -> Vector:
+def _need_small_residual(
+    loop: AlgebraicLoop, candidate: Candidate, origins: Mapping[str, NonFinite]
+) -> Vector:
     if not candidate.excess <= 1.0:
-        residual = _residual_text(loop, candidate)
-        raise _unsolved(loop, f"Newton's method ended with a {residual}")
+        reason = f"Newton's method ended with a {_residual_text(loop, candidate)}"
+        names = {port.component for port in loop.order}
+        inside = [origin for name, origin in origins.items() if name in names]
+        if inside and not np.isfinite(candidate.residual):
+            reason += f", as {inside[-1].label!r} became {inside[-1].value}"
+        raise _unsolved(loop, reason)
     return candidate.v
 
 

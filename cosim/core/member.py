@@ -21,7 +21,7 @@ from cosim.core.connections import Connection
 from cosim.core.contracts import Component, Design, Preparable, Stopped, prepare
 from cosim.core.ports import ConnectionEnd
 from cosim.core.signals import Channel, element_names
-from cosim.errors import CosimError, LogError, RunError
+from cosim.errors import CosimError, LogError, NonFiniteError, RunError
 from cosim.units import Conversion
 
 Columns: TypeAlias = slice | NDArray[np.intp]
@@ -93,6 +93,26 @@ def _joined(sources: Sequence[ConnectionEnd]) -> Columns:
     return np.concatenate(ranges)
 
 
+@dataclass(frozen=True, slots=True)
+class NonFinite:
+    """A value that is infinite, or NaN where NaN does not mean "no value yet".
+
+    ``label`` names it; ``column`` is its place in the row of the graph, ``row`` is counted from the
+    first row searched.
+    """
+
+    label: str
+    value: float
+    column: int
+    row: int = 0
+
+    def error(self, t: float) -> NonFiniteError:
+        """Return the error that names it, at time ``t`` [s]."""
+        return NonFiniteError(
+            f"{self.label!r} became {self.value} at t = {t} s; the log keeps everything before"
+        )
+
+
 class Member:
     """A component with its columns and the wires that feed its inputs.
 
@@ -138,6 +158,21 @@ class Member:
     def label(self, column: int) -> str:
         """Return the name of one of its elements, numbered from the first input."""
         return f"{self.name}.{element_names(self.channel.signals)[column]}"
+
+    def non_finite(self, rows: Matrix) -> NDArray[np.bool_]:
+        """Return where rows of its columns are infinite, or NaN that does not mean "no value"."""
+        return ~np.isfinite(rows) & ~(np.isnan(rows) & self.optional)
+
+    def first_non_finite_output(self, y: Vector) -> NonFinite | None:
+        """Return the first of its outputs, if any, that is not finite."""
+        values = np.concatenate([np.zeros(self.n_u), y])
+        bad = self.non_finite(values)
+        return self.non_finite_value(int(bad.argmax()), values) if bad.any() else None
+
+    def non_finite_value(self, column: int, values: Vector, row: int = 0) -> NonFinite:
+        """Describe one of its values, numbered from the first input, as not finite."""
+        place = self.columns.start + column
+        return NonFinite(self.label(column), float(values[column]), place, row)
 
     def gather(self, signals: Matrix, rows: slice) -> None:
         """Bring the inputs of some rows up to date."""

@@ -299,6 +299,9 @@ def test_missing_values_are_kept_only_where_they_may_be_missing():
     assert np.isnan(start({"p": part}, {"p.u": "p.y"})["p.u"])
     root = {"x": Starter(lambda u: np.sqrt(u - 1.0) - 3.0)}
     refused(root, {"x.u": Connection("x.y", 1.0, 0.5)}, "Newton's method ended with a residual of ")
+    refused(
+        root, {"x.u": Connection("x.y", 1.0, 0.5)}, "needed at most 0, as 'x.y' became nan; give"
+    )
 
 
 def test_discrete_signals_in_a_loop_converge_or_are_refused():

@@ -1,5 +1,7 @@
 """What ends a run, and what is recorded then."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -202,6 +204,56 @@ def test_what_a_gain_makes_infinite_is_named_at_the_input(block):
         NonFiniteError,
         block=block,
         text=r"^'b\.u' became inf at t = 0\.3\d* s",
+    )
+
+
+class Failing(Scripted):
+    """``y = u0 / 2``, or 0.1 where nothing feeds through; not a number from some call on."""
+
+    def __init__(self, method, *, feeds):
+        super().__init__([0.0] * 12, inputs=1)
+        dependencies = {"y": ("u0",)} if feeds else {}
+        self.interface = replace(self.interface, feedthrough=dependencies)
+        self.method = method
+        self.feeds = feeds
+
+    def initialize(self, t, u):
+        self.k = 0
+        return np.array([np.nan]) if self.method == "initialize" else self.outputs(t, u)
+
+    def outputs(self, t, u):
+        failed = self.method == "outputs" or (self.method == "advance" and self.k >= 3)
+        return np.array([np.nan if failed else u[0] / 2.0 if self.feeds else 0.1])
+
+    def advance(self, t, h, u):
+        rows = []
+        for k in range(1, len(t)):
+            self.k += 1
+            rows.append(self.outputs(t[k], u[k]))
+        return np.array(rows)
+
+
+@pytest.mark.parametrize("coupling", ["gauss-seidel", "jacobi"])
+@pytest.mark.parametrize("names", ["ab", "ba"])
+@pytest.mark.parametrize("method", ["initialize", "outputs", "advance"])
+@pytest.mark.parametrize("feeds", [True, False])
+def test_the_cause_in_a_loop_is_named_not_what_it_has_gone_around_to(
+    names, method, feeds, coupling
+):
+    """At the end everything in the loop is NaN; whoever made it of finite inputs is named."""
+    cause, other = names
+    components = {other: integrator() if feeds else times(0.5), cause: Failing(method, feeds=feeds)}
+    connections = {f"{other}.u": f"{cause}.y", f"{cause}.u0": f"{other}.y"}
+    if method == "initialize" and not feeds:
+        attempt(components, connections, coupling=coupling)  # what it starts with is sound
+        return
+    time = r"0\.3" if method == "advance" else r"0\.0"
+    attempt(
+        components,
+        connections,
+        NonFiniteError,
+        text=rf"'{cause}\.y' became nan at t = {time} s",
+        coupling=coupling,
     )
 
 
