@@ -245,13 +245,14 @@ class Interface:
             raise GraphError(f"{label}: found {names!r}, needed a tuple of input names")
         checked = tuple(names)
         for name in checked:
-            if name not in self._known_inputs:
-                suggestion = nearest(str(name), sorted(self._known_inputs))
+            if name not in self.input_names:
+                suggestion = nearest(str(name), sorted(self.input_names))
                 raise GraphError(f"{label}: there is no input {name!r}; {suggestion}")
         return checked
 
     @cached_property
-    def _known_inputs(self) -> frozenset[str]:
+    def input_names(self) -> frozenset[str]:
+        """Names of the inputs."""
         return frozenset(signal.name for signal in self.inputs)
 
     @cached_property

@@ -119,13 +119,11 @@ class ComparedComponent:
 
     def port(self, name: str) -> ComparedPort | None:
         """Return a port; None: there is none."""
-        for signal in self.interface.inputs:
-            if signal.name == name:
-                return ComparedPort(self, signal, "input")
-        for signal in self.interface.outputs:
-            if signal.name == name:
-                return ComparedPort(self, signal, "output")
-        return None
+        signal = self.interface.by_name.get(name)
+        if signal is None:
+            return None
+        is_input = name in self.interface.input_names
+        return ComparedPort(self, signal, "input" if is_input else "output")
 
     @property
     def ports(self) -> list[str]:
