@@ -121,11 +121,11 @@ def _problems(
 ) -> Iterator[str]:
     """Yield the problems of one connection."""
     ends = (to, *connection.sources)
-    known = [*ports.channels, *missing]
-    unknown = [port for port in ends if port.component not in known]
-    for port in unknown:
-        yield str(unknown_component(port, known))
-    if unknown or any(port.component in missing for port in ends):
+    absent = [port for port in ends if port.component not in ports.channels]
+    for port in absent:
+        if port.component not in missing:
+            yield str(unknown_component(port, [*ports.channels, *missing]))
+    if absent:
         return
     try:
         target = ports.input(to)
