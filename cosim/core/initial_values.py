@@ -428,7 +428,7 @@ def _weakest(cycle: list[Port], interfaces: Mapping[str, Interface]) -> Port:
     ranked = []
     for port, following in pairwise(cycle):
         interface = interfaces[port.component]
-        is_input = port.signal in (signal.name for signal in interface.inputs)
+        is_input = port.signal in interface.input_names
         if following.component == port.component and is_input:
             ranked.append((_strength(interface, port.signal, following.signal), port))
     return min(ranked)[1]
