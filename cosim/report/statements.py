@@ -174,6 +174,9 @@ class _Statements:
 
     def _of_end(self) -> Iterator[_Statement]:
         results = self._source.results
+        if not results:
+            yield RESULT_FILE, None, "how the run ended, and its last row"
+            return
         recorded = self._source.metadata[RESULT]
         for key in _END_KEYS:
             value = results.get(key)

@@ -27,6 +27,8 @@ from cosim.report.statements import COMPARED, NOT_COMPARED, Contradiction, contr
 from cosim.scenario.recorded_metadata import replay_origin
 from cosim.scenario.replaying import recorded_document
 
+_MOST_SHOWN = 8  # contradictions
+
 
 @dataclass(frozen=True)
 class Verification:
@@ -100,8 +102,11 @@ class Verification:
             )
         if not self.difference.equal:
             problems.append(f"the replay differs from the log; first: {self._first}")
-        for contradiction in self.contradictions:
+        for contradiction in self.contradictions[:_MOST_SHOWN]:
             problems.append(f"the log contradicts its scenario: {contradiction}")
+        further = len(self.contradictions) - _MOST_SHOWN
+        if further > 0:
+            problems.append(f"the log contradicts its scenario: {further} times more")
         return problems
 
     @property

@@ -151,6 +151,19 @@ def test_no_result_can_be_changed(valid, tmp_path, key):
         assert "result.json" in verification.problems[0]
 
 
+def test_of_many_contradictions_the_first_are_shown(valid, tmp_path):
+    """Every value of the last row may be wrong; all of them stand in the JSON."""
+    results = dict(open_log(valid).results)
+    results["last"] = dict.fromkeys(results["last"], 0.25)
+    attachments = {"result.json": json.dumps(results).encode()}
+    verification = verified(forged(valid, tmp_path / "b.mcap", attachments=attachments))
+    count = len(verification.contradictions)
+    assert count > 9
+    assert len(verification.problems) == 9
+    assert verification.problems[-1].endswith(f"{count - 8} times more")
+    assert len(verification.to_dict()["contradictions"]) == count
+
+
 def test_an_end_before_the_stop_needs_a_reason(valid, tmp_path):
     """A complete run without a stop reason ends where its scenario does."""
     changed = {"cosim.run": {"stop": "0.06"}}
