@@ -784,6 +784,8 @@ def main(arguments: list[str] | None = None) -> None:
             app(args=arguments, prog_name="cosim")
     except CosimError as error:
         lines = printable(str(error)).splitlines() or [type(error).__name__]
+        for note in getattr(error, "__notes__", ()):
+            lines.append(printable(note))
         sys.stderr.write("\n".join(f"cosim: {line}" for line in lines) + "\n")
         sys.exit(error.exit_code)
     except OSError as error:  # stdout on a full disk, a folder that is gone

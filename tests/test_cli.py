@@ -118,7 +118,10 @@ def test_a_failed_run_is_exit_1_and_leaves_a_valid_log(call, tmp_path):
     )
     code, _, err = call("run", "bad.toml", "--out", "bad.mcap")
     assert code == 1
-    assert err == "cosim: 'u.y' became -inf at t = 0.5 s; the log keeps everything before\n"
+    assert err == (
+        "cosim: 'u.y' became -inf at t = 0.5 s; the log keeps everything before\n"
+        "cosim: bad.mcap has the run up to t = 0.49 s\n"
+    )
     code, out, _ = call("info", "bad.mcap", "--json")
     assert json.loads(out)["run"]["status"] == "failed"
 

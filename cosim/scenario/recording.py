@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
@@ -12,7 +13,7 @@ from time import perf_counter
 from cosim.core.contracts import Block, Recorder
 from cosim.core.master import run as run_graph
 from cosim.core.recorders import Memory, Watched
-from cosim.errors import UsageError, flag, option
+from cosim.errors import LogError, RunError, UsageError, flag, option
 from cosim.files import file_type
 from cosim.log import Log, McapRecorder
 from cosim.log.paths import check_new_log, log_path
@@ -80,7 +81,14 @@ def record(
         if target.notice is not None:
             _announce_size(log, experiment.clock.steps, target.notice)
 
-    run_into(log, experiment, progress=progress, profile=profile, began=began)
+    try:
+        run_into(log, experiment, progress=progress, profile=profile, began=began)
+    except RunError as error:
+        with suppress(LogError):  # nothing was written
+            recorded = log.recorded()
+            if recorded.is_at_its_path and str(recorded.path) not in str(error):
+                error.add_note(f"{recorded.path} has the run up to t = {recorded.end_ns / 1e9} s")
+        raise
     return log.recorded()
 
 
