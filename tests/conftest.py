@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import signal
@@ -46,6 +47,18 @@ def signals_of_a_terminal() -> Iterator[None]:
     yield
     for number, handler in ignored.items():
         signal.signal(number, handler)
+
+
+@pytest.fixture
+def frozen_heap() -> Iterator[None]:
+    """Keep what other tests left out of garbage collections: for tests that compare costs.
+
+    A collection takes as long as there are objects, and who makes many objects causes many.
+    """
+    gc.collect()
+    gc.freeze()
+    yield
+    gc.unfreeze()
 
 
 @pytest.fixture(scope="session")

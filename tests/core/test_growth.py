@@ -22,6 +22,8 @@ from cosim.core.recorders import Memory
 from cosim.core.signals import Channel, Interface, Layout, Signal
 from tests.core.parts import integrator
 
+pytestmark = pytest.mark.usefixtures("frozen_heap")
+
 LARGEST_RATIO = 1.5
 ATTEMPTS = 5  # the smallest ratio counts: another process can only add time
 

@@ -5,7 +5,6 @@ import os
 import resource
 import tracemalloc
 import zipfile
-from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
@@ -302,12 +301,12 @@ def test_cycles_leave_nothing_behind(request, model1, slave1, number, interface_
     )
     tracemalloc.start()
     try:
-        growths = [
-            grown(path, interface_type, warm_up=20, cycles=50, measure=traced) for _ in range(3)
-        ]
+        for _ in range(3):
+            files, maps, memory = grown(path, interface_type, warm_up=20, cycles=50, measure=traced)
+            if memory < 50 * 500 + 50_000:
+                break
     finally:
         tracemalloc.stop()
-    files, maps, memory = min(growths, key=itemgetter(2))
     assert (files, abs(maps) <= 2) == (0, True)
     assert memory < 50 * 500 + 50_000
 

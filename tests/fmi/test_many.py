@@ -26,11 +26,13 @@ def seconds(function, path):
     return min(times)
 
 
+@pytest.mark.usefixtures("frozen_heap")
 def test_reading_takes_no_longer_than_fmpy(path):
     """Both in one process, by processor time; measured: two thirds."""
     assert seconds(read, path) < seconds(fmpy.read_model_description, path)
 
 
+@pytest.mark.usefixtures("frozen_heap")
 def test_the_time_of_a_check_is_proportional_to_the_size(tmp_path, path, monkeypatch):
     """Eight times the variables take about eight times as long, 64 times where a list is searched.
 

@@ -187,6 +187,7 @@ def reading_costs(path, count):
     return np.diff([began, between, process_time()]) / count
 
 
+@pytest.mark.usefixtures("frozen_heap")
 def test_the_cost_to_read_a_component_does_not_grow(tmp_path):
     """As a ratio within one run; the smallest counts, as another process can only add time."""
     small = tmp_path / "small.mcap"
@@ -485,6 +486,7 @@ def test_the_hash_covers_the_declaration_that_was_recorded(path, tmp_path):
     assert log.content_hash() != open_log(path).recorded_hash
 
 
+@pytest.mark.usefixtures("frozen_heap")
 def test_kinds_are_known_at_the_cost_of_a_look_up(tmp_path):
     """However many components there are: each of them is asked for."""
     record(tmp_path / "a.mcap", steps=5, lay=many(1000))

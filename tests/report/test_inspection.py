@@ -82,6 +82,7 @@ def describing_cost(folder, size):
     return (process_time() - began) / size
 
 
+@pytest.mark.usefixtures("frozen_heap")
 def test_the_cost_to_describe_a_component_does_not_grow(tmp_path):
     """The table of the ports is made once, not for every connection."""
     ratio = float("inf")

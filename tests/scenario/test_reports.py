@@ -141,6 +141,7 @@ def _many_problems(count):
     return "\n".join(lines)
 
 
+@pytest.mark.usefixtures("frozen_heap")
 def test_the_time_of_a_report_grows_with_the_number_of_its_problems():
     """800 problems take about four times as long as 200; with the square it would be sixteen."""
 
@@ -157,6 +158,7 @@ def test_the_time_of_a_report_grows_with_the_number_of_its_problems():
     assert seconds(800) < 8.0 * seconds(200)
 
 
+@pytest.mark.usefixtures("frozen_heap")
 def test_a_build_costs_few_times_what_its_parts_cost():
     """Edit and build without evaluating functions one instant at a time, 3072 of them.
 
