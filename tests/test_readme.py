@@ -117,4 +117,4 @@ def test_the_set_up_commands_stand_on_lines_of_their_own():
     lines = [line for line in lines if line.startswith("python3 -m venv")]
     assert len(lines) == 2
     assert lines[0].endswith(".venv/bin/cosim run academic")
-    assert lines[1].endswith(".venv/bin/python -m pytest")
+    assert lines[1].endswith(".venv/bin/python -m pytest -n auto")
