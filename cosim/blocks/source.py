@@ -125,7 +125,7 @@ class Table:
     Parameters
     ----------
     t : Vector, shape (N,)
-        Instants [s], increasing.
+        Instants [s], increasing. With ``hold`` two may be equal, a jump: the second row counts.
     y : Matrix, shape (N, n)
     hold : bool
         Zero-order hold instead: each value until the next instant (a discrete signal).
@@ -203,10 +203,10 @@ class Table:
         return f"table: covers {begin} s to {end} s, was asked for {t} s"
 
     def _at(self, t: Vector) -> Matrix:
-        t = np.clip(t, self.t[0], self.t[-1])
-        index = np.searchsorted(self.t, t, side="right") - 1
+        index = np.maximum(np.searchsorted(self.t, t, side="right") - 1, 0)
         if self.hold:
             return self.y[index]
+        t = np.clip(t, self.t[0], self.t[-1])
         # np.interp is one loop in C, where compilers may fuse the product and the sum
         elapsed = (t - self.t[index])[:, np.newaxis]
         return self.y[index] + self._slopes[index] * elapsed
@@ -244,16 +244,17 @@ def check_points(t: Vector, y: Matrix, *, hold: bool) -> None:
     finite = np.isfinite(t).all() and np.isfinite(y).all()
     if not finite:
         raise UsageError("table: found NaN or infinity, needed finite numbers")
-    not_increasing = np.flatnonzero(np.diff(t) <= 0.0)
+    steps = np.diff(t)
+    not_increasing = np.flatnonzero((steps < 0.0) | ((steps == 0.0) & (not hold)))
     if not_increasing.size:
         before = not_increasing[0]
         after = before + 1
-        if t[before] == t[after] and not hold:
+        if t[before] == t[after]:
             raise UsageError(
                 f"table: t[{before}] and t[{after}] are both {t[after]} s, a jump, and what is "
                 "interpolated linearly cannot jump: its value at a communication point counts "
-                'before it and after it; use interpolation = "zero-order" with '
-                "the second row alone, or leave a communication step between the two"
+                'before it and after it; use interpolation = "zero-order", or leave a '
+                "communication step between the two"
             )
         raise UsageError(
             f"table: t[{after}] = {t[after]} s does not come after {t[before]} s; "

@@ -163,7 +163,11 @@ class TableKind(Kind):
 
     ports: ClassVar[str] = "-> y"
     kind: Literal["table"]
-    t: NumberRow | None = Field(None, description="instants [s], increasing")
+    t: NumberRow | None = Field(
+        None,
+        description='instants [s], increasing; with "zero-order" two may be equal, a jump to the '
+        "second row",
+    )
     y: NumberRow | NumberRows | None = Field(
         None, description="values, or rows of values, at those instants"
     )
