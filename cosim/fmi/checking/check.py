@@ -137,9 +137,11 @@ def _check_description(
     root: Element, contents: ArchiveContents, description: Description, definitions: Definitions
 ) -> list[Finding]:
     """Return what the schema and the rules beyond it forbid."""
-    findings = _validate_schema(contents.wanted[XML], major(root))
-    findings += check_structure(root, description, definitions)
-    return findings
+    # lxml lets other threads run while it validates
+    with ThreadPoolExecutor(max_workers=1) as pool:
+        validation = pool.submit(_validate_schema, contents.wanted[XML], major(root))
+        findings = check_structure(root, description, definitions)
+        return [*validation.result(), *findings]
 
 
 def _validate_schema(xml: bytes, version: int) -> list[Finding]:
