@@ -20,6 +20,7 @@ REASONS: dict[int, str] = {
 if sys.platform != "win32":
     REASONS[signal.SIGHUP] = "its terminal was closed"
 SIGNALS = tuple(REASONS)
+INTERRUPTED = 128 + signal.SIGINT  # exit code after Ctrl-C, as a shell gives it
 Handler: TypeAlias = Callable[[int, FrameType | None], Any]
 
 

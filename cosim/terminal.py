@@ -11,14 +11,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from time import perf_counter
 from types import FrameType
-from typing import TYPE_CHECKING, Final, TextIO
+from typing import TYPE_CHECKING, TextIO
 
-from cosim.interrupts import REASONS
+from cosim.interrupts import INTERRUPTED, REASONS
 
 if TYPE_CHECKING:
     from cosim.scenario.recording import Progress
-
-_INTERRUPTED: Final = 130  # exit code after a KeyboardInterrupt
 
 
 @contextmanager
@@ -116,7 +114,7 @@ def ended_by_signals() -> Iterator[None]:
     try:
         yield
     except SystemExit as end:
-        if received and end.code == _INTERRUPTED:
+        if received and end.code == INTERRUPTED:
             sys.exit(128 + received[0])
         raise
     finally:

@@ -21,10 +21,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Any, Final
 
-from cosim.interrupts import REASONS, is_deferred
+from cosim.interrupts import INTERRUPTED, REASONS, is_deferred
 
 PATIENCE: Final = 1.0  # s in which the main thread is to run an instruction of Python
-EXIT_CODE: Final = 128 + signal.SIGINT
 _ALL: Final = 4096  # bytes, more than there can be
 _BELOW_PROGRESS: Final = "\x1b[?25h\n"  # and with a cursor, which that hides
 _questions: list[Any] = []  # kept, as the main thread may come to them late
@@ -86,7 +85,7 @@ def _listen(reader: int, ended: threading.Event) -> None:
                 "ended at once; a log that has rows is not closed: 'cosim info' says up to where "
                 "it is whole"
             )
-            os._exit(EXIT_CODE)
+            os._exit(INTERRUPTED)
 
 
 def _ask_main_thread() -> threading.Event:

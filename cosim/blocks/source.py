@@ -245,7 +245,7 @@ def check_points(t: Vector, y: Matrix, *, hold: bool) -> None:
     if not finite:
         raise UsageError("table: found NaN or infinity, needed finite numbers")
     steps = np.diff(t)
-    not_increasing = np.flatnonzero((steps < 0.0) | ((steps == 0.0) & (not hold)))
+    not_increasing = np.flatnonzero(steps < 0.0 if hold else steps <= 0.0)
     if not_increasing.size:
         before = not_increasing[0]
         after = before + 1

@@ -13,7 +13,7 @@ import lz4.frame
 import zstandard
 
 Compression = Literal["zstd", "lz4", "none"]
-MOST_BYTES = 64 * 2**20  # a chunk of ours has about 1 to 16 MiB
+MOST_BYTES = 64 * 2**20  # a chunk of ours has about 1 to 32 MiB
 _LEVEL = 1
 
 

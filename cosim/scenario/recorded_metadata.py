@@ -126,8 +126,7 @@ def recorded_start(recording: Recording) -> float:
     LogError
         If it is no number.
     """
-    text = run_metadata(recording).get("start_time", "0.0")
-    return _checked(_TIME, _json(text, "start_time"), "start_time")
+    return _of_run(recording, "start_time", "0.0", _TIME)
 
 
 def component_table(recording: Recording, component: str) -> dict[str, Any]:
@@ -173,8 +172,7 @@ def recorded_warnings(recording: Recording) -> list[tuple[str, str]]:
     LogError
         If they cannot be understood.
     """
-    table = _json(run_metadata(recording).get("warnings", "[]"), "warnings")
-    return _checked(_WARNINGS, table, "warnings")
+    return _of_run(recording, "warnings", "[]", _WARNINGS)
 
 
 def first_order_loops(recording: Recording) -> list[str]:
@@ -185,8 +183,7 @@ def first_order_loops(recording: Recording) -> list[str]:
     LogError
         If they cannot be understood.
     """
-    table = _json(run_metadata(recording).get("first_order_loops", "[]"), "first_order_loops")
-    return _checked(_LOOPS, table, "first_order_loops")
+    return _of_run(recording, "first_order_loops", "[]", _LOOPS)
 
 
 def replay_origin(recording: Recording) -> ReplayOrigin:
@@ -235,6 +232,14 @@ def _comparable_size(recording: Recording, port: str, estimate: str) -> int:
     if conversion(true.signal.measure, estimated.signal.measure) is None:
         raise LogError(f"truth: {estimate!r} has another kind of unit than {port!r}")
     return true.size
+
+
+def _of_run(
+    recording: Recording, key: str, default: str, adapter: TypeAdapter[_Checked]
+) -> _Checked:
+    """Return an entry of the run's metadata, which is JSON; ``default`` where there is none."""
+    text = run_metadata(recording).get(key, default)
+    return _checked(adapter, _json(text, key), key)
 
 
 def _json(text: str, what: str) -> Any:

@@ -112,6 +112,7 @@ def _compare_repeated_steps(log: TrialLog, fmu: Fmu, t: Vector, h: float, u: Mat
     happen for the order to repeat the last step.
     """
     component = fmu.component
+    other_inputs = 2.0 * u + 1.0  # they may be more than it bears
     log.stage("saving the state")
     try:
         saved = component.save()
@@ -125,8 +126,8 @@ def _compare_repeated_steps(log: TrialLog, fmu: Fmu, t: Vector, h: float, u: Mat
 
     def step_with_other_inputs() -> None:
         component.restore(saved)
-        with suppress(CosimError):  # they may be more than it bears
-            component.advance(t, h, 2.0 * u + 1.0)
+        with suppress(CosimError):
+            component.advance(t, h, other_inputs)
 
     detours: dict[str, Callable[[], object]] = {
         "steps": lambda: None,  # those above
@@ -148,11 +149,11 @@ def _compare_repeated_steps(log: TrialLog, fmu: Fmu, t: Vector, h: float, u: Mat
             return
     log.stage("other inputs")
     rows = []
-    with suppress(CosimError):  # as above
+    with suppress(CosimError):
         for may_go_back in (False, True):
             component.restore(saved)
             fmu.may_go_back = may_go_back
-            rows.append(component.advance(t, h, 2.0 * u + 1.0))
+            rows.append(component.advance(t, h, other_inputs))
         if rows[0].tobytes() != rows[1].tobytes():
             _record_difference(log, "steps with other inputs", component, *rows)
 
