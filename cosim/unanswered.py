@@ -74,12 +74,12 @@ def _listen(reader: int, ended: threading.Event) -> None:
             answered = _ask_main_thread()
             if ended.is_set() or answered.wait(PATIENCE) or is_deferred():
                 continue
+            if select.select([reader], [], [], 0.0)[0]:
+                os.read(reader, _ALL)  # before it is said what a second one does
             _write(
                 "ends when the call under way returns, such as one of an FMU; Ctrl-C again ends it "
                 "at once, without a complete log"
             )
-            if select.select([reader], [], [], 0.0)[0]:
-                os.read(reader, _ALL)  # what came before that was said
         elif not is_deferred():
             _write(
                 "ended at once; a log that has rows is not closed: 'cosim info' says up to where "
