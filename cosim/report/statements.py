@@ -36,6 +36,7 @@ from cosim.log.layout import signals_json
 from cosim.log.result import RESULT, RESULT_FILE
 from cosim.scenario.recorded_metadata import (
     EIGENVALUE_FIGURES,
+    component_metadata,
     component_table,
     recorded_warnings,
     run_metadata,
@@ -132,9 +133,8 @@ class _Statements:
 
     def _of_component(self, name: str) -> Iterator[_Statement]:
         source = self._source
-        record = f"cosim.component.{name}"
-        recorded = source.metadata.get(record, {})
-        expected = self._again.metadata[record]
+        recorded = component_metadata(source, name)
+        expected = component_metadata(self._again, name)
         yield f"table of {name!r}", recorded.get("table"), expected["table"]
         kind = json.loads(expected["table"])["kind"]
         yield f"kind of {name!r}", source.kinds.get(name), kind

@@ -268,7 +268,7 @@ def replay(
         check_clock(experiment.clock, source)
         check_changes(experiment, original, wanted)
         designs = valid_designs(experiment, source)
-        copied = tuple(recorded_components(experiment))
+        copied = tuple(recorded_components(scenario))
         origin = ReplayOrigin(str(source.path), source.recorded_hash, copied)
         experiment = replace(experiment, origin=origin, designs=designs)
         return record(experiment, Target(out, force, notice=notice), progress=progress)

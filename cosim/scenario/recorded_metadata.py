@@ -118,6 +118,11 @@ def run_metadata(recording: Recording) -> dict[str, str]:
     return dict(recording.metadata.get("cosim.run", {}))
 
 
+def component_metadata(recording: Recording, component: str) -> dict[str, str]:
+    """Return the metadata of a component as it was recorded: texts, of which some are JSON."""
+    return dict(recording.metadata.get(f"cosim.component.{component}", {}))
+
+
 def recorded_start(recording: Recording) -> float:
     """Return the start time of a run [s].
 
@@ -160,8 +165,8 @@ def component_record(recording: Recording, component: str) -> ComponentRecord:
 
 
 def _component_json(recording: Recording, component: str) -> Any:
-    record = recording.metadata.get(f"cosim.component.{component}", {})
-    return _json(record.get("metadata", "{}"), f"metadata of {component!r}")
+    text = component_metadata(recording, component).get("metadata", "{}")
+    return _json(text, f"metadata of {component!r}")
 
 
 def recorded_warnings(recording: Recording) -> list[tuple[str, str]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Set
+from collections.abc import Iterable, Mapping, Set
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from cosim.scenario.build import Experiment, fingerprint, parse
 from cosim.scenario.document import Document
 from cosim.scenario.edits import short
 from cosim.scenario.parsing import Scenario, read
+from cosim.scenario.recorded_metadata import component_metadata, run_metadata
 from cosim.scenario.records import SCENARIO_FILE
 
 EVERYWHERE = {"scenario.input_interpolation", "scenario.coupling"}  # what matters to all inputs
@@ -45,7 +46,7 @@ def recorded_document(log: Log) -> Document:
     LogError
         If the log carries none.
     """
-    edits = log.metadata.get("cosim.run", {}).get("edits")
+    edits = run_metadata(log).get("edits")
     if SCENARIO_FILE not in log.attachments or edits is None:
         raise LogError(
             f"the log carries no {SCENARIO_FILE}; needed a log that {command('run')} wrote"
@@ -161,12 +162,28 @@ def check_changes(experiment: Experiment, original: Document, changes: Mapping[s
     UsageError
         If a change reaches a recorded component; names the change.
     """
+    recorded = recorded_components(experiment.scenario)
+    drivers = _drivers(experiment.scenario)
     document = original
     before, _ = document.tree()
     for key, value in changes.items():
         document = document.with_changes({key: value})
         after, _ = document.tree()
-        _check_change(experiment, key, _changed_tables(before, after))
+        changed = _changed_tables(before, after)
+        origins = _origins(experiment, changed)
+        for name in recorded:
+            if name in origins:
+                raise UsageError(
+                    f"{option('set', short(key))}: {name!r} is taken from the recording; {_REMEDY}"
+                )
+        affected = _reached(origins, drivers, recorded)
+        for name in recorded:
+            what = _what_drives(name, drivers[name], affected, changed)
+            if what:
+                raise UsageError(
+                    f"{option('set', short(key))}: {what}; {name!r} is taken from the recording "
+                    f"and cannot follow: {_REMEDY}"
+                )
         before = after
 
 
@@ -182,30 +199,6 @@ def _changed_tables(before: Mapping[str, Any], after: Mapping[str, Any]) -> set[
     return changed
 
 
-def _check_change(experiment: Experiment, key: str, changed: Set[str]) -> None:
-    recorded = recorded_components(experiment)
-    drivers = _drivers(experiment)
-    origins = _origins(experiment, changed)
-    for name in recorded:
-        if name in origins:
-            raise UsageError(
-                f"{option('set', short(key))}: {name!r} is taken from the recording; {_REMEDY}"
-            )
-    affected = _reached(origins, experiment)
-    for name in recorded:
-        causes = sorted(drivers[name] & affected)
-        if causes:
-            what = f"this changes {causes[0]!r}, which drives {name!r}"
-        elif drivers[name] and not EVERYWHERE.isdisjoint(changed):
-            what = f"this may change the inputs of {name!r}"
-        else:
-            continue
-        raise UsageError(
-            f"{option('set', short(key))}: {what}; {name!r} is taken from the recording and cannot "
-            f"follow: {_REMEDY}"
-        )
-
-
 def _origins(experiment: Experiment, changed: Set[str]) -> set[str]:
     """Return the components that are changed themselves, or by a table that they read."""
     origins = set()
@@ -219,31 +212,40 @@ def _origins(experiment: Experiment, changed: Set[str]) -> set[str]:
     return origins
 
 
-def _reached(origins: Set[str], experiment: Experiment) -> set[str]:
+def _reached(
+    origins: Set[str], drivers: Mapping[str, Set[str]], recorded: Iterable[str]
+) -> set[str]:
     """Return some components and those that they reach; a recorded one passes nothing on."""
-    followers: dict[str, set[str]] = {name: set() for name in experiment.scenario.specs}
-    recorded = set(recorded_components(experiment))
-    for name, sources in _drivers(experiment).items():
+    followers: dict[str, set[str]] = {name: set() for name in drivers}
+    for name, sources in drivers.items():
         for source in sources:
             followers[source].add(name)
     reached = set(origins)
     waiting = list(origins)
     while waiting:
-        new = followers[waiting.pop()] - reached - recorded
+        new = (followers[waiting.pop()] - reached).difference(recorded)
         reached |= new
         waiting += new
     return reached
 
 
-def recorded_components(experiment: Experiment) -> list[str]:
+def _what_drives(name: str, drivers: Set[str], affected: Set[str], changed: Set[str]) -> str | None:
+    """Return how changed tables change what drives a component; None: they do not."""
+    causes = sorted(drivers & affected)
+    if causes:
+        return f"this changes {causes[0]!r}, which drives {name!r}"
+    if drivers and not EVERYWHERE.isdisjoint(changed):
+        return f"this may change the inputs of {name!r}"
+    return None
+
+
+def recorded_components(scenario: Scenario) -> list[str]:
     """Return the components that a replay copies from the recording."""
-    specs = experiment.scenario.specs
-    return [name for name, spec in specs.items() if not spec.computable]
+    return [name for name, spec in scenario.specs.items() if not spec.computable]
 
 
-def _drivers(experiment: Experiment) -> dict[str, set[str]]:
+def _drivers(scenario: Scenario) -> dict[str, set[str]]:
     """Return the components that drive each component."""
-    scenario = experiment.scenario
     drivers: dict[str, set[str]] = {name: set() for name in scenario.specs}
     for to, connection in scenario.connections.items():
         for source in connection.sources:
@@ -253,8 +255,7 @@ def _drivers(experiment: Experiment) -> dict[str, set[str]]:
 
 def recorded_in(source: Log, scenario: Scenario) -> list[str]:
     """Return the components of a scenario that are taken from a log, as far as it has them."""
-    specs = scenario.specs
-    return [name for name in source.channels if name in specs and not specs[name].computable]
+    return [name for name in recorded_components(scenario) if name in source.channels]
 
 
 def valid_designs(experiment: Experiment, source: Log) -> dict[str, Design]:
@@ -263,7 +264,7 @@ def valid_designs(experiment: Experiment, source: Log) -> dict[str, Design]:
     recorded_designs = source.designs
     recorded_masks = source.held
     for name, spec in experiment.scenario.specs.items():
-        recorded = source.metadata.get(f"cosim.component.{name}", {})
+        recorded = component_metadata(source, name)
         current = fingerprint(experiment.scenario, name, experiment.reads[name])
         same_tables = recorded.get("fingerprint") == current
         held = experiment.graph.held[name]
