@@ -9,7 +9,7 @@ from cosim.core.contracts import Design, Stopped, check_design
 from cosim.core.signals import Interface, Signal
 from cosim.errors import UsageError
 from cosim.native.step import NO_VALUE, LeastSquares, LeastSquaresConstants, RecoveryConstants
-from cosim.theory.estimators import Recovery
+from cosim.theory.estimators.least_squares import Recovery
 
 
 class LeastSquaresIdentifier:

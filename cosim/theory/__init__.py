@@ -26,7 +26,13 @@ if TYPE_CHECKING:
         coefficients,
         group_by_alpha,
     )
-    from cosim.theory.estimators import Recovery, least_squares, plan, recover, trapezoid_weights
+    from cosim.theory.estimators.least_squares import (
+        Recovery,
+        least_squares,
+        plan,
+        recover,
+        trapezoid_weights,
+    )
     from cosim.theory.observer import (
         IdentificationStartTime,
         ObserverDesign,
@@ -54,20 +60,20 @@ _HOMES = {
     "IdentificationStartTime": "cosim.theory.observer",
     "information": "cosim.theory.uncertainty",
     "invariant_zeros": "cosim.theory.descriptor",
-    "least_squares": "cosim.theory.estimators",
+    "least_squares": "cosim.theory.estimators.least_squares",
     "mu": "cosim.theory.regression",
     "ObserverDesign": "cosim.theory.observer",
     "pencil_index": "cosim.theory.descriptor",
-    "plan": "cosim.theory.estimators",
+    "plan": "cosim.theory.estimators.least_squares",
     "realize": "cosim.theory.observer",
-    "recover": "cosim.theory.estimators",
-    "Recovery": "cosim.theory.estimators",
+    "recover": "cosim.theory.estimators.least_squares",
+    "Recovery": "cosim.theory.estimators.least_squares",
     "reduce": "cosim.theory.descriptor",
     "ReducedSystem": "cosim.theory.descriptor",
     "Sine": "cosim.theory.disturbance",
     "StateSpace": "cosim.theory.observer",
     "Term": "cosim.theory.regression",
-    "trapezoid_weights": "cosim.theory.estimators",
+    "trapezoid_weights": "cosim.theory.estimators.least_squares",
     "verdict": "cosim.theory.uncertainty",
 }
 

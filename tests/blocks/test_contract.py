@@ -31,7 +31,7 @@ from cosim.native.expression import compile_expression
 from cosim.testing import check_component, check_rollback
 from cosim.theory.descriptor import reduce
 from cosim.theory.disturbance import Exponential, group_by_alpha
-from cosim.theory.estimators import plan
+from cosim.theory.estimators.least_squares import plan
 from cosim.theory.observer import design
 from cosim.theory.regression import expand
 from tests.theory.academic import academic, ordinary

@@ -12,7 +12,7 @@ from cosim.errors import UsageError
 from cosim.native.expression import compile_expression
 from cosim.testing import check_component
 from cosim.theory.disturbance import Exponential, Sine, coefficients, group_by_alpha
-from cosim.theory.estimators import least_squares, plan, recover, trapezoid_weights
+from cosim.theory.estimators.least_squares import least_squares, plan, recover, trapezoid_weights
 from cosim.theory.regression import eta, expand, mu
 from tests.blocks.stepping import drive, times
 

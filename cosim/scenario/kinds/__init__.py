@@ -84,8 +84,9 @@ from cosim.scenario.kinds.dynamics import (
     LagKind,
     TransferFunctionKind,
 )
+from cosim.scenario.kinds.identification import IdentifierKind, RegressorKind
 from cosim.scenario.kinds.look_up import LookUpTableKind
-from cosim.scenario.kinds.method import IdentifierKind, RegressorKind, UnknownInputObserverKind
+from cosim.scenario.kinds.observers import UnknownInputObserverKind
 from cosim.scenario.kinds.plants import DescriptorKind, FmuKind, RecordingKind
 from cosim.scenario.kinds.sources import (
     ChirpKind,

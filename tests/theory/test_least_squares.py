@@ -7,7 +7,13 @@ from hypothesis import strategies as st
 
 from cosim.errors import AssumptionError
 from cosim.theory.disturbance import Exponential, Sine, coefficients, group_by_alpha
-from cosim.theory.estimators import RecoveryKind, least_squares, plan, recover, trapezoid_weights
+from cosim.theory.estimators.least_squares import (
+    RecoveryKind,
+    least_squares,
+    plan,
+    recover,
+    trapezoid_weights,
+)
 from cosim.theory.regression import eta, expand, mu
 from tests.theory.academic import DELAYS, THETA, delayed
 

@@ -1,0 +1,1 @@
+"""Estimators of the parameters theta, one file a method."""
