@@ -1,6 +1,6 @@
 """Components made of the theory and the core.
 
-Sources, plant, observer, regressor, identifier, controller, and small parts.
+Sources, plant, sensor, observer, regressor, identifier, controller, and small parts.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from cosim.blocks.identifier import LeastSquaresIdentifier
     from cosim.blocks.limited_integrator import LimitedIntegrator
     from cosim.blocks.look_up import LookUpTable
+    from cosim.blocks.measurement import SensorParameters
     from cosim.blocks.observer import observer_model
     from cosim.blocks.pid import Pid, PidParameters
     from cosim.blocks.plant import descriptor_model
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from cosim.blocks.renaming import Renaming, map_ports
     from cosim.blocks.replay import Replay
     from cosim.blocks.sampled import Decimated, Sampled
+    from cosim.blocks.sensor import Sensor
     from cosim.blocks.source import Expression, Noise, Table, chirp, constant, ramp, sine, step
     from cosim.blocks.state_space import (
         DiscreteStateSpace,
@@ -63,6 +65,8 @@ _HOMES = {
     "Renaming": "cosim.blocks.renaming",
     "Replay": "cosim.blocks.replay",
     "Sampled": "cosim.blocks.sampled",
+    "Sensor": "cosim.blocks.sensor",
+    "SensorParameters": "cosim.blocks.measurement",
     "sine": "cosim.blocks.source",
     "step": "cosim.blocks.source",
     "sum_of": "cosim.blocks.arithmetic",
@@ -91,6 +95,8 @@ __all__ = [
     "Renaming",
     "Replay",
     "Sampled",
+    "Sensor",
+    "SensorParameters",
     "SystemMatrices",
     "Table",
     "chirp",

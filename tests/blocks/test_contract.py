@@ -11,6 +11,7 @@ from cosim.blocks.dynamics import Delay, integrator, lag
 from cosim.blocks.identifier import LeastSquaresIdentifier
 from cosim.blocks.limited_integrator import LimitedIntegrator
 from cosim.blocks.look_up import LookUpTable
+from cosim.blocks.measurement import SensorParameters
 from cosim.blocks.observer import observer_model
 from cosim.blocks.pid import Pid, PidParameters
 from cosim.blocks.plant import descriptor_model
@@ -18,6 +19,7 @@ from cosim.blocks.product import Product
 from cosim.blocks.regressor import Regressor
 from cosim.blocks.replay import Replay
 from cosim.blocks.sampled import Decimated, Sampled
+from cosim.blocks.sensor import Sensor
 from cosim.blocks.source import Expression, Noise, Table, chirp, constant, ramp, sine, step
 from cosim.blocks.state_space import DiscreteStateSpace, controller, system_matrices
 from cosim.blocks.transfer import transfer_function
@@ -110,6 +112,11 @@ def sampled_pid():
     return Pid(parameters, period=4 * H)
 
 
+def sensor(**parameters):
+    every = {"bias": 0.5, "lower": -1.0, "upper": [1.5, 2.0], "resolution": 0.25, "seed": 3}
+    return Sensor(SensorParameters(noise=0.1, dropout=0.3, **every, **parameters), size=2)
+
+
 def recording():
     memory = Memory()
     run(
@@ -160,6 +167,12 @@ COMPONENTS = {
     "delay": lambda: Delay(3, size=2),
     "delay of one step": lambda: Delay(1),
     "delay from a given start": lambda: Delay(4, initial=7.0),
+    "sensor without effects": lambda: Sensor(SensorParameters(), size=2),
+    "sensor": lambda: sensor(jitter=0.4),
+    "sensor with a delay": lambda: sensor(delay=3.0),
+    "sensor with a delay of parts of steps": lambda: sensor(delay=0.6, jitter=0.3),
+    "sensor that does not feed through": lambda: sensor(delay=1.1, jitter=0.1),
+    "sensor with a period": lambda: sensor(delay=0.8, jitter=1.7, period=4),
     "integrator": lambda: Linear(integrator(initial=1.0, size=2)),
     "limited integrator": lambda: LimitedIntegrator(lower=-1e-3, upper=2e-3, size=2),
     "integrator with a lower limit": lambda: LimitedIntegrator(lower=0.0),
@@ -198,6 +211,9 @@ ROLLBACK = [
     "lag from an initial value",
     "delay",
     "delay of one step",
+    "sensor",
+    "sensor with a delay of parts of steps",
+    "sensor with a period",
     "controller",
     "integrator",
     "limited integrator",

@@ -26,6 +26,7 @@ gain = { kind = "gain", K = 2.0 }
 limit = { kind = "limit", lower = 0.0, upper = 1.0 }
 lag = { kind = "lag", time_constant = 1.0 }
 delay = { kind = "delay", delay = 0.1 }
+sensor = { kind = "sensor", dropout = 0.1, seed = 1 }
 product = { kind = "product", operations = "*/" }
 switch = { kind = "switch" }
 integrator = { kind = "integrator" }
@@ -41,6 +42,7 @@ sampled = { kind = "discrete-state-space", period = 0.1, A = [[0.5]], B = [[1.0]
 "limit.u" = "ramp.y"
 "lag.u" = "ramp.y"
 "delay.u" = "ramp.y"
+"sensor.u" = "ramp.y"
 "product.u1" = "ramp.y"
 "product.u2" = "constant.y"
 "switch.u1" = "ramp.y"

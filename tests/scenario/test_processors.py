@@ -85,6 +85,19 @@ unit = "rad"
 kind = "sum"
 signs = [1, -0.7]
 
+[components.sensor]
+kind = "sensor"
+delay = 1.3e-3
+jitter = 0.3e-3
+bias = [0.1, -0.2]
+noise = 1e-3
+lower = -1.7
+upper = 1.9
+bits = 10
+dropout = 0.01
+seed = 5
+size = 2
+
 [components.controller]
 kind = "controller"
 A = [[-3.1, 0.3], [0.7, -1.9]]
@@ -104,6 +117,7 @@ size = 20
 [connections]
 "lag.u" = "sine.y"
 "filtered.u" = "noise.y"
+"sensor.u" = ["disturbance.y", "lag.y"]
 "error.u1" = "disturbance.y"
 "error.u2" = "loop.y"
 "controller.u" = "error.y"

@@ -88,6 +88,7 @@ from cosim.scenario.kinds.identification import IdentifierKind, RegressorKind
 from cosim.scenario.kinds.look_up import LookUpTableKind
 from cosim.scenario.kinds.observers import UnknownInputObserverKind
 from cosim.scenario.kinds.plants import DescriptorKind, FmuKind, RecordingKind
+from cosim.scenario.kinds.sensors import SensorKind
 from cosim.scenario.kinds.sources import (
     ChirpKind,
     ConstantKind,
@@ -120,6 +121,7 @@ KINDS: Mapping[str, type[Kind]] = {
     "integrator": IntegratorKind,
     "transfer-function": TransferFunctionKind,
     "delay": DelayKind,
+    "sensor": SensorKind,
     "controller": ControllerKind,
     "discrete-state-space": DiscreteStateSpaceKind,
     "pid": PidKind,

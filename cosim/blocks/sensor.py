@@ -1,0 +1,204 @@
+"""Sensors: what a measuring chain reports of the signal that it measures.
+
+A sample passes the chain in this order:
+
+1. *Delay and jitter*: it is the input at the instant ``t - delay + j``, j uniform within plus and
+   minus the jitter. The input is interpolated linearly between communication points, or held where
+   it is discrete, and has its first value before the start. With a jitter beyond the delay some
+   instants lie after t, where no component knows its input: there the straight line of the last
+   step goes on. Its error, up to ``j (h + j)/2 |u''|``, is of the order of that of interpolation.
+2. *Bias* and 3. *noise*: a constant, and a Gaussian number for every sample, are added.
+4. *Limits*: the sample saturates.
+5. *Quantization*: it becomes the nearest level; a tie goes to the even one.
+6. *Dropouts*: it may be lost; y then keeps the last one that was not.
+
+So noise is limited and quantized like the signal, every sample is a level, and what is lost is lost
+on the way from the converter.
+
+Between samples y is interpolated linearly where the input is, as everything here that reads sampled
+data assumes: held, it would lag by half a step, and a derivative filter behind it would read a ramp
+too high. y holds where the input holds, and where the sensor samples less often than at every
+communication point.
+
+Each random effect has a stream of its own, PCG64 of the seed sequence of ``seed`` with the spawn
+key 0 (noise), 1 (jitter) or 2 (dropouts). Every sample takes the same count of its words, so that
+an effect that is switched on changes no number of another. Elements of a vector are independent.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cosim.arrays import Mask, Matrix, Vector
+from cosim.blocks.measurement import (
+    MeasuringChain,
+    SampleStreams,
+    SamplingInstants,
+    SensorParameters,
+    StreamState,
+)
+from cosim.core.contracts import Design
+from cosim.core.signals import Interface, Signal
+
+
+@dataclass(frozen=True, slots=True)
+class SensorState:
+    """All that changes in a sensor; no array of it is written to.
+
+    Parameters
+    ----------
+    past : Matrix
+        Inputs at the last communication points before the time reached.
+    y : Vector
+        What y was before the time reached.
+    valid : Mask
+        The same of ``valid``.
+    since : int
+        Communication steps since the last sample before the time reached; the period where one is
+        due now.
+    streams : StreamState
+    """
+
+    past: Matrix
+    y: Vector
+    valid: Mask
+    since: int
+    streams: StreamState
+
+
+class Sensor:
+    """Reports its input u as y, and by ``valid`` whether the sample in y is new (1) or kept (0).
+
+    The order of the effects is that of the module's description. ``valid`` is there where
+    ``dropout`` is given; the first sample is never lost.
+
+    Parameters
+    ----------
+    parameters : SensorParameters
+    size : int
+        Number of elements of u, y and valid.
+    unit : str, optional
+        The unit of u and y.
+
+    Raises
+    ------
+    UsageError
+        If a parameter is not possible.
+    """
+
+    def __init__(
+        self, parameters: SensorParameters, *, size: int = 1, unit: str | None = None
+    ) -> None:
+        self._size = size
+        self._period = parameters.period
+        self._drops = parameters.dropout is not None
+        self._instants = SamplingInstants(parameters, size)
+        self._chain = MeasuringChain(parameters, size)
+        self._streams = SampleStreams(parameters, size)
+        self._held = np.zeros(size, np.bool_)
+        self.interface = self._interface(size, unit)
+
+    def _interface(self, size: int, unit: str | None) -> Interface:
+        u = Signal("u", size, unit)
+        y = Signal("y", size, unit, "inherited" if self._period == 1 else "discrete")
+        outputs: tuple[Signal, ...] = (y,)
+        if self._drops:
+            valid = Signal("valid", size, variability="discrete", type="boolean")
+            outputs = (y, valid)
+        now = self._instants.reach_now
+        return Interface(
+            (u,),
+            outputs,
+            feedthrough={"y": ("u",)} if now else {},
+            initial={"y": ("u",)},
+            delayed=() if now else ("u",),
+            prepares=True,
+            rollback=True,
+        )
+
+    def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
+        """Note which inputs hold within a step; there is nothing to record."""
+        self._held = held.copy()
+        return recorded
+
+    def initialize(self, t: float, u: Vector) -> Vector:
+        """Begin all random sequences, with ``u`` as the input before ``t``."""
+        self._streams.begin()
+        self._past = np.tile(u, (self._instants.depth, 1))
+        self._y = np.zeros(self._size)
+        self._valid = np.ones(self._size, np.bool_)
+        self._since = self._period
+        return self.outputs(t, u)
+
+    def outputs(self, t: float, u: Vector) -> Vector:
+        """Return what is reported at ``t``."""
+        y, valid = self._report(u[np.newaxis])
+        row: Vector = self._outputs(y[1:], valid[1:])[0]
+        return row
+
+    def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
+        """Report K samples."""
+        steps = len(t) - 1
+        # row 0 again: its input may have been extrapolated when it was reported
+        y, valid = self._report(u)
+        self._keep_past(u[:steps])
+        self._y = y[steps].copy()
+        self._valid = valid[steps].copy()
+        until_end = self._since + steps
+        before_end = (until_end - 1) // self._period
+        self._streams.skip(before_end)
+        self._since = until_end - before_end * self._period
+        return self._outputs(y[2:], valid[2:])
+
+    def _keep_past(self, u: Matrix) -> None:
+        depth = self._instants.depth
+        if depth:
+            known = np.concatenate((self._past, u))
+            self._past = known[-depth:].copy()
+
+    def _report(self, u: Matrix) -> tuple[Matrix, Mask]:
+        """Return y and valid before the time reached, then at the rows of ``u`` from there on."""
+        row = np.arange(len(u))
+        if self._period > 1:
+            # from now to the first sample: none where one is due
+            first = self._period - self._since
+            row = row[first :: self._period]
+        samples = self._streams.next(len(row))
+        values = self._instants.values(self._past, u, row, samples.position, self._held)
+        measured = self._chain.values(values, samples.noise)
+        y = np.concatenate((self._y[np.newaxis], measured))
+        valid = np.concatenate((self._valid[np.newaxis], ~samples.lost))
+        if self._drops:
+            y = _kept(y, valid)
+        if self._period > 1:
+            until_row = self._since + np.arange(len(u))
+            latest = np.concatenate(([0], until_row // self._period))
+            return y[latest], valid[latest]
+        return y, valid
+
+    def _outputs(self, y: Matrix, valid: Mask) -> Matrix:
+        return np.concatenate((y, valid), axis=1) if self._drops else y
+
+    def save(self) -> SensorState:
+        """Copy the state."""
+        streams = self._streams.save()
+        return SensorState(self._past, self._y, self._valid, self._since, streams)
+
+    def restore(self, state: SensorState) -> None:
+        """Go back to a saved state."""
+        self._past = state.past
+        self._y = state.y
+        self._valid = state.valid
+        self._since = state.since
+        self._streams.restore(state.streams)
+
+
+def _kept(y: Matrix, valid: Mask) -> Matrix:
+    """Return ``y`` with the last valid row before it for one that is not; row 0 is a past one."""
+    if valid.all():
+        return y
+    row = np.arange(len(y))[:, np.newaxis]
+    last_valid = np.maximum.accumulate(np.where(valid, row, 0), axis=0)
+    return np.take_along_axis(y, last_valid, axis=0)

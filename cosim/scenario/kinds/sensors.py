@@ -1,0 +1,95 @@
+"""Sensors: what a measurement reports of a signal."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Literal
+
+from pydantic import Field
+
+from cosim.blocks.measurement import SensorParameters
+from cosim.blocks.sensor import Sensor
+from cosim.core.clock import nanoseconds
+from cosim.core.contracts import Component
+from cosim.errors import UsageError
+from cosim.scenario.kinds.base import BuildContext, PeriodicKind, PortUnits, unit_of
+from cosim.scenario.schema import Number, NumberRow, Size, Whole
+
+EACH = ", one number or one for each element"
+
+
+class SensorKind(PeriodicKind):
+    """y = u after delay and jitter, bias, noise, limits, quantization, dropouts, in this order."""
+
+    ports: ClassVar[str] = "u -> y, valid"
+    kind: Literal["sensor"]
+    delay: Number = Field(
+        0.0,
+        description="y(t) samples u(t - delay) [s]; between communication points u is interpolated",
+    )
+    jitter: Number = Field(
+        0.0,
+        description="largest deviation of the sampling instant [s], uniformly distributed; at most "
+        "half a period; where it leads beyond t, the line of u in the last step goes on",
+    )
+    bias: Number | NumberRow = Field(0.0, description=f"constant error{EACH}")
+    noise: Number | NumberRow = Field(
+        0.0, description=f"standard deviation of the Gaussian noise of every sample{EACH}"
+    )
+    lower: Number | NumberRow | None = Field(
+        None, description=f"lower limit of y{EACH}; default: none"
+    )
+    upper: Number | NumberRow | None = Field(
+        None, description=f"upper limit of y{EACH}; default: none"
+    )
+    resolution: Number | NumberRow | None = Field(
+        None,
+        description="quantization: y is the nearest whole multiple of it within the limits"
+        f"{EACH}; default: none",
+    )
+    bits: Whole | None = Field(
+        None,
+        description="quantization instead: to 2**bits levels, the first lower, the last upper",
+    )
+    dropout: Number | None = Field(
+        None,
+        description="probability that a sample is lost, so that y keeps the last one; the output "
+        "valid is 0 then, else 1; default: none is lost, and there is no valid",
+    )
+    seed: Whole | None = Field(
+        None,
+        description="seed of noise, jitter and dropouts, needed with any of them; each has numbers "
+        "of its own",
+    )
+    period: Number | None = Field(
+        None,
+        description="sample period [s], whole communication steps, over which y holds; default: "
+        "one communication step, with y interpolated linearly where u is",
+    )
+    size: Size = Field(1, description="number of elements, whose errors are independent")
+    unit: PortUnits = Field(None, description=unit_of("u and y"))
+
+    def with_period(self, component: Component, n: int) -> Component:
+        return component
+
+    def build(self, name: str, context: BuildContext) -> Sensor:
+        parameters = SensorParameters(
+            noise=self.noise,
+            bias=self.bias,
+            lower=self.lower,
+            upper=self.upper,
+            resolution=self.resolution,
+            bits=self.bits,
+            delay=_steps("delay", self.delay, context.step_ns),
+            jitter=_steps("jitter", self.jitter, context.step_ns),
+            dropout=self.dropout,
+            seed=self.seed,
+            period=self.period_steps(name, context.step_ns),
+        )
+        return Sensor(parameters, size=self.size, unit=self.unit_name)
+
+
+def _steps(key: str, time: float, step_ns: int) -> float:
+    """Return a time [s] in communication steps, also parts of one."""
+    if time < 0.0:
+        raise UsageError(f"{key}: found {time} s, needed 0 s or more")
+    return nanoseconds(time) / step_ns
