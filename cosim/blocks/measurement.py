@@ -418,9 +418,8 @@ class SampleStreams:
         lost = np.zeros(shape, np.bool_)
         if parameters.jitter:
             within = 2.0 * _uniform(self._jitter_words, shape) - 1.0
-            # rounded, a sum may be beyond the instants that are remembered
-            at_least = np.maximum(parameters.jitter * within + position, parameters.earliest)
-            position = np.minimum(at_least, parameters.latest)
+            # rounding keeps the order of numbers: none is before earliest or after latest
+            position = parameters.jitter * within + position
         if self._is_noisy:
             words = self._noise_words.random_raw(WORDS_PER_NORMAL * noise.size)
             noise = self._deviation * normal(words).reshape(shape)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from cosim.blocks.measurement import DRAWN_AHEAD, SensorParameters
+from cosim.blocks.measurement import DRAWN_AHEAD, SamplingInstants, SensorParameters
 from cosim.blocks.sensor import Sensor
 from cosim.blocks.source import Noise
 from cosim.errors import UsageError
@@ -122,7 +122,8 @@ def test_levels_are_within_the_limits():
     assert np.unique(y).size == 7
     assert y.max() == 0.3
     assert y.min() == -0.3
-    y = report(u, resolution=0.5, lower=-1.2, upper=1.74)
+    # the multiples next to these limits are -1.5 and 2
+    y = report(u, resolution=0.5, lower=-1.3, upper=1.8)
     assert np.unique(y).tolist() == [-1.0, -0.5, 0.0, 0.5, 1.0, 1.5]
 
 
@@ -142,6 +143,9 @@ def test_levels_closer_than_doubles_change_nothing():
     """Nor do they make large values infinite."""
     u = np.array([1e300, -1e20, 1.0])
     np.testing.assert_array_equal(report(u, resolution=1e-200)[:, 0], u)
+    u = random_inputs(1000)
+    np.testing.assert_array_equal(report(u, resolution=1e-20), u)
+    u = np.array([1e300, -1e20, 1.0])
     y = report(u, resolution=1e-200, lower=-1e10, upper=1e10)
     np.testing.assert_array_equal(y[:, 0], [1e10, -1e10, 1.0])
 
@@ -216,6 +220,17 @@ def test_after_the_last_input_its_line_goes_on():
     # squares below 4e6 are rounded to 4.7e-10
     assert error.max() <= 0.4 * 1.4 / 2.0 * 2.0 + 1e-9
     assert error[j[1:] < 0.0].max() <= 2.0 / 8.0 + 1e-9
+
+
+def test_the_last_instant_is_a_step_after_the_last_input():
+    """The line of the last step goes on to there; the first instant is the oldest past input."""
+    instants = SamplingInstants(SensorParameters(delay=1.0, jitter=2.0, period=4), 1)
+    past = np.array([[3.0]] * instants.depth)
+    u = np.array([[5.0], [8.0]])
+    row = np.array([0, 1])
+    position = np.array([[-3.0], [1.0]])
+    found = instants.values(past, u, row, position, np.array([False]))
+    assert found[:, 0].tolist() == [3.0, 11.0]
 
 
 def test_jitter_attenuates_a_sine_and_makes_noise_of_the_rest():

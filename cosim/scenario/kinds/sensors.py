@@ -58,7 +58,7 @@ class SensorKind(PeriodicKind):
     seed: Whole | None = Field(
         None,
         description="seed of noise, jitter and dropouts, needed with any of them; each has numbers "
-        "of its own",
+        "of its own, two sensors with one seed have the same",
     )
     period: Number | None = Field(
         None,
