@@ -16,6 +16,8 @@
 #define COSIM_NO_VALUE 1 /* an input that was needed carries no value (NaN) */
 #define COSIM_STEP_TOO_SMALL 2 /* the tolerance needs a step below the spacing of numbers */
 #define COSIM_SINGULAR 3 /* a matrix has no inverse */
+#define COSIM_NOT_CONVERGED 4 /* an iteration has not reached its end */
+#define COSIM_FULL 5 /* there is no room for more samples */
 
 typedef int32_t (*cosim_step)(void *self, double t0, double t1, double h, const double *u0,
                               const double *u1, double *y);
@@ -227,5 +229,170 @@ typedef struct {
 int32_t cosim_least_squares_step(void *self, double t0, double t1, double h, const double *u0,
                                  const double *u1, double *y);
 void cosim_least_squares_start(cosim_least_squares *self, double *y);
+
+/* --- householder.c --- */
+
+/* Rotate `rows` rows of n numbers, which are overwritten, into the upper triangular R of shape
+ * (n, n): afterwards R'R has grown by the products of the rows. `work` has n doubles. */
+void cosim_householder(int32_t n, double *R, int32_t rows, double *block, double *work);
+/* Solve R x = b for the upper triangular R (n, n), whose rows are `stride` doubles apart. */
+void cosim_solve_upper(int32_t n, int32_t stride, const double *R, const double *b,
+                       int32_t b_stride, double *x);
+/* The inverse of R'R; `work` has n (n + 1) doubles. */
+void cosim_covariance(int32_t n, int32_t stride, const double *R, double *covariance, double *work);
+
+/* --- output_error.c --- */
+
+#define COSIM_MOST_COLUMNS 48
+#define COSIM_MOST_PARAMETERS 16
+
+/* The outputs of a linear plant under a disturbance of the class (4)-(5), as a regression:
+ *     x' = A x + sum_i B_i alpha_i f_i,   y = C x + sum_i D_i alpha_i f_i + offset,
+ *     f_i = c_i' expm(G_i t) beta_i,      G_i = G0_i + sum_j theta_ij G1_ij,
+ * linear in beta_i = beta_i(0), x(0) and the offset. The disturbance is a straight line between
+ * samples. */
+typedef struct {
+    int32_t states, outputs, components;
+    int32_t offset;        /* whether a constant on every output is unknown */
+    int32_t ar;            /* order of the filter that whitens the noise */
+    const int32_t *size;   /* (components) V_i */
+    const int32_t *count;  /* (components) parameters in theta_i */
+    const double *c;       /* c_i one behind the other */
+    const double *G0, *G1; /* G0_i, and G1_i1, G1_i2, ..., each (V_i, V_i) */
+    const double *step;    /* (intervals) length of an interval between samples [s] */
+    const double *Ad;      /* (intervals, states, states) */
+    const double *B0, *B1; /* (intervals, components, states) for both ends of the interval */
+    const double *K;       /* (intervals, states, outputs) gain of the predictor, in Ad, B0 */
+    const double *C;       /* (outputs, states) */
+    const double *D;       /* (components, outputs) */
+    const double *W;       /* (outputs, outputs) makes the noise of the outputs white */
+    const double *a;       /* (ar) e(k) = v(k) - a_1 v(k-1) - ... is white, v = W (y - fit) */
+    double forgetting;     /* weight of a row over that of the next sample; 1: they weigh the same */
+} cosim_output_error;
+
+typedef struct {
+    int64_t first, end;      /* samples of the window */
+    const double *residual;  /* (samples, outputs) y less its known part; NaN: not measured */
+    const double *alpha;     /* (samples, components) */
+    const int32_t *interval; /* (samples) which one ends at the sample; NULL: 0 for all */
+} cosim_record;
+
+/* What the outputs would be without disturbance, from x(0) = 0: with the gain K of a predictor,
+ *     x' = Ad x + B0 u0 + B1 u1 + K y,   y = C x + D u,   B0 less K D. */
+typedef struct {
+    int32_t inputs;
+    const double *B0, *B1;   /* (intervals, states, inputs) */
+    const double *D;         /* (outputs, inputs) */
+    const uint8_t *predicts; /* (intervals) whether K is used: there is a y */
+} cosim_known_input;
+/* y less that, for samples begin..end-1; x: the state at sample begin - 1, and as much scratch. */
+void cosim_output_error_residual(const cosim_output_error *self, const cosim_known_input *known,
+                                 int64_t begin, int64_t end, const double *u, const double *y,
+                                 const int32_t *interval, double *x, double *residual);
+
+/* A pass over samples makes the upper triangle R of [basis, x(0), offset, d basis/d theta, residual]
+ * at the beginning of `work`. `start` begins at the first sample of a window, `take` goes on. */
+int64_t cosim_output_error_memory(const cosim_output_error *self);
+int32_t cosim_output_error_columns(const cosim_output_error *self);
+void cosim_output_error_start(const cosim_output_error *self, const double *theta, double *work);
+void cosim_output_error_take(const cosim_output_error *self, const double *theta,
+                             const cosim_record *record, int64_t begin, int64_t end, double *work);
+/* The rows of every sample of the window, (samples, outputs, columns), not filtered. */
+void cosim_output_error_rows(const cosim_output_error *self, const double *theta,
+                             const cosim_record *record, double *work, double *rows);
+
+/* What became of a parameter. */
+#define COSIM_ESTIMATED 0
+#define COSIM_FIXED 1     /* its bounds are equal */
+#define COSIM_ABSENT 2    /* noise alone explains its component */
+#define COSIM_DEPENDENT 3 /* other parameters have the same effect */
+#define COSIM_AT_BOUND 4
+
+typedef struct {
+    const cosim_output_error *model;
+    cosim_record record;
+    double *work;       /* cosim_output_error_memory doubles */
+    double *amplitudes; /* beta, x(0), offset */
+} cosim_experiment;
+
+/* Variable projection: the linear unknowns of every experiment are eliminated by orthogonal
+ * rotations, theta is found by Gauss-Newton on what remains (G. Golub and V. Pereyra, SIAM J.
+ * Numerical Analysis, 1973; L. Kaufman, BIT, 1975). */
+typedef struct {
+    int32_t experiments, components, parameters;
+    int32_t most_iterations, iterations;
+    const cosim_experiment *experiment;
+    const int32_t *count;        /* (components) */
+    const double *lower, *upper; /* (parameters) */
+    const double *scale;         /* (parameters) longest step */
+    const double *threshold;     /* (components) statistic from which on it is no noise */
+    double accuracy;             /* of a row: what is smaller is rounding */
+    double tolerance;            /* of update, in units of the step that is small enough */
+    double *theta;               /* (parameters) where the regression is linearized */
+    double *estimate;            /* (parameters) */
+    double *covariance;          /* (parameters, parameters) of the estimate */
+    double *statistics;          /* (components) beta' C^-1 beta, C of unit variance */
+    uint8_t *state;              /* (parameters) */
+    double variance;             /* of a row */
+    double freedom;              /* rows less unknowns */
+} cosim_fit;
+/* Iterate from theta to the least squares. */
+int32_t cosim_output_error_fit(cosim_fit *self);
+/* One step with the R that is there, for samples that were taken since. */
+int32_t cosim_output_error_update(cosim_fit *self);
+
+/* --- rayleigh.c --- */
+
+#define COSIM_MOST_TERMS 128
+
+/* The regression (25) as a function of theta: mu' chi(theta) = 0, with noise of covariance N in mu. */
+typedef struct {
+    int32_t components, parameters, rows, groups, terms;
+    const int32_t *size, *count; /* (components) */
+    const int32_t *group;        /* (components) which group b it belongs to */
+    const double *c, *G0, *G1;   /* as in cosim_output_error */
+    const double *delays;        /* (rows) D_j [s] */
+    const int32_t *parts;        /* (terms, rows - 1) the rows R_b of all groups */
+    const double *lower, *upper; /* (parameters) of the grid of starts, and of theta */
+    int32_t points;              /* of the grid in every direction */
+} cosim_rayleigh;
+/* Minimize chi' R'R chi / chi' N chi from theta; R, N of shape (terms, terms). */
+int32_t cosim_rayleigh_minimize(const cosim_rayleigh *self, const double *R, const double *N,
+                                double *theta, double *value);
+/* The same from the best points of the grid. */
+int32_t cosim_rayleigh_search(const cosim_rayleigh *self, const double *R, const double *N,
+                              double *theta, double *value);
+
+/* --- identifier.c --- */
+
+/* Output error online: every `period` samples theta is estimated from all of them, or from those of
+ * a moving window. A start is searched by the Rayleigh quotient, and improved on delta. Its inputs
+ * are mu, delta, y and u, of which a step takes those at its beginning; its outputs are theta, its
+ * standard errors, the deviation of the noise, and the amplitudes at the beginning of the window. */
+typedef struct {
+    int32_t period;
+    int32_t width;    /* of the outputs */
+    int32_t average;  /* samples of mu that make one row */
+    int64_t window;   /* samples; 0: all */
+    int64_t capacity; /* samples */
+    double start;     /* first instant of which mu counts [s] */
+    double settled;   /* first instant of which delta counts [s] */
+    double lag;       /* of delta [s] */
+    double weight;    /* largest entry of the W of on_y */
+    const cosim_regressor *products;
+    const cosim_program *alphas; /* (components) */
+    const cosim_rayleigh *rayleigh;
+    const cosim_output_error *on_delta, *on_y;
+    const cosim_known_input *known;
+    const double *lower, *upper, *scale; /* (parameters) as in cosim_fit */
+    const double *threshold;             /* (components) */
+    double *memory;
+} cosim_identifier;
+/* The number of doubles of `memory`, and of those before the samples, which are only appended. */
+int64_t cosim_identifier_memory(const cosim_identifier *self);
+int64_t cosim_identifier_state(const cosim_identifier *self);
+void cosim_identifier_start(cosim_identifier *self, double *y);
+int32_t cosim_identifier_step(void *self, double t0, double t1, double h, const double *u0,
+                              const double *u1, double *y);
 
 #endif

@@ -236,7 +236,7 @@ def evaluate_at(programs: Sequence[Program], t: Vector) -> Matrix:
 def expression_step(programs: Sequence[Program]) -> NativeStep:
     """Build the step whose outputs are expressions in t; it has no memory."""
     n_y = len(programs)
-    array = _program_array(programs)
+    array = program_array(programs)
     state = ExpressionStruct(n_y, ctypes.addressof(array))
     function = address("cosim_expression_step")
     no_memory = np.zeros(0)
@@ -265,7 +265,8 @@ def _program_struct(program: Program) -> ProgramStruct:
     return ProgramStruct(len(program.code), code, constants)
 
 
-def _program_array(programs: Sequence[Program]) -> ctypes.Array[ProgramStruct]:
+def program_array(programs: Sequence[Program]) -> ctypes.Array[ProgramStruct]:
+    """Return the structs of expressions, which must outlive them."""
     structs = map(_program_struct, programs)
     array_type = ProgramStruct * max(len(programs), 1)
     return array_type(*structs)
@@ -306,28 +307,36 @@ class RegressorConstants:
         return 1 + ring + scratch
 
 
+def regressor_struct(
+    constants: RegressorConstants, memory: Vector
+) -> tuple[RegressorStruct, tuple[object, ...]]:
+    """Return cosim_regressor, and what must outlive it."""
+    programs = program_array(constants.alphas)
+    steps = int32(constants.steps)
+    delays = np.array(constants.delays, np.float64)
+    row = int32(constants.row)
+    factor = int32(constants.factor)
+    sign = np.array(constants.sign, np.float64)
+    n_rows = len(constants.steps)
+    n_alphas = len(constants.alphas)
+    n_terms, n_factors = np.shape(constants.factor)
+    timing = (pointer(steps), pointer(delays), ctypes.addressof(programs))
+    products = (pointer(row), pointer(factor), pointer(sign))
+    state = RegressorStruct(
+        n_rows, n_alphas, n_terms, n_factors, *timing, *products, pointer(memory)
+    )
+    keep = (programs, *constants.alphas, steps, delays, row, factor, sign, memory)
+    return state, keep
+
+
 class RegressorStep:
     """The products mu (21)-(25) over a ring of delayed samples."""
 
     def __init__(self, constants: RegressorConstants) -> None:
-        programs = _program_array(constants.alphas)
-        steps = int32(constants.steps)
-        delays = np.array(constants.delays, np.float64)
-        row = int32(constants.row)
-        factor = int32(constants.factor)
-        sign = np.array(constants.sign, np.float64)
         memory = np.zeros(constants.memory)
-        n_rows = len(constants.steps)
-        n_alphas = len(constants.alphas)
-        n_terms, n_factors = np.shape(constants.factor)
-        timing = (pointer(steps), pointer(delays), ctypes.addressof(programs))
-        products = (pointer(row), pointer(factor), pointer(sign))
-        state = RegressorStruct(
-            n_rows, n_alphas, n_terms, n_factors, *timing, *products, pointer(memory)
-        )
-        keep = (programs, *constants.alphas, steps, delays, row, factor, sign)
+        state, keep = regressor_struct(constants, memory)
         function = address("cosim_regressor_step")
-        self.step = NativeStep(function, state, n_y=n_terms, memory=memory, keep=keep)
+        self.step = NativeStep(function, state, n_y=state.terms, memory=memory, keep=keep)
 
     def reset(self) -> None:
         """Forget the past."""

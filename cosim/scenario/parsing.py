@@ -153,6 +153,7 @@ def read(
     maps, map_problems = resolve_maps(valid_tree, document.maps)
     specs, component_problems = _validate_components(file.components)
     connections, connection_problems = _connections(file)
+    connections = _with_implied(specs, connections)
     for key, _ in connection_problems:
         invalid.add(key)
     problems += file_problems + map_problems + component_problems + connection_problems
@@ -225,6 +226,19 @@ def _validate_components(
             except ValidationError as error:
                 problems += problems_of(error, KINDS[kind], table, key)
     return specs, problems
+
+
+def _with_implied(
+    specs: Mapping[str, Kind], connections: Mapping[Port, Connection]
+) -> dict[Port, Connection]:
+    """Add the connections that kinds imply for inputs that the file leaves open."""
+    given = {port.whole for port in connections}
+    result = dict(connections)
+    for name, spec in specs.items():
+        for to, connection in spec.implied_connections(name, connections).items():
+            if to.whole not in given:
+                result[to] = connection
+    return result
 
 
 def _connections(file: File) -> tuple[dict[Port, Connection], list[Problem]]:

@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike
 
 from cosim.arrays import NAN, Matrix, Vector
 from cosim.errors import AssumptionError, nearest
+from cosim.native.estimation import Generators
 
 
 class Family(Protocol):
@@ -45,6 +46,17 @@ class Family(Protocol):
 
     def G(self, theta: Vector) -> Matrix:
         """Compute the system matrix [1/s], shape ``(v, v)``."""
+
+    def search(self, span: float, shortest: float) -> tuple[tuple[float, float], ...]:
+        """Return for each parameter the range in which a start is searched.
+
+        Parameters
+        ----------
+        span : float
+            Length of the record [s].
+        shortest : float
+            Shortest time in which the component may change [s].
+        """
 
     def theta_from_roots(self, z: Sequence[complex], spacing: float) -> Vector:
         """Compute theta from the ``v`` roots of the recurrence with delays ``spacing`` [s] apart.
@@ -70,6 +82,10 @@ class Exponential:
     def G(self, theta: Vector) -> Matrix:
         """Compute the system matrix [1/s], shape ``(1, 1)``."""
         return np.array([[theta[0]]])
+
+    def search(self, span: float, shortest: float) -> tuple[tuple[float, float], ...]:
+        """Return the range from a decay within ``shortest`` to a tenfold growth over ``span``."""
+        return ((-3.0 / shortest, math.log(10.0) / span),)
 
     def theta_from_roots(self, z: Sequence[complex], spacing: float) -> Vector:
         """Compute theta from `z = exp(theta spacing)`; NaN where z is not real and positive."""
@@ -100,6 +116,10 @@ class Sine:
         rate = theta[0]
         return np.array([[0.0, rate], [-rate, 0.0]])
 
+    def search(self, span: float, shortest: float) -> tuple[tuple[float, float], ...]:
+        """Return the range from a quarter of a period over ``span`` to half of one."""
+        return ((0.5 * math.pi / span, math.pi / shortest),)
+
     def theta_from_roots(self, z: Sequence[complex], spacing: float) -> Vector:
         """Compute theta from `z_1 + z_2 = 2 cos(w spacing)`; NaN where that is not in [-2, 2].
 
@@ -111,6 +131,71 @@ class Sine:
             return np.array([NAN])
         rate = math.acos(cosine) / spacing
         return np.array([rate])
+
+
+def generators(families: Sequence[Family]) -> Generators:
+    """Return the matrices of components for the kernels: G is affine in theta.
+
+    Raises
+    ------
+    AssumptionError
+        If there is no component.
+    """
+    if not families:
+        raise AssumptionError("(4): no components; needed at least one")
+    constant_parts = []
+    slopes = []
+    for family in families:
+        zero = np.zeros(len(family.parameters))
+        G0 = family.G(zero)
+        constant_parts.append(G0.ravel())
+        for j in range(len(zero)):
+            unit = zero.copy()
+            unit[j] = 1.0
+            slopes.append((family.G(unit) - G0).ravel())
+    return Generators(
+        size=tuple(family.v for family in families),
+        count=tuple(len(family.parameters) for family in families),
+        c=np.concatenate([family.c for family in families]),
+        G0=np.concatenate(constant_parts),
+        G1=np.concatenate(slopes or [np.zeros(0)]),
+    )
+
+
+@dataclass(frozen=True)
+class SearchBox:
+    """The theta among which a start is searched, and the longest step of an iteration.
+
+    Shapes: ``lower``, ``upper`` and ``step`` ``(n_theta,)``.
+    """
+
+    lower: Vector
+    upper: Vector
+
+    @property
+    def step(self) -> Vector:
+        """A tenth of the box."""
+        return (self.upper - self.lower) / 10.0
+
+
+def search_box(families: Sequence[Family], *, span: float, shortest: float) -> SearchBox:
+    """Return where theta is searched, from the time scales of the data.
+
+    Parameters
+    ----------
+    families : sequence of Family
+    span : float
+        Length of the record [s].
+    shortest : float
+        Shortest time in which a component may change [s].
+    """
+    lower: list[float] = []
+    upper: list[float] = []
+    for family in families:
+        for low, high in family.search(span, shortest):
+            lower.append(low)
+            upper.append(high)
+    return SearchBox(np.array(lower), np.array(upper))
 
 
 @dataclass(frozen=True)
@@ -145,7 +230,7 @@ def family_named(name: str) -> Family:
     """
     if name not in FAMILIES:
         nearest_name = nearest(name, FAMILIES)
-        raise AssumptionError(f"Assumption 3 (5): no disturbance family {name!r}; {nearest_name}")
+        raise AssumptionError(f"no disturbance family {name!r} in this package; {nearest_name}")
     return FAMILIES[name]
 
 

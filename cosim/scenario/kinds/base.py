@@ -12,6 +12,7 @@ from pydantic import Field
 
 from cosim.arrays import Mask, Matrix
 from cosim.core.clock import Clock, whole_steps
+from cosim.core.connections import Connection
 from cosim.core.contracts import Component, Recording
 from cosim.core.linear import Linear, LinearModel
 from cosim.core.port import Port
@@ -173,6 +174,12 @@ class Kind(TomlTable):
     def with_period(self, component: Component, n: int) -> Component:
         """Return the component with its sample period of ``n`` communication steps."""
         return component
+
+    def implied_connections(
+        self, name: str, connections: Mapping[Port, Connection]
+    ) -> Mapping[Port, Connection]:
+        """Return the connections that hold where the file has none for these inputs."""
+        return {}
 
     @abstractmethod
     def build(self, name: str, context: BuildContext) -> Component:

@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import asdict
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
 from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from cosim.arrays import Vector
 from cosim.blocks.identifier import LeastSquaresIdentifier
+from cosim.blocks.output_error_identifier import (
+    IdentificationProblem,
+    IdentificationSchedule,
+    OutputErrorIdentifier,
+)
 from cosim.blocks.regressor import Regressor
 from cosim.blocks.sampled import Decimated
 from cosim.core.clock import LARGEST_NS, whole_steps
+from cosim.core.connections import Connection
 from cosim.core.contracts import Component
 from cosim.core.port import Port
 from cosim.errors import AssumptionError, UsageError
@@ -31,10 +38,12 @@ from cosim.scenario.kinds.base import (
 )
 from cosim.scenario.kinds.jumps import check_continuous
 from cosim.scenario.kinds.observers import UnknownInputObserverKind
-from cosim.scenario.schema import Number, NumberRow, TomlTable
+from cosim.scenario.schema import Flag, Number, NumberRow, NumberRows, TomlTable
 from cosim.theory import observer, regression
 from cosim.theory.disturbance import AlphaGroup, family_named, group_by_alpha
+from cosim.theory.disturbed_plant import disturbed_plant, white_noise
 from cosim.theory.estimators import least_squares
+from cosim.theory.estimators.rayleigh import rayleigh_box, rayleigh_constants
 
 ALPHA_WAY_OUT = (
     "needed a continuous alpha: the regression multiplies alphas of different instants, "
@@ -117,20 +126,64 @@ class StartTable(TomlTable):
 
 
 class IdentifierKind(PeriodicKind, ExportableKind):
-    """Identifier of theta by least squares (33)-(35)."""
+    """Identifier of theta, by output error or by least squares (33)-(35)."""
 
-    ports: ClassVar[str] = "regressor -> theta, eta"
+    ports: ClassVar[str] = "regressor, delta, y, u -> theta, standard_error, deviation, amplitude"
     kind: Literal["identifier"]
-    method: Literal["least-squares"] = Field(description='how theta is estimated: "least-squares"')
-    P0: Number | None = Field(None, description="P(0) = P0 I (34); default: no prior")
+    method: Literal["output-error", "least-squares"] = Field(
+        description='how theta is estimated: "output-error" from y, at the Cramer-Rao bound where '
+        'the noise is white, or "least-squares" from the regression, as in the paper '
+        "(regressor -> theta, eta), which noise makes wrong"
+    )
+    P0: Number | None = Field(
+        None, description="of least-squares: P(0) = P0 I (34); default: no prior"
+    )
     start: Number | StartTable = Field(
-        description="T_id [s], or { epsilon_observer, epsilon_filter } for (36)-(38)"
+        StartTable(epsilon_observer=1e-3, epsilon_filter=1e-3),
+        description="T_id [s], or { epsilon_observer, epsilon_filter } for (36)-(38); "
+        "default: 1e-3 each",
+    )
+    offset: Flag = Field(
+        False, description="of output-error: an unknown constant is on every output"
+    )
+    window: Number | None = Field(
+        None, description="of output-error: length of a moving window [s]; default: all samples"
+    )
+    forgetting: Number | None = Field(
+        None,
+        description="of output-error: time constant in which samples lose their weight [s]; "
+        "default: they keep it",
+    )
+    bounds: NumberRows | None = Field(
+        None,
+        description="of output-error: [lower, upper] for every theta, inf where there is none; "
+        "equal ones fix it",
     )
 
     def with_period(self, component: Component, n: int) -> Component:
         return component if n == 1 else Decimated(component, n)
 
-    def build(self, name: str, context: BuildContext) -> LeastSquaresIdentifier:
+    def implied_connections(
+        self, name: str, connections: Mapping[Port, Connection]
+    ) -> Mapping[Port, Connection]:
+        """Return what drives the observer: output error takes the same signals."""
+        if self.method != "output-error":
+            return {}
+        regressor = _source(connections, Port(name, "regressor"))
+        if regressor is None:
+            return {}
+        delta = Port(regressor.component, "delta")
+        observer_port = _source(connections, delta)
+        if observer_port is None:
+            return {}
+        implied = {Port(name, "delta"): connections[delta]}
+        for to, connection in connections.items():
+            if to.component == observer_port.component and to.signal in ("y", "u"):
+                implied[replace(to, component=name)] = connection
+        return implied
+
+    def build(self, name: str, context: BuildContext) -> Component:
+        self._check_options()
         source_name = context.driver(Port(name, "regressor"))
         spec = None if source_name is None else context.spec(source_name)
         if source_name is None or not isinstance(spec, RegressorKind):
@@ -138,10 +191,17 @@ class IdentifierKind(PeriodicKind, ExportableKind):
                 "'regressor' must be driven directly by a component of kind 'regressor', "
                 "whose terms it identifies"
             )
-        groups, terms = spec.regression()
         spec.steps(context)
-        recovery = least_squares.plan(terms, groups, spec.delays)
         start_time = self._start_time(name, source_name, spec, context)
+        if self.method == "output-error":
+            return self._output_error(name, source_name, spec, start_time, context)
+        return self._least_squares(name, spec, start_time, context)
+
+    def _least_squares(
+        self, name: str, spec: RegressorKind, start_time: float, context: BuildContext
+    ) -> LeastSquaresIdentifier:
+        groups, terms = spec.regression()
+        recovery = least_squares.plan(terms, groups, spec.delays)
         metadata = {
             "P0": self.P0,
             "unknowns": recovery.n_eta,
@@ -150,8 +210,111 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         context.add_metadata(name, metadata)
         return LeastSquaresIdentifier(recovery, start_time=start_time, P0=self.P0)
 
+    def _output_error(
+        self,
+        name: str,
+        regressor_name: str,
+        spec: RegressorKind,
+        start_time: float,
+        context: BuildContext,
+    ) -> OutputErrorIdentifier:
+        problem = self._problem(regressor_name, spec, context)
+        clock = context.clock
+        step = clock.step_ns / 1e9
+        lower, upper = self._bounds(problem.rayleigh.generators.parameters)
+        gaps = np.diff(np.sort(np.array(spec.delays, np.float64)))
+        half_gap = 0.5 * float(gaps.min())
+        schedule = IdentificationSchedule(
+            period=self.period_steps(name, context.step_ns),
+            steps=clock.steps,
+            average=max(1, round(half_gap / step)),
+            window=self._window_steps(name, context.step_ns),
+            forgetting=1.0 if self.forgetting is None else math.exp(-step / self.forgetting),
+            start=start_time,
+            settled=clock.start_time,
+            lag=0.0,
+        )
+        context.add_metadata(name, {"method": self.method})
+        return OutputErrorIdentifier(
+            problem, schedule, offset=self.offset, lower=lower, upper=upper
+        )
+
+    def _problem(
+        self, regressor_name: str, spec: RegressorKind, context: BuildContext
+    ) -> IdentificationProblem:
+        observer_name = context.driver(Port(regressor_name, "delta"))
+        designed_by = None if observer_name is None else context.spec(observer_name)
+        if observer_name is None or not isinstance(designed_by, UnknownInputObserverKind):
+            raise UsageError(
+                'method = "output-error" needs one observer that drives the regressor alone: its '
+                "design model is that of y"
+            )
+        designed = designed_by.design(observer_name, context)
+        reduced = designed.model.reduced
+        n_d = reduced.C5.shape[1]
+        if n_d != 1 or designed.model.constant:
+            what = f"{n_d} unknown disturbances" if n_d != 1 else "a constant input"
+            raise UsageError(
+                f'method = "output-error": the design model of {observer_name!r} has {what}; '
+                'needed one disturbance and no constant input; or method = "least-squares"'
+            )
+        groups, terms = spec.regression()
+        families = [family_named(term.family) for term in spec.terms]
+        clock = context.clock
+        span = clock.steps * clock.step_ns / 1e9
+        constants = rayleigh_constants(families, groups, terms, spec.delays, span=span)
+        realized = observer.realize(reduced, designed.design)
+        n_a = len(reduced.A_a)
+        component = spec.build(regressor_name, context)
+        return IdentificationProblem(
+            plant=disturbed_plant(reduced, len(families)),
+            modes=realized.A,
+            row=realized.C[n_a],
+            rayleigh=constants,
+            products=component.constants,
+            alphas=[compile_expression(term.alpha) for term in spec.terms],
+            box=rayleigh_box(families, spec.delays, span=span),
+            noise=white_noise(len(reduced.C3)),
+        )
+
+    def _check_options(self) -> None:
+        others: tuple[str, ...] = ("P0",)
+        if self.method == "least-squares":
+            others = ("offset", "window", "forgetting", "bounds")
+        for key in others:
+            if key in self.model_fields_set:
+                raise UsageError(f"{key}: not of method {self.method!r}; leave it out")
+        if self.window is not None and self.forgetting is not None:
+            raise UsageError("found both window and forgetting; needed one of them, or none")
+        for key in ("window", "forgetting"):
+            value = getattr(self, key)
+            if value is not None and not 0.0 < value < math.inf:
+                raise UsageError(f"{key}: found {value} s, needed a positive finite time")
+
+    def _window_steps(self, name: str, step_ns: int) -> int:
+        if self.window is None:
+            return 0
+        return whole_steps(self.window, step_ns, f"window of {name!r}")
+
+    def _bounds(self, parameters: int) -> tuple[Vector, Vector]:
+        if self.bounds is None:
+            return np.full(parameters, -np.inf), np.full(parameters, np.inf)
+        rows = [row for row in self.bounds if len(row) == 2 and row[0] <= row[1]]
+        if len(rows) != parameters or len(self.bounds) != parameters:
+            raise UsageError(
+                f"bounds: found {[list(row) for row in self.bounds]}; needed [lower, upper] for "
+                f"each of the {parameters} parameters"
+            )
+        pairs = np.array(rows, np.float64)
+        return pairs[:, 0].copy(), pairs[:, 1].copy()
+
     def exportable(self, name: str, context: BuildContext, wiring: Wiring) -> Exportable:
         component = self.build(name, context)
+        if not isinstance(component, LeastSquaresIdentifier):
+            raise UsageError(
+                f'{name!r}: an identifier with method = "output-error" cannot be exported yet; '
+                'possible: method = "least-squares"'
+            )
         every = self.period_steps(name, context.step_ns)
         held = bool(wiring.held.any())
         kernel = kernels.least_squares(component.constants(component.start_time, held=held))
@@ -240,3 +403,11 @@ def _recovery_notes(recovery: least_squares.Recovery) -> list[str]:
         if group.kind is least_squares.RecoveryKind.EXPONENTIALS:
             notes.append(f"{names}: two exponentials under one alpha come back the larger first")
     return notes
+
+
+def _source(connections: Mapping[Port, Connection], to: Port) -> Port | None:
+    """Return the one port that drives an input as a whole; None: there is no such port."""
+    connection = connections.get(to)
+    if connection is None or len(connection.sources) != 1:
+        return None
+    return connection.sources[0]

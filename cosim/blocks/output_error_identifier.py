@@ -1,0 +1,268 @@
+"""The identifier by output error: theta from y, its start from the regression."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cosim.arrays import Mask, Matrix, Vector
+from cosim.core.contracts import Design, check_design
+from cosim.core.signals import Interface, Signal
+from cosim.native.estimation import (
+    KnownInput,
+    OutputErrorConstants,
+    RayleighConstants,
+)
+from cosim.native.expression import Program
+from cosim.native.identifier import IdentifierConstants, IdentifierStep
+from cosim.native.step import RegressorConstants
+from cosim.theory.disturbance import SearchBox
+from cosim.theory.disturbed_plant import (
+    DisturbedPlant,
+    NoiseModel,
+    discretize,
+    needs_predictor,
+)
+from cosim.theory.estimators.output_error import presence_threshold
+from cosim.theory.estimators.projection import reconstruction_model
+
+_OF_Y = ("Ad", "B0", "B1", "K", "C", "D", "W")
+_OF_DELTA = ("delta_Ad", "delta_C")
+_OF_U = ("Bu0", "Bu1", "Du")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class IdentificationProblem:
+    """What is identified, from which signals.
+
+    Parameters
+    ----------
+    plant : DisturbedPlant
+        The design model of y.
+    modes, row : Matrix (m, m), Vector (m,)
+        The observer's own dynamics, and how they enter delta.
+    rayleigh : RayleighConstants
+        The regression as a function of theta.
+    products : RegressorConstants
+        Of the regressor that makes mu.
+    alphas : sequence of Program
+        The known factor of every component.
+    box : SearchBox
+        Where theta is searched.
+    noise : NoiseModel
+        Of y.
+    """
+
+    plant: DisturbedPlant
+    modes: Matrix
+    row: Vector
+    rayleigh: RayleighConstants
+    products: RegressorConstants
+    alphas: Sequence[Program]
+    box: SearchBox
+    noise: NoiseModel
+
+
+@dataclass(frozen=True, kw_only=True)
+class IdentificationSchedule:
+    """When samples count, and how many.
+
+    Parameters
+    ----------
+    period : int
+        Communication steps between two estimates.
+    steps : int
+        Communication steps of the longest run.
+    average : int
+        Samples of mu that make one row of the regression.
+    window : int
+        Samples of a moving window; 0: all.
+    forgetting : float
+        Weight of a sample over that of the next one; 1: all weigh the same.
+    start : float
+        First instant of which mu counts, the identification start time T_id (36) [s].
+    settled : float
+        First instant of which delta counts [s].
+    lag : float
+        Of delta [s].
+    """
+
+    period: int
+    steps: int
+    average: int
+    window: int
+    forgetting: float
+    start: float
+    settled: float
+    lag: float
+
+
+class OutputErrorIdentifier:
+    """Estimates theta online by output error on y.
+
+    Inputs regressor (mu), delta, y and u; outputs theta, its standard errors, the deviation of the
+    noise of y, and the amplitudes of the components at the beginning of the window. They have no
+    value (NaN) until the data determine them, theta of a component that noise alone explains never.
+    An estimate rests on the samples before its instant.
+
+    Parameters
+    ----------
+    problem : IdentificationProblem
+    schedule : IdentificationSchedule
+    offset : bool
+        A constant on every output is unknown.
+    lower, upper : Vector, shape (P,)
+        Bounds of theta; where they are equal it is known.
+    """
+
+    def __init__(
+        self,
+        problem: IdentificationProblem,
+        schedule: IdentificationSchedule,
+        *,
+        offset: bool,
+        lower: Vector,
+        upper: Vector,
+    ) -> None:
+        self.problem = problem
+        self.schedule = schedule
+        self._offset = offset
+        self._lower = lower
+        self._upper = upper
+        generators = problem.rayleigh.generators
+        n_y, n_u = problem.plant.D.shape
+        inputs = [
+            Signal("regressor", len(problem.rayleigh.parts), optional=True, role="input"),
+            Signal("delta", 1, optional=True, role="input"),
+            Signal("y", n_y, role="input"),
+        ]
+        if n_u:
+            inputs.append(Signal("u", n_u, role="input"))
+        P = generators.parameters
+        outputs = (
+            Signal("theta", P, optional=True, role="estimate"),
+            Signal("standard_error", P, optional=True, role="estimate"),
+            Signal("deviation", 1, optional=True, role="estimate"),
+            Signal("amplitude", generators.order, optional=True, role="estimate"),
+        )
+        names = tuple(signal.name for signal in inputs)
+        self.interface = Interface(
+            tuple(inputs), outputs, delayed=names, prepares=True, rollback=True
+        )
+
+    def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
+        """Discretize the models, or take the recorded matrices."""
+        n_u = self.problem.plant.D.shape[1]
+        held_u = held[len(held) - n_u :]
+        computed = self._design(h, held_u)
+        design = dict(recorded) or computed
+        check_design(design, {name: array.shape for name, array in computed.items()})
+        self._kernel = IdentifierStep(self._constants(h, design))
+        return design
+
+    def _design(self, h: float, held: Mask) -> dict[str, Matrix]:
+        problem = self.problem
+        generators = problem.rayleigh.generators
+        span = self.schedule.steps * h
+        step = np.array([h])
+        predicts = np.array([needs_predictor(problem.plant.A, span)])
+        on_y, known = discretize(
+            problem.plant,
+            generators,
+            step=step,
+            predicts=predicts,
+            noise=problem.noise,
+            held=held,
+        )
+        model = reconstruction_model(problem.modes, problem.row, len(generators.size))
+        white = NoiseModel(covariance=np.eye(1), a=np.zeros(0))
+        never = np.zeros(1, np.bool_)
+        on_delta, _ = discretize(model, generators, step=step, predicts=never, noise=white)
+        design = {name: np.asarray(getattr(on_y, name)) for name in _OF_Y}
+        design["delta_Ad"] = on_delta.Ad
+        design["delta_C"] = on_delta.C
+        design["Bu0"] = known.B0
+        design["Bu1"] = known.B1
+        design["Du"] = known.D
+        design["threshold"] = presence_threshold(generators.size, 1)
+        design["times"] = np.array([self.schedule.start, self.schedule.settled])
+        return design
+
+    def _constants(self, h: float, design: Design) -> IdentifierConstants:
+        problem = self.problem
+        schedule = self.schedule
+        generators = problem.rayleigh.generators
+        components = len(generators.size)
+        m = len(problem.modes)
+        no_input = np.zeros((1, components, m))
+        step = np.array([h])
+        on_delta = OutputErrorConstants(
+            generators=generators,
+            step=step,
+            Ad=design["delta_Ad"],
+            B0=no_input,
+            B1=no_input,
+            K=np.zeros((1, m, 1)),
+            C=design["delta_C"],
+            D=np.ones((components, 1)),
+            W=np.eye(1),
+            a=np.zeros(0),
+        )
+        on_y = OutputErrorConstants(
+            generators=generators,
+            step=step,
+            **{name: design[name] for name in _OF_Y},
+            a=np.zeros(0),
+            offset=self._offset,
+            forgetting=schedule.forgetting,
+        )
+        predicts = np.array([bool(design["K"].any())])
+        known = KnownInput(design["Bu0"], design["Bu1"], design["Du"], predicts)
+        start, settled = design["times"]
+        return IdentifierConstants(
+            period=schedule.period,
+            average=schedule.average,
+            window=schedule.window,
+            capacity=schedule.steps,
+            start=float(start),
+            settled=float(settled),
+            lag=schedule.lag,
+            products=problem.products,
+            alphas=problem.alphas,
+            rayleigh=problem.rayleigh,
+            on_delta=on_delta,
+            on_y=on_y,
+            known=known,
+            lower=self._lower,
+            upper=self._upper,
+            scale=problem.box.step,
+            threshold=design["threshold"],
+        )
+
+    def initialize(self, t: float, u: Vector) -> Vector:
+        """Forget all samples; there is no estimate yet."""
+        self._last = self._kernel.initialize()
+        return self._last.copy()
+
+    def outputs(self, t: float, u: Vector) -> Vector:
+        """Return the last estimate; the samples at this instant do not change it."""
+        return self._last.copy()
+
+    def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
+        """Take K samples, those at the beginning of the K steps."""
+        y = self._kernel.step.advance(t, h, u)
+        if len(y):
+            self._last = y[-1].copy()
+        return y
+
+    def save(self) -> tuple[Vector, Vector]:
+        """Copy the state and the estimate."""
+        return self._kernel.save(), self._last.copy()
+
+    def restore(self, state: tuple[Vector, Vector]) -> None:
+        """Return to a saved state."""
+        memory, last = state
+        self._kernel.restore(memory)
+        self._last = last.copy()

@@ -1,0 +1,563 @@
+"""The kernels that estimate theta from sums of squares: output error and Rayleigh quotient."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from ctypes import POINTER, byref, c_double, c_int32, c_int64, c_void_p
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.arrays import Mask, Matrix, Vector
+from cosim.native.library import int32, library, pointer
+
+MOST_COLUMNS: Final = 48  # COSIM_MOST_COLUMNS
+MOST_PARAMETERS: Final = 16  # COSIM_MOST_PARAMETERS
+MOST_ITERATIONS: Final = 40
+
+NO_INFORMATION: Final = 1  # COSIM_NO_VALUE
+NOT_CONVERGED: Final = 4  # COSIM_NOT_CONVERGED
+
+
+class ParameterState(IntEnum):
+    """What became of a parameter in a fit."""
+
+    ESTIMATED = 0
+    FIXED = 1  # its bounds are equal
+    ABSENT = 2  # noise alone explains its component
+    DEPENDENT = 3  # other parameters have the same effect
+    AT_BOUND = 4
+
+
+class OutputErrorStruct(ctypes.Structure):
+    """cosim_output_error."""
+
+    _fields_ = (
+        *((name, c_int32) for name in ("states", "outputs", "components", "offset", "ar")),
+        *((name, c_void_p) for name in ("size", "count", "c", "G0", "G1")),
+        *((name, c_void_p) for name in ("step", "Ad", "B0", "B1", "K", "C", "D", "W", "a")),
+        ("forgetting", c_double),
+    )
+
+
+class RecordStruct(ctypes.Structure):
+    """cosim_record."""
+
+    _fields_ = (
+        *((name, c_int64) for name in ("first", "end")),
+        *((name, c_void_p) for name in ("residual", "alpha", "interval")),
+    )
+
+
+class ExperimentStruct(ctypes.Structure):
+    """cosim_experiment."""
+
+    _fields_ = (
+        ("model", c_void_p),
+        ("record", RecordStruct),
+        *((name, c_void_p) for name in ("work", "amplitudes")),
+    )
+
+
+class KnownInputStruct(ctypes.Structure):
+    """cosim_known_input."""
+
+    _fields_ = (
+        ("inputs", c_int32),
+        *((name, c_void_p) for name in ("B0", "B1", "D", "predicts")),
+    )
+
+
+class FitStruct(ctypes.Structure):
+    """cosim_fit."""
+
+    _fields_ = (
+        *((name, c_int32) for name in ("experiments", "components", "parameters")),
+        *((name, c_int32) for name in ("most_iterations", "iterations")),
+        *((name, c_void_p) for name in ("experiment", "count", "lower", "upper", "scale")),
+        ("threshold", c_void_p),
+        *((name, c_double) for name in ("accuracy", "tolerance")),
+        *((name, c_void_p) for name in ("theta", "estimate", "covariance", "statistics", "state")),
+        *((name, c_double) for name in ("variance", "freedom")),
+    )
+
+
+class RayleighStruct(ctypes.Structure):
+    """cosim_rayleigh."""
+
+    _fields_ = (
+        *((name, c_int32) for name in ("components", "parameters", "rows", "groups", "terms")),
+        *((name, c_void_p) for name in ("size", "count", "group", "c", "G0", "G1", "delays")),
+        *((name, c_void_p) for name in ("parts", "lower", "upper")),
+        ("points", c_int32),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Generators:
+    """The components of a disturbance as autonomous linear systems (4)-(5).
+
+    ``f_i = c_i' expm(G_i t) beta_i`` with ``G_i = G0_i + sum_j theta_ij G1_ij``.
+
+    Parameters
+    ----------
+    size : tuple of int
+        V_i.
+    count : tuple of int
+        Parameters of each component.
+    c, G0, G1 : Vector
+        Those of all components one behind the other.
+    """
+
+    size: tuple[int, ...]
+    count: tuple[int, ...]
+    c: Vector
+    G0: Vector
+    G1: Vector
+
+    @property
+    def order(self) -> int:
+        """The number of basis functions."""
+        return sum(self.size)
+
+    @property
+    def parameters(self) -> int:
+        """The number of entries of theta."""
+        return sum(self.count)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class OutputErrorConstants:
+    """The numbers of cosim_output_error.
+
+    Parameters
+    ----------
+    generators : Generators
+    step : Vector, shape (n_intervals,)
+        Lengths of the intervals between samples that differ [s].
+    Ad : shape (n_intervals, n, n)
+    B0, B1 : shape (n_intervals, components, n)
+        The effect of the disturbance at both ends of the interval.
+    K : shape (n_intervals, n, n_y)
+        Gain of the predictor, which Ad and B0 contain.
+    C : Matrix, shape (n_y, n)
+    D : Matrix, shape (components, n_y)
+    W : Matrix, shape (n_y, n_y)
+        Makes the noise of the outputs white, of equal deviation.
+    a : Vector, shape (order,)
+        Autoregressive model of the noise.
+    offset : bool
+        A constant on every output is unknown.
+    forgetting : float
+        Weight of a sample over that of the next one.
+    """
+
+    generators: Generators
+    step: Vector
+    Ad: NDArray[np.float64]
+    B0: NDArray[np.float64]
+    B1: NDArray[np.float64]
+    K: NDArray[np.float64]
+    C: Matrix
+    D: Matrix
+    W: Matrix
+    a: Vector
+    offset: bool = False
+    forgetting: float = 1.0
+
+
+class OutputErrorModel:
+    """The regression matrix of a disturbed plant, pass by pass over samples."""
+
+    def __init__(self, constants: OutputErrorConstants) -> None:
+        generators = constants.generators
+        self.constants = constants
+        arrays: list[NDArray[Any]] = [int32(generators.size), int32(generators.count)]
+        for values in (
+            generators.c,
+            generators.G0,
+            generators.G1,
+            constants.step,
+            constants.Ad,
+            constants.B0,
+            constants.B1,
+            constants.K,
+            constants.C,
+            constants.D,
+            constants.W,
+            constants.a,
+        ):
+            arrays.append(np.ascontiguousarray(values, np.float64))
+        n_y, n = constants.C.shape
+        self.outputs = n_y
+        self.linear = generators.order + n + (n_y if constants.offset else 0)
+        self._keep = arrays
+        self.struct = OutputErrorStruct(
+            n,
+            n_y,
+            len(generators.size),
+            int(constants.offset),
+            len(constants.a),
+            *map(pointer, arrays),
+            constants.forgetting,
+        )
+        self.memory = int(library.cosim_output_error_memory(byref(self.struct)))
+        self.columns = int(library.cosim_output_error_columns(byref(self.struct)))
+
+
+@dataclass(frozen=True, eq=False)
+class KnownInput:
+    """The numbers of cosim_known_input.
+
+    Parameters
+    ----------
+    B0, B1 : shape (n_intervals, n, n_u)
+        The effect of the inputs at both ends of an interval.
+    D : Matrix, shape (n_y, n_u)
+    predicts : shape (n_intervals,)
+        Whether the gain of the predictor is used.
+    """
+
+    B0: NDArray[np.float64]
+    B1: NDArray[np.float64]
+    D: Matrix
+    predicts: Mask
+
+
+def known_input_struct(known: KnownInput) -> tuple[KnownInputStruct, list[NDArray[Any]]]:
+    """Return the struct, and the arrays that must outlive it."""
+    arrays: list[NDArray[Any]] = []
+    for values in (known.B0, known.B1, known.D):
+        arrays.append(np.ascontiguousarray(values, np.float64))
+    arrays.append(np.ascontiguousarray(known.predicts, np.uint8))
+    return KnownInputStruct(known.D.shape[1], *map(pointer, arrays)), arrays
+
+
+def residual_of(
+    model: OutputErrorModel,
+    known: KnownInput,
+    *,
+    u: Matrix,
+    y: Matrix,
+    interval: NDArray[np.integer] | None,
+) -> Matrix:
+    """Compute y less its known part, the response to u from x(0) = 0, shape (N, n_y)."""
+    struct, _keep = known_input_struct(known)
+    u = np.ascontiguousarray(u, np.float64)
+    y = np.ascontiguousarray(y, np.float64)
+    intervals = None if interval is None else int32(interval)
+    states = np.zeros(2 * model.struct.states + 1)
+    residual = np.empty_like(y)
+    library.cosim_output_error_residual(
+        byref(model.struct),
+        byref(struct),
+        0,
+        len(y),
+        pointer(u),
+        pointer(y),
+        None if intervals is None else pointer(intervals),
+        pointer(states),
+        pointer(residual),
+    )
+    return residual
+
+
+class ResponseRecord:
+    """Samples of one experiment beside the model of its outputs.
+
+    Parameters
+    ----------
+    model : OutputErrorModel
+    residual : Matrix, shape (N, n_y)
+        The outputs less their known part; NaN where not measured.
+    alpha : Matrix, shape (N, components)
+    interval : array of int, shape (N,), optional
+        Which of the model's intervals ends at each sample; by default the first.
+    """
+
+    def __init__(
+        self,
+        model: OutputErrorModel,
+        residual: Matrix,
+        alpha: Matrix,
+        interval: NDArray[np.integer] | None = None,
+    ) -> None:
+        self.model = model
+        self.residual = np.ascontiguousarray(residual, np.float64)
+        self.alpha = np.ascontiguousarray(alpha, np.float64)
+        self.interval = None if interval is None else int32(interval)
+        self.work = np.zeros(model.memory)
+        self.amplitudes = np.zeros(max(model.linear, 1))
+        intervals = None if self.interval is None else pointer(self.interval)
+        record = RecordStruct(
+            0, len(self.residual), pointer(self.residual), pointer(self.alpha), intervals
+        )
+        self.struct = ExperimentStruct(
+            ctypes.addressof(model.struct), record, pointer(self.work), pointer(self.amplitudes)
+        )
+
+    @property
+    def R(self) -> Matrix:
+        """The upper triangle of [basis, x(0), offset, d basis/d theta, residual]."""
+        M = self.model.columns
+        return self.work[: M * M].reshape(M, M)
+
+    def rows(self, theta: Vector) -> NDArray[np.float64]:
+        """Compute the weighted rows at ``theta``, shape (N, n_y, columns), without the filter."""
+        theta = np.ascontiguousarray(theta, np.float64)
+        shape = (len(self.residual), self.model.outputs, self.model.columns)
+        rows = np.empty(shape)
+        record = byref(self.struct.record)
+        addresses = (pointer(self.work), pointer(rows))
+        library.cosim_output_error_rows(
+            byref(self.model.struct), pointer(theta), record, *addresses
+        )
+        return rows
+
+    def make(self, theta: Vector) -> Matrix:
+        """Pass over all samples at ``theta``; return R."""
+        theta = np.ascontiguousarray(theta, np.float64)
+        model = byref(self.model.struct)
+        work = pointer(self.work)
+        library.cosim_output_error_start(model, pointer(theta), work)
+        record = self.struct.record
+        library.cosim_output_error_take(
+            model, pointer(theta), byref(record), 0, len(self.residual), work
+        )
+        return self.R.copy()
+
+
+@dataclass(frozen=True, eq=False)
+class GaussNewtonResult:
+    """What :func:`minimize` found.
+
+    Parameters
+    ----------
+    status : int
+        0, NO_INFORMATION or NOT_CONVERGED.
+    theta : Vector, shape (P,)
+    covariance : Matrix, shape (P, P)
+        From the variance of the residual; zero where not estimated.
+    variance : float
+        Of the residual, weighted.
+    freedom : float
+        Samples less unknowns.
+    statistics : Vector, shape (components,)
+        ``beta' C^-1 beta`` with the covariance C of beta for noise of deviation 1.
+    states : tuple of ParameterState
+    iterations : int
+    """
+
+    status: int
+    theta: Vector
+    covariance: Matrix
+    variance: float
+    freedom: float
+    statistics: Vector
+    states: tuple[ParameterState, ...]
+    iterations: int
+
+
+def minimize(
+    records: Sequence[ResponseRecord],
+    theta: Vector,
+    *,
+    lower: Vector,
+    upper: Vector,
+    scale: Vector,
+    threshold: Vector,
+    accuracy: float,
+) -> GaussNewtonResult:
+    """Minimize the weighted squares of the residuals of all records over theta.
+
+    Parameters
+    ----------
+    records : sequence of ResponseRecord
+        Of the same disturbance; afterwards their ``amplitudes`` are those of the minimum.
+    theta : Vector, shape (P,)
+        Where to start.
+    lower, upper : Vector, shape (P,)
+        Bounds; where they are equal theta is known.
+    scale : Vector, shape (P,)
+        Longest steps.
+    threshold : Vector, shape (components,)
+        Statistic, in variances of the residual, from which on a component is no noise.
+    accuracy : float
+        Of a weighted residual: smaller ones are rounding.
+    """
+    generators = records[0].model.constants.generators
+    P = generators.parameters
+    components = len(generators.size)
+    structs = (ExperimentStruct * len(records))(*(one.struct for one in records))
+    count = int32(generators.count)
+    inputs = [np.array(values, np.float64) for values in (lower, upper, scale, threshold)]
+    at = np.array(theta, np.float64)
+    estimate = np.array(theta, np.float64)
+    covariance = np.zeros((P, P))
+    statistics = np.zeros(components)
+    states = np.zeros(P, np.uint8)
+    outputs: list[NDArray[Any]] = [at, estimate, covariance, statistics, states]
+    fit = FitStruct(
+        len(records),
+        components,
+        P,
+        MOST_ITERATIONS,
+        0,
+        ctypes.addressof(structs),
+        pointer(count),
+        *map(pointer, inputs),
+        accuracy,
+        1.0,
+        *map(pointer, outputs),
+    )
+    status = int(library.cosim_output_error_fit(byref(fit)))
+    return GaussNewtonResult(
+        status,
+        estimate,
+        covariance,
+        fit.variance,
+        fit.freedom,
+        statistics,
+        tuple(ParameterState(int(state)) for state in states),
+        fit.iterations,
+    )
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RayleighConstants:
+    """The numbers of cosim_rayleigh.
+
+    Parameters
+    ----------
+    generators : Generators
+    group : tuple of int
+        Which group of (21) each component belongs to.
+    delays : tuple of float
+        D_j [s].
+    parts : array of int, shape (terms, delays - 1)
+        The rows R_b of all groups, one group behind the other.
+    lower, upper : Vector, shape (P,)
+        The box that is searched.
+    points : int
+        Of the grid of starts, in every direction.
+    """
+
+    generators: Generators
+    group: tuple[int, ...]
+    delays: tuple[float, ...]
+    parts: NDArray[np.integer]
+    lower: Vector
+    upper: Vector
+    points: int
+
+
+class RayleighModel:
+    """The quotient chi' S chi / chi' N chi as a function of theta."""
+
+    def __init__(self, constants: RayleighConstants) -> None:
+        generators = constants.generators
+        arrays: list[NDArray[Any]] = [
+            int32(generators.size),
+            int32(generators.count),
+            int32(constants.group),
+        ]
+        for values in (generators.c, generators.G0, generators.G1, constants.delays):
+            arrays.append(np.array(values, np.float64))
+        arrays.append(int32(constants.parts))
+        arrays.append(np.array(constants.lower, np.float64))
+        arrays.append(np.array(constants.upper, np.float64))
+        self._keep = arrays
+        terms = len(constants.parts)
+        self.struct = RayleighStruct(
+            len(generators.size),
+            generators.parameters,
+            len(constants.delays),
+            max(constants.group) + 1,
+            terms,
+            *map(pointer, arrays),
+            constants.points,
+        )
+
+    def minimize(self, R: Matrix, N: Matrix, theta: Vector | None) -> tuple[int, Vector, float]:
+        """Minimize from ``theta``, or from the best points of the grid.
+
+        Returns
+        -------
+        tuple of int, Vector and float
+            Status, theta and quotient.
+        """
+        R = np.ascontiguousarray(R, np.float64)
+        N = np.ascontiguousarray(N, np.float64)
+        value = c_double()
+        found = np.zeros(self.struct.parameters)
+        function = library.cosim_rayleigh_search
+        if theta is not None:
+            found[:] = theta
+            function = library.cosim_rayleigh_minimize
+        status = int(
+            function(byref(self.struct), pointer(R), pointer(N), pointer(found), byref(value))
+        )
+        return status, found, value.value
+
+
+def triangle(rows: Matrix, R: Matrix | None = None) -> Matrix:
+    """Rotate rows, shape ``(N, n)``, into an upper triangle R with R'R = sum of their products."""
+    n = rows.shape[1]
+    result = np.zeros((n, n)) if R is None else np.array(R, np.float64)
+    block = 256
+    work = np.empty(n)
+    for begin in range(0, len(rows), block):
+        part = np.array(rows[begin : begin + block], np.float64)
+        library.cosim_householder(n, pointer(result), len(part), pointer(part), pointer(work))
+    return result
+
+
+SIGNATURES: Final = {
+    "cosim_householder": (None, (c_int32, c_void_p, c_int32, c_void_p, c_void_p)),
+    "cosim_output_error_memory": (c_int64, (POINTER(OutputErrorStruct),)),
+    "cosim_output_error_columns": (c_int32, (POINTER(OutputErrorStruct),)),
+    "cosim_output_error_start": (None, (POINTER(OutputErrorStruct), c_void_p, c_void_p)),
+    "cosim_output_error_take": (
+        None,
+        (
+            POINTER(OutputErrorStruct),
+            c_void_p,
+            POINTER(RecordStruct),
+            c_int64,
+            c_int64,
+            c_void_p,
+        ),
+    ),
+    "cosim_output_error_residual": (
+        None,
+        (
+            POINTER(OutputErrorStruct),
+            POINTER(KnownInputStruct),
+            c_int64,
+            c_int64,
+            *(c_void_p,) * 5,
+        ),
+    ),
+    "cosim_output_error_rows": (
+        None,
+        (POINTER(OutputErrorStruct), c_void_p, POINTER(RecordStruct), c_void_p, c_void_p),
+    ),
+    "cosim_output_error_fit": (c_int32, (POINTER(FitStruct),)),
+    "cosim_output_error_update": (c_int32, (POINTER(FitStruct),)),
+    "cosim_rayleigh_minimize": (
+        c_int32,
+        (POINTER(RayleighStruct), c_void_p, c_void_p, c_void_p, POINTER(c_double)),
+    ),
+    "cosim_rayleigh_search": (
+        c_int32,
+        (POINTER(RayleighStruct), c_void_p, c_void_p, c_void_p, POINTER(c_double)),
+    ),
+}
+for _name, (_result, _arguments) in SIGNATURES.items():
+    _function = getattr(library, _name)
+    _function.restype = _result
+    _function.argtypes = _arguments

@@ -1,0 +1,67 @@
+#include "cosim.h"
+
+#include <math.h>
+
+/* One reflection a column: it maps (R_jj, block_0j, block_1j, ...) to (-+norm, 0, 0, ...). */
+void cosim_householder(int32_t n, double *R, int32_t rows, double *block, double *work)
+{
+    for (int32_t j = 0; j < n; ++j) {
+        double *r = R + (int64_t)j * n;
+        double squares = 0.0;
+        for (int32_t i = 0; i < rows; ++i)
+            squares += block[i * n + j] * block[i * n + j];
+        if (squares == 0.0)
+            continue;
+        const double norm = sqrt(r[j] * r[j] + squares);
+        const double reflected = r[j] > 0.0 ? -norm : norm;
+        const double v = r[j] - reflected;
+        const double factor = 1.0 / (norm * (norm + fabs(r[j])));
+        for (int32_t c = j + 1; c < n; ++c)
+            work[c] = v * r[c];
+        for (int32_t i = 0; i < rows; ++i) {
+            const double *row = block + i * n;
+            const double vi = row[j];
+            for (int32_t c = j + 1; c < n; ++c)
+                work[c] += vi * row[c];
+        }
+        for (int32_t c = j + 1; c < n; ++c) {
+            work[c] *= factor;
+            r[c] -= v * work[c];
+        }
+        for (int32_t i = 0; i < rows; ++i) {
+            double *row = block + i * n;
+            const double vi = row[j];
+            for (int32_t c = j + 1; c < n; ++c)
+                row[c] -= vi * work[c];
+        }
+        r[j] = reflected;
+    }
+}
+
+void cosim_solve_upper(int32_t n, int32_t stride, const double *R, const double *b,
+                       int32_t b_stride, double *x)
+{
+    for (int32_t i = n - 1; i >= 0; --i) {
+        double sum = b[i * b_stride];
+        for (int32_t j = i + 1; j < n; ++j)
+            sum -= R[i * stride + j] * x[j];
+        x[i] = sum / R[i * stride + i];
+    }
+}
+
+void cosim_covariance(int32_t n, int32_t stride, const double *R, double *covariance, double *work)
+{
+    double *column = work, *inverse = work + n;
+    for (int32_t j = 0; j < n; ++j) {
+        for (int32_t i = 0; i < n; ++i)
+            column[i] = i == j ? 1.0 : 0.0;
+        cosim_solve_upper(n, stride, R, column, 1, inverse + j * n);
+    }
+    for (int32_t a = 0; a < n; ++a)
+        for (int32_t b = 0; b < n; ++b) {
+            double sum = 0.0;
+            for (int32_t j = 0; j < n; ++j)
+                sum += inverse[j * n + a] * inverse[j * n + b];
+            covariance[a * n + b] = sum;
+        }
+}

@@ -1,0 +1,161 @@
+"""The online identifier: output error, its start searched by the Rayleigh quotient."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from ctypes import byref, c_double, c_int32, c_int64, c_void_p
+from dataclasses import dataclass
+
+import numpy as np
+
+from cosim.arrays import Vector
+from cosim.native.estimation import (
+    KnownInput,
+    OutputErrorConstants,
+    OutputErrorModel,
+    RayleighConstants,
+    RayleighModel,
+    known_input_struct,
+)
+from cosim.native.expression import Program
+from cosim.native.library import address, library, pointer
+from cosim.native.step import NativeStep, RegressorConstants, program_array, regressor_struct
+
+
+class IdentifierStruct(ctypes.Structure):
+    """cosim_identifier."""
+
+    _fields_ = (
+        *((name, c_int32) for name in ("period", "width", "average")),
+        *((name, c_int64) for name in ("window", "capacity")),
+        *((name, c_double) for name in ("start", "settled", "lag", "weight")),
+        *((name, c_void_p) for name in ("products", "alphas", "rayleigh", "on_delta", "on_y")),
+        *((name, c_void_p) for name in ("known", "lower", "upper", "scale", "threshold")),
+        ("memory", c_void_p),
+    )
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class IdentifierConstants:
+    """The numbers of cosim_identifier.
+
+    Parameters
+    ----------
+    period : int
+        Samples between two estimates.
+    average : int
+        Samples of mu that make one row of the regression.
+    window : int
+        Samples of a moving window; 0: all.
+    capacity : int
+        Samples that may come.
+    start, settled : float
+        First instant of which mu, and of which delta counts [s].
+    lag : float
+        Of delta [s].
+    products : RegressorConstants
+        Of the regressor that makes mu.
+    alphas : sequence of Program
+        One a component.
+    rayleigh : RayleighConstants
+    on_delta, on_y : OutputErrorConstants
+        The models of delta and of y.
+    known : KnownInput
+        The effect of u on y.
+    lower, upper, scale : Vector, shape (P,)
+        Bounds of theta, and its longest step.
+    threshold : Vector, shape (components,)
+        Statistic from which on a component is no noise.
+    """
+
+    period: int
+    average: int
+    window: int
+    capacity: int
+    start: float
+    settled: float
+    lag: float
+    products: RegressorConstants
+    alphas: Sequence[Program]
+    rayleigh: RayleighConstants
+    on_delta: OutputErrorConstants
+    on_y: OutputErrorConstants
+    known: KnownInput
+    lower: Vector
+    upper: Vector
+    scale: Vector
+    threshold: Vector
+
+    @property
+    def n_y(self) -> int:
+        """The number of outputs: theta, its standard errors, the deviation, the amplitudes."""
+        generators = self.on_y.generators
+        return 2 * generators.parameters + 1 + generators.order
+
+
+class IdentifierStep:
+    """The identifier bound to its memory."""
+
+    def __init__(self, constants: IdentifierConstants) -> None:
+        on_delta = OutputErrorModel(constants.on_delta)
+        on_y = OutputErrorModel(constants.on_y)
+        rayleigh = RayleighModel(constants.rayleigh)
+        known, keep_known = known_input_struct(constants.known)
+        ring = np.zeros(constants.products.memory)
+        products, keep_products = regressor_struct(constants.products, ring)
+        programs = program_array(constants.alphas)
+        vectors = [
+            np.array(values, np.float64)
+            for values in (
+                constants.lower,
+                constants.upper,
+                constants.scale,
+                constants.threshold,
+            )
+        ]
+        weight = float(np.abs(constants.on_y.W).max())
+        structs = (products, programs, rayleigh.struct, on_delta.struct, on_y.struct, known)
+        state = IdentifierStruct(
+            constants.period,
+            constants.n_y,
+            constants.average,
+            constants.window,
+            constants.capacity,
+            constants.start,
+            constants.settled,
+            constants.lag,
+            weight,
+            *map(ctypes.addressof, structs),
+            *map(pointer, vectors),
+        )
+        memory = np.zeros(int(library.cosim_identifier_memory(byref(state))))
+        state.memory = pointer(memory)
+        self._small = int(library.cosim_identifier_state(byref(state)))
+        keep = (on_delta, on_y, rayleigh, keep_known, keep_products, *structs, *vectors)
+        function = address("cosim_identifier_step")
+        self.step = NativeStep(function, state, n_y=constants.n_y, memory=memory, keep=keep)
+
+    def initialize(self) -> Vector:
+        """Forget all samples and return the outputs, which have no value yet."""
+        y = np.empty(self.step.n_y)
+        library.cosim_identifier_start(byref(self.step.state), pointer(y))
+        return y
+
+    def save(self) -> Vector:
+        """Copy the state; samples are only ever appended, so they stay."""
+        return self.step.memory[: self._small].copy()
+
+    def restore(self, state: Vector) -> None:
+        """Return to a saved state."""
+        self.step.memory[: self._small] = state
+
+
+for _name, (_result, _arguments) in {
+    "cosim_identifier_memory": (c_int64, (c_void_p,)),
+    "cosim_identifier_state": (c_int64, (c_void_p,)),
+    "cosim_identifier_start": (None, (c_void_p, c_void_p)),
+}.items():
+    _function = getattr(library, _name)
+    _function.restype = _result
+    _function.argtypes = _arguments

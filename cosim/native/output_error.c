@@ -1,0 +1,734 @@
+#include "cosim.h"
+
+#include <float.h>
+#include <math.h>
+#include <string.h>
+
+#define BLOCK 64              /* rows that are gathered before they are rotated into R */
+#define DEPENDENT 0x1p-40     /* pivot over the length of its column below which that is dependent */
+#define HALVINGS 12           /* of a step that does not reduce the sum of squares */
+#define SMALL_STEP 0.05       /* in standard errors: what Gauss and Newton leave then is its square */
+#define SMALLEST_STEP 0x1p-43 /* relative to theta: rounding */
+
+/* --- the columns of the regression matrix, and where things stand in `work` --- */
+
+typedef struct {
+    int32_t basis;       /* columns of the amplitudes beta_i(0) */
+    int32_t linear;      /* these, x(0) and the offset */
+    int32_t derivatives; /* of the basis by theta */
+    int32_t columns;     /* linear, derivatives, and the residual */
+    int32_t parameters;
+    int32_t largest; /* V_i */
+    int32_t E, F;    /* doubles of all E and F */
+} layout;
+
+static layout layout_of(const cosim_output_error *s)
+{
+    layout l = {0};
+    for (int32_t i = 0; i < s->components; ++i) {
+        const int32_t V = s->size[i];
+        l.basis += V;
+        l.derivatives += s->count[i] * V;
+        l.parameters += s->count[i];
+        l.largest = V > l.largest ? V : l.largest;
+        l.E += V * V;
+        l.F += s->count[i] * V * V;
+    }
+    l.linear = l.basis + s->states + (s->offset ? s->outputs : 0);
+    l.columns = l.linear + l.derivatives + 1;
+    return l;
+}
+
+typedef struct {
+    double *R;                     /* (columns, columns), first: others read it */
+    double *rows, *interval, *lag; /* rows in R; interval of E; rows since the last gap */
+    double *X, *next;              /* (states, columns) responses */
+    double *input0, *input1;       /* (columns) disturbances of the columns at both ends */
+    double *basis, *advanced;      /* (basis + derivatives) c' expm(G t) and its derivatives */
+    double *E, *F;                 /* expm(G h), and its derivatives */
+    double *ring;                  /* (ar, outputs, columns) rows before the filter */
+    double *block;                 /* (BLOCK, columns) */
+    double *scratch;
+    int64_t size;
+} parts;
+
+static parts parts_of(const cosim_output_error *s, layout l, double *work)
+{
+    const int64_t M = l.columns, N = 2 * l.largest;
+    const int64_t exponential = 4 * N * N, rows = (s->outputs + 1) * M;
+    parts p;
+    double *next = work;
+    p.R = next, next += M * M;
+    p.rows = next++;
+    p.interval = next++;
+    p.lag = next++;
+    p.X = next, next += s->states * M;
+    p.next = next, next += s->states * M;
+    p.input0 = next, next += M;
+    p.input1 = next, next += M;
+    p.basis = next, next += l.basis + l.derivatives;
+    p.advanced = next, next += l.basis + l.derivatives;
+    p.E = next, next += l.E;
+    p.F = next, next += l.F;
+    p.ring = next, next += (int64_t)s->ar * s->outputs * M;
+    p.block = next, next += BLOCK * M;
+    p.scratch = next, next += exponential > rows ? exponential : rows;
+    p.size = next - work;
+    return p;
+}
+
+int64_t cosim_output_error_memory(const cosim_output_error *s)
+{
+    return parts_of(s, layout_of(s), NULL).size;
+}
+
+int32_t cosim_output_error_columns(const cosim_output_error *s) { return layout_of(s).columns; }
+
+/* --- the known part of the outputs --- */
+
+void cosim_output_error_residual(const cosim_output_error *s, const cosim_known_input *known,
+                                 int64_t begin, int64_t end, const double *u, const double *y,
+                                 const int32_t *interval, double *x, double *residual)
+{
+    const int32_t n = s->states, m = known->inputs, outputs = s->outputs;
+    double *next = x + n;
+    for (int64_t k = begin; k < end; ++k) {
+        if (k > 0) {
+            const int64_t i = interval ? interval[k] : 0;
+            cosim_multiply(n, n, s->Ad + i * n * n, x, next);
+            cosim_multiply_add(n, m, known->B0 + i * n * m, u + (k - 1) * m, next);
+            cosim_multiply_add(n, m, known->B1 + i * n * m, u + k * m, next);
+            if (known->predicts[i])
+                cosim_multiply_add(n, outputs, s->K + i * n * outputs, y + (k - 1) * outputs, next);
+            memcpy(x, next, (size_t)n * sizeof *x);
+        }
+        double *r = residual + k * outputs;
+        cosim_multiply(outputs, n, s->C, x, r);
+        cosim_multiply_add(outputs, m, known->D, u + k * m, r);
+        for (int32_t o = 0; o < outputs; ++o)
+            r[o] = y[k * outputs + o] - r[o];
+    }
+}
+
+/* --- one pass over samples, for given theta --- */
+
+/* expm([[G, G_j], [0, G]] h) = [[E, F_j], [0, E]] with F_j the derivative of E = expm(G h) by
+ * theta_j (C. Van Loan, IEEE Trans. Automatic Control, 1978). */
+static void set_interval(const cosim_output_error *s, const double *theta, int32_t interval,
+                         const parts *p)
+{
+    const double h = s->step[interval];
+    const double *G0 = s->G0, *G1 = s->G1;
+    double *E = p->E, *F = p->F;
+    for (int32_t i = 0; i < s->components; ++i) {
+        const int32_t V = s->size[i], N = 2 * V;
+        double *A = p->scratch, *expA = A + N * N;
+        for (int32_t j = 0; j < s->count[i] || j == 0; ++j) {
+            memset(A, 0, (size_t)(N * N) * sizeof *A);
+            for (int32_t a = 0; a < V; ++a)
+                for (int32_t b = 0; b < V; ++b) {
+                    double G = G0[a * V + b];
+                    for (int32_t k = 0; k < s->count[i]; ++k)
+                        G += theta[k] * G1[(k * V + a) * V + b];
+                    A[a * N + b] = G * h;
+                    A[(V + a) * N + V + b] = G * h;
+                    A[a * N + V + b] = s->count[i] ? G1[(j * V + a) * V + b] * h : 0.0;
+                }
+            cosim_exponential(N, A, expA, expA + N * N);
+            for (int32_t a = 0; a < V; ++a)
+                for (int32_t b = 0; b < V; ++b) {
+                    E[a * V + b] = expA[a * N + b];
+                    if (j < s->count[i])
+                        F[(j * V + a) * V + b] = expA[a * N + V + b];
+                }
+        }
+        E += V * V, F += s->count[i] * V * V;
+        G0 += V * V, G1 += s->count[i] * V * V;
+        theta += s->count[i];
+    }
+    *p->interval = interval;
+}
+
+void cosim_output_error_start(const cosim_output_error *s, const double *theta, double *work)
+{
+    const layout l = layout_of(s);
+    const parts p = parts_of(s, l, work);
+    memset(work, 0, (size_t)(p.scratch - work) * sizeof *work);
+    for (int32_t i = 0; i < s->states; ++i)
+        p.X[i * l.columns + l.basis + i] = 1.0;
+    for (int32_t k = 0; k < l.basis; ++k)
+        p.basis[k] = s->c[k];
+    set_interval(s, theta, 0, &p);
+}
+
+/* q' = q E and s_j' = s_j E + q F_j for the rows q = c' expm(G t) and s_j = dq/dtheta_j. */
+static void advance_basis(const cosim_output_error *s, layout l, const parts *p)
+{
+    const double *E = p->E, *F = p->F;
+    const double *q = p->basis, *slope = p->basis + l.basis;
+    double *q_next = p->advanced, *slope_next = p->advanced + l.basis;
+    for (int32_t i = 0; i < s->components; ++i) {
+        const int32_t V = s->size[i];
+        for (int32_t b = 0; b < V; ++b) {
+            double sum = 0.0;
+            for (int32_t a = 0; a < V; ++a)
+                sum += q[a] * E[a * V + b];
+            q_next[b] = sum;
+        }
+        for (int32_t j = 0; j < s->count[i]; ++j)
+            for (int32_t b = 0; b < V; ++b) {
+                double sum = 0.0;
+                for (int32_t a = 0; a < V; ++a)
+                    sum += slope[j * V + a] * E[a * V + b] + q[a] * F[(j * V + a) * V + b];
+                slope_next[j * V + b] = sum;
+            }
+        E += V * V, F += s->count[i] * V * V;
+        q += V, q_next += V;
+        slope += s->count[i] * V, slope_next += s->count[i] * V;
+    }
+    memcpy(p->basis, p->advanced, (size_t)(l.basis + l.derivatives) * sizeof *p->basis);
+}
+
+/* What disturbs each column now: alpha_i times its row; nothing where it is no disturbance. */
+static void set_inputs(const cosim_output_error *s, layout l, const parts *p, const double *alpha,
+                       double *input)
+{
+    const double *q = p->basis, *slope = p->basis + l.basis;
+    double *column = input, *derivative = input + l.linear;
+    for (int32_t i = 0; i < s->components; ++i) {
+        const int32_t V = s->size[i], count = s->count[i] * V;
+        for (int32_t b = 0; b < V; ++b)
+            column[b] = alpha[i] * q[b];
+        for (int32_t b = 0; b < count; ++b)
+            derivative[b] = alpha[i] * slope[b];
+        q += V, column += V;
+        slope += count, derivative += count;
+    }
+}
+
+static void add_input(int32_t count, double b0, double b1, const double *input0,
+                      const double *input1, double *x)
+{
+    for (int32_t c = 0; c < count; ++c)
+        x[c] += b0 * input0[c] + b1 * input1[c];
+}
+
+/* x' = Ad x + B0 input0 + B1 input1 for every column, and less K for an offset. */
+static void advance_responses(const cosim_output_error *s, layout l, const parts *p,
+                              int32_t interval)
+{
+    const int32_t n = s->states, M = l.columns;
+    const double *Ad = s->Ad + (int64_t)interval * n * n;
+    const double *B0 = s->B0 + (int64_t)interval * s->components * n;
+    const double *B1 = s->B1 + (int64_t)interval * s->components * n;
+    const double *K = s->K + (int64_t)interval * n * s->outputs;
+    for (int32_t a = 0; a < n; ++a) {
+        double *x = p->next + a * M;
+        for (int32_t c = 0; c < M; ++c)
+            x[c] = 0.0;
+        for (int32_t b = 0; b < n; ++b) {
+            const double A = Ad[a * n + b];
+            const double *from = p->X + b * M;
+            for (int32_t c = 0; c < M; ++c)
+                x[c] += A * from[c];
+        }
+        for (int32_t o = 0; o < s->outputs && s->offset; ++o)
+            x[l.linear - s->outputs + o] -= K[a * s->outputs + o];
+        int32_t column = 0, derivative = l.linear;
+        for (int32_t i = 0; i < s->components; ++i) {
+            const int32_t V = s->size[i], count = s->count[i] * V;
+            const double b0 = B0[i * n + a], b1 = B1[i * n + a];
+            add_input(V, b0, b1, p->input0 + column, p->input1 + column, x + column);
+            add_input(count, b0, b1, p->input0 + derivative, p->input1 + derivative,
+                      x + derivative);
+            column += V, derivative += count;
+        }
+    }
+    memcpy(p->X, p->next, (size_t)n * (size_t)M * sizeof *p->X);
+}
+
+/* The rows of one sample before the filter, one an output: C x + D input, the offset, and the
+ * residual; weighted by W. */
+static void make_rows(const cosim_output_error *s, layout l, const parts *p,
+                      const double *residual, double *rows)
+{
+    const int32_t n = s->states, M = l.columns;
+    double *plain = rows + s->outputs * M;
+    for (int32_t o = 0; o < s->outputs; ++o)
+        for (int32_t c = 0; c < M; ++c)
+            rows[o * M + c] = 0.0;
+    for (int32_t o = 0; o < s->outputs; ++o) {
+        for (int32_t c = 0; c < M; ++c)
+            plain[c] = 0.0;
+        for (int32_t a = 0; a < n; ++a) {
+            const double C = s->C[o * n + a];
+            if (C == 0.0)
+                continue;
+            for (int32_t c = 0; c < M; ++c)
+                plain[c] += C * p->X[a * M + c];
+        }
+        int32_t column = 0, derivative = l.linear;
+        for (int32_t i = 0; i < s->components; ++i) {
+            const int32_t V = s->size[i], count = s->count[i] * V;
+            const double D = s->D[i * s->outputs + o];
+            if (D != 0.0) {
+                add_input(V, 0.0, D, p->input1 + column, p->input1 + column, plain + column);
+                add_input(count, 0.0, D, p->input1 + derivative, p->input1 + derivative,
+                          plain + derivative);
+            }
+            column += V, derivative += count;
+        }
+        if (s->offset)
+            plain[l.linear - s->outputs + o] = 1.0;
+        plain[M - 1] = residual[o];
+        for (int32_t w = 0; w < s->outputs; ++w) {
+            const double weight = s->W[w * s->outputs + o];
+            if (weight == 0.0)
+                continue;
+            for (int32_t c = 0; c < M; ++c)
+                rows[w * M + c] += weight * plain[c];
+        }
+    }
+}
+
+static int is_measured(const cosim_output_error *s, const double *residual)
+{
+    for (int32_t o = 0; o < s->outputs; ++o)
+        if (isnan(residual[o]))
+            return 0;
+    return 1;
+}
+
+/* Append the rows of a sample to the block, through the autoregressive filter; returns how many. */
+static int32_t filter_rows(const cosim_output_error *s, layout l, const parts *p, double *rows,
+                           double weight, double *to)
+{
+    const int32_t M = l.columns, width = s->outputs * M;
+    const int64_t before = (int64_t)*p->lag;
+    *p->lag += 1.0;
+    if (before >= s->ar)
+        for (int32_t c = 0; c < width; ++c) {
+            double sum = rows[c];
+            for (int32_t k = 1; k <= s->ar; ++k)
+                sum -= s->a[k - 1] * p->ring[((before - k) % s->ar) * width + c];
+            to[c] = weight * sum;
+        }
+    if (s->ar)
+        memcpy(p->ring + (before % s->ar) * width, rows, (size_t)width * sizeof *rows);
+    return before >= s->ar ? s->outputs : 0;
+}
+
+/* Go on to sample k from the one before. */
+static void advance(const cosim_output_error *s, layout l, const parts *p, const double *theta,
+                    const cosim_record *record, int64_t k)
+{
+    const double *alpha = record->alpha + k * s->components;
+    if (k == record->first) {
+        set_inputs(s, l, p, alpha, p->input1);
+        return;
+    }
+    const int32_t interval = record->interval ? record->interval[k] : 0;
+    if (interval != (int32_t)*p->interval)
+        set_interval(s, theta, interval, p);
+    memcpy(p->input0, p->input1, (size_t)l.columns * sizeof *p->input0);
+    advance_basis(s, l, p);
+    set_inputs(s, l, p, alpha, p->input1);
+    advance_responses(s, l, p, interval);
+}
+
+void cosim_output_error_take(const cosim_output_error *s, const double *theta,
+                             const cosim_record *record, int64_t begin, int64_t end, double *work)
+{
+    const layout l = layout_of(s);
+    const parts p = parts_of(s, l, work);
+    const int32_t M = l.columns;
+    int32_t pending = 0;
+    double weight = 1.0;
+    for (int64_t k = begin; k < end; ++k) {
+        const double *residual = record->residual + k * s->outputs;
+        advance(s, l, &p, theta, record, k);
+        weight /= s->forgetting;
+        *p.rows *= s->forgetting * s->forgetting;
+        if (is_measured(s, residual)) {
+            make_rows(s, l, &p, residual, p.scratch);
+            const int32_t made = filter_rows(s, l, &p, p.scratch, weight, p.block + pending * M);
+            *p.rows += made;
+            pending += made;
+        } else {
+            *p.lag = 0.0;
+        }
+        if (pending + s->outputs > BLOCK || k == end - 1) {
+            cosim_householder(M, p.R, pending, p.block, p.scratch);
+            if (weight != 1.0)
+                for (int32_t i = 0; i < M * M; ++i)
+                    p.R[i] /= weight;
+            pending = 0;
+            weight = 1.0;
+        }
+    }
+}
+
+void cosim_output_error_rows(const cosim_output_error *s, const double *theta,
+                             const cosim_record *record, double *work, double *rows)
+{
+    const layout l = layout_of(s);
+    const parts p = parts_of(s, l, work);
+    const int64_t width = (int64_t)s->outputs * l.columns;
+    cosim_output_error_start(s, theta, work);
+    for (int64_t k = record->first; k < record->end; ++k) {
+        advance(s, l, &p, theta, record, k);
+        make_rows(s, l, &p, record->residual + k * s->outputs, p.scratch);
+        memcpy(rows + (k - record->first) * width, p.scratch, (size_t)width * sizeof *rows);
+    }
+}
+
+/* --- theta from R --- */
+
+static double length(int32_t count, const double *column, int32_t stride)
+{
+    double squares = 0.0;
+    for (int32_t i = 0; i < count; ++i)
+        squares += column[i * stride] * column[i * stride];
+    return sqrt(squares);
+}
+
+/* The columns of x(0) and of the offset that others already explain are left out. */
+static int32_t independent_columns(const double *R, int32_t M, int32_t linear, int32_t *kept)
+{
+    int32_t count = 0;
+    for (int32_t j = 0; j < linear; ++j)
+        if (fabs(R[j * M + j]) > DEPENDENT * length(j + 1, R + j, M))
+            kept[count++] = j;
+    return count;
+}
+
+/* Rotate chosen columns of R, each given as M doubles, into an upper triangle of their own. */
+static void triangularize(int32_t M, int32_t count, double *rows, double *T)
+{
+    double work[COSIM_MOST_COLUMNS];
+    memset(T, 0, (size_t)(count * count) * sizeof *T);
+    cosim_householder(count, T, M, rows, work);
+}
+
+/* How far the amplitudes of a component are from 0, in their own covariance: beta' C^-1 beta. */
+static double amplitude_statistic(int32_t V, int32_t n, const double *covariance, int32_t first,
+                                  const double *beta)
+{
+    double block[COSIM_MOST_COLUMNS * 4], inverse[COSIM_MOST_COLUMNS * 4];
+    for (int32_t a = 0; a < V; ++a)
+        for (int32_t b = 0; b < V; ++b)
+            block[a * V + b] = covariance[(first + a) * n + first + b];
+    if (cosim_invert(V, block, inverse))
+        return 0.0;
+    double sum = 0.0;
+    for (int32_t a = 0; a < V; ++a)
+        for (int32_t b = 0; b < V; ++b)
+            sum += beta[a] * inverse[a * V + b] * beta[b];
+    return sum;
+}
+
+int32_t cosim_output_error_reduce(const cosim_output_error *s, const double *R, double *amplitudes,
+                                  double *statistics, double *reduced)
+{
+    const layout l = layout_of(s);
+    const int32_t M = l.columns, P = l.parameters;
+    double rows[COSIM_MOST_COLUMNS * COSIM_MOST_COLUMNS];
+    double T[COSIM_MOST_COLUMNS * COSIM_MOST_COLUMNS];
+    double covariance[COSIM_MOST_COLUMNS * COSIM_MOST_COLUMNS];
+    double work[COSIM_MOST_COLUMNS * (COSIM_MOST_COLUMNS + 1)];
+    double solution[COSIM_MOST_COLUMNS];
+    int32_t kept[COSIM_MOST_COLUMNS];
+    const int32_t n = independent_columns(R, M, l.linear, kept);
+
+    int32_t width = n + 1;
+    for (int32_t i = 0; i < M; ++i) {
+        for (int32_t j = 0; j < n; ++j)
+            rows[i * width + j] = R[i * M + kept[j]];
+        rows[i * width + n] = R[i * M + M - 1];
+    }
+    triangularize(M, width, rows, T);
+    cosim_solve_upper(n, width, T, T + n, width, solution);
+    cosim_covariance(n, width, T, covariance, work);
+    for (int32_t j = 0; j < l.linear; ++j)
+        amplitudes[j] = 0.0;
+    for (int32_t j = 0; j < n; ++j)
+        amplitudes[kept[j]] = solution[j];
+
+    int32_t column = 0, place = 0;
+    for (int32_t i = 0; i < s->components; ++i) {
+        int32_t found = 0;
+        while (place + found < n && kept[place + found] < column + s->size[i])
+            ++found;
+        const int whole = found == s->size[i];
+        statistics[i] =
+            whole ? amplitude_statistic(found, n, covariance, place, solution + place) : 0.0;
+        place += found, column += s->size[i];
+    }
+
+    width = n + P + 1;
+    for (int32_t i = 0; i < M; ++i) {
+        double *row = rows + i * width;
+        for (int32_t j = 0; j < n; ++j)
+            row[j] = R[i * M + kept[j]];
+        const double *derivative = R + i * M + l.linear, *beta = amplitudes;
+        double *slope = row + n;
+        for (int32_t c = 0; c < s->components; ++c) {
+            for (int32_t j = 0; j < s->count[c]; ++j) {
+                double sum = 0.0;
+                for (int32_t b = 0; b < s->size[c]; ++b)
+                    sum += derivative[b] * beta[b];
+                *slope++ = sum;
+                derivative += s->size[c];
+            }
+            beta += s->size[c];
+        }
+        *slope = R[i * M + M - 1];
+    }
+    triangularize(M, width, rows, T);
+    for (int32_t i = 0; i <= P; ++i)
+        for (int32_t j = 0; j <= P; ++j)
+            reduced[i * (P + 1) + j] = T[(n + i) * width + n + j];
+    return n;
+}
+
+/* --- Gauss-Newton --- */
+
+typedef struct {
+    double step[COSIM_MOST_PARAMETERS];
+    double variances[COSIM_MOST_PARAMETERS * COSIM_MOST_PARAMETERS];
+    double squares;   /* of the residual at theta */
+    double predicted; /* after the step */
+    int32_t unknowns; /* theta that are estimated */
+} gauss_newton;
+
+/* A theta that the step would carry across a bound goes to the bound, and the rest is solved again
+ * without it. */
+static void solve_step(const cosim_fit *fit, const double *T, gauss_newton *g)
+{
+    const int32_t P = fit->parameters;
+    const double *theta = fit->theta;
+    double rows[COSIM_MOST_COLUMNS * COSIM_MOST_COLUMNS], triangle[COSIM_MOST_COLUMNS * COSIM_MOST_COLUMNS];
+    double solution[COSIM_MOST_PARAMETERS], work[COSIM_MOST_PARAMETERS * (COSIM_MOST_PARAMETERS + 1)];
+    double covariance[COSIM_MOST_PARAMETERS * COSIM_MOST_PARAMETERS];
+    int32_t place[COSIM_MOST_PARAMETERS];
+    const int32_t width = P + 1;
+    memset(g->variances, 0, sizeof g->variances);
+    for (int32_t j = 0; j < P; ++j)
+        g->step[j] = 0.0;
+    for (;;) {
+        int32_t n = 0;
+        for (int32_t j = 0; j < P; ++j)
+            if (fit->state[j] == COSIM_ESTIMATED)
+                place[n++] = j;
+        for (int32_t i = 0; i < width; ++i) {
+            double residual = T[i * width + P];
+            for (int32_t j = 0; j < P; ++j)
+                if (fit->state[j] != COSIM_ESTIMATED)
+                    residual -= T[i * width + j] * g->step[j];
+            for (int32_t j = 0; j < n; ++j)
+                rows[i * (n + 1) + j] = T[i * width + place[j]];
+            rows[i * (n + 1) + n] = residual;
+        }
+        triangularize(width, n + 1, rows, triangle);
+        int32_t rank = 0; /* the first of the columns that say the same as others are kept */
+        for (int32_t j = 0; j < n; ++j)
+            if (fabs(triangle[j * (n + 1) + j]) > DEPENDENT * length(j + 1, triangle + j, n + 1))
+                ++rank;
+            else
+                fit->state[place[j]] = COSIM_DEPENDENT;
+        if (rank < n)
+            continue;
+        cosim_solve_upper(n, n + 1, triangle, triangle + n, n + 1, solution);
+        int32_t stopped = -1;
+        double worst = 0.0;
+        for (int32_t j = 0; j < n; ++j) {
+            const double reached = theta[place[j]] + solution[j];
+            const double outside = reached > fit->upper[place[j]] ? reached - fit->upper[place[j]]
+                                                                  : fit->lower[place[j]] - reached;
+            if (outside > worst)
+                worst = outside, stopped = j;
+        }
+        if (stopped >= 0) {
+            const int32_t j = place[stopped];
+            const double bound = solution[stopped] > 0.0 ? fit->upper[j] : fit->lower[j];
+            fit->state[j] = COSIM_AT_BOUND;
+            g->step[j] = bound - theta[j];
+            continue;
+        }
+        cosim_covariance(n, n + 1, triangle, covariance, work);
+        for (int32_t a = 0; a < n; ++a) {
+            g->step[place[a]] = solution[a];
+            for (int32_t b = 0; b < n; ++b)
+                g->variances[place[a] * P + place[b]] = covariance[a * n + b];
+        }
+        const double last = triangle[n * (n + 1) + n];
+        g->predicted = last * last;
+        g->unknowns = n;
+        break;
+    }
+    double squares = 0.0;
+    for (int32_t i = 0; i < width; ++i)
+        squares += T[i * width + P] * T[i * width + P];
+    g->squares = squares;
+}
+
+/* R of all experiments at theta, reduced to theta and stacked. */
+static int reduce_all(const cosim_fit *fit, double *T, double *rows_total, int32_t *unknowns)
+{
+    const int32_t width = fit->parameters + 1;
+    double reduced[COSIM_MOST_COLUMNS * COSIM_MOST_COLUMNS], work[COSIM_MOST_COLUMNS];
+    double statistics[COSIM_MOST_PARAMETERS];
+    memset(T, 0, (size_t)(width * width) * sizeof *T);
+    *rows_total = 0.0, *unknowns = 0;
+    for (int32_t i = 0; i < fit->components; ++i)
+        fit->statistics[i] = 0.0;
+    for (int32_t e = 0; e < fit->experiments; ++e) {
+        const cosim_experiment *x = &fit->experiment[e];
+        const layout l = layout_of(x->model);
+        *unknowns += cosim_output_error_reduce(x->model, x->work, x->amplitudes, statistics, reduced);
+        *rows_total += *parts_of(x->model, l, x->work).rows;
+        for (int32_t i = 0; i < fit->components; ++i)
+            fit->statistics[i] += statistics[i];
+        cosim_householder(width, T, width, reduced, work);
+    }
+    for (int32_t i = 0; i < width * width; ++i)
+        if (!(fabs(T[i]) <= DBL_MAX))
+            return 0;
+    return 1;
+}
+
+static void pass(const cosim_fit *fit, const double *theta)
+{
+    for (int32_t e = 0; e < fit->experiments; ++e) {
+        const cosim_experiment *x = &fit->experiment[e];
+        cosim_output_error_start(x->model, theta, x->work);
+        cosim_output_error_take(x->model, theta, &x->record, x->record.first, x->record.end, x->work);
+    }
+}
+
+/* Of a component that noise alone explains theta means nothing: it stays where it is. */
+static void hold_absent(const cosim_fit *fit, double variance)
+{
+    int32_t j = 0;
+    for (int32_t i = 0; i < fit->components; ++i) {
+        const int present = fit->statistics[i] > fit->threshold[i] * variance;
+        for (int32_t k = 0; k < fit->count[i]; ++k, ++j) {
+            fit->state[j] = present ? COSIM_ESTIMATED : COSIM_ABSENT;
+            if (fit->lower[j] == fit->upper[j])
+                fit->state[j] = COSIM_FIXED;
+        }
+    }
+}
+
+static double variance_of(const cosim_fit *fit, double squares, double rows, int32_t unknowns)
+{
+    const double freedom = rows - unknowns;
+    const double variance = freedom > 0.0 ? squares / freedom : INFINITY;
+    const double rounding = fit->accuracy * fit->accuracy;
+    return variance > rounding ? variance : rounding;
+}
+
+static double largest_of(double a, double b) { return a > b ? a : b; }
+
+/* The step in units of what it may be at the end: a small part of a standard error, or rounding. */
+static double relative_step(const cosim_fit *fit, const gauss_newton *g, double variance)
+{
+    const int32_t P = fit->parameters;
+    double largest = 0.0;
+    for (int32_t j = 0; j < P; ++j) {
+        const double error = sqrt(variance * g->variances[j * P + j]);
+        const double rounding = SMALLEST_STEP * (fabs(fit->theta[j]) + fit->scale[j]);
+        largest = largest_of(largest, fabs(g->step[j]) / largest_of(SMALL_STEP * error, rounding));
+    }
+    return largest;
+}
+
+static void limit_step(const cosim_fit *fit, gauss_newton *g)
+{
+    double factor = 1.0;
+    for (int32_t j = 0; j < fit->parameters; ++j)
+        if (fabs(g->step[j]) * factor > fit->scale[j])
+            factor = fit->scale[j] / fabs(g->step[j]);
+    for (int32_t j = 0; j < fit->parameters; ++j)
+        g->step[j] *= factor;
+}
+
+/* Solve at the theta that R was made for; 0: there is no information. */
+static int solve(const cosim_fit *fit, gauss_newton *g, double *freedom)
+{
+    const int32_t P = fit->parameters;
+    double T[COSIM_MOST_COLUMNS * COSIM_MOST_COLUMNS], rows;
+    int32_t unknowns;
+    if (!reduce_all(fit, T, &rows, &unknowns))
+        return 0;
+    double squares = 0.0;
+    for (int32_t i = 0; i <= P; ++i)
+        squares += T[i * (P + 1) + P] * T[i * (P + 1) + P];
+    const double smallest = T[P * (P + 1) + P] * T[P * (P + 1) + P];
+    hold_absent(fit, variance_of(fit, smallest, rows, unknowns + P));
+    solve_step(fit, T, g);
+    g->squares = squares;
+    *freedom = rows - unknowns - g->unknowns;
+    return rows - unknowns - P > 0.0;
+}
+
+/* Take over the step, and the linear unknowns that belong to it. */
+static void finish(cosim_fit *fit, const gauss_newton *g, double freedom)
+{
+    const int32_t P = fit->parameters;
+    for (int32_t j = 0; j < P; ++j)
+        fit->estimate[j] = fit->theta[j] + g->step[j];
+    const double rows = freedom + g->unknowns;
+    const double variance = variance_of(fit, g->predicted, rows, g->unknowns);
+    fit->variance = variance;
+    fit->freedom = freedom;
+    for (int32_t j = 0; j < P * P; ++j)
+        fit->covariance[j] = variance * g->variances[j];
+}
+
+int32_t cosim_output_error_update(cosim_fit *fit)
+{
+    gauss_newton g;
+    double freedom;
+    if (!solve(fit, &g, &freedom))
+        return COSIM_NO_VALUE;
+    finish(fit, &g, freedom);
+    return relative_step(fit, &g, fit->variance) <= fit->tolerance ? COSIM_OK : COSIM_NOT_CONVERGED;
+}
+
+int32_t cosim_output_error_fit(cosim_fit *fit)
+{
+    const int32_t P = fit->parameters;
+    gauss_newton g = {0};
+    double accepted[COSIM_MOST_PARAMETERS], freedom = 0.0, best = INFINITY;
+    int32_t halvings = 0;
+    memcpy(accepted, fit->theta, (size_t)P * sizeof *accepted);
+    for (fit->iterations = 1; fit->iterations <= fit->most_iterations; ++fit->iterations) {
+        pass(fit, fit->theta);
+        gauss_newton trial;
+        double trial_freedom = 0.0;
+        const int solved = solve(fit, &trial, &trial_freedom);
+        if (!solved && best == INFINITY)
+            return COSIM_NO_VALUE;
+        const double rounding = trial_freedom * fit->accuracy * fit->accuracy;
+        if (solved && trial.squares <= best + rounding) {
+            g = trial;
+            freedom = trial_freedom;
+            best = trial.squares;
+            memcpy(accepted, fit->theta, (size_t)P * sizeof *accepted);
+            halvings = 0;
+            finish(fit, &g, freedom);
+            if (relative_step(fit, &g, fit->variance) <= 1.0)
+                return COSIM_OK;
+            limit_step(fit, &g);
+        } else if (++halvings > HALVINGS) {
+            break;
+        } else {
+            for (int32_t j = 0; j < P; ++j)
+                g.step[j] *= 0.5;
+        }
+        for (int32_t j = 0; j < P; ++j)
+            fit->theta[j] = accepted[j] + g.step[j];
+    }
+    return COSIM_NOT_CONVERGED;
+}

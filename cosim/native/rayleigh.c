@@ -1,0 +1,244 @@
+#include "cosim.h"
+
+#include <math.h>
+#include <string.h>
+
+#define ITERATIONS 60
+#define STARTS 4              /* best points of the grid that are minimized from */
+#define DIFFERENCE 0x1p-17    /* of the numerical derivative, relative to the range of theta */
+#define SMALL_STEP 0x1p-20    /* relative to the range of theta */
+#define MOST_ROWS 10
+
+/* c' expm(-G D) of every component at every delay: (rows, V) of each group, side by side. */
+static void make_rows(const cosim_rayleigh *s, const double *theta, double K[][MOST_ROWS * MOST_ROWS],
+                      int32_t *width)
+{
+    const double *c = s->c, *G0 = s->G0, *G1 = s->G1;
+    for (int32_t b = 0; b < s->groups; ++b)
+        width[b] = 0;
+    for (int32_t i = 0; i < s->components; ++i) {
+        const int32_t V = s->size[i], b = s->group[i];
+        double G[MOST_ROWS * MOST_ROWS], E[MOST_ROWS * MOST_ROWS], work[2 * MOST_ROWS * MOST_ROWS];
+        for (int32_t j = 0; j < s->rows; ++j) {
+            for (int32_t k = 0; k < V * V; ++k) {
+                double sum = G0[k];
+                for (int32_t p = 0; p < s->count[i]; ++p)
+                    sum += theta[p] * G1[p * V * V + k];
+                G[k] = -s->delays[j] * sum;
+            }
+            cosim_exponential(V, G, E, work);
+            for (int32_t k = 0; k < V; ++k) {
+                double sum = 0.0;
+                for (int32_t a = 0; a < V; ++a)
+                    sum += c[a] * E[a * V + k];
+                K[b][j * MOST_ROWS + width[b] + k] = sum;
+            }
+        }
+        width[b] += V;
+        c += V, G0 += V * V, G1 += s->count[i] * V * V, theta += s->count[i];
+    }
+}
+
+static double determinant(int32_t n, double *M)
+{
+    double product = 1.0;
+    for (int32_t k = 0; k < n; ++k) {
+        int32_t pivot = k;
+        for (int32_t i = k + 1; i < n; ++i)
+            if (fabs(M[i * n + k]) > fabs(M[pivot * n + k]))
+                pivot = i;
+        if (M[pivot * n + k] == 0.0)
+            return 0.0;
+        if (pivot != k) {
+            product = -product;
+            for (int32_t j = k; j < n; ++j) {
+                const double m = M[k * n + j];
+                M[k * n + j] = M[pivot * n + j], M[pivot * n + j] = m;
+            }
+        }
+        product *= M[k * n + k];
+        for (int32_t i = k + 1; i < n; ++i) {
+            const double factor = M[i * n + k] / M[k * n + k];
+            for (int32_t j = k; j < n; ++j)
+                M[i * n + j] -= factor * M[k * n + j];
+        }
+    }
+    return product;
+}
+
+/* The constants (25), scaled to length one. */
+static void make_chi(const cosim_rayleigh *s, const double *theta, double *chi)
+{
+    double K[MOST_ROWS][MOST_ROWS * MOST_ROWS], minor[MOST_ROWS * MOST_ROWS];
+    int32_t width[MOST_ROWS];
+    make_rows(s, theta, K, width);
+    double squares = 0.0;
+    for (int32_t c = 0; c < s->terms; ++c) {
+        const int32_t *rows = s->parts + c * (s->rows - 1);
+        chi[c] = 1.0;
+        for (int32_t b = 0; b < s->groups; ++b) {
+            const int32_t V = width[b];
+            for (int32_t i = 0; i < V; ++i)
+                for (int32_t k = 0; k < V; ++k)
+                    minor[i * V + k] = K[b][rows[i] * MOST_ROWS + k];
+            chi[c] *= determinant(V, minor);
+            rows += V;
+        }
+        squares += chi[c] * chi[c];
+    }
+    const double length = sqrt(squares);
+    for (int32_t c = 0; c < s->terms; ++c)
+        chi[c] /= length;
+}
+
+/* The residual R chi / sqrt(chi' N chi), whose squares are the quotient. */
+static void residual(const cosim_rayleigh *s, const double *R, const double *N, const double *theta,
+                     double *rho)
+{
+    double chi[COSIM_MOST_TERMS];
+    make_chi(s, theta, chi);
+    double noise = 0.0;
+    for (int32_t a = 0; a < s->terms; ++a)
+        for (int32_t b = 0; b < s->terms; ++b)
+            noise += chi[a] * N[a * s->terms + b] * chi[b];
+    const double scale = 1.0 / sqrt(noise);
+    for (int32_t a = 0; a < s->terms; ++a) {
+        double sum = 0.0;
+        for (int32_t b = a; b < s->terms; ++b)
+            sum += R[a * s->terms + b] * chi[b];
+        rho[a] = scale * sum;
+    }
+}
+
+static double squares_of(int32_t n, const double *v)
+{
+    double sum = 0.0;
+    for (int32_t i = 0; i < n; ++i)
+        sum += v[i] * v[i];
+    return sum;
+}
+
+static double within(double value, double lower, double upper)
+{
+    if (value < lower)
+        return lower;
+    return value > upper ? upper : value;
+}
+
+/* Levenberg-Marquardt; the derivatives by central differences. */
+int32_t cosim_rayleigh_minimize(const cosim_rayleigh *s, const double *R, const double *N,
+                                double *theta, double *value)
+{
+    const int32_t P = s->parameters, n = s->terms, width = P + 1;
+    double rho[COSIM_MOST_TERMS], above[COSIM_MOST_TERMS], below[COSIM_MOST_TERMS];
+    double trial[COSIM_MOST_PARAMETERS], step[COSIM_MOST_PARAMETERS];
+    double rows[(COSIM_MOST_TERMS + COSIM_MOST_PARAMETERS) * (COSIM_MOST_PARAMETERS + 1)];
+    double T[(COSIM_MOST_PARAMETERS + 1) * (COSIM_MOST_PARAMETERS + 1)];
+    double work[COSIM_MOST_PARAMETERS + 1];
+    double damping = 1e-3;
+    residual(s, R, N, theta, rho);
+    *value = squares_of(n, rho);
+    if (!(*value >= 0.0 && *value < INFINITY))
+        return COSIM_NO_VALUE;
+    for (int32_t iteration = 0; iteration < ITERATIONS; ++iteration) {
+        for (int32_t j = 0; j < P; ++j) {
+            const double difference = DIFFERENCE * (s->upper[j] - s->lower[j]);
+            memcpy(trial, theta, (size_t)P * sizeof *theta);
+            trial[j] = theta[j] + difference;
+            residual(s, R, N, trial, above);
+            trial[j] = theta[j] - difference;
+            residual(s, R, N, trial, below);
+            for (int32_t i = 0; i < n; ++i)
+                rows[i * width + j] = difference > 0.0 ? (above[i] - below[i]) / (2.0 * difference) : 0.0;
+        }
+        for (int32_t i = 0; i < n; ++i)
+            rows[i * width + P] = -rho[i];
+        double lengths[COSIM_MOST_PARAMETERS];
+        for (int32_t j = 0; j < P; ++j) {
+            double sum = 0.0;
+            for (int32_t i = 0; i < n; ++i)
+                sum += rows[i * width + j] * rows[i * width + j];
+            lengths[j] = sum > 0.0 ? sqrt(sum) : 1.0;
+        }
+        for (int32_t j = 0; j < P; ++j) {
+            for (int32_t k = 0; k <= P; ++k)
+                rows[(n + j) * width + k] = 0.0;
+            rows[(n + j) * width + j] = sqrt(damping) * lengths[j];
+        }
+        memset(T, 0, sizeof T);
+        cosim_householder(width, T, n + P, rows, work);
+        cosim_solve_upper(P, width, T, T + P, width, step);
+        double largest = 0.0;
+        for (int32_t j = 0; j < P; ++j) {
+            const double range = s->upper[j] - s->lower[j];
+            trial[j] = within(theta[j] + within(step[j], -0.25 * range, 0.25 * range), s->lower[j], s->upper[j]);
+            const double moved = range > 0.0 ? fabs(trial[j] - theta[j]) / range : 0.0;
+            largest = moved > largest ? moved : largest;
+        }
+        residual(s, R, N, trial, above);
+        const double reached = squares_of(n, above);
+        if (reached < *value) {
+            memcpy(theta, trial, (size_t)P * sizeof *theta);
+            memcpy(rho, above, (size_t)n * sizeof *rho);
+            *value = reached;
+            damping *= 0.1;
+        } else {
+            damping *= 10.0;
+        }
+        if (largest <= SMALL_STEP || damping > 1e12)
+            return COSIM_OK;
+    }
+    return COSIM_NOT_CONVERGED;
+}
+
+/* Insert a point among the best ones, which stand in ascending order. */
+static void keep_best(int32_t P, double value, const double *theta, double *values,
+                      double best[][COSIM_MOST_PARAMETERS])
+{
+    int32_t place = STARTS;
+    while (place > 0 && value < values[place - 1])
+        --place;
+    if (place == STARTS)
+        return;
+    for (int32_t i = STARTS - 1; i > place; --i) {
+        values[i] = values[i - 1];
+        memcpy(best[i], best[i - 1], (size_t)P * sizeof *theta);
+    }
+    values[place] = value;
+    memcpy(best[place], theta, (size_t)P * sizeof *theta);
+}
+
+int32_t cosim_rayleigh_search(const cosim_rayleigh *s, const double *R, const double *N,
+                              double *theta, double *value)
+{
+    const int32_t P = s->parameters;
+    double values[STARTS], best[STARTS][COSIM_MOST_PARAMETERS], rho[COSIM_MOST_TERMS];
+    int64_t count = 1;
+    for (int32_t j = 0; j < P; ++j)
+        count *= s->points;
+    for (int32_t i = 0; i < STARTS; ++i)
+        values[i] = INFINITY;
+    for (int64_t k = 0; k < count; ++k) {
+        int64_t rest = k;
+        double point[COSIM_MOST_PARAMETERS];
+        for (int32_t j = 0; j < P; ++j) {
+            const double fraction = ((double)(rest % s->points) + 0.5) / s->points;
+            point[j] = s->lower[j] + fraction * (s->upper[j] - s->lower[j]);
+            rest /= s->points;
+        }
+        residual(s, R, N, point, rho);
+        keep_best(P, squares_of(s->terms, rho), point, values, best);
+    }
+    *value = INFINITY;
+    int32_t status = COSIM_NO_VALUE;
+    for (int32_t i = 0; i < STARTS && values[i] < INFINITY; ++i) {
+        double reached;
+        const int32_t result = cosim_rayleigh_minimize(s, R, N, best[i], &reached);
+        if (result != COSIM_NO_VALUE && reached < *value) {
+            *value = reached;
+            status = result;
+            memcpy(theta, best[i], (size_t)P * sizeof *theta);
+        }
+    }
+    return status;
+}

@@ -1,0 +1,390 @@
+"""A linear plant under a disturbance of the class (4)-(5), as a regression on samples.
+
+::
+
+    x' = A x + B u + sum_i Bd_i alpha_i f_i        f_i = c_i' expm(G_i(theta) t) beta_i
+    y  = C x + D u + sum_i Dd_i alpha_i f_i + offset
+
+Between samples u and ``alpha_i f_i`` are straight lines, which is exact for what a run of this
+package makes, and else has an error of second order in the step (:mod:`cosim.theory.accuracy`).
+
+**Predictor.** The response of an unstable plant overflows its digits, so what is fitted is not the
+simulated but the predicted output,
+
+    x' = (Ad - K C) x + (B0 - K D) u0 + B1 u1 + K y0,
+
+with the K that moves every unstable mode ``z`` of Ad to ``1/z`` and leaves the others. It is the
+stationary Kalman gain without process noise: the innovations of white measurement noise are white,
+so nothing is lost (B. Anderson and J. Moore, Optimal Filtering, 1979, section 4.4).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.arrays import Matrix, Vector, frozen
+from cosim.errors import AssumptionError
+from cosim.native.estimation import (
+    MOST_COLUMNS,
+    MOST_PARAMETERS,
+    Generators,
+    KnownInput,
+    OutputErrorConstants,
+    OutputErrorModel,
+    ResponseRecord,
+    residual_of,
+)
+from cosim.native.step import first_order_hold
+from cosim.theory.descriptor import ReducedSystem
+
+# growth of a mode over the record from which on the output is predicted, not simulated
+LARGEST_GROWTH: Final = 1e3
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class DisturbedPlant:
+    """The plant of the module docstring.
+
+    Shapes: ``A (n, n)``, ``B (n, n_u)``, ``Bd (n, components)``, ``C (n_y, n)``, ``D (n_y, n_u)``,
+    ``Dd (n_y, components)``.
+    """
+
+    A: Matrix
+    B: Matrix
+    Bd: Matrix
+    C: Matrix
+    D: Matrix
+    Dd: Matrix
+
+    def __post_init__(self) -> None:
+        """Freeze the matrices."""
+        for field in fields(self):
+            object.__setattr__(self, field.name, frozen(getattr(self, field.name), 2))
+
+
+def disturbed_plant(reduced: ReducedSystem, components: int, *, channel: int = 0) -> DisturbedPlant:
+    """Return the reduced system (9)-(10) with all components of its disturbance number ``channel``.
+
+    Parameters
+    ----------
+    reduced : ReducedSystem
+    components : int
+        Number of components of the disturbance.
+    channel : int
+        Which entry of delta they make up.
+
+    Raises
+    ------
+    AssumptionError
+        If there is no such entry.
+    """
+    n_d = reduced.B_2a.shape[1]
+    if not 0 <= channel < n_d:
+        raise AssumptionError(f"(9): the plant has {n_d} disturbances; none has number {channel}")
+    Bd = np.repeat(reduced.B_2a[:, [channel]], components, axis=1)
+    Dd = np.repeat(reduced.C5[:, [channel]], components, axis=1)
+    return DisturbedPlant(A=reduced.A_a, B=reduced.B_1a, Bd=Bd, C=reduced.C3, D=reduced.C4, Dd=Dd)
+
+
+@dataclass(frozen=True, eq=False)
+class DataSet:
+    """Samples of one experiment.
+
+    Parameters
+    ----------
+    t : Vector, shape (N,)
+        Ascending instants [s], at any distances.
+    y : Matrix, shape (N, n_y)
+        Outputs; NaN: not measured.
+    u : Matrix, shape (N, n_u)
+        Inputs.
+    alpha : Matrix, shape (N, components)
+        The known factor of each component of the disturbance.
+
+    Raises
+    ------
+    AssumptionError
+        If the sizes do not fit, time does not ascend, a number is not finite, or nothing is
+        measured.
+    """
+
+    t: Vector
+    y: Matrix
+    u: Matrix
+    alpha: Matrix
+
+    def __post_init__(self) -> None:
+        """Freeze and check the samples."""
+        object.__setattr__(self, "t", frozen(self.t, 1))
+        for name in ("y", "u", "alpha"):
+            object.__setattr__(self, name, frozen(getattr(self, name), 2))
+        N = len(self.t)
+        for name in ("y", "u", "alpha"):
+            rows = len(getattr(self, name))
+            if rows != N:
+                raise AssumptionError(f"{name}: {rows} samples; needed {N}, one for every time")
+        steps = np.diff(self.t)
+        if not np.isfinite(self.t).all() or not (steps > 0.0).all():
+            place = int(np.argmin(np.append(steps > 0.0, False)))
+            raise AssumptionError(
+                f"time does not ascend: {self.t[place]} s at sample {place} is followed by "
+                f"{self.t[min(place + 1, N - 1)]} s; needed ascending finite times"
+            )
+        for name in ("u", "alpha"):
+            finite = np.isfinite(getattr(self, name)).all(axis=1)
+            if not finite.all():
+                place = int(np.argmin(finite))
+                raise AssumptionError(
+                    f"{name} is not finite at t = {self.t[place]} s; needed a number at every time"
+                )
+        if np.isinf(self.y).any() or np.isnan(self.y).all():
+            raise AssumptionError("y: needed finite numbers, and NaN only where not measured")
+
+    @property
+    def measured(self) -> NDArray[np.bool_]:
+        """At which times all outputs were measured, shape (N,)."""
+        is_whole: NDArray[np.bool_] = np.equal(np.isnan(self.y).sum(axis=1), 0)
+        return is_whole
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class NoiseModel:
+    """What is assumed of the noise of the outputs.
+
+    Parameters
+    ----------
+    covariance : Matrix, shape (n_y, n_y)
+        Up to a factor, which the residual decides.
+    a : Vector, shape (order,)
+        Autoregressive model, `e(k) = v(k) - a_1 v(k-1) - ...` is white; none: v is white.
+    """
+
+    covariance: Matrix
+    a: Vector
+
+    @property
+    def whitening(self) -> Matrix:
+        """W with ``W covariance W' = I``, shape (n_y, n_y)."""
+        factor = np.linalg.cholesky(self.covariance)
+        return np.linalg.inv(factor)
+
+
+def white_noise(outputs: int) -> NoiseModel:
+    """Return white noise of equal deviation on every output."""
+    return NoiseModel(covariance=np.eye(outputs), a=np.zeros(0))
+
+
+@dataclass(frozen=True, eq=False)
+class SampledPlant:
+    """A plant discretized for the times of a data set.
+
+    Parameters
+    ----------
+    model : OutputErrorModel
+    known : KnownInput
+    interval : array of int, shape (N,), or None
+        Which of the intervals ends at each sample; None: all are the first.
+    """
+
+    model: OutputErrorModel
+    known: KnownInput
+    interval: NDArray[np.integer] | None
+
+    def record(self, data: DataSet) -> ResponseRecord:
+        """Return the record of a data set: its outputs less their known part."""
+        residual = residual_of(self.model, self.known, u=data.u, y=data.y, interval=self.interval)
+        return ResponseRecord(self.model, residual, data.alpha, self.interval)
+
+
+def sample_plant(
+    plant: DisturbedPlant,
+    generators: Generators,
+    data: DataSet,
+    *,
+    noise: NoiseModel,
+    offset: bool = False,
+    forgetting: float = 1.0,
+    held: NDArray[np.bool_] | None = None,
+) -> SampledPlant:
+    """Discretize a plant exactly for straight lines between the samples of a data set.
+
+    Parameters
+    ----------
+    plant : DisturbedPlant
+    generators : Generators
+        Of the components of its disturbance.
+    data : DataSet
+        Its times, and where outputs are missing.
+    noise : NoiseModel
+    offset : bool
+        An unknown constant is on every output.
+    forgetting : float
+        Weight of a sample over that of the next one; 1: all weigh the same.
+    held : shape (n_u,), optional
+        Inputs that keep their value from one sample to the next.
+
+    Raises
+    ------
+    AssumptionError
+        If shapes do not fit, or there are more unknowns than the kernels hold.
+    """
+    _check_sizes(plant, generators, data, offset)
+    step, predicts, interval = _intervals(data)
+    span = float(data.t[-1] - data.t[0])
+    constants, known = discretize(
+        plant,
+        generators,
+        step=step,
+        predicts=predicts & needs_predictor(plant.A, span),
+        noise=noise,
+        offset=offset,
+        forgetting=forgetting,
+        held=held,
+    )
+    return SampledPlant(OutputErrorModel(constants), known, interval)
+
+
+def discretize(
+    plant: DisturbedPlant,
+    generators: Generators,
+    *,
+    step: Vector,
+    predicts: NDArray[np.bool_],
+    noise: NoiseModel,
+    offset: bool = False,
+    forgetting: float = 1.0,
+    held: NDArray[np.bool_] | None = None,
+) -> tuple[OutputErrorConstants, KnownInput]:
+    """Discretize a plant for intervals of given lengths; the rest as in :func:`sample_plant`.
+
+    Parameters
+    ----------
+    step : Vector, shape (m,)
+        Lengths of the intervals [s].
+    predicts : shape (m,)
+        Whether the output is predicted over it from the one at its beginning.
+    """
+    n, n_u = plant.B.shape
+    n_y, components = plant.Dd.shape
+    m = len(step)
+    Ad = np.empty((m, n, n))
+    K = np.zeros((m, n, n_y))
+    Bu0 = np.empty((m, n, n_u))
+    Bu1 = np.empty((m, n, n_u))
+    B0 = np.empty((m, components, n))
+    B1 = np.empty((m, components, n))
+    inputs = np.hstack([plant.B, plant.Bd])
+    mask = np.zeros(n_u + components, np.bool_)
+    if held is not None:
+        mask[:n_u] = held
+    for i, h in enumerate(step):
+        discrete = first_order_hold(plant.A, inputs, float(h), mask)
+        if predicts[i]:
+            K[i] = predictor_gain(discrete.Ad, plant.C, noise.covariance)
+        Ad[i] = discrete.Ad - K[i] @ plant.C
+        Bu0[i] = discrete.B0[:, :n_u] - K[i] @ plant.D
+        Bu1[i] = discrete.B1[:, :n_u]
+        B0[i] = (discrete.B0[:, n_u:] - K[i] @ plant.Dd).T
+        B1[i] = discrete.B1[:, n_u:].T
+    constants = OutputErrorConstants(
+        generators=generators,
+        step=step,
+        Ad=Ad,
+        B0=B0,
+        B1=B1,
+        K=K,
+        C=plant.C,
+        D=plant.Dd.T,
+        W=noise.whitening,
+        a=noise.a,
+        offset=offset,
+        forgetting=forgetting,
+    )
+    return constants, KnownInput(Bu0, Bu1, plant.D, predicts)
+
+
+def needs_predictor(A: Matrix, span: float) -> bool:
+    """Return whether a mode of ``x' = A x`` grows too much over ``span`` seconds."""
+    if not A.size:
+        return False
+    fastest = float(np.linalg.eigvals(A).real.max())
+    return bool(fastest * span > np.log(LARGEST_GROWTH))
+
+
+def predictor_gain(Ad: Matrix, C: Matrix, covariance: Matrix) -> Matrix:
+    """Compute the gain that moves every unstable mode z of Ad to 1/z, shape (n, n_y).
+
+    In coordinates of the unstable modes, x = V w, it is the stationary Kalman gain without process
+    noise. The inverse Y of its covariance solves ``Y = F'(Y + C' R^-1 C) F`` with F the inverse of
+    the unstable block.
+
+    Raises
+    ------
+    AssumptionError
+        If an unstable mode is not seen by the outputs.
+    """
+    from scipy.linalg import schur, solve_discrete_lyapunov  # takes long to import
+
+    T, Z, count = schur(Ad, output="real", sort="ouc")
+    unstable = T[:count, :count]
+    V = Z[:, :count]
+    seen = C @ V
+    F = np.linalg.inv(unstable)
+    inverse_noise = np.linalg.inv(covariance)
+    information = F.T @ seen.T @ inverse_noise @ seen @ F
+    Y = solve_discrete_lyapunov(F.T, information)
+    if np.linalg.cond(Y) > 1e14:
+        raise AssumptionError(
+            "the outputs do not see an unstable mode of the plant, so nothing can predict it"
+        )
+    P = np.linalg.inv(Y)
+    gain = unstable @ P @ seen.T @ np.linalg.inv(seen @ P @ seen.T + covariance)
+    result: Matrix = V @ gain
+    return result
+
+
+def _check_sizes(
+    plant: DisturbedPlant, generators: Generators, data: DataSet, offset: bool
+) -> None:
+    n_y, components = plant.Dd.shape
+    n, n_u = plant.B.shape
+    for name, found, needed in (
+        ("y", data.y.shape[1], n_y),
+        ("u", data.u.shape[1], n_u),
+        ("alpha", data.alpha.shape[1], components),
+        ("families", len(generators.size), components),
+    ):
+        if found != needed:
+            raise AssumptionError(f"{name}: {found} columns; the plant needs {needed}")
+    amplitudes = sum(generators.size)
+    slopes = sum(
+        count * size for count, size in zip(generators.count, generators.size, strict=True)
+    )
+    columns = amplitudes + slopes + n + (n_y if offset else 0) + 1
+    if columns > MOST_COLUMNS or generators.parameters > MOST_PARAMETERS:
+        raise AssumptionError(
+            f"{generators.parameters} parameters and {columns - 1} columns; at most "
+            f"{MOST_PARAMETERS} and {MOST_COLUMNS - 1} can be fitted at once"
+        )
+
+
+def _intervals(
+    data: DataSet,
+) -> tuple[Vector, NDArray[np.bool_], NDArray[np.integer] | None]:
+    """Return the distinct intervals, whether a measured sample begins each, and which is where.
+
+    Intervals that differ by rounding of the times are one.
+    """
+    if len(data.t) < 2:
+        return np.ones(1), np.ones(1, np.bool_), None
+    steps = np.round(np.diff(data.t), 12)
+    measured = data.measured[:-1]
+    if measured.all() and (steps == steps[0]).all():
+        return steps[:1], np.ones(1, np.bool_), None
+    kinds, index = np.unique(np.stack([steps, measured], axis=1), axis=0, return_inverse=True)
+    interval = np.concatenate([[0], index.ravel()]).astype(np.int32)
+    return np.ascontiguousarray(kinds[:, 0]), kinds[:, 1] != 0.0, interval

@@ -1,0 +1,234 @@
+"""Output error: theta, amplitudes, x(0) and offset from y by variable projection.
+
+What is minimized is the sum of squares of ``y - y(theta, beta, x(0), offset)``, whitened, over the
+whole record. y is linear in all but theta: the linear unknowns are eliminated by orthogonal
+rotations, theta is found by Gauss-Newton on what remains (:mod:`cosim.native.estimation`). The
+initial state is an unknown, so there is no transient to wait for. With white Gaussian noise this is
+maximum likelihood, and its covariance is the Cramer-Rao bound for the same unknowns
+(L. Ljung, System Identification, 2nd ed., 1999, section 7.4).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.arrays import Matrix, Vector
+from cosim.errors import AssumptionError
+from cosim.native.estimation import (
+    NO_INFORMATION,
+    GaussNewtonResult,
+    ParameterState,
+    ResponseRecord,
+    minimize,
+)
+from cosim.theory.disturbance import Family, generators, search_box
+from cosim.theory.disturbed_plant import (
+    DataSet,
+    DisturbedPlant,
+    NoiseModel,
+    sample_plant,
+    white_noise,
+)
+
+# Probability that noise alone makes the amplitude of an absent component look like one, for one
+# theta; the largest over all theta, which the fit finds, is about a hundred times as probable.
+FALSE_PRESENCE: Final = 1e-8
+ROUNDING: Final = 2.0**-44  # error of a simulated output relative to the largest output
+NO_BOUNDS: Mapping[int, tuple[float, float]] = MappingProxyType({})
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class OutputErrorFit:
+    """An estimate of theta, with all that belongs to it.
+
+    Parameters
+    ----------
+    theta : Vector, shape (P,)
+    covariance : Matrix, shape (P, P)
+        From the variance of the residual; zero in rows of parameters that are not estimated.
+    states : tuple of ParameterState
+    converged : bool
+    iterations : int
+    deviation : float
+        Of the whitened residual.
+    freedom : float
+        Measured values less unknowns.
+    presence : Vector, shape (components,)
+        ``beta' C^-1 beta`` with the covariance C of beta: how far a component is from absent; for
+        noise alone a chi-square of V degrees of freedom.
+    amplitudes : tuple of Vector, shape (V,)
+        beta at the first time of each data set.
+    x0 : tuple of Vector, shape (n,)
+        The state there.
+    offset : tuple of Vector, shape (n_y,) or (0,)
+    records : tuple of ResponseRecord
+        The residual problem of each data set.
+    """
+
+    theta: Vector
+    covariance: Matrix
+    states: tuple[ParameterState, ...]
+    converged: bool
+    iterations: int
+    deviation: float
+    freedom: float
+    presence: Vector
+    amplitudes: tuple[Vector, ...]
+    x0: tuple[Vector, ...]
+    offset: tuple[Vector, ...]
+    records: tuple[ResponseRecord, ...]
+
+    @property
+    def standard_error(self) -> Vector:
+        """The standard errors of theta, shape (P,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def estimated(self) -> NDArray[np.bool_]:
+        """Which parameters the data determine, shape (P,)."""
+        states = [state is ParameterState.ESTIMATED for state in self.states]
+        return np.array(states)
+
+
+def fit_output_error(
+    data: Sequence[DataSet],
+    plant: DisturbedPlant,
+    families: Sequence[Family],
+    theta: Vector,
+    *,
+    noise: NoiseModel | None = None,
+    offset: bool = False,
+    forgetting: float = 1.0,
+    bounds: Mapping[int, tuple[float, float]] = NO_BOUNDS,
+) -> OutputErrorFit:
+    """Estimate theta by output error, from a start.
+
+    Parameters
+    ----------
+    data : sequence of DataSet
+        One or more records of the same plant under the same theta; amplitudes, initial states and
+        offsets are their own.
+    plant : DisturbedPlant
+    families : sequence of Family
+        The components of the disturbance.
+    theta : Vector, shape (P,)
+        Start.
+    noise : NoiseModel, optional
+        By default white, of equal deviation on every output.
+    offset : bool
+        An unknown constant is on every output.
+    forgetting : float
+        Weight of a sample over that of the next one.
+    bounds : mapping of index to (lower, upper)
+        Of entries of theta; equal bounds fix one.
+
+    Raises
+    ------
+    AssumptionError
+        If sizes do not fit, a bound excludes every value, or there are fewer samples than unknowns.
+    """
+    if not data:
+        raise AssumptionError("no data; needed at least one record")
+    matrices = generators(families)
+    noise = noise or white_noise(plant.C.shape[0])
+    records = []
+    for one in data:
+        sampled = sample_plant(
+            plant, matrices, one, noise=noise, offset=offset, forgetting=forgetting
+        )
+        records.append(sampled.record(one))
+    problem = _Problem(data, families, noise, matrices.parameters)
+    lower, upper = problem.bounds(bounds)
+    result = minimize(
+        records,
+        np.clip(theta, lower, upper),
+        lower=lower,
+        upper=upper,
+        scale=problem.box.step,
+        threshold=presence_threshold(matrices.size, len(data)),
+        accuracy=problem.rounding,
+    )
+    if result.status == NO_INFORMATION:
+        measured = sum(int(one.measured.sum()) * one.y.shape[1] for one in data)
+        unknowns = len(records) * records[0].model.linear + matrices.parameters
+        raise AssumptionError(
+            f"{measured} measured values for {unknowns} unknowns; needed more, and a theta at "
+            "which the response is finite"
+        )
+    return _fit(result, records, matrices.order, plant.A.shape[0])
+
+
+def presence_threshold(sizes: Sequence[int], records: int) -> Vector:
+    """Return above which ``beta' C^-1 beta`` a component is there, shape (components,)."""
+    from scipy.stats import chi2  # takes long to import
+
+    thresholds = [float(chi2.isf(FALSE_PRESENCE, size * records)) for size in sizes]
+    return np.array(thresholds)
+
+
+class _Problem:
+    """The scales of a fit."""
+
+    def __init__(
+        self,
+        data: Sequence[DataSet],
+        families: Sequence[Family],
+        noise: NoiseModel,
+        parameters: int,
+    ) -> None:
+        span = max(float(one.t[-1] - one.t[0]) for one in data)
+        count = max(len(one.t) for one in data)
+        shortest = 4.0 * span / max(count - 1, 4)
+        self.box = search_box(families, span=span, shortest=shortest)
+        self._parameters = parameters
+        largest = max(float(np.nanmax(np.abs(one.y))) for one in data)
+        weight = float(np.abs(noise.whitening).max())
+        self.rounding = ROUNDING * max(largest, np.finfo(np.float64).tiny) * weight
+
+    def bounds(self, given: Mapping[int, tuple[float, float]]) -> tuple[Vector, Vector]:
+        # A step beyond these makes the response overflow, or passes between two samples.
+        lower = np.full(self._parameters, -np.inf)
+        upper = np.full(self._parameters, np.inf)
+        for j, (low, high) in given.items():
+            if not 0 <= j < self._parameters:
+                raise AssumptionError(
+                    f"bounds: no theta[{j}]; there are {self._parameters} parameters"
+                )
+            if not low <= high:
+                raise AssumptionError(f"bounds of theta[{j}]: {low} > {high}; needed lower first")
+            lower[j] = low
+            upper[j] = high
+        return lower, upper
+
+
+def _fit(
+    result: GaussNewtonResult, records: Sequence[ResponseRecord], order: int, states: int
+) -> OutputErrorFit:
+    amplitudes = []
+    x0 = []
+    offset = []
+    for record in records:
+        linear = record.amplitudes[: record.model.linear]
+        amplitudes.append(linear[:order].copy())
+        x0.append(linear[order : order + states].copy())
+        offset.append(linear[order + states :].copy())
+    return OutputErrorFit(
+        theta=result.theta,
+        covariance=result.covariance,
+        states=result.states,
+        converged=result.status == 0,
+        iterations=result.iterations,
+        deviation=float(np.sqrt(result.variance)),
+        freedom=result.freedom,
+        presence=result.statistics / result.variance,
+        amplitudes=tuple(amplitudes),
+        x0=tuple(x0),
+        offset=tuple(offset),
+        records=tuple(records),
+    )

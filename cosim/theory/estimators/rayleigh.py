@@ -1,0 +1,155 @@
+"""Rayleigh nonlinear least squares: theta from the regression (25), its noise compensated.
+
+The rows ``mu`` hold delayed samples of delta, so noise of variance ``sigma^2`` in delta makes
+``S = sum mu mu'`` grow by ``sigma^2 N``, with N the sum of products of the known alphas: terms that
+share a delayed sample share its noise. The chi of the true theta minimizes the quotient
+
+    chi(theta)' S chi(theta) / chi(theta)' N chi(theta),
+
+whose minimum estimates sigma^2. Neither a prior nor a normalizer is needed, and theta is estimated,
+not eta. Its basin is large, which makes it the start of the estimators that are efficient.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cosim.arrays import Matrix, Vector
+from cosim.errors import AssumptionError
+from cosim.native.estimation import NO_INFORMATION, RayleighConstants, RayleighModel, triangle
+from cosim.theory.disturbance import AlphaGroup, Family, SearchBox, generators, search_box
+from cosim.theory.regression import Term
+
+MOST_GRID_POINTS = 4096
+MOST_TERMS = 128
+
+
+@dataclass(frozen=True, eq=False)
+class RayleighEstimate:
+    """theta at the minimum of the quotient.
+
+    Parameters
+    ----------
+    theta : Vector, shape (P,)
+    converged : bool
+    variance : float
+        The quotient: an estimate of the variance of the noise in delta.
+    """
+
+    theta: Vector
+    converged: bool
+    variance: float
+
+
+def rayleigh_constants(
+    families: Sequence[Family],
+    groups: Sequence[AlphaGroup],
+    terms: Sequence[Term],
+    delays: Sequence[float],
+    *,
+    span: float,
+) -> RayleighConstants:
+    """Return the numbers of the kernel.
+
+    Parameters
+    ----------
+    families : sequence of Family
+        The components of the disturbance, in their order.
+    groups : sequence of AlphaGroup
+        Them by alpha.
+    terms : sequence of Term
+        ``expand`` of the sizes of the groups.
+    delays : sequence of float
+        D_j [s].
+    span : float
+        Length of the record [s].
+
+    Raises
+    ------
+    AssumptionError
+        If there are too many terms.
+    """
+    if len(terms) > MOST_TERMS:
+        raise AssumptionError(
+            f"(25) has {len(terms)} terms, at most {MOST_TERMS} are possible; give components the "
+            "same alpha, or estimate by output error from a start of your own"
+        )
+    matrices = generators(families)
+    box = rayleigh_box(families, delays, span=span)
+    group_of = [0] * len(families)
+    for b, group in enumerate(groups):
+        for component in group.components:
+            group_of[component] = b
+    parts = []
+    for term in terms:
+        parts.append([row for part in term.parts for row in part])
+    points = int(MOST_GRID_POINTS ** (1.0 / max(matrices.parameters, 1)))
+    return RayleighConstants(
+        generators=matrices,
+        group=tuple(group_of),
+        delays=tuple(delays),
+        parts=np.array(parts),
+        lower=box.lower,
+        upper=box.upper,
+        points=min(points, 24),
+    )
+
+
+def rayleigh_box(families: Sequence[Family], delays: Sequence[float], *, span: float) -> SearchBox:
+    """Return where theta is searched: what the delays can tell apart."""
+    gaps = np.diff(np.sort(np.asarray(delays, np.float64)))
+    return search_box(families, span=span, shortest=float(gaps.min()))
+
+
+def noise_covariance(terms: Sequence[Term], alpha_products: Matrix) -> Matrix:
+    """Compute N, shape ``(q + 1, q + 1)``, for rows of alpha products, shape ``(rows, q + 1)``."""
+    signs = np.array([term.sign for term in terms], np.float64)
+    rows = np.array([term.row for term in terms])
+    signed = alpha_products * signs
+    shares_row = rows[:, np.newaxis] == rows
+    covariance: Matrix = (signed.T @ signed) * shares_row
+    return covariance
+
+
+def means(rows: Matrix, count: int) -> Matrix:
+    """Return the means of ``count`` successive rows; those at the end that make none are left out.
+
+    The regression (25) is linear in mu, so it holds for means of mu as it does for mu, and the
+    noise of a derivative nearly cancels in them. The products of the alphas are averaged with mu.
+    """
+    whole = len(rows) // count
+    grouped = rows[: whole * count].reshape(whole, count, rows.shape[1])
+    averaged: Matrix = grouped.mean(axis=1)
+    return averaged
+
+
+def rayleigh(
+    constants: RayleighConstants, mu: Matrix, N: Matrix, *, theta: Vector | None = None
+) -> RayleighEstimate:
+    """Estimate theta from rows of the regression.
+
+    Parameters
+    ----------
+    constants : RayleighConstants
+    mu : Matrix, shape (rows, q + 1)
+    N : Matrix, shape (q + 1, q + 1)
+        :func:`noise_covariance` of the same rows.
+    theta : Vector, shape (P,), optional
+        Where to start; by default where a search on a grid finds the smallest quotients.
+
+    Raises
+    ------
+    AssumptionError
+        If the quotient has no value, for which alphas that vanish are a reason.
+    """
+    model = RayleighModel(constants)
+    status, found, variance = model.minimize(triangle(mu), N, theta)
+    if status == NO_INFORMATION:
+        raise AssumptionError(
+            "(25): the quotient of the regression has no value; the alphas vanish on this window, "
+            "or delta is not finite"
+        )
+    return RayleighEstimate(found, status == 0, variance)
