@@ -8,15 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from cosim.arrays import Mask, Matrix, Vector
-from cosim.core.contracts import Design, check_design
+from cosim.core.contracts import Design, Stopped, check_design
 from cosim.core.signals import Interface, Signal
+from cosim.errors import AssumptionError
 from cosim.native.estimation import (
     KnownInput,
     OutputErrorConstants,
     RayleighConstants,
 )
 from cosim.native.expression import Program
-from cosim.native.identifier import IdentifierConstants, IdentifierStep
+from cosim.native.identifier import BetweenConstants, IdentifierConstants, IdentifierStep
 from cosim.native.step import RegressorConstants
 from cosim.theory.disturbance import SearchBox
 from cosim.theory.disturbed_plant import (
@@ -31,6 +32,7 @@ from cosim.theory.estimators.projection import reconstruction_model
 _OF_Y = ("Ad", "B0", "B1", "K", "C", "D", "W")
 _OF_DELTA = ("delta_Ad", "delta_C")
 _OF_U = ("Bu0", "Bu1", "Du")
+_OUTSIDE = 6  # COSIM_OUTSIDE
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -107,6 +109,10 @@ class OutputErrorIdentifier:
     value (NaN) until the data determine them, theta of a component that noise alone explains never.
     An estimate rests on the samples before its instant.
 
+    Where y is sampled at instants of its own, these count in its place: the inputs ``samples``
+    (the ``most`` values of a step for each output, one output behind the other) and
+    ``sample_times`` have those since the last communication point, NaN where there is none.
+
     Parameters
     ----------
     problem : IdentificationProblem
@@ -115,6 +121,16 @@ class OutputErrorIdentifier:
         A constant on every output is unknown.
     lower, upper : Vector, shape (P,)
         Bounds of theta; where they are equal it is known.
+    most : int
+        Samples in one communication step at instants of their own; 0: y is sampled at the
+        communication points.
+
+    Raises
+    ------
+    Stopped
+        From ``advance``, where a sample is said to be of an instant outside its step.
+    AssumptionError
+        From ``prepare``, where the plant is unstable and its samples have instants of their own.
     """
 
     def __init__(
@@ -125,12 +141,14 @@ class OutputErrorIdentifier:
         offset: bool,
         lower: Vector,
         upper: Vector,
+        most: int = 0,
     ) -> None:
         self.problem = problem
         self.schedule = schedule
         self._offset = offset
         self._lower = lower
         self._upper = upper
+        self._most = most
         generators = problem.rayleigh.generators
         n_y, n_u = problem.plant.D.shape
         inputs = [
@@ -138,6 +156,9 @@ class OutputErrorIdentifier:
             Signal("delta", 1, optional=True, role="input"),
             Signal("y", n_y, role="input"),
         ]
+        if most:
+            inputs.append(Signal("samples", n_y * most, optional=True, role="input"))
+            inputs.append(Signal("sample_times", most, unit="s", optional=True, role="input"))
         if n_u:
             inputs.append(Signal("u", n_u, role="input"))
         P = generators.parameters
@@ -159,7 +180,7 @@ class OutputErrorIdentifier:
         computed = self._design(h, held_u)
         design = dict(recorded) or computed
         check_design(design, {name: array.shape for name, array in computed.items()})
-        self._kernel = IdentifierStep(self._constants(h, design))
+        self._kernel = IdentifierStep(self._constants(h, design, held_u))
         return design
 
     def _design(self, h: float, held: Mask) -> dict[str, Matrix]:
@@ -168,6 +189,11 @@ class OutputErrorIdentifier:
         span = self.schedule.steps * h
         step = np.array([h])
         predicts = np.array([needs_predictor(problem.plant.A, span)])
+        if self._most and predicts[0]:
+            raise AssumptionError(
+                "the plant is unstable, so that its output has to be predicted from the samples "
+                "before, at constant distances; needed samples at the communication points"
+            )
         on_y, known = discretize(
             problem.plant,
             generators,
@@ -187,10 +213,13 @@ class OutputErrorIdentifier:
         design["Bu1"] = known.B1
         design["Du"] = known.D
         design["threshold"] = presence_threshold(generators.size, 1)
+        if self._most:
+            design["A"] = problem.plant.A
+            design["B"] = np.hstack([problem.plant.B, problem.plant.Bd])
         design["times"] = np.array([self.schedule.start, self.schedule.settled])
         return design
 
-    def _constants(self, h: float, design: Design) -> IdentifierConstants:
+    def _constants(self, h: float, design: Design, held: Mask) -> IdentifierConstants:
         problem = self.problem
         schedule = self.schedule
         generators = problem.rayleigh.generators
@@ -239,6 +268,15 @@ class OutputErrorIdentifier:
             upper=self._upper,
             scale=problem.box.step,
             threshold=design["threshold"],
+            between=self._between(design, held),
+        )
+
+    def _between(self, design: Design, held: Mask) -> BetweenConstants | None:
+        if not self._most:
+            return None
+        D = np.hstack([design["Du"], design["D"].T])
+        return BetweenConstants(
+            most=self._most, A=design["A"], B=design["B"], C=design["C"], D=D, held=held
         )
 
     def initialize(self, t: float, u: Vector) -> Vector:
@@ -255,6 +293,12 @@ class OutputErrorIdentifier:
         y = self._kernel.step.advance(t, h, u)
         if len(y):
             self._last = y[-1].copy()
+        if self._kernel.step.status == _OUTSIDE:
+            raise Stopped(
+                y,
+                f"a sample at {t[len(y)]} s is said to be of an instant that is not since the "
+                "communication point before; needed the samples of that step",
+            )
         return y
 
     def save(self) -> tuple[Vector, Vector]:

@@ -27,6 +27,7 @@ SOURCES = (
     "expression.c",
     "estimate.c",
     "householder.c",
+    "between.c",
     "identifier.c",
     "output_error.c",
     "rayleigh.c",

@@ -18,6 +18,7 @@
 #define COSIM_SINGULAR 3 /* a matrix has no inverse */
 #define COSIM_NOT_CONVERGED 4 /* an iteration has not reached its end */
 #define COSIM_FULL 5 /* there is no room for more samples */
+#define COSIM_OUTSIDE 6 /* a sample is said to be of an instant outside its communication step */
 
 typedef int32_t (*cosim_step)(void *self, double t0, double t1, double h, const double *u0,
                               const double *u1, double *y);
@@ -270,11 +271,22 @@ typedef struct {
     double forgetting;     /* weight of a row over that of the next sample; 1: they weigh the same */
 } cosim_output_error;
 
+/* Samples between those of the grid, in the order of time. The row of an output is (C, D0, D1): it
+ * is C x + D0 d0 + D1 d1, with the state at the beginning of the step and the disturbances at both
+ * ends. */
+typedef struct {
+    int64_t count;
+    double *place;    /* (count) sample of the grid at the end of the step */
+    double *rows;     /* (count, outputs, states + 2 components) */
+    double *residual; /* (count, outputs) as that of the grid */
+} cosim_between_record;
+
 typedef struct {
     int64_t first, end;      /* samples of the window */
     const double *residual;  /* (samples, outputs) y less its known part; NaN: not measured */
     const double *alpha;     /* (samples, components) */
     const int32_t *interval; /* (samples) which one ends at the sample; NULL: 0 for all */
+    const cosim_between_record *between; /* NULL: none; only without ar and K */
 } cosim_record;
 
 /* What the outputs would be without disturbance, from x(0) = 0: with the gain K of a predictor,
@@ -363,12 +375,36 @@ int32_t cosim_rayleigh_minimize(const cosim_rayleigh *self, const double *R, con
 int32_t cosim_rayleigh_search(const cosim_rayleigh *self, const double *R, const double *N,
                               double *theta, double *value);
 
+/* --- between.c --- */
+
+/* A plant whose outputs are sampled between communication points, where its inputs are straight
+ * lines: x' = A x + B v, y = C x + D v, with v = (u, disturbances). */
+typedef struct {
+    int32_t most; /* samples in one step */
+    int32_t states, outputs, inputs, components;
+    int64_t capacity;      /* samples */
+    const double *A, *B;   /* (states, states), (states, inputs + components) */
+    const double *C, *D;   /* (outputs, states), (outputs, inputs + components) */
+    const uint8_t *held;   /* (inputs + components) zero-order hold over the step */
+} cosim_between;
+int64_t cosim_between_memory(const cosim_between *self);
+/* The record that stands in its memory. */
+cosim_between_record cosim_between_in(const cosim_between *self, double *memory, int64_t count);
+/* Append the samples of the step from t0 to t1, which the sample `place` of the grid ends; x: the
+ * state at t0 without disturbances. `samples` are (outputs, most) values, then `most` instants, NaN
+ * where there is none. One at t1 is that of the grid: y becomes it, or NaN where there is none. */
+int32_t cosim_between_take(const cosim_between *self, int64_t place, double t0, double t1,
+                           const double *x, const double *u0, const double *u1,
+                           const double *samples, cosim_between_record *record, double *y);
+
 /* --- identifier.c --- */
 
 /* Output error online: every `period` samples theta is estimated from all of them, or from those of
  * a moving window. A start is searched by the Rayleigh quotient, and improved on delta. Its inputs
  * are mu, delta, y and u, of which a step takes those at its beginning; its outputs are theta, its
- * standard errors, the deviation of the noise, and the amplitudes at the beginning of the window. */
+ * standard errors, the deviation of the noise, and the amplitudes at the beginning of the window.
+ * Where y is sampled at instants of its own, the samples stand between y and u in the inputs, and
+ * count in the place of y. */
 typedef struct {
     int32_t period;
     int32_t width;    /* of the outputs */
@@ -386,6 +422,7 @@ typedef struct {
     const cosim_known_input *known;
     const double *lower, *upper, *scale; /* (parameters) as in cosim_fit */
     const double *threshold;             /* (components) */
+    const cosim_between *between;        /* NULL: y is sampled at the communication points */
     double *memory;
 } cosim_identifier;
 /* The number of doubles of `memory`, and of those before the samples, which are only appended. */

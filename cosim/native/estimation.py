@@ -49,7 +49,7 @@ class RecordStruct(ctypes.Structure):
 
     _fields_ = (
         *((name, c_int64) for name in ("first", "end")),
-        *((name, c_void_p) for name in ("residual", "alpha", "interval")),
+        *((name, c_void_p) for name in ("residual", "alpha", "interval", "between")),
     )
 
 
@@ -294,7 +294,7 @@ class ResponseRecord:
         self.amplitudes = np.zeros(max(model.linear, 1))
         intervals = None if self.interval is None else pointer(self.interval)
         record = RecordStruct(
-            0, len(self.residual), pointer(self.residual), pointer(self.alpha), intervals
+            0, len(self.residual), pointer(self.residual), pointer(self.alpha), intervals, None
         )
         self.struct = ExperimentStruct(
             ctypes.addressof(model.struct), record, pointer(self.work), pointer(self.amplitudes)

@@ -19,8 +19,10 @@ typedef struct {
     double *delta_amplitudes, *delta_work; /* of delta */
     int64_t state;
     double *before; /* y and u of the last two samples */
+    double *time, *betweens; /* of the last sample; number of samples between those of the grid */
     double *residual, *alpha;
     double *delta, *delta_alpha;
+    double *between;
     int64_t size;
 } storage;
 
@@ -53,11 +55,14 @@ static storage storage_of(const cosim_identifier *s)
     m.delta_amplitudes = next, next += cosim_output_error_columns(s->on_delta);
     m.delta_work = next, next += cosim_output_error_memory(s->on_delta);
     m.before = next, next += 2 * (n_outputs(s) + s->known->inputs);
+    m.time = next++;
+    m.betweens = next++;
     m.state = next - s->memory;
     m.residual = next, next += capacity * n_outputs(s);
     m.alpha = next, next += capacity * components;
     m.delta = next, next += capacity;
     m.delta_alpha = next, next += capacity * components;
+    m.between = next, next += s->between ? cosim_between_memory(s->between) : 0;
     m.size = next - s->memory;
     return m;
 }
@@ -125,8 +130,25 @@ static void take_regressor(const cosim_identifier *s, const storage *m, double t
     *m->rows += 1.0;
 }
 
-static void take_sample(const cosim_identifier *s, const storage *m, double t, const double *input)
+/* The outputs at the communication point, where they are sampled at instants of their own: NaN
+ * unless one of these is that point. The others are appended. */
+static int32_t take_between(const cosim_identifier *s, const storage *m, double t,
+                            const double *samples, const double *u, double *y)
 {
+    const double *u_before = m->before + 2 * n_outputs(s) + s->known->inputs;
+    const double before = *m->count > 0.0 ? *m->time : t;
+    cosim_between_record record = cosim_between_in(s->between, m->between, (int64_t)*m->betweens);
+    const int32_t status = cosim_between_take(s->between, (int64_t)*m->count, before, t, m->x,
+                                              u_before, u, samples, &record, y);
+    *m->betweens = (double)record.count;
+    *m->time = t;
+    return status;
+}
+
+static int32_t take_sample(const cosim_identifier *s, const storage *m, double t,
+                           const double *input)
+{
+    double at_point[COSIM_MOST_COLUMNS];
     const int32_t terms = s->rayleigh->terms, components = s->rayleigh->components;
     const int32_t outputs = n_outputs(s), inputs = s->known->inputs;
     const int64_t k = (int64_t)*m->count;
@@ -144,6 +166,14 @@ static void take_sample(const cosim_identifier *s, const storage *m, double t, c
     for (int32_t o = 0; o < outputs; ++o)
         if (fabs(y[o]) > *m->largest)
             *m->largest = fabs(y[o]);
+    if (s->between) {
+        const double *samples = u;
+        u += (outputs + 1) * s->between->most;
+        const int32_t status = take_between(s, m, t, samples, u, at_point);
+        if (status)
+            return status;
+        y = at_point;
+    }
     double *ys = m->before, *us = m->before + 2 * outputs;
     memcpy(ys, ys + outputs, (size_t)outputs * sizeof *ys);
     memcpy(us, us + inputs, (size_t)inputs * sizeof *us);
@@ -155,6 +185,7 @@ static void take_sample(const cosim_identifier *s, const storage *m, double t, c
                                 ys + (begin ? 0 : outputs), NULL, m->x, pair);
     memcpy(m->residual + k * outputs, pair + begin * outputs, (size_t)outputs * sizeof *pair);
     *m->count += 1.0;
+    return COSIM_OK;
 }
 
 /* --- estimates --- */
@@ -162,6 +193,7 @@ static void take_sample(const cosim_identifier *s, const storage *m, double t, c
 typedef struct {
     cosim_fit fit;
     cosim_experiment experiment;
+    cosim_between_record between;
     double estimate[COSIM_MOST_PARAMETERS];
     double covariance[COSIM_MOST_PARAMETERS * COSIM_MOST_PARAMETERS];
     double statistics[COSIM_MOST_PARAMETERS];
@@ -200,10 +232,14 @@ static void prepare_fit_of_y(const cosim_identifier *s, const storage *m, double
     prepare_fit(s, e, ROUNDING * *m->largest * s->weight, theta);
     e->experiment = (cosim_experiment){
         .model = s->on_y,
-        .record = {first, count, m->residual, m->alpha, NULL},
+        .record = {first, count, m->residual, m->alpha, NULL, NULL},
         .work = m->work,
         .amplitudes = m->amplitudes,
     };
+    if (s->between) {
+        e->between = cosim_between_in(s->between, m->between, (int64_t)*m->betweens);
+        e->experiment.record.between = &e->between;
+    }
 }
 
 static void prepare_fit_of_delta(const cosim_identifier *s, const storage *m, double *theta,
@@ -215,7 +251,7 @@ static void prepare_fit_of_delta(const cosim_identifier *s, const storage *m, do
     e->fit.threshold = e->nothing; /* its noise is not white, so nothing is said of what is there */
     e->experiment = (cosim_experiment){
         .model = s->on_delta,
-        .record = {first, count, m->delta, m->delta_alpha, NULL},
+        .record = {first, count, m->delta, m->delta_alpha, NULL, NULL},
         .work = m->delta_work,
         .amplitudes = m->delta_amplitudes,
     };
@@ -316,7 +352,9 @@ int32_t cosim_identifier_step(void *self, double t0, double t1, double h, const 
     const storage m = storage_of(s);
     if ((int64_t)*m.count == s->capacity)
         return COSIM_FULL;
-    take_sample(s, &m, t0, u0);
+    const int32_t status = take_sample(s, &m, t0, u0);
+    if (status)
+        return status;
     if ((int64_t)*m.count % s->period == 0)
         estimate(s, &m);
     memcpy(y, m.outputs, (size_t)s->width * sizeof *y);

@@ -6,10 +6,12 @@ import ctypes
 from collections.abc import Sequence
 from ctypes import byref, c_double, c_int32, c_int64, c_void_p
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from cosim.arrays import Vector
+from cosim.arrays import Mask, Matrix, Vector
 from cosim.native.estimation import (
     KnownInput,
     OutputErrorConstants,
@@ -32,8 +34,55 @@ class IdentifierStruct(ctypes.Structure):
         *((name, c_double) for name in ("start", "settled", "lag", "weight")),
         *((name, c_void_p) for name in ("products", "alphas", "rayleigh", "on_delta", "on_y")),
         *((name, c_void_p) for name in ("known", "lower", "upper", "scale", "threshold")),
-        ("memory", c_void_p),
+        *((name, c_void_p) for name in ("between", "memory")),
     )
+
+
+class BetweenStruct(ctypes.Structure):
+    """cosim_between."""
+
+    _fields_ = (
+        *((name, c_int32) for name in ("most", "states", "outputs", "inputs", "components")),
+        ("capacity", c_int64),
+        *((name, c_void_p) for name in ("A", "B", "C", "D", "held")),
+    )
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class BetweenConstants:
+    """The numbers of cosim_between.
+
+    Parameters
+    ----------
+    most : int
+        Samples in one communication step.
+    A : Matrix, shape (n, n)
+    B : Matrix, shape (n, n_u + components)
+    C : Matrix, shape (n_y, n)
+    D : Matrix, shape (n_y, n_u + components)
+    held : Mask, shape (n_u,)
+        Inputs with a zero-order hold over the step.
+    """
+
+    most: int
+    A: Matrix
+    B: Matrix
+    C: Matrix
+    D: Matrix
+    held: Mask
+
+    def struct(self, steps: int) -> tuple[BetweenStruct, list[NDArray[Any]]]:
+        """Return the struct for a number of steps, and the arrays that must outlive it."""
+        n_y, n = self.C.shape
+        n_u = len(self.held)
+        components = self.B.shape[1] - n_u
+        arrays: list[NDArray[Any]] = []
+        for values in (self.A, self.B, self.C, self.D):
+            arrays.append(np.ascontiguousarray(values, np.float64))
+        free = np.zeros(components, np.bool_)
+        arrays.append(np.concatenate([self.held, free]).astype(np.uint8))
+        sizes = (self.most, n, n_y, n_u, components, steps * self.most)
+        return BetweenStruct(*sizes, *map(pointer, arrays)), arrays
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -67,6 +116,8 @@ class IdentifierConstants:
         Bounds of theta, and its longest step.
     threshold : Vector, shape (components,)
         Statistic from which on a component is no noise.
+    between : BetweenConstants or None
+        Where y is sampled at instants of its own.
     """
 
     period: int
@@ -86,6 +137,7 @@ class IdentifierConstants:
     upper: Vector
     scale: Vector
     threshold: Vector
+    between: BetweenConstants | None = None
 
     @property
     def n_y(self) -> int:
@@ -129,10 +181,16 @@ class IdentifierStep:
             *map(ctypes.addressof, structs),
             *map(pointer, vectors),
         )
+        keep_between: tuple[object, ...] = ()
+        if constants.between is not None:
+            between, arrays = constants.between.struct(constants.capacity)
+            state.between = ctypes.addressof(between)
+            keep_between = (between, *arrays)
         memory = np.zeros(int(library.cosim_identifier_memory(byref(state))))
         state.memory = pointer(memory)
         self._small = int(library.cosim_identifier_state(byref(state)))
-        keep = (on_delta, on_y, rayleigh, keep_known, keep_products, *structs, *vectors)
+        keep_models = (on_delta, on_y, rayleigh, keep_known, keep_products, *structs)
+        keep = (*keep_models, *vectors, *keep_between)
         function = address("cosim_identifier_step")
         self.step = NativeStep(function, state, n_y=constants.n_y, memory=memory, keep=keep)
 

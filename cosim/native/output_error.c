@@ -247,9 +247,43 @@ static void advance_responses(const cosim_output_error *s, layout l, const parts
     memcpy(p->X, p->next, (size_t)n * (size_t)M * sizeof *p->X);
 }
 
-/* The rows of one sample before the filter, one an output: C x + D input, the offset, and the
- * residual; weighted by W. */
-static void make_rows(const cosim_output_error *s, layout l, const parts *p,
+/* One output before weights and filter: C x + D0 input0 + D1 input1, the offset, the residual. */
+typedef struct {
+    const double *C;
+    const double *D0, *D1; /* of the disturbances; D0 may be NULL */
+    int32_t stride;        /* from one disturbance to the next */
+} output_row;
+
+static void make_row(const cosim_output_error *s, layout l, const parts *p, output_row from,
+                     double *plain)
+{
+    const int32_t M = l.columns;
+    for (int32_t c = 0; c < M; ++c)
+        plain[c] = 0.0;
+    for (int32_t a = 0; a < s->states; ++a) {
+        const double C = from.C[a];
+        if (C == 0.0)
+            continue;
+        for (int32_t c = 0; c < M; ++c)
+            plain[c] += C * p->X[a * M + c];
+    }
+    int32_t column = 0, derivative = l.linear;
+    for (int32_t i = 0; i < s->components; ++i) {
+        const int32_t V = s->size[i], count = s->count[i] * V;
+        const double D0 = from.D0 ? from.D0[i * from.stride] : 0.0;
+        const double D1 = from.D1[i * from.stride];
+        if (D0 != 0.0 || D1 != 0.0) {
+            add_input(V, D0, D1, p->input0 + column, p->input1 + column, plain + column);
+            add_input(count, D0, D1, p->input0 + derivative, p->input1 + derivative,
+                      plain + derivative);
+        }
+        column += V, derivative += count;
+    }
+}
+
+/* The rows of one sample before the filter, one an output, weighted by W. `between`: its rows in
+ * the record, where it is no sample of the grid. */
+static void make_rows(const cosim_output_error *s, layout l, const parts *p, const double *between,
                       const double *residual, double *rows)
 {
     const int32_t n = s->states, M = l.columns;
@@ -258,26 +292,12 @@ static void make_rows(const cosim_output_error *s, layout l, const parts *p,
         for (int32_t c = 0; c < M; ++c)
             rows[o * M + c] = 0.0;
     for (int32_t o = 0; o < s->outputs; ++o) {
-        for (int32_t c = 0; c < M; ++c)
-            plain[c] = 0.0;
-        for (int32_t a = 0; a < n; ++a) {
-            const double C = s->C[o * n + a];
-            if (C == 0.0)
-                continue;
-            for (int32_t c = 0; c < M; ++c)
-                plain[c] += C * p->X[a * M + c];
+        output_row from = {s->C + o * n, NULL, s->D + o, s->outputs};
+        if (between) {
+            const double *row = between + o * (n + 2 * s->components);
+            from = (output_row){row, row + n, row + n + s->components, 1};
         }
-        int32_t column = 0, derivative = l.linear;
-        for (int32_t i = 0; i < s->components; ++i) {
-            const int32_t V = s->size[i], count = s->count[i] * V;
-            const double D = s->D[i * s->outputs + o];
-            if (D != 0.0) {
-                add_input(V, 0.0, D, p->input1 + column, p->input1 + column, plain + column);
-                add_input(count, 0.0, D, p->input1 + derivative, p->input1 + derivative,
-                          plain + derivative);
-            }
-            column += V, derivative += count;
-        }
+        make_row(s, l, p, from, plain);
         if (s->offset)
             plain[l.linear - s->outputs + o] = 1.0;
         plain[M - 1] = residual[o];
@@ -318,14 +338,14 @@ static int32_t filter_rows(const cosim_output_error *s, layout l, const parts *p
     return before >= s->ar ? s->outputs : 0;
 }
 
-/* Go on to sample k from the one before. */
-static void advance(const cosim_output_error *s, layout l, const parts *p, const double *theta,
-                    const cosim_record *record, int64_t k)
+/* Go on to the disturbances at sample k; returns the interval that ends there, -1: none. */
+static int32_t advance_inputs(const cosim_output_error *s, layout l, const parts *p,
+                              const double *theta, const cosim_record *record, int64_t k)
 {
     const double *alpha = record->alpha + k * s->components;
     if (k == record->first) {
         set_inputs(s, l, p, alpha, p->input1);
-        return;
+        return -1;
     }
     const int32_t interval = record->interval ? record->interval[k] : 0;
     if (interval != (int32_t)*p->interval)
@@ -333,7 +353,53 @@ static void advance(const cosim_output_error *s, layout l, const parts *p, const
     memcpy(p->input0, p->input1, (size_t)l.columns * sizeof *p->input0);
     advance_basis(s, l, p);
     set_inputs(s, l, p, alpha, p->input1);
-    advance_responses(s, l, p, interval);
+    return interval;
+}
+
+/* Rows that wait to be rotated into R. */
+typedef struct {
+    int32_t count;
+    double weight; /* of the next one, relative to R */
+} waiting;
+
+static void rotate(layout l, const parts *p, waiting *w)
+{
+    const int32_t M = l.columns;
+    cosim_householder(M, p->R, w->count, p->block, p->scratch);
+    if (w->weight != 1.0)
+        for (int32_t i = 0; i < M * M; ++i)
+            p->R[i] /= w->weight;
+    *w = (waiting){0, 1.0};
+}
+
+static void take_rows(const cosim_output_error *s, layout l, const parts *p, const double *between,
+                      const double *residual, waiting *w)
+{
+    if (!is_measured(s, residual)) {
+        *p->lag = 0.0;
+        return;
+    }
+    make_rows(s, l, p, between, residual, p->scratch);
+    const int32_t made =
+        filter_rows(s, l, p, p->scratch, w->weight, p->block + w->count * l.columns);
+    *p->rows += made;
+    w->count += made;
+    if (w->count + s->outputs > BLOCK)
+        rotate(l, p, w);
+}
+
+/* The first of the samples between those of the grid that is in the step to k or later. */
+static int64_t first_between(const cosim_between_record *between, int64_t k)
+{
+    int64_t low = 0, high = between ? between->count : 0;
+    while (low < high) {
+        const int64_t middle = low + (high - low) / 2;
+        if (between->place[middle] < (double)k)
+            low = middle + 1;
+        else
+            high = middle;
+    }
+    return low;
 }
 
 void cosim_output_error_take(const cosim_output_error *s, const double *theta,
@@ -341,31 +407,24 @@ void cosim_output_error_take(const cosim_output_error *s, const double *theta,
 {
     const layout l = layout_of(s);
     const parts p = parts_of(s, l, work);
-    const int32_t M = l.columns;
-    int32_t pending = 0;
-    double weight = 1.0;
+    const cosim_between_record *between = record->between;
+    const int64_t width = s->outputs * (s->states + 2 * s->components);
+    waiting w = {0, 1.0};
+    int64_t b = first_between(between, begin);
     for (int64_t k = begin; k < end; ++k) {
-        const double *residual = record->residual + k * s->outputs;
-        advance(s, l, &p, theta, record, k);
-        weight /= s->forgetting;
+        const int32_t interval = advance_inputs(s, l, &p, theta, record, k);
+        w.weight /= s->forgetting;
         *p.rows *= s->forgetting * s->forgetting;
-        if (is_measured(s, residual)) {
-            make_rows(s, l, &p, residual, p.scratch);
-            const int32_t made = filter_rows(s, l, &p, p.scratch, weight, p.block + pending * M);
-            *p.rows += made;
-            pending += made;
-        } else {
-            *p.lag = 0.0;
-        }
-        if (pending + s->outputs > BLOCK || k == end - 1) {
-            cosim_householder(M, p.R, pending, p.block, p.scratch);
-            if (weight != 1.0)
-                for (int32_t i = 0; i < M * M; ++i)
-                    p.R[i] /= weight;
-            pending = 0;
-            weight = 1.0;
-        }
+        for (; between && b < between->count && between->place[b] == (double)k; ++b)
+            if (interval >= 0)
+                take_rows(s, l, &p, between->rows + b * width,
+                          between->residual + b * s->outputs, &w);
+        if (interval >= 0)
+            advance_responses(s, l, &p, interval);
+        take_rows(s, l, &p, NULL, record->residual + k * s->outputs, &w);
     }
+    if (w.count > 0 || w.weight != 1.0)
+        rotate(l, &p, &w);
 }
 
 void cosim_output_error_rows(const cosim_output_error *s, const double *theta,
@@ -376,8 +435,10 @@ void cosim_output_error_rows(const cosim_output_error *s, const double *theta,
     const int64_t width = (int64_t)s->outputs * l.columns;
     cosim_output_error_start(s, theta, work);
     for (int64_t k = record->first; k < record->end; ++k) {
-        advance(s, l, &p, theta, record, k);
-        make_rows(s, l, &p, record->residual + k * s->outputs, p.scratch);
+        const int32_t interval = advance_inputs(s, l, &p, theta, record, k);
+        if (interval >= 0)
+            advance_responses(s, l, &p, interval);
+        make_rows(s, l, &p, NULL, record->residual + k * s->outputs, p.scratch);
         memcpy(rows + (k - record->first) * width, p.scratch, (size_t)width * sizeof *rows);
     }
 }

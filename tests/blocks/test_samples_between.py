@@ -1,0 +1,151 @@
+"""Outputs sampled at instants of their own count there, whatever the communication step."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import cosim
+from cosim.blocks.output_error_identifier import OutputErrorIdentifier
+from cosim.core.contracts import Stopped
+from cosim.errors import AssumptionError
+from cosim.scenario.build import Builder
+from cosim.theory.descriptor import reduce
+from cosim.theory.disturbance import Exponential
+from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
+from cosim.theory.estimators.output_error import fit_output_error
+from tests.theory.academic import THETA, academic, alpha, delta
+
+H = 1e-2
+STEPS = 2000
+SIGMA = 1e-3
+MOST = 2
+
+
+@pytest.fixture(scope="module")
+def run():
+    """Return a scenario with output error, and a run of it."""
+    changes = {
+        "identifier.method": "output-error",
+        "identifier.period": 2.0,
+        "scenario.stop": STEPS * H,
+        "scenario.step": H,
+        "observer.filter_rate": 50.0,
+    }
+    scenario = cosim.load("academic").set(changes)
+    return scenario, cosim.run(scenario)
+
+
+def identifier(scenario, *, most=MOST, plant=None) -> OutputErrorIdentifier:
+    with ExitStack() as resources:
+        built = Builder(scenario, resources).components["identifier"]._component
+    problem = built.problem
+    if plant is not None:
+        object.__setattr__(problem, "plant", plant)
+    unbounded = np.full(2, np.inf)
+    made = OutputErrorIdentifier(
+        problem, built.schedule, offset=False, lower=-unbounded, upper=unbounded, most=most
+    )
+    n_u = made.interface.n_u
+    made.prepare(H, np.zeros(n_u, np.bool_), {})
+    return made
+
+
+def outputs_at(t):
+    """Solve the plant for the true disturbance, to 1e-12."""
+    reduced = reduce(academic())
+
+    def rate(t, x):
+        forced = reduced.B_1a[:, 0] * np.sin(t) + reduced.B_2a[:, 0] * delta(np.array([t]))[0]
+        return reduced.A_a @ x + forced
+
+    solution = solve_ivp(
+        rate, (0.0, STEPS * H), [1.0, -1.0], method="DOP853", rtol=1e-12, atol=1e-13, t_eval=t
+    )
+    return (reduced.C3 @ solution.y)[0] + reduced.C4[0, 0] * np.sin(t)
+
+
+def rows(log, times, y):
+    """Return the inputs of an identifier that gets samples at times of their own."""
+    t = log.time("plant.y")
+    samples = np.full((len(t), MOST), np.nan)
+    instants = np.full((len(t), MOST), np.nan)
+    for time, value in zip(times, y, strict=True):
+        k = np.searchsorted(t, time)
+        place = int(np.isfinite(instants[k]).sum())
+        instants[k, place] = time
+        samples[k, place] = value
+    columns = [log["regressor.mu"], log["observer.delta"][:, np.newaxis]]
+    columns += [log["plant.y"][:, np.newaxis], samples, instants, log["u.y"][:, np.newaxis]]
+    return t, np.ascontiguousarray(np.hstack(columns))
+
+
+def estimate(component, t, u):
+    component.initialize(t[0], u[0])
+    return component.advance(t, H, u)
+
+
+def test_samples_at_the_communication_points_are_the_outputs_there(run):
+    """Bit for bit the same estimates, and different ones without the samples of some points."""
+    scenario, log = run
+    t, u = rows(log, log.time("plant.y"), log["plant.y"])
+    plain = identifier(scenario, most=0)
+    u_plain = np.delete(u, range(8, 8 + 2 * MOST), axis=1)
+    expected = estimate(plain, t, u_plain)
+    found = estimate(identifier(scenario), t, u)
+    np.testing.assert_array_equal(found, expected)
+    assert np.isfinite(found[-1]).all()
+    u[::7, 8 : 8 + 2 * MOST] = np.nan
+    assert not np.array_equal(estimate(identifier(scenario), t, u)[-1], expected[-1])
+
+
+def test_samples_between_communication_points_count_at_their_instants(run):
+    """The estimate is that of a fit over the samples alone, and y at the points does not matter."""
+    scenario, log = run
+    rng = np.random.default_rng(1)
+    times = 0.8 * H * np.arange(1, 2400) + rng.uniform(0.0, 1e-3, 2399)
+    times = np.sort(rng.choice(times, 2376, replace=False))
+    y = outputs_at(times) + SIGMA * rng.standard_normal(len(times))
+    t, u = rows(log, times, y)
+    component = identifier(scenario)
+    found = estimate(component, t, u)[-1]
+    used = times[times <= t[-2]]
+    data = DataSet(used, y[: len(used), np.newaxis], np.sin(used)[:, np.newaxis], alpha(used))
+    families = (Exponential(), Exponential())
+    fit = fit_output_error([data], component.problem.plant, families, np.array(THETA))
+    # both take straight lines for curves, of 10 ms and of 8 ms: 5e-7 at 1 ms, by the square
+    assert (np.abs(found[:2] - fit.theta) < 5e-5).all()
+    assert (np.abs(found[:2] - fit.theta) < 0.05 * fit.standard_error).all()
+    np.testing.assert_allclose(found[2:4], fit.standard_error, rtol=1e-2)
+    assert found[4] == pytest.approx(fit.deviation, rel=1e-3)
+    u[:, 7] += 1.0
+    np.testing.assert_array_equal(estimate(component, t, u)[-1], found)
+
+
+def test_a_sample_outside_its_step_stops_the_run(run):
+    """What belongs to no step would be taken for a sample of another instant."""
+    scenario, log = run
+    t, u = rows(log, [0.5 * H, 1.5 * H], [1.0, 1.0])
+    u[2, 8 + MOST] = 0.5 * H
+    component = identifier(scenario)
+    component.initialize(t[0], u[0])
+    with pytest.raises(Stopped, match=r"a sample at 0.02 s is said to be of an instant that is"):
+        component.advance(t, H, u)
+
+
+def test_samples_of_an_unstable_plant_are_refused(run):
+    """A predicted output needs the measured one before it."""
+    scenario, _ = run
+    plant = DisturbedPlant(
+        A=np.diag([0.8, -1.0]),
+        B=np.ones((2, 1)),
+        Bd=np.ones((2, 2)),
+        C=np.ones((1, 2)),
+        D=np.zeros((1, 1)),
+        Dd=np.zeros((1, 2)),
+    )
+    with pytest.raises(AssumptionError, match="the plant is unstable"):
+        identifier(scenario, plant=plant)
