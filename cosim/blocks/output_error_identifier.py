@@ -17,7 +17,12 @@ from cosim.native.estimation import (
     RayleighConstants,
 )
 from cosim.native.expression import Program
-from cosim.native.identifier import BetweenConstants, IdentifierConstants, IdentifierStep
+from cosim.native.identifier import (
+    BetweenConstants,
+    IdentifierConstants,
+    IdentifierState,
+    IdentifierStep,
+)
 from cosim.native.step import RegressorConstants
 from cosim.theory.disturbance import SearchBox
 from cosim.theory.disturbed_plant import (
@@ -301,11 +306,11 @@ class OutputErrorIdentifier:
             )
         return y
 
-    def save(self) -> tuple[Vector, Vector]:
+    def save(self) -> tuple[IdentifierState, Vector]:
         """Copy the state and the estimate."""
         return self._kernel.save(), self._last.copy()
 
-    def restore(self, state: tuple[Vector, Vector]) -> None:
+    def restore(self, state: tuple[IdentifierState, Vector]) -> None:
         """Return to a saved state."""
         memory, last = state
         self._kernel.restore(memory)

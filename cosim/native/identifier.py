@@ -7,11 +7,13 @@ from collections.abc import Sequence
 from ctypes import byref, c_double, c_int32, c_int64, c_void_p
 from dataclasses import dataclass
 from typing import Any
+from weakref import WeakSet
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Matrix, Vector
+from cosim.errors import UsageError
 from cosim.native.estimation import (
     KnownInput,
     OutputErrorConstants,
@@ -146,6 +148,21 @@ class IdentifierConstants:
         return 2 * generators.parameters + 1 + generators.order
 
 
+class IdentifierState:
+    """A saved state of an identifier; the samples that belong to it stay in its memory.
+
+    Parameters
+    ----------
+    memory : Vector
+        All but the samples.
+    """
+
+    def __init__(self, memory: Vector) -> None:
+        self.memory = memory
+        self.samples = int(memory[0])
+        self.replaced_after: int | None = None
+
+
 class IdentifierStep:
     """The identifier bound to its memory."""
 
@@ -191,22 +208,44 @@ class IdentifierStep:
         self._small = int(library.cosim_identifier_state(byref(state)))
         keep_models = (on_delta, on_y, rayleigh, keep_known, keep_products, *structs)
         keep = (*keep_models, *vectors, *keep_between)
+        self._saved: WeakSet[IdentifierState] = WeakSet()
         function = address("cosim_identifier_step")
         self.step = NativeStep(function, state, n_y=constants.n_y, memory=memory, keep=keep)
 
     def initialize(self) -> Vector:
         """Forget all samples and return the outputs, which have no value yet."""
+        self._replace_samples_after(0)
         y = np.empty(self.step.n_y)
         library.cosim_identifier_start(byref(self.step.state), pointer(y))
         return y
 
-    def save(self) -> Vector:
-        """Copy the state; samples are only ever appended, so they stay."""
-        return self.step.memory[: self._small].copy()
+    def save(self) -> IdentifierState:
+        """Copy the state, but for the samples: later ones are appended behind them."""
+        memory = self.step.memory[: self._small].copy()
+        state = IdentifierState(memory)
+        self._saved.add(state)
+        return state
 
-    def restore(self, state: Vector) -> None:
-        """Return to a saved state."""
-        self.step.memory[: self._small] = state
+    def restore(self, state: IdentifierState) -> None:
+        """Return to a saved state.
+
+        Raises
+        ------
+        UsageError
+            If its samples may have been replaced, as an earlier state was restored since.
+        """
+        if state.replaced_after is not None:
+            raise UsageError(
+                f"a state with {state.samples} samples cannot be restored: the identifier was "
+                f"restored to {state.replaced_after} of them since; needed a state saved later"
+            )
+        self._replace_samples_after(state.samples)
+        self.step.memory[: self._small] = state.memory
+
+    def _replace_samples_after(self, samples: int) -> None:
+        for state in self._saved:
+            if state.samples > samples and state.replaced_after is None:
+                state.replaced_after = samples
 
 
 for _name, (_result, _arguments) in {

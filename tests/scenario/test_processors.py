@@ -15,6 +15,7 @@ import pytest
 
 import cosim
 from cosim.scenario.document import shipped
+from tests.scenario.online import COARSE, ONLINE, noisy
 
 EVERYTHING = """
 [scenario]
@@ -142,7 +143,8 @@ for name, scenario in json.loads(scenarios).items():
 print(json.dumps(found))
 """
 # past the start of the identification at 6.461 s
-STOPS = {"short": {name: {"scenario.stop": 7.0} for name in shipped()}, "whole": {}}
+SHORT = {name: {"scenario.stop": 7.0} for name in shipped()}
+STOPS = {"short": {**SHORT, "online": COARSE}, "whole": {"online": ONLINE}}
 TUNABLES = "glibc.cpu.hwcaps=-FMA,-AVX2,-FMA4,-AVX,-AVX_Fast_Unaligned_Load"
 
 
@@ -176,6 +178,7 @@ def test_runs_and_replays_have_the_same_bits_on_other_processors(length, tmp_pat
     everything = tmp_path / "everything.toml"
     everything.write_text(EVERYTHING, encoding="utf-8")
     scenarios = {name: name for name in shipped()} | {"everything": str(everything)}
+    scenarios["online"] = noisy(tmp_path)
     hashes = {}
     for name, scenario in scenarios.items():
         log = cosim.run(scenario, out=tmp_path / f"{name}.mcap", set=STOPS[length].get(name))

@@ -15,6 +15,7 @@ from cosim.report.inspection import describe_log
 from cosim.report.tables.run import print_verification
 from cosim.report.verification import Verification
 from cosim.scenario.exporting import export_component
+from tests.scenario.online import COARSE, noisy
 
 KERNELS = ("Haswell", "Nehalem", "SkylakeX")  # of OpenBLAS, with AVX2, SSE and AVX-512
 
@@ -34,6 +35,14 @@ for solver in solvers:
     signals = ("plant.y", "plant.x_a", "plant.x_b")
     results[solver] = [log[signal].tobytes().hex() for signal in signals]
 print(json.dumps(results))
+"""
+
+CHILD_ONLINE = """
+import json, sys
+import cosim
+scenario, changes, out = sys.argv[1:]
+log = cosim.run(scenario, set=json.loads(changes), out=out)
+print(log.content_hash(), log["identifier.theta"][-1])
 """
 
 
@@ -64,6 +73,25 @@ def test_explicit_methods_and_the_residual_form_give_the_same_bits_whatever_blas
     assert len({hashlib.sha256("".join(rows).encode()).digest() for rows in first.values()}) == 6
     for kernel in KERNELS:
         assert results[kernel] == first
+
+
+def test_estimates_by_output_error_have_the_same_bits_whatever_blas_computes_with(tmp_path):
+    """Of a whole run with noise: every signal, and the design."""
+    scenario = noisy(tmp_path)
+    changes = json.dumps(COARSE)
+    hashes = set()
+    for kernel in KERNELS:
+        out = str(tmp_path / f"{kernel}.mcap")
+        result = subprocess.run(
+            [sys.executable, "-c", CHILD_ONLINE, scenario, changes, out],
+            env={**os.environ, "OPENBLAS_CORETYPE": kernel},
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        hashes.add(result.stdout)
+    assert len(hashes) == 1
+    assert "nan" not in hashes.pop()
 
 
 @pytest.mark.parametrize(

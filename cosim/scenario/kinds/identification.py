@@ -222,6 +222,13 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         clock = context.clock
         step = clock.step_ns / 1e9
         lower, upper = self._bounds(problem.rayleigh.generators.parameters)
+        rayleigh = problem.rayleigh
+        searched = replace(
+            rayleigh,
+            lower=np.clip(rayleigh.lower, lower, upper),
+            upper=np.clip(rayleigh.upper, lower, upper),
+        )
+        problem = replace(problem, rayleigh=searched)
         gaps = np.diff(np.sort(np.array(spec.delays, np.float64)))
         half_gap = 0.5 * float(gaps.min())
         schedule = IdentificationSchedule(

@@ -1,0 +1,226 @@
+"""The identifier by output error, online: its contract, its options, and what it does not say."""
+
+import numpy as np
+import pytest
+
+import cosim
+from cosim.core.contracts import prepare
+from cosim.errors import ScenarioError, UsageError
+from cosim.testing import check_component
+from tests.scenario.online import COARSE, THETA, H, identifier, inputs, noisy, run
+
+SHORT = {**COARSE, "scenario.stop": 12.0}
+EVERY_STEP = {**SHORT, "identifier.period": H}  # what saves its state is not decimated
+
+
+@pytest.fixture(scope="module")
+def sensed(tmp_path_factory):
+    """Return the path of the example with noise."""
+    return noisy(tmp_path_factory.mktemp("noisy"))
+
+
+@pytest.fixture(scope="module")
+def recorded():
+    """Return what the identifier took in a run of 12 s, with an estimate from 10.2 s on."""
+    return inputs(cosim.run("academic", set=SHORT))
+
+
+def theta(log):
+    return np.reshape(log["identifier.theta"], (-1, 2))
+
+
+def standard_error(log):
+    return np.reshape(log["identifier.standard_error"], (-1, 2))
+
+
+def prepared(settings=EVERY_STEP):
+    component = identifier("academic", settings)
+    prepare(component, H, np.zeros(9, np.bool_), {})
+    return component
+
+
+def drive(component, recorded, begin, end):
+    t = np.arange(begin, end + 1) * H
+    return component.advance(t, H, recorded[begin : end + 1])
+
+
+def saved_size(component):
+    state, _ = component.save()
+    return state.memory.size
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"identifier.window": 8.0, "identifier.offset": True, "identifier.period": 0.2},
+        {
+            "identifier.forgetting": 10.0,
+            "identifier.bounds": [[-1.0, 0.0], [-0.3, -0.3]],
+            "identifier.period": H,
+        },
+    ],
+    ids=["window", "forgetting"],
+)
+def test_the_contract_is_kept(options, recorded):
+    """On data that give estimates; around the first one, so that searches are repeated."""
+    settings = {**SHORT, **options, "scenario.stop": 10.8}
+    count = round(settings["scenario.stop"] / H)
+    check_component(lambda: identifier("academic", settings), inputs=recorded[: count + 1], h=H)
+
+
+def test_a_saved_state_does_not_grow_with_the_samples(recorded):
+    """A state of 12 s has the size of one at the beginning, and that of a run ten times as long."""
+    sizes = set()
+    for settings in (EVERY_STEP, {**EVERY_STEP, "scenario.stop": 120.0}):
+        component = prepared(settings)
+        component.initialize(0.0, recorded[0])
+        sizes.add(saved_size(component))
+        drive(component, recorded, 0, 1200)
+        sizes.add(saved_size(component))
+    assert len(sizes) == 1
+    assert sizes.pop() < 1200 * 6  # numbers that the samples of 12 s are
+
+
+def test_a_run_goes_on_from_a_saved_state_after_another_continuation(recorded):
+    """The samples that the other one appended are replaced, whatever they were."""
+    component = prepared()
+    component.initialize(0.0, recorded[0])
+    drive(component, recorded, 0, 1100)
+    state = component.save()
+    expected = drive(component, recorded, 1100, 1200)
+    component.restore(state)
+    other = drive(component, 1.5 * recorded, 1100, 1200)
+    assert not np.array_equal(other, expected)
+    component.restore(state)
+    assert np.array_equal(drive(component, recorded, 1100, 1200), expected)
+
+
+def test_a_state_whose_samples_were_replaced_is_refused(recorded):
+    """It was saved after the state that was restored since, or before an initialization."""
+    component = prepared()
+    component.initialize(0.0, recorded[0])
+    drive(component, recorded, 0, 10)
+    early = component.save()
+    drive(component, recorded, 10, 20)
+    late = component.save()
+    component.restore(early)
+    with pytest.raises(UsageError, match=r"20 samples .* was restored to 10 of them since"):
+        component.restore(late)
+    component.restore(early)
+    component.initialize(0.0, recorded[0])
+    with pytest.raises(UsageError, match=r"10 samples .* was restored to 0 of them since"):
+        component.restore(early)
+
+
+@pytest.mark.parametrize("period", [H, 0.1])
+def test_replay_is_bit_exact(period, sensed, tmp_path):
+    """With the recorded design, at every step as at a period."""
+    settings = {**SHORT, "identifier.period": period}
+    log = cosim.run(sensed, set=settings, out=tmp_path / "log.mcap")
+    assert np.isfinite(theta(log)[-1]).all()
+    assert cosim.diff(log, cosim.replay(log.path)).equal
+
+
+def test_an_estimate_rests_on_all_samples_before_it():
+    """The default period is the communication step, and estimates do not depend on the period."""
+    often = cosim.run("academic", set={**SHORT, "identifier.period": H})
+    seldom = cosim.run("academic", set=SHORT)
+    assert len(theta(often)) == 1201
+    np.testing.assert_allclose(theta(often)[-1], theta(seldom)[-1], rtol=1e-11)
+    np.testing.assert_allclose(theta(seldom)[-1], THETA, rtol=1e-11)
+
+
+def test_there_is_no_value_before_there_is_an_estimate(sensed):
+    """The same NaN in all outputs, and numbers in all of them afterwards."""
+    log = run(sensed)
+    known = np.isfinite(theta(log)).all(axis=1)
+    first = int(np.argmax(known))
+    assert first > 0
+    assert known[first:].all()
+    for name in ("theta", "standard_error", "deviation", "amplitude"):
+        rows = np.reshape(log[f"identifier.{name}"], (len(known), -1))
+        assert np.array_equal(np.isfinite(rows).all(axis=1), known)
+        before = np.ascontiguousarray(rows[:first])
+        assert set(before.view(np.uint64).ravel().tolist()) == {0x7FF8000000000000}
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{}, {"offset": True}, {"window": 8.0}, {"forgetting": 5.0}],
+    ids=["plain", "offset", "window", "forgetting"],
+)
+def test_noise_leaves_an_error_of_the_standard_errors_size(options, sensed):
+    """Whichever samples count, and with an offset among the unknowns or without."""
+    log = run(sensed, **options)
+    errors = (theta(log)[-1] - THETA) / standard_error(log)[-1]
+    assert (np.abs(errors) < 4.0).all()
+    # 800 samples of the shortest window: the deviation is known to 2.5 %
+    assert log["identifier.deviation"][-1] == pytest.approx(1e-3, rel=0.1)
+    np.testing.assert_allclose(log["identifier.amplitude"][-1] > 0.0, True)
+
+
+def test_fewer_samples_mean_larger_standard_errors(sensed):
+    """All of them tell more than those of 5 s forgetting, and these more than a constant lets."""
+    plain = standard_error(run(sensed))[-1]
+    for options in ({"window": 8.0}, {"forgetting": 5.0}, {"offset": True}):
+        assert (standard_error(run(sensed, **options))[-1] > plain).all()
+
+
+def test_amplitudes_are_those_at_the_beginning_of_the_window():
+    """exp(theta t) there, as all are 1 at t = 0."""
+    log = run(window=8.0)
+    np.testing.assert_allclose(
+        log["identifier.amplitude"][-1], np.exp(THETA * (20.0 - 8.0)), rtol=1e-8
+    )
+
+
+def test_bounds_fix_theta_and_keep_it(sensed):
+    """Equal bounds give the number itself, without error; the search keeps to bounds too."""
+    log = run(sensed, bounds=[[-0.2, 0.0], [-0.3, -0.3]])
+    assert theta(log)[-1, 1] == -0.3
+    assert standard_error(log)[-1, 1] == 0.0
+    assert abs(theta(log)[-1, 0] + 0.1) < 4.0 * standard_error(log)[-1, 0]
+    away = run(bounds=[[-0.2, 0.0], [-9.0, -8.0]])
+    assert np.isnan(theta(away)[:, 1]).all()
+
+
+def test_an_absent_component_has_no_value(sensed):
+    """Of two exponentials of which one has the amplitude 0 the other is estimated."""
+    terms = [
+        {"alpha": "1.35 + 0.25*sin(1.7*t)", "family": "exponential", "theta": -0.1},
+        {"alpha": "1.10", "family": "exponential", "theta": -0.3, "amplitude": 0.0},
+    ]
+    log = cosim.run(sensed, set={**COARSE, "delta.terms": terms})
+    assert np.isnan(theta(log)[:, 1]).all()
+    assert np.isnan(standard_error(log)[:, 1]).all()
+    error = theta(log)[-1, 0] + 0.1
+    assert abs(error) < 4.0 * standard_error(log)[-1, 0]
+
+
+def test_a_zero_order_hold_costs_the_square_of_the_step_or_the_step():
+    """Held inputs are taken as held; what the plant held of the disturbance is half a step late."""
+    errors = []
+    for step in (0.02, 0.01):
+        settings = {**COARSE, "scenario.step": step, "scenario.input_interpolation": "zero-order"}
+        log = cosim.run("academic", set=settings)
+        errors.append(np.abs(theta(log)[-1] - THETA))
+    assert (errors[1] < 1e-3).all()
+    ratio = errors[0] / errors[1]
+    assert (ratio > 1.7).all()
+    assert (ratio < 4.3).all()
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ({"window": 0.0}, "window: found 0.0 s, needed a positive finite time"),
+        ({"window": 8.0, "forgetting": 3.0}, "found both window and forgetting"),
+        ({"window": 0.0151}, "window of 'identifier'"),
+        ({"bounds": [[0.0, -1.0], [0.0, 1.0]]}, "lower, upper"),
+        ({"P0": 1.0}, "P0: not of method 'output-error'"),
+    ],
+)
+def test_options_that_make_no_sense_are_refused(options, text):
+    """Each with what was found."""
+    with pytest.raises((ScenarioError, UsageError), match=text):
+        run(**options)
