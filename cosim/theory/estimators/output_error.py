@@ -10,6 +10,7 @@ maximum likelihood, and its covariance is the Cramer-Rao bound for the same unkn
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -39,6 +40,9 @@ from cosim.theory.disturbed_plant import (
 # Probability that noise alone makes the amplitude of an absent component look like one, for one
 # theta; the largest over all theta, which the fit finds, is about a hundred times as probable.
 FALSE_PRESENCE: Final = 1e-8
+SAMPLES_OF_SEARCH: Final = 800
+MOST_POINTS_OF_SEARCH: Final = 576
+SHORTEST_OF_SEARCH: Final = 20.0  # time scales of a record that a start tells apart
 ROUNDING: Final = 2.0**-44  # error of a simulated output relative to the largest output
 NO_BOUNDS: Mapping[int, tuple[float, float]] = MappingProxyType({})
 
@@ -162,6 +166,70 @@ def fit_output_error(
             "which the response is finite"
         )
     return _fit(result, records, matrices.order, plant.A.shape[0])
+
+
+def least_squares_at(record: ResponseRecord, theta: Vector) -> float:
+    """Return the least sum of squares over the linear unknowns of a record, at ``theta``."""
+    R = record.make(theta)
+    linear = record.model.linear
+    lengths = np.linalg.norm(R[:, :linear], axis=0)
+    lengths[lengths == 0.0] = 1.0
+    columns = R[:, :linear] / lengths
+    if not np.isfinite(columns).all():
+        return np.inf
+    solution = np.linalg.lstsq(columns, R[:, -1], rcond=1e-12)[0]
+    rest = R[:, -1] - columns @ solution
+    return float(rest @ rest)
+
+
+def search_start(
+    data: Sequence[DataSet],
+    plant: DisturbedPlant,
+    families: Sequence[Family],
+    *,
+    offset: bool = False,
+    bounds: Mapping[int, tuple[float, float]] = NO_BOUNDS,
+) -> Vector:
+    """Find a start: the best point of a grid, on samples that are thinned out.
+
+    Nothing but the data is needed; where there is a regression, its Rayleigh quotient is cheaper.
+
+    Parameters
+    ----------
+    data, plant, families, offset, bounds
+        As for :func:`fit_output_error`.
+
+    Returns
+    -------
+    Vector
+        Shape ``(P,)``, within the bounds.
+    """
+    matrices = generators(families)
+    records = []
+    for one in data:
+        every = max(1, len(one.t) // SAMPLES_OF_SEARCH)
+        thin = DataSet(one.t[::every], one.y[::every], one.u[::every], one.alpha[::every])
+        noise = white_noise(plant.C.shape[0])
+        sampled = sample_plant(plant, matrices, thin, noise=noise, offset=offset)
+        records.append(sampled.record(thin))
+    span = max(float(one.t[-1] - one.t[0]) for one in data)
+    box = search_box(families, span=span, shortest=span / SHORTEST_OF_SEARCH)
+    lower, upper = box.lower.copy(), box.upper.copy()
+    for j, (low, high) in bounds.items():
+        lower[j] = np.clip(low, lower[j], upper[j]) if np.isfinite(low) else lower[j]
+        upper[j] = np.clip(high, lower[j], upper[j]) if np.isfinite(high) else upper[j]
+    points = max(2, int(MOST_POINTS_OF_SEARCH ** (1.0 / max(matrices.parameters, 1))))
+    fractions = (np.arange(min(points, 24)) + 0.5) / min(points, 24)
+    axes = [low + fractions * (high - low) for low, high in zip(lower, upper, strict=True)]
+    best = np.array([axis[0] for axis in axes])
+    least = np.inf
+    for point in itertools.product(*axes):
+        theta = np.array(point)
+        squares = sum(least_squares_at(record, theta) for record in records)
+        if squares < least:
+            least = squares
+            best = theta
+    return best
 
 
 def presence_threshold(sizes: Sequence[int], records: int) -> Vector:

@@ -1,0 +1,157 @@
+"""What a residual may be without noise: errors of the step, of quantization, of rounding.
+
+**Step.** Between samples u and the disturbance are straight lines. A chord of f is above f by
+``h^2 f''/12`` in the mean, so the output of a plant whose signals are smooth differs from the
+simulated one by the response to ``-h^2 f''/12``, which second differences of the samples give:
+one simulation tells the error, to leading order.
+
+**Quantization.** Outputs that stand on a lattice have errors up to half its spacing, of deviation
+``spacing / sqrt(12)``, which need not be white. What quantization does to this very signal is found
+by quantizing the fit, with noise of the deviation that is left.
+
+**Rounding** of a simulated output.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from cosim.arrays import Matrix, Vector
+from cosim.native.estimation import Generators
+from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, sample_plant, white_noise
+from cosim.theory.estimators.output_error import ROUNDING
+
+LATTICE: Final = 1e-6  # of its spacing: how exactly values stand on it
+_DITHER_SEED: Final = 20260512
+
+
+@dataclass(frozen=True, eq=False)
+class Accuracy:
+    """Errors of the outputs that are no noise.
+
+    Parameters
+    ----------
+    step : Matrix, shape (N, n_y)
+        Of the step, at every sample.
+    spacing : Vector, shape (n_y,)
+        Of the lattice of each output; 0: there is none.
+    rounding : float
+        Of a simulated output.
+    """
+
+    step: Matrix
+    spacing: Vector
+    rounding: float
+
+    @property
+    def deviation(self) -> float:
+        """Root mean square of all of them together, of the output where it is largest."""
+        of_step = float(np.sqrt(np.mean(self.step**2, axis=0)).max(initial=0.0))
+        of_lattice = float(self.spacing.max(initial=0.0)) / np.sqrt(12.0)
+        return float(np.sqrt(of_step**2 + of_lattice**2 + self.rounding**2))
+
+
+def accuracy_of(
+    plant: DisturbedPlant, data: DataSet, disturbance: Matrix, generators: Generators
+) -> Accuracy:
+    """Compute the errors of a fit that are no noise; the arguments are those of ``step_error``."""
+    step = step_error(plant, data, disturbance, generators)
+    spacing = np.array([lattice_spacing(column) for column in data.y.T])
+    largest = float(np.nanmax(np.abs(data.y)))
+    return Accuracy(step, spacing, ROUNDING * largest)
+
+
+def step_error(
+    plant: DisturbedPlant, data: DataSet, disturbance: Matrix, generators: Generators
+) -> Matrix:
+    """Compute the error of straight lines between samples, shape (N, n_y).
+
+    Parameters
+    ----------
+    plant : DisturbedPlant
+    data : DataSet
+    disturbance : Matrix, shape (N, components)
+        ``alpha_i f_i`` as it was fitted.
+    generators : Generators
+    """
+    inputs = np.hstack([data.u, disturbance])
+    deviations = -_squared_step_times_curvature(data.t, inputs) / 12.0
+    # At the samples themselves a line is exact, so there is no direct feedthrough of its error.
+    n_y = plant.C.shape[0]
+    without_feedthrough = DisturbedPlant(
+        A=plant.A,
+        B=np.hstack([plant.B, plant.Bd]),
+        Bd=plant.Bd,
+        C=plant.C,
+        D=np.zeros((n_y, inputs.shape[1])),
+        Dd=np.zeros_like(plant.Dd),
+    )
+    quiet = np.where(np.isnan(data.y), np.nan, 0.0)
+    at_rest = DataSet(data.t, np.nan_to_num(quiet), deviations, data.alpha)
+    sampled = sample_plant(without_feedthrough, generators, at_rest, noise=white_noise(n_y))
+    # The outputs are 0, so what is left of them is the response with the other sign. Where the
+    # output is not measured the predictor does not correct; that difference is of higher order.
+    return -sampled.record(at_rest).residual
+
+
+def lattice_spacing(y: Vector) -> float:
+    """Return the spacing of the lattice that all values stand on; 0 where there is none.
+
+    Values of full resolution are all different, or as good as that.
+    """
+    values = np.unique(y[np.isfinite(y)])
+    if len(values) < 3 or len(values) > 0.5 * len(y):
+        return 0.0
+    gaps = np.diff(values)
+    smallest = float(gaps.min())
+    multiples = gaps / smallest
+    if multiples.max() > 1e9:
+        return 0.0
+    off_lattice = np.abs(multiples - np.round(multiples))
+    return smallest if float(off_lattice.max()) < LATTICE * float(multiples.max()) + 1e-3 else 0.0
+
+
+def quantization_error(y: Matrix, residual: Matrix, spacing: Vector) -> Matrix:
+    """Compute what quantization does to a fitted output, shape (N, n_y).
+
+    Noise of half a level and more makes its error white noise too, so that nothing is left.
+
+    Parameters
+    ----------
+    y : Matrix, shape (N, n_y)
+        The quantized outputs; NaN: not measured.
+    residual : Matrix, shape (N, n_y)
+        Less the fit.
+    spacing : Vector, shape (n_y,)
+        0: not quantized.
+    """
+    errors = np.zeros_like(y)
+    noise = np.random.default_rng(_DITHER_SEED).standard_normal(y.shape)
+    for o, gap in enumerate(spacing):
+        measured = np.isfinite(y[:, o])
+        variance = float(np.mean(residual[measured, o] ** 2)) - gap**2 / 12.0
+        deviation = np.sqrt(max(variance, 0.0))
+        if gap == 0.0 or deviation >= 0.5 * gap:
+            continue
+        fitted = y[:, o] - residual[:, o]
+        exact = fitted - y[measured, o][0] + deviation * noise[:, o]
+        errors[:, o] = np.nan_to_num(gap * np.round(exact / gap) - exact)
+    return errors
+
+
+def _squared_step_times_curvature(t: Vector, values: Matrix) -> Matrix:
+    """Return ``h^2 f''`` at every sample, from divided differences; its neighbor's at the ends."""
+    curvature = np.zeros_like(values)
+    if len(t) < 3:
+        return curvature
+    steps = np.diff(t)[:, np.newaxis]
+    slopes = np.diff(values, axis=0) / steps
+    span = steps[1:] + steps[:-1]
+    second = 2.0 * np.diff(slopes, axis=0) / span
+    curvature[1:-1] = second * (0.5 * span) ** 2
+    curvature[0] = curvature[1]
+    curvature[-1] = curvature[-2]
+    return curvature

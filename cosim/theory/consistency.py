@@ -1,0 +1,376 @@
+"""Whether a residual is what noise leaves: whiteness, and no trace of what the model lacks.
+
+The variance of the residual tests nothing where the deviation of the noise comes from the residual.
+What a wrong model leaves is *structure*, so the residual is tested
+
+* along the **directions** of a wrong model (:mod:`cosim.theory.model_errors`), made orthogonal to
+  what was fitted: for white noise the square along each is a chi-square of one degree of freedom,
+  the sum along K of them, orthogonal among themselves, of K (the score test; C. Rao, 1948);
+* for **whiteness**: the autocorrelations of the first lags (G. Ljung and G. Box, 1978).
+
+Errors that are no noise (:mod:`cosim.theory.accuracy`) are allowed for, each in every direction and
+at every lag by its own amount. Noise that is colored but has no structure is whitened by an
+autoregressive model, which is estimated from what is left besides the directions: a wrong model
+must not pass for colored noise. Noise that is correlated over a good part of the record cannot be
+told from a wrong model, and is none here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from cosim.arrays import Matrix, Vector
+from cosim.native.estimation import Generators
+from cosim.theory.accuracy import Accuracy, accuracy_of, quantization_error
+from cosim.theory.disturbance import Family, generators
+from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, NoiseModel
+from cosim.theory.estimators.output_error import OutputErrorFit
+from cosim.theory.fitted_response import FittedResponse, fitted_response
+from cosim.theory.model_errors import Directions, model_errors
+
+FALSE_ALARM: Final = 3e-4  # probability, for white noise, of each of the three tests
+LAGS: Final = 24
+# Errors of step and quantization are computed, not bounded: they are allowed half as much again.
+MARGIN: Final = 1.5
+LONGEST_AR: Final = 12
+# samples over which noise may be correlated, as a part of the record
+LONGEST_CORRELATION: Final = 0.01
+# of the step, relative to the output: above it its leading order says nothing
+LARGEST_STEP_ERROR: Final = 0.01
+# of a direction: what of it may be left beside the fit, so that rounding does not count
+LEAST_REMAINDER: Final = 1e-6
+
+
+@dataclass(frozen=True)
+class ResidualTest:
+    """A test of the residual.
+
+    Parameters
+    ----------
+    name : str
+    statistic, threshold : float
+        For noise alone the statistic is a chi-square; the threshold is what it rarely exceeds.
+    degrees : int
+    largest : str
+        Where the statistic is largest.
+    """
+
+    name: str
+    statistic: float
+    threshold: float
+    degrees: int
+    largest: str
+
+    @property
+    def passed(self) -> bool:
+        """Whether the statistic is what noise makes it."""
+        return self.statistic <= self.threshold
+
+
+@dataclass(frozen=True, eq=False)
+class Consistency:
+    """What the residual says of the model.
+
+    Parameters
+    ----------
+    tests : tuple of ResidualTest
+        None where the residual is no larger than rounding.
+    accuracy : tuple of Accuracy
+        Of each data set.
+    deviation, allowed : float
+        Of the residual, and what step, quantization and rounding allow it; both whitened.
+    step_too_long : bool
+        The error of the step is so large that it is not known.
+    bias : Vector, shape (P,)
+        What step and quantization may have moved theta by.
+    amplitude_bias : Vector, shape (order,)
+        The same for the amplitudes of the first data set.
+    """
+
+    tests: tuple[ResidualTest, ...]
+    accuracy: tuple[Accuracy, ...]
+    deviation: float
+    allowed: float
+    step_too_long: bool
+    bias: Vector
+    amplitude_bias: Vector
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether the residual is below what step, quantization and rounding allow."""
+        return self.deviation <= 1.1 * self.allowed
+
+    @property
+    def passed(self) -> bool:
+        """Whether the residual is what noise leaves."""
+        if self.step_too_long:
+            return False
+        return self.is_exact or all(test.passed for test in self.tests)
+
+
+def examine(
+    fit: OutputErrorFit,
+    data: Sequence[DataSet],
+    plant: DisturbedPlant,
+    families: Sequence[Family],
+    noise: NoiseModel,
+) -> Consistency:
+    """Test the residual of a fit.
+
+    Parameters
+    ----------
+    fit : OutputErrorFit
+    data : sequence of DataSet
+    plant : DisturbedPlant
+    families : sequence of Family
+    noise : NoiseModel
+        As in the fit.
+    """
+    matrices = generators(families)
+    problems = _whitened_problems(fit, data, plant, matrices, noise)
+    accuracies = tuple(problem.accuracy for problem in problems)
+    allowed = max(problem.allowed for problem in problems)
+    rounding = max(problem.rounding for problem in problems)
+    tests: list[ResidualTest] = []
+    if fit.deviation > 1.1 * rounding:
+        for problem in problems:
+            tests += problem.tests(fit.deviation)
+    moved = _moved(fit, problems)
+    P = int(fit.estimated.sum())
+    bias = np.zeros(len(fit.theta))
+    bias[fit.estimated] = moved[:P]
+    return Consistency(
+        tuple(tests),
+        accuracies,
+        fit.deviation,
+        allowed,
+        any(problem.step_too_long for problem in problems),
+        bias,
+        moved[P : P + matrices.order],
+    )
+
+
+def noise_color(
+    fit: OutputErrorFit,
+    data: Sequence[DataSet],
+    plant: DisturbedPlant,
+    families: Sequence[Family],
+    noise: NoiseModel,
+) -> Vector:
+    """Return an autoregressive model of the noise, estimated beside all directions.
+
+    Empty where there is none, or where it would be correlated over a good part of the record.
+    """
+    residuals = []
+    for problem in _whitened_problems(fit, data, plant, generators(families), noise):
+        residuals.append(problem.unexplained)
+    shortest = min(len(rest) for rest in residuals)
+    a = autoregression(residuals, min(LONGEST_AR, shortest // 20))
+    if not len(a):
+        return a
+    poles = np.roots(np.concatenate([[1.0], -a]))
+    slowest = float(np.abs(poles).max())
+    if slowest >= 1.0 or -1.0 / np.log(slowest) > LONGEST_CORRELATION * shortest:
+        return np.zeros(0)
+    return a
+
+
+def autoregression(residuals: Sequence[Matrix], longest: int) -> Vector:
+    """Fit autoregressive models to residuals, each (N, n_y); return the best one's coefficients.
+
+    By the recursion of N. Levinson (1947); the best is that of G. Schwarz's criterion (1978), none
+    of which may be.
+    """
+    count = sum(rest.size for rest in residuals)
+    covariances = []
+    for lag in range(longest + 1):
+        total = sum(float(np.sum(rest[lag:] * rest[: len(rest) - lag])) for rest in residuals)
+        covariances.append(total / count)
+    best = np.zeros(0)
+    a = np.zeros(0)
+    variance = covariances[0]
+    if not variance > 0.0:
+        return best
+    criterion = count * np.log(variance)
+    for order in range(1, longest + 1):
+        known = np.array(covariances[order - 1 : 0 : -1])
+        reflection = (covariances[order] - float(a @ known)) / variance
+        a = np.concatenate([a - reflection * a[::-1], [reflection]])
+        variance *= 1.0 - reflection**2
+        if not variance > 0.0:
+            break
+        value = count * np.log(variance) + order * np.log(count)
+        if value < criterion:
+            criterion = value
+            best = a
+    return best
+
+
+class _WhitenedProblem:
+    """The fit of one data set as a linear regression near its minimum, measured samples only."""
+
+    def __init__(
+        self,
+        fit: OutputErrorFit,
+        data: DataSet,
+        plant: DisturbedPlant,
+        response: FittedResponse,
+        accuracy: Accuracy,
+        noise: NoiseModel,
+    ) -> None:
+        self.accuracy = accuracy
+        self._order = data.y.shape[1]
+        weight = float(np.abs(response.weights).max())
+        self.allowed = weight * accuracy.deviation
+        self.rounding = weight * accuracy.rounding
+        measured = data.measured
+        y = data.y[measured]
+        spread = np.sqrt(np.mean((y - y.mean(axis=0)) ** 2, axis=0))
+        step_error = np.sqrt(np.mean(accuracy.step**2, axis=0))
+        self.step_too_long = bool((step_error > LARGEST_STEP_ERROR * spread).any())
+
+        def whitened(rows: Matrix, *, among_outputs: bool = True) -> Matrix:
+            if among_outputs:
+                rows = np.einsum("ab,nbk->nak", response.weights, rows)
+            filtered = autoregressive_filter(rows[measured], noise.a)
+            return filtered.reshape(-1, filtered.shape[2])
+
+        unknowns = np.concatenate([response.slopes[:, :, fit.estimated], response.linear], axis=2)
+        self.columns = whitened(unknowns, among_outputs=False)
+        self._residual = whitened(response.residual[:, :, np.newaxis], among_outputs=False)[:, 0]
+        quantized = quantization_error(data.y, response.plain_residual, accuracy.spacing)
+        errors = np.stack([accuracy.step, quantized], axis=2)
+        self.errors = whitened(errors)
+        directions = model_errors(plant, data, response)
+        self._names = directions.names
+        self._make_directions(Directions(whitened(directions.columns), directions.names))
+
+    def _make_directions(self, directions: Directions) -> None:
+        """Make the directions orthogonal to the fit, and of length one."""
+        columns = directions.columns
+        lengths = np.linalg.norm(columns, axis=0)
+        scaled = columns / np.where(lengths > 0.0, lengths, 1.0)
+        basis = _orthonormal(self.columns)
+        free = scaled - basis @ (basis.T @ scaled)
+        remainders = np.linalg.norm(free, axis=0)
+        kept = remainders > LEAST_REMAINDER
+        self._names = tuple(np.array(directions.names, object)[kept])
+        self._directions = free[:, kept] / remainders[kept]
+
+    @property
+    def unexplained(self) -> Matrix:
+        """What is left of the residual beside all directions, shape (N, n_y)."""
+        basis = _orthonormal(self._directions)
+        rest = self._residual - basis @ (basis.T @ self._residual)
+        return rest.reshape(-1, self._order)
+
+    def tests(self, deviation: float) -> list[ResidualTest]:
+        """Test the residual for noise of a deviation."""
+        return [
+            self._single_directions(deviation),
+            self._all_directions(deviation),
+            self._whiteness(deviation),
+        ]
+
+    def _excess(self, directions: Matrix, deviation: float) -> Vector:
+        """Return how much of the residual along directions is more than errors allow."""
+        found = np.abs(directions.T @ self._residual)
+        allowed = MARGIN * np.abs(directions.T @ self.errors).sum(axis=1)
+        excess: Vector = np.maximum(found - allowed, 0.0) / deviation
+        return excess
+
+    def _single_directions(self, deviation: float) -> ResidualTest:
+        excess = self._excess(self._directions, deviation)
+        place = int(excess.argmax()) if len(excess) else 0
+        statistic = float(excess[place] ** 2) if len(excess) else 0.0
+        largest = self._names[place] if self._names else ""
+        threshold = _threshold(1, among=max(len(excess), 1))
+        return ResidualTest("largest trace of a model error", statistic, threshold, 1, largest)
+
+    def _all_directions(self, deviation: float) -> ResidualTest:
+        basis = _orthonormal(self._directions)
+        excess = self._excess(basis, deviation)
+        degrees = max(len(excess), 1)
+        statistic = float(excess @ excess)
+        return ResidualTest("traces of model errors", statistic, _threshold(degrees), degrees, "")
+
+    def _whiteness(self, deviation: float) -> ResidualTest:
+        residual = self._residual
+        N = len(residual)
+        lags = max(min(LAGS, N // (4 * self._order)), 1)
+        excess = np.zeros(lags)
+        for k in range(1, lags + 1):
+            shift = k * self._order
+            found = abs(float(residual[shift:] @ residual[: N - shift]))
+            allowed = 0.0
+            for error in self.errors.T:
+                allowed += MARGIN * abs(float(error[shift:] @ error[: N - shift]))
+            excess[k - 1] = max(found - allowed, 0.0) / (N * deviation**2)
+        statistic = N * float(excess @ excess)
+        largest = f"lag {int(excess.argmax()) + 1}"
+        return ResidualTest("whiteness", statistic, _threshold(lags), lags, largest)
+
+
+def autoregressive_filter(rows: Matrix, a: Vector) -> Matrix:
+    """Compute ``v(k) - a_1 v(k-1) - ...`` along the first axis; the first rows are lost."""
+    order = len(a)
+    result: Matrix = rows[order:].copy()
+    for k in range(1, order + 1):
+        result -= a[k - 1] * rows[order - k : len(rows) - k]
+    return result
+
+
+def _whitened_problems(
+    fit: OutputErrorFit,
+    data: Sequence[DataSet],
+    plant: DisturbedPlant,
+    matrices: Generators,
+    noise: NoiseModel,
+) -> list[_WhitenedProblem]:
+    problems = []
+    for index, one in enumerate(data):
+        response = fitted_response(fit, index, one, plant, matrices)
+        accuracy = accuracy_of(plant, one, response.disturbance, matrices)
+        problems.append(_WhitenedProblem(fit, one, plant, response, accuracy, noise))
+    return problems
+
+
+def _orthonormal(columns: Matrix) -> Matrix:
+    """Return an orthonormal basis of columns; dependent ones are left out."""
+    lengths = np.linalg.norm(columns, axis=0)
+    scaled: Matrix = columns[:, lengths > 0.0] / lengths[lengths > 0.0]
+    if not scaled.shape[1]:
+        return scaled
+    squares, vectors = np.linalg.eigh(scaled.T @ scaled)
+    kept = squares > LEAST_REMAINDER**2 * squares[-1]
+    return np.asarray(scaled @ (vectors[:, kept] / np.sqrt(squares[kept])), np.float64)
+
+
+def _threshold(degrees: int, among: int = 1) -> float:
+    from scipy.stats import chi2  # takes long to import
+
+    return float(chi2.isf(FALSE_ALARM / among, degrees))
+
+
+def _moved(fit: OutputErrorFit, problems: Sequence[_WhitenedProblem]) -> Vector:
+    """Compute by how much errors may have moved theta and all linear unknowns."""
+    P = int(fit.estimated.sum())
+    linear = problems[0].columns.shape[1] - P
+    rows = []
+    errors = []
+    for index, problem in enumerate(problems):
+        columns = np.zeros((len(problem.columns), P + linear * len(problems)))
+        columns[:, :P] = problem.columns[:, :P]
+        first = P + index * linear
+        columns[:, first : first + linear] = problem.columns[:, P:]
+        rows.append(columns)
+        errors.append(problem.errors)
+    J = np.vstack(rows)
+    lengths = np.linalg.norm(J, axis=0)
+    lengths[lengths == 0.0] = 1.0
+    solved = np.linalg.lstsq(J / lengths, np.vstack(errors), rcond=1e-12)[0]
+    return np.asarray(np.abs(solved).sum(axis=1) / lengths, np.float64)

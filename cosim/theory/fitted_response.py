@@ -1,0 +1,190 @@
+"""What a fit by output error says at every sample: residual, derivatives, disturbance, states."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.arrays import Matrix, Vector
+from cosim.native.estimation import Generators
+from cosim.native.step import first_order_hold
+from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
+from cosim.theory.estimators.output_error import OutputErrorFit
+
+LARGEST_STATE = 1e6  # over the output: of an unstable plant, whose simulation says nothing
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FittedResponse:
+    """The response of a fitted model to the data set it was fitted to.
+
+    Parameters
+    ----------
+    residual : Matrix, shape (N, n_y)
+        Whitened among the outputs, not in time; NaN: not measured.
+    slopes : shape (N, n_y, P)
+        Its derivatives by theta, with the other sign; whitened.
+    linear : shape (N, n_y, L)
+        By amplitudes, initial state and offset; whitened.
+    weights : Matrix, shape (n_y, n_y)
+        What whitens.
+    disturbance : Matrix, shape (N, components)
+        ``alpha_i f_i``.
+    states : Matrix, shape (N, n)
+        Simulated from the fitted initial state; no columns where the plant is unstable.
+    """
+
+    residual: Matrix
+    slopes: NDArray[np.float64]
+    linear: NDArray[np.float64]
+    weights: Matrix
+    disturbance: Matrix
+    states: Matrix
+
+    @property
+    def plain_residual(self) -> Matrix:
+        """The residual of the outputs themselves, shape (N, n_y)."""
+        return np.asarray(np.linalg.solve(self.weights, self.residual.T).T, np.float64)
+
+
+def fitted_response(
+    fit: OutputErrorFit,
+    index: int,
+    data: DataSet,
+    plant: DisturbedPlant,
+    generators: Generators,
+) -> FittedResponse:
+    """Compute the response of a fit to its data set number ``index``."""
+    record = fit.records[index]
+    rows = record.rows(fit.theta)
+    amplitudes = fit.amplitudes[index]
+    unknowns = np.concatenate([amplitudes, fit.x0[index], fit.offset[index]])
+    count = len(unknowns)
+    linear = rows[:, :, :count]
+    residual = rows[:, :, -1] - linear @ unknowns
+    slopes = _slopes(rows[:, :, count:-1], amplitudes, generators)
+    disturbance = disturbance_of(fit.theta, amplitudes, data, generators)
+    forcing = np.hstack([data.u, disturbance])
+    inputs = np.hstack([plant.B, plant.Bd])
+    states = simulate(plant.A, inputs, data.t, forcing, fit.x0[index])
+    largest = LARGEST_STATE * float(np.nanmax(np.abs(data.y)))
+    if not np.abs(states).max(initial=0.0) <= largest:
+        states = np.zeros((len(data.t), 0))
+    return FittedResponse(
+        residual=residual,
+        slopes=slopes,
+        linear=linear,
+        weights=record.model.constants.W,
+        disturbance=disturbance,
+        states=states,
+    )
+
+
+def disturbance_of(
+    theta: Vector, amplitudes: Vector, data: DataSet, generators: Generators
+) -> Matrix:
+    """Compute ``alpha_i c_i' expm(G_i t) beta_i`` at every sample, t from the first one.
+
+    Parameters
+    ----------
+    theta : Vector, shape (P,)
+    amplitudes : Vector, shape (order,)
+        All beta_i, one behind the other.
+    data : DataSet
+    generators : Generators
+
+    Returns
+    -------
+    Matrix
+        Shape ``(N, components)``.
+    """
+    from scipy.linalg import expm  # takes long to import
+
+    t = data.t - data.t[0]
+    values = np.empty((len(t), len(generators.size)))
+    first = 0
+    for i, G in enumerate(system_matrices(theta, generators)):
+        stop = first + len(G)
+        c = generators.c[first:stop]
+        beta = amplitudes[first:stop]
+        if len(G) == 1:
+            f = c[0] * beta[0] * np.exp(G[0, 0] * t)
+        else:
+            transitions = expm(G * t[:, np.newaxis, np.newaxis])
+            f = np.einsum("a,nab,b->n", c, transitions, beta)
+        values[:, i] = data.alpha[:, i] * f
+        first = stop
+    return values
+
+
+def system_matrices(theta: Vector, generators: Generators) -> list[Matrix]:
+    """Return ``G_i(theta_i)`` of every component, shape (V_i, V_i)."""
+    matrices = []
+    at_G0 = at_G1 = parameter = 0
+    for size, count in zip(generators.size, generators.count, strict=True):
+        squares = size * size
+        G = generators.G0[at_G0 : at_G0 + squares].copy()
+        for _ in range(count):
+            G += theta[parameter] * generators.G1[at_G1 : at_G1 + squares]
+            at_G1 += squares
+            parameter += 1
+        at_G0 += squares
+        matrices.append(G.reshape(size, size))
+    return matrices
+
+
+def simulate(A: Matrix, B: Matrix, t: Vector, u: Matrix, x0: Vector) -> Matrix:
+    """Simulate ``x' = A x + B u`` for straight lines between samples, shape (N, n).
+
+    Where samples are at unequal distances all steps are taken for their mean: what is simulated
+    here is tested, not fitted.
+    """
+    n = len(A)
+    N = len(t)
+    if n == 0 or N < 2:
+        return np.zeros((N, n))
+    h = float(t[-1] - t[0]) / (N - 1)
+    discrete = first_order_hold(A, B, h, np.zeros(B.shape[1], np.bool_))
+    forced = u[:-1] @ discrete.B0.T + u[1:] @ discrete.B1.T
+    return recursion(discrete.Ad, forced, x0)
+
+
+def recursion(Ad: Matrix, forced: NDArray[np.float64], x0: NDArray[np.float64]) -> Matrix:
+    """Compute ``x(k+1) = Ad x(k) + forced(k)``, shapes (N - 1, n, ...) and (n, ...) to (N, n, ...).
+
+    The modes are filters of first order; a matrix without a basis of eigenvectors is stepped.
+    """
+    from scipy.signal import lfilter  # takes long to import
+
+    values, vectors = np.linalg.eig(Ad)
+    driven = np.concatenate([x0[np.newaxis], forced])
+    if np.linalg.cond(vectors) > 1e8:
+        for k in range(1, len(driven)):
+            driven[k] += np.tensordot(Ad, driven[k - 1], axes=1)
+        return driven
+    modal = np.tensordot(np.linalg.inv(vectors), driven, axes=(1, 1))
+    with np.errstate(over="ignore", invalid="ignore"):  # of an unstable plant
+        for i, value in enumerate(values):
+            modal[i] = lfilter([1.0], [1.0, -value], modal[i], axis=0)
+        states = np.tensordot(vectors, modal, axes=1).real
+    result: Matrix = np.moveaxis(states, 0, 1)
+    return result
+
+
+def _slopes(
+    derivatives: NDArray[np.float64], amplitudes: Vector, generators: Generators
+) -> NDArray[np.float64]:
+    """Return the derivatives by theta at the fitted amplitudes, shape (N, n_y, P)."""
+    N, n_y, _ = derivatives.shape
+    slopes = np.empty((N, n_y, generators.parameters))
+    column = first = parameter = 0
+    for size, count in zip(generators.size, generators.count, strict=True):
+        beta = amplitudes[first : first + size]
+        for _ in range(count):
+            slopes[:, :, parameter] = derivatives[:, :, column : column + size] @ beta
+            column += size
+            parameter += 1
+        first += size
+    return slopes

@@ -1,0 +1,119 @@
+"""Directions in which the output moves if the model is wrong.
+
+To first order the output of a plant with an error in A, B or Bd moves by the response to the
+states, to the inputs, to the disturbance, each entering at one state; with an error in C, D or the
+gain of a sensor by these signals themselves. A constant disturbance, and one whose alphas are
+shifted or stretched in time, are inputs at the same places. What none of these describe leaves
+something slow: cosines over the record.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.arrays import Matrix, Vector
+from cosim.native.step import first_order_hold
+from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
+from cosim.theory.fitted_response import FittedResponse, recursion
+
+SLOW_DIRECTIONS: Final = 30
+
+
+@dataclass(frozen=True, eq=False)
+class Directions:
+    """Directions of the outputs, shape (N, n_y, K), and the name of each."""
+
+    columns: NDArray[np.float64]
+    names: tuple[str, ...]
+
+
+def model_errors(plant: DisturbedPlant, data: DataSet, response: FittedResponse) -> Directions:
+    """Compute the directions for a fitted model."""
+    signals = _signals(data, response)
+    changes = _alpha_changes(data, response.disturbance)
+    parts = [
+        _entering_states(plant, data.t, {**signals, **changes}),
+        _at_outputs(plant, signals),
+        _slow(data.t, plant.C.shape[0]),
+    ]
+    columns = np.concatenate([part.columns for part in parts], axis=2)
+    names = sum((part.names for part in parts), ())
+    return Directions(columns, names)
+
+
+def _signals(data: DataSet, response: FittedResponse) -> dict[str, Vector]:
+    """Return what a wrong entry of a matrix multiplies, by its name in a report."""
+    signals = {f"x_a[{i}]": column for i, column in enumerate(response.states.T)}
+    for j, column in enumerate(data.u.T):
+        signals[f"u[{j}]"] = column
+    signals["delta"] = response.disturbance.sum(axis=1)
+    signals["a constant"] = np.ones(len(data.t))
+    return signals
+
+
+def _alpha_changes(data: DataSet, disturbance: Matrix) -> dict[str, Vector]:
+    """Return what a time shift and another rate of every alpha change in the disturbance."""
+    t = data.t
+    if len(t) < 3:
+        return {}
+    is_large = np.abs(data.alpha) > 1e-9 * np.abs(data.alpha).max(axis=0, initial=0.0)
+    f = np.divide(disturbance, data.alpha, out=np.zeros_like(disturbance), where=is_large)
+    changes = {}
+    for i, (alpha, factor) in enumerate(zip(data.alpha.T, f.T, strict=True)):
+        shift = np.gradient(alpha, t) * factor
+        changes[f"a shift of alpha {i + 1}"] = shift
+        changes[f"another rate in alpha {i + 1}"] = shift * (t - t[0])
+    return changes
+
+
+def _entering_states(plant: DisturbedPlant, t: Vector, signals: dict[str, Vector]) -> Directions:
+    """Return the responses to each signal, entering at each state."""
+    n = len(plant.A)
+    n_y = plant.C.shape[0]
+    N = len(t)
+    if n == 0 or N < 2:
+        return Directions(np.zeros((N, n_y, 0)), ())
+    h = float(t[-1] - t[0]) / (N - 1)
+    discrete = first_order_hold(plant.A, np.eye(n), h, np.zeros(n, np.bool_))
+    forcing = np.stack(list(signals.values()), axis=1)
+    begin = np.einsum("ij,nk->nijk", discrete.B0, forcing[:-1])
+    end = np.einsum("ij,nk->nijk", discrete.B1, forcing[1:])
+    K = forcing.shape[1]
+    forced = (begin + end).reshape(N - 1, n, n * K)
+    states = recursion(discrete.Ad, forced, np.zeros((n, n * K)))
+    columns = np.einsum("oi,nik->nok", plant.C, np.nan_to_num(states))
+    names = tuple(f"{name} in the dynamics of x_a[{j}]" for j in range(n) for name in signals)
+    return Directions(columns, names)
+
+
+def _at_outputs(plant: DisturbedPlant, signals: dict[str, Vector]) -> Directions:
+    """Return each signal as an error of each output."""
+    forcing = np.stack(list(signals.values()), axis=1)
+    n_y = plant.C.shape[0]
+    N, K = forcing.shape
+    columns = np.zeros((N, n_y, n_y * K))
+    names = []
+    for o in range(n_y):
+        columns[:, o, o * K : (o + 1) * K] = forcing
+        names += [f"{name} in y[{o}]" for name in signals]
+    return Directions(columns, tuple(names))
+
+
+def _slow(t: Vector, n_y: int) -> Directions:
+    """Return cosines of some half periods over the record, on each output."""
+    span = float(t[-1] - t[0])
+    fraction = (t - t[0]) / span if span > 0.0 else np.zeros(len(t))
+    halves = np.arange(1, SLOW_DIRECTIONS + 1)
+    cosines = np.cos(np.pi * np.outer(fraction, halves))
+    columns = np.zeros((len(t), n_y, n_y * SLOW_DIRECTIONS))
+    names = []
+    for o in range(n_y):
+        columns[:, o, o * SLOW_DIRECTIONS : (o + 1) * SLOW_DIRECTIONS] = cosines
+        for k in halves:
+            period = 2.0 * span / k
+            names.append(f"something of period {period:.3g} s in y[{o}]")
+    return Directions(columns, tuple(names))

@@ -1,0 +1,395 @@
+"""What may be said about an estimate: one verdict for every parameter, from the data alone.
+
+======================  ==========================================================================
+IDENTIFIABLE            the interval holds
+WEAK                    the parameter has an effect, but so little that the interval is no interval
+NOT_IDENTIFIABLE        nothing in the data depends on it: there is no number
+INCONSISTENT            the residual is not what noise leaves: the model is wrong, or the step long
+======================  ==========================================================================
+
+The noise level comes from the residual, so noise never counts as information. A component is there
+where its amplitude is larger than the largest that noise alone fits. The function is the same for
+all estimators: it fits output error itself (:func:`assess`), and holds what another estimator says
+against that (:func:`judge`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any, Final
+
+import numpy as np
+
+from cosim.arrays import Matrix, Vector
+from cosim.native.estimation import ParameterState
+from cosim.theory.consistency import MARGIN, Consistency, examine, noise_color
+from cosim.theory.disturbance import Family, generators
+from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, NoiseModel, white_noise
+from cosim.theory.estimators.output_error import (
+    NO_BOUNDS,
+    OutputErrorFit,
+    fit_output_error,
+    least_squares_at,
+    presence_threshold,
+    search_start,
+)
+
+CONFIDENCE: Final = 0.95
+# How the sum of squares at the ends of an interval may differ from that of a linear problem.
+LEAST_PROFILE: Final = 0.7
+LARGEST_PROFILE: Final = 1.4
+
+
+class Verdict(StrEnum):
+    """What may be said about a parameter."""
+
+    IDENTIFIABLE = "IDENTIFIABLE"
+    WEAK = "WEAK"
+    NOT_IDENTIFIABLE = "NOT_IDENTIFIABLE"
+    INCONSISTENT = "INCONSISTENT"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ParameterVerdict:
+    """What may be said about one parameter.
+
+    Parameters
+    ----------
+    name : str
+    verdict : Verdict
+    value : float or None
+        None: nothing in the data depends on it.
+    standard_error : float or None
+    lower, upper : float or None
+        The 95 % interval, with what step and quantization may have moved the estimate by.
+    reason : str
+    """
+
+    name: str
+    verdict: Verdict
+    value: float | None
+    standard_error: float | None
+    lower: float | None
+    upper: float | None
+    reason: str
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Assessment:
+    """A fit by output error, and what may be said about it.
+
+    Parameters
+    ----------
+    fit : OutputErrorFit
+    consistency : Consistency
+    noise : NoiseModel
+        As it was assumed in the fit; ``a`` is not empty where the noise was found to be colored.
+    half_width : Vector, shape (P,)
+        Of the 95 % intervals; NaN where there is none.
+    parameters : tuple of ParameterVerdict
+    """
+
+    fit: OutputErrorFit
+    consistency: Consistency
+    noise: NoiseModel
+    half_width: Vector
+    parameters: tuple[ParameterVerdict, ...]
+
+    @property
+    def correlation(self) -> Matrix:
+        """The correlations of the estimates, shape (P, P); zero where not estimated."""
+        errors = self.fit.standard_error
+        scale = np.where(errors > 0.0, errors, 1.0)
+        correlation: Matrix = self.fit.covariance / np.outer(scale, scale)
+        return correlation
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        parameters = []
+        for parameter in self.parameters:
+            entry = dict(vars(parameter))
+            entry["verdict"] = str(parameter.verdict)
+            parameters.append(entry)
+        tests = []
+        for test in self.consistency.tests:
+            tests.append({**vars(test), "passed": test.passed})
+        return {
+            "parameters": parameters,
+            "correlation": self.correlation.tolist(),
+            "deviation": self.fit.deviation,
+            "accuracy": max(one.deviation for one in self.consistency.accuracy),
+            "degrees_of_freedom": self.fit.freedom,
+            "noise_model": self.noise.a.tolist(),
+            "tests": tests,
+        }
+
+
+def assess(
+    data: Sequence[DataSet],
+    plant: DisturbedPlant,
+    families: Sequence[Family],
+    start: Vector | None = None,
+    *,
+    noise: NoiseModel | None = None,
+    offset: bool = False,
+    bounds: Mapping[int, tuple[float, float]] = NO_BOUNDS,
+) -> Assessment:
+    """Fit output error, and say what the data say about every parameter.
+
+    Colored noise is recognized and whitened by an autoregressive model.
+
+    Parameters
+    ----------
+    data : sequence of DataSet
+    plant : DisturbedPlant
+    families : sequence of Family
+    start : Vector, shape (P,), optional
+        By default searched.
+    noise : NoiseModel, optional
+        By default white, of equal deviation on every output.
+    offset, bounds
+        As for :func:`cosim.theory.estimators.output_error.fit_output_error`.
+
+    Raises
+    ------
+    AssumptionError
+        As from there.
+    """
+    noise = noise or white_noise(plant.C.shape[0])
+
+    def fitted(theta: Vector, model: NoiseModel) -> OutputErrorFit:
+        return fit_output_error(
+            data, plant, families, theta, noise=model, offset=offset, bounds=bounds
+        )
+
+    if start is None:
+        start = search_start(data, plant, families, offset=offset, bounds=bounds)
+    fit = fitted(start, noise)
+    consistency = examine(fit, data, plant, families, noise)
+    if not consistency.passed and not consistency.step_too_long and not len(noise.a):
+        a = noise_color(fit, data, plant, families, noise)
+        if len(a):
+            colored = NoiseModel(covariance=noise.covariance, a=a)
+            whitened = fitted(fit.theta, colored)
+            again = examine(whitened, data, plant, families, colored)
+            if again.passed:
+                fit, consistency, noise = whitened, again, colored
+    return _Judge(fit, consistency, noise, families).assessment()
+
+
+def judge(
+    assessment: Assessment, theta: Vector, standard_error: Vector | None
+) -> tuple[ParameterVerdict, ...]:
+    """Hold another estimate of the same data against that by output error.
+
+    Parameters
+    ----------
+    assessment : Assessment
+    theta : Vector, shape (P,)
+        NaN: no value.
+    standard_error : Vector, shape (P,), or None
+        None: the method has none.
+    """
+    verdicts = []
+    for j, own in enumerate(assessment.parameters):
+        value = float(theta[j])
+        error = None if standard_error is None else float(standard_error[j])
+        verdicts.append(_judge_other(own, value, error, float(assessment.half_width[j])))
+    return tuple(verdicts)
+
+
+def _judge_other(
+    own: ParameterVerdict, value: float, error: float | None, half_width: float
+) -> ParameterVerdict:
+    if not np.isfinite(value):
+        return ParameterVerdict(
+            name=own.name,
+            verdict=Verdict.NOT_IDENTIFIABLE,
+            value=None,
+            standard_error=None,
+            lower=None,
+            upper=None,
+            reason="the method gives no value",
+        )
+    verdict = own.verdict
+    reason = own.reason
+    reach = 0.0 if error is None or not np.isfinite(error) else 1.96 * error
+    interval = (None, None) if error is None else (value - reach, value + reach)
+    if own.value is not None and verdict in (Verdict.IDENTIFIABLE, Verdict.WEAK):
+        distance = abs(value - own.value)
+        if distance > reach + half_width:
+            verdict = Verdict.INCONSISTENT
+            reason = (
+                f"biased: {distance:.3g} from the output-error estimate {own.value:.6g} "
+                f"+- {half_width:.2g}"
+            )
+        elif error is None:
+            reason = "within the interval of output error; the method has no interval of its own"
+    shown = None if verdict is Verdict.NOT_IDENTIFIABLE else value
+    return ParameterVerdict(
+        name=own.name,
+        verdict=verdict,
+        value=shown,
+        standard_error=error if shown is not None else None,
+        lower=interval[0] if shown is not None else None,
+        upper=interval[1] if shown is not None else None,
+        reason=reason,
+    )
+
+
+class _Judge:
+    """Makes the verdicts of a fit."""
+
+    def __init__(
+        self,
+        fit: OutputErrorFit,
+        consistency: Consistency,
+        noise: NoiseModel,
+        families: Sequence[Family],
+    ) -> None:
+        self._fit = fit
+        self._consistency = consistency
+        self._noise = noise
+        matrices = generators(families)
+        self._component = np.repeat(np.arange(len(families)), matrices.count)
+        self._present = self._presence(matrices.size)
+
+    def _presence(self, sizes: Sequence[int]) -> list[bool]:
+        """Return which components are larger than noise and the errors of the step make them."""
+        fit = self._fit
+        threshold = presence_threshold(sizes, len(fit.records))
+        present = []
+        first = 0
+        for i, size in enumerate(sizes):
+            beta = fit.amplitudes[0][first : first + size]
+            moved = self._consistency.amplitude_bias[first : first + size]
+            length = float(np.linalg.norm(beta))
+            part = MARGIN * float(np.linalg.norm(moved)) / length if length > 0.0 else 1.0
+            statistic = float(np.sqrt(fit.presence[i])) * (1.0 - part)
+            present.append(statistic > float(np.sqrt(threshold[i])))
+            first += size
+        return present
+
+    def assessment(self) -> Assessment:
+        """Return the fit with its intervals and verdicts."""
+        half_width = self._half_widths()
+        parameters = tuple(self._parameter(j, half_width) for j in range(len(half_width)))
+        return Assessment(
+            fit=self._fit,
+            consistency=self._consistency,
+            noise=self._noise,
+            half_width=half_width,
+            parameters=parameters,
+        )
+
+    def _half_widths(self) -> Vector:
+        from scipy.stats import t as student  # takes long to import
+
+        fit = self._fit
+        quantile = float(student.isf(0.5 * (1.0 - CONFIDENCE), max(fit.freedom, 1.0)))
+        half_width = quantile * fit.standard_error + MARGIN * self._consistency.bias
+        half_width[~fit.estimated] = np.nan
+        return half_width
+
+    def _parameter(self, j: int, half_width: Vector) -> ParameterVerdict:
+        fit = self._fit
+        verdict, reason = self._verdict(j, float(half_width[j]))
+        known = verdict is not Verdict.NOT_IDENTIFIABLE
+        value = float(fit.theta[j])
+        width = float(half_width[j])
+        has_interval = known and bool(np.isfinite(width))
+        return ParameterVerdict(
+            name=f"theta[{j}]",
+            verdict=verdict,
+            value=value if known else None,
+            standard_error=float(fit.standard_error[j]) if has_interval else None,
+            lower=value - width if has_interval else None,
+            upper=value + width if has_interval else None,
+            reason=reason,
+        )
+
+    def _verdict(self, j: int, half_width: float) -> tuple[Verdict, str]:
+        fit = self._fit
+        consistency = self._consistency
+        if not fit.converged:
+            return Verdict.NOT_IDENTIFIABLE, "the iteration has not converged"
+        if not consistency.passed:
+            return Verdict.INCONSISTENT, self._inconsistency()
+        state = fit.states[j]
+        if state is ParameterState.FIXED:
+            return Verdict.IDENTIFIABLE, "fixed by its bounds"
+        if state is ParameterState.ABSENT or not self._present[self._component[j]]:
+            return Verdict.NOT_IDENTIFIABLE, (
+                "its component is not larger than the largest that noise alone fits: a larger "
+                "disturbance or less noise would show it"
+            )
+        if state is ParameterState.DEPENDENT:
+            return Verdict.NOT_IDENTIFIABLE, (
+                "another parameter has the same effect on the output: other alphas would tell them "
+                "apart"
+            )
+        if state is ParameterState.AT_BOUND:
+            return Verdict.WEAK, "the estimate stands at its bound; the optimum is beyond"
+        ratio = self._profile(j, half_width)
+        if not LEAST_PROFILE <= ratio <= LARGEST_PROFILE:
+            return Verdict.WEAK, (
+                f"its effect is not linear over its interval (the sum of squares grows "
+                f"{ratio:.2g} times as much as it should); {self._weak_direction()}: a longer "
+                "record, a larger disturbance or less noise would supply it"
+            )
+        return Verdict.IDENTIFIABLE, "the residual is what noise leaves"
+
+    def _profile(self, j: int, half_width: float) -> float:
+        """Return the growth of the squares at the ends of an interval over that expected.
+
+        The other parameters follow as they would in a linear problem. Of the two ends the one that
+        is farther off counts.
+        """
+        fit = self._fit
+        variance = float(fit.covariance[j, j])
+        if not variance > 0.0 or not fit.deviation > 0.0:
+            return 1.0
+        if half_width <= 1e-9 * max(abs(float(fit.theta[j])), half_width, 1e-3):
+            return 1.0  # what rounding leaves of the sums of squares would say nothing
+        direction = fit.covariance[:, j] / variance
+        expected = half_width**2 / variance
+        base = self._squares(fit.theta)
+        worst = 1.0
+        for sign in (1.0, -1.0):
+            squares = self._squares(fit.theta + sign * half_width * direction)
+            ratio = (squares - base) / (fit.deviation**2 * expected)
+            if abs(np.log(max(ratio, 1e-12))) > abs(np.log(worst)):
+                worst = max(ratio, 1e-12)
+        return worst
+
+    def _squares(self, theta: Vector) -> float:
+        """Return the sum of squares at theta, the linear unknowns at their best."""
+        return sum(least_squares_at(record, theta) for record in self._fit.records)
+
+    def _weak_direction(self) -> str:
+        """Name the combination of parameters that is known least."""
+        covariance = self._fit.covariance
+        _, vectors = np.linalg.eigh(covariance)
+        direction = vectors[:, -1]
+        terms = []
+        for j, part in enumerate(direction):
+            if abs(part) > 0.1:
+                terms.append(f"{part:+.2g} theta[{j}]")
+        return f"the direction {' '.join(terms)} is missing"
+
+    def _inconsistency(self) -> str:
+        consistency = self._consistency
+        if consistency.step_too_long:
+            return (
+                "the step is too long for the signals: what straight lines between samples cost is "
+                "more than 1 % of the output; take a tenth of the step"
+            )
+        failed = [test for test in consistency.tests if not test.passed]
+        found = "; ".join(
+            f"{test.name}: {test.statistic:.3g}, noise leaves up to {test.threshold:.3g} "
+            + (f" ({test.largest})" if test.largest else "")
+            for test in failed
+        )
+        return f"the residual is not what noise leaves: {found}"
