@@ -1,0 +1,196 @@
+"""Guaranteed intervals of theta from a recording, for a bounded irregular part of the disturbance.
+
+Here the recording and the plant of output error become the problem of `cosim.theory.worst_case` and
+`cosim.theory.set_membership`. The irregular part enters where the components do: one channel, with
+its bound, for every different column of (Bd, Dd).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cosim.arrays import Matrix, Vector
+from cosim.errors import AssumptionError
+from cosim.native.estimation import Generators, ResponseRecord
+from cosim.theory.disturbance import Family, generators
+from cosim.theory.disturbed_plant import (
+    DataSet,
+    DisturbedPlant,
+    NoiseModel,
+    needs_predictor,
+    sample_plant,
+    white_noise,
+)
+from cosim.theory.estimators.output_error import OutputErrorFit
+from cosim.theory.feasible_program import RecordedOutputs, cells_of, gaussian_noise_bound
+from cosim.theory.set_membership import FeasibleInterval, feasible_interval
+from cosim.theory.worst_case import (
+    BoundedDisturbance,
+    Prediction,
+    first_order,
+    irregular_response,
+)
+
+EQUAL_STEPS = 1e-9  # relative difference of two steps that still counts as none
+
+
+@dataclass(frozen=True, eq=False)
+class GuaranteedInterval:
+    """What |delta_0| <= bound leaves open of theta.
+
+    Attributes
+    ----------
+    half_width : Vector
+        Largest error of the estimate to first order, shape ``(n_theta,)``. A figure to compare
+        with; where it is a tenth of theta's own effects, second order is no longer small.
+    interval : FeasibleInterval
+        All theta that explain the data. It may exclude the estimate.
+    confidence : float
+        Probability of the bounds of the noise; 1 without noise.
+    """
+
+    half_width: Vector
+    interval: FeasibleInterval
+    confidence: float
+
+
+@dataclass(frozen=True, eq=False)
+class ResponseModel:
+    """The outputs of a disturbed plant, less their known part, at p = (theta, linear unknowns)."""
+
+    record: ResponseRecord
+
+    def __call__(self, p: Vector) -> Prediction:
+        """Compute output and Jacobian at p, shape ``(n_p,)``."""
+        kernel = self.record.model
+        matrices = kernel.constants.generators
+        theta = p[: matrices.parameters]
+        linear = p[matrices.parameters :]
+        rows = self.record.rows(theta)
+        columns = rows[:, :, : kernel.linear]
+        slopes = _slopes(matrices, rows[:, :, kernel.linear : -1], linear)
+        jacobian = np.concatenate([slopes, columns], axis=2)
+        return Prediction(columns @ linear, jacobian)
+
+
+def bounded_problem(
+    data: DataSet,
+    plant: DisturbedPlant,
+    families: Sequence[Family],
+    *,
+    bound: float,
+    noise: NoiseModel | None = None,
+    offset: bool = False,
+) -> tuple[BoundedDisturbance, Matrix]:
+    """Build the problem of a bounded irregular part, and its outputs, less their known part.
+
+    Parameters
+    ----------
+    data : DataSet
+        Equally spaced, every output measured.
+    plant : DisturbedPlant
+    families : sequence of Family
+        Of the components.
+    bound : float
+        Largest magnitude of the irregular part of every disturbance.
+    noise : NoiseModel, optional
+        Its covariance weighs the outputs of the estimate; by default equally.
+    offset : bool
+        An unknown constant is on every output.
+
+    Raises
+    ------
+    AssumptionError
+        If the samples are not equally spaced, an output is missing, or the plant is unstable.
+    """
+    steps = np.diff(data.t)
+    h = float(np.median(steps))
+    if np.abs(steps - h).max(initial=0.0) > EQUAL_STEPS * h or not data.measured.all():
+        raise AssumptionError(
+            "the interval for a bounded irregular part needs equally spaced samples, all measured"
+        )
+    span = float(data.t[-1] - data.t[0])
+    if needs_predictor(plant.A, span):
+        raise AssumptionError(
+            f"the interval for a bounded irregular part needs a stable plant: over {span:g} s a "
+            "mode of this one grows too much for its outputs to be simulated"
+        )
+    plain = white_noise(len(plant.C))
+    sampled = sample_plant(plant, generators(families), data, noise=plain, offset=offset)
+    record = sampled.record(data)
+    effect = np.vstack([plant.Bd, plant.Dd])
+    channels = np.unique(effect, axis=1)
+    n = len(plant.A)
+    response = irregular_response(plant.A, channels[:n], plant.C, channels[n:], h)
+    covariance = (noise or plain).covariance
+    weight: Matrix = np.linalg.inv(covariance).astype(np.float64)
+    problem = BoundedDisturbance(
+        ResponseModel(record),
+        response,
+        bound=np.full(channels.shape[1], bound),
+        weight=weight,
+        n_theta=record.model.constants.generators.parameters,
+    )
+    return problem, record.residual
+
+
+def guaranteed_interval(
+    data: DataSet,
+    plant: DisturbedPlant,
+    families: Sequence[Family],
+    fit: OutputErrorFit,
+    *,
+    bound: float,
+    sigma: Vector,
+    sampling_error: float = 0.0,
+    confidence: float = 0.999,
+    noise: NoiseModel | None = None,
+) -> GuaranteedInterval:
+    """Compute which theta the data allow if the irregular part is within its bound.
+
+    Parameters
+    ----------
+    data, plant, families, noise
+        As in `bounded_problem`.
+    fit : OutputErrorFit
+        Of these data alone, with every theta estimated.
+    bound : float
+        Largest magnitude of the irregular part.
+    sigma : Vector
+        Deviation of the white noise of each output, shape ``(n_y,)``; zero for exact data. What is
+        known of the sensor: the residual of the fit holds the irregular part too.
+    sampling_error : float
+        Largest further error of an output, from quantization or from straight lines between the
+        samples.
+    confidence : float
+        Probability with which the noise is within its bounds, where there is noise.
+    """
+    offset = bool(len(fit.offset[0]))
+    problem, y = bounded_problem(data, plant, families, bound=bound, noise=noise, offset=offset)
+    p = np.concatenate([fit.theta, fit.amplitudes[0], fit.x0[0], fit.offset[0]])
+    noisy = bool(np.any(sigma > 0.0))
+    cells = cells_of(len(y), noisy)
+    random_error = gaussian_noise_bound(sigma, cells, len(y), confidence)
+    recorded = RecordedOutputs(y, cells, random_error + sampling_error)
+    return GuaranteedInterval(
+        half_width=first_order(problem, p).half_width(problem.bound),
+        interval=feasible_interval(problem, recorded, [p]),
+        confidence=confidence if noisy else 1.0,
+    )
+
+
+def _slopes(matrices: Generators, derivatives: Matrix, linear: Vector) -> Matrix:
+    """Multiply the derivatives of the basis by the amplitudes, shape ``(N, n_y, n_theta)``."""
+    slopes = []
+    column = 0
+    first = 0
+    for size, count in zip(matrices.size, matrices.count, strict=True):
+        beta = linear[first : first + size]
+        for _ in range(count):
+            slopes.append(derivatives[:, :, column : column + size] @ beta)
+            column += size
+        first += size
+    return np.stack(slopes, axis=-1)

@@ -1,0 +1,263 @@
+r"""The interval of every theta that recorded data allow: set-membership estimation.
+
+The *feasible set* holds every theta for which some nuisance parameters, some irregular part with
+`|delta_0| <= d` and some noise within its bound give the recorded outputs exactly (see
+`cosim.theory.worst_case` for the model). The truth is one of its points if the bounds are true, so
+the smallest and the largest theta_i of the set enclose it: no statistics, no first order.
+
+Why no interval around the estimate
+-----------------------------------
+What an estimate alone says about the truth - all p that some admissible delta_0 turns into this
+estimate - is the same problem with as many functionals of the data as there are unknowns, so it is
+never narrower than the feasible set; in the example with d = 0.02 it has no end at all from an
+unlucky estimate. In a linear problem the half width of the feasible set is for no data larger than
+the radius of information, the least worst error of any estimator, so that of least squares bounds
+it. The estimate may lie outside of the interval: then it is the estimate that is wrong.
+
+Beyond the linear program
+-------------------------
+For fixed theta everything else is linear. In theta the program is linearized at the current point
+and solved again until the point does not move; there the linearization is exact, so the point is in
+the set, and a local extremum. The search starts from several points, and what any of them reaches
+is enclosed. A set in several pieces, each around a local minimum of `least_bound` (the smallest
+multiple of d for which a theta is in the set, an exact convex problem for fixed theta), has its
+interval only where a start lies near each piece: theta outside of the interval can be excluded by
+their `least_bound` above 1, one by one or along a profile.
+
+Reference: M. Milanese, G. Belforte, "Estimation theory and uncertainty intervals evaluation in
+presence of unknown but bounded errors", IEEE Trans. Automatic Control 27 (1982).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cosim.arrays import NAN, Mask, Matrix, Vector
+from cosim.errors import AssumptionError
+from cosim.theory.feasible_program import FeasibleProgram, RecordedOutputs
+from cosim.theory.worst_case import BoundedDisturbance, least_squares_functional
+
+VIOLATED = 1e-6  # relative violation from which on a point is outside
+ITERATIONS = 60
+SETTLED = 1e-6  # change of theta by one linear program, in first-order half widths
+STATED = np.array([1.0, 1.0])  # limits of the multiple of the bound: as it is
+POSITIVE = np.array([0.0, np.inf])
+REACH = 100.0  # first-order half widths; an interval that reaches further has no end
+
+
+@dataclass(frozen=True, eq=False)
+class FeasibleInterval:
+    """The extent of the feasible set in each theta.
+
+    Attributes
+    ----------
+    lower, upper : Vector
+        Shape ``(n_theta,)``; infinite where no end was found, NaN where no theta is feasible.
+    vertices : Matrix
+        The feasible theta that the searches reached, shape ``(k, n_theta)``; none where the bounds
+        do not explain the data.
+    """
+
+    lower: Vector
+    upper: Vector
+    vertices: Matrix
+
+    @property
+    def feasible(self) -> bool:
+        """Whether a theta was found with which the bounds explain the data."""
+        return len(self.vertices) > 0
+
+
+@dataclass(frozen=True, eq=False)
+class LeastBound:
+    """The least irregular part that explains the data.
+
+    Attributes
+    ----------
+    factor : float
+        In multiples of the stated bound; infinite where none does.
+    p : Vector
+        Where, shape ``(n_p,)``.
+    """
+
+    factor: float
+    p: Vector
+
+
+def feasible_interval(
+    problem: BoundedDisturbance,
+    recorded: RecordedOutputs,
+    starts: Sequence[Vector],
+    box: Matrix | None = None,
+) -> FeasibleInterval:
+    """Compute the interval of each theta that the data and the bounds allow.
+
+    Parameters
+    ----------
+    problem : BoundedDisturbance
+    recorded : RecordedOutputs
+    starts : sequence of Vector
+        Where the searches begin, shape ``(n_p,)`` each; first of all the output-error estimate.
+    box : Matrix, optional
+        Limits within which theta is known to lie, shape ``(n_theta, 2)``.
+    """
+    n_theta = problem.n_theta
+    program = FeasibleProgram(problem, recorded)
+    limits = np.tile([-np.inf, np.inf], (n_theta, 1)) if box is None else box
+    ends = []
+    for start in starts:
+        search = _Search(program, start, limits)
+        if search.restore():
+            for parameter in range(n_theta):
+                ends.append(search.extreme(parameter, -1)[:n_theta])
+                ends.append(search.extreme(parameter, 1)[:n_theta])
+    if not ends:
+        nothing = np.full(n_theta, NAN)
+        return FeasibleInterval(nothing, nothing.copy(), np.zeros((0, n_theta)))
+    vertices = np.array(ends)
+    return FeasibleInterval(vertices.min(axis=0), vertices.max(axis=0), vertices)
+
+
+def least_bound(
+    problem: BoundedDisturbance,
+    recorded: RecordedOutputs,
+    start: Vector,
+    fixed: Mask | None = None,
+) -> LeastBound:
+    """Compute the least multiple of the bound of delta_0 that explains the data.
+
+    Above 1 no theta near ``start`` is feasible: the bound is too small, or the model is wrong.
+
+    Parameters
+    ----------
+    problem : BoundedDisturbance
+        At least one bound is positive.
+    recorded : RecordedOutputs
+    start : Vector
+        Shape ``(n_p,)``.
+    fixed : Mask, optional
+        Which theta stay as they are in ``start``, shape ``(n_theta,)``. With all of them the result
+        is the global minimum, with some a point of the profile of those.
+    """
+    if not problem.bound.any():
+        raise AssumptionError("all bounds of delta_0 are zero; needed a positive one to multiply")
+    program = FeasibleProgram(problem, recorded)
+    limits = np.tile([-np.inf, np.inf], (problem.n_theta, 1))
+    if fixed is not None:
+        theta = start[: problem.n_theta]
+        limits[fixed] = theta[fixed, None]
+    search = _Search(program, start, limits)
+    return search.least_bound()
+
+
+@dataclass(frozen=True, eq=False)
+class _Rest:
+    """Where a sequence of linear programs ended, and whether theta had come to rest there."""
+
+    p: Vector
+    settled: bool
+
+
+class _Search:
+    """Sequential linear programs from one start."""
+
+    def __init__(self, program: FeasibleProgram, start: Vector, box: Matrix) -> None:
+        problem = program.problem
+        recorded = program.recorded
+        self.program = program
+        self.origin = start
+        self.box = box
+        prediction = problem.model(start)
+        functional = least_squares_functional(prediction.jacobian, problem.weight, problem.n_theta)
+        half_width = np.zeros(problem.n_theta)
+        for parameter, row in enumerate(functional):
+            sensitivity = problem.response.adjoint(row)
+            from_irregular = np.abs(sensitivity).sum(axis=0) @ problem.bound
+            from_noise = np.abs(row).sum(axis=0) @ recorded.noise
+            half_width[parameter] = from_irregular + from_noise
+        self.half_width = half_width
+
+    def restore(self) -> bool:
+        """Move the origin of the searches to a feasible point; return whether there is one."""
+        for _ in range(ITERATIONS):
+            prediction = self.program.predict(self.origin)
+            here = self.program.restore(prediction, self._limits(self.origin, 0.0, STATED))
+            if here is not None and here.violation <= VIOLATED:
+                self.origin = self.origin + here.step
+                return True
+            near = self.program.restore(prediction, self._limits(self.origin, 1.0, STATED))
+            if near is None or self._size(near.step) <= SETTLED:
+                break
+            self.origin = self.origin + near.step
+        return False
+
+    def extreme(self, parameter: int, direction: int) -> Vector:
+        """Find the feasible p with the largest or smallest theta, infinite where there is no end.
+
+        Also a search that does not come to rest gives infinity: it has shown no end.
+        """
+        objective = np.zeros(len(self.origin) + 1)
+        objective[1 + parameter] = -direction / self.half_width[parameter]
+        rest = self._settle(objective, STATED)
+        if not rest.settled:
+            rest.p[parameter] = direction * np.inf
+        return rest.p
+
+    def least_bound(self) -> LeastBound:
+        """Find the p with the least multiple of the bound."""
+        objective = np.zeros(len(self.origin) + 1)
+        objective[0] = 1.0
+        p = self._settle(objective, POSITIVE).p
+        prediction = self.program.predict(p)
+        exact = self.program.solve(prediction, objective, self._limits(p, 0.0, POSITIVE))
+        if exact is None:
+            return LeastBound(np.inf, p)
+        return LeastBound(exact.multiple, p + exact.step)
+
+    def _settle(self, objective: Vector, multiple: Vector) -> _Rest:
+        """Solve linear programs until theta does not move, runs away or never rests."""
+        p = self.origin.copy()
+        n_theta = len(self.half_width)
+        radius = 1.0  # trust region, in half widths
+        last = np.zeros(n_theta)
+        for _ in range(ITERATIONS):
+            prediction = self.program.predict(p)
+            if not np.isfinite(prediction.jacobian).all():
+                break
+            limits = self._limits(p, radius, multiple)
+            solution = self.program.solve(prediction, objective, limits)
+            if solution is None:  # the last step left the set by its second order
+                solution = self.program.restore(prediction, limits)
+            elif self._size(solution.step) <= SETTLED:
+                return _Rest(p + solution.step, settled=True)
+            if solution is None or self._size(p - self.origin) > REACH:
+                break
+            p = p + solution.step
+            step = solution.step[:n_theta]
+            size = self._size(step)
+            if step @ last < 0.0:
+                radius = size / 2.0
+            elif size >= radius:
+                radius *= 2.0
+            last = step
+        return _Rest(p, settled=False)
+
+    def _size(self, step: Vector) -> float:
+        """Return the largest step of a theta, in half widths."""
+        theta = step[: len(self.half_width)] / self.half_width
+        return float(np.abs(theta).max())
+
+    def _limits(self, p: Vector, radius: float, multiple: Vector) -> Matrix:
+        n_theta = len(self.half_width)
+        trust = radius * self.half_width
+        to_box = self.box - p[:n_theta, None]
+        lower = np.clip(to_box[:, 0], -trust, 0.0)
+        upper = np.clip(to_box[:, 1], 0.0, trust)
+        limits = np.tile([-np.inf, np.inf], (1 + len(p), 1))
+        limits[0] = multiple
+        limits[1 : 1 + n_theta, 0] = lower
+        limits[1 : 1 + n_theta, 1] = upper
+        return limits

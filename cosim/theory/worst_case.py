@@ -1,0 +1,428 @@
+r"""What a bounded irregular part of the disturbance can do to an estimate of theta.
+
+The disturbance is a signal of the class (4) plus an irregular part of which only a bound is known,
+`|delta_0(t)| <= d` (an *unknown-but-bounded* disturbance). The recorded output is
+
+    y = g(p) + L delta_0 + noise,        p = (theta, nuisance),
+
+g the output of the model, linear in the nuisance parameters (amplitudes and phases beta(0), initial
+state, offset), L the response of the plant to delta_0 from rest. Between two samples delta_0 is a
+straight line, as every continuous signal of this package.
+
+First order
+-----------
+Weighted least squares on y is to first order a linear functional of it: its error is
+`F (L delta_0 + noise)` with `F = (J' W J)^-1 J' W`, `J = dg/dp`. The sensitivity of theta_i to the
+node delta_0(tau) is the entry of `s_i = L' F_i`, which one simulation of the adjoint system gives
+for all tau. The largest error is `d sum |s_i|`, reached by the bang-bang signal `d sign(s_i)`.
+
+Beyond the first order
+----------------------
+The error of the nonlinear estimate is a smooth function of delta_0 on a box. Where it is largest,
+each node stands at the end of its range that the gradient points to, unless the gradient is zero
+there: a maximum is a fixed point of `delta_0 = d sign(s(delta_0))`, s the sensitivity at the
+estimate from `g(p) + L delta_0`, now with the curvature of g in place of `J' W J` alone.
+`worst_error` iterates this map, a refit each time, from any number of initial signals.
+
+Neither is a statement about given data: the first order is evaluated at the estimate, not at the
+truth, and errs by `departure`. In the example (40 s, 1 ms) it gives 3.86 d for theta2; the worst
+error found exceeds that by 0.1 % for d = 0.0002, 1.1 % for 0.002 and 41 % for 0.02. The guaranteed
+interval is that of `cosim.theory.set_membership`.
+
+Reference: M. Milanese, A. Vicino, "Optimal estimation theory for dynamic systems with set
+membership uncertainty: an overview", Automatica 27 (1991).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.arrays import Matrix, Vector
+from cosim.errors import AssumptionError
+from cosim.native.step import DiscretizedDynamics, first_order_hold, linear_step
+
+ITERATIONS = 60  # most refits of one search, and most Gauss-Newton steps of one refit
+HALVINGS = 30  # of a Gauss-Newton step that does not lower the residual
+SETTLED = 1e-10  # change of the output by a step, relative to the residual, that ends a refit
+ROUNDING = 1e-14  # the same, relative to the output
+RISE = (
+    1e-10  # relative, of a residual that counts as none: rounding hides the fall of the last steps
+)
+DIFFERENCE = 1e-5  # relative step of the differences that give the curvature
+INDEPENDENT = 1e-13  # least relative pivot of the Jacobian with columns of length 1
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """The model's output and its derivatives at one p.
+
+    Attributes
+    ----------
+    output : Matrix
+        `g(p)` at the samples, shape ``(N, n_y)``.
+    jacobian : ndarray
+        `dg/dp`, shape ``(N, n_y, n_p)``.
+    """
+
+    output: Matrix
+    jacobian: NDArray[np.float64]
+
+
+class OutputModel(Protocol):
+    """The output without irregular part and noise as a function of p = (theta, nuisance)."""
+
+    def __call__(self, p: Vector) -> Prediction:
+        """Compute output and Jacobian at p, shape ``(n_p,)``; theta comes first in it."""
+
+
+@dataclass(frozen=True, eq=False)
+class IrregularResponse:
+    """The response L of the sampled outputs to delta_0, from rest.
+
+    Attributes
+    ----------
+    discrete : DiscretizedDynamics
+        From delta_0 to the state, linear interpolation between samples.
+    C : Matrix
+        Outputs of the state, shape ``(n_y, n)``.
+    D : Matrix
+        Direct feedthrough of delta_0, shape ``(n_y, n_d)``.
+    """
+
+    discrete: DiscretizedDynamics
+    C: Matrix
+    D: Matrix
+
+    def respond(self, delta_0: Matrix) -> Matrix:
+        """Compute `L delta_0`, shape ``(N, n_y)``, from the values ``(N, n_d)`` at the samples."""
+        step = linear_step(self.discrete, self.C, self.D)
+        first = delta_0[:1] @ self.D.T
+        steps = np.arange(len(delta_0), dtype=np.float64)
+        rest = step.advance(steps, 1.0, delta_0)
+        return np.concatenate([first, rest])
+
+    def adjoint(self, functional: Matrix) -> Matrix:
+        """Compute `L' a`, shape ``(N, n_d)``, for a functional a of the outputs ``(N, n_y)``.
+
+        The costate runs backwards, `lambda_k = Ad' lambda_k+1 + C' a_k`.
+        """
+        discrete = self.discrete
+        n = len(discrete.Ad)
+        no_input = np.zeros((n, len(self.C)))
+        backwards = DiscretizedDynamics(discrete.Ad.T, no_input, self.C.T)
+        costate_step = linear_step(backwards, np.eye(n), no_input)
+        at_rest = np.zeros((1, len(self.C)))
+        reversed_functional = np.concatenate([at_rest, functional[::-1]])
+        steps = np.arange(len(reversed_functional), dtype=np.float64)
+        costate = costate_step.advance(steps, 1.0, reversed_functional)[::-1]
+        sensitivity = functional @ self.D
+        sensitivity[:-1] += costate[1:] @ discrete.B0
+        sensitivity[1:] += costate[1:] @ discrete.B1
+        return sensitivity
+
+
+def irregular_response(A: Matrix, Bd: Matrix, C: Matrix, Dd: Matrix, h: float) -> IrregularResponse:
+    """Build the response of `x' = A x + Bd delta_0, y = C x + Dd delta_0`, sampled every h [s]."""
+    interpolated = np.zeros(Bd.shape[1], dtype=np.bool_)
+    discrete = first_order_hold(A, Bd, h, held=interpolated)
+    return IrregularResponse(discrete, C, Dd)
+
+
+@dataclass(frozen=True, eq=False)
+class BoundedDisturbance:
+    """An estimation problem with an unknown-but-bounded irregular part.
+
+    Attributes
+    ----------
+    model : OutputModel
+        `g` of p.
+    response : IrregularResponse
+        `L`.
+    bound : Vector
+        Largest magnitude of each channel of delta_0, shape ``(n_d,)``.
+    weight : Matrix
+        Inverse covariance of the noise of one sample, up to a factor, shape ``(n_y, n_y)``.
+    n_theta : int
+        How many entries of p are theta.
+    """
+
+    model: OutputModel
+    response: IrregularResponse
+    bound: Vector
+    weight: Matrix
+    n_theta: int
+
+    def __post_init__(self) -> None:
+        n_y, n_d = self.response.D.shape
+        if self.bound.shape != (n_d,) or not np.all(self.bound >= 0.0):
+            raise AssumptionError(
+                f"bounds of delta_0 are {self.bound.tolist()}; needed {n_d}, none negative"
+            )
+        if self.weight.shape != (n_y, n_y):
+            raise AssumptionError(
+                f"the weight has shape {self.weight.shape}; needed {(n_y, n_y)}, a row an output"
+            )
+        eigenvalues = np.linalg.eigvalsh(self.weight)
+        if not eigenvalues.min() > 0.0:
+            raise AssumptionError(
+                f"the weight has the eigenvalue {eigenvalues.min():g}; needed positive ones"
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class FirstOrder:
+    """The sensitivity of theta to delta_0, shape ``(n_theta, N, n_d)``, per node of delta_0."""
+
+    sensitivity: NDArray[np.float64]
+
+    def half_width(self, bound: Vector) -> Vector:
+        """Compute the largest error of each theta for ``|delta_0| <= bound``, ``(n_theta,)``."""
+        magnitudes = np.abs(self.sensitivity)
+        by_channel = magnitudes.sum(axis=1)
+        half_width: Vector = by_channel @ bound
+        return half_width
+
+    def worst(self, parameter: int, bound: Vector) -> Matrix:
+        """Return the delta_0 that raises theta of index ``parameter`` most, ``(N, n_d)``."""
+        worst: Matrix = bound * np.sign(self.sensitivity[parameter])
+        return worst
+
+
+@dataclass(frozen=True, eq=False)
+class WorstError:
+    """The largest error found of one theta of the nonlinear estimate.
+
+    Attributes
+    ----------
+    error : float
+        Estimate minus truth, signed.
+    delta_0 : Matrix
+        What causes it, shape ``(N, n_d)``.
+    estimate : Vector
+        p estimated under it.
+    """
+
+    error: float
+    delta_0: Matrix
+    estimate: Vector
+
+
+def least_squares_functional(
+    jacobian: NDArray[np.float64], weight: Matrix, count: int
+) -> NDArray[np.float64]:
+    """Compute the first rows of `F = (J' W J)^-1 J' W`.
+
+    Parameters
+    ----------
+    jacobian : ndarray
+        `dg/dp`, shape ``(N, n_y, n_p)``.
+    weight : Matrix
+        Shape ``(n_y, n_y)``.
+    count : int
+        How many rows.
+
+    Returns
+    -------
+    ndarray
+        Shape ``(count, N, n_y)``.
+
+    Raises
+    ------
+    AssumptionError
+        If the columns of the Jacobian are dependent.
+    """
+    samples, n_y, n_p = jacobian.shape
+    root = _root(weight)
+    J = _whitened(jacobian, root)
+    length = np.linalg.norm(J, axis=0)
+    length[length == 0.0] = 1.0
+    Q, R = np.linalg.qr(J / length)
+    pivots = np.abs(np.diag(R))
+    if len(J) < n_p or not pivots.min() > INDEPENDENT:
+        raise AssumptionError(
+            f"the outputs do not determine the {n_p} unknowns: least pivot of the Jacobian "
+            f"{pivots.min():.2g}, needed more than {INDEPENDENT:g}"
+        )
+    rows = np.linalg.solve(R, Q.T) / length[:, None]
+    whitened_rows = rows[:count].reshape(count, samples, n_y)
+    functional: NDArray[np.float64] = whitened_rows @ root.T
+    return functional
+
+
+def first_order(problem: BoundedDisturbance, p: Vector) -> FirstOrder:
+    """Compute the sensitivity of the least-squares theta at p to delta_0, by the adjoint."""
+    prediction = problem.model(p)
+    functionals = least_squares_functional(prediction.jacobian, problem.weight, problem.n_theta)
+    sensitivities = [problem.response.adjoint(row) for row in functionals]
+    return FirstOrder(np.array(sensitivities))
+
+
+def refit(problem: BoundedDisturbance, y: Matrix, start: Vector) -> Vector:
+    """Estimate p from y by weighted least squares, Gauss-Newton from ``start``.
+
+    Raises
+    ------
+    AssumptionError
+        If it does not converge.
+    """
+    root = _root(problem.weight)
+    p = start
+    prediction = problem.model(p)
+    rounding = ROUNDING * float(np.linalg.norm(y @ root))
+    for _ in range(ITERATIONS):
+        residual = (y - prediction.output) @ root
+        J = _whitened(prediction.jacobian, root)
+        solution = np.linalg.lstsq(J, residual.ravel())
+        step: Vector = solution[0].astype(np.float64)
+        change = float(np.linalg.norm(J @ step))
+        if change <= SETTLED * float(np.linalg.norm(residual)) + rounding:
+            return p + step
+        cost = _cost(problem, y, prediction)
+        p, prediction = _descend(problem, y, p, step, cost)
+    raise AssumptionError(
+        f"output error from p = {start.tolist()} did not converge in {ITERATIONS} steps"
+    )
+
+
+def worst_error(
+    problem: BoundedDisturbance,
+    p: Vector,
+    parameter: int,
+    direction: int,
+    start: Matrix | None = None,
+) -> WorstError:
+    """Search the delta_0 under which the estimate of one theta errs most.
+
+    A local search: a lower bound of the largest error, whatever it starts from.
+
+    Parameters
+    ----------
+    problem : BoundedDisturbance
+    p : Vector
+        The truth, shape ``(n_p,)``.
+    parameter : int
+        Index of theta.
+    direction : int
+        1 for the largest, -1 for the smallest estimate.
+    start : Matrix, optional
+        First delta_0, shape ``(N, n_d)``; by default the first-order worst.
+    """
+    exact = problem.model(p).output
+    delta_0 = start
+    if delta_0 is None:
+        delta_0 = direction * first_order(problem, p).worst(parameter, problem.bound)
+    found = _error_under(problem, p, parameter, delta_0)
+    for _ in range(ITERATIONS):
+        y = exact + problem.response.respond(found.delta_0)
+        sensitivity = _curved_sensitivity(problem, y, found.estimate, parameter)
+        delta_0 = direction * problem.bound * np.sign(sensitivity)
+        candidate = _error_under(problem, p, parameter, delta_0)
+        if direction * candidate.error <= direction * found.error:
+            return found
+        found = candidate
+    return found
+
+
+def departure(problem: BoundedDisturbance, p: Vector) -> Vector:
+    """Compute by how much the first order is wrong for each theta, ``(n_theta,)``.
+
+    The largest relative difference of the nonlinear worst error, in both directions, from the
+    first-order half width at p.
+    """
+    half_width = first_order(problem, p).half_width(problem.bound)
+    departures = np.zeros(problem.n_theta)
+    for parameter in range(problem.n_theta):
+        up = worst_error(problem, p, parameter, 1).error
+        down = worst_error(problem, p, parameter, -1).error
+        ratios = np.array([up, -down]) / half_width[parameter]
+        departures[parameter] = np.abs(ratios - 1.0).max()
+    return departures
+
+
+def _root(weight: Matrix) -> Matrix:
+    """Factor `weight = root root'`."""
+    root = np.linalg.cholesky(weight)
+    return root.astype(np.float64)
+
+
+def _whitened(jacobian: NDArray[np.float64], root: Matrix) -> Matrix:
+    n_p = jacobian.shape[2]
+    rows: Matrix = np.einsum("kyp,yw->kwp", jacobian, root)
+    return rows.reshape(-1, n_p)
+
+
+def _descend(
+    problem: BoundedDisturbance, y: Matrix, p: Vector, step: Vector, cost: float
+) -> tuple[Vector, Prediction]:
+    """Take a step, or as much of it as does not raise the weighted residual."""
+    for _ in range(HALVINGS):
+        trial = p + step
+        with np.errstate(over="ignore", invalid="ignore"):
+            prediction = problem.model(trial)
+            reached = _cost(problem, y, prediction)
+        if reached <= cost * (1.0 + RISE):
+            break
+        step = step / 2.0
+    return trial, prediction
+
+
+def _cost(problem: BoundedDisturbance, y: Matrix, prediction: Prediction) -> float:
+    residual = y - prediction.output
+    weighted = residual @ problem.weight
+    return float(np.vdot(residual, weighted))
+
+
+def _error_under(
+    problem: BoundedDisturbance, p: Vector, parameter: int, delta_0: Matrix
+) -> WorstError:
+    exact = problem.model(p).output
+    y = exact + problem.response.respond(delta_0)
+    estimate = refit(problem, y, p)
+    error = float(estimate[parameter] - p[parameter])
+    return WorstError(error, delta_0, estimate)
+
+
+def _curved_sensitivity(
+    problem: BoundedDisturbance, y: Matrix, estimate: Vector, parameter: int
+) -> Matrix:
+    """Compute the derivative of one theta of the estimate by delta_0, shape ``(N, n_d)``.
+
+    The gradient `-J' W (y - g)` vanishes at the estimate; its derivative by p is
+    `J' W J - sum r W d2g`, the implicit function theorem gives the rest.
+    """
+    prediction = problem.model(estimate)
+    J = prediction.jacobian
+    weighted_J = np.einsum("kyp,yw->kwp", J, problem.weight)
+    normal = np.einsum("kyp,kyq->pq", weighted_J, J)
+    residual_size = np.sqrt(_cost(problem, y, prediction))
+    like_residual = residual_size / np.sqrt(np.diag(normal))
+    scale = np.maximum(np.abs(estimate), like_residual)
+    weighted_residual = (y - prediction.output) @ problem.weight
+    curvature = _curvature(problem, estimate, weighted_residual, DIFFERENCE * scale)
+    unit = np.zeros(len(estimate))
+    unit[parameter] = 1.0
+    direction = np.linalg.solve(normal - curvature, unit)
+    functional = weighted_J @ direction
+    return problem.response.adjoint(functional)
+
+
+def _curvature(problem: BoundedDisturbance, p: Vector, functional: Matrix, steps: Vector) -> Matrix:
+    """Compute the second derivatives of `functional' g` by central differences of the Jacobian.
+
+    g is linear in the nuisance parameters, so that only the rows and columns of theta are not zero.
+    """
+    curvature = np.zeros((len(p), len(p)))
+    for column in range(problem.n_theta):
+        shift = np.zeros_like(p)
+        shift[column] = steps[column]
+        ahead = problem.model(p + shift).jacobian
+        behind = problem.model(p - shift).jacobian
+        change = (ahead - behind) / (2.0 * steps[column])
+        curved = np.einsum("kyp,ky->p", change, functional)
+        curvature[:, column] = curved
+        curvature[column, :] = curved
+    return curvature

@@ -1,0 +1,107 @@
+"""From a recording to the guaranteed interval: the kernel of output error beside its own bounds."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cosim.errors import AssumptionError
+from cosim.theory.descriptor import reduce
+from cosim.theory.disturbance import Exponential, Sine
+from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, disturbed_plant
+from cosim.theory.estimators.output_error import fit_output_error
+from cosim.theory.irregular_part import bounded_problem, guaranteed_interval
+from tests.theory.academic import THETA, academic, alpha
+from tests.theory.exponential_plant import TRUTH, example
+
+FAMILIES = (Exponential(), Exponential())
+START = np.array([-0.05, -0.5])
+H = 1e-2
+
+
+def recording(delta_0):
+    """Return the example's data without its input u, 40 s; its model is another than the tested."""
+    model = example(H)
+    y = model(TRUTH).output + model.irregular.respond(delta_0)
+    no_input = np.zeros((len(y), 1))
+    return DataSet(model.t, y, no_input, alpha(model.t))
+
+
+def plant():
+    return disturbed_plant(reduce(academic()), 2)
+
+
+def test_the_problem_is_that_of_the_plant():
+    """Output, Jacobian and response equal those of a model with arithmetic of its own."""
+    model = example(H)
+    data = recording(np.zeros((4001, 1)))
+    problem, y = bounded_problem(data, plant(), FAMILIES, bound=0.02)
+    computed = problem.model(TRUTH)
+    expected = model(TRUTH)
+    np.testing.assert_allclose(computed.output, expected.output, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(computed.jacobian, expected.jacobian, rtol=0, atol=1e-11)
+    np.testing.assert_array_equal(y, data.y)
+    delta_0 = np.random.default_rng(0).standard_normal((4001, 1))
+    np.testing.assert_allclose(
+        problem.response.respond(delta_0), model.irregular.respond(delta_0), rtol=0, atol=1e-12
+    )
+
+
+def test_the_jacobian_of_every_family_is_its_derivative():
+    """A sine and an exponential on different channels, an offset, two outputs."""
+    t = np.arange(200) * 0.05
+    two = DisturbedPlant(
+        A=np.array([[-1.0, 2.0], [-2.0, -1.0]]),
+        B=np.zeros((2, 1)),
+        Bd=np.array([[1.0, 0.0], [0.0, 1.0]]),
+        C=np.eye(2),
+        D=np.zeros((2, 1)),
+        Dd=np.array([[0.0, 0.5], [0.0, 0.0]]),
+    )
+    data = DataSet(t, np.zeros((200, 2)), np.zeros((200, 1)), alpha(t))
+    problem, _ = bounded_problem(data, two, [Sine(), Exponential()], bound=0.1, offset=True)
+    p = np.array([1.5, -0.2, 1.0, -0.5, 2.0, 0.3, -0.4, 0.1, 0.2])
+    jacobian = problem.model(p).jacobian
+    for j in range(len(p)):
+        shift = np.zeros(len(p))
+        shift[j] = 1e-5
+        ahead = problem.model(p + shift).output
+        behind = problem.model(p - shift).output
+        # central differences: 1e-10 times the third derivative, up to 10^3 over 10 s
+        np.testing.assert_allclose(jacobian[:, :, j], (ahead - behind) / 2e-5, rtol=0, atol=1e-6)
+    assert problem.bound.shape == (2,)
+
+
+@pytest.mark.parametrize("sigma", [0.0, 1e-3])
+def test_a_recording_gives_an_interval_that_contains_the_truth(sigma):
+    """Where the irregular part moves the estimate, with noise and without."""
+    t = np.arange(4001) * H
+    delta_0 = 0.02 * np.sign(np.sin(0.4 * t))[:, np.newaxis]
+    exact = recording(delta_0)
+    noise = sigma * np.random.default_rng(1).standard_normal(exact.y.shape)
+    data = DataSet(exact.t, exact.y + noise, exact.u, exact.alpha)
+    fit = fit_output_error([data], plant(), FAMILIES, START)
+    found = guaranteed_interval(data, plant(), FAMILIES, fit, bound=0.02, sigma=np.array([sigma]))
+    assert (found.interval.lower <= THETA).all()
+    assert (found.interval.upper >= THETA).all()
+    assert np.abs(fit.theta[1] - THETA[1]) > 1e-3
+    assert found.confidence == (0.999 if sigma else 1.0)
+    # the first order is that of the example, 0.0137 and 0.0771, seen from the estimate
+    np.testing.assert_allclose(found.half_width, [0.0137, 0.0771], rtol=0.25)
+
+
+def test_what_is_not_covered_is_refused():
+    """Samples at any times, missing outputs, and plants whose simulation overflows."""
+    data = recording(np.zeros((4001, 1)))
+    kept = np.arange(4001) != 7
+    gap = DataSet(data.t[kept], data.y[kept], data.u[kept], data.alpha[kept])
+    holes = data.y.copy()
+    holes[7] = np.nan
+    missing = DataSet(data.t, holes, data.u, data.alpha)
+    for unsuitable in (gap, missing):
+        with pytest.raises(AssumptionError, match="equally spaced samples, all measured"):
+            bounded_problem(unsuitable, plant(), FAMILIES, bound=0.1)
+    one = plant()
+    unstable = DisturbedPlant(A=-one.A, B=one.B, Bd=one.Bd, C=one.C, D=one.D, Dd=one.Dd)
+    with pytest.raises(AssumptionError, match="needs a stable plant: over 40 s a mode"):
+        bounded_problem(data, unstable, FAMILIES, bound=0.1)

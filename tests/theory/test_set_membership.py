@@ -1,0 +1,385 @@
+"""The interval of theta that recorded outputs allow, for a bounded irregular part and noise."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.optimize import linprog
+
+from cosim.errors import AssumptionError
+from cosim.theory.feasible_program import (
+    Cells,
+    RecordedOutputs,
+    cells_of,
+    gaussian_noise_bound,
+)
+from cosim.theory.set_membership import feasible_interval, least_bound
+from cosim.theory.worst_case import (
+    BoundedDisturbance,
+    Prediction,
+    first_order,
+    irregular_response,
+    refit,
+    worst_error,
+)
+from tests.theory.academic import alpha
+from tests.theory.exponential_plant import TRUTH, direct, example
+
+NO_NOISE = np.zeros(1)
+FIXED = np.array([True, True])
+
+
+def random_signal(rng, t, d):
+    """Return a delta_0 of one of four kinds: white, bang-bang fast or slow, or smooth."""
+    kind = rng.integers(4)
+    if kind == 0:
+        return rng.uniform(-d, d, (len(t), 1))
+    if kind == 1:
+        return d * rng.choice([-1.0, 1.0], (len(t), 1))
+    knots = np.linspace(t[0], t[-1], rng.integers(3, 40))
+    smooth = np.interp(t, knots, rng.standard_normal(len(knots)))[:, np.newaxis]
+    return d * (np.sign(smooth) if kind == 2 else np.tanh(smooth))
+
+
+def contains(interval, theta):
+    return bool(np.all(interval.lower <= theta) and np.all(theta <= interval.upper))
+
+
+def half_width(interval):
+    return (interval.upper - interval.lower) / 2.0
+
+
+def exact_extreme(d, parameter, direction):
+    """Solve the example with exact data and delta_0 = 0, from the disturbance itself.
+
+    y shows x1 and its derivative, so that delta is known but for x2(0) exp(-2 t): what remains is a
+    band of width d around a curve, at every instant.
+    """
+    t = np.arange(0.0, 40.0, 0.02)
+    factors = alpha(t)
+    truth = (factors * np.exp(np.outer(t, TRUTH[:2]))).sum(axis=1)
+    p = np.array([*TRUTH[:4], 0.0])
+    cost = np.zeros(5)
+    cost[parameter] = -direction
+    for _ in range(12):
+        basis = factors * np.exp(np.outer(t, p[:2]))
+        slopes = basis * t[:, None] * p[2:4]
+        columns = np.column_stack([slopes, basis, np.exp(-2.0 * t)])
+        residual = truth - columns[:, 2:] @ p[2:]
+        result = linprog(
+            cost,
+            np.vstack([columns, -columns]),
+            np.concatenate([d + residual, d - residual]),
+            bounds=[(-0.03, 0.03)] * 2 + [(None, None)] * 3,
+        )
+        p = p + result.x
+    assert np.abs(result.x).max() < 1e-8
+    return p[parameter]
+
+
+def test_the_interval_of_a_decay_seen_directly_has_a_closed_form():
+    """A constant 1 within d: `c exp(theta t)` fits if it goes from 1 - d to 1 + d, or back."""
+    model = direct(samples=41, h=0.1)
+    recorded = RecordedOutputs(np.ones((41, 1)), Cells(1, 1), NO_NOISE)
+    found = feasible_interval(model.problem(0.1), recorded, [np.array([0.0, 1.0])])
+    expected = math.log(1.1 / 0.9) / 3.9  # from the first cell to the last
+    assert found.upper[0] == pytest.approx(expected, rel=1e-5)
+    assert found.lower[0] == pytest.approx(-expected, rel=1e-5)
+    assert found.feasible
+
+
+def test_bounded_noise_alone_has_the_same_closed_form():
+    """What a sensor adds within a bound is what a disturbance seen directly adds."""
+    model = direct(samples=41, h=0.1)
+    recorded = RecordedOutputs(np.ones((41, 1)), Cells(1, 1), np.array([0.1]))
+    found = feasible_interval(model.problem(0.0), recorded, [np.array([0.0, 1.0])])
+    assert found.upper[0] == pytest.approx(math.log(1.1 / 0.9) / 3.9, rel=1e-5)
+
+
+def test_the_cells_enclose_the_exact_interval():
+    """Coarser cells give a wider interval, never a narrower one; 0.2 s cost less than a fifth."""
+    model = example(h=1e-2)
+    problem = model.problem(0.02)
+    y = model(TRUTH).output
+    exact = [exact_extreme(0.02, 1, direction) for direction in (-1, 1)]
+    widths = []
+    for samples in (20, 50):
+        recorded = RecordedOutputs(y, Cells(samples, 1), NO_NOISE)
+        found = feasible_interval(problem, recorded, [TRUTH])
+        assert found.lower[1] < exact[0]
+        assert found.upper[1] > exact[1]
+        widths.append(found.upper[1] - found.lower[1])
+    assert widths[0] < widths[1]
+    assert widths[0] < 1.2 * (exact[1] - exact[0])
+
+
+@pytest.mark.parametrize("d", [2e-4, 2e-3, 2e-2])
+def test_the_interval_is_narrower_than_the_worst_error_of_the_estimate(d):
+    """And contains the truth under the worst delta_0 for each theta, where the estimate errs most.
+
+    A delta_0 of zero leaves the widest set: its half width is the radius of information, which the
+    worst error of no estimator is below; the cells add less than what least squares is above it.
+    """
+    model = example(h=4e-2)
+    problem = model.problem(d)
+    cells = Cells(10, 1)
+    exact = model(TRUTH).output
+    widest = feasible_interval(problem, RecordedOutputs(exact, cells, NO_NOISE), [TRUTH])
+    for parameter in (0, 1):
+        worst = [worst_error(problem, TRUTH, parameter, direction) for direction in (-1, 1)]
+        largest = max(abs(found.error) for found in worst)
+        assert half_width(widest)[parameter] < largest
+        for found in worst:
+            y = exact + problem.response.respond(found.delta_0)
+            recorded = RecordedOutputs(y, cells, NO_NOISE)
+            interval = feasible_interval(problem, recorded, [found.estimate])
+            assert contains(interval, TRUTH[:2])
+            assert half_width(interval)[parameter] < largest
+
+
+def check_containment(h, cells, signals, seed):
+    """Check that the interval contains the truth for random irregular parts of 0.02."""
+    model = example(h)
+    problem = model.problem(0.02)
+    exact = model(TRUTH).output
+    rng = np.random.default_rng(seed)
+    for _ in range(signals):
+        y = exact + problem.response.respond(random_signal(rng, model.t, 0.02))
+        recorded = RecordedOutputs(y, cells, NO_NOISE)
+        interval = feasible_interval(problem, recorded, [refit(problem, y, TRUTH)])
+        assert contains(interval, TRUTH[:2])
+        assert half_width(interval)[1] < 0.108  # the worst error found by search
+
+
+def test_the_interval_contains_the_truth_for_random_signals():
+    """White, bang-bang and smooth ones."""
+    check_containment(2e-2, Cells(25, 1), signals=6, seed=0)
+
+
+@pytest.mark.campaign
+def test_the_interval_contains_the_truth_for_a_thousand_random_signals():
+    """At 1 ms, in cells of 0.2 s."""
+    check_containment(1e-3, cells_of(40001, noisy=False), signals=1000, seed=1)
+
+
+@pytest.mark.parametrize("averaged", [1, 40])
+def test_every_signal_between_the_samples_has_its_point_in_the_program(averaged):
+    """The truth explains the data with a factor of at most 1, for signals at the ends too."""
+    model = example(h=2e-2)
+    problem = model.problem(0.02)
+    exact = model(TRUTH).output
+    rng = np.random.default_rng(2)
+    for _ in range(12):
+        delta_0 = random_signal(rng, model.t, 0.02)
+        y = exact + problem.response.respond(delta_0)
+        recorded = RecordedOutputs(y, Cells(40, averaged), NO_NOISE)
+        found = least_bound(problem, recorded, TRUTH, FIXED)
+        assert found.factor <= 1.0
+
+
+def two_outputs():
+    """Return a problem with two channels of delta_0, one of them in both outputs directly."""
+    t = np.arange(301) * 0.05
+    response = irregular_response(
+        A=np.array([[-1.0, 4.0], [-4.0, -1.0]]),
+        Bd=np.array([[1.0, 0.0], [0.0, 2.0]]),
+        C=np.array([[1.0, 0.0], [0.5, 1.0]]),
+        Dd=np.array([[0.3, 0.0], [1.0, 0.0]]),
+        h=0.05,
+    )
+
+    def model(p):
+        curve = response.respond(np.exp(p[0] * t)[:, np.newaxis] * [1.0, 0.5])
+        slope = response.respond((t * np.exp(p[0] * t))[:, np.newaxis] * [1.0, 0.5])
+        jacobian = np.stack([p[1] * slope, curve], axis=-1)
+        return Prediction(p[1] * curve, jacobian)
+
+    weight = np.array([[4.0, 1.0], [1.0, 2.0]])
+    return BoundedDisturbance(model, response, np.array([0.02, 0.05]), weight, 1)
+
+
+def test_several_outputs_and_channels_have_one_interval():
+    """It contains the truth, for exact and for noisy data, and noise makes it wider."""
+    problem = two_outputs()
+    truth = np.array([-0.2, 1.0])
+    rng = np.random.default_rng(5)
+    exact = problem.model(truth).output
+    for _ in range(4):
+        delta_0 = problem.bound * rng.uniform(-1.0, 1.0, (301, 2))
+        y = exact + problem.response.respond(delta_0)
+        start = refit(problem, y, truth)
+        quiet = feasible_interval(problem, RecordedOutputs(y, Cells(6, 1), np.zeros(2)), [start])
+        noise = np.array([0.01, 0.02])
+        noisy_y = y + noise * rng.uniform(-1.0, 1.0, y.shape)
+        noisy = feasible_interval(problem, RecordedOutputs(noisy_y, Cells(6, 1), noise), [start])
+        assert contains(quiet, truth[:1])
+        assert contains(noisy, truth[:1])
+        assert half_width(quiet)[0] < half_width(noisy)[0]
+
+
+def test_the_profile_shows_that_the_ends_are_the_ends():
+    """The least bound that explains a theta2 is d at both ends, less inside, more beyond.
+
+    That is another program: the bound is minimized with theta2 fixed, not theta2 with the bound.
+    """
+    model = example(h=1e-2)
+    problem = model.problem(0.02)
+    recorded = RecordedOutputs(model(TRUTH).output, Cells(80, 1), NO_NOISE)
+    interval = feasible_interval(problem, recorded, [TRUTH])
+    middle = (interval.lower[1] + interval.upper[1]) / 2.0
+    second_fixed = np.array([False, True])
+    for end in (interval.lower[1], interval.upper[1]):
+        factors = []
+        for theta2 in (middle + 0.9 * (end - middle), end, middle + 1.1 * (end - middle)):
+            start = TRUTH.copy()
+            start[1] = theta2
+            factors.append(least_bound(problem, recorded, start, second_fixed).factor)
+        assert factors[1] == pytest.approx(1.0, rel=1e-3)
+        assert factors[0] < 0.99
+        assert factors[2] > 1.01
+
+
+def test_no_theta_of_a_grid_outside_of_the_interval_explains_the_data():
+    """The least bound for fixed theta is a convex problem: no start, no local minimum."""
+    model = example(h=2e-2)
+    problem = model.problem(0.02)
+    recorded = RecordedOutputs(model(TRUTH).output, Cells(50, 1), NO_NOISE)
+    interval = feasible_interval(problem, recorded, [TRUTH])
+    start = TRUTH.copy()
+    inside = 0
+    for theta1 in np.linspace(-0.14, -0.06, 5):
+        for theta2 in np.linspace(-0.7, -0.05, 9):
+            start[:2] = (theta1, theta2)
+            if least_bound(problem, recorded, start, FIXED).factor <= 1.0:
+                inside += 1
+                assert contains(interval, start[:2])
+    assert inside > 1
+
+
+def test_several_starts_give_one_interval():
+    """From anywhere near, the ends are the same; what any start reaches is enclosed."""
+    model = example(h=2e-2)
+    problem = model.problem(0.02)
+    recorded = RecordedOutputs(model(TRUTH).output, Cells(50, 1), NO_NOISE)
+    alone = feasible_interval(problem, recorded, [TRUTH])
+    other = TRUTH + np.array([0.02, -0.1, 0.1, 0.2, 0.1, 0.1])
+    both = feasible_interval(problem, recorded, [TRUTH, other])
+    np.testing.assert_allclose(both.lower, alone.lower, rtol=1e-5)
+    np.testing.assert_allclose(both.upper, alone.upper, rtol=1e-5)
+    assert len(both.vertices) == 8
+
+
+def test_gaussian_noise_is_bounded_with_the_stated_probability():
+    """No cell's mean noise is beyond the bound in all but some of 400 recordings.
+
+    With confidence 0.9 the expected number is below 40, its deviation 6.
+    """
+    cells = Cells(10, 10)
+    sigma = np.array([0.5, 2.0])
+    bound = gaussian_noise_bound(sigma, cells, recorded=201, confidence=0.9)
+    rng = np.random.default_rng(6)
+    beyond = 0
+    for _ in range(400):
+        noise = sigma * rng.standard_normal((201, 2))
+        beyond += bool((np.abs(cells.means(noise)) > bound).any())
+    assert 16 < beyond < 64
+
+
+def test_noise_and_irregular_part_together_leave_the_truth_inside():
+    """Deviation 1e-3 on y and a bang-bang delta_0 of 0.02: the case of the field."""
+    model = example(h=1e-2)
+    problem = model.problem(0.02)
+    cells = cells_of(4001, noisy=True)
+    assert cells == Cells(20, 20)
+    noise = gaussian_noise_bound(np.array([1e-3]), cells, recorded=4001)
+    rng = np.random.default_rng(7)
+    knots = rng.standard_normal(15)
+    delta_0 = 0.02 * np.sign(np.interp(model.t, np.linspace(0.0, 40.0, 15), knots))
+    y = model(TRUTH).output + problem.response.respond(delta_0[:, np.newaxis])
+    y += 1e-3 * rng.standard_normal(y.shape)
+    start = refit(problem, y, TRUTH)
+    interval = feasible_interval(problem, RecordedOutputs(y, cells, noise), [start])
+    assert contains(interval, TRUTH[:2])
+    assert half_width(interval)[1] < 0.075  # the first-order half width of the estimate
+
+
+def test_a_bound_that_is_too_small_is_seen():
+    """A constant 0.02 is not within 0.005: no theta is feasible, and the least bound says so."""
+    model = example(h=2e-2)
+    problem = model.problem(0.005)
+    y = model(TRUTH).output + problem.response.respond(np.full((len(model.t), 1), 0.02))
+    recorded = RecordedOutputs(y, Cells(50, 1), NO_NOISE)
+    start = refit(problem, y, TRUTH)
+    interval = feasible_interval(problem, recorded, [start])
+    assert not interval.feasible
+    assert np.isnan(interval.lower).all()
+    assert np.isnan(interval.upper).all()
+    least = least_bound(problem, recorded, start)
+    assert 1.0 < least.factor <= 4.0
+    enough = model.problem(0.005 * least.factor * 1.02)
+    assert feasible_interval(enough, recorded, [least.p]).feasible
+
+
+def test_a_signal_within_the_bound_has_no_upper_end():
+    """With |delta_0| <= 1 the data allow any fast decay: there is no end, not a large number."""
+    model = example(h=4e-2)
+    recorded = RecordedOutputs(model(TRUTH).output, Cells(40, 1), NO_NOISE)
+    interval = feasible_interval(model.problem(1.0), recorded, [TRUTH])
+    assert interval.lower[1] == -np.inf
+
+
+def test_a_box_cuts_the_interval():
+    """Theta is known to lie in it; an end beyond it is its end."""
+    model = example(h=2e-2)
+    problem = model.problem(0.02)
+    recorded = RecordedOutputs(model(TRUTH).output, Cells(50, 1), NO_NOISE)
+    free = feasible_interval(problem, recorded, [TRUTH])
+    box = np.array([[-1.0, 0.0], [-0.31, 0.0]])
+    cut = feasible_interval(problem, recorded, [TRUTH], box)
+    assert cut.lower[1] == pytest.approx(-0.31, abs=1e-12)
+    assert cut.upper[1] == pytest.approx(free.upper[1], rel=1e-6)
+    assert cut.lower[0] >= free.lower[0]
+
+
+def test_the_interval_scales_with_the_bound_where_the_first_order_holds():
+    """Ten times less d, ten times less width, to the size of the second order."""
+    model = example(h=2e-2)
+    y = model(TRUTH).output
+    recorded = RecordedOutputs(y, Cells(20, 1), NO_NOISE)
+    narrow = half_width(feasible_interval(model.problem(2e-4), recorded, [TRUTH]))
+    wide = half_width(feasible_interval(model.problem(2e-3), recorded, [TRUTH]))
+    np.testing.assert_allclose(wide, 10.0 * narrow, rtol=1e-3)
+    worst = first_order(model.problem(2e-4), TRUTH).half_width(np.array([2e-4]))
+    assert (narrow < worst).all()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((np.zeros((9, 1)), Cells(2, 1), np.zeros(2)), r"noise are \[0.0, 0.0\]; needed 1"),
+        ((np.zeros((9, 1)), Cells(2, 1), np.array([-1.0])), r"noise are \[-1.0\]; needed 1"),
+        ((np.zeros((9, 1)), Cells(9, 1), np.zeros(1)), "9 samples; a cell needs 9 after the first"),
+        ((np.full((9, 1), np.nan), Cells(2, 1), np.zeros(1)), "not finite; needed"),
+    ],
+)
+def test_recordings_that_do_not_fit_are_refused(arguments, message):
+    """Each with what was found and what was needed."""
+    with pytest.raises(AssumptionError, match=message):
+        RecordedOutputs(*arguments)
+
+
+@pytest.mark.parametrize("averaged", [0, 3])
+def test_cells_that_cannot_be_averaged_are_refused(averaged):
+    """At least one sample, at most all."""
+    with pytest.raises(AssumptionError, match=f"{averaged} of 2 samples of a cell are averaged"):
+        Cells(2, averaged)
+
+
+def test_the_least_multiple_of_no_bound_is_refused():
+    """Zero has no multiples."""
+    model = direct(samples=9, h=0.1)
+    recorded = RecordedOutputs(np.ones((9, 1)), Cells(1, 1), np.array([0.1]))
+    with pytest.raises(AssumptionError, match="all bounds of delta_0 are zero"):
+        least_bound(model.problem(0.0), recorded, np.array([0.0, 1.0]))
