@@ -15,10 +15,12 @@ if TYPE_CHECKING:
     from cosim.log.diff import diff
     from cosim.log.reader import open_log
     from cosim.report.comparing import compare
+    from cosim.report.estimator_comparison import compare_estimators
     from cosim.scenario.execution import load, replay, run
 
 _HOMES = {
     "compare": "cosim.report.comparing",
+    "compare_estimators": "cosim.report.estimator_comparison",
     "diff": "cosim.log.diff",
     "linearize": "cosim.fmi.linearizing.linearize",
     "load": "cosim.scenario.execution",
@@ -27,7 +29,17 @@ _HOMES = {
     "run": "cosim.scenario.execution",
 }
 
-__all__ = ["__version__", "compare", "diff", "linearize", "load", "open_log", "replay", "run"]
+__all__ = [
+    "__version__",
+    "compare",
+    "compare_estimators",
+    "diff",
+    "linearize",
+    "load",
+    "open_log",
+    "replay",
+    "run",
+]
 
 __getattr__ = lazy_names(__name__, _HOMES)
 

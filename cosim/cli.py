@@ -337,13 +337,22 @@ def diff(
 
 
 AlternativesOption = Annotated[
-    list[str],
+    list[str] | None,
     typer.Option(
         "--swap",
         metavar="COMPONENT=PATH",
         autocompletion=completion.complete_swap,
         help="An alternative for a component: x.fmu, x.fmu#me, x.fmu#cs or a recorded log "
         "(.mcap). Once for each.",
+    ),
+]
+EstimatorsOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--estimators",
+        metavar="all|METHOD,...",
+        autocompletion=completion.complete_estimators,
+        help="Methods of the identifier, each on the same recorded data. Repeatable.",
     ),
 ]
 BaseOption = Annotated[
@@ -354,7 +363,7 @@ BaseOption = Annotated[
 ]
 ComparisonPlotOption = Annotated[
     Path | None,
-    typer.Option(metavar="FILE", help="Plot the estimates on all plants, and their differences."),
+    typer.Option(metavar="FILE", help="Plot the estimates of all runs, and their differences."),
 ]
 FolderOption = Annotated[
     Path | None, typer.Option("--out", "-o", metavar="DIR", help="Folder to write the logs to.")
@@ -364,7 +373,8 @@ FolderOption = Annotated[
 @app.command()
 def compare(
     scenario: ScenarioArgument,
-    swaps: AlternativesOption,
+    swaps: AlternativesOption = None,
+    estimators: EstimatorsOption = None,
     maps: MapOption = None,
     changes: SetOption = None,
     base: BaseOption = True,
@@ -373,14 +383,26 @@ def compare(
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Run a scenario on several plants and compare the estimates.
+    """Run a scenario on several plants, or once for several estimators, and compare the estimates.
 
+    With --swap once for each plant; with --estimators every method takes the same recorded data.
     Exit 1 where one of them fails.
     """
     from cosim.report.comparing import compare as compare_plants
     from cosim.report.tables.comparison import print_plants
     from cosim.scenario.execution import load
 
+    if estimators:
+        if not base:
+            raise UsageError("--no-base is about plants; leave it out with --estimators")
+        options = {"map": _once(maps, "map"), "set": _edits(changes)}
+        swap = _one_plant(swaps)
+        _compare_estimators(
+            scenario, estimators, swap, options, plot=plot, out=out, force=force, as_json=as_json
+        )
+        return
+    if not swaps:
+        raise UsageError("found neither --swap nor --estimators; needed what is compared")
     alternatives: dict[str, list[str]] = {}
     for text in swaps:
         ((name, path),) = _pairs([text], "swap").items()
@@ -404,6 +426,54 @@ def compare(
         plot_comparison(comparison, plot)
     print_plants(comparison, as_json=as_json)
     if any(outcome.error for outcome in comparison.outcomes):
+        raise typer.Exit(1)
+
+
+def _one_plant(swaps: list[str] | None) -> dict[str, str]:
+    """Read --swap beside --estimators, where a component has one alternative at most."""
+    components = [text.partition("=")[0].strip() for text in swaps or []]
+    for component in components:
+        if components.count(component) > 1:
+            raise UsageError(
+                f"found --estimators and several plants in --swap {component}; needed one plant: "
+                "compare plants and estimators one after the other"
+            )
+    return _pairs(swaps, "swap")
+
+
+def _compare_estimators(
+    scenario: str,
+    estimators: list[str],
+    swap: dict[str, str],
+    options: dict[str, dict[str, Any]],
+    *,
+    plot: Path | None,
+    out: Path | None,
+    force: bool,
+    as_json: bool,
+) -> None:
+    from cosim.report.estimator_comparison import ALL, compare_estimators
+    from cosim.report.tables.comparison import print_estimators
+    from cosim.scenario.execution import load
+
+    names = [name.strip() for text in estimators for name in text.split(",")]
+    loaded = load(scenario)
+    _need_plot(plot, out)
+    comparison = compare_estimators(
+        loaded,
+        estimators=ALL if names == [ALL] else names,
+        swap=swap,
+        map=options["map"],
+        set=options["set"],
+        out=out,
+        force=force,
+    )
+    if plot is not None and comparison.recordings:
+        from cosim.report.plots import plot_comparison
+
+        plot_comparison(comparison, plot)
+    print_estimators(comparison, as_json=as_json)
+    if any(result.failure for result in comparison.results):
         raise typer.Exit(1)
 
 

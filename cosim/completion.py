@@ -77,6 +77,15 @@ def complete_map(context: typer.Context, incomplete: str) -> list[str]:
     return [f"{port}=" for port in dict.fromkeys(ports) if port.startswith(incomplete)]
 
 
+def complete_estimators(incomplete: str) -> list[str]:
+    """Return ``all`` and the methods of an identifier that begin so, after a comma too."""
+    from cosim.scenario.kinds.methods import METHODS
+
+    before, comma, begin = incomplete.rpartition(",")
+    names = [*METHODS] if comma else ["all", *METHODS]
+    return [f"{before}{comma}{name}" for name in names if name.startswith(begin)]
+
+
 def _settings(scenario: Scenario) -> Iterator[str]:
     from cosim.scenario.kinds.parameters import parameters_of
     from cosim.scenario.schema import Settings

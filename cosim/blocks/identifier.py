@@ -8,8 +8,8 @@ from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.contracts import Design, Stopped, check_design
 from cosim.core.signals import Interface, Signal
 from cosim.errors import UsageError
-from cosim.native.step import NO_VALUE, LeastSquares, LeastSquaresConstants, RecoveryConstants
-from cosim.theory.estimators.least_squares import Recovery
+from cosim.native.step import NO_VALUE, LeastSquares, LeastSquaresConstants
+from cosim.theory.estimators.least_squares import Recovery, recovery_constants
 
 
 class LeastSquaresIdentifier:
@@ -53,11 +53,7 @@ class LeastSquaresIdentifier:
         ``held``: the rows have a zero-order hold.
         """
         recovery = self.recovery
-        formulas = []
-        for group in recovery.groups:
-            kind = int(group.kind)
-            formula = RecoveryConstants(kind, group.terms, group.theta, group.signs, group.spacing)
-            formulas.append(formula)
+        formulas = recovery_constants(recovery)
         information = 0.0 if self.P0 is None else 1.0 / self.P0
         return LeastSquaresConstants(recovery.n_eta, start_time, information, formulas, held)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -70,6 +70,15 @@ class IdentificationProblem:
     alphas: Sequence[Program]
     box: SearchBox
     noise: NoiseModel
+
+    def within(self, lower: Vector, upper: Vector) -> IdentificationProblem:
+        """Return the problem with its search within bounds, shape (P,)."""
+        searched = replace(
+            self.rayleigh,
+            lower=np.clip(self.rayleigh.lower, lower, upper),
+            upper=np.clip(self.rayleigh.upper, lower, upper),
+        )
+        return replace(self, rayleigh=searched)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -19,6 +19,7 @@ from typing import Any
 
 HERE = Path(__file__).resolve().parent
 SOURCES = (
+    "adaptive.c",
     "loops.c",
     "linear.c",
     "control.c",

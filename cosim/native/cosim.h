@@ -231,6 +231,31 @@ int32_t cosim_least_squares_step(void *self, double t0, double t1, double h, con
                                  const double *u1, double *y);
 void cosim_least_squares_start(cosim_least_squares *self, double *y);
 
+/* theta of one group from eta; no value (NaN) where there is none. */
+void cosim_recover(const cosim_recovery *recovery, const double *eta, double *theta);
+
+/* --- adaptive.c --- */
+
+/* Adaptive laws for the linear regression p = m'eta (26), normalized so that the unit of mu does not
+ * matter; inputs and outputs are those of least squares. */
+typedef struct {
+    int32_t unknowns, groups, parameters, held;
+    double start;      /* [s] */
+    double gain;       /* [1/s] */
+    double forgetting; /* time constant in which samples lose their weight [s]; of DREM */
+    const cosim_recovery *recovery;
+    double *memory;
+} cosim_adaptive;
+/* The gradient: eta' = gain m (p - m'eta) / m'm, from eta = 0. */
+int64_t cosim_gradient_memory(const cosim_adaptive *self);
+int32_t cosim_gradient_step(void *self, double t0, double t1, double h, const double *u0,
+                            const double *u1, double *y);
+/* Dynamic regressor extension and mixing (S. Aranovskiy, A. Bobtsov, R. Ortega, A. Pyrkin, IEEE
+ * Trans. Automatic Control, 2017) with Kreisselmeier's extension. */
+int64_t cosim_drem_memory(const cosim_adaptive *self);
+int32_t cosim_drem_step(void *self, double t0, double t1, double h, const double *u0,
+                        const double *u1, double *y);
+
 /* --- householder.c --- */
 
 /* Rotate `rows` rows of n numbers, which are overwritten, into the upper triangular R of shape
@@ -404,7 +429,9 @@ int32_t cosim_between_take(const cosim_between *self, int64_t place, double t0, 
  * are mu, delta, y and u, of which a step takes those at its beginning; its outputs are theta, its
  * standard errors, the deviation of the noise, and the amplitudes at the beginning of the window.
  * Where y is sampled at instants of its own, the samples stand between y and u in the inputs, and
- * count in the place of y. */
+ * count in the place of y.
+ * Without on_y it ends with what was found on delta, its outputs are theta and the amplitudes;
+ * without on_delta too with the quotient, its input is mu and its output theta. */
 typedef struct {
     int32_t period;
     int32_t width;    /* of the outputs */
@@ -418,8 +445,8 @@ typedef struct {
     const cosim_regressor *products;
     const cosim_program *alphas; /* (components) */
     const cosim_rayleigh *rayleigh;
-    const cosim_output_error *on_delta, *on_y;
-    const cosim_known_input *known;
+    const cosim_output_error *on_delta, *on_y; /* NULL: not fitted */
+    const cosim_known_input *known;            /* of on_y */
     const double *lower, *upper, *scale; /* (parameters) as in cosim_fit */
     const double *threshold;             /* (components) */
     const cosim_between *between;        /* NULL: y is sampled at the communication points */

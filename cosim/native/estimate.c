@@ -130,7 +130,7 @@ static double exponent(double w, double spacing)
     return w > 0.0 && w <= DBL_MAX ? -cosim_ln(w) / spacing : no_value();
 }
 
-static void recover(const cosim_recovery *r, const double *eta, double *theta)
+void cosim_recover(const cosim_recovery *r, const double *eta, double *theta)
 {
     double c[3] = {0.0, 0.0, 0.0};
     const int32_t count = r->kind == COSIM_EXPONENTIAL ? 2 : 3;
@@ -165,7 +165,7 @@ static void estimate(const cosim_least_squares *s, double *y)
         return;
     }
     for (int32_t b = 0; b < s->groups; ++b)
-        recover(&s->recovery[b], eta, theta);
+        cosim_recover(&s->recovery[b], eta, theta);
     for (int32_t i = 0; i < s->parameters + s->unknowns; ++i)
         y[i] = one_nan(y[i]);
 }

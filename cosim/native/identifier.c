@@ -26,13 +26,24 @@ typedef struct {
     int64_t size;
 } storage;
 
-static int32_t n_outputs(const cosim_identifier *s) { return s->on_y->outputs; }
+static int32_t n_outputs(const cosim_identifier *s) { return s->on_y ? s->on_y->outputs : 0; }
+
+static int64_t columns_of(const cosim_output_error *model)
+{
+    return model ? cosim_output_error_columns(model) : 0;
+}
+
+static int64_t memory_of(const cosim_output_error *model)
+{
+    return model ? cosim_output_error_memory(model) : 0;
+}
 
 static storage storage_of(const cosim_identifier *s)
 {
     const int64_t P = s->rayleigh->parameters, terms = s->rayleigh->terms;
     const int64_t components = s->rayleigh->components;
-    const int64_t capacity = s->capacity;
+    const int64_t capacity = s->on_delta ? s->capacity : 0;
+    const int64_t inputs = s->on_y ? s->known->inputs : 0;
     storage m;
     double *next = s->memory;
     m.count = next++;
@@ -49,12 +60,12 @@ static storage storage_of(const cosim_identifier *s)
     m.outputs = next, next += s->width;
     m.R = next, next += terms * terms;
     m.N = next, next += terms * terms;
-    m.x = next, next += 2 * s->on_y->states;
-    m.amplitudes = next, next += cosim_output_error_columns(s->on_y);
-    m.work = next, next += cosim_output_error_memory(s->on_y);
-    m.delta_amplitudes = next, next += cosim_output_error_columns(s->on_delta);
-    m.delta_work = next, next += cosim_output_error_memory(s->on_delta);
-    m.before = next, next += 2 * (n_outputs(s) + s->known->inputs);
+    m.x = next, next += s->on_y ? 2 * s->on_y->states : 0;
+    m.amplitudes = next, next += columns_of(s->on_y);
+    m.work = next, next += memory_of(s->on_y);
+    m.delta_amplitudes = next, next += columns_of(s->on_delta);
+    m.delta_work = next, next += memory_of(s->on_delta);
+    m.before = next, next += 2 * (n_outputs(s) + inputs);
     m.time = next++;
     m.betweens = next++;
     m.state = next - s->memory;
@@ -145,16 +156,10 @@ static int32_t take_between(const cosim_identifier *s, const storage *m, double 
     return status;
 }
 
-static int32_t take_sample(const cosim_identifier *s, const storage *m, double t,
-                           const double *input)
+static void take_delta(const cosim_identifier *s, const storage *m, double t, const double *delta)
 {
-    double at_point[COSIM_MOST_COLUMNS];
-    const int32_t terms = s->rayleigh->terms, components = s->rayleigh->components;
-    const int32_t outputs = n_outputs(s), inputs = s->known->inputs;
+    const int32_t components = s->rayleigh->components;
     const int64_t k = (int64_t)*m->count;
-    const double *delta = input + terms, *y = delta + 1, *u = y + outputs;
-    if (t >= s->start)
-        take_regressor(s, m, t, input);
     for (int32_t i = 0; i < components; ++i) {
         m->alpha[k * components + i] = cosim_evaluate(&s->alphas[i], t);
         m->delta_alpha[k * components + i] =
@@ -163,6 +168,14 @@ static int32_t take_sample(const cosim_identifier *s, const storage *m, double t
     m->delta[k] = t >= s->settled ? *delta : no_value();
     if (fabs(*delta) > *m->largest_delta)
         *m->largest_delta = fabs(*delta);
+}
+
+static int32_t take_outputs(const cosim_identifier *s, const storage *m, double t, const double *y)
+{
+    double at_point[COSIM_MOST_COLUMNS];
+    const int32_t outputs = n_outputs(s), inputs = s->known->inputs;
+    const int64_t k = (int64_t)*m->count;
+    const double *u = y + outputs;
     for (int32_t o = 0; o < outputs; ++o)
         if (fabs(y[o]) > *m->largest)
             *m->largest = fabs(y[o]);
@@ -184,6 +197,22 @@ static int32_t take_sample(const cosim_identifier *s, const storage *m, double t
     cosim_output_error_residual(s->on_y, s->known, begin, begin + 1, us + (begin ? 0 : inputs),
                                 ys + (begin ? 0 : outputs), NULL, m->x, pair);
     memcpy(m->residual + k * outputs, pair + begin * outputs, (size_t)outputs * sizeof *pair);
+    return COSIM_OK;
+}
+
+static int32_t take_sample(const cosim_identifier *s, const storage *m, double t,
+                           const double *input)
+{
+    int32_t status = COSIM_OK;
+    const double *delta = input + s->rayleigh->terms;
+    if (t >= s->start)
+        take_regressor(s, m, t, input);
+    if (s->on_delta)
+        take_delta(s, m, t, delta);
+    if (s->on_y)
+        status = take_outputs(s, m, t, delta + 1);
+    if (status)
+        return status;
     *m->count += 1.0;
     return COSIM_OK;
 }
@@ -257,11 +286,28 @@ static void prepare_fit_of_delta(const cosim_identifier *s, const storage *m, do
     };
 }
 
+/* Of the last stage that there is. */
+static void prepare_last_fit(const cosim_identifier *s, const storage *m, double *theta,
+                             estimation *e)
+{
+    if (s->on_y)
+        prepare_fit_of_y(s, m, theta, e);
+    else
+        prepare_fit_of_delta(s, m, theta, e);
+}
+
+/* Only what is fitted to y has errors: the noise of delta is not white. */
 static void write_outputs(const cosim_identifier *s, const storage *m, const estimation *e)
 {
     const int32_t P = s->rayleigh->parameters;
-    double *theta = m->outputs, *error = theta + P, *deviation = error + P, *amplitudes = deviation + 1;
+    double unused[COSIM_MOST_PARAMETERS + 1];
+    double *theta = m->outputs, *error = unused, *deviation = unused + P, *amplitudes = theta + P;
     int32_t column = 0, j = 0;
+    if (s->on_y) {
+        error = theta + P;
+        deviation = error + P;
+        amplitudes = deviation + 1;
+    }
     *deviation = sqrt(e->fit.variance);
     for (int32_t i = 0; i < s->rayleigh->components; ++i) {
         for (int32_t k = 0; k < s->rayleigh->count[i]; ++k, ++j) {
@@ -270,11 +316,11 @@ static void write_outputs(const cosim_identifier *s, const storage *m, const est
             error[j] = known ? sqrt(e->covariance[j * P + j]) : no_value();
         }
         for (int32_t k = 0; k < s->rayleigh->size[i]; ++k, ++column)
-            amplitudes[column] = m->amplitudes[column];
+            amplitudes[column] = e->experiment.amplitudes[column];
     }
 }
 
-/* Search a start on the regression, improve it on delta, and fit y. */
+/* Search a start on the regression, improve it on delta, and fit y; as far as the stages go. */
 static int32_t search(const cosim_identifier *s, const storage *m, estimation *e)
 {
     const int32_t P = s->rayleigh->parameters;
@@ -286,9 +332,12 @@ static int32_t search(const cosim_identifier *s, const storage *m, estimation *e
         return found;
     memcpy(on_delta, theta, (size_t)P * sizeof *theta);
     prepare_fit_of_delta(s, m, on_delta, e);
-    if (cosim_output_error_fit(&e->fit) == COSIM_OK)
+    const int32_t improved = cosim_output_error_fit(&e->fit);
+    if (improved == COSIM_OK)
         memcpy(theta, e->estimate, (size_t)P * sizeof *theta);
     memcpy(m->theta, theta, (size_t)P * sizeof *theta);
+    if (!s->on_y)
+        return improved;
     prepare_fit_of_y(s, m, m->theta, e);
     return cosim_output_error_fit(&e->fit);
 }
@@ -297,7 +346,7 @@ static int32_t search(const cosim_identifier *s, const storage *m, estimation *e
 static int32_t follow(const cosim_identifier *s, const storage *m, estimation *e)
 {
     const int32_t P = s->rayleigh->parameters;
-    prepare_fit_of_y(s, m, m->theta, e);
+    prepare_last_fit(s, m, m->theta, e);
     const cosim_experiment *x = &e->experiment;
     if (x->record.first == 0) {
         cosim_output_error_take(x->model, m->theta, &x->record, (int64_t)*m->taken, x->record.end,
@@ -332,7 +381,7 @@ static void estimate(const cosim_identifier *s, const storage *m)
         status = search(s, m, &e);
         if (status != COSIM_OK && was_found) {
             memcpy(m->theta, before, (size_t)s->rayleigh->parameters * sizeof *before);
-            prepare_fit_of_y(s, m, m->theta, &e);
+            prepare_last_fit(s, m, m->theta, &e);
             status = cosim_output_error_fit(&e.fit);
         }
         *m->next_search = ceil(LATER * *m->count);
@@ -344,19 +393,57 @@ static void estimate(const cosim_identifier *s, const storage *m)
         write_outputs(s, m, &e);
 }
 
+static int is_zero(int32_t n, const double *R)
+{
+    for (int32_t i = 0; i < n; ++i)
+        if (R[i * n + i] != 0.0)
+            return 0;
+    return 1;
+}
+
+/* The quotient alone changes when there is a new row. */
+static void estimate_by_quotient(const cosim_identifier *s, const storage *m)
+{
+    const int32_t P = s->rayleigh->parameters;
+    double theta[COSIM_MOST_PARAMETERS], value;
+    int32_t status = COSIM_NOT_CONVERGED;
+    if (*m->rows == *m->taken || *m->rows < ROWS_A_TERM * s->rayleigh->terms ||
+        is_zero(s->rayleigh->terms, m->R))
+        return;
+    *m->taken = *m->rows;
+    if (*m->has_theta != 0.0 && *m->rows < *m->next_search) {
+        memcpy(theta, m->theta, (size_t)P * sizeof *theta);
+        status = cosim_rayleigh_minimize(s->rayleigh, m->R, m->N, theta, &value);
+    }
+    if (status != COSIM_OK) {
+        status = cosim_rayleigh_search(s->rayleigh, m->R, m->N, theta, &value);
+        *m->next_search = ceil(LATER * *m->rows);
+    }
+    *m->has_theta = status == COSIM_OK;
+    forget_outputs(s, m);
+    if (status != COSIM_OK)
+        return;
+    memcpy(m->theta, theta, (size_t)P * sizeof *theta);
+    memcpy(m->outputs, theta, (size_t)P * sizeof *theta);
+}
+
 int32_t cosim_identifier_step(void *self, double t0, double t1, double h, const double *u0,
                               const double *u1, double *y)
 {
     (void)t1, (void)h, (void)u1;
     const cosim_identifier *s = self;
     const storage m = storage_of(s);
-    if ((int64_t)*m.count == s->capacity)
+    if (s->on_delta && (int64_t)*m.count == s->capacity)
         return COSIM_FULL;
     const int32_t status = take_sample(s, &m, t0, u0);
     if (status)
         return status;
-    if ((int64_t)*m.count % s->period == 0)
-        estimate(s, &m);
+    if ((int64_t)*m.count % s->period == 0) {
+        if (s->on_delta)
+            estimate(s, &m);
+        else
+            estimate_by_quotient(s, &m);
+    }
     memcpy(y, m.outputs, (size_t)s->width * sizeof *y);
     return COSIM_OK;
 }

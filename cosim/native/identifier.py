@@ -110,9 +110,11 @@ class IdentifierConstants:
     alphas : sequence of Program
         One a component.
     rayleigh : RayleighConstants
-    on_delta, on_y : OutputErrorConstants
-        The models of delta and of y.
-    known : KnownInput
+    on_delta : OutputErrorConstants, optional
+        The model of delta; without it theta is that of the Rayleigh quotient.
+    on_y : OutputErrorConstants, optional
+        The model of y; without it theta is fitted to delta.
+    known : KnownInput, optional
         The effect of u on y.
     lower, upper, scale : Vector, shape (P,)
         Bounds of theta, and its longest step.
@@ -132,9 +134,9 @@ class IdentifierConstants:
     products: RegressorConstants
     alphas: Sequence[Program]
     rayleigh: RayleighConstants
-    on_delta: OutputErrorConstants
-    on_y: OutputErrorConstants
-    known: KnownInput
+    on_delta: OutputErrorConstants | None
+    on_y: OutputErrorConstants | None
+    known: KnownInput | None
     lower: Vector
     upper: Vector
     scale: Vector
@@ -144,7 +146,11 @@ class IdentifierConstants:
     @property
     def n_y(self) -> int:
         """The number of outputs: theta, its standard errors, the deviation, the amplitudes."""
-        generators = self.on_y.generators
+        generators = self.rayleigh.generators
+        if self.on_delta is None:
+            return generators.parameters
+        if self.on_y is None:
+            return generators.parameters + generators.order
         return 2 * generators.parameters + 1 + generators.order
 
 
@@ -167,10 +173,13 @@ class IdentifierStep:
     """The identifier bound to its memory."""
 
     def __init__(self, constants: IdentifierConstants) -> None:
-        on_delta = OutputErrorModel(constants.on_delta)
-        on_y = OutputErrorModel(constants.on_y)
+        on_delta = _struct_of(constants.on_delta)
+        on_y = _struct_of(constants.on_y)
         rayleigh = RayleighModel(constants.rayleigh)
-        known, keep_known = known_input_struct(constants.known)
+        known: ctypes.Structure | None = None
+        keep_known: Sequence[object] = ()
+        if constants.known is not None:
+            known, keep_known = known_input_struct(constants.known)
         ring = np.zeros(constants.products.memory)
         products, keep_products = regressor_struct(constants.products, ring)
         programs = program_array(constants.alphas)
@@ -183,8 +192,13 @@ class IdentifierStep:
                 constants.threshold,
             )
         ]
-        weight = float(np.abs(constants.on_y.W).max())
-        structs = (products, programs, rayleigh.struct, on_delta.struct, on_y.struct, known)
+        weight = 1.0 if constants.on_y is None else float(np.abs(constants.on_y.W).max())
+        stages = (
+            None if on_delta is None else on_delta.struct,
+            None if on_y is None else on_y.struct,
+            known,
+        )
+        structs = (products, programs, rayleigh.struct, *stages)
         state = IdentifierStruct(
             constants.period,
             constants.n_y,
@@ -195,7 +209,7 @@ class IdentifierStep:
             constants.settled,
             constants.lag,
             weight,
-            *map(ctypes.addressof, structs),
+            *map(_address_of, structs),
             *map(pointer, vectors),
         )
         keep_between: tuple[object, ...] = ()
@@ -246,6 +260,14 @@ class IdentifierStep:
         for state in self._saved:
             if state.samples > samples and state.replaced_after is None:
                 state.replaced_after = samples
+
+
+def _struct_of(constants: OutputErrorConstants | None) -> OutputErrorModel | None:
+    return None if constants is None else OutputErrorModel(constants)
+
+
+def _address_of(struct: ctypes.Structure | ctypes.Array[Any] | None) -> int:
+    return 0 if struct is None else ctypes.addressof(struct)
 
 
 for _name, (_result, _arguments) in {

@@ -28,6 +28,7 @@ from cosim.native.library import (
 )
 
 NO_VALUE = 1  # COSIM_NO_VALUE
+FULL = 5  # COSIM_FULL
 DOUBLE = 8  # bytes
 WORDS_PER_NORMAL = 2  # random words that one Gaussian number takes
 LARGEST_MEMORY = 2**27  # values in a component's memory or in a matrix, 1 GiB
@@ -423,7 +424,7 @@ class LeastSquares:
 
     def __init__(self, constants: LeastSquaresConstants) -> None:
         recovery = constants.recovery
-        formulas = _recovery_array(recovery)
+        formulas = recovery_array(recovery)
         memory = np.zeros(constants.memory)
         n_eta = constants.unknowns
         n_theta = constants.parameters
@@ -445,7 +446,8 @@ class LeastSquares:
         return y
 
 
-def _recovery_array(recovery: Sequence[RecoveryConstants]) -> ctypes.Array[RecoveryStruct]:
+def recovery_array(recovery: Sequence[RecoveryConstants]) -> ctypes.Array[RecoveryStruct]:
+    """Return the structs of formulas."""
     array_type = RecoveryStruct * max(len(recovery), 1)
     formulas = array_type()
     for formula, numbers in zip(formulas, recovery, strict=False):

@@ -211,7 +211,7 @@ CASES = {
     ),
     "unknown family": (
         [('family = "exponential" },\n]\ndelays', 'family = "exponentail" },\n]\ndelays')],
-        r"no disturbance family 'exponentail'; did you mean 'exponential'\?",
+        r"no disturbance family 'exponentail' in this package; did you mean 'exponential'\?",
     ),
     "unknown model": (
         [('model = "academic" ', 'model = "acedemic" ')],
@@ -219,7 +219,7 @@ CASES = {
     ),
     "unknown method": (
         [('method = "least-squares"', 'method = "rls"')],
-        r"components\.identifier\.method: found 'rls'; there is: least-squares",
+        r"components\.identifier\.method: found 'rls'; there is: output-error, least-squares",
     ),
     "unknown coupling": (
         [("step = 1e-3 ", 'coupling = "jacoby"\nstep = 1e-3 ')],

@@ -1,4 +1,4 @@
-"""The estimates of one scenario on several plants, and how they differ."""
+"""The estimates of one scenario on several plants or by several methods, and how they differ."""
 
 from __future__ import annotations
 
@@ -26,16 +26,19 @@ from cosim.scenario.recorded_metadata import truth_of
 
 if TYPE_CHECKING:
     from cosim.report.comparing import Comparison
+    from cosim.report.estimator_comparison import EstimatorComparison
 
 _STANDARD = PictureOptions()
 _ELEMENT_COLOR = "0.3"
 
 
-def plot_comparison(comparison: Comparison, out: Path, options: PictureOptions = _STANDARD) -> None:
-    """Draw the estimates on several plants over their truth, and their differences to the first.
+def plot_comparison(
+    comparison: Comparison | EstimatorComparison, out: Path, options: PictureOptions = _STANDARD
+) -> None:
+    """Draw the estimates of several runs over their truth, and their differences to the first.
 
-    One row for each estimate: on the left the estimates, on the right the differences. A plant has
-    its color, an element of an estimate its dashes.
+    One row for each estimate: on the left the estimates, on the right the differences. A plant, or
+    a method, has its color, an element of an estimate its dashes.
 
     Raises
     ------
@@ -45,7 +48,7 @@ def plot_comparison(comparison: Comparison, out: Path, options: PictureOptions =
     need_plot(out)
     recordings = comparison.recordings
     if not comparison.estimates:
-        raise UsageError("no plant has an estimate with a [truth], so there is nothing to compare")
+        raise UsageError("no run has an estimate with a [truth], so there is nothing to compare")
     picture = Picture(len(comparison.estimates), 2, options)
     colors = dict(zip(recordings, run_styles(len(recordings)), strict=True))
     rows = np.reshape(np.array(picture.panels, object), (-1, 2))

@@ -1,10 +1,13 @@
-"""Comparisons: two logs, several plants, a swapped component and the one that it replaces."""
+"""Comparisons: two logs, several plants or estimators, a swapped component and the replaced one."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from cosim.arrays import Vector
 from cosim.report.tables.console import (
     new_table,
     print_json,
@@ -16,6 +19,7 @@ from cosim.report.tables.console import (
 if TYPE_CHECKING:
     from cosim.log.diff import LogDifference
     from cosim.report.comparing import Comparison, EstimateDifference
+    from cosim.report.estimator_comparison import EstimatorComparison, EstimatorResult
     from cosim.report.summary import Summary
     from cosim.scenario.swap_report import SwapReports
 
@@ -84,6 +88,52 @@ def print_plants(comparison: Comparison, *, as_json: bool) -> None:
     for outcome in failures:
         for line in outcome.error.splitlines():
             print_line(f"{outcome.label}: failed: {line}", error=True)
+
+
+def print_estimators(comparison: EstimatorComparison, *, as_json: bool) -> None:
+    """Print what several methods estimate from the same data."""
+    if as_json:
+        print_json(comparison.to_dict())
+        return
+    title = f"{comparison.scenario}: {comparison.component}"
+    columns = ["method", "theta", "error", "CPU time / least"]
+    has_verdicts = any(result.verdict for result in comparison.results)
+    if has_verdicts:
+        columns.append("verdict")
+    table = new_table(title, columns)
+    ratios = comparison.ratios
+    for result in comparison.results:
+        cells = [result.method, "failed", result.failure.partition("\n")[0], ""]
+        if not result.failure:
+            error = "" if result.error is None else _listed(result.error, "+.2g")
+            cells = [result.method, _estimate(result), error, f"{ratios[result.method]:.3g}"]
+        if has_verdicts:
+            cells.append(result.verdict)
+        table.add_row(*cells)
+    print_table(table)
+    for result in comparison.results:
+        for line in result.failure.splitlines():
+            print_line(f"{result.method}: failed: {line}", error=True)
+
+
+def _estimate(result: EstimatorResult) -> str:
+    """Return theta, with its standard error where the method has one."""
+    assert result.theta is not None
+    texts = []
+    for j, value in enumerate(result.theta):
+        text = _value(value, "+.6f")
+        if result.standard_error is not None and not np.isnan(value):
+            text = f"{text} +- {result.standard_error[j]:.2g}"
+        texts.append(text)
+    return ", ".join(texts)
+
+
+def _listed(values: Vector, form: str) -> str:
+    return ", ".join(_value(value, form) for value in values)
+
+
+def _value(value: float, form: str) -> str:
+    return "no value" if np.isnan(value) else format(value, form)
 
 
 def _rows_by_estimate(comparison: Comparison) -> dict[str, list[PlantRow]]:

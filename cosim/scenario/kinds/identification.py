@@ -12,12 +12,15 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from cosim.arrays import Vector
+from cosim.blocks.adaptive_identifier import AdaptiveIdentifier
+from cosim.blocks.estimator import Estimator
 from cosim.blocks.identifier import LeastSquaresIdentifier
 from cosim.blocks.output_error_identifier import (
     IdentificationProblem,
     IdentificationSchedule,
     OutputErrorIdentifier,
 )
+from cosim.blocks.projection_identifier import ProjectionIdentifier, RayleighIdentifier
 from cosim.blocks.regressor import Regressor
 from cosim.blocks.sampled import Decimated
 from cosim.core.clock import LARGEST_NS, whole_steps
@@ -37,12 +40,13 @@ from cosim.scenario.kinds.base import (
     Wiring,
 )
 from cosim.scenario.kinds.jumps import check_continuous
+from cosim.scenario.kinds.methods import INPUTS, OPTIONS, IdentificationMethod, all_options
 from cosim.scenario.kinds.observers import UnknownInputObserverKind
 from cosim.scenario.schema import Flag, Number, NumberRow, NumberRows, TomlTable
 from cosim.theory import observer, regression
 from cosim.theory.disturbance import AlphaGroup, family_named, group_by_alpha
 from cosim.theory.disturbed_plant import disturbed_plant, white_noise
-from cosim.theory.estimators import least_squares
+from cosim.theory.estimators import drem, gradient, least_squares
 from cosim.theory.estimators.rayleigh import rayleigh_box, rayleigh_constants
 
 ALPHA_WAY_OUT = (
@@ -126,14 +130,16 @@ class StartTable(TomlTable):
 
 
 class IdentifierKind(PeriodicKind, ExportableKind):
-    """Identifier of theta, by output error or by least squares (33)-(35)."""
+    """Identifier of theta, by output error, least squares (33)-(35), or another method."""
 
     ports: ClassVar[str] = "regressor, delta, y, u -> theta, standard_error, deviation, amplitude"
     kind: Literal["identifier"]
-    method: Literal["output-error", "least-squares"] = Field(
+    method: IdentificationMethod = Field(
         description='how theta is estimated: "output-error" from y, at the Cramer-Rao bound where '
         'the noise is white, or "least-squares" from the regression, as in the paper '
-        "(regressor -> theta, eta), which noise makes wrong"
+        "(regressor -> theta, eta), which noise makes wrong; for comparison on the same data its "
+        'first stages, "rayleigh" (regressor -> theta) and "projection" (regressor, delta -> '
+        'theta, amplitude), and the adaptive laws "gradient" and "drem" (regressor -> theta, eta)'
     )
     P0: Number | None = Field(
         None, description="of least-squares: P(0) = P0 I (34); default: no prior"
@@ -147,16 +153,24 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         False, description="of output-error: an unknown constant is on every output"
     )
     window: Number | None = Field(
-        None, description="of output-error: length of a moving window [s]; default: all samples"
+        None,
+        description="of output-error and projection: length of a moving window [s]; default: all "
+        "samples",
     )
     forgetting: Number | None = Field(
         None,
-        description="of output-error: time constant in which samples lose their weight [s]; "
-        "default: they keep it",
+        description="of output-error and drem: time constant in which samples lose their weight "
+        f"[s]; default: they keep it, of drem {drem.FORGETTING:g}",
+    )
+    gain: Number | None = Field(
+        None,
+        description="of gradient and drem: rate at which eta follows [1/s]; default: "
+        f"{gradient.GAIN:g}, of drem {drem.GAIN:g}",
     )
     bounds: NumberRows | None = Field(
         None,
-        description="of output-error: [lower, upper] for every theta, inf where there is none; "
+        description="of output-error and projection: [lower, upper] for every theta, inf where "
+        "there is none; "
         "equal ones fix it",
     )
 
@@ -166,8 +180,9 @@ class IdentifierKind(PeriodicKind, ExportableKind):
     def implied_connections(
         self, name: str, connections: Mapping[Port, Connection]
     ) -> Mapping[Port, Connection]:
-        """Return what drives the observer: output error takes the same signals."""
-        if self.method != "output-error":
+        """Return what drives the observer: a method takes the same signals."""
+        inputs = INPUTS[self.method]
+        if not inputs:
             return {}
         regressor = _source(connections, Port(name, "regressor"))
         if regressor is None:
@@ -176,9 +191,11 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         observer_port = _source(connections, delta)
         if observer_port is None:
             return {}
-        implied = {Port(name, "delta"): connections[delta]}
+        implied = {}
+        if "delta" in inputs:
+            implied[Port(name, "delta")] = connections[delta]
         for to, connection in connections.items():
-            if to.component == observer_port.component and to.signal in ("y", "u"):
+            if to.component == observer_port.component and to.signal in inputs & {"y", "u"}:
                 implied[replace(to, component=name)] = connection
         return implied
 
@@ -193,9 +210,22 @@ class IdentifierKind(PeriodicKind, ExportableKind):
             )
         spec.steps(context)
         start_time = self._start_time(name, source_name, spec, context)
-        if self.method == "output-error":
-            return self._output_error(name, source_name, spec, start_time, context)
-        return self._least_squares(name, spec, start_time, context)
+        if self.method == "least-squares":
+            return self._least_squares(name, spec, start_time, context)
+        context.add_metadata(name, {"method": self.method})
+        if self.method in ("gradient", "drem"):
+            return self._adaptive(spec, start_time)
+        problem = self._problem(source_name, spec, context)
+        lower, upper = self._bounds(problem.rayleigh.generators.parameters)
+        problem = problem.within(lower, upper)
+        schedule = self._schedule(name, spec, start_time, context)
+        if self.method == "rayleigh":
+            return Estimator(RayleighIdentifier(problem, schedule))
+        if self.method == "projection":
+            return Estimator(ProjectionIdentifier(problem, schedule, lower, upper))
+        return OutputErrorIdentifier(
+            problem, schedule, offset=self.offset, lower=lower, upper=upper
+        )
 
     def _least_squares(
         self, name: str, spec: RegressorKind, start_time: float, context: BuildContext
@@ -210,28 +240,33 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         context.add_metadata(name, metadata)
         return LeastSquaresIdentifier(recovery, start_time=start_time, P0=self.P0)
 
-    def _output_error(
-        self,
-        name: str,
-        regressor_name: str,
-        spec: RegressorKind,
-        start_time: float,
-        context: BuildContext,
-    ) -> OutputErrorIdentifier:
-        problem = self._problem(regressor_name, spec, context)
+    def _adaptive(self, spec: RegressorKind, start_time: float) -> Estimator[Vector]:
+        groups, terms = spec.regression()
+        recovery = least_squares.plan(terms, groups, spec.delays)
+        is_gradient = self.method == "gradient"
+        law = AdaptiveIdentifier(
+            law="gradient" if is_gradient else "drem",
+            recovery=recovery,
+            start_time=start_time,
+            gain=self._number("gain"),
+            forgetting=math.inf if is_gradient else self._number("forgetting"),
+        )
+        return Estimator(law)
+
+    def _number(self, key: str) -> float:
+        """Return a number of the method: the one given, or its default."""
+        given = getattr(self, key)
+        value = OPTIONS[self.method][key] if given is None else given
+        return float(value)
+
+    def _schedule(
+        self, name: str, spec: RegressorKind, start_time: float, context: BuildContext
+    ) -> IdentificationSchedule:
         clock = context.clock
         step = clock.step_ns / 1e9
-        lower, upper = self._bounds(problem.rayleigh.generators.parameters)
-        rayleigh = problem.rayleigh
-        searched = replace(
-            rayleigh,
-            lower=np.clip(rayleigh.lower, lower, upper),
-            upper=np.clip(rayleigh.upper, lower, upper),
-        )
-        problem = replace(problem, rayleigh=searched)
         gaps = np.diff(np.sort(np.array(spec.delays, np.float64)))
         half_gap = 0.5 * float(gaps.min())
-        schedule = IdentificationSchedule(
+        return IdentificationSchedule(
             period=self.period_steps(name, context.step_ns),
             steps=clock.steps,
             average=max(1, round(half_gap / step)),
@@ -241,10 +276,6 @@ class IdentifierKind(PeriodicKind, ExportableKind):
             settled=clock.start_time,
             lag=0.0,
         )
-        context.add_metadata(name, {"method": self.method})
-        return OutputErrorIdentifier(
-            problem, schedule, offset=self.offset, lower=lower, upper=upper
-        )
 
     def _problem(
         self, regressor_name: str, spec: RegressorKind, context: BuildContext
@@ -253,7 +284,7 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         designed_by = None if observer_name is None else context.spec(observer_name)
         if observer_name is None or not isinstance(designed_by, UnknownInputObserverKind):
             raise UsageError(
-                'method = "output-error" needs one observer that drives the regressor alone: its '
+                f'method = "{self.method}" needs one observer that drives the regressor alone: its '
                 "design model is that of y"
             )
         designed = designed_by.design(observer_name, context)
@@ -262,7 +293,7 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         if n_d != 1 or designed.model.constant:
             what = f"{n_d} unknown disturbances" if n_d != 1 else "a constant input"
             raise UsageError(
-                f'method = "output-error": the design model of {observer_name!r} has {what}; '
+                f'method = "{self.method}": the design model of {observer_name!r} has {what}; '
                 'needed one disturbance and no constant input; or method = "least-squares"'
             )
         groups, terms = spec.regression()
@@ -285,12 +316,11 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         )
 
     def _check_options(self) -> None:
-        others: tuple[str, ...] = ("P0",)
-        if self.method == "least-squares":
-            others = ("offset", "window", "forgetting", "bounds")
-        for key in others:
-            if key in self.model_fields_set:
-                raise UsageError(f"{key}: not of method {self.method!r}; leave it out")
+        own = OPTIONS[self.method]
+        for key in all_options():
+            if key in self.model_fields_set and key not in own:
+                listed = f"; its own: {', '.join(own)}" if own else ""
+                raise UsageError(f"{key}: not of method {self.method!r}; leave it out{listed}")
         if self.window is not None and self.forgetting is not None:
             raise UsageError("found both window and forgetting; needed one of them, or none")
         for key in ("window", "forgetting"):
@@ -319,7 +349,7 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         component = self.build(name, context)
         if not isinstance(component, LeastSquaresIdentifier):
             raise UsageError(
-                f'{name!r}: an identifier with method = "output-error" cannot be exported yet; '
+                f'{name!r}: an identifier with method = "{self.method}" cannot be exported yet; '
                 'possible: method = "least-squares"'
             )
         every = self.period_steps(name, context.step_ns)

@@ -28,6 +28,7 @@ import numpy as np
 
 from cosim.arrays import NAN, Matrix, Vector
 from cosim.errors import AssumptionError
+from cosim.native.step import RecoveryConstants
 from cosim.theory.disturbance import AlphaGroup, Exponential, Sine
 from cosim.theory.regression import Parts, RowSet, Term, check_delays
 
@@ -112,6 +113,16 @@ def plan(terms: Sequence[Term], groups: Sequence[AlphaGroup], delays: Sequence[f
     n_eta = len(terms) - 1
     n_theta = sum(len(group.components) for group in groups)
     return Recovery(tuple(recoveries), n_eta, n_theta)
+
+
+def recovery_constants(plan: Recovery) -> list[RecoveryConstants]:
+    """Return the formulas of theta as numbers of the kernels."""
+    formulas = []
+    for group in plan.groups:
+        kind = int(group.kind)
+        formula = RecoveryConstants(kind, group.terms, group.theta, group.signs, group.spacing)
+        formulas.append(formula)
+    return formulas
 
 
 def recover(plan: Recovery, eta: Vector) -> Vector:

@@ -1,0 +1,75 @@
+"""Adaptive laws as identifiers: the gradient, and regressor extension and mixing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cosim.arrays import Mask
+from cosim.core.contracts import Design
+from cosim.core.signals import Interface, Signal
+from cosim.errors import UsageError
+from cosim.native.adaptive import AdaptiveLaw, AdaptiveStep
+from cosim.theory.estimators.adaptive import adaptive_constants
+from cosim.theory.estimators.least_squares import Recovery
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class AdaptiveIdentifier:
+    """Input regressor (mu), outputs theta and eta.
+
+    Parameters
+    ----------
+    law : AdaptiveLaw
+    recovery : Recovery
+        How theta follows from eta.
+    start_time : float
+        First instant that counts, the identification start time T_id (36) [s].
+    gain : float
+        [1/s]
+    forgetting : float
+        Time constant in which samples lose their weight [s], infinite: they keep it; of DREM.
+
+    Raises
+    ------
+    UsageError
+        If gain is not positive and finite, or forgetting not positive.
+    """
+
+    law: AdaptiveLaw
+    recovery: Recovery
+    start_time: float
+    gain: float
+    forgetting: float
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.gain < np.inf:
+            raise UsageError(f"gain: found {self.gain} 1/s, needed a positive finite number")
+        if not self.forgetting > 0.0:
+            raise UsageError(f"forgetting: found {self.forgetting} s, needed a positive time")
+
+    @property
+    def interface(self) -> Interface:
+        """Input regressor, outputs theta and eta."""
+        recovery = self.recovery
+        regressor = Signal("regressor", recovery.n_eta + 1, optional=True, role="input")
+        theta = Signal("theta", recovery.n_theta, optional=True, role="estimate")
+        eta = Signal("eta", recovery.n_eta, optional=True, role="estimate")
+        return Interface((regressor,), (theta, eta), prepares=True, rollback=True)
+
+    def design(self, h: float, held: Mask) -> Design:
+        """Return the start time: it depends on eigenvalues, so it is recorded."""
+        return {"start": np.array([self.start_time])}
+
+    def kernel(self, h: float, held: Mask, design: Design) -> AdaptiveStep:
+        """Return the law without samples."""
+        (start,) = design["start"]
+        constants = adaptive_constants(
+            self.recovery,
+            start_time=float(start),
+            gain=self.gain,
+            forgetting=self.forgetting,
+            held=bool(held.any()),
+        )
+        return AdaptiveStep(self.law, constants)

@@ -1,0 +1,111 @@
+"""An estimator as a component: what all methods of identification have in common."""
+
+from __future__ import annotations
+
+from typing import Generic, Protocol
+
+from cosim.arrays import Mask, Matrix, Vector
+from cosim.core.contracts import Design, State, Stopped, check_design
+from cosim.core.signals import Interface
+from cosim.native.step import FULL, NO_VALUE, NativeStep
+
+
+class EstimatorKernel(Protocol[State]):
+    """A native step with its memory, which can go back."""
+
+    step: NativeStep
+
+    def initialize(self) -> Vector:
+        """Forget the past and return the outputs, which have no value yet."""
+
+    def save(self) -> State:
+        """Copy the state."""
+
+    def restore(self, state: State) -> None:
+        """Return to a saved state."""
+
+
+class SteppableEstimator(Protocol[State]):
+    """A method of identification: what it needs once, and the kernel that takes the samples."""
+
+    @property
+    def interface(self) -> Interface:
+        """Inputs of role input, the output theta, and what else the method has."""
+
+    def design(self, h: float, held: Mask) -> Design:
+        """Compute what needs linear algebra, to be recorded.
+
+        Parameters
+        ----------
+        h : float
+            Communication step [s].
+        held : Mask
+            Inputs with a zero-order hold.
+        """
+
+    def kernel(self, h: float, held: Mask, design: Design) -> EstimatorKernel[State]:
+        """Return a kernel without samples."""
+
+
+class Estimator(Generic[State]):
+    """Runs a method of identification.
+
+    The outputs have no value (NaN) until the data determine them. An estimate rests on the samples
+    up to its instant.
+
+    Parameters
+    ----------
+    method : SteppableEstimator
+
+    Raises
+    ------
+    Stopped
+        From ``advance``, where an input that counts has no value, or there is no room for more
+        samples.
+    """
+
+    def __init__(self, method: SteppableEstimator[State]) -> None:
+        self.method = method
+        self.interface = method.interface
+
+    def prepare(self, h: float, held: Mask, recorded: Design) -> Design:
+        """Compute the design, or take the recorded one."""
+        computed = self.method.design(h, held)
+        design = dict(recorded or computed)
+        check_design(design, {name: array.shape for name, array in computed.items()})
+        self._kernel = self.method.kernel(h, held, design)
+        return design
+
+    def initialize(self, t: float, u: Vector) -> Vector:
+        """Forget all samples; there is no estimate yet."""
+        self._last = self._kernel.initialize()
+        return self._last.copy()
+
+    def outputs(self, t: float, u: Vector) -> Vector:
+        """Return the last estimate; the inputs at this instant do not change it."""
+        return self._last.copy()
+
+    def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
+        """Take the samples of K steps."""
+        step = self._kernel.step
+        y = step.advance(t, h, u)
+        if len(y):
+            self._last = y[-1].copy()
+        if step.status == NO_VALUE:
+            time = float(t[len(y)])
+            raise Stopped(
+                y, f"an input has no value at {time} s, where it counts; start after the delays"
+            )
+        if step.status == FULL:
+            raise Stopped(y, f"no room for more samples at {float(t[len(y)])} s")
+        return y
+
+    def save(self) -> tuple[State, Vector]:
+        """Copy the state and the estimate."""
+        return self._kernel.save(), self._last.copy()
+
+    def restore(self, state: tuple[State, Vector]) -> None:
+        """Return to a saved state."""
+        memory, last = state
+        self._kernel.restore(memory)
+        self._last = last.copy()

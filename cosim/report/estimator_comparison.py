@@ -1,0 +1,271 @@
+"""Several methods of identification on the same recorded data."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.arguments import mapping_argument, path_argument, truth_argument
+from cosim.arrays import Vector
+from cosim.core.contracts import Recording
+from cosim.core.recorders import Memory
+from cosim.errors import CosimError, Interrupted, UsageError, nearest, option, quoted
+from cosim.log import Log
+from cosim.report.recorded_rows import has_signal, rows_of, stacked_rows_of
+from cosim.scenario.execution import load, replay, run
+from cosim.scenario.kinds.identification import IdentifierKind
+from cosim.scenario.kinds.methods import METHODS, OPTIONS, IdentificationMethod, all_options
+from cosim.scenario.parsing import Scenario
+from cosim.scenario.recorded_metadata import truth_of
+from cosim.scenario.recording import check_target
+from cosim.scenario.schema import truth_ports
+from cosim.scenario.swap import PortNames
+from cosim.temporary import TemporaryFolder
+
+ALL = "all"
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class EstimatorResult:
+    """What one method makes of the data, at the end of the run.
+
+    Parameters
+    ----------
+    method : str
+    recording : Log, Memory or None
+        Its replay; None: that failed.
+    failure : str
+        Why it failed; empty: it did not.
+    seconds : float
+        CPU time of the replay [s].
+    theta : Vector, shape (P,), or None
+        NaN: no value.
+    standard_error : Vector, shape (P,), or None
+        None: the method has none.
+    error : Vector, shape (P,), or None
+        theta less the truth; None: there is no [truth].
+    verdict : str
+        What the data say of the estimate; empty: nothing is said.
+    """
+
+    method: str
+    recording: Log | Memory | None = None
+    failure: str = ""
+    seconds: float = 0.0
+    theta: Vector | None = None
+    standard_error: Vector | None = None
+    error: Vector | None = None
+    verdict: str = ""
+
+
+@dataclass(frozen=True)
+class EstimatorComparison:
+    """Several methods of one identifier, the failed ones included."""
+
+    scenario: str
+    component: str
+    results: tuple[EstimatorResult, ...]
+
+    @cached_property
+    def recordings(self) -> dict[str, Recording]:
+        """The replays that did not fail, by method."""
+        recordings: dict[str, Recording] = {}
+        for result in self.results:
+            if result.recording is not None:
+                recordings[result.method] = result.recording
+        return recordings
+
+    @cached_property
+    def estimates(self) -> dict[str, Any]:
+        """theta with its truth, where there is one."""
+        theta = f"{self.component}.theta"
+        for recording in self.recordings.values():
+            truth = truth_of(recording)
+            if theta in truth:
+                return {theta: truth[theta]}
+        return {}
+
+    @property
+    def ratios(self) -> dict[str, float]:
+        """The CPU time of each replay over that of the fastest, by method."""
+        seconds = {result.method: result.seconds for result in self.results if not result.failure}
+        fastest = min(seconds.values(), default=1.0)
+        return {method: value / fastest for method, value in seconds.items()}
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON; None where there is no value."""
+        ratios = self.ratios
+        methods = []
+        for result in self.results:
+            log = None
+            if isinstance(result.recording, Log) and result.recording.is_at_its_path:
+                log = str(result.recording.path)
+            methods.append(
+                {
+                    "method": result.method,
+                    "failure": result.failure or None,
+                    "theta": _plain(result.theta),
+                    "standard_error": _plain(result.standard_error),
+                    "error": _plain(result.error),
+                    "cpu_time_ratio": ratios.get(result.method),
+                    "verdict": result.verdict or None,
+                    "log": log,
+                }
+            )
+        return {"scenario": self.scenario, "component": self.component, "methods": methods}
+
+
+def compare_estimators(
+    scenario: str | Path | Scenario,
+    *,
+    estimators: str | Sequence[str] = ALL,
+    swap: Mapping[str, str | Path] | None = None,
+    map: Mapping[str, PortNames] | None = None,
+    set: Mapping[str, Any] | None = None,
+    out: str | Path | None = None,
+    force: bool = False,
+) -> EstimatorComparison:
+    """Run a scenario once, and estimate theta from what it recorded by several methods.
+
+    Parameters
+    ----------
+    scenario : str, Path or Scenario
+        A shipped name, a path, or what :func:`load` returned; with one identifier.
+    estimators : str or sequence of str
+        Methods of the kind ``identifier``, or ``"all"``. Keys of the identifier that a method does
+        not have are left out for it.
+    swap, map, set
+        As for :func:`run`.
+    out : str or Path, optional
+        Folder for the logs, ``<scenario>.mcap`` of the run and ``<method>.mcap`` of each replay;
+        without it the replays are kept in memory.
+    force : bool
+        Replace existing logs.
+
+    Raises
+    ------
+    UsageError
+        If there is not one identifier, or no such method.
+    CosimError
+        If the run fails. What fails with one method is its result.
+    """
+    force = truth_argument("force", force)
+    folder = None if out is None else path_argument("out", out)
+    methods = _methods(estimators)
+    loaded = scenario if isinstance(scenario, Scenario) else load(scenario)
+    edited = loaded.edit(swap=swap, map=map, set=mapping_argument("set", set))
+    component = _identifier(edited)
+    with ExitStack() as resources:
+        logs = folder or resources.enter_context(TemporaryFolder("compare"))
+        source_path = logs / f"{edited.name}.mcap"
+        targets: list[Path | None] = []
+        for method in methods:
+            target = None if folder is None else folder / f"{method}.mcap"
+            check_target(target, force=force)  # all of them, before the run
+            targets.append(target)
+        source = run(edited, out=source_path, force=force)
+        assert isinstance(source, Log)
+        table = edited.document.tree()[0]["components"][component]
+        results = []
+        for method, target in zip(methods, targets, strict=True):
+            results.append(_estimate(source, component, table, method, target=target, force=force))
+    return EstimatorComparison(edited.name, component, tuple(results))
+
+
+def _methods(estimators: str | Sequence[str]) -> list[IdentificationMethod]:
+    """Return the methods of these names."""
+    if estimators == ALL:
+        return list(METHODS)
+    names = [estimators] if isinstance(estimators, str) else list(estimators)
+    known: dict[str, IdentificationMethod] = {method: method for method in METHODS}
+    methods: list[IdentificationMethod] = []
+    for name in names:
+        if name not in known:
+            suggestion = nearest(str(name), [*known, ALL])
+            raise UsageError(f"{option('estimators')}: no method {quoted(name)}; {suggestion}")
+        if known[name] in methods:
+            raise UsageError(f"{option('estimators')}: {name} is given twice; needed once")
+        methods.append(known[name])
+    if not methods:
+        raise UsageError(f"{option('estimators')}: found none; needed {ALL}, or some of: {METHODS}")
+    return methods
+
+
+def _identifier(scenario: Scenario) -> str:
+    """Return the name of the one identifier."""
+    names = [name for name, spec in scenario.specs.items() if isinstance(spec, IdentifierKind)]
+    if len(names) != 1:
+        found = ", ".join(names) or "none"
+        raise UsageError(
+            f"{option('estimators')}: found identifiers: {found}; needed one component of kind "
+            "'identifier'"
+        )
+    return names[0]
+
+
+def _estimate(
+    source: Log,
+    component: str,
+    table: Mapping[str, Any],
+    method: IdentificationMethod,
+    *,
+    target: Path | None,
+    force: bool,
+) -> EstimatorResult:
+    """Replay a run with another method."""
+    others = {key for key in all_options() if key not in OPTIONS[method]}
+    own = {key: value for key, value in table.items() if key not in others}
+    changes = {component: {**own, "method": method}}
+    began = time.process_time()
+    try:
+        recording = replay(source, set=changes, out=target, force=force)
+    except Interrupted:
+        raise
+    except CosimError as error:  # of one method, whatever it is: the others go on
+        return EstimatorResult(method=method, failure=str(error))
+    seconds = time.process_time() - began
+    theta = _last(recording, f"{component}.theta")
+    error_port = f"{component}.standard_error"
+    return EstimatorResult(
+        method=method,
+        recording=recording,
+        seconds=seconds,
+        theta=theta,
+        standard_error=_last(recording, error_port) if has_signal(recording, error_port) else None,
+        error=_error(recording, f"{component}.theta", theta),
+    )
+
+
+def _last(recording: Recording, port: str) -> Vector:
+    rows = rows_of(recording, port)
+    if not len(rows):
+        return np.full(rows.shape[1], np.nan)
+    last: Vector = rows[-1].copy()
+    return last
+
+
+def _error(recording: Recording, port: str, values: Vector) -> Vector | None:
+    """Return the values less their truth."""
+    truth = truth_of(recording).get(port)
+    if truth is None:
+        return None
+    ports = truth_ports(truth)
+    true = np.atleast_1d(np.array(0.0 if ports else truth, np.float64))
+    if ports:
+        _, rows = stacked_rows_of(recording, ports, like=port)
+        true = rows[-1] if len(rows) else np.full(len(values), np.nan)
+    error: Vector = values - true
+    return error
+
+
+def _plain(values: Vector | None) -> list[float | None] | None:
+    if values is None:
+        return None
+    return [float(value) if np.isfinite(value) else None for value in values]

@@ -1,0 +1,114 @@
+"""Several estimators on the same recorded data."""
+
+import json
+
+import numpy as np
+import pytest
+
+import cosim
+from cosim.errors import UsageError
+from cosim.scenario.kinds.methods import METHODS
+
+SHORT = {"scenario.stop": 9.0, "scenario.step": 5e-3, "observer.filter_rate": 100.0}
+
+
+@pytest.fixture(scope="module")
+def compared():
+    return cosim.compare_estimators("academic-as-printed", set=SHORT)
+
+
+def test_every_method_estimates_from_the_same_data(compared):
+    """Each replay has the recorded y, and the error is that of its last theta."""
+    assert [result.method for result in compared.results] == list(METHODS)
+    recordings = compared.recordings
+    assert list(recordings) == list(METHODS)
+    first = recordings["output-error"]
+    for result in compared.results:
+        np.testing.assert_array_equal(result.recording["plant.y"], first["plant.y"])
+        theta = result.recording["identifier.theta"][-1]
+        np.testing.assert_array_equal(result.theta, theta)
+        np.testing.assert_array_equal(result.error, theta - np.array([-0.1, -0.3]))
+
+
+def test_a_standard_error_is_shown_where_a_method_has_one(compared):
+    """Baselines without a theory of their error have none."""
+    stated = {r.method for r in compared.results if r.standard_error is not None}
+    assert "output-error" in stated
+    assert stated.isdisjoint({"least-squares", "projection", "rayleigh", "drem", "gradient"})
+
+
+def test_keys_of_another_method_are_left_out():
+    """P0 belongs to least squares: the others run without it, least squares with it."""
+    found = cosim.compare_estimators(
+        "academic-as-printed",
+        estimators=["least-squares", "drem"],
+        set={**SHORT, "identifier.P0": 1.0},
+    )
+    bare = cosim.compare_estimators("academic", estimators="least-squares", set=SHORT)
+    least_squares, drem = found.results
+    assert not drem.failure
+    assert np.abs(least_squares.error[1]) > 2.0 * np.abs(bare.results[0].error[1])
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ({"estimators": "rayleih"}, r"no method 'rayleih'; did you mean 'rayleigh'\?"),
+        ({"estimators": ["drem", "drem"]}, "drem is given twice"),
+        ({"estimators": []}, "found none"),
+    ],
+)
+def test_unknown_methods_are_refused(options, text):
+    """Before the run."""
+    with pytest.raises(UsageError, match=text):
+        cosim.compare_estimators("academic", **options)
+
+
+def test_a_scenario_needs_one_identifier(tmp_path):
+    """Without one there is nothing to compare."""
+    path = tmp_path / "source.toml"
+    path.write_text(
+        '[scenario]\nname = "one"\nstop = 1.0\nstep = 0.1\n'
+        '[components.u]\nkind = "sine"\nrate = 1.0\n'
+    )
+    with pytest.raises(UsageError, match="found identifiers: none"):
+        cosim.compare_estimators(path)
+
+
+def test_the_table_and_json_say_the_same(call, tmp_path):
+    """One row a method; no value where a theta has none; logs in the folder."""
+    settings = [f"--set={key}={value}" for key, value in SHORT.items()]
+    arguments = ["compare", "academic", "--estimators", "drem,rayleigh", *settings]
+    code, out, _ = call(*arguments)
+    assert code == 0
+    lines = out.splitlines()
+    assert lines[1].split("\t")[:3] == ["method", "theta", "error"]
+    assert [line.split("\t")[0] for line in lines[2:]] == ["drem", "rayleigh"]
+    code, out, _ = call(*arguments, "--json", "--out", str(tmp_path))
+    found = json.loads(out)
+    assert code == 0
+    methods = {entry["method"]: entry for entry in found["methods"]}
+    assert methods["drem"]["standard_error"] is None
+    assert f"{methods['drem']['theta'][0]:+.6f}" in lines[2]
+    assert methods["rayleigh"]["theta"] == [None, None]
+    assert "no value, no value" in lines[3]
+    assert methods["rayleigh"]["cpu_time_ratio"] >= 1.0
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "academic.mcap",
+        "drem.mcap",
+        "rayleigh.mcap",
+    ]
+    code, _, err = call(*arguments, "--out", str(tmp_path))
+    assert code == 2
+    assert "--force" in err
+
+
+def test_estimators_and_plants_are_compared_one_after_the_other(call):
+    """Several plants beside --estimators, or nothing to compare, is wrong use."""
+    plants = ["--swap", "plant=a.fmu", "--swap", "plant=b.fmu"]
+    code, _, err = call("compare", "academic", "--estimators", "all", *plants)
+    assert (code, "several plants in --swap plant" in err) == (2, True)
+    code, _, err = call("compare", "academic", "--estimators", "all", "--no-base")
+    assert (code, "--no-base" in err) == (2, True)
+    code, _, err = call("compare", "academic")
+    assert (code, "neither --swap nor --estimators" in err) == (2, True)
