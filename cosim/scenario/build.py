@@ -30,6 +30,7 @@ from cosim.scenario.context import (
     clock_of,
 )
 from cosim.scenario.document import Document
+from cosim.scenario.identified import IdentifiedPlant
 from cosim.scenario.kinds import BuildContext, Kind
 from cosim.scenario.parsing import Scenario, read
 from cosim.scenario.problems import Key, Problem
@@ -63,6 +64,8 @@ class Experiment:
         What was opened for this run and may have messages.
     files : frozenset of Path
         What is read beside the scenario.
+    identified : mapping of identifier to IdentifiedPlant
+        What its estimates are judged by.
     plan : Plan or None
         Of the graph, where it was prepared already.
     designs : mapping of component name to Design, or None
@@ -83,6 +86,7 @@ class Experiment:
     attachments: Mapping[str, str]
     fmus: Mapping[str, MessageSource]
     files: frozenset[Path]
+    identified: Mapping[str, IdentifiedPlant] = field(default_factory=dict)
     plan: Plan | None = None
     designs: Mapping[str, Design] | None = None
     messages: Mapping[str, Sequence[Message]] = field(default_factory=dict)
@@ -335,6 +339,7 @@ class Builder:
             attachments=context.attachments,
             fmus=context.fmus,
             files=frozenset(context.files),
+            identified=context.identified,
         )
 
     def _warn(self, graph: Graph) -> None:

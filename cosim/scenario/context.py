@@ -12,6 +12,7 @@ from cosim.core.clock import Clock, nanoseconds
 from cosim.core.contracts import Component, Recording
 from cosim.core.port import Port
 from cosim.errors import LogError, UsageError, nearest, option, quoted
+from cosim.scenario.identified import IdentifiedPlant
 from cosim.scenario.kinds import Kind
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.problems import Key
@@ -99,6 +100,7 @@ class ScenarioBuildContext:
         self.fmus: dict[str, Fmu] = {}
         self._linearized: dict[str, Linearization] = {}
         self.files: set[Path] = set()
+        self.identified: dict[str, IdentifiedPlant] = {}
 
     def begin(self, name: str) -> None:
         """Record what is read from now on for a component."""
@@ -303,6 +305,10 @@ class ScenarioBuildContext:
         if self._recording is None:
             return None
         return component_record(self._recording, name).linearization
+
+    def add_identified(self, name: str, identified: IdentifiedPlant) -> None:
+        """Have the estimates of an identifier judged at the end of the run."""
+        self.identified[name] = identified
 
     def add_metadata(self, name: str, metadata: Mapping[str, Any]) -> None:
         """Record metadata of a component."""

@@ -24,7 +24,7 @@ from cosim.fmi.linearizing.linearization import pole_text, poles, static_gain
 from cosim.scenario.kinds.base import LinearSystem
 from cosim.units import Conversion, comparable, conversion
 
-Verdict: TypeAlias = Literal["ok", "unknown", "differs", "error"]
+PortVerdict: TypeAlias = Literal["ok", "unknown", "differs", "error"]
 
 SAME = 1e-9  # relative difference up to which two numbers are the same
 SAME_SIZE = 10.0  # factor up to which two numbers are of one size
@@ -226,7 +226,7 @@ class Aspect:
     ----------
     name : str
     before, after : plain value; None: unknown, or there is none
-    verdict : Verdict
+    verdict : PortVerdict
     ratio : float or None
         Size of the numbers after to that before, in the same unit; None: no numbers, or zeros.
     """
@@ -234,7 +234,7 @@ class Aspect:
     name: str
     before: Any
     after: Any
-    verdict: Verdict
+    verdict: PortVerdict
     ratio: float | None = None
 
 
@@ -246,7 +246,7 @@ class ComparedAspect:
     ----------
     port, aspect : str
     before, after : plain value; None: unknown, or there is none
-    verdict : Verdict
+    verdict : PortVerdict
     connected : bool
         Whether the scenario names the port.
     ratio : float or None
@@ -259,7 +259,7 @@ class ComparedAspect:
     aspect: str
     before: Any
     after: Any
-    verdict: Verdict
+    verdict: PortVerdict
     connected: bool
     ratio: float | None = None
     source: str | None = None
@@ -298,7 +298,7 @@ def compare_components(
     rows: list[ComparedAspect] = []
     sources = {} if names is None else names
     for port in dict.fromkeys([*before.ports, *after.ports]):
-        severity: Verdict = "error" if port in refused else "differs"
+        severity: PortVerdict = "error" if port in refused else "differs"
         old = before.port(port)
         new = after.port(port)
         for aspect in _port_aspects(old, new, severity):
@@ -327,7 +327,7 @@ def _row(port: str, aspect: Aspect, connected: bool, source: str | None = None) 
 
 
 def _port_aspects(
-    old: ComparedPort | None, new: ComparedPort | None, severity: Verdict
+    old: ComparedPort | None, new: ComparedPort | None, severity: PortVerdict
 ) -> Iterator[Aspect]:
     """Yield the aspects of a port; ``severity`` is the verdict where a connection cannot hold."""
     if old is None or new is None:
@@ -393,7 +393,7 @@ def _largest(values: Sequence[float] | Vector) -> float:
     return float(np.max(sizes, initial=0.0, where=np.isfinite(sizes)))
 
 
-def _same_size(ratio: float) -> Verdict:
+def _same_size(ratio: float) -> PortVerdict:
     return "ok" if 1.0 / SAME_SIZE <= ratio <= SAME_SIZE else "differs"
 
 
@@ -422,7 +422,7 @@ def _poles(before: ComparedComponent, after: ComparedComponent) -> Iterator[Aspe
     yield Aspect("poles", _complex_pairs(old_poles), _complex_pairs(new_poles), verdict)
 
 
-def _equal(aspect: str, old: Any, new: Any, severity: Verdict = "differs") -> Aspect:
+def _equal(aspect: str, old: Any, new: Any, severity: PortVerdict = "differs") -> Aspect:
     return Aspect(aspect, old, new, "ok" if old == new else severity)
 
 
@@ -439,7 +439,7 @@ def _complex_pairs(poles: Vector | None) -> list[list[float]] | None:
     return None if poles is None else poles.reshape(-1, 2).tolist()
 
 
-def _unit(old: Signal, new: Signal, severity: Verdict) -> Verdict:
+def _unit(old: Signal, new: Signal, severity: PortVerdict) -> PortVerdict:
     if old.unit is None and new.unit is None:
         return "ok"
     if not comparable(old.measure, new.measure):
@@ -468,7 +468,7 @@ def _in_unit_of(
 
 def _same_values(
     old: Sequence[float] | Vector | None, new: Sequence[float] | Vector | None, error: float = SAME
-) -> Verdict:
+) -> PortVerdict:
     if old is None or new is None:
         return "ok" if old is new else "unknown"
     return "ok" if _close(old, new, error) else "differs"

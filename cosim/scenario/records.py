@@ -16,6 +16,7 @@ from cosim.core.recorders import end_of_run
 from cosim.errors import Interrupted, RunError
 from cosim.interrupts import uninterrupted
 from cosim.log import Attachment
+from cosim.scenario.assessing import IDENTIFICATION, Assessor
 from cosim.scenario.build import Experiment, fingerprint
 from cosim.units import Conversion
 
@@ -33,6 +34,7 @@ class MessageRecorder:
         self._experiment = experiment
         self._reached_ns = experiment.clock.start_ns
         self._last: Vector | None = None
+        self._assessor = Assessor(experiment.graph, experiment.identified)
 
     def __enter__(self) -> Self:
         self._recorder.__enter__()
@@ -81,6 +83,8 @@ class MessageRecorder:
             for label, value in zip(labels, self._last.tolist(), strict=True):
                 last[label] = value if math.isfinite(value) else None
             self._recorder.result({"last": last})
+            if error is None and self._experiment.identified:
+                self._recorder.result({IDENTIFICATION: self._assessor.results()})
 
     def begin(self, plan: Plan) -> None:
         """Pass on, then record what is known before the run.
@@ -109,6 +113,7 @@ class MessageRecorder:
         self._reached_ns = int(block.time_ns[-1])
         self._recorder.write(block, signals)
         self._last = signals[-1].copy()
+        self._assessor.take(block, signals)
 
     def _record_messages(self) -> None:
         """Record the new messages of all FMUs."""

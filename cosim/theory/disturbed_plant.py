@@ -104,6 +104,8 @@ class DataSet:
         Inputs.
     alpha : Matrix, shape (N, components)
         The known factor of each component of the disturbance.
+    held : shape (n_u,), optional
+        Inputs that keep their value from one sample to the next; by default none: straight lines.
 
     Raises
     ------
@@ -116,6 +118,7 @@ class DataSet:
     y: Matrix
     u: Matrix
     alpha: Matrix
+    held: NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
         """Freeze and check the samples."""
@@ -208,7 +211,6 @@ def sample_plant(
     noise: NoiseModel,
     offset: bool = False,
     forgetting: float = 1.0,
-    held: NDArray[np.bool_] | None = None,
 ) -> SampledPlant:
     """Discretize a plant exactly for straight lines between the samples of a data set.
 
@@ -224,8 +226,6 @@ def sample_plant(
         An unknown constant is on every output.
     forgetting : float
         Weight of a sample over that of the next one; 1: all weigh the same.
-    held : shape (n_u,), optional
-        Inputs that keep their value from one sample to the next.
 
     Raises
     ------
@@ -243,7 +243,7 @@ def sample_plant(
         noise=noise,
         offset=offset,
         forgetting=forgetting,
-        held=held,
+        held=data.held,
     )
     return SampledPlant(OutputErrorModel(constants), known, interval)
 

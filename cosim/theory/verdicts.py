@@ -16,7 +16,7 @@ against that (:func:`judge`).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from enum import StrEnum
 from typing import Any, Final
 
@@ -75,6 +75,10 @@ class ParameterVerdict:
     upper: float | None
     reason: str
 
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        return {**asdict(self), "verdict": str(self.verdict)}
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Assessment:
@@ -107,14 +111,10 @@ class Assessment:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-        parameters = []
-        for parameter in self.parameters:
-            entry = dict(vars(parameter))
-            entry["verdict"] = str(parameter.verdict)
-            parameters.append(entry)
+        parameters = [parameter.to_dict() for parameter in self.parameters]
         tests = []
         for test in self.consistency.tests:
-            tests.append({**vars(test), "passed": test.passed})
+            tests.append({**asdict(test), "passed": test.passed})
         return {
             "parameters": parameters,
             "correlation": self.correlation.tolist(),

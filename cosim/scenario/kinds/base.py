@@ -17,6 +17,7 @@ from cosim.core.contracts import Component, Recording
 from cosim.core.linear import Linear, LinearModel
 from cosim.core.port import Port
 from cosim.fmi.exporting.specifications import Exportable
+from cosim.scenario.identified import IdentifiedPlant
 from cosim.scenario.schema import Number, TomlTable, UnitName
 from cosim.theory.descriptor import DescriptorSystem
 
@@ -89,6 +90,10 @@ class BuildContext(Protocol):
 
     def linearization(self, name: str, path: str, request: LinearizationRequest) -> Linearization:
         """Linearize an FMU for a component and record the result; a replay takes it from there."""
+        ...
+
+    def add_identified(self, name: str, identified: IdentifiedPlant) -> None:
+        """Have the estimates of an identifier judged at the end of the run."""
         ...
 
     def add_metadata(self, name: str, metadata: Mapping[str, Any]) -> None:

@@ -33,6 +33,7 @@ from cosim.fmi.exporting.kernels import DiscreteModel
 from cosim.fmi.exporting.specifications import Exportable
 from cosim.native.expression import Program, compile_expression
 from cosim.native.step import evaluate_at
+from cosim.scenario.identified import IdentifiedPlant
 from cosim.scenario.kinds.base import (
     BuildContext,
     ExportableKind,
@@ -210,6 +211,7 @@ class IdentifierKind(PeriodicKind, ExportableKind):
             )
         spec.steps(context)
         start_time = self._start_time(name, source_name, spec, context)
+        self._add_identified(name, source_name, spec, context)
         if self.method == "least-squares":
             return self._least_squares(name, spec, start_time, context)
         context.add_metadata(name, {"method": self.method})
@@ -314,6 +316,32 @@ class IdentifierKind(PeriodicKind, ExportableKind):
             box=rayleigh_box(families, spec.delays, span=span),
             noise=white_noise(len(reduced.C3)),
         )
+
+    def _add_identified(
+        self, name: str, regressor_name: str, spec: RegressorKind, context: BuildContext
+    ) -> None:
+        """Have the estimates judged, where the design model is one that output error can fit."""
+        observer_name = context.driver(Port(regressor_name, "delta"))
+        designed_by = None if observer_name is None else context.spec(observer_name)
+        if observer_name is None or not isinstance(designed_by, UnknownInputObserverKind):
+            return
+        designed = designed_by.design(observer_name, context)
+        reduced = designed.model.reduced
+        if reduced.C5.shape[1] != 1 or designed.model.constant:
+            return
+        families = [family_named(term.family) for term in spec.terms]
+        bounds = {}
+        for j, row in enumerate(self.bounds or ()):
+            bounds[j] = (float(row[0]), float(row[1]))
+        identified = IdentifiedPlant(
+            observer=observer_name,
+            plant=disturbed_plant(reduced, len(families)),
+            families=families,
+            alphas=[compile_expression(term.alpha) for term in spec.terms],
+            offset=self.offset,
+            bounds=bounds,
+        )
+        context.add_identified(name, identified)
 
     def _check_options(self) -> None:
         own = OPTIONS[self.method]

@@ -1,0 +1,127 @@
+"""Verdicts on identifiers at the end of a run, from the signals that were recorded of it.
+
+The same for every method: output error is fitted to what the observer took in as y and u, and what
+the identifier says is held against it. They are results, not signals: they rest on linear algebra
+whose last bits depend on the processor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numpy as np
+
+from cosim.arrays import Mask, Matrix, Vector
+from cosim.core.contracts import Block
+from cosim.core.graph import Graph
+from cosim.core.signals import Channel
+from cosim.errors import AssumptionError
+from cosim.native.step import evaluate_at
+from cosim.scenario.identified import IdentifiedPlant
+from cosim.theory.disturbed_plant import DataSet
+from cosim.theory.verdicts import assess, judge
+
+IDENTIFICATION: Final = "identification"  # the key of the results
+OUTPUT_ERROR: Final = "output-error"
+
+
+class Assessor:
+    """Keeps what verdicts need of the rows of a run.
+
+    Parameters
+    ----------
+    graph : Graph
+    identified : mapping of identifier to IdentifiedPlant
+    """
+
+    def __init__(self, graph: Graph, identified: Mapping[str, IdentifiedPlant]) -> None:
+        self._identifiers = []
+        for name, plant in identified.items():
+            channels = graph.layout[name], graph.layout[plant.observer]
+            held = graph.held[plant.observer]
+            self._identifiers.append(_IdentifierData(name, plant, channels, held))
+
+    def take(self, block: Block, signals: Matrix) -> None:
+        """Keep the rows of a block."""
+        for identifier in self._identifiers:
+            identifier.take(block, signals)
+
+    def results(self) -> dict[str, Any]:
+        """Return the verdicts by identifier, as plain values."""
+        return {identifier.name: identifier.result() for identifier in self._identifiers}
+
+
+class _IdentifierData:
+    """The data of one identifier: times, y and u of its observer, its last estimate."""
+
+    def __init__(
+        self,
+        name: str,
+        identified: IdentifiedPlant,
+        channels: tuple[Channel, Channel],
+        held: Mask,
+    ) -> None:
+        own, observer = channels
+        self.name = name
+        self._identified = identified
+        outputs = own.interface.output_columns()
+        self._theta = _shifted(outputs["theta"], own.outputs.start)
+        self._error: slice | None = None
+        if "standard_error" in outputs:
+            self._error = _shifted(outputs["standard_error"], own.outputs.start)
+        inputs = observer.interface.input_columns()
+        self._y = _shifted(inputs["y"], observer.inputs.start)
+        u = inputs.get("u", slice(0, 0))
+        self._u = _shifted(u, observer.inputs.start)
+        self._held = held[u]
+        self._times: list[Vector] = []
+        self._outputs: list[Matrix] = []
+        self._inputs: list[Matrix] = []
+        self._last = np.zeros(0)
+
+    def take(self, block: Block, signals: Matrix) -> None:
+        """Keep the rows of a block."""
+        first = 1 if self._times else 0
+        self._times.append(block.time[first:].copy())
+        self._outputs.append(signals[first:, self._y].copy())
+        self._inputs.append(signals[first:, self._u].copy())
+        self._last = signals[-1].copy()
+
+    def result(self) -> dict[str, Any]:
+        """Return the verdict on the last estimate."""
+        if not self._times:
+            return {"problem": "the run ended before there were data"}
+        theta = self._last[self._theta]
+        try:
+            return self._assessed(theta)
+        except (AssumptionError, np.linalg.LinAlgError) as error:
+            return {"problem": str(error)}
+
+    def _assessed(self, theta: Vector) -> dict[str, Any]:
+        identified = self._identified
+        start = theta if np.isfinite(theta).all() else None
+        assessment = assess(
+            [self._data()],
+            identified.plant,
+            identified.families,
+            start,
+            offset=identified.offset,
+            bounds=identified.bounds,
+        )
+        error = None if self._error is None else self._last[self._error]
+        result = assessment.to_dict()
+        own = judge(assessment, theta, error)
+        result["estimate"] = [parameter.to_dict() for parameter in own]
+        return result
+
+    def _data(self) -> DataSet:
+        t = np.concatenate(self._times)
+        alpha = evaluate_at(self._identified.alphas, t)
+        y = np.concatenate(self._outputs)
+        u = np.concatenate(self._inputs)
+        return DataSet(t, y, u, alpha, self._held)
+
+
+def _shifted(columns: slice, offset: int) -> slice:
+    return slice(columns.start + offset, columns.stop + offset)
