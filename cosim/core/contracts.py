@@ -366,3 +366,8 @@ class Recording(Protocol):
     def metadata(self) -> Mapping[str, Any]:
         """What was recorded beside the signals."""
         ...
+
+    @property
+    def results(self) -> Mapping[str, Any]:
+        """What was recorded of the end of the run."""
+        ...

@@ -5,7 +5,7 @@ Errors against the truth, estimates, start times of identifiers, and what their 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -15,10 +15,14 @@ from cosim.arrays import Matrix, Vector, as_columns
 from cosim.core.contracts import Recording
 from cosim.errors import LogError
 from cosim.report.recorded_rows import element_names, rows_of, stacked_rows_of, time_ns_of
+from cosim.scenario.assessing import OUTPUT_ERROR
 from cosim.scenario.recorded_metadata import (
     ComponentRecord,
+    IdentificationRecord,
+    ParameterRecord,
     component_record,
     first_order_loops,
+    recorded_identification,
     recorded_start,
     run_metadata,
     truth_of,
@@ -50,6 +54,26 @@ class ValueOutcome:
 
 
 @dataclass(frozen=True)
+class ParameterSummary:
+    """What may be said about one estimated parameter.
+
+    Parameters
+    ----------
+    estimate : str
+        Its port.
+    verdict, reason : str
+    value, half_width : float or None
+        The estimate and its 95 % interval; None: the data say nothing about it.
+    """
+
+    estimate: str
+    verdict: str
+    reason: str
+    value: float | None
+    half_width: float | None
+
+
+@dataclass(frozen=True)
 class Identification:
     """What the data of an identifier determine."""
 
@@ -57,8 +81,12 @@ class Identification:
     start_time: float  # s, the first communication point not before T_id
     times: Mapping[str, float]  # T_obs, T_f, D_max, T_id where it was computed
     eigenvalues: tuple[float, ...]  # of the information matrix of delta as it was reconstructed
-    verdict: str
+    verdict: str  # on the regression; empty where the method does not solve for eta
     notes: tuple[str, ...] = ()
+    parameters: tuple[ParameterSummary, ...] = ()
+    reference: tuple[ParameterSummary, ...] = ()  # of output error, where the method is another
+    deviation: float | None = None  # of the noise of y, from the residual of output error
+    noise: str = ""  # what is known of it, or why nothing is
 
 
 @dataclass(frozen=True)
@@ -107,9 +135,15 @@ def summarize(recording: Recording) -> Summary:
     identifiers: dict[str, ComponentRecord] = {}
     for name in recording.channels:
         record = component_record(recording, name)
-        if record.unknowns is not None:
+        if record.is_identifier:
             identifiers[name] = record
     since = max((record.start_time for record in identifiers.values()), default=0.0)
+    recorded = recorded_identification(recording)
+    identifications = []
+    for name, record in identifiers.items():
+        found = recorded.get(name, IdentificationRecord())
+        identifications.append(_identification(recording, name, record, found))
+    unknown = _without_value(identifications)
     signals: list[SignalError] = []
     values: list[ValueOutcome] = []
     for estimate, true in truth.items():
@@ -118,10 +152,7 @@ def summarize(recording: Recording) -> Summary:
             signals.append(_signal_error(recording, estimate, true_ports, since))
         else:
             true_values = np.atleast_1d(np.array(true, dtype=np.float64))
-            values += _value_outcomes(recording, estimate, true_values)
-    identifications = []
-    for name, record in identifiers.items():
-        identifications.append(_identification(recording, name, record))
+            values += _value_outcomes(recording, estimate, true_values, unknown)
     last = {} if truth else _last_values(recording)
     return Summary(
         scenario=run.get("scenario", ""),
@@ -173,13 +204,25 @@ def _signal_error(
     return SignalError(estimate, ", ".join(true_ports), since, largest, rms, last)
 
 
-def _value_outcomes(recording: Recording, estimate: str, truth: Vector) -> list[ValueOutcome]:
+def _without_value(identifications: Sequence[Identification]) -> set[str]:
+    """Return the estimates of which nothing in the data depends: what is recorded is no number."""
+    unknown = set()
+    for identification in identifications:
+        for parameter in identification.parameters:
+            if parameter.value is None:
+                unknown.add(parameter.estimate)
+    return unknown
+
+
+def _value_outcomes(
+    recording: Recording, estimate: str, truth: Vector, unknown: Collection[str]
+) -> list[ValueOutcome]:
     rows = rows_of(recording, estimate)
     last = rows[-1] if len(rows) else np.full(len(truth), np.nan)
     names = element_names(estimate, len(truth))
     outcomes = []
     for name, value, true in zip(names, last, truth, strict=True):
-        if np.isnan(value):
+        if np.isnan(value) or name in unknown:
             outcomes.append(ValueOutcome(name, None, float(true), None))
         else:
             error = float(abs(value - true))
@@ -188,9 +231,65 @@ def _value_outcomes(recording: Recording, estimate: str, truth: Vector) -> list[
 
 
 def _identification(
-    recording: Recording, component: str, record: ComponentRecord
+    recording: Recording, component: str, record: ComponentRecord, found: IdentificationRecord
 ) -> Identification:
-    """Check the information in the rows that an identifier used."""
+    """Summarize what is known of an identifier."""
+    eigenvalues: tuple[float, ...] = ()
+    sentence = ""
+    if record.unknowns is not None:
+        eigenvalues, sentence = _information(recording, component, record)
+    is_output_error = record.method == OUTPUT_ERROR
+    own = found.parameters if is_output_error else found.estimate
+    others = () if is_output_error else found.parameters
+    return Identification(
+        component,
+        record.start_time,
+        record.times,
+        eigenvalues,
+        sentence,
+        record.notes,
+        parameters=_parameters(recording, component, own),
+        reference=_parameters(recording, component, others),
+        deviation=found.deviation,
+        noise=found.problem or _noise(found),
+    )
+
+
+def _parameters(
+    recording: Recording, component: str, records: Sequence[ParameterRecord]
+) -> tuple[ParameterSummary, ...]:
+    names = element_names(f"{component}.theta", len(records))
+    parameters = []
+    for name, record in zip(names, records, strict=True):
+        half_width = None
+        if record.lower is not None and record.upper is not None:
+            half_width = 0.5 * (record.upper - record.lower)
+        parameters.append(
+            ParameterSummary(name, record.verdict, record.reason, record.value, half_width)
+        )
+    return tuple(parameters)
+
+
+def _noise(found: IdentificationRecord) -> str:
+    """Describe the noise of y as the residual of output error shows it."""
+    if found.deviation is None or found.accuracy is None:
+        return ""
+    if found.deviation <= 1.1 * found.accuracy:
+        return (
+            f"the residual is below what step, quantization and rounding allow, "
+            f"{found.accuracy:.2g}"
+        )
+    order = len(found.noise_model)
+    if order:
+        coefficients = ", ".join(f"{a:.3g}" for a in found.noise_model)
+        return f"colored, whitened by an autoregressive model of order {order}: {coefficients}"
+    return "of y, from the residual of output error"
+
+
+def _information(
+    recording: Recording, component: str, record: ComponentRecord
+) -> tuple[tuple[float, ...], str]:
+    """Check the information in the rows that least squares used."""
     start_time = record.start_time
     regressor = as_columns(recording[f"{component}.regressor"])
     time = recording.time_ns(component) / 1e9
@@ -206,7 +305,7 @@ def _identification(
         prior = None if record.P0 is None else 1.0 / record.P0
         eigenvalues = tuple(map(float, values))
         sentence = verdict(values, prior)
-    return Identification(component, start_time, record.times, eigenvalues, sentence, record.notes)
+    return eigenvalues, sentence
 
 
 def span(start: float, end: float) -> str:

@@ -59,6 +59,7 @@ class ComponentRecord(_Record):
     """
 
     start_time: Number = 0.0
+    method: Text = ""
     unknowns: Whole | None = None
     P0: Annotated[Number, Field(gt=0.0)] | None = None
     T_obs: Number | None = None
@@ -71,10 +72,43 @@ class ComponentRecord(_Record):
     linearization: LinearizationRecord | None = None
 
     @property
+    def is_identifier(self) -> bool:
+        """Whether it is the record of an identifier: it has an identification start time."""
+        return "start_time" in self.model_fields_set
+
+    @property
     def times(self) -> dict[str, float]:
         """The times of (36)-(38) by name; none where the start was given."""
         times = {"T_obs": self.T_obs, "T_f": self.T_f, "D_max": self.D_max, "T_id": self.T_id}
         return {name: time for name, time in times.items() if time is not None}
+
+
+class ParameterRecord(_Record):
+    """What a log says of one parameter: a verdict, and no number where there is none."""
+
+    name: Text
+    verdict: Text
+    value: Number | None = None
+    standard_error: Number | None = None
+    lower: Number | None = None
+    upper: Number | None = None
+    reason: Text = ""
+
+
+class IdentificationRecord(_Record):
+    """What a log says of an identifier at the end of its run.
+
+    ``parameters`` are those of output error, ``estimate`` what the identifier says itself, held
+    against them; ``problem`` is why there is neither.
+    """
+
+    parameters: tuple[ParameterRecord, ...] = ()
+    estimate: tuple[ParameterRecord, ...] = ()
+    deviation: Number | None = None
+    accuracy: Number | None = None
+    degrees_of_freedom: Number | None = None
+    noise_model: NumberRow = ()
+    problem: Text = ""
 
 
 @dataclass(frozen=True)
@@ -103,6 +137,9 @@ _WARNINGS: TypeAdapter[list[tuple[str, str]]] = TypeAdapter(list[tuple[Text, Tex
 _LOOPS: TypeAdapter[list[str]] = TypeAdapter(list[Text])
 _TIME: TypeAdapter[float] = TypeAdapter(Number)
 _ORIGIN: TypeAdapter[ReplayOrigin] = TypeAdapter(ReplayOrigin)
+_IDENTIFICATION: TypeAdapter[dict[str, IdentificationRecord]] = TypeAdapter(
+    dict[str, IdentificationRecord]
+)
 _COMPONENT: TypeAdapter[ComponentRecord] = TypeAdapter(ComponentRecord)
 _OF_IDENTIFIERS = ("start_time", "P0")
 _TIMES = ("T_obs", "T_f", "D_max", "T_id")
@@ -178,6 +215,18 @@ def recorded_warnings(recording: Recording) -> list[tuple[str, str]]:
         If they cannot be understood.
     """
     return _of_run(recording, "warnings", "[]", _WARNINGS)
+
+
+def recorded_identification(recording: Recording) -> dict[str, IdentificationRecord]:
+    """Return the verdicts on identifiers at the end of a run, by component.
+
+    Raises
+    ------
+    LogError
+        If they cannot be understood.
+    """
+    results = recording.results.get("identification", {})
+    return _checked(_IDENTIFICATION, results, "results of the identification")
 
 
 def first_order_loops(recording: Recording) -> list[str]:

@@ -11,7 +11,7 @@ from rich.table import Table
 from cosim.core.contracts import Recording
 from cosim.log import Log
 from cosim.report.recorded_rows import signal_of
-from cosim.report.summary import Identification, Summary, span, summarize
+from cosim.report.summary import Identification, ParameterSummary, Summary, span, summarize
 from cosim.report.tables.console import new_table, print_json, print_line, print_table
 from cosim.report.verification import Verification
 from cosim.scenario.recorded_metadata import component_record, recorded_warnings
@@ -130,7 +130,26 @@ def _add_identification(
         eigenvalues = ", ".join(f"{value:.3g}" for value in identification.eigenvalues)
         table.add_row("information matrix", "", "", f"eigenvalues {eigenvalues}")
     for text in (identification.verdict, *identification.notes):
-        table.add_row("", "", "", text)
+        if text:
+            table.add_row("", "", "", text)
+    for parameter in identification.parameters:
+        _add_parameter(table, parameter.estimate, parameter)
+    for parameter in identification.reference:
+        _add_parameter(table, f"{parameter.estimate} by output error", parameter)
+    if identification.noise:
+        deviation = identification.deviation
+        size = "" if deviation is None else f"{deviation:.3g}"
+        table.add_row("noise", size, "", identification.noise)
+
+
+def _add_parameter(table: Table, label: str, parameter: ParameterSummary) -> None:
+    """Add an estimate with its 95 % interval and its verdict."""
+    text = "no value"
+    if parameter.value is not None:
+        text = f"{parameter.value:+.6g}"
+        if parameter.half_width is not None:
+            text = f"{text} ± {parameter.half_width:.2g}"
+    table.add_row(label, text, "", f"{parameter.verdict}: {parameter.reason}")
 
 
 def _add_wall_time(table: Table, wall: Mapping[str, float], *, simulated: float) -> None:

@@ -136,6 +136,7 @@ class IdentifierKind(PeriodicKind, ExportableKind):
     ports: ClassVar[str] = "regressor, delta, y, u -> theta, standard_error, deviation, amplitude"
     kind: Literal["identifier"]
     method: IdentificationMethod = Field(
+        "output-error",
         description='how theta is estimated: "output-error" from y, at the Cramer-Rao bound where '
         'the noise is white, or "least-squares" from the regression, as in the paper '
         "(regressor -> theta, eta), which noise makes wrong; for comparison on the same data its "
