@@ -14,16 +14,21 @@ by quantizing the fit, with noise of the deviation that is left.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from cosim.arrays import Matrix, Vector
+from cosim.errors import AssumptionError
 from cosim.native.estimation import Generators
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, sample_plant, white_noise
 from cosim.theory.estimators.output_error import ROUNDING
 
+# of the step, relative to a signal: above it the leading order says nothing
+LARGEST_STEP_ERROR: Final = 0.01
+STEPS_CHECKED: Final = 20_000
 LATTICE: Final = 1e-6  # of its spacing: how exactly values stand on it
 _DITHER_SEED: Final = 20260512
 
@@ -95,6 +100,44 @@ def step_error(
     # The outputs are 0, so what is left of them is the response with the other sign. Where the
     # output is not measured the predictor does not correct; that difference is of higher order.
     return -sampled.record(at_rest).residual
+
+
+def check_step(
+    alpha: Callable[[Vector], Matrix], names: Sequence[str], *, start: float, stop: float, h: float
+) -> None:
+    """Check that straight lines between communication points are the alphas.
+
+    Parameters
+    ----------
+    alpha : callable
+        The known factors at instants ``(N,)`` [s], shape ``(N, n)``.
+    names : sequence of str
+        A name for each, for the message.
+    start, stop : float
+        Of the run [s].
+    h : float
+        Communication step [s].
+
+    Raises
+    ------
+    AssumptionError
+        If a line is more than 1 % off halfway between two points; with the step that would do.
+    """
+    steps = min(round((stop - start) / h), STEPS_CHECKED)
+    points: Vector = start + h * np.arange(steps + 1, dtype=np.float64)
+    between: Vector = points[:-1] + 0.5 * h
+    ends = alpha(points)
+    middles = alpha(between)
+    errors = np.abs(middles - 0.5 * (ends[:-1] + ends[1:])).max(axis=0, initial=0.0)
+    sizes = np.sqrt(np.mean(ends**2, axis=0))
+    relative = errors / np.where(sizes > 0.0, sizes, 1.0)
+    worst = int(relative.argmax())
+    if relative[worst] > LARGEST_STEP_ERROR:
+        enough = h * float(np.sqrt(0.1 * LARGEST_STEP_ERROR / relative[worst]))
+        raise AssumptionError(
+            f"the communication step {h:g} s is too long: a straight line between two points is "
+            f"{relative[worst]:.2g} of alpha {names[worst]!r} off; needed at most {enough:.1g} s"
+        )
 
 
 def lattice_spacing(y: Vector) -> float:

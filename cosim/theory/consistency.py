@@ -25,7 +25,12 @@ import numpy as np
 
 from cosim.arrays import Matrix, Vector
 from cosim.native.estimation import Generators
-from cosim.theory.accuracy import Accuracy, accuracy_of, quantization_error
+from cosim.theory.accuracy import (
+    LARGEST_STEP_ERROR,
+    Accuracy,
+    accuracy_of,
+    quantization_error,
+)
 from cosim.theory.disturbance import Family, generators
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, NoiseModel
 from cosim.theory.estimators.output_error import OutputErrorFit
@@ -39,8 +44,6 @@ MARGIN: Final = 1.5
 LONGEST_AR: Final = 12
 # samples over which noise may be correlated, as a part of the record
 LONGEST_CORRELATION: Final = 0.01
-# of the step, relative to the output: above it its leading order says nothing
-LARGEST_STEP_ERROR: Final = 0.01
 # of a direction: what of it may be left beside the fit, so that rounding does not count
 LEAST_REMAINDER: Final = 1e-6
 

@@ -45,6 +45,7 @@ from cosim.scenario.kinds.methods import INPUTS, OPTIONS, IdentificationMethod, 
 from cosim.scenario.kinds.observers import UnknownInputObserverKind
 from cosim.scenario.schema import Flag, Number, NumberRow, NumberRows, TomlTable
 from cosim.theory import observer, regression
+from cosim.theory.accuracy import check_step
 from cosim.theory.disturbance import AlphaGroup, family_named, group_by_alpha
 from cosim.theory.disturbed_plant import disturbed_plant, white_noise
 from cosim.theory.estimators import drem, gradient, least_squares
@@ -141,7 +142,7 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         'the noise is white, or "least-squares" from the regression, as in the paper '
         "(regressor -> theta, eta), which noise makes wrong; for comparison on the same data its "
         'first stages, "rayleigh" (regressor -> theta) and "projection" (regressor, delta -> '
-        'theta, amplitude), and the adaptive laws "gradient" and "drem" (regressor -> theta, eta)'
+        'theta, amplitude), and the adaptive laws "gradient" and "drem" (regressor -> theta, eta)',
     )
     P0: Number | None = Field(
         None, description="of least-squares: P(0) = P0 I (34); default: no prior"
@@ -211,6 +212,7 @@ class IdentifierKind(PeriodicKind, ExportableKind):
                 "whose terms it identifies"
             )
         spec.steps(context)
+        self._check_step(spec, context)
         start_time = self._start_time(name, source_name, spec, context)
         self._add_identified(name, source_name, spec, context)
         if self.method == "least-squares":
@@ -316,6 +318,19 @@ class IdentifierKind(PeriodicKind, ExportableKind):
             alphas=[compile_expression(term.alpha) for term in spec.terms],
             box=rayleigh_box(families, spec.delays, span=span),
             noise=white_noise(len(reduced.C3)),
+        )
+
+    def _check_step(self, spec: RegressorKind, context: BuildContext) -> None:
+        """Refuse a communication step between whose ends an alpha is no straight line."""
+        clock = context.clock
+        alphas = [term.alpha for term in spec.terms]
+        programs = [compile_expression(alpha) for alpha in alphas]
+        check_step(
+            lambda t: evaluate_at(programs, t),
+            alphas,
+            start=clock.start_time,
+            stop=clock.stop,
+            h=clock.step_ns / 1e9,
         )
 
     def _add_identified(
