@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cosim.arrays import Mask, Vector
+from cosim.arrays import Mask, Matrix, Vector
 from cosim.blocks.output_error_identifier import IdentificationProblem, IdentificationSchedule
 from cosim.core.contracts import Design
 from cosim.core.signals import Interface, Signal
@@ -45,10 +45,9 @@ class RayleighIdentifier:
     def kernel(self, h: float, held: Mask, design: Design) -> IdentifierStep:
         """Return the identifier without samples."""
         (start,) = design["start"]
-        nothing = np.zeros(self.problem.rayleigh.generators.parameters)
-        return IdentifierStep(
-            _constants(self.problem, self.schedule, float(start), threshold=nothing)
-        )
+        schedule = replace(self.schedule, start=float(start))
+        box = self.problem.rayleigh
+        return IdentifierStep(stage_constants(self.problem, schedule, None, box.lower, box.upper))
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,46 +85,49 @@ class ProjectionIdentifier:
 
     def design(self, h: float, held: Mask) -> Design:
         """Discretize the modes of the observer."""
-        problem = self.problem
-        generators = problem.rayleigh.generators
-        model = reconstruction_model(problem.modes, problem.row, len(generators.size))
-        never = np.zeros(1, np.bool_)
-        on_delta, _ = discretize(
-            model, generators, step=np.array([h]), predicts=never, noise=white_noise(1)
-        )
         times = np.array([self.schedule.start, self.schedule.settled])
-        return {"delta_Ad": on_delta.Ad, "delta_C": on_delta.C, "times": times}
+        return {**design_of_delta(self.problem, h), "times": times}
 
     def kernel(self, h: float, held: Mask, design: Design) -> IdentifierStep:
         """Return the identifier without samples."""
-        generators = self.problem.rayleigh.generators
-        components = len(generators.size)
-        m = len(self.problem.modes)
-        no_input = np.zeros((1, components, m))
-        on_delta = OutputErrorConstants(
-            generators=generators,
-            step=np.array([h]),
-            Ad=design["delta_Ad"],
-            B0=no_input,
-            B1=no_input,
-            K=np.zeros((1, m, 1)),
-            C=design["delta_C"],
-            D=np.ones((components, 1)),
-            W=np.eye(1),
-            a=np.zeros(0),
-        )
         start, settled = design["times"]
-        constants = _constants(
-            self.problem,
-            self.schedule,
-            float(start),
-            settled=float(settled),
-            on_delta=on_delta,
-            lower=self.lower,
-            upper=self.upper,
-            threshold=np.zeros(components),
-        )
+        schedule = replace(self.schedule, start=float(start), settled=float(settled))
+        on_delta = model_of_delta(self.problem, h, design)
+        constants = stage_constants(self.problem, schedule, on_delta, self.lower, self.upper)
         return IdentifierStep(constants)
+
+
+def design_of_delta(problem: IdentificationProblem, h: float) -> dict[str, Matrix]:
+    """Discretize the modes of the observer, whose transients are in delta."""
+    generators = problem.rayleigh.generators
+    model = reconstruction_model(problem.modes, problem.row, len(generators.size))
+    never = np.zeros(1, np.bool_)
+    on_delta, _ = discretize(
+        model, generators, step=np.array([h]), predicts=never, noise=white_noise(1)
+    )
+    return {"delta_Ad": on_delta.Ad, "delta_C": on_delta.C}
+
+
+def model_of_delta(
+    problem: IdentificationProblem, h: float, design: Design
+) -> OutputErrorConstants:
+    """Return the numbers of a fit to delta."""
+    generators = problem.rayleigh.generators
+    components = len(generators.size)
+    m = len(problem.modes)
+    no_input = np.zeros((1, components, m))
+    return OutputErrorConstants(
+        generators=generators,
+        step=np.array([h]),
+        Ad=design["delta_Ad"],
+        B0=no_input,
+        B1=no_input,
+        K=np.zeros((1, m, 1)),
+        C=design["delta_C"],
+        D=np.ones((components, 1)),
+        W=np.eye(1),
+        a=np.zeros(0),
+    )
 
 
 def _regressor_signal(problem: IdentificationProblem) -> Signal:
@@ -137,34 +139,31 @@ def _theta_signal(problem: IdentificationProblem) -> Signal:
     return Signal("theta", parameters, optional=True, role="estimate")
 
 
-def _constants(
+def stage_constants(
     problem: IdentificationProblem,
     schedule: IdentificationSchedule,
-    start: float,
-    *,
-    threshold: Vector,
-    settled: float = 0.0,
-    on_delta: OutputErrorConstants | None = None,
-    lower: Vector | None = None,
-    upper: Vector | None = None,
+    on_delta: OutputErrorConstants | None,
+    lower: Vector,
+    upper: Vector,
 ) -> IdentifierConstants:
-    rayleigh = problem.rayleigh
+    """Return the numbers of an identifier that does not go on to y."""
+    components = len(problem.rayleigh.generators.size)
     return IdentifierConstants(
         period=schedule.period,
         average=schedule.average,
         window=schedule.window,
         capacity=schedule.steps,
-        start=start,
-        settled=settled,
+        start=schedule.start,
+        settled=schedule.settled,
         lag=schedule.lag,
         products=problem.products,
         alphas=problem.alphas,
-        rayleigh=rayleigh,
+        rayleigh=problem.rayleigh,
         on_delta=on_delta,
         on_y=None,
         known=None,
-        lower=rayleigh.lower if lower is None else lower,
-        upper=rayleigh.upper if upper is None else upper,
+        lower=lower,
+        upper=upper,
         scale=problem.box.step,
-        threshold=threshold,
+        threshold=np.zeros(components),  # the noise of delta is not white
     )

@@ -20,6 +20,7 @@ from typing import Any
 HERE = Path(__file__).resolve().parent
 SOURCES = (
     "adaptive.c",
+    "augmented_kalman.c",
     "loops.c",
     "linear.c",
     "control.c",
@@ -30,6 +31,8 @@ SOURCES = (
     "householder.c",
     "between.c",
     "identifier.c",
+    "kalman.c",
+    "extended_kalman.c",
     "output_error.c",
     "rayleigh.c",
     "noise.c",

@@ -327,6 +327,11 @@ void cosim_output_error_residual(const cosim_output_error *self, const cosim_kno
                                  int64_t begin, int64_t end, const double *u, const double *y,
                                  const int32_t *interval, double *x, double *residual);
 
+/* E_i = expm(G_i h) of all components, and F_ij, their derivatives by theta, one behind the other;
+ * `work` has 16 V V doubles for the largest V. */
+void cosim_output_error_basis(const cosim_output_error *self, const double *theta, double h,
+                              double *E, double *F, double *work);
+
 /* A pass over samples makes the upper triangle R of [basis, x(0), offset, d basis/d theta, residual]
  * at the beginning of `work`. `start` begins at the first sample of a window, `take` goes on. */
 int64_t cosim_output_error_memory(const cosim_output_error *self);
@@ -422,6 +427,40 @@ int32_t cosim_between_take(const cosim_between *self, int64_t place, double t0, 
                            const double *x, const double *u0, const double *u1,
                            const double *samples, cosim_between_record *record, double *y);
 
+/* --- kalman.c --- */
+
+#define COSIM_MOST_STATES 48
+
+/* The covariance R'R of n states, R not necessarily triangular, over a step and a measurement. */
+/* R'R becomes Phi R'R Phi' + sum q q' over the rows q of `noise`, R triangular. `work` has
+ * (n + rows) n + n doubles. */
+void cosim_kalman_predict(int32_t n, const double *Phi, int32_t rows, const double *noise, double *R,
+                          double *work);
+/* Take y = row'x + noise of this variance, where `innovation` is y less row'x, after J. Potter
+ * (G. Bierman, Factorization Methods, 1977). `work` has 2 n doubles. */
+void cosim_kalman_correct(int32_t n, const double *row, double variance, double innovation, double *x,
+                          double *R, double *work);
+double cosim_kalman_variance(int32_t n, const double *R, int32_t state);
+
+/* The extended Kalman filter of x, the basis beta(t) and theta: inputs mu, which is not used, y and
+ * u, of which a step takes those at its beginning; outputs theta and its standard errors. Over a step
+ * the transition is exact at the present theta, its derivative that of the exact one. */
+typedef struct {
+    int32_t terms;                   /* of mu */
+    const cosim_output_error *model; /* of one interval, without a predictor */
+    const cosim_known_input *known;
+    const cosim_program *alphas;     /* (components) */
+    double deviation;                /* of the noise of the outputs, made white */
+    double size;                     /* deviation of x and beta at first */
+    const double *theta, *spread;    /* (parameters) at first, and its deviation */
+    const double *threshold;         /* (components) statistic from which on it is no noise */
+    double *memory;
+} cosim_extended_kalman;
+int64_t cosim_extended_kalman_memory(const cosim_extended_kalman *self);
+void cosim_extended_kalman_start(cosim_extended_kalman *self, double *y);
+int32_t cosim_extended_kalman_step(void *self, double t0, double t1, double h, const double *u0,
+                                   const double *u1, double *y);
+
 /* --- identifier.c --- */
 
 /* Output error online: every `period` samples theta is estimated from all of them, or from those of
@@ -458,5 +497,30 @@ int64_t cosim_identifier_state(const cosim_identifier *self);
 void cosim_identifier_start(cosim_identifier *self, double *y);
 int32_t cosim_identifier_step(void *self, double t0, double t1, double h, const double *u0,
                               const double *u1, double *y);
+
+/* --- augmented_kalman.c --- */
+
+/* The Kalman filter of x, delta and its derivative, which is a random walk: inputs mu, which is not
+ * used, y and u, of which a step takes those at its beginning; output theta. Whenever the samples are
+ * a tenth more, and at the last of the run, delta is smoothed over all of them, and theta is what the
+ * projection makes of it; between, theta stays. */
+typedef struct {
+    int32_t terms;                               /* of mu */
+    int32_t states, inputs, outputs, parameters; /* states: x, delta, its derivative */
+    int64_t capacity;                            /* samples */
+    const double *Phi, *B0, *B1; /* (states, states), (states, inputs) for both ends of a step */
+    const double *C, *D, *W;     /* (outputs, states), (outputs, inputs), made white by W */
+    const double *noise;         /* (2, states) rows whose products are the covariance of a step */
+    const double *first_spread;  /* (states) deviations at first */
+    double deviation;            /* of the noise of the outputs, made white */
+    const cosim_identifier *projection; /* on delta, its products have a memory of their own; or NULL */
+    double *memory;
+} cosim_augmented_kalman;
+int64_t cosim_augmented_kalman_memory(const cosim_augmented_kalman *self);
+/* Smooth over all samples; delta of each. */
+void cosim_augmented_kalman_smooth(const cosim_augmented_kalman *self, double *delta);
+void cosim_augmented_kalman_start(cosim_augmented_kalman *self, double *y);
+int32_t cosim_augmented_kalman_step(void *self, double t0, double t1, double h, const double *u0,
+                                    const double *u1, double *y);
 
 #endif

@@ -114,15 +114,13 @@ void cosim_output_error_residual(const cosim_output_error *s, const cosim_known_
 
 /* expm([[G, G_j], [0, G]] h) = [[E, F_j], [0, E]] with F_j the derivative of E = expm(G h) by
  * theta_j (C. Van Loan, IEEE Trans. Automatic Control, 1978). */
-static void set_interval(const cosim_output_error *s, const double *theta, int32_t interval,
-                         const parts *p)
+void cosim_output_error_basis(const cosim_output_error *s, const double *theta, double h, double *E,
+                              double *F, double *work)
 {
-    const double h = s->step[interval];
     const double *G0 = s->G0, *G1 = s->G1;
-    double *E = p->E, *F = p->F;
     for (int32_t i = 0; i < s->components; ++i) {
         const int32_t V = s->size[i], N = 2 * V;
-        double *A = p->scratch, *expA = A + N * N;
+        double *A = work, *expA = A + N * N;
         for (int32_t j = 0; j < s->count[i] || j == 0; ++j) {
             memset(A, 0, (size_t)(N * N) * sizeof *A);
             for (int32_t a = 0; a < V; ++a)
@@ -146,6 +144,12 @@ static void set_interval(const cosim_output_error *s, const double *theta, int32
         G0 += V * V, G1 += s->count[i] * V * V;
         theta += s->count[i];
     }
+}
+
+static void set_interval(const cosim_output_error *s, const double *theta, int32_t interval,
+                         const parts *p)
+{
+    cosim_output_error_basis(s, theta, s->step[interval], p->E, p->F, p->scratch);
     *p->interval = interval;
 }
 

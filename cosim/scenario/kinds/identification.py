@@ -15,6 +15,7 @@ from cosim.arrays import Vector
 from cosim.blocks.adaptive_identifier import AdaptiveIdentifier
 from cosim.blocks.estimator import Estimator
 from cosim.blocks.identifier import LeastSquaresIdentifier
+from cosim.blocks.kalman_identifier import AugmentedKalmanIdentifier, ExtendedKalmanIdentifier
 from cosim.blocks.output_error_identifier import (
     IdentificationProblem,
     IdentificationSchedule,
@@ -48,7 +49,7 @@ from cosim.theory import observer, regression
 from cosim.theory.accuracy import check_step
 from cosim.theory.disturbance import AlphaGroup, family_named, group_by_alpha
 from cosim.theory.disturbed_plant import disturbed_plant, white_noise
-from cosim.theory.estimators import drem, gradient, least_squares
+from cosim.theory.estimators import augmented_kalman, drem, extended_kalman, gradient, least_squares
 from cosim.theory.estimators.rayleigh import rayleigh_box, rayleigh_constants
 
 ALPHA_WAY_OUT = (
@@ -142,7 +143,10 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         'the noise is white, or "least-squares" from the regression, as in the paper '
         "(regressor -> theta, eta), which noise makes wrong; for comparison on the same data its "
         'first stages, "rayleigh" (regressor -> theta) and "projection" (regressor, delta -> '
-        'theta, amplitude), and the adaptive laws "gradient" and "drem" (regressor -> theta, eta)',
+        'theta, amplitude), the Kalman filters "augmented-kalman" of x and delta, smoothed (y, u '
+        '-> theta), and "extended-kalman" of x, disturbance and theta (y, u -> theta, '
+        'standard_error), and the adaptive laws "gradient" and "drem" (regressor -> theta, '
+        "eta)",
     )
     P0: Number | None = Field(
         None, description="of least-squares: P(0) = P0 I (34); default: no prior"
@@ -169,6 +173,21 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         None,
         description="of gradient and drem: rate at which eta follows [1/s]; default: "
         f"{gradient.GAIN:g}, of drem {drem.GAIN:g}",
+    )
+    deviation: Number | None = Field(
+        None,
+        description="of the Kalman filters: standard deviation of the noise of y; default: "
+        f"{extended_kalman.DEVIATION:g}",
+    )
+    size: Number | None = Field(
+        None,
+        description="of the Kalman filters: how large x and the disturbance may be at first; "
+        f"default: {extended_kalman.SIZE:g}",
+    )
+    intensity: Number | None = Field(
+        None,
+        description="of augmented-kalman: spectral density of the second derivative of delta; "
+        f"default: {augmented_kalman.INTENSITY:g}",
     )
     bounds: NumberRows | None = Field(
         None,
@@ -226,6 +245,20 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         schedule = self._schedule(name, spec, start_time, context)
         if self.method == "rayleigh":
             return Estimator(RayleighIdentifier(problem, schedule))
+        if self.method == "extended-kalman":
+            extended = ExtendedKalmanIdentifier(
+                problem=problem, deviation=self._number("deviation"), size=self._number("size")
+            )
+            return Estimator(extended)
+        if self.method == "augmented-kalman":
+            augmented = AugmentedKalmanIdentifier(
+                problem=problem,
+                schedule=schedule,
+                deviation=self._number("deviation"),
+                size=self._number("size"),
+                intensity=self._number("intensity"),
+            )
+            return Estimator(augmented)
         if self.method == "projection":
             return Estimator(ProjectionIdentifier(problem, schedule, lower, upper))
         return OutputErrorIdentifier(

@@ -7,10 +7,17 @@ from types import MappingProxyType
 from typing import Literal, TypeAlias, get_args
 
 from cosim.arrays import NAN
-from cosim.theory.estimators import drem, gradient
+from cosim.theory.estimators import augmented_kalman, drem, extended_kalman, gradient
 
 IdentificationMethod: TypeAlias = Literal[
-    "output-error", "least-squares", "projection", "rayleigh", "drem", "gradient"
+    "output-error",
+    "least-squares",
+    "projection",
+    "rayleigh",
+    "augmented-kalman",
+    "extended-kalman",
+    "drem",
+    "gradient",
 ]
 METHODS: tuple[IdentificationMethod, ...] = get_args(IdentificationMethod)
 
@@ -21,6 +28,8 @@ INPUTS: Mapping[IdentificationMethod, frozenset[str]] = MappingProxyType(
         "least-squares": frozenset(),
         "projection": frozenset({"delta"}),
         "rayleigh": frozenset(),
+        "augmented-kalman": frozenset({"y", "u"}),
+        "extended-kalman": frozenset({"y", "u"}),
         "drem": frozenset(),
         "gradient": frozenset(),
     }
@@ -33,6 +42,15 @@ OPTIONS: Mapping[IdentificationMethod, Mapping[str, float]] = MappingProxyType(
         "least-squares": {"P0": NAN},
         "projection": dict.fromkeys(("window", "bounds"), NAN),
         "rayleigh": {},
+        "augmented-kalman": {
+            "deviation": augmented_kalman.DEVIATION,
+            "size": augmented_kalman.SIZE,
+            "intensity": augmented_kalman.INTENSITY,
+        },
+        "extended-kalman": {
+            "deviation": extended_kalman.DEVIATION,
+            "size": extended_kalman.SIZE,
+        },
         "drem": {"gain": drem.GAIN, "forgetting": drem.FORGETTING},
         "gradient": {"gain": gradient.GAIN},
     }

@@ -1,0 +1,205 @@
+"""The Kalman filters as identifiers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cosim.arrays import Mask
+from cosim.blocks.output_error_identifier import IdentificationProblem, IdentificationSchedule
+from cosim.blocks.projection_identifier import (
+    design_of_delta,
+    model_of_delta,
+    stage_constants,
+)
+from cosim.core.contracts import Design
+from cosim.core.signals import Interface, Signal
+from cosim.errors import UsageError
+from cosim.native.estimation import KnownInput, OutputErrorConstants
+from cosim.native.kalman import (
+    AugmentedKalmanConstants,
+    AugmentedKalmanStep,
+    ExtendedKalmanConstants,
+    ExtendedKalmanStep,
+)
+from cosim.theory.disturbed_plant import discretize
+from cosim.theory.estimators.augmented_kalman import augmented_model, first_spread
+from cosim.theory.estimators.extended_kalman import first_theta
+from cosim.theory.estimators.output_error import presence_threshold
+
+_OF_Y = ("Ad", "B0", "B1", "K", "C", "D", "W")
+_AUGMENTED = ("Phi", "B0", "B1", "C", "D", "W", "noise")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ExtendedKalmanIdentifier:
+    """Inputs regressor, whose values are not used, y and u; outputs theta and its standard errors.
+
+    Parameters
+    ----------
+    problem : IdentificationProblem
+    deviation : float
+        Of the noise of y.
+    size : float
+        Deviation of x and of the amplitudes at first.
+
+    Raises
+    ------
+    UsageError
+        If deviation or size is not positive and finite.
+    """
+
+    problem: IdentificationProblem
+    deviation: float
+    size: float
+
+    def __post_init__(self) -> None:
+        check_positive(deviation=self.deviation, size=self.size)
+
+    @property
+    def interface(self) -> Interface:
+        """Inputs regressor, y and u, outputs theta and standard_error."""
+        P = self.problem.rayleigh.generators.parameters
+        outputs = (
+            Signal("theta", P, optional=True, role="estimate"),
+            Signal("standard_error", P, optional=True, role="estimate"),
+        )
+        inputs = _inputs(self.problem)
+        names = tuple(signal.name for signal in inputs)
+        return Interface(inputs, outputs, delayed=names, prepares=True, rollback=True)
+
+    def design(self, h: float, held: Mask) -> Design:
+        """Discretize the plant."""
+        problem = self.problem
+        generators = problem.rayleigh.generators
+        n_u = problem.plant.D.shape[1]
+        model, known = discretize(
+            problem.plant,
+            generators,
+            step=np.array([h]),
+            predicts=np.zeros(1, np.bool_),
+            noise=problem.noise,
+            held=held[len(held) - n_u :],
+        )
+        design = {name: np.asarray(getattr(model, name)) for name in _OF_Y}
+        design |= {"Bu0": known.B0, "Bu1": known.B1, "Du": known.D}
+        design["threshold"] = presence_threshold(generators.size, 1)
+        return design
+
+    def kernel(self, h: float, held: Mask, design: Design) -> ExtendedKalmanStep:
+        """Return the filter without samples."""
+        problem = self.problem
+        never = np.zeros(1, np.bool_)
+        model = OutputErrorConstants(
+            generators=problem.rayleigh.generators,
+            step=np.array([h]),
+            **{name: design[name] for name in _OF_Y},
+            a=np.zeros(0),
+            offset=False,
+            forgetting=1.0,
+        )
+        constants = ExtendedKalmanConstants(
+            terms=len(problem.rayleigh.parts),
+            model=model,
+            known=KnownInput(design["Bu0"], design["Bu1"], design["Du"], never),
+            alphas=problem.alphas,
+            deviation=self.deviation,
+            size=self.size,
+            theta=first_theta(problem.box),
+            spread=problem.box.step,
+            threshold=design["threshold"],
+        )
+        return ExtendedKalmanStep(constants)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class AugmentedKalmanIdentifier:
+    """Inputs regressor, whose values are not used, y and u; output theta.
+
+    Parameters
+    ----------
+    problem : IdentificationProblem
+    schedule : IdentificationSchedule
+    deviation : float
+        Of the noise of y.
+    size : float
+        Deviation of x, delta and its derivative at first.
+    intensity : float
+        Spectral density of the second derivative of delta.
+
+    Raises
+    ------
+    UsageError
+        If a number is not positive and finite.
+    """
+
+    problem: IdentificationProblem
+    schedule: IdentificationSchedule
+    deviation: float
+    size: float
+    intensity: float
+
+    def __post_init__(self) -> None:
+        check_positive(deviation=self.deviation, size=self.size, intensity=self.intensity)
+
+    @property
+    def interface(self) -> Interface:
+        """Inputs regressor, y and u, output theta."""
+        P = self.problem.rayleigh.generators.parameters
+        theta = Signal("theta", P, optional=True, role="estimate")
+        inputs = _inputs(self.problem)
+        names = tuple(signal.name for signal in inputs)
+        return Interface(inputs, (theta,), delayed=names, prepares=True, rollback=True)
+
+    def design(self, h: float, held: Mask) -> Design:
+        """Discretize the plant with delta and its derivative as states."""
+        n_u = self.problem.plant.D.shape[1]
+        model = augmented_model(
+            self.problem.plant,
+            h,
+            noise=self.problem.noise,
+            intensity=self.intensity,
+            held=held[len(held) - n_u :],
+        )
+        start = np.array([self.schedule.start])
+        return {**model, **design_of_delta(self.problem, h), "start": start}
+
+    def kernel(self, h: float, held: Mask, design: Design) -> AugmentedKalmanStep:
+        """Return the filter without samples."""
+        (start,) = design["start"]
+        schedule = replace(self.schedule, start=float(start), lag=0.0, window=0)
+        infinite = np.full(self.problem.rayleigh.generators.parameters, np.inf)
+        on_delta = model_of_delta(self.problem, h, design)
+        constants = AugmentedKalmanConstants(
+            **{name: design[name] for name in _AUGMENTED},
+            first_spread=first_spread(len(self.problem.plant.A), self.size),
+            deviation=self.deviation,
+            capacity=self.schedule.steps,
+            projection=stage_constants(self.problem, schedule, on_delta, -infinite, infinite),
+        )
+        return AugmentedKalmanStep(constants)
+
+
+def check_positive(**numbers: float) -> None:
+    """Check numbers by name.
+
+    Raises
+    ------
+    UsageError
+        If one is not positive and finite.
+    """
+    for name, value in numbers.items():
+        if not 0.0 < value < np.inf:
+            raise UsageError(f"{name}: found {value}, needed a positive finite number")
+
+
+def _inputs(problem: IdentificationProblem) -> tuple[Signal, ...]:
+    n_y, n_u = problem.plant.D.shape
+    inputs = [
+        Signal("regressor", len(problem.rayleigh.parts), optional=True, role="input"),
+        Signal("y", n_y, role="input"),
+    ]
+    if n_u:
+        inputs.append(Signal("u", n_u, role="input"))
+    return tuple(inputs)
