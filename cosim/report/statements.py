@@ -9,9 +9,9 @@ compared:
 * of every component: its table and kind;
 * of those that are computed again, too: the tables that they rest on, their declared signals, held
   inputs, metadata, warnings and messages;
-* of the end: the content of ``result.json``, its last row included.
+* of the end: the content of ``result.json``, its last row and the verdicts on identifiers included.
 
-Eigenvalues, and times computed from them, are compared to 1 %.
+Eigenvalues, and times computed from them, are compared to 1 %; estimates and intervals to 1e-6.
 
 A replay takes the rest as it stands, and nothing here is said of it: designs, the metadata and
 messages of what it copies, why the run ended, the machine.
@@ -20,7 +20,8 @@ messages of what it copies, why the run ended, the machine.
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Iterable, Iterator
+import math
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from typing import Any, TypeAlias
@@ -36,14 +37,16 @@ from cosim.log.layout import signals_json
 from cosim.log.result import RESULT, RESULT_FILE
 from cosim.scenario.recorded_metadata import (
     EIGENVALUE_FIGURES,
+    IdentificationRecord,
     component_metadata,
     component_table,
+    recorded_identification,
     recorded_warnings,
     run_metadata,
 )
 from cosim.scenario.replaying import recorded_stop
 
-COMPARED = "truth, connections, schedule, times, component tables, warnings, last row"
+COMPARED = "truth, connections, schedule, times, component tables, warnings, last row, verdicts"
 NOT_COMPARED = "designs, why the run ended, its machine, what FMUs and files say of themselves"
 
 # An n-fold eigenvalue moves by eps**(1/n) with the last bits of its matrix, which depend on the
@@ -51,6 +54,7 @@ NOT_COMPARED = "designs, why the run ended, its machine, what FMUs and files say
 _EIGENVALUE_RTOL = 1e-2
 # of the record of the run: what a replay takes, has of its own, or is compared below
 _OTHER_KEYS = {"edits", "format", "replay", "stop", "warnings"}
+_ESTIMATE_RTOL = 1e-6  # what other processors make of the linear algebra behind a verdict
 _END_KEYS = ("status", "reason", "steps", "end_ns", "content_hash")
 
 _Statement: TypeAlias = tuple[str, Any, Any]  # about what, as recorded, as it should be
@@ -110,6 +114,7 @@ class _Statements:
             yield from self._of_component(name)
         yield from self._of_messages()
         yield from self._of_end()
+        yield from self._of_identification()
 
     def _of_run(self) -> Iterator[_Statement]:
         source = self._source
@@ -190,6 +195,45 @@ class _Statements:
             last = {}
         for label in {**expected, **last}:
             yield f"last row in {RESULT_FILE}: {label}", last.get(label), expected.get(label)
+
+    def _of_identification(self) -> Iterator[_Statement]:
+        """Yield the verdicts that differ; a log without any says nothing false of them."""
+        recorded = recorded_identification(self._source)
+        if not recorded:
+            return
+        expected = recorded_identification(self._again)
+        for name in {**expected, **recorded}:
+            found = _parameters(recorded.get(name))
+            needed = _parameters(expected.get(name))
+            if not _agree(found, needed):
+                yield f"verdicts on {name!r}", found, needed
+
+
+def _parameters(record: IdentificationRecord | None) -> list[dict[str, Any]]:
+    """Return what a log says of the parameters of an identifier, reasons left out."""
+    if record is None:
+        return []
+    parameters = []
+    for parameter in (*record.parameters, *record.estimate):
+        parameters.append(parameter.model_dump(exclude={"reason"}))
+    return parameters
+
+
+def _agree(found: Sequence[dict[str, Any]], needed: Sequence[dict[str, Any]]) -> bool:
+    """Return whether verdicts are equal and their numbers equal but for rounding."""
+    if len(found) != len(needed):
+        return False
+    for one, other in zip(found, needed, strict=True):
+        if one.keys() != other.keys():
+            return False
+        for key, value in one.items():
+            expected = other[key]
+            if isinstance(value, float) and isinstance(expected, float):
+                if not math.isclose(value, expected, rel_tol=_ESTIMATE_RTOL, abs_tol=1e-12):
+                    return False
+            elif value != expected:
+                return False
+    return True
 
 
 def _declaration(interface: Interface) -> tuple[Any, ...]:
