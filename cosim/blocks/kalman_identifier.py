@@ -98,6 +98,8 @@ class ExtendedKalmanIdentifier:
             a=np.zeros(0),
             offset=False,
             forgetting=1.0,
+            average=1,
+            source=None,
         )
         constants = ExtendedKalmanConstants(
             terms=len(problem.rayleigh.parts),

@@ -23,6 +23,7 @@ from cosim.native.identifier import (
     IdentifierState,
     IdentifierStep,
 )
+from cosim.native.start_grid import StartGridConstants
 from cosim.native.step import RegressorConstants
 from cosim.theory.disturbance import SearchBox
 from cosim.theory.disturbed_plant import (
@@ -33,6 +34,7 @@ from cosim.theory.disturbed_plant import (
 )
 from cosim.theory.estimators.output_error import presence_threshold
 from cosim.theory.estimators.projection import reconstruction_model
+from cosim.theory.estimators.start_grid import start_grid
 
 _OF_Y = ("Ad", "B0", "B1", "K", "C", "D", "W")
 _OF_DELTA = ("delta_Ad", "delta_C")
@@ -231,6 +233,10 @@ class OutputErrorIdentifier:
             design["A"] = problem.plant.A
             design["B"] = np.hstack([problem.plant.B, problem.plant.Bd])
         design["times"] = np.array([self.schedule.start, self.schedule.settled])
+        # from logarithms and exponentials of the C library
+        rayleigh = problem.rayleigh
+        design["box"] = np.stack([rayleigh.lower, rayleigh.upper, problem.box.step])
+        design["forgetting"] = np.array([self.schedule.forgetting])
         return design
 
     def _constants(self, h: float, design: Design, held: Mask) -> IdentifierConstants:
@@ -259,8 +265,11 @@ class OutputErrorIdentifier:
             **{name: design[name] for name in _OF_Y},
             a=np.zeros(0),
             offset=self._offset,
-            forgetting=schedule.forgetting,
+            forgetting=float(design["forgetting"][0]),
+            average=1,
+            source=None,
         )
+        lower, upper, scale = design["box"]
         predicts = np.array([bool(design["K"].any())])
         known = KnownInput(design["Bu0"], design["Bu1"], design["Du"], predicts)
         start, settled = design["times"]
@@ -274,15 +283,29 @@ class OutputErrorIdentifier:
             lag=schedule.lag,
             products=problem.products,
             alphas=problem.alphas,
-            rayleigh=problem.rayleigh,
+            rayleigh=replace(problem.rayleigh, lower=lower, upper=upper),
             on_delta=on_delta,
             on_y=on_y,
             known=known,
             lower=self._lower,
             upper=self._upper,
-            scale=problem.box.step,
+            scale=scale,
             threshold=design["threshold"],
+            grid=self._grid(on_y, lower, upper),
             between=self._between(design, held),
+        )
+
+    def _grid(self, on_y: OutputErrorConstants, lower: Vector, upper: Vector) -> StartGridConstants:
+        schedule = self.schedule
+        forgetting = on_y.forgetting
+        if schedule.window:
+            forgetting = 1.0 - 1.0 / schedule.window
+        return start_grid(
+            replace(on_y, forgetting=forgetting),
+            lower,
+            upper,
+            points=self.problem.rayleigh.points,
+            average=max(1, schedule.average // 10),
         )
 
     def _between(self, design: Design, held: Mask) -> BetweenConstants | None:

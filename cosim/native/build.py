@@ -35,6 +35,7 @@ SOURCES = (
     "extended_kalman.c",
     "output_error.c",
     "rayleigh.c",
+    "start_grid.c",
     "noise.c",
     "fmi.c",
     "process.c",

@@ -279,18 +279,21 @@ void cosim_covariance(int32_t n, int32_t stride, const double *R, double *covari
  * samples. */
 typedef struct {
     int32_t states, outputs, components;
+    int32_t sources;       /* known factors alpha, each with its B and D */
     int32_t offset;        /* whether a constant on every output is unknown */
     int32_t ar;            /* order of the filter that whitens the noise */
+    int32_t average;       /* successive samples whose mean is one row; more than 1 without ar */
     const int32_t *size;   /* (components) V_i */
     const int32_t *count;  /* (components) parameters in theta_i */
+    const int32_t *source; /* (components) which of them each has */
     const double *c;       /* c_i one behind the other */
     const double *G0, *G1; /* G0_i, and G1_i1, G1_i2, ..., each (V_i, V_i) */
     const double *step;    /* (intervals) length of an interval between samples [s] */
     const double *Ad;      /* (intervals, states, states) */
-    const double *B0, *B1; /* (intervals, components, states) for both ends of the interval */
+    const double *B0, *B1; /* (intervals, sources, states) for both ends of the interval */
     const double *K;       /* (intervals, states, outputs) gain of the predictor, in Ad, B0 */
     const double *C;       /* (outputs, states) */
-    const double *D;       /* (components, outputs) */
+    const double *D;       /* (sources, outputs) */
     const double *W;       /* (outputs, outputs) makes the noise of the outputs white */
     const double *a;       /* (ar) e(k) = v(k) - a_1 v(k-1) - ... is white, v = W (y - fit) */
     double forgetting;     /* weight of a row over that of the next sample; 1: they weigh the same */
@@ -302,14 +305,14 @@ typedef struct {
 typedef struct {
     int64_t count;
     double *place;    /* (count) sample of the grid at the end of the step */
-    double *rows;     /* (count, outputs, states + 2 components) */
+    double *rows;     /* (count, outputs, states + 2 sources) */
     double *residual; /* (count, outputs) as that of the grid */
 } cosim_between_record;
 
 typedef struct {
     int64_t first, end;      /* samples of the window */
     const double *residual;  /* (samples, outputs) y less its known part; NaN: not measured */
-    const double *alpha;     /* (samples, components) */
+    const double *alpha;     /* (samples, sources) */
     const int32_t *interval; /* (samples) which one ends at the sample; NULL: 0 for all */
     const cosim_between_record *between; /* NULL: none; only without ar and K */
 } cosim_record;
@@ -335,6 +338,7 @@ void cosim_output_error_basis(const cosim_output_error *self, const double *thet
 /* A pass over samples makes the upper triangle R of [basis, x(0), offset, d basis/d theta, residual]
  * at the beginning of `work`. `start` begins at the first sample of a window, `take` goes on. */
 int64_t cosim_output_error_memory(const cosim_output_error *self);
+int64_t cosim_output_error_state(const cosim_output_error *self); /* of them: what is no scratch */
 int32_t cosim_output_error_columns(const cosim_output_error *self);
 void cosim_output_error_start(const cosim_output_error *self, const double *theta, double *work);
 void cosim_output_error_take(const cosim_output_error *self, const double *theta,
@@ -405,6 +409,26 @@ int32_t cosim_rayleigh_minimize(const cosim_rayleigh *self, const double *R, con
 int32_t cosim_rayleigh_search(const cosim_rayleigh *self, const double *R, const double *N,
                               double *theta, double *value);
 
+/* --- start_grid.c --- */
+
+#define COSIM_MOST_STARTS 8
+
+/* Starts of theta from y alone. The model has, for every component, one component for each point of
+ * a grid of its theta, without parameters: one pass over the samples makes the R of all of them, and
+ * a combination of points is then a choice of columns. */
+typedef struct {
+    int32_t components;
+    const cosim_output_error *model;
+    const int32_t *size, *count; /* (components) V_i of one point, and parameters */
+    const int32_t *points;       /* (components) */
+    const double *theta;         /* (points_i, count_i) of one component behind the other */
+} cosim_start_grid;
+int64_t cosim_start_grid_memory(const cosim_start_grid *self);
+/* The combinations that no neighbor betters, the best first, at most `most` of them: theta of shape
+ * (most, parameters). R: that of the model. Returns how many there are. */
+int32_t cosim_start_grid_search(const cosim_start_grid *self, const double *R, double *memory,
+                                int32_t most, double *theta);
+
 /* --- between.c --- */
 
 /* A plant whose outputs are sampled between communication points, where its inputs are straight
@@ -464,7 +488,9 @@ int32_t cosim_extended_kalman_step(void *self, double t0, double t1, double h, c
 /* --- identifier.c --- */
 
 /* Output error online: every `period` samples theta is estimated from all of them, or from those of
- * a moving window. A start is searched by the Rayleigh quotient, and improved on delta. Its inputs
+ * a moving window. A start is searched on a grid by y itself, and, once mu counts, by the Rayleigh
+ * quotient and improved on delta. The search is repeated when the samples have become so many more,
+ * and the best of all fits counts, so that no local minimum stays for long. Its inputs
  * are mu, delta, y and u, of which a step takes those at its beginning; its outputs are theta, its
  * standard errors, the deviation of the noise, and the amplitudes at the beginning of the window.
  * Where y is sampled at instants of its own, the samples stand between y and u in the inputs, and
@@ -488,7 +514,8 @@ typedef struct {
     const cosim_known_input *known;            /* of on_y */
     const double *lower, *upper, *scale; /* (parameters) as in cosim_fit */
     const double *threshold;             /* (components) */
-    const cosim_between *between;        /* NULL: y is sampled at the communication points */
+    const cosim_start_grid *grid;
+    const cosim_between *between; /* NULL: y is sampled at the communication points */
     double *memory;
 } cosim_identifier;
 /* The number of doubles of `memory`, and of those before the samples, which are only appended. */

@@ -37,8 +37,9 @@ class OutputErrorStruct(ctypes.Structure):
     """cosim_output_error."""
 
     _fields_ = (
-        *((name, c_int32) for name in ("states", "outputs", "components", "offset", "ar")),
-        *((name, c_void_p) for name in ("size", "count", "c", "G0", "G1")),
+        *((name, c_int32) for name in ("states", "outputs", "components", "sources")),
+        *((name, c_int32) for name in ("offset", "ar", "average")),
+        *((name, c_void_p) for name in ("size", "count", "source", "c", "G0", "G1")),
         *((name, c_void_p) for name in ("step", "Ad", "B0", "B1", "K", "C", "D", "W", "a")),
         ("forgetting", c_double),
     )
@@ -140,12 +141,12 @@ class OutputErrorConstants:
     step : Vector, shape (n_intervals,)
         Lengths of the intervals between samples that differ [s].
     Ad : shape (n_intervals, n, n)
-    B0, B1 : shape (n_intervals, components, n)
+    B0, B1 : shape (n_intervals, sources, n)
         The effect of the disturbance at both ends of the interval.
     K : shape (n_intervals, n, n_y)
         Gain of the predictor, which Ad and B0 contain.
     C : Matrix, shape (n_y, n)
-    D : Matrix, shape (components, n_y)
+    D : Matrix, shape (sources, n_y)
     W : Matrix, shape (n_y, n_y)
         Makes the noise of the outputs white, of equal deviation.
     a : Vector, shape (order,)
@@ -154,6 +155,10 @@ class OutputErrorConstants:
         A constant on every output is unknown.
     forgetting : float
         Weight of a sample over that of the next one.
+    average : int
+        Successive samples whose mean is one row of the regression; more than 1 only without ``a``.
+    source : tuple of int, optional
+        Which alpha, B and D each component has; by default each its own.
     """
 
     generators: Generators
@@ -168,6 +173,8 @@ class OutputErrorConstants:
     a: Vector
     offset: bool = False
     forgetting: float = 1.0
+    average: int = 1
+    source: tuple[int, ...] | None = None
 
 
 class OutputErrorModel:
@@ -176,7 +183,14 @@ class OutputErrorModel:
     def __init__(self, constants: OutputErrorConstants) -> None:
         generators = constants.generators
         self.constants = constants
-        arrays: list[NDArray[Any]] = [int32(generators.size), int32(generators.count)]
+        source = constants.source
+        if source is None:
+            source = tuple(range(len(generators.size)))
+        arrays: list[NDArray[Any]] = [
+            int32(generators.size),
+            int32(generators.count),
+            int32(source),
+        ]
         for values in (
             generators.c,
             generators.G0,
@@ -200,8 +214,10 @@ class OutputErrorModel:
             n,
             n_y,
             len(generators.size),
+            len(constants.D),
             int(constants.offset),
             len(constants.a),
+            constants.average,
             *map(pointer, arrays),
             constants.forgetting,
         )

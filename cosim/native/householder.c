@@ -2,6 +2,10 @@
 
 #include <math.h>
 
+/* A sum of squares below it is none: what rounding leaves of rows that say what others do shrinks
+ * from column to column, and its reciprocal must not overflow. */
+#define SMALLEST 0x1p-960
+
 /* One reflection a column: it maps (R_jj, block_0j, block_1j, ...) to (-+norm, 0, 0, ...). */
 void cosim_householder(int32_t n, double *R, int32_t rows, double *block, double *work)
 {
@@ -10,7 +14,7 @@ void cosim_householder(int32_t n, double *R, int32_t rows, double *block, double
         double squares = 0.0;
         for (int32_t i = 0; i < rows; ++i)
             squares += block[i * n + j] * block[i * n + j];
-        if (squares == 0.0)
+        if (squares < SMALLEST)
             continue;
         const double norm = sqrt(r[j] * r[j] + squares);
         const double reflected = r[j] > 0.0 ? -norm : norm;

@@ -3,8 +3,15 @@
 #include <math.h>
 #include <string.h>
 
-#define LATER 1.1  /* a search that found nothing is repeated when there are so many times more samples */
-#define ROWS_A_TERM 2 /* rows of the regression before the first search */
+#define LATER 1.4  /* a search that missed a component is repeated at so many times more samples */
+#define AGAIN 2.0  /* and one that found all */
+#define STARTS 4   /* points of the grid that y is fitted from */
+#define ROWS_A_TERM 2 /* rows of a regression before the first search */
+#define ITERATIONS 40 /* of a fit */
+#define START_ITERATIONS 10 /* of one from a start; others are not worth their time */
+#define NEAR 0.5            /* longest steps between a start and the minimum that it leads to */
+#define ROUNDING_OF_THETA 0x1p-20 /* relative to its longest step */
+#define MARGIN 25.0   /* variances by which other minima must be worse */
 #define ROUNDING 0x1p-44 /* of a simulated output, relative to the largest one */
 #define TOLERANCE 6.0 /* of a step since the last pass, in steps that are small enough */
 
@@ -17,9 +24,11 @@ typedef struct {
     double *x;
     double *amplitudes, *work;             /* of y */
     double *delta_amplitudes, *delta_work; /* of delta */
-    int64_t state;
     double *before; /* y and u of the last two samples */
     double *time, *betweens; /* of the last sample; number of samples between those of the grid */
+    double *grid_taken, *grid_work; /* samples in it; of the grid of starts */
+    int64_t state;
+    double *grid_search; /* scratch */
     double *residual, *alpha;
     double *delta, *delta_alpha;
     double *between;
@@ -68,7 +77,11 @@ static storage storage_of(const cosim_identifier *s)
     m.before = next, next += 2 * (n_outputs(s) + inputs);
     m.time = next++;
     m.betweens = next++;
+    m.grid_taken = next++;
+    m.grid_work = next, next += s->grid ? cosim_output_error_state(s->grid->model) : 0;
     m.state = next - s->memory;
+    next = m.grid_work + (s->grid ? cosim_output_error_memory(s->grid->model) : 0);
+    m.grid_search = next, next += s->grid ? cosim_start_grid_memory(s->grid) : 0;
     m.residual = next, next += capacity * n_outputs(s);
     m.alpha = next, next += capacity * components;
     m.delta = next, next += capacity;
@@ -152,7 +165,6 @@ static int32_t take_between(const cosim_identifier *s, const storage *m, double 
     const int32_t status = cosim_between_take(s->between, (int64_t)*m->count, before, t, m->x,
                                               u_before, u, samples, &record, y);
     *m->betweens = (double)record.count;
-    *m->time = t;
     return status;
 }
 
@@ -214,6 +226,7 @@ static int32_t take_sample(const cosim_identifier *s, const storage *m, double t
     if (status)
         return status;
     *m->count += 1.0;
+    *m->time = t;
     return COSIM_OK;
 }
 
@@ -237,7 +250,7 @@ static void prepare_fit(const cosim_identifier *s, estimation *e, double accurac
         .experiments = 1,
         .components = s->rayleigh->components,
         .parameters = s->rayleigh->parameters,
-        .most_iterations = 40,
+        .most_iterations = ITERATIONS,
         .experiment = &e->experiment,
         .count = s->rayleigh->count,
         .lower = s->lower,
@@ -320,26 +333,146 @@ static void write_outputs(const cosim_identifier *s, const storage *m, const est
     }
 }
 
-/* Search a start on the regression, improve it on delta, and fit y; as far as the stages go. */
-static int32_t search(const cosim_identifier *s, const storage *m, estimation *e)
+/* --- starts --- */
+
+/* The minimum of the Rayleigh quotient, improved on delta; returns how many starts these are. */
+static int32_t start_on_regression(const cosim_identifier *s, const storage *m, double *theta)
+{
+    estimation e;
+    double on_delta[COSIM_MOST_PARAMETERS], value;
+    if (*m->rows < ROWS_A_TERM * s->rayleigh->terms)
+        return 0;
+    if (cosim_rayleigh_search(s->rayleigh, m->R, m->N, theta, &value) == COSIM_NO_VALUE)
+        return 0;
+    memcpy(on_delta, theta, (size_t)s->rayleigh->parameters * sizeof *theta);
+    prepare_fit_of_delta(s, m, on_delta, &e);
+    if (cosim_output_error_fit(&e.fit) == COSIM_OK)
+        memcpy(theta, e.estimate, (size_t)s->rayleigh->parameters * sizeof *theta);
+    return 1;
+}
+
+/* The best points of the grid, for all samples so far. */
+static int32_t starts_on_grid(const cosim_identifier *s, const storage *m, double *theta)
+{
+    const cosim_output_error *model = s->grid->model;
+    const int32_t unknowns = cosim_output_error_columns(s->on_y);
+    estimation e;
+    if (*m->count < (double)ROWS_A_TERM * unknowns * model->average)
+        return 0;
+    prepare_fit_of_y(s, m, theta, &e);
+    cosim_record record = e.experiment.record;
+    record.first = 0;
+    if (*m->grid_taken == 0.0)
+        cosim_output_error_start(model, theta, m->grid_work);
+    cosim_output_error_take(model, theta, &record, (int64_t)*m->grid_taken, record.end,
+                            m->grid_work);
+    *m->grid_taken = (double)record.end;
+    return cosim_start_grid_search(s->grid, m->grid_work, m->grid_search, STARTS, theta);
+}
+
+/* --- the best of several fits --- */
+
+typedef struct {
+    double theta[COSIM_MOST_PARAMETERS]; /* where the regression was linearized */
+    double error[COSIM_MOST_PARAMETERS]; /* standard errors; 0: not estimated */
+    double squares, variance;
+    int32_t present;  /* parameters whose components are there */
+    int is_minimum;
+    int is_certain;   /* all are, known to a small part of their ranges, and no other fit is as good */
+} candidate;
+
+static candidate candidate_of(const cosim_identifier *s, const double *theta, const estimation *e,
+                              int32_t status)
 {
     const int32_t P = s->rayleigh->parameters;
-    double theta[COSIM_MOST_PARAMETERS], on_delta[COSIM_MOST_PARAMETERS], value;
-    if (*m->rows < ROWS_A_TERM * s->rayleigh->terms)
-        return COSIM_NO_VALUE;
-    const int32_t found = cosim_rayleigh_search(s->rayleigh, m->R, m->N, theta, &value);
-    if (found == COSIM_NO_VALUE)
-        return found;
-    memcpy(on_delta, theta, (size_t)P * sizeof *theta);
-    prepare_fit_of_delta(s, m, on_delta, e);
-    const int32_t improved = cosim_output_error_fit(&e->fit);
-    if (improved == COSIM_OK)
-        memcpy(theta, e->estimate, (size_t)P * sizeof *theta);
-    memcpy(m->theta, theta, (size_t)P * sizeof *theta);
-    if (!s->on_y)
-        return improved;
-    prepare_fit_of_y(s, m, m->theta, e);
-    return cosim_output_error_fit(&e->fit);
+    candidate c = {.squares = e->fit.variance * e->fit.freedom, .variance = e->fit.variance};
+    c.is_minimum = status == COSIM_OK;
+    c.is_certain = c.is_minimum;
+    memcpy(c.theta, theta, (size_t)P * sizeof *theta);
+    for (int32_t j = 0; j < P; ++j) {
+        c.error[j] = sqrt(e->covariance[j * P + j]);
+        c.present += e->state[j] != COSIM_ABSENT;
+        if (e->state[j] != COSIM_ESTIMATED && e->state[j] != COSIM_FIXED)
+            c.is_certain = 0;
+        if (!(c.error[j] <= s->scale[j]))
+            c.is_certain = 0;
+    }
+    return c;
+}
+
+/* Two fits that differ by less than one variance are the same minimum, or as good. */
+static int is_better(const candidate *c, const candidate *than)
+{
+    if (c->is_minimum != than->is_minimum)
+        return c->is_minimum;
+    return c->squares + c->variance < than->squares;
+}
+
+/* Whether another minimum explains the samples so well that noise may have decided between them. */
+static int is_rival(const cosim_identifier *s, const candidate *c, const candidate *best)
+{
+    if (c->squares > best->squares + MARGIN * best->variance)
+        return 0;
+    for (int32_t j = 0; j < s->rayleigh->parameters; ++j)
+        if (fabs(c->theta[j] - best->theta[j]) > best->error[j] + ROUNDING_OF_THETA * s->scale[j])
+            return 1;
+    return 0;
+}
+
+/* Whether a start will lead to a minimum that is known already. */
+static int is_known(const cosim_identifier *s, const double *start, const candidate *fits,
+                    int32_t fitted)
+{
+    for (int32_t i = 0; i < fitted; ++i) {
+        int is_near = fits[i].is_minimum;
+        for (int32_t j = 0; j < s->rayleigh->parameters; ++j)
+            if (fabs(start[j] - fits[i].theta[j]) > NEAR * s->scale[j])
+                is_near = 0;
+        if (is_near)
+            return 1;
+    }
+    return 0;
+}
+
+/* Fit y from the starts behind the fits that there are; returns how many there are then. */
+static int32_t fit_starts(const cosim_identifier *s, const storage *m, int32_t count,
+                          double *starts, candidate *fits, int32_t fitted)
+{
+    for (int32_t i = 0; i < count; ++i) {
+        double *theta = starts + i * s->rayleigh->parameters;
+        estimation e;
+        if (is_known(s, theta, fits, fitted))
+            continue;
+        prepare_last_fit(s, m, theta, &e);
+        e.fit.most_iterations = START_ITERATIONS;
+        const int32_t status = cosim_output_error_fit(&e.fit);
+        if (status != COSIM_NO_VALUE)
+            fits[fitted++] = candidate_of(s, theta, &e, status);
+    }
+    return fitted;
+}
+
+/* `best`: the best fit from all starts, and from what it was. Returns whether there is one. */
+static int search(const cosim_identifier *s, const storage *m, int found, candidate *best)
+{
+    double starts[(STARTS + 1) * COSIM_MOST_PARAMETERS];
+    candidate fits[STARTS + 2];
+    int32_t count = start_on_regression(s, m, starts), fitted = 0;
+    if (s->grid && (!count || !found))
+        count += starts_on_grid(s, m, starts + count * s->rayleigh->parameters);
+    if (found)
+        fits[fitted++] = *best;
+    fitted = fit_starts(s, m, count, starts, fits, fitted);
+    if (!fitted)
+        return 0;
+    *best = fits[0];
+    for (int32_t i = 1; i < fitted; ++i)
+        if (is_better(&fits[i], best))
+            *best = fits[i];
+    for (int32_t i = 0; i < fitted; ++i)
+        if (is_rival(s, &fits[i], best))
+            best->is_certain = 0;
+    return best->is_minimum;
 }
 
 /* Go on from the last estimate: over the new samples alone where that is enough. */
@@ -359,37 +492,30 @@ static int32_t follow(const cosim_identifier *s, const storage *m, estimation *e
     return cosim_output_error_fit(&e->fit);
 }
 
-static int is_any_absent(const cosim_identifier *s, const estimation *e)
-{
-    for (int32_t j = 0; j < s->rayleigh->parameters; ++j)
-        if (e->state[j] == COSIM_ABSENT)
-            return 1;
-    return 0;
-}
-
 static void estimate(const cosim_identifier *s, const storage *m)
 {
+    const int32_t P = s->rayleigh->parameters;
     estimation e;
-    const int due = *m->count >= *m->next_search;
-    int32_t status = COSIM_NO_VALUE;
-    if (*m->has_theta != 0.0)
-        status = follow(s, m, &e);
-    if (due && (status != COSIM_OK || is_any_absent(s, &e))) {
-        double before[COSIM_MOST_PARAMETERS];
-        const int was_found = status == COSIM_OK;
-        memcpy(before, m->theta, (size_t)s->rayleigh->parameters * sizeof *before);
-        status = search(s, m, &e);
-        if (status != COSIM_OK && was_found) {
-            memcpy(m->theta, before, (size_t)s->rayleigh->parameters * sizeof *before);
+    candidate best = {0};
+    int found = *m->has_theta != 0.0 && follow(s, m, &e) == COSIM_OK;
+    if (*m->count >= *m->next_search) {
+        if (found)
+            best = candidate_of(s, m->theta, &e, COSIM_OK);
+        found = search(s, m, found, &best);
+        if (found) {
+            memcpy(m->theta, best.theta, (size_t)P * sizeof *m->theta);
             prepare_last_fit(s, m, m->theta, &e);
-            status = cosim_output_error_fit(&e.fit);
+            found = cosim_output_error_fit(&e.fit) == COSIM_OK;
         }
-        *m->next_search = ceil(LATER * *m->count);
+        /* before mu counts there may be too few samples to tell minima apart */
+        found = found && (best.is_certain || *m->time >= s->start);
+        const int is_whole = found && best.present == P;
+        *m->next_search = ceil((is_whole ? AGAIN : LATER) * *m->count);
     }
-    *m->has_theta = status == COSIM_OK;
+    *m->has_theta = found;
     *m->taken = *m->count;
     forget_outputs(s, m);
-    if (status == COSIM_OK)
+    if (found)
         write_outputs(s, m, &e);
 }
 

@@ -24,6 +24,7 @@ from cosim.native.estimation import (
 )
 from cosim.native.expression import Program
 from cosim.native.library import address, library, pointer
+from cosim.native.start_grid import StartGridConstants, StartGridModel
 from cosim.native.step import NativeStep, RegressorConstants, program_array, regressor_struct
 
 
@@ -35,7 +36,7 @@ class IdentifierStruct(ctypes.Structure):
         *((name, c_int64) for name in ("window", "capacity")),
         *((name, c_double) for name in ("start", "settled", "lag", "weight")),
         *((name, c_void_p) for name in ("products", "alphas", "rayleigh", "on_delta", "on_y")),
-        *((name, c_void_p) for name in ("known", "lower", "upper", "scale", "threshold")),
+        *((name, c_void_p) for name in ("known", "lower", "upper", "scale", "threshold", "grid")),
         *((name, c_void_p) for name in ("between", "memory")),
     )
 
@@ -120,6 +121,8 @@ class IdentifierConstants:
         Bounds of theta, and its longest step.
     threshold : Vector, shape (components,)
         Statistic from which on a component is no noise.
+    grid : StartGridConstants, optional
+        Of starts on y.
     between : BetweenConstants or None
         Where y is sampled at instants of its own.
     """
@@ -141,6 +144,7 @@ class IdentifierConstants:
     upper: Vector
     scale: Vector
     threshold: Vector
+    grid: StartGridConstants | None = None
     between: BetweenConstants | None = None
 
     @property
@@ -199,6 +203,7 @@ class IdentifierStep:
             known,
         )
         structs = (products, programs, rayleigh.struct, *stages)
+        grid = None if constants.grid is None else StartGridModel(constants.grid)
         state = IdentifierStruct(
             constants.period,
             constants.n_y,
@@ -211,6 +216,7 @@ class IdentifierStep:
             weight,
             *map(_address_of, structs),
             *map(pointer, vectors),
+            _address_of(None if grid is None else grid.struct),
         )
         keep_between: tuple[object, ...] = ()
         if constants.between is not None:
@@ -221,7 +227,7 @@ class IdentifierStep:
         state.memory = pointer(memory)
         self._small = int(library.cosim_identifier_state(byref(state)))
         keep_models = (on_delta, on_y, rayleigh, keep_known, keep_products, *structs)
-        keep = (*keep_models, *vectors, *keep_between)
+        keep = (*keep_models, grid, *vectors, *keep_between)
         self._saved: WeakSet[IdentifierState] = WeakSet()
         function = address("cosim_identifier_step")
         self.step = NativeStep(function, state, n_y=constants.n_y, memory=memory, keep=keep)

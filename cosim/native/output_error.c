@@ -47,9 +47,10 @@ typedef struct {
     double *basis, *advanced;      /* (basis + derivatives) c' expm(G t) and its derivatives */
     double *E, *F;                 /* expm(G h), and its derivatives */
     double *ring;                  /* (ar, outputs, columns) rows before the filter */
+    double *summed, *sums;         /* rows, and (outputs, columns) their sums, that make a mean */
     double *block;                 /* (BLOCK, columns) */
     double *scratch;
-    int64_t size;
+    int64_t state, size; /* doubles up to the block, and all */
 } parts;
 
 static parts parts_of(const cosim_output_error *s, layout l, double *work)
@@ -71,6 +72,9 @@ static parts parts_of(const cosim_output_error *s, layout l, double *work)
     p.E = next, next += l.E;
     p.F = next, next += l.F;
     p.ring = next, next += (int64_t)s->ar * s->outputs * M;
+    p.summed = next++;
+    p.sums = next, next += s->outputs * M;
+    p.state = next - work;
     p.block = next, next += BLOCK * M;
     p.scratch = next, next += exponential > rows ? exponential : rows;
     p.size = next - work;
@@ -80,6 +84,11 @@ static parts parts_of(const cosim_output_error *s, layout l, double *work)
 int64_t cosim_output_error_memory(const cosim_output_error *s)
 {
     return parts_of(s, layout_of(s), NULL).size;
+}
+
+int64_t cosim_output_error_state(const cosim_output_error *s)
+{
+    return parts_of(s, layout_of(s), NULL).state;
 }
 
 int32_t cosim_output_error_columns(const cosim_output_error *s) { return layout_of(s).columns; }
@@ -165,27 +174,28 @@ void cosim_output_error_start(const cosim_output_error *s, const double *theta, 
     set_interval(s, theta, 0, &p);
 }
 
+/* q' += q E for rows of V numbers. */
+static void multiply_row(int32_t V, const double *q, const double *E, double *to)
+{
+    for (int32_t a = 0; a < V; ++a)
+        for (int32_t b = 0; b < V; ++b)
+            to[b] += q[a] * E[a * V + b];
+}
+
 /* q' = q E and s_j' = s_j E + q F_j for the rows q = c' expm(G t) and s_j = dq/dtheta_j. */
 static void advance_basis(const cosim_output_error *s, layout l, const parts *p)
 {
     const double *E = p->E, *F = p->F;
     const double *q = p->basis, *slope = p->basis + l.basis;
     double *q_next = p->advanced, *slope_next = p->advanced + l.basis;
+    memset(p->advanced, 0, (size_t)(l.basis + l.derivatives) * sizeof *p->advanced);
     for (int32_t i = 0; i < s->components; ++i) {
         const int32_t V = s->size[i];
-        for (int32_t b = 0; b < V; ++b) {
-            double sum = 0.0;
-            for (int32_t a = 0; a < V; ++a)
-                sum += q[a] * E[a * V + b];
-            q_next[b] = sum;
+        multiply_row(V, q, E, q_next);
+        for (int32_t j = 0; j < s->count[i]; ++j) {
+            multiply_row(V, slope + j * V, E, slope_next + j * V);
+            multiply_row(V, q, F + j * V * V, slope_next + j * V);
         }
-        for (int32_t j = 0; j < s->count[i]; ++j)
-            for (int32_t b = 0; b < V; ++b) {
-                double sum = 0.0;
-                for (int32_t a = 0; a < V; ++a)
-                    sum += slope[j * V + a] * E[a * V + b] + q[a] * F[(j * V + a) * V + b];
-                slope_next[j * V + b] = sum;
-            }
         E += V * V, F += s->count[i] * V * V;
         q += V, q_next += V;
         slope += s->count[i] * V, slope_next += s->count[i] * V;
@@ -201,10 +211,11 @@ static void set_inputs(const cosim_output_error *s, layout l, const parts *p, co
     double *column = input, *derivative = input + l.linear;
     for (int32_t i = 0; i < s->components; ++i) {
         const int32_t V = s->size[i], count = s->count[i] * V;
+        const double factor = alpha[s->source[i]];
         for (int32_t b = 0; b < V; ++b)
-            column[b] = alpha[i] * q[b];
+            column[b] = factor * q[b];
         for (int32_t b = 0; b < count; ++b)
-            derivative[b] = alpha[i] * slope[b];
+            derivative[b] = factor * slope[b];
         q += V, column += V;
         slope += count, derivative += count;
     }
@@ -223,8 +234,8 @@ static void advance_responses(const cosim_output_error *s, layout l, const parts
 {
     const int32_t n = s->states, M = l.columns;
     const double *Ad = s->Ad + (int64_t)interval * n * n;
-    const double *B0 = s->B0 + (int64_t)interval * s->components * n;
-    const double *B1 = s->B1 + (int64_t)interval * s->components * n;
+    const double *B0 = s->B0 + (int64_t)interval * s->sources * n;
+    const double *B1 = s->B1 + (int64_t)interval * s->sources * n;
     const double *K = s->K + (int64_t)interval * n * s->outputs;
     for (int32_t a = 0; a < n; ++a) {
         double *x = p->next + a * M;
@@ -241,7 +252,7 @@ static void advance_responses(const cosim_output_error *s, layout l, const parts
         int32_t column = 0, derivative = l.linear;
         for (int32_t i = 0; i < s->components; ++i) {
             const int32_t V = s->size[i], count = s->count[i] * V;
-            const double b0 = B0[i * n + a], b1 = B1[i * n + a];
+            const double b0 = B0[s->source[i] * n + a], b1 = B1[s->source[i] * n + a];
             add_input(V, b0, b1, p->input0 + column, p->input1 + column, x + column);
             add_input(count, b0, b1, p->input0 + derivative, p->input1 + derivative,
                       x + derivative);
@@ -274,8 +285,8 @@ static void make_row(const cosim_output_error *s, layout l, const parts *p, outp
     int32_t column = 0, derivative = l.linear;
     for (int32_t i = 0; i < s->components; ++i) {
         const int32_t V = s->size[i], count = s->count[i] * V;
-        const double D0 = from.D0 ? from.D0[i * from.stride] : 0.0;
-        const double D1 = from.D1[i * from.stride];
+        const double D0 = from.D0 ? from.D0[s->source[i] * from.stride] : 0.0;
+        const double D1 = from.D1[s->source[i] * from.stride];
         if (D0 != 0.0 || D1 != 0.0) {
             add_input(V, D0, D1, p->input0 + column, p->input1 + column, plain + column);
             add_input(count, D0, D1, p->input0 + derivative, p->input1 + derivative,
@@ -298,8 +309,8 @@ static void make_rows(const cosim_output_error *s, layout l, const parts *p, con
     for (int32_t o = 0; o < s->outputs; ++o) {
         output_row from = {s->C + o * n, NULL, s->D + o, s->outputs};
         if (between) {
-            const double *row = between + o * (n + 2 * s->components);
-            from = (output_row){row, row + n, row + n + s->components, 1};
+            const double *row = between + o * (n + 2 * s->sources);
+            from = (output_row){row, row + n, row + n + s->sources, 1};
         }
         make_row(s, l, p, from, plain);
         if (s->offset)
@@ -346,7 +357,7 @@ static int32_t filter_rows(const cosim_output_error *s, layout l, const parts *p
 static int32_t advance_inputs(const cosim_output_error *s, layout l, const parts *p,
                               const double *theta, const cosim_record *record, int64_t k)
 {
-    const double *alpha = record->alpha + k * s->components;
+    const double *alpha = record->alpha + k * s->sources;
     if (k == record->first) {
         set_inputs(s, l, p, alpha, p->input1);
         return -1;
@@ -376,6 +387,22 @@ static void rotate(layout l, const parts *p, waiting *w)
     *w = (waiting){0, 1.0};
 }
 
+/* Add the rows of a sample to those that make a mean; returns whether it is whole, and then them. */
+static int make_mean(const cosim_output_error *s, layout l, const parts *p, double *rows)
+{
+    const int32_t width = s->outputs * l.columns;
+    for (int32_t c = 0; c < width; ++c)
+        p->sums[c] += rows[c];
+    *p->summed += 1.0;
+    if (*p->summed < s->average)
+        return 0;
+    for (int32_t c = 0; c < width; ++c)
+        rows[c] = p->sums[c] / s->average;
+    memset(p->sums, 0, (size_t)width * sizeof *p->sums);
+    *p->summed = 0.0;
+    return 1;
+}
+
 static void take_rows(const cosim_output_error *s, layout l, const parts *p, const double *between,
                       const double *residual, waiting *w)
 {
@@ -384,6 +411,8 @@ static void take_rows(const cosim_output_error *s, layout l, const parts *p, con
         return;
     }
     make_rows(s, l, p, between, residual, p->scratch);
+    if (s->average > 1 && !make_mean(s, l, p, p->scratch))
+        return;
     const int32_t made =
         filter_rows(s, l, p, p->scratch, w->weight, p->block + w->count * l.columns);
     *p->rows += made;
@@ -412,7 +441,7 @@ void cosim_output_error_take(const cosim_output_error *s, const double *theta,
     const layout l = layout_of(s);
     const parts p = parts_of(s, l, work);
     const cosim_between_record *between = record->between;
-    const int64_t width = s->outputs * (s->states + 2 * s->components);
+    const int64_t width = s->outputs * (s->states + 2 * s->sources);
     waiting w = {0, 1.0};
     int64_t b = first_between(between, begin);
     for (int64_t k = begin; k < end; ++k) {

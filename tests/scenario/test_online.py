@@ -7,7 +7,7 @@ import cosim
 from cosim.core.contracts import prepare
 from cosim.errors import ScenarioError, UsageError
 from cosim.testing import check_component
-from tests.scenario.online import COARSE, THETA, H, identifier, inputs, noisy, run
+from tests.scenario.online import COARSE, ONLINE, THETA, H, identifier, inputs, noisy, run
 
 SHORT = {**COARSE, "scenario.stop": 12.0}
 EVERY_STEP = {**SHORT, "identifier.period": H}  # what saves its state is not decimated
@@ -21,7 +21,7 @@ def sensed(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def recorded():
-    """Return what the identifier took in a run of 12 s, with an estimate from 10.2 s on."""
+    """Return what the identifier took in a run of 12 s, with an estimate from 0.7 s on."""
     return inputs(cosim.run("academic", set=SHORT))
 
 
@@ -52,7 +52,7 @@ def saved_size(component):
 @pytest.mark.parametrize(
     "options",
     [
-        {"identifier.window": 8.0, "identifier.offset": True, "identifier.period": 0.2},
+        {"identifier.window": 1.0, "identifier.offset": True, "identifier.period": 0.2},
         {
             "identifier.forgetting": 10.0,
             "identifier.bounds": [[-1.0, 0.0], [-0.3, -0.3]],
@@ -63,7 +63,7 @@ def saved_size(component):
 )
 def test_the_contract_is_kept(options, recorded):
     """On data that give estimates; around the first one, so that searches are repeated."""
-    settings = {**SHORT, **options, "scenario.stop": 10.8}
+    settings = {**SHORT, **options, "scenario.stop": 1.5}
     count = round(settings["scenario.stop"] / H)
     check_component(lambda: identifier("academic", settings), inputs=recorded[: count + 1], h=H)
 
@@ -142,6 +142,33 @@ def test_there_is_no_value_before_there_is_an_estimate(sensed):
         assert np.array_equal(np.isfinite(rows).all(axis=1), known)
         before = np.ascontiguousarray(rows[:first])
         assert set(before.view(np.uint64).ravel().tolist()) == {0x7FF8000000000000}
+
+
+def settled(estimates, relative):
+    """Return the first row from which on all relative errors stay below a number."""
+    good = (np.abs(estimates / THETA - 1.0) < relative).all(axis=1)
+    return int(np.flatnonzero(~good)[-1]) + 1
+
+
+@pytest.mark.parametrize("seed", range(1, 5))
+def test_the_first_estimate_comes_before_mu_counts_and_every_one_keeps_its_error(seed, sensed):
+    """From y alone, once no other minimum explains the samples as well."""
+    log = cosim.run(sensed, set={**COARSE, "sensor.seed": seed})
+    estimates = theta(log)
+    first = int(np.argmax(np.isfinite(estimates).all(axis=1)))
+    assert first * 0.1 < COARSE["identifier.start"]
+    # 170 estimates of 2 parameters, most of the same samples
+    errors = np.abs(estimates[first:] - THETA) / standard_error(log)[first:]
+    assert errors.max() < 5.0
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("seed", range(1, 9))
+def test_one_percent_and_a_thousandth_come_as_early_as_the_bound_lets_them(seed, sensed):
+    """At 1 ms and noise 1e-3 about 3.0 s and 7.5 s; two deviations of that are a third more."""
+    log = cosim.run(sensed, set={**ONLINE, "scenario.stop": 15.0, "sensor.seed": seed})
+    assert settled(theta(log), 1e-2) * 0.1 < 4.5
+    assert settled(theta(log), 1e-3) * 0.1 < 10.0
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,154 @@
+#include "cosim.h"
+
+#include <math.h>
+#include <string.h>
+
+/* The sum of squares at a point of the grid, and the points themselves, one digit a component. */
+typedef struct {
+    int64_t points;              /* of all components together */
+    int32_t columns;             /* of the points, and the residual */
+    int32_t width;               /* columns of one point, and the residual */
+    double *R;                   /* (columns, columns): x(0) and the offset are eliminated */
+    double *rows;                /* (columns of the model, the same), of rotations */
+    double *squares;             /* (points) */
+    double *chosen, *T, *work;   /* (columns, width), (width, width), of rotations */
+    int64_t size;
+} parts;
+
+static int64_t points_of(const cosim_start_grid *s)
+{
+    int64_t points = 1;
+    for (int32_t i = 0; i < s->components; ++i)
+        points *= s->points[i];
+    return points;
+}
+
+static parts parts_of(const cosim_start_grid *s, double *memory)
+{
+    const int64_t all = cosim_output_error_columns(s->model);
+    parts p = {.points = points_of(s), .columns = 1, .width = 1};
+    for (int32_t i = 0; i < s->components; ++i) {
+        p.columns += s->points[i] * s->size[i];
+        p.width += s->size[i];
+    }
+    double *next = memory;
+    p.R = next, next += all * all; /* before that: all columns, x(0) and the offset first */
+    p.rows = next, next += all * all;
+    p.squares = next, next += p.points;
+    p.chosen = next, next += (int64_t)p.columns * p.width;
+    p.T = next, next += p.width * p.width;
+    p.work = next, next += all;
+    p.size = next - memory;
+    return p;
+}
+
+int64_t cosim_start_grid_memory(const cosim_start_grid *s) { return parts_of(s, NULL).size; }
+
+/* Rotate x(0) and the offset to the front; what stands below them is the regression without them. */
+static void eliminate(const cosim_start_grid *s, const parts *p, const double *R)
+{
+    const int32_t all = cosim_output_error_columns(s->model);
+    const int32_t basis = p->columns - 1, others = all - p->columns;
+    for (int32_t i = 0; i < all; ++i) {
+        double *row = p->rows + (int64_t)i * all;
+        memcpy(row, R + (int64_t)i * all + basis, (size_t)others * sizeof *row);
+        memcpy(row + others, R + (int64_t)i * all, (size_t)basis * sizeof *row);
+        row[all - 1] = R[(int64_t)i * all + all - 1];
+    }
+    memset(p->R, 0, (size_t)all * (size_t)all * sizeof *p->R);
+    cosim_householder(all, p->R, all, p->rows, p->work);
+    for (int32_t i = 0; i < p->columns; ++i)
+        memmove(p->R + (int64_t)i * p->columns,
+                p->R + (int64_t)(i + others) * all + others, (size_t)p->columns * sizeof *p->R);
+}
+
+static void digits_of(const cosim_start_grid *s, int64_t point, int32_t *digits)
+{
+    for (int32_t i = 0; i < s->components; ++i) {
+        digits[i] = (int32_t)(point % s->points[i]);
+        point /= s->points[i];
+    }
+}
+
+static double squares_at(const cosim_start_grid *s, const parts *p, int64_t point)
+{
+    int32_t digits[COSIM_MOST_PARAMETERS];
+    digits_of(s, point, digits);
+    for (int32_t r = 0; r < p->columns; ++r) {
+        const double *from = p->R + (int64_t)r * p->columns;
+        double *to = p->chosen + (int64_t)r * p->width;
+        for (int32_t i = 0; i < s->components; ++i) {
+            const int32_t V = s->size[i];
+            memcpy(to, from + digits[i] * V, (size_t)V * sizeof *to);
+            from += s->points[i] * V, to += V;
+        }
+        *to = *from;
+    }
+    memset(p->T, 0, (size_t)(p->width * p->width) * sizeof *p->T);
+    cosim_householder(p->width, p->T, p->columns, p->chosen, p->work);
+    const double residual = p->T[p->width * p->width - 1];
+    return residual * residual;
+}
+
+/* Whether no neighbor along a component is better. */
+static int is_minimum(const cosim_start_grid *s, const parts *p, int64_t point)
+{
+    int32_t digits[COSIM_MOST_PARAMETERS];
+    digits_of(s, point, digits);
+    int64_t stride = 1;
+    for (int32_t i = 0; i < s->components; ++i) {
+        const double here = p->squares[point];
+        if (digits[i] > 0 && p->squares[point - stride] < here)
+            return 0;
+        if (digits[i] < s->points[i] - 1 && p->squares[point + stride] < here)
+            return 0;
+        stride *= s->points[i];
+    }
+    return 1;
+}
+
+static void write_theta(const cosim_start_grid *s, int64_t point, double *theta)
+{
+    int32_t digits[COSIM_MOST_PARAMETERS];
+    digits_of(s, point, digits);
+    const double *from = s->theta;
+    for (int32_t i = 0; i < s->components; ++i) {
+        const int32_t count = s->count[i];
+        memcpy(theta, from + digits[i] * count, (size_t)count * sizeof *theta);
+        from += s->points[i] * count, theta += count;
+    }
+}
+
+/* Insert a point among the best ones, which stand in ascending order; returns how many there are. */
+static int32_t keep_best(const parts *p, int64_t point, int32_t found, int32_t most, int64_t *best)
+{
+    int32_t place = found;
+    while (place > 0 && p->squares[point] < p->squares[best[place - 1]])
+        --place;
+    if (place == most)
+        return found;
+    const int32_t count = found < most ? found + 1 : most;
+    for (int32_t i = count - 1; i > place; --i)
+        best[i] = best[i - 1];
+    best[place] = point;
+    return count;
+}
+
+int32_t cosim_start_grid_search(const cosim_start_grid *s, const double *R, double *memory,
+                                int32_t most, double *theta)
+{
+    const parts p = parts_of(s, memory);
+    int64_t best[COSIM_MOST_STARTS];
+    int32_t parameters = 0, found = 0;
+    for (int32_t i = 0; i < s->components; ++i)
+        parameters += s->count[i];
+    eliminate(s, &p, R);
+    for (int64_t k = 0; k < p.points; ++k)
+        p.squares[k] = squares_at(s, &p, k);
+    for (int64_t k = 0; k < p.points; ++k)
+        if (p.squares[k] < INFINITY && is_minimum(s, &p, k))
+            found = keep_best(&p, k, found, most, best);
+    for (int32_t i = 0; i < found; ++i)
+        write_theta(s, best[i], theta + i * parameters);
+    return found;
+}
