@@ -26,11 +26,12 @@ from cosim.theory.disturbed_plant import (
 )
 from cosim.theory.estimators.output_error import OutputErrorFit
 from cosim.theory.feasible_program import RecordedOutputs, cells_of, gaussian_noise_bound
-from cosim.theory.set_membership import FeasibleInterval, feasible_interval
+from cosim.theory.set_membership import FeasibleInterval, feasible_interval, starts_around
 from cosim.theory.worst_case import (
     BoundedDisturbance,
     Prediction,
     first_order,
+    interval_around,
     irregular_response,
 )
 
@@ -44,8 +45,11 @@ class GuaranteedInterval:
     Attributes
     ----------
     half_width : Vector
-        Largest error of the estimate to first order, shape ``(n_theta,)``. A figure to compare
-        with; where it is a tenth of theta's own effects, second order is no longer small.
+        Largest error of the estimate to first order, shape ``(n_theta,)``.
+    around_estimate : Matrix
+        The least and the largest theta that some delta_0 turns into this estimate, exact data,
+        shape ``(n_theta, 2)``; infinite where there is no end. Where it differs much from
+        ``half_width`` to both sides, the first order does not hold.
     interval : FeasibleInterval
         All theta that explain the data. It may exclude the estimate.
     confidence : float
@@ -53,6 +57,7 @@ class GuaranteedInterval:
     """
 
     half_width: Vector
+    around_estimate: Matrix
     interval: FeasibleInterval
     confidence: float
 
@@ -177,7 +182,8 @@ def guaranteed_interval(
     recorded = RecordedOutputs(y, cells, random_error + sampling_error)
     return GuaranteedInterval(
         half_width=first_order(problem, p).half_width(problem.bound),
-        interval=feasible_interval(problem, recorded, [p]),
+        around_estimate=interval_around(problem, p),
+        interval=feasible_interval(problem, recorded, starts_around(problem, recorded, p)),
         confidence=confidence if noisy else 1.0,
     )
 

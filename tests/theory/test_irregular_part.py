@@ -73,8 +73,9 @@ def test_the_jacobian_of_every_family_is_its_derivative():
 
 
 @pytest.mark.parametrize("sigma", [0.0, 1e-3])
-def test_a_recording_gives_an_interval_that_contains_the_truth(sigma):
-    """Where the irregular part moves the estimate, with noise and without."""
+def test_a_recording_gives_an_interval_that_contains_the_truth(sigma, monkeypatch):
+    """Where the irregular part moves the estimate, with noise and without; in 50 cells."""
+    monkeypatch.setattr("cosim.theory.feasible_program.CELLS", 50)
     t = np.arange(4001) * H
     delta_0 = 0.02 * np.sign(np.sin(0.4 * t))[:, np.newaxis]
     exact = recording(delta_0)
@@ -85,6 +86,8 @@ def test_a_recording_gives_an_interval_that_contains_the_truth(sigma):
     assert (found.interval.lower <= THETA).all()
     assert (found.interval.upper >= THETA).all()
     assert np.abs(fit.theta[1] - THETA[1]) > 1e-3
+    assert (found.around_estimate[:, 0] <= THETA).all()
+    assert (found.around_estimate[:, 1] >= THETA).all()
     assert found.confidence == (0.999 if sigma else 1.0)
     # the first order is that of the example, 0.0137 and 0.0771, seen from the estimate
     np.testing.assert_allclose(found.half_width, [0.0137, 0.0771], rtol=0.25)

@@ -6,7 +6,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, root
 from scipy.signal import lsim
 
 from cosim.errors import AssumptionError
@@ -15,6 +15,7 @@ from cosim.theory.worst_case import (
     Prediction,
     departure,
     first_order,
+    interval_around,
     irregular_response,
     least_squares_functional,
     refit,
@@ -158,6 +159,54 @@ def test_random_starts_find_no_worse_disturbance():
         start = 0.02 * np.sign(smooth)[:, np.newaxis]
         found = worst_error(problem, TRUTH, 1, -1, start)
         assert found.error == pytest.approx(default.error, rel=1e-8)
+
+
+def test_the_interval_around_an_estimate_is_that_of_all_corners():
+    """Of all 128 bang-bang signals, the truths that each would turn into the same estimate.
+
+    Solved for by another solver; the bound is a twentieth of the signal.
+    """
+    model = direct(samples=7, h=0.3)
+    problem = model.problem(0.05)
+    t = model.t
+    curve = np.exp(-0.5 * t)
+    rows = np.stack([t * curve, curve])
+
+    def truth(delta_0):
+        def unmatched(p):
+            return rows @ (p[1] * np.exp(p[0] * t) + delta_0 - curve)
+
+        return root(unmatched, ONE_EXPONENTIAL, tol=1e-13).x[0]
+
+    truths = [truth(delta_0) for delta_0 in corners(7, 0.05)]
+    interval = interval_around(problem, ONE_EXPONENTIAL)
+    assert interval[0, 0] == pytest.approx(min(truths), abs=1e-6)
+    assert interval[0, 1] == pytest.approx(max(truths), abs=1e-6)
+
+
+@pytest.mark.parametrize("d", [2e-4, 2e-3, 2e-2])
+def test_the_interval_around_the_worst_estimates_contains_the_truth(d):
+    """The first order at the estimate misses the truth by a little; up to 0.002 it is the width."""
+    model = example(h=2e-2)
+    problem = model.problem(d)
+    for parameter in (0, 1):
+        for direction in (-1, 1):
+            worst = worst_error(problem, TRUTH, parameter, direction)
+            interval = interval_around(problem, worst.estimate)
+            assert (interval[:, 0] <= TRUTH[:2]).all()
+            assert (interval[:, 1] >= TRUTH[:2]).all()
+            if d <= 2e-3:
+                half_width = first_order(problem, worst.estimate).half_width(problem.bound)
+                width = interval[:, 1] - interval[:, 0]
+                np.testing.assert_allclose(width / 2.0, half_width, rtol=0.002)
+                assert width[parameter] / 2.0 < 1.02 * abs(worst.error)
+
+
+def test_an_estimate_that_says_too_little_has_no_end():
+    """Where the bound is larger than the signal, every theta may be behind the estimate."""
+    model = direct(samples=21, h=0.1)
+    interval = interval_around(model.problem(2.0), ONE_EXPONENTIAL)
+    assert interval[0].tolist() == [-np.inf, np.inf]
 
 
 def test_a_refit_from_afar_takes_shorter_steps():
