@@ -17,7 +17,6 @@ from cosim.core.contracts import Block
 from cosim.core.graph import Graph
 from cosim.core.signals import Channel
 from cosim.errors import AssumptionError
-from cosim.native.step import evaluate_at
 from cosim.scenario.identified import IdentifiedPlant
 from cosim.theory.disturbed_plant import DataSet
 from cosim.theory.verdicts import assess, judge
@@ -117,10 +116,9 @@ class _IdentifierData:
 
     def _data(self) -> DataSet:
         t = np.concatenate(self._times)
-        alpha = evaluate_at(self._identified.alphas, t)
         y = np.concatenate(self._outputs)
         u = np.concatenate(self._inputs)
-        return DataSet(t, y, u, alpha, self._held)
+        return self._identified.data_set(t, y, u, self._held)
 
 
 def _shifted(columns: slice, offset: int) -> slice:

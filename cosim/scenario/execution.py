@@ -17,20 +17,17 @@ from cosim.errors import UsageError, option, quoted
 from cosim.log import Log, open_log
 from cosim.scenario.build import Builder, Experiment, parse
 from cosim.scenario.document import find
-from cosim.scenario.parsing import Scenario, read
+from cosim.scenario.parsing import Scenario
 from cosim.scenario.recorded_metadata import ReplayOrigin
 from cosim.scenario.recording import Notice, Progress, Target, check_target, record, run_into
 from cosim.scenario.replaying import (
     check_changes,
-    check_clock,
+    rebuilt,
     recorded_components,
     recorded_document,
-    recorded_in,
-    replay_changes,
-    texts_in,
     valid_designs,
 )
-from cosim.scenario.swap import PortNames, is_map_key
+from cosim.scenario.swap import PortNames
 from cosim.scenario.swap_comparison import build_swapped
 from cosim.scenario.swap_report import SwapReports
 
@@ -248,27 +245,12 @@ def replay(
     if out is not None and os.path.realpath(out) == os.path.realpath(source.path):
         raise UsageError(f"{out} is the log that is replayed; choose another path")
     check_target(out, force=force)
-    changes = replay_changes(source, wanted)
-    original = recorded_document(source)
-    document = original.with_changes(changes)
     with ExitStack() as resources:
-        scenario, problems = read(document, parse)
-        # recorded ports have the scenario's names: a map need not fit changed connections
-        problems = [(key, text) for key, text in problems if not is_map_key(key)]
-        source.load(*recorded_in(source, scenario))  # in one pass over the file
-        builder = Builder(
-            scenario,
-            resources,
-            problems=problems,
-            recording=source,
-            named_files=texts_in(wanted),
-            block=block,
-        )
-        experiment = builder.experiment()
-        check_clock(experiment.clock, source)
+        experiment = rebuilt(source, resources, wanted, block)
+        original = recorded_document(source)
         check_changes(experiment, original, wanted)
         designs = valid_designs(experiment, source)
-        copied = tuple(recorded_components(scenario))
+        copied = tuple(recorded_components(experiment.scenario))
         origin = ReplayOrigin(str(source.path), source.recorded_hash, copied)
         experiment = replace(experiment, origin=origin, designs=designs)
         return record(experiment, Target(out, force, notice=notice), progress=progress)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Set
+from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
+from types import MappingProxyType
+from typing import Any, Final
 
 import numpy as np
 
@@ -13,14 +15,16 @@ from cosim.core.contracts import Design
 from cosim.core.port import Port
 from cosim.errors import LogError, UsageError, command, option
 from cosim.log import Log
-from cosim.scenario.build import Experiment, fingerprint, parse
+from cosim.scenario.build import Builder, Experiment, fingerprint, parse
 from cosim.scenario.document import Document
 from cosim.scenario.edits import short
 from cosim.scenario.parsing import Scenario, read
 from cosim.scenario.recorded_metadata import component_metadata, run_metadata
 from cosim.scenario.records import SCENARIO_FILE
+from cosim.scenario.swap import is_map_key
 
 EVERYWHERE = {"scenario.input_interpolation", "scenario.coupling"}  # what matters to all inputs
+NO_CHANGES: Final[Mapping[str, Any]] = MappingProxyType({})
 _TABLES = ("components", "models", "connections")
 _REMEDY = "run the scenario to change it"
 
@@ -103,6 +107,52 @@ def replay_changes(source: Log, wanted: Mapping[str, Any]) -> dict[str, Any]:
             f"{recorded_end} s; needed no more than that"
         )
     return changes
+
+
+def rebuilt(
+    source: Log,
+    resources: ExitStack,
+    wanted: Mapping[str, Any] = NO_CHANGES,
+    block: int | None = None,
+) -> Experiment:
+    """Build the scenario of a log again, with its recorded components; only the log is needed.
+
+    Parameters
+    ----------
+    source : Log
+    resources : ExitStack
+        Closes what was opened.
+    wanted : mapping of dotted key to value, optional
+        Changes; whether the recorded components allow them is for :func:`check_changes`.
+    block : int, optional
+        Fixed number of communication steps in a block.
+
+    Raises
+    ------
+    LogError
+        If the log has no scenario or no steps, or does not fit its scenario.
+    UsageError
+        If a change is about the communication points, or goes beyond the recording.
+    ScenarioError
+        With every problem of the changed scenario.
+    """
+    changes = replay_changes(source, wanted)
+    document = recorded_document(source).with_changes(changes)
+    scenario, problems = read(document, parse)
+    # recorded ports have the scenario's names: a map need not fit changed connections
+    problems = [(key, text) for key, text in problems if not is_map_key(key)]
+    source.load(*recorded_in(source, scenario))  # in one pass over the file
+    builder = Builder(
+        scenario,
+        resources,
+        problems=problems,
+        recording=source,
+        named_files=texts_in(wanted),
+        block=block,
+    )
+    experiment = builder.experiment()
+    check_clock(experiment.clock, source)
+    return experiment
 
 
 def check_clock(clock: Clock, source: Log) -> None:

@@ -1,0 +1,183 @@
+"""Identification from logs, after their runs: the data and the model of their identifiers.
+
+What an identifier took in is in its log, and its model is built again from the recorded scenario.
+Several logs of one plant under one theta make one fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from cosim.arrays import Vector, as_columns
+from cosim.errors import UsageError, nearest
+from cosim.log import Log
+from cosim.scenario.assessing import OUTPUT_ERROR
+from cosim.scenario.identified import IdentifiedPlant
+from cosim.scenario.recorded_metadata import component_record
+from cosim.scenario.replaying import rebuilt
+from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
+from cosim.theory.verdicts import Assessment, assess
+
+
+@dataclass(frozen=True, eq=False)
+class IdentifierRecord:
+    """The data and the model of an identifier, from the log of its run.
+
+    Parameters
+    ----------
+    log : Log
+    identifier : str
+    identified : IdentifiedPlant
+    data : DataSet
+    """
+
+    log: Log
+    identifier: str
+    identified: IdentifiedPlant
+    data: DataSet
+
+    @property
+    def estimate(self) -> Vector | None:
+        """The last theta of output error in the run; None where there is none."""
+        if component_record(self.log, self.identifier).method != OUTPUT_ERROR:
+            return None
+        rows = as_columns(self.log[f"{self.identifier}.theta"])
+        theta = rows[-1]
+        return theta if np.isfinite(theta).all() else None
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class LogIdentification:
+    """A fit by output error to one or more logs.
+
+    Parameters
+    ----------
+    records : tuple of IdentifierRecord
+    offset : bool
+        An unknown constant was on every output.
+    assessment : Assessment
+    """
+
+    records: tuple[IdentifierRecord, ...]
+    offset: bool
+    assessment: Assessment
+
+    @property
+    def identified(self) -> IdentifiedPlant:
+        """The model."""
+        return self.records[0].identified
+
+
+def identifier_record(log: Log, identifier: str | None = None) -> IdentifierRecord:
+    """Return the data and the model of an identifier, from the log of its run.
+
+    Parameters
+    ----------
+    log : Log
+    identifier : str, optional
+        Its name, where there are several.
+
+    Raises
+    ------
+    LogError
+        If the log has no scenario, or does not fit it.
+    UsageError
+        If it has no identifier of that name whose model output error can fit, or several.
+    """
+    with ExitStack() as resources:
+        experiment = rebuilt(log, resources)
+        name = _chosen(log, experiment.identified, identifier)
+        identified = experiment.identified[name]
+        observer = identified.observer
+        inputs = experiment.graph.layout[observer].interface.input_columns()
+        held = experiment.graph.held[observer][inputs.get("u", slice(0, 0))]
+    t = log.time(observer)
+    y = as_columns(log[f"{observer}.y"])
+    u = np.zeros((len(t), 0))
+    if "u" in inputs:
+        u = as_columns(log[f"{observer}.u"])
+    return IdentifierRecord(log, name, identified, identified.data_set(t, y, u, held))
+
+
+def identify(
+    records: Sequence[IdentifierRecord],
+    *,
+    offset: bool = False,
+    bounds: Mapping[int, tuple[float, float]] | None = None,
+) -> LogIdentification:
+    """Estimate theta from logs by output error, and say what they say about every parameter.
+
+    Parameters
+    ----------
+    records : sequence of IdentifierRecord
+        Of one plant under one theta; amplitudes, phases and x(0) of each are its own.
+    offset : bool
+        An unknown constant is on every output, also where the scenario does not say so.
+    bounds : mapping of index to (lower, upper), optional
+        Of theta; equal ones fix it. By default those of the first log's scenario.
+
+    Raises
+    ------
+    UsageError
+        If the logs are of different models.
+    AssumptionError
+        If there are fewer samples than unknowns, or a bound excludes every value.
+    """
+    first = records[0]
+    for other in records[1:]:
+        check_one_model(first, other)
+    identified = first.identified
+    has_offset = offset or identified.offset
+    assessment = assess(
+        [record.data for record in records],
+        identified.plant,
+        identified.families,
+        first.estimate,
+        offset=has_offset,
+        bounds=identified.bounds if bounds is None else bounds,
+    )
+    return LogIdentification(records=tuple(records), offset=has_offset, assessment=assessment)
+
+
+def check_one_model(first: IdentifierRecord, other: IdentifierRecord) -> None:
+    """Check that two logs are of one plant and of disturbances of one class.
+
+    Raises
+    ------
+    UsageError
+        If they are not; names the first difference.
+    """
+    for field in fields(DisturbedPlant):
+        one = getattr(first.identified.plant, field.name)
+        another = getattr(other.identified.plant, field.name)
+        if not np.array_equal(one, another):
+            raise _different(first, other, f"the design models differ in {field.name}")
+    if list(first.identified.families) != list(other.identified.families):
+        raise _different(first, other, "the terms of their regressors are of other families")
+
+
+def _different(first: IdentifierRecord, other: IdentifierRecord, what: str) -> UsageError:
+    return UsageError(f"{first.log.label} and {other.log.label}: {what}; needed one model")
+
+
+def _chosen(log: Log, identified: Mapping[str, Any], identifier: str | None) -> str:
+    if identifier is not None:
+        if identifier not in identified:
+            raise UsageError(
+                f"{log.label}: no identifier {identifier!r} with a model of y; "
+                f"{nearest(identifier, identified)}"
+            )
+        return identifier
+    if not identified:
+        raise UsageError(
+            f"{log.label}: found no identifier with a model of y; needed one whose regressor is "
+            "driven by an observer of kind 'unknown-input-observer' alone, with one disturbance"
+        )
+    if len(identified) > 1:
+        raise UsageError(f"{log.label}: found the identifiers {', '.join(identified)}; name one")
+    return next(iter(identified))

@@ -1,0 +1,221 @@
+"""Whether a fitted model holds for data that were not used in the fit.
+
+Theta is held; amplitudes, phases, x(0) and offset are those of the other experiment, so they are
+estimated there. Whether theta holds is not read off the residual alone: theta of the fit has an
+error too, which the other record may show. So theta is also estimated there, and the two estimates
+are compared by their covariances (A. Wald, 1943); they differ only where the residual with theta
+held is larger than noise makes it, too (the likelihood ratio; S. Wilks, 1938).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+
+from cosim.arrays import Mask, Matrix, Vector
+from cosim.native.estimation import ParameterState
+from cosim.theory.consistency import FALSE_ALARM, MARGIN, Consistency, ResidualTest, examine
+from cosim.theory.disturbance import Family, generators
+from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
+from cosim.theory.estimators.output_error import OutputErrorFit, fit_output_error
+from cosim.theory.fitted_response import fitted_response
+from cosim.theory.verdicts import Assessment, Verdict, assess
+
+
+class ValidationVerdict(StrEnum):
+    """Whether a model holds for other data."""
+
+    HOLDS = "HOLDS"
+    FAILS = "FAILS"
+    UNTESTED = "UNTESTED"
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Validation:
+    """What data that were not used say of a fit.
+
+    Parameters
+    ----------
+    verdict : ValidationVerdict
+    reason : str
+    fit : OutputErrorFit
+        With theta held.
+    consistency : Consistency
+        Of its residual: it shows the error of theta too.
+    deviation, ratio : float
+        Of its residual, and over that of the fit; root mean squares.
+    own : Assessment
+        With a theta of these data.
+    difference : ResidualTest
+        Of the two theta.
+    """
+
+    verdict: ValidationVerdict
+    reason: str
+    fit: OutputErrorFit
+    consistency: Consistency
+    deviation: float
+    ratio: float
+    own: Assessment
+    difference: ResidualTest
+
+    @property
+    def tests(self) -> tuple[ResidualTest, ...]:
+        """All tests: of the two theta, and of the residual with theta held."""
+        return (self.difference, *self.consistency.tests)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        tests = [{**asdict(test), "passed": test.passed} for test in self.tests]
+        return {
+            "verdict": str(self.verdict),
+            "reason": self.reason,
+            "deviation": self.deviation,
+            "ratio": self.ratio,
+            "tests": tests,
+            "own": [parameter.to_dict() for parameter in self.own.parameters],
+        }
+
+
+def validate(
+    assessment: Assessment,
+    fitted: Sequence[DataSet],
+    data: DataSet,
+    plant: DisturbedPlant,
+    families: Sequence[Family],
+    *,
+    offset: bool = False,
+) -> Validation:
+    """Say whether a fit holds for data that were not used in it.
+
+    Parameters
+    ----------
+    assessment : Assessment
+        Of the fit.
+    fitted : sequence of DataSet
+        The data that were used.
+    data : DataSet
+        Others.
+    plant, families, offset
+        As in the fit.
+
+    Raises
+    ------
+    AssumptionError
+        If there are fewer samples than unknowns.
+    """
+    fit = assessment.fit
+    own = assess([data], plant, families, fit.theta, offset=offset)
+    if not own.fit.converged:
+        own = assess([data], plant, families, offset=offset)
+    bounds = {j: (float(value), float(value)) for j, value in enumerate(fit.theta)}
+    held = fit_output_error(
+        [data], plant, families, fit.theta, noise=own.noise, offset=offset, bounds=bounds
+    )
+    deviation = _root_mean_square(held, [data], plant, families)
+    tested = _comparable(assessment, own)
+    difference = _difference(assessment, own, held, tested)
+    verdict, reason = _verdict(assessment, own, tested, difference)
+    return Validation(
+        verdict=verdict,
+        reason=reason,
+        fit=held,
+        consistency=examine(held, [data], plant, families, own.noise),
+        deviation=deviation,
+        ratio=deviation / _root_mean_square(fit, fitted, plant, families),
+        own=own,
+        difference=difference,
+    )
+
+
+def _root_mean_square(
+    fit: OutputErrorFit,
+    data: Sequence[DataSet],
+    plant: DisturbedPlant,
+    families: Sequence[Family],
+) -> float:
+    """Return the root mean square of the residual, corrected for what was fitted to it."""
+    matrices = generators(families)
+    squares = 0.0
+    count = 0
+    for index, one in enumerate(data):
+        residual = fitted_response(fit, index, one, plant, matrices).residual[one.measured]
+        squares += float(np.sum(residual**2))
+        count += residual.size
+    unknowns = max(count - fit.freedom, 0.0)
+    return float(np.sqrt(squares / max(count - unknowns, 1.0)))
+
+
+def _comparable(assessment: Assessment, own: Assessment) -> Mask:
+    """Return which theta both the fit and the other data determine, shape (P,)."""
+    comparable = []
+    for j, state in enumerate(assessment.fit.states):
+        of_fit = assessment.parameters[j].verdict is not Verdict.NOT_IDENTIFIABLE
+        of_data = own.parameters[j].verdict is not Verdict.NOT_IDENTIFIABLE
+        is_known = bool(assessment.fit.estimated[j]) or state is ParameterState.FIXED
+        comparable.append(of_fit and of_data and is_known and bool(own.fit.estimated[j]))
+    return np.array(comparable, np.bool_)
+
+
+def _difference(
+    assessment: Assessment, own: Assessment, held: OutputErrorFit, tested: Mask
+) -> ResidualTest:
+    """Test whether the theta of the fit and that of the other data are one."""
+    from scipy.stats import chi2  # takes long to import
+
+    degrees = int(tested.sum())
+    name = "theta is another one"
+    if not degrees:
+        return ResidualTest(name, 0.0, 0.0, 0, "")
+    threshold = float(chi2.isf(FALSE_ALARM, degrees))
+    apart = own.fit.theta - assessment.fit.theta
+    allowed = MARGIN * (assessment.consistency.bias + own.consistency.bias)
+    excess: Vector = np.maximum(np.abs(apart) - allowed, 0.0) * np.sign(apart)
+    covariance = assessment.fit.covariance + own.fit.covariance
+    of_theta = _squared_length(excess[tested], covariance[np.ix_(tested, tested)])
+    squares = held.freedom * held.deviation**2 - own.fit.freedom * own.fit.deviation**2
+    of_residual = squares / own.fit.deviation**2 if own.fit.deviation > 0.0 else 0.0
+    place = int(np.argmax(np.where(tested, np.abs(excess), -1.0)))
+    statistic = min(of_theta, max(of_residual, 0.0))
+    return ResidualTest(name, statistic, threshold, degrees, f"theta[{place}]")
+
+
+def _squared_length(vector: Vector, covariance: Matrix) -> float:
+    """Return ``v' C^-1 v``."""
+    scale = np.sqrt(np.diag(covariance))
+    scale[scale == 0.0] = 1.0
+    unit = vector / scale
+    solved = np.linalg.lstsq(covariance / np.outer(scale, scale), unit, rcond=1e-12)[0]
+    return float(unit @ solved)
+
+
+def _verdict(
+    assessment: Assessment, own: Assessment, tested: Mask, difference: ResidualTest
+) -> tuple[ValidationVerdict, str]:
+    if not own.fit.converged or not own.consistency.passed:
+        return ValidationVerdict.FAILS, (
+            f"with no theta does the model describe these data: {own.parameters[0].reason}"
+        )
+    if not difference.passed:
+        changes = []
+        for j in np.flatnonzero(tested):
+            there = f"{own.fit.theta[j]:.6g} +- {own.half_width[j]:.2g}"
+            here = f"{assessment.fit.theta[j]:.6g}"
+            if np.isfinite(assessment.half_width[j]):
+                here += f" +- {assessment.half_width[j]:.2g}"
+            changes.append(f"theta[{j}] is {there} there, {here} in the fit")
+        return ValidationVerdict.FAILS, "; ".join(changes)
+    if not tested.any():
+        return ValidationVerdict.UNTESTED, (
+            "there is no theta that the fit and these data both determine"
+        )
+    if tested.all():
+        return ValidationVerdict.HOLDS, "theta is that of the fit, and the residual that of noise"
+    left = ", ".join(f"theta[{j}]" for j in np.flatnonzero(~tested))
+    return ValidationVerdict.HOLDS, (
+        f"as far as it was tested: the fit and these data do not both determine {left}"
+    )

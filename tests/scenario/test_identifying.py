@@ -1,0 +1,112 @@
+"""Identification from logs: the same as at the end of the run, and of several logs at once."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import cosim
+from cosim.errors import UsageError
+from cosim.scenario.assessing import IDENTIFICATION
+from cosim.scenario.identifying import identifier_record, identify
+
+FAST = {"scenario.step": 0.01, "observer.filter_rate": 100.0}
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory):
+    """Return the logs of three runs of one plant: noise, amplitudes and start are others."""
+    folder = tmp_path_factory.mktemp("logs")
+    changes = (
+        {},
+        {"sensor.seed": 2, "plant.x_a0": [0.0, 2.0]},
+        {"sensor.seed": 3, "identifier.method": "least-squares"},
+    )
+    return [
+        cosim.run("academic-noisy", out=folder / f"{i}.mcap", set={**FAST, **change})
+        for i, change in enumerate(changes)
+    ]
+
+
+def test_a_log_says_what_the_run_said(logs):
+    """Parameters, tests and noise are those recorded at its end: data and model are the same."""
+    found = identify([identifier_record(logs[0])])
+    recorded = dict(logs[0].results[IDENTIFICATION]["identifier"])
+    recorded.pop("estimate")
+    assert found.assessment.to_dict() == recorded
+
+
+def test_the_data_are_what_the_observer_took_in(logs):
+    """At every communication point, with the known factors there."""
+    record = identifier_record(logs[0])
+    np.testing.assert_array_equal(record.data.y[:, 0], logs[0]["sensor.y"])
+    np.testing.assert_array_equal(record.data.u[:, 0], logs[0]["u.y"])
+    t = logs[0].time("sensor")
+    np.testing.assert_allclose(record.data.alpha[:, 0], 1.35 + 0.25 * np.sin(1.7 * t), rtol=1e-15)
+    assert record.data.held is not None
+    assert not record.data.held.any()
+
+
+def test_several_logs_are_one_fit(logs):
+    """Two of equal information halve the variance; amplitudes and x(0) are their own."""
+    one = identify([identifier_record(logs[0])])
+    both = identify([identifier_record(log) for log in logs[:2]])
+    ratio = both.assessment.fit.standard_error / one.assessment.fit.standard_error
+    np.testing.assert_allclose(ratio, np.sqrt(0.5), rtol=0.05)
+    x0 = np.array(both.assessment.fit.x0)
+    np.testing.assert_allclose(x0, [[1.0, -1.0], [0.0, 2.0]], atol=5e-3)
+    inside = np.abs(both.assessment.fit.theta - [-0.1, -0.3]) < both.assessment.half_width
+    assert inside.all()
+
+
+def test_the_log_of_another_method_is_identified_by_output_error(logs):
+    """Least squares was wrong in it; its theta is no start."""
+    record = identifier_record(logs[2])
+    assert record.estimate is None
+    theta = identify([record]).assessment.fit.theta
+    np.testing.assert_allclose(theta, [-0.1, -0.3], atol=1e-3)
+
+
+def test_options_are_those_of_the_fit(logs):
+    """An offset is one more unknown; equal bounds fix a theta."""
+    record = identifier_record(logs[0])
+    plain = identify([record])
+    offset = identify([record], offset=True)
+    assert offset.assessment.fit.freedom == plain.assessment.fit.freedom - 1
+    fixed = identify([record], bounds={0: (-0.1, -0.1)})
+    assert fixed.assessment.fit.theta[0] == -0.1
+    assert fixed.assessment.fit.freedom == plain.assessment.fit.freedom + 1
+
+
+def test_logs_of_other_models_are_refused(logs, tmp_path):
+    """They would share a theta that is not one."""
+    changed = cosim.run(
+        "academic-noisy",
+        out=tmp_path / "a.mcap",
+        set={
+            **FAST,
+            "scenario.stop": 10.0,
+            "models.academic.A": [[0, 1, 1], [0, -3, 1], [1, 0, 1]],
+        },
+    )
+    records = [identifier_record(logs[0]), identifier_record(changed)]
+    with pytest.raises(UsageError, match=r"a\.mcap: the design models differ in A; needed one"):
+        identify(records)
+
+
+def test_a_log_without_identifier_is_refused(tmp_path):
+    """The message says what is needed; a wrong name, what there is."""
+    file = tmp_path / "none.toml"
+    file.write_text(
+        '[scenario]\nname="a"\nstop=1.0\nstep=0.1\n[components]\na={kind="ramp",slope=1.0}\n'
+    )
+    log = cosim.run(file, out=tmp_path / "a.mcap")
+    with pytest.raises(UsageError, match="found no identifier with a model of y; needed one whose"):
+        identifier_record(log)
+
+
+def test_an_identifier_is_chosen_by_its_name(logs):
+    """Of one that is not there, what there is."""
+    assert identifier_record(logs[0], "identifier").identifier == "identifier"
+    with pytest.raises(UsageError, match="no identifier 'identifer' with a model of y; did you"):
+        identifier_record(logs[0], "identifer")

@@ -1,0 +1,161 @@
+"""Smoothing: states and disturbance from all samples, and bands that hold."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+from scipy.stats import binom
+
+from cosim.errors import AssumptionError
+from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, NoiseModel
+from cosim.theory.estimators.output_error import fit_output_error
+from cosim.theory.smoothing import smoothed_signals
+from tests.theory.academic import THETA, alpha
+from tests.theory.experiments import FAMILIES, delta, design, noisy, record, simulate, times
+
+COARSE = 1e-2  # s
+START = np.array([-0.05, -0.5])
+PLACES = np.array([0, 50, 400, 1500, 4000])
+FEW = 40  # seeds
+
+
+def smoothed(data, index=0, fit=None):
+    fit = fit or fit_output_error([data], design(), FAMILIES, START)
+    return smoothed_signals(fit, index, data, design(), FAMILIES)
+
+
+def true_states(t):
+    """Return the states of the example: as outputs of the same plant, two at a time."""
+    one = design()
+    x = np.array([1.0, -1.0])
+    states = [x]
+    inputs = np.stack([np.sin(t), delta(t).sum(axis=1)], axis=1)
+    h = t[1] - t[0]
+    drive = np.hstack([one.B, one.Bd[:, :1]])
+    block = np.zeros((6, 6))
+    block[:2, :2] = h * one.A
+    block[:2, 2:4] = h * drive
+    block[2:4, 4:] = np.eye(2)
+    power = expm(block)
+    end = power[:2, 4:]
+    begin = power[:2, 2:4] - end
+    for u0, u1 in itertools.pairwise(inputs):
+        x = power[:2, :2] @ x + begin @ u0 + end @ u1
+        states.append(x)
+    return np.array(states)
+
+
+def test_exact_data_give_the_exact_signals():
+    """States from their first sample on: there is no transient; bands as narrow as rounding."""
+    data = noisy("good", 0.0, 1, COARSE)
+    found = smoothed(data)
+    t = times(COARSE)
+    np.testing.assert_allclose(found.states, true_states(t), atol=1e-8)
+    np.testing.assert_allclose(found.disturbance, delta(t).sum(axis=1), atol=1e-8)
+    assert found.disturbance_half_width.max() < 1e-8
+
+
+def coverage(seeds):
+    """Return how often the truth is within the bands, at some instants: delta, then both states."""
+    t = times(COARSE)
+    true_delta = delta(t).sum(axis=1)
+    true = np.column_stack([true_delta, true_states(t)])[PLACES]
+    inside = np.zeros(true.shape)
+    for seed in range(seeds):
+        found = smoothed(noisy("good", 1e-3, seed, COARSE))
+        values = np.column_stack([found.disturbance, found.states])[PLACES]
+        widths = np.column_stack([found.disturbance_half_width, found.states_half_width])[PLACES]
+        inside += np.abs(values - true) <= widths
+    return inside
+
+
+def test_the_bands_contain_the_truth():
+    """In 95 % of the runs at any one instant, within what chance makes of so few of them."""
+    counts = coverage(FEW)
+    least = binom.ppf(1e-4 / counts.size, FEW, 0.95)
+    assert (counts >= least).all()
+    assert counts.mean() < FEW  # and they are no wider than that
+
+
+@pytest.mark.campaign
+def test_the_bands_contain_the_truth_in_95_percent():
+    """Over 1000 seeds, at every one of the instants."""
+    counts = coverage(1000)
+    low, high = binom.ppf([1e-4 / counts.size, 1.0 - 1e-4 / counts.size], 1000, 0.95)
+    assert (counts >= low).all()
+    assert (counts <= high).all()
+
+
+def test_a_band_is_as_wide_as_the_scatter():
+    """Of the estimates over seeds: with so few of them, to a fifth or so (chi-square)."""
+    values = []
+    widths = []
+    for seed in range(FEW):
+        found = smoothed(noisy("good", 1e-3, seed, COARSE))
+        values.append(found.disturbance[PLACES])
+        widths.append(found.disturbance_half_width[PLACES])
+    scatter = np.std(values, axis=0, ddof=1)
+    ratio = np.mean(widths, axis=0) / (1.96 * scatter)
+    assert (np.abs(ratio - 1.0) < 4.0 / np.sqrt(2.0 * FEW)).all()
+
+
+def test_a_second_record_narrows_the_bands_of_the_first():
+    """Theta is shared: what another record says of it is known here, too."""
+    data = noisy("good", 1e-3, 1, COARSE)
+    t = times(COARSE)
+    y = simulate(t, delta(t) @ np.array([2.0, 5.0]), x0=(0.0, 0.0))
+    strong = record(y + 1e-3 * np.random.default_rng(2).standard_normal(y.shape), COARSE)
+    alone = smoothed(data)
+    fit = fit_output_error([data, strong], design(), FAMILIES, START)
+    both = smoothed(data, 0, fit)
+    end = slice(2000, None)
+    assert (both.disturbance_half_width[end] < 0.7 * alone.disturbance_half_width[end]).all()
+    other = smoothed(strong, 1, fit)
+    true = delta(t) @ np.array([2.0, 5.0])
+    assert (np.abs(other.disturbance - true) < 2.0 * other.disturbance_half_width).all()
+
+
+def test_samples_at_any_distance_are_smoothed_exactly():
+    """The intervals are those of the samples, not their mean."""
+    data = noisy("good", 0.0, 1, COARSE)
+    fit = fit_output_error([data], design(), FAMILIES, START)
+    whole = smoothed(data, 0, fit)
+    kept = np.sort(np.random.default_rng(3).permutation(4001)[:3000])
+    kept[0] = 0
+    thin = DataSet(data.t[kept], data.y[kept], data.u[kept], data.alpha[kept])
+    found = smoothed(thin, 0, fit_output_error([thin], design(), FAMILIES, THETA))
+    # what is left is the error of straight lines over two or more steps
+    np.testing.assert_allclose(found.states, whole.states[kept], atol=1e-4)
+    np.testing.assert_array_equal(found.t, data.t[kept])
+
+
+def test_colored_noise_makes_wider_bands():
+    """Of a deviation of the same size: slow noise looks more like a disturbance."""
+    t = times(COARSE)
+    rng = np.random.default_rng(4)
+    white = rng.standard_normal(len(t))
+    colored = np.zeros(len(t))
+    for k in range(1, len(t)):
+        colored[k] = 0.8 * colored[k - 1] + 0.6 * white[k]
+    y = simulate(t, delta(t).sum(axis=1)) + 1e-3 * colored[:, np.newaxis]
+    data = DataSet(t, y, np.sin(t)[:, np.newaxis], alpha(t))
+    noise = NoiseModel(covariance=np.eye(1), a=np.array([0.8]))
+    fit = fit_output_error([data], design(), FAMILIES, START, noise=noise)
+    found = smoothed_signals(fit, 0, data, design(), FAMILIES, noise=noise)
+    plain = smoothed(noisy("good", 1e-3, 4, COARSE))
+    wider = found.disturbance_half_width[2000] / plain.disturbance_half_width[2000]
+    # the spectrum of the noise at low frequencies: (0.6 / (1 - 0.8)) = 3 times the deviation
+    assert wider == pytest.approx(3.0, rel=0.2)
+
+
+def test_an_unstable_plant_is_refused():
+    """Its simulated states say nothing."""
+    data = noisy("good", 0.0, 1, COARSE)
+    fit = fit_output_error([data], design(), FAMILIES, START)
+    one = design()
+    unstable = DisturbedPlant(A=-one.A, B=one.B, Bd=one.Bd, C=one.C, D=one.D, Dd=one.Dd)
+    with pytest.raises(AssumptionError, match="smoothing needs a stable plant"):
+        smoothed_signals(fit, 0, data, unstable, FAMILIES)
