@@ -2,20 +2,32 @@
 
 The master, the loops and the verification of a recorded run rest on these laws; a component that
 keeps them can be put anywhere in a graph. Everything is compared bit for bit.
+
+An estimator of the parameters of a disturbance has laws of its own beside these.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import Protocol, cast
+from typing import Final, Protocol, cast
 
 import numpy as np
 
 from cosim.arrays import NAN, Mask, Matrix, Vector
+from cosim.blocks.regressor import Regressor
 from cosim.core.clock import nanoseconds, seconds
 from cosim.core.contracts import Component, Rollback, State, prepare
 from cosim.core.member import read_only, result_problem
+from cosim.native.expression import compile_expression
+from cosim.native.step import evaluate_at, first_order_hold
+from cosim.theory.disturbance import Exponential, Family, group_by_alpha
+from cosim.theory.disturbed_plant import DisturbedPlant
+from cosim.theory.regression import expand
+
+_SCALES: Final = (2.0**-12, 2.0**12)  # powers of two: other units, the same digits
+_SCALED: Final = 1e-6  # relative difference of theta in other units
 
 
 class RollbackComponent(Component, Rollback[State], Protocol[State]):
@@ -113,6 +125,267 @@ def check_rollback(
             rows = bench.advance(component, k, bench.steps)
             law = "a restored component goes on as it did after save"
             bench.compare(law, rows, expected, k + 1)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class EstimationCase:
+    """What an estimator is told, and the signals that it may take.
+
+    ``x' = A x + B u + sum_i Bd_i alpha_i f_i``, whose output is y; delta is the sum of all
+    ``alpha_i f_i``. There is no transient of an observer in it.
+
+    Parameters
+    ----------
+    plant : DisturbedPlant
+    families : tuple of Family
+        The components of the disturbance.
+    alphas : tuple of str
+        The known factor of each, an expression in t.
+    delays : tuple of float
+        D_j of the regressor [s].
+    h : float
+        Communication step [s].
+    start : float
+        First instant of which the regressor counts [s].
+    deviation : float
+        Standard deviation of the noise of y that is stated to the estimator.
+    size : float
+        Size of x and delta.
+    signals : mapping of name to Matrix, shape (steps + 1, size)
+        ``y``, ``u``, ``delta`` and the products ``regressor`` (mu, NaN before the longest delay).
+    theta : Vector, shape (P,)
+        The truth.
+    """
+
+    plant: DisturbedPlant
+    families: tuple[Family, ...]
+    alphas: tuple[str, ...]
+    delays: tuple[float, ...]
+    h: float
+    start: float
+    deviation: float
+    size: float
+    signals: Mapping[str, Matrix]
+    theta: Vector
+
+    @property
+    def steps(self) -> int:
+        """The number of communication steps."""
+        return len(self.signals["y"]) - 1
+
+    @property
+    def span(self) -> float:
+        """The length of the record [s]."""
+        return self.steps * self.h
+
+
+def check_estimator(
+    make: Callable[[EstimationCase], Component], *, accuracy: float = 0.0, seed: int = 0
+) -> None:
+    """Check that an estimator keeps the laws that its users rely on.
+
+    Its inputs are some of ``regressor``, ``delta``, ``y`` and ``u``, its output is ``theta``, and
+    ``standard_error`` where it has one. The signals are those of two exponentials under a plant of
+    first order, over 30 s.
+
+    * It is a component: :func:`check_component`; blocks of any length give the same bits.
+    * theta has no value (NaN) at the start, nor from signals that are zero.
+    * Exact signals give the truth to within ``accuracy`` or four standard errors, or no value.
+    * In other units of y, u and delta theta is the same.
+    * From noise without a disturbance there is no standard error below 3 / span, the resolution of
+      the record: no confident theta.
+
+    Parameters
+    ----------
+    make : callable
+        Returns a new estimator for a case, the same every time.
+    accuracy : float
+        Error of theta that the method is known to leave with exact signals [1/s]; infinite for one
+        that need not converge.
+    seed : int
+        Of the noise.
+
+    Raises
+    ------
+    AssertionError
+        At the first law that is broken.
+    """
+    exact = _estimation_case()
+    check_component(
+        lambda: make(exact), inputs=_estimator_inputs(make(exact), exact)[:31], h=exact.h
+    )
+    outputs = _estimate(make, exact, exact.steps)
+    for size in (1, 7):
+        again = _estimate(make, exact, size)
+        if again["rows"].tobytes() != outputs["rows"].tobytes():
+            raise AssertionError(f"blocks of {size} give the bits of one block")
+    _check_silence(make, exact, outputs)
+    _check_exact(outputs, exact.theta, accuracy)
+    for scale in _SCALES:
+        _check_scale(make, exact, scale, outputs["theta"][-1])
+    for draw in range(3):
+        _check_noise(make, exact, seed + draw)
+
+
+def _estimation_case() -> EstimationCase:
+    h = 1e-2
+    steps = 3000
+    t = seconds(np.arange(steps + 1, dtype=np.int64) * nanoseconds(h))
+    alphas = ("1.35 + 0.25*sin(1.7*t)", "1.1 + 0.2*cos(2.3*t)")
+    families = (Exponential(), Exponential())
+    theta = np.array([-0.1, -0.3])
+    delays = (1.0, 2.0, 3.0)
+    plant = DisturbedPlant(
+        A=np.array([[-1.0]]),
+        B=np.array([[0.5]]),
+        Bd=np.ones((1, 2)),
+        C=np.ones((1, 1)),
+        D=np.array([[-1.0]]),
+        Dd=np.zeros((1, 2)),
+    )
+    factors = evaluate_at([compile_expression(alpha) for alpha in alphas], t)
+    delta = (factors * np.exp(np.multiply.outer(t, theta))).sum(axis=1)
+    inputs = np.stack([np.sin(t), delta], axis=1)
+    joined = np.hstack([plant.B, plant.Bd[:, :1]])
+    discrete = first_order_hold(plant.A, joined, h, np.zeros(2, np.bool_))
+    x = np.ones(1)
+    y = np.empty((steps + 1, 1))
+    for k in range(steps + 1):
+        if k:
+            x = discrete.Ad @ x + discrete.B0 @ inputs[k - 1] + discrete.B1 @ inputs[k]
+        y[k] = plant.C @ x + plant.D @ inputs[k, :1]
+    signals = {"y": y, "u": inputs[:, :1], "delta": inputs[:, 1:]}
+    case = EstimationCase(
+        plant=plant,
+        families=families,
+        alphas=alphas,
+        delays=delays,
+        h=h,
+        start=max(delays) + h,
+        deviation=1e-3,
+        size=1.0,
+        signals=signals,
+        theta=theta,
+    )
+    return replace(case, signals={**signals, "regressor": _products(case)})
+
+
+def _products(case: EstimationCase) -> Matrix:
+    """Compute the regressor of a case."""
+    groups = group_by_alpha(case.alphas, case.families)
+    terms = expand(tuple(group.size for group in groups))
+    programs = [compile_expression(group.alpha) for group in groups]
+    steps = [round(delay / case.h) for delay in case.delays]
+    regressor = Regressor(terms, alphas=programs, steps=steps, delays=case.delays)
+    delta = np.ascontiguousarray(case.signals["delta"])
+    t = _times(case)
+    first = regressor.initialize(float(t[0]), delta[0])
+    return np.vstack([first, regressor.advance(t, case.h, delta)])
+
+
+def _times(case: EstimationCase) -> Vector:
+    return seconds(np.arange(case.steps + 1, dtype=np.int64) * nanoseconds(case.h))
+
+
+def _estimator_inputs(component: Component, case: EstimationCase) -> Matrix:
+    """Return the signals that an estimator takes, side by side."""
+    columns = []
+    for signal in component.interface.inputs:
+        values = case.signals.get(signal.name)
+        if values is None or values.shape[1] != signal.size:
+            listed = ", ".join(f"{name} ({one.shape[1]})" for name, one in case.signals.items())
+            raise AssertionError(
+                f"input {signal.name!r} of size {signal.size}: an estimator takes some of {listed}"
+            )
+        columns.append(values)
+    return np.ascontiguousarray(np.hstack(columns))
+
+
+def _estimate(
+    make: Callable[[EstimationCase], Component], case: EstimationCase, size: int
+) -> dict[str, Matrix]:
+    """Run an estimator over a case in blocks; return all ``rows``, and its outputs by name."""
+    component = make(case)
+    u = _estimator_inputs(component, case)
+    t = _times(case)
+    prepare(component, case.h, np.zeros(u.shape[1], np.bool_), {})
+    blocks = [component.initialize(float(t[0]), u[0])[np.newaxis]]
+    for begin in range(0, case.steps, size):
+        end = min(begin + size, case.steps)
+        blocks.append(component.advance(t[begin : end + 1], case.h, u[begin : end + 1]))
+    rows = np.vstack(blocks)
+    outputs = {"rows": rows}
+    for name, columns in component.interface.output_columns().items():
+        outputs[name] = rows[:, columns]
+    if "theta" not in outputs or outputs["theta"].shape[1] != len(case.theta):
+        raise AssertionError(f"an estimator has an output 'theta' of size {len(case.theta)}")
+    return outputs
+
+
+def _check_silence(
+    make: Callable[[EstimationCase], Component], case: EstimationCase, outputs: Mapping[str, Matrix]
+) -> None:
+    """Require no theta before there is information."""
+    if not np.isnan(outputs["theta"][0]).all():
+        raise AssertionError(f"theta at the start: found {outputs['theta'][0]}, needed no value")
+    zero = {name: 0.0 * values for name, values in case.signals.items()}
+    theta = _estimate(make, replace(case, signals=zero), case.steps)["theta"]
+    if not np.isnan(theta).all():
+        raise AssertionError(f"theta from signals that are zero: found {theta[-1]}, needed none")
+
+
+def _check_exact(outputs: Mapping[str, Matrix], truth: Vector, accuracy: float) -> None:
+    """Require the truth, to within what the method says of its error."""
+    theta = outputs["theta"][-1]
+    allowed = np.full(len(truth), accuracy)
+    if "standard_error" in outputs:
+        allowed = np.maximum(allowed, 4.0 * np.nan_to_num(outputs["standard_error"][-1]))
+    rounding = 1e-9 * np.abs(truth)
+    wrong = np.abs(theta - truth) > allowed + rounding  # not where there is no value
+    if wrong.any():
+        raise AssertionError(
+            f"theta from exact signals: found {theta}, the truth is {truth}; needed it to within "
+            f"{allowed}, which the method states, or no value"
+        )
+
+
+def _check_scale(
+    make: Callable[[EstimationCase], Component], case: EstimationCase, scale: float, theta: Vector
+) -> None:
+    """Require the same theta in other units, in which everything that is stated is converted."""
+    scaled = {name: scale * values for name, values in case.signals.items()}
+    converted = replace(
+        case, signals=scaled, deviation=scale * case.deviation, size=scale * case.size
+    )
+    found = _estimate(make, converted, case.steps)["theta"][-1]
+    same = np.isclose(found, theta, rtol=_SCALED, atol=0.0, equal_nan=True)
+    if not same.all():
+        raise AssertionError(
+            f"theta with y, u and delta in units of {1.0 / scale:g}: found {found}, needed {theta}"
+        )
+
+
+def _check_noise(
+    make: Callable[[EstimationCase], Component], case: EstimationCase, seed: int
+) -> None:
+    """Require no confident theta where there is no disturbance, but noise."""
+    random = np.random.default_rng(seed)
+    shape = case.signals["y"].shape
+    noise = {name: 0.0 * values for name, values in case.signals.items()}
+    noise["y"] = case.deviation * random.standard_normal(shape)
+    noise["delta"] = case.deviation / case.h * random.standard_normal(shape)
+    silent = replace(case, signals=noise)
+    silent = replace(silent, signals={**noise, "regressor": _products(silent)})
+    outputs = _estimate(make, silent, case.steps)
+    if "standard_error" not in outputs:
+        return
+    errors = outputs["standard_error"][-1]
+    confident = errors < 3.0 / case.span
+    if confident.any():
+        raise AssertionError(
+            f"theta from noise alone, seed {seed}: found {outputs['theta'][-1]} with standard "
+            f"errors {errors}; needed none below {3.0 / case.span:g}, or no value"
+        )
 
 
 def _check_values(bench: _Bench, what: str, rows: Matrix) -> None:

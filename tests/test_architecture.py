@@ -41,7 +41,7 @@ ALLOWED = {
     "blocks": BASE | {"native", "theory", "core"},
     "fmi": BASE | {"native", "core"},
     "log": BASE | {"core"},
-    "testing": BASE | {"core"},
+    "testing": BASE | {"native", "theory", "core", "blocks"},
     "scenario": BASE | {"native", "theory", "core", "blocks", "fmi", "log"},
     "report": BASE | {"theory", "core", "fmi", "log", "scenario"},
     "completion": {"errors", "files", "scenario"},

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -23,7 +22,11 @@ from cosim.scenario.execution import load, replay, run
 from cosim.scenario.kinds.identification import IdentifierKind
 from cosim.scenario.kinds.methods import METHODS, OPTIONS, IdentificationMethod, all_options
 from cosim.scenario.parsing import Scenario
-from cosim.scenario.recorded_metadata import truth_of
+from cosim.scenario.recorded_metadata import (
+    ParameterRecord,
+    recorded_identification,
+    truth_of,
+)
 from cosim.scenario.recording import check_target
 from cosim.scenario.schema import truth_ports
 from cosim.scenario.swap import PortNames
@@ -43,26 +46,26 @@ class EstimatorResult:
         Its replay; None: that failed.
     failure : str
         Why it failed; empty: it did not.
-    seconds : float
-        CPU time of the replay [s].
+    time_ratio : float or None
+        Wall time of the identifier over that of all other components in the run.
     theta : Vector, shape (P,), or None
         NaN: no value.
     standard_error : Vector, shape (P,), or None
         None: the method has none.
     error : Vector, shape (P,), or None
         theta less the truth; None: there is no [truth].
-    verdict : str
-        What the data say of the estimate; empty: nothing is said.
+    verdicts : tuple of ParameterRecord
+        What output error says of each theta; empty: nothing is said.
     """
 
     method: str
     recording: Log | Memory | None = None
     failure: str = ""
-    seconds: float = 0.0
+    time_ratio: float | None = None
     theta: Vector | None = None
     standard_error: Vector | None = None
     error: Vector | None = None
-    verdict: str = ""
+    verdicts: tuple[ParameterRecord, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -92,16 +95,8 @@ class EstimatorComparison:
                 return {theta: truth[theta]}
         return {}
 
-    @property
-    def ratios(self) -> dict[str, float]:
-        """The CPU time of each replay over that of the fastest, by method."""
-        seconds = {result.method: result.seconds for result in self.results if not result.failure}
-        fastest = min(seconds.values(), default=1.0)
-        return {method: value / fastest for method, value in seconds.items()}
-
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON; None where there is no value."""
-        ratios = self.ratios
         methods = []
         for result in self.results:
             log = None
@@ -114,8 +109,8 @@ class EstimatorComparison:
                     "theta": _plain(result.theta),
                     "standard_error": _plain(result.standard_error),
                     "error": _plain(result.error),
-                    "cpu_time_ratio": ratios.get(result.method),
-                    "verdict": result.verdict or None,
+                    "time_ratio": result.time_ratio,
+                    "verdicts": [record.model_dump() for record in result.verdicts],
                     "log": log,
                 }
             )
@@ -170,12 +165,15 @@ def compare_estimators(
             target = None if folder is None else folder / f"{method}.mcap"
             check_target(target, force=force)  # all of them, before the run
             targets.append(target)
-        source = run(edited, out=source_path, force=force)
-        assert isinstance(source, Log)
+        times: dict[str, float] = {}
+        log = run(edited, out=source_path, force=force, profile=times)
+        assert isinstance(log, Log)
+        others = [times.get(name, 0.0) for name in edited.specs if name != component]
         table = edited.document.tree()[0]["components"][component]
+        source = _Source(log, component, table, sum(others))
         results = []
         for method, target in zip(methods, targets, strict=True):
-            results.append(_estimate(source, component, table, method, target=target, force=force))
+            results.append(_estimate(source, method, target=target, force=force))
     return EstimatorComparison(edited.name, component, tuple(results))
 
 
@@ -210,37 +208,48 @@ def _identifier(scenario: Scenario) -> str:
     return names[0]
 
 
+@dataclass(frozen=True)
+class _Source:
+    """A run, its identifier with its table, and the time of all other components [s]."""
+
+    log: Log
+    component: str
+    table: Mapping[str, Any]
+    seconds: float
+
+
 def _estimate(
-    source: Log,
-    component: str,
-    table: Mapping[str, Any],
-    method: IdentificationMethod,
-    *,
-    target: Path | None,
-    force: bool,
+    source: _Source, method: IdentificationMethod, *, target: Path | None, force: bool
 ) -> EstimatorResult:
     """Replay a run with another method."""
+    component = source.component
     others = {key for key in all_options() if key not in OPTIONS[method]}
-    own = {key: value for key, value in table.items() if key not in others}
+    own = {key: value for key, value in source.table.items() if key not in others}
     changes = {component: {**own, "method": method}}
-    began = time.process_time()
+    times: dict[str, float] = {}
     try:
-        recording = replay(source, set=changes, out=target, force=force)
+        recording = replay(source.log, set=changes, out=target, force=force, profile=times)
     except Interrupted:
         raise
     except CosimError as error:  # of one method, whatever it is: the others go on
         return EstimatorResult(method=method, failure=str(error))
-    seconds = time.process_time() - began
     theta = _last(recording, f"{component}.theta")
     error_port = f"{component}.standard_error"
     return EstimatorResult(
         method=method,
         recording=recording,
-        seconds=seconds,
+        time_ratio=times[component] / source.seconds if source.seconds > 0.0 else None,
         theta=theta,
         standard_error=_last(recording, error_port) if has_signal(recording, error_port) else None,
         error=_error(recording, f"{component}.theta", theta),
+        verdicts=_verdicts(recording, component),
     )
+
+
+def _verdicts(recording: Recording, component: str) -> tuple[ParameterRecord, ...]:
+    """Return what was recorded of the identifier's own estimate."""
+    record = recorded_identification(recording).get(component)
+    return () if record is None else record.estimate
 
 
 def _last(recording: Recording, port: str) -> Vector:

@@ -207,6 +207,7 @@ def replay(
     block: int | None = None,
     progress: Progress | None = None,
     notice: Notice | None = None,
+    profile: dict[str, float] | None = None,
 ) -> Log | Memory:
     """Run the scenario of a log again, with its recorded plants; only the log is needed.
 
@@ -218,7 +219,7 @@ def replay(
     ----------
     log : str, Path or Log
         The recording of a run.
-    out, force, block, progress, notice
+    out, force, block, progress, notice, profile
         As of :func:`run`.
     set : mapping of dotted key to value, optional
         Such as ``{"observer.filter_rate": 500.0, "scenario.stop": 10.0}``.
@@ -240,6 +241,7 @@ def replay(
     block = whole_argument("block", block)
     callable_argument("progress", progress)
     callable_argument("notice", notice)
+    _check_profile(profile)
     wanted = mapping_argument("set", set)
     source = log if isinstance(log, Log) else open_log(log)
     if out is not None and os.path.realpath(out) == os.path.realpath(source.path):
@@ -253,4 +255,5 @@ def replay(
         copied = tuple(recorded_components(experiment.scenario))
         origin = ReplayOrigin(str(source.path), source.recorded_hash, copied)
         experiment = replace(experiment, origin=origin, designs=designs)
-        return record(experiment, Target(out, force, notice=notice), progress=progress)
+        target = Target(out, force, notice=notice)
+        return record(experiment, target, progress=progress, profile=profile)

@@ -96,21 +96,17 @@ def print_estimators(comparison: EstimatorComparison, *, as_json: bool) -> None:
         print_json(comparison.to_dict())
         return
     title = f"{comparison.scenario}: {comparison.component}"
-    columns = ["method", "theta", "error", "CPU time / least"]
-    has_verdicts = any(result.verdict for result in comparison.results)
-    if has_verdicts:
-        columns.append("verdict")
-    table = new_table(title, columns)
-    ratios = comparison.ratios
+    table = new_table(title, ("method", "theta", "error", "time / rest", "verdict"))
     for result in comparison.results:
-        cells = [result.method, "failed", result.failure.partition("\n")[0], ""]
-        if not result.failure:
-            error = "" if result.error is None else _listed(result.error, "+.2g")
-            cells = [result.method, _estimate(result), error, f"{ratios[result.method]:.3g}"]
-        if has_verdicts:
-            cells.append(result.verdict)
-        table.add_row(*cells)
+        if result.failure:
+            table.add_row(result.method, "failed", result.failure.partition("\n")[0], "", "")
+            continue
+        error = "" if result.error is None else _listed(result.error, "+.2g")
+        verdicts = ", ".join(record.verdict for record in result.verdicts)
+        ratio = _number(result.time_ratio)
+        table.add_row(result.method, _estimate(result), error, ratio, verdicts)
     print_table(table)
+    print_line("time: of the identifier, over that of all other components in the run")
     for result in comparison.results:
         for line in result.failure.splitlines():
             print_line(f"{result.method}: failed: {line}", error=True)

@@ -1,0 +1,201 @@
+"""Every method of identification keeps the contract of an estimator, and the contract can fail."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cosim.arrays import NAN
+from cosim.blocks.adaptive_identifier import AdaptiveIdentifier
+from cosim.blocks.estimator import Estimator
+from cosim.blocks.identifier import LeastSquaresIdentifier
+from cosim.blocks.kalman_identifier import AugmentedKalmanIdentifier, ExtendedKalmanIdentifier
+from cosim.blocks.output_error_identifier import (
+    IdentificationProblem,
+    IdentificationSchedule,
+    OutputErrorIdentifier,
+)
+from cosim.blocks.projection_identifier import ProjectionIdentifier, RayleighIdentifier
+from cosim.blocks.regressor import Regressor
+from cosim.core.signals import Interface, Signal
+from cosim.native.expression import compile_expression
+from cosim.testing import check_estimator
+from cosim.theory.disturbance import group_by_alpha
+from cosim.theory.disturbed_plant import white_noise
+from cosim.theory.estimators import drem, gradient
+from cosim.theory.estimators.least_squares import plan
+from cosim.theory.estimators.rayleigh import rayleigh_box, rayleigh_constants
+from cosim.theory.regression import expand
+
+BOUNDS = np.full(2, np.inf)
+
+
+def regression(case):
+    groups = group_by_alpha(case.alphas, case.families)
+    return groups, expand(tuple(group.size for group in groups))
+
+
+def problem(case):
+    groups, terms = regression(case)
+    programs = [compile_expression(group.alpha) for group in groups]
+    steps = [round(delay / case.h) for delay in case.delays]
+    products = Regressor(terms, alphas=programs, steps=steps, delays=case.delays).constants
+    rayleigh = rayleigh_constants(case.families, groups, terms, case.delays, span=case.span)
+    return IdentificationProblem(
+        plant=case.plant,
+        modes=np.zeros((0, 0)),
+        row=np.zeros(0),
+        rayleigh=rayleigh,
+        products=products,
+        alphas=[compile_expression(alpha) for alpha in case.alphas],
+        box=rayleigh_box(case.families, case.delays, span=case.span),
+        noise=white_noise(1),
+    )
+
+
+def schedule(case):
+    return IdentificationSchedule(
+        period=10,
+        steps=case.steps,
+        average=50,
+        window=0,
+        forgetting=1.0,
+        start=case.start,
+        settled=0.0,
+        lag=0.0,
+    )
+
+
+def least_squares(case):
+    groups, terms = regression(case)
+    recovery = plan(terms, groups, case.delays)
+    return LeastSquaresIdentifier(recovery, start_time=case.start)
+
+
+def adaptive(law, gain, forgetting=np.inf):
+    def make(case):
+        groups, terms = regression(case)
+        recovery = plan(terms, groups, case.delays)
+        method = AdaptiveIdentifier(
+            law=law, recovery=recovery, start_time=case.start, gain=gain, forgetting=forgetting
+        )
+        return Estimator(method)
+
+    return make
+
+
+def output_error(case):
+    return OutputErrorIdentifier(
+        problem(case), schedule(case), offset=False, lower=-BOUNDS, upper=BOUNDS
+    )
+
+
+def projection(case):
+    return Estimator(ProjectionIdentifier(problem(case), schedule(case), -BOUNDS, BOUNDS))
+
+
+def rayleigh(case):
+    return Estimator(RayleighIdentifier(problem(case), schedule(case)))
+
+
+def extended_kalman(case):
+    method = ExtendedKalmanIdentifier(
+        problem=problem(case), deviation=case.deviation, size=case.size
+    )
+    return Estimator(method)
+
+
+def augmented_kalman(case):
+    method = AugmentedKalmanIdentifier(
+        problem=problem(case),
+        schedule=schedule(case),
+        deviation=case.deviation,
+        size=case.size,
+        intensity=case.size**2,
+    )
+    return Estimator(method)
+
+
+# What each leaves of exact signals; the rows of the regression are exact.
+ESTIMATORS = {
+    "output-error": (output_error, 1e-9),
+    "least-squares": (least_squares, 1e-9),
+    "projection": (projection, 1e-9),
+    "rayleigh": (rayleigh, 1e-6),
+    "augmented-kalman": (augmented_kalman, 1e-3),
+    "extended-kalman": (extended_kalman, 0.03),
+    "drem": (adaptive("drem", drem.GAIN, drem.FORGETTING), 1e-6),
+    "gradient": (adaptive("gradient", gradient.GAIN), np.inf),
+}
+
+
+@pytest.mark.parametrize("name", ESTIMATORS)
+def test_a_method_keeps_the_contract_of_an_estimator(name):
+    """With the error that it is known to leave."""
+    make, accuracy = ESTIMATORS[name]
+    check_estimator(make, accuracy=accuracy)
+
+
+def test_the_extended_filter_is_overconfident():
+    """Its standard errors do not hold its error: without a stated accuracy it breaks the law."""
+    with pytest.raises(AssertionError, match="theta from exact signals"):
+        check_estimator(extended_kalman)
+
+
+class Guess:
+    """An estimator that is wrong in a way of its own."""
+
+    def __init__(self, *, first=NAN, later=NAN, unit=0.0, error=NAN, by_block=0.0):
+        self._first = first
+        self._values = later, unit, error, by_block
+        inputs = (Signal("y", 1, role="input"),)
+        outputs = (
+            Signal("theta", 2, optional=True, role="estimate"),
+            Signal("standard_error", 2, optional=True, role="estimate"),
+        )
+        self.interface = Interface(inputs, outputs, delayed=("y",))
+
+    def initialize(self, t, u):
+        self._last = np.array([self._first, self._first, NAN, NAN])
+        return self._last.copy()
+
+    def outputs(self, t, u):
+        return self._last.copy()
+
+    def advance(self, t, h, u):
+        later, unit, error, by_block = self._values
+        rows = np.empty((len(t) - 1, 4))
+        for k in range(len(rows)):
+            if u[k, 0] != 0.0:
+                theta = later + unit * u[k, 0] + by_block * (k > 40)
+                self._last = np.array([theta, 3.0 * theta, error, error])
+            rows[k] = self._last
+        return rows
+
+
+@pytest.mark.parametrize(
+    ("wrong", "law"),
+    [
+        ({"first": 1.0}, "theta at the start"),
+        ({"first": NAN, "later": -0.2}, "theta from exact signals"),
+        ({"later": -0.1, "unit": 1e-3}, "in units of 4096"),
+        ({"later": -0.1, "unit": 1e-12, "by_block": 1e-3}, "blocks of 1"),
+        ({"later": -0.1, "error": 1e-3}, "theta from noise alone, seed 0"),
+    ],
+)
+def test_a_broken_law_is_named(wrong, law):
+    """Each wrong estimator fails at its law."""
+    with pytest.raises(AssertionError, match=law):
+        check_estimator(lambda case: Guess(**wrong), accuracy=0.01)
+
+
+def test_inputs_that_no_case_has_are_named():
+    """With those that there are."""
+
+    class Other(Guess):
+        def __init__(self):
+            super().__init__()
+            self.interface = Interface((Signal("z", 1, role="input"),), self.interface.outputs)
+
+    with pytest.raises(AssertionError, match=r"input 'z' of size 1: .* y \(1\), u \(1\)"):
+        check_estimator(lambda case: Other())
