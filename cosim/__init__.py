@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from cosim.report.comparing import compare
     from cosim.report.estimator_comparison import compare_estimators
     from cosim.scenario.execution import load, replay, run
+    from cosim.scenario.field_file import read_field_data
 
 _HOMES = {
     "compare": "cosim.report.comparing",
@@ -25,6 +26,7 @@ _HOMES = {
     "linearize": "cosim.fmi.linearizing.linearize",
     "load": "cosim.scenario.execution",
     "open_log": "cosim.log.reader",
+    "read_field_data": "cosim.scenario.field_file",
     "replay": "cosim.scenario.execution",
     "run": "cosim.scenario.execution",
 }
@@ -37,6 +39,7 @@ __all__ = [
     "linearize",
     "load",
     "open_log",
+    "read_field_data",
     "replay",
     "run",
 ]

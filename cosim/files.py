@@ -14,9 +14,15 @@ import tempfile
 from pathlib import Path
 from typing import Final, Literal, TypeAlias
 
-FileType: TypeAlias = Literal["log", "FMU", "scenario"]
+FileType: TypeAlias = Literal["log", "FMU", "scenario", "table"]
 
-_ENDINGS: Final[dict[str, FileType]] = {".mcap": "log", ".fmu": "FMU", ".toml": "scenario"}
+_ENDINGS: Final[dict[str, FileType]] = {
+    ".mcap": "log",
+    ".fmu": "FMU",
+    ".toml": "scenario",
+    ".csv": "table",
+    ".parquet": "table",
+}
 # Opening a pipe waits for its other end; on Windows there are none among the files.
 _NO_WAITING: Final = getattr(os, "O_NONBLOCK", 0)
 _TYPES: Final = (

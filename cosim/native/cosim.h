@@ -48,6 +48,10 @@ void cosim_exponential(int32_t n, const double *M, double *E, double *work);
  * zero-order hold of input j at u(t). `work` has 4 N N doubles, N = n + 2 m. */
 void cosim_first_order_hold(int32_t n, int32_t m, const double *A, const double *B, double h,
                             const uint8_t *held, double *Ad, double *B0, double *B1, double *work);
+/* The same for `count` steps of lengths h, one result behind the other. */
+void cosim_first_order_holds(int64_t count, int32_t n, int32_t m, const double *A, const double *B,
+                             const double *h, const uint8_t *held, double *Ad, double *B0,
+                             double *B1, double *work);
 
 typedef struct {
     int32_t n, m, p;                    /* states, inputs, outputs */

@@ -190,14 +190,15 @@ _SIGNATURES: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "cosim_multiply_add": (None, (_INT, _INT, _POINTER, _POINTER, _POINTER)),
     "cosim_invert": (_INT, (_INT, _POINTER, _POINTER)),
     "cosim_exponential": (None, (_INT, _POINTER, _POINTER, _POINTER)),
-    "cosim_first_order_hold": (
+    "cosim_first_order_holds": (
         None,
         (
+            c_int64,
             _INT,
             _INT,
             _POINTER,
             _POINTER,
-            c_double,
+            _POINTER,
             POINTER(c_uint8),
             _POINTER,
             _POINTER,

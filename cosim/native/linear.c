@@ -140,6 +140,15 @@ void cosim_first_order_hold(int32_t n, int32_t m, const double *A, const double 
     }
 }
 
+void cosim_first_order_holds(int64_t count, int32_t n, int32_t m, const double *A, const double *B,
+                             const double *h, const uint8_t *held, double *Ad, double *B0,
+                             double *B1, double *work)
+{
+    for (int64_t i = 0; i < count; ++i)
+        cosim_first_order_hold(n, m, A, B, h[i], held, Ad + i * n * n, B0 + i * n * m,
+                               B1 + i * n * m, work);
+}
+
 int32_t cosim_linear_step(void *self, double t0, double t1, double h, const double *u0,
                           const double *u1, double *y)
 {

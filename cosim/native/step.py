@@ -137,20 +137,39 @@ def first_order_hold(A: Matrix, B: Matrix, h: float, held: Mask) -> DiscretizedD
         Inputs with a zero-order hold: they keep their value at the start of the step. The others
         are interpolated linearly.
     """
+    Ad, B0, B1 = first_order_holds(A, B, np.array([h], np.float64), held)
+    return DiscretizedDynamics(Ad[0], B0[0], B1[0])
+
+
+def first_order_holds(
+    A: Matrix, B: Matrix, steps: Vector, held: Mask
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Discretize for many steps: Ad, B0 and B1 of :func:`first_order_hold`, one behind the other.
+
+    Parameters
+    ----------
+    A : Matrix, shape (n, n)
+    B : Matrix, shape (n, m)
+    steps : Vector, shape (count,)
+        Lengths of the steps [s].
+    held : Mask, shape (m,)
+    """
     n, m = B.shape
+    count = len(steps)
     A = _contiguous(A)
     B = _contiguous(B)
-    Ad = np.empty((n, n))
-    B0 = np.empty((n, m))
-    B1 = np.empty((n, m))
+    steps = _contiguous(steps)
+    Ad = np.empty((count, n, n))
+    B0 = np.empty((count, n, m))
+    B1 = np.empty((count, n, m))
     augmented = n + 2 * m
     work = np.empty(4 * augmented**2)
     mask_type = ctypes.c_uint8 * max(m, 1)
     mask = mask_type(*map(int, held))
-    inputs = (n, m, pointer(A), pointer(B), h, mask)
+    inputs = (count, n, m, pointer(A), pointer(B), pointer(steps), mask)
     results = map(pointer, (Ad, B0, B1, work))
-    library.cosim_first_order_hold(*inputs, *results)
-    return DiscretizedDynamics(Ad, B0, B1)
+    library.cosim_first_order_holds(*inputs, *results)
+    return Ad, B0, B1
 
 
 def matrix_exponential(M: Matrix) -> Matrix:

@@ -1,7 +1,8 @@
 """Verdicts on identifiers at the end of a run, from the signals that were recorded of it.
 
 The same for every method: output error is fitted to what the observer took in as y and u, and what
-the identifier says is held against it. They are results, not signals: they rest on linear algebra
+the identifier says is held against it. Where the identifier takes samples of y at times of their
+own, it is fitted to these. They are results, not signals: they rest on linear algebra
 whose last bits depend on the processor.
 """
 
@@ -17,7 +18,7 @@ from cosim.core.contracts import Block
 from cosim.core.graph import Graph
 from cosim.core.signals import Channel
 from cosim.errors import AssumptionError
-from cosim.scenario.identified import IdentifiedPlant
+from cosim.scenario.identified import IdentifiedPlant, SampleRows
 from cosim.theory.disturbed_plant import DataSet
 from cosim.theory.verdicts import assess, judge
 
@@ -74,6 +75,13 @@ class _IdentifierData:
         u = inputs.get("u", slice(0, 0))
         self._u = _shifted(u, observer.inputs.start)
         self._held = held[u]
+        self._sample_columns: tuple[slice, slice] | None = None
+        taken = own.interface.input_columns()
+        if "samples" in taken:
+            times = _shifted(taken["sample_times"], own.inputs.start)
+            self._sample_columns = times, _shifted(taken["samples"], own.inputs.start)
+        self._sample_times: list[Matrix] = []
+        self._samples: list[Matrix] = []
         self._times: list[Vector] = []
         self._outputs: list[Matrix] = []
         self._inputs: list[Matrix] = []
@@ -85,12 +93,18 @@ class _IdentifierData:
         self._times.append(block.time[first:].copy())
         self._outputs.append(signals[first:, self._y].copy())
         self._inputs.append(signals[first:, self._u].copy())
+        if self._sample_columns is not None:
+            times, samples = self._sample_columns
+            self._sample_times.append(signals[first:, times].copy())
+            self._samples.append(signals[first:, samples].copy())
         self._last = signals[-1].copy()
 
     def result(self) -> dict[str, Any]:
         """Return the verdict on the last estimate."""
         if not self._times:
             return {"problem": "the run ended before there were data"}
+        if self._identified.problem:
+            return {"problem": self._identified.problem}
         theta = self._last[self._theta]
         try:
             return self._assessed(theta)
@@ -118,7 +132,10 @@ class _IdentifierData:
         t = np.concatenate(self._times)
         y = np.concatenate(self._outputs)
         u = np.concatenate(self._inputs)
-        return self._identified.data_set(t, y, u, self._held)
+        samples = None
+        if self._sample_columns is not None:
+            samples = SampleRows(*map(np.concatenate, (self._sample_times, self._samples)))
+        return self._identified.data_set(t, y, u, self._held, samples)
 
 
 def _shifted(columns: slice, offset: int) -> slice:

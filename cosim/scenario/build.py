@@ -260,12 +260,15 @@ class Builder:
         component = spec.build(name, self.context)
         entries = self.scenario.maps.get(name)
         if entries:
-            component = self._renamed(name, component, entries)
+            component = self._renamed(name, spec, component, entries)
         return with_units(component, spec.units)
 
-    def _renamed(self, name: str, component: Component, entries: Sequence[MapEntry]) -> Component:
+    def _renamed(
+        self, name: str, spec: Kind, component: Component, entries: Sequence[MapEntry]
+    ) -> Component:
         """Show a swapped component under the scenario's names; add the problems of its map."""
-        renamings = [entry.renaming for entry in entries]
+        given = [entry.renaming for entry in entries]
+        renamings = spec.renamings(component.interface, given)
         replaced = self._replaced.get(name)
         self.port_maps[name], problems = resolve(component.interface, renamings, replaced)
         for entry in entries:
@@ -345,6 +348,12 @@ class Builder:
     def _warn(self, graph: Graph) -> None:
         """Record the warnings of the components, knowing what drives them, and of the graph."""
         h = self.clock.step_ns / 1e9
+        for name, left_out in self.scenario.unfollowed.items():
+            self.context.warn(
+                name,
+                f"has no inputs: the connections to {', '.join(left_out)} are left out, and what "
+                "[truth] compares with need not be true of the data",
+            )
         for name, spec in self.scenario.specs.items():
             held = {}
             mask = graph.held[name]

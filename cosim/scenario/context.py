@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from cosim.arguments import check_path
+from cosim.blocks.field_data import FieldData
 from cosim.core.clock import Clock, nanoseconds
 from cosim.core.contracts import Component, Recording
 from cosim.core.port import Port
+from cosim.core.recorded import find_channel
+from cosim.core.signals import Interface
 from cosim.errors import LogError, UsageError, nearest, option, quoted
 from cosim.scenario.identified import IdentifiedPlant
 from cosim.scenario.kinds import Kind
@@ -99,6 +102,7 @@ class ScenarioBuildContext:
         self.attachments: dict[str, str] = {}
         self.fmus: dict[str, Fmu] = {}
         self._linearized: dict[str, Linearization] = {}
+        self._field_data: dict[str, FieldData] = {}
         self.files: set[Path] = set()
         self.identified: dict[str, IdentifiedPlant] = {}
 
@@ -164,11 +168,46 @@ class ScenarioBuildContext:
 
     def driver(self, to: Port) -> str | None:
         """Return the component that drives an input alone; None: there is no such component."""
+        self._need_connected(to)
+        return self._scenario.driver(to)
+
+    def behind(self, to: Port) -> Mapping[str, Kind]:
+        """Return the components that an input follows, up to those that are not computable."""
+        self._need_connected(to)
+        found: dict[str, Kind] = {}
+        waiting = set(self._scenario.sources(to))
+        while waiting:
+            name = waiting.pop()
+            if name in self._scenario.specs:
+                spec = found[name] = self._scenario.specs[name]
+                if spec.computable:
+                    waiting |= self._scenario.sources_of(name) - found.keys()
+        return found
+
+    def _need_connected(self, to: Port) -> None:
+        """Check that what drives an input is right, as far as that is known.
+
+        Raises
+        ------
+        DependsOnInvalid
+            If it is not, which is reported.
+        """
         self._need(("connections",))
         for key in self.invalid:
             if key[0] == "connections" and to in [port.whole for port in ports_in(key[1:2])]:
                 raise DependsOnInvalid
-        return self._scenario.driver(to)
+
+    def field_data(self, name: str, read: Callable[[], FieldData]) -> FieldData:
+        """Return the samples of a component, which are read once."""
+        if name not in self._field_data:
+            self._field_data[name] = read()
+        return self._field_data[name]
+
+    def recorded(self, name: str) -> Interface | None:
+        """Return the interface of a component that is taken from a recording; None: it is not."""
+        if self._recording is None or self.spec(name).computable:
+            return None
+        return find_channel(self._recording.channels, name, source=self._recording.label).interface
 
     def file(self, path: str) -> Path:
         """Return the path of a file named in the scenario, and record that it is read.

@@ -76,7 +76,7 @@ def read_csv(path: Path) -> NamedColumns:
         If the file cannot be read, or is no such table.
     """
     file = repr(str(path))
-    lines = _lines(path, file)
+    lines = read_lines(path, file)
     names = _names(lines[0], file)
     rows = [line for line in lines[1:] if line.strip()]
     if not rows:
@@ -94,7 +94,14 @@ def read_csv(path: Path) -> NamedColumns:
     return NamedColumns(file, names, values)
 
 
-def _lines(path: Path, file: str) -> list[str]:
+def read_lines(path: Path, file: str) -> list[str]:
+    """Return the lines of a text in UTF-8; ``file`` is its name in messages.
+
+    Raises
+    ------
+    UsageError
+        If the file cannot be read, is too large, or is no text.
+    """
     try:
         content = read_bounded(path, LARGEST)
         text = content.decode("utf-8-sig")  # Excel writes a byte order mark
@@ -131,7 +138,7 @@ def _names(line: str, file: str) -> tuple[str, ...]:
 
 def _check_names(names: tuple[str, ...], file: str) -> None:
     """Refuse rows of numbers without names that tell them apart."""
-    if all(_is_number(name) for name in names):
+    if all(is_number(name) for name in names):
         raise UsageError(
             f"file {file} has numbers in line 1; needed the names of its {len(names)} columns there"
         )
@@ -157,7 +164,7 @@ def _problems(line: str, columns: int) -> Iterator[str]:
         yield " cannot be split"
         return
     for column, cell in enumerate(cells, start=1):
-        if not _is_number(cell):
+        if not is_number(cell):
             found = "text" if cell.strip() else "nothing"
             yield f", column {column} has {found}, needed a number"
     if len(cells) != columns:
@@ -172,7 +179,7 @@ def _cells(line: str) -> list[str] | None:
         return None
 
 
-def _is_number(cell: str) -> bool:
+def is_number(cell: str) -> bool:
     """Return whether a cell is a number as numpy reads it: as Python, but without underscores."""
     try:
         float(cell)

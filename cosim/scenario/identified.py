@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.native.expression import Program
 from cosim.native.step import evaluate_at
@@ -28,6 +30,8 @@ class IdentifiedPlant:
         A constant on every output is unknown.
     bounds : mapping of index to (lower, upper)
         Of theta.
+    problem : str
+        Why nothing can be said of the estimates; empty: nothing stands against it.
     """
 
     observer: str
@@ -36,8 +40,11 @@ class IdentifiedPlant:
     alphas: Sequence[Program]
     offset: bool
     bounds: Mapping[int, tuple[float, float]]
+    problem: str = ""
 
-    def data_set(self, t: Vector, y: Matrix, u: Matrix, held: Mask) -> DataSet:
+    def data_set(
+        self, t: Vector, y: Matrix, u: Matrix, held: Mask, samples: SampleRows | None = None
+    ) -> DataSet:
         """Return what the observer took in as the data of output error.
 
         Parameters
@@ -47,5 +54,41 @@ class IdentifiedPlant:
         u : Matrix, shape (N, n_u)
         held : Mask, shape (n_u,)
             Which of u had a zero-order hold.
+        samples : SampleRows, optional
+            What counts in the place of y.
         """
+        if samples is not None:
+            points = t
+            t, y = samples.flat(y.shape[1])
+            u = _inputs_at(t, points, u, held)
         return DataSet(t, y, u, evaluate_at(self.alphas, t), held)
+
+
+@dataclass(frozen=True, eq=False)
+class SampleRows:
+    """Samples of y at times of their own, as signals have them: NaN where there is none.
+
+    Parameters
+    ----------
+    times : Matrix, shape (K, m)
+    values : Matrix, shape (K, n_y m)
+        Those of one output behind those of another.
+    """
+
+    times: Matrix
+    values: Matrix
+
+    def flat(self, outputs: int) -> tuple[Vector, Matrix]:
+        """Return the times and values of the samples, shapes (N,) and (N, n_y)."""
+        is_there = np.isfinite(self.times)
+        by_output = self.values.reshape(len(self.times), outputs, -1)
+        return self.times[is_there], by_output.transpose(0, 2, 1)[is_there]
+
+
+def _inputs_at(t: Vector, points: Vector, u: Matrix, held: Mask) -> Matrix:
+    """Return the inputs at times within the communication points, shape (N, n_u)."""
+    before = np.searchsorted(points, t, side="right") - 1
+    columns = []
+    for column, is_held in zip(u.T, held, strict=True):
+        columns.append(column[before] if is_held else np.interp(t, points, column))
+    return np.array(columns).T.reshape(len(t), u.shape[1])

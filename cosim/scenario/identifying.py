@@ -14,10 +14,14 @@ from typing import Any
 import numpy as np
 
 from cosim.arrays import Vector, as_columns
+from cosim.core.connections import conversions_of
+from cosim.core.port import Port
+from cosim.core.ports import Ports
 from cosim.errors import UsageError, nearest
 from cosim.log import Log
 from cosim.scenario.assessing import OUTPUT_ERROR
-from cosim.scenario.identified import IdentifiedPlant
+from cosim.scenario.build import Experiment
+from cosim.scenario.identified import IdentifiedPlant, SampleRows
 from cosim.scenario.recorded_metadata import component_record
 from cosim.scenario.replaying import rebuilt
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
@@ -96,12 +100,35 @@ def identifier_record(log: Log, identifier: str | None = None) -> IdentifierReco
         observer = identified.observer
         inputs = experiment.graph.layout[observer].interface.input_columns()
         held = experiment.graph.held[observer][inputs.get("u", slice(0, 0))]
+        samples = _samples(log, experiment, name)
+    if identified.problem:
+        raise UsageError(f"{log.label}: {identified.problem}")
     t = log.time(observer)
     y = as_columns(log[f"{observer}.y"])
     u = np.zeros((len(t), 0))
     if "u" in inputs:
         u = as_columns(log[f"{observer}.u"])
-    return IdentifierRecord(log, name, identified, identified.data_set(t, y, u, held))
+    data = identified.data_set(t, y, u, held, samples)
+    return IdentifierRecord(log, name, identified, data)
+
+
+def _samples(log: Log, experiment: Experiment, identifier: str) -> SampleRows | None:
+    """Return the samples that drove an identifier at times of their own; None: it had none.
+
+    They are taken from what drove it: of the identifier the log may keep some rows only.
+    """
+    to = Port(identifier, "samples")
+    connections = experiment.scenario.connections
+    if to not in connections:
+        return None
+    connection = connections[to]
+    conversions = conversions_of(Ports(experiment.graph.layout), to, connection)
+    parts = []
+    for source, convert in zip(connection.sources, conversions, strict=True):
+        reached = connection.matrix * as_columns(log[source]) + connection.offset
+        parts.append(convert(reached))
+    (times,) = connections[Port(identifier, "sample_times")].sources
+    return SampleRows(as_columns(log[times]), np.hstack(parts))
 
 
 def identify(

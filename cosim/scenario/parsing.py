@@ -18,7 +18,7 @@ from cosim.scenario.document import Document
 from cosim.scenario.kinds import KINDS, Kind
 from cosim.scenario.problems import Key, Problem, problems_of
 from cosim.scenario.schema import ConnectionTable, File
-from cosim.scenario.swap import MapEntry, PortNames, resolve_maps
+from cosim.scenario.swap import MapEntry, PortNames, ports_in, resolve_maps
 
 STAND_INS = {"name": "unnamed", "stop": 1.0, "step": 1.0}  # for settings without a right value
 
@@ -67,11 +67,34 @@ class Scenario:
 
         None: nothing drives it, or sources of several components do.
         """
+        drivers = list(self.sources(to))
+        return drivers[0] if len(drivers) == 1 else None
+
+    def sources(self, to: Port) -> frozenset[str]:
+        """Return the components that drive an input, as a whole or by its elements."""
         drivers: set[str] = set()
         for port, connection in self.connections.items():
             if port.component == to.component and to in (port, port.whole):
                 drivers.update(source.component for source in connection.sources)
-        return drivers.pop() if len(drivers) == 1 else None
+        return frozenset(drivers)
+
+    def sources_of(self, component: str) -> frozenset[str]:
+        """Return the components that drive any input of a component."""
+        drivers: set[str] = set()
+        for to, connection in self.connections.items():
+            if to.component == component:
+                drivers.update(source.component for source in connection.sources)
+        return frozenset(drivers)
+
+    @property
+    def unfollowed(self) -> dict[str, list[str]]:
+        """Inputs that the file connects, by component, of those that follow none."""
+        inputs: dict[str, list[str]] = {}
+        for to in ports_in(self.file.connections):
+            spec = self.specs.get(to.component)
+            if spec is not None and not spec.follows_inputs:
+                inputs.setdefault(to.component, []).append(to.name)
+        return inputs
 
     def upstream(self, component: str) -> Scenario:
         """Return the scenario of a component and of all that it depends on, without the others."""
@@ -153,7 +176,7 @@ def read(
     maps, map_problems = resolve_maps(valid_tree, document.maps)
     specs, component_problems = _validate_components(file.components)
     connections, connection_problems = _connections(file)
-    connections = _with_implied(specs, connections)
+    connections = _with_implied(specs, _followed(specs, connections))
     for key, _ in connection_problems:
         invalid.add(key)
     problems += file_problems + map_problems + component_problems + connection_problems
@@ -228,6 +251,18 @@ def _validate_components(
     return specs, problems
 
 
+def _followed(
+    specs: Mapping[str, Kind], connections: Mapping[Port, Connection]
+) -> dict[Port, Connection]:
+    """Return the connections without those to components that follow no inputs."""
+    followed = {}
+    for to, connection in connections.items():
+        spec = specs.get(to.component)
+        if spec is None or spec.follows_inputs:
+            followed[to] = connection
+    return followed
+
+
 def _with_implied(
     specs: Mapping[str, Kind], connections: Mapping[Port, Connection]
 ) -> dict[Port, Connection]:
@@ -235,7 +270,7 @@ def _with_implied(
     given = {port.whole for port in connections}
     result = dict(connections)
     for name, spec in specs.items():
-        for to, connection in spec.implied_connections(name, connections).items():
+        for to, connection in spec.implied_connections(name, connections, specs).items():
             if to.whole not in given:
                 result[to] = connection
     return result

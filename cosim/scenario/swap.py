@@ -113,7 +113,8 @@ def component_table(name: str, path: str) -> Tables:
     name : str
         Of the component that is replaced; it has this name in a recorded log too.
     path : str
-        Of an .fmu, ``x.fmu#me`` or ``x.fmu#cs`` where it is for both, or of a log (.mcap).
+        Of an .fmu, ``x.fmu#me`` or ``x.fmu#cs`` where it is for both, of a log (.mcap), or of a
+        table of samples (.csv, .parquet).
 
     Raises
     ------
@@ -134,10 +135,12 @@ def component_table(name: str, path: str) -> Tables:
             return table if interface_type is None else {**table, "interface_type": interface_type}
         case "log":
             return {"kind": "recording", "log": file, "component": name}
+        case "table":
+            return {"kind": "field-data", "path": file}
         case _:
             raise UsageError(
-                f"found {path!r}, needed a path that ends in .fmu (an FMU) "
-                "or .mcap (a recorded log)"
+                f"found {path!r}, needed a path that ends in .fmu (an FMU), .mcap (a recorded log) "
+                "or .csv or .parquet (samples with their times)"
             )
 
 

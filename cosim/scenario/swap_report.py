@@ -66,7 +66,8 @@ class SwapReport:
     def warnings(self) -> list[str]:
         """What differs or cannot be compared on connected ports, and in the whole."""
         rows = [row for row in self.rows if row.connected]
-        differences = [_change_text(row) for row in rows if row.verdict == "differs"]
+        different = [row for row in rows if row.verdict == "differs" and not _is_added(row)]
+        differences = [_change_text(row) for row in different]
         units = [_change_text(row) for row in rows if self._is_taken_as_it_is(row)]
         sizes = [_size_text(row) for row in rows if row.of_another_size]
         warnings = []
@@ -86,10 +87,10 @@ class SwapReport:
 
     def _is_taken_as_it_is(self, row: ComparedAspect) -> bool:
         """Return whether a row has another unit which nothing converts."""
-        if row.aspect != "unit":
+        if row.aspect != "unit" or row.verdict == "ok":
             return False
-        unconverted = row.verdict == "differs" and row.port in self.unconverted
-        return row.verdict == "unknown" or unconverted
+        is_lost = row.verdict == "unknown" and row.before is not None
+        return is_lost or row.port in self.unconverted
 
     @property
     def hints(self) -> list[str]:
@@ -108,6 +109,11 @@ class SwapReport:
 
     def _port(self, port: str) -> str:
         return f"{self.component}.{port}" if port else self.component
+
+
+def _is_added(row: ComparedAspect) -> bool:
+    """Return whether a row says that a port is new: nothing relied on it."""
+    return row.aspect == "causality" and row.before is None
 
 
 def _change_text(row: ComparedAspect) -> str:

@@ -38,7 +38,7 @@ from cosim.native.estimation import (
     ResponseRecord,
     residual_of,
 )
-from cosim.native.step import first_order_hold
+from cosim.native.step import first_order_holds
 from cosim.theory.descriptor import ReducedSystem
 
 # growth of a mode over the record from which on the output is predicted, not simulated
@@ -271,31 +271,23 @@ def discretize(
     n, n_u = plant.B.shape
     n_y, components = plant.Dd.shape
     m = len(step)
-    Ad = np.empty((m, n, n))
-    K = np.zeros((m, n, n_y))
-    Bu0 = np.empty((m, n, n_u))
-    Bu1 = np.empty((m, n, n_u))
-    B0 = np.empty((m, components, n))
-    B1 = np.empty((m, components, n))
     inputs = np.hstack([plant.B, plant.Bd])
     mask = np.zeros(n_u + components, np.bool_)
     if held is not None:
         mask[:n_u] = held
-    for i, h in enumerate(step):
-        discrete = first_order_hold(plant.A, inputs, float(h), mask)
-        if predicts[i]:
-            K[i] = predictor_gain(discrete.Ad, plant.C, noise.covariance)
-        Ad[i] = discrete.Ad - K[i] @ plant.C
-        Bu0[i] = discrete.B0[:, :n_u] - K[i] @ plant.D
-        Bu1[i] = discrete.B1[:, :n_u]
-        B0[i] = (discrete.B0[:, n_u:] - K[i] @ plant.Dd).T
-        B1[i] = discrete.B1[:, n_u:].T
+    Ad, start, end = first_order_holds(plant.A, inputs, step, mask)
+    K = np.zeros((m, n, n_y))
+    for i in np.flatnonzero(predicts):
+        K[i] = predictor_gain(Ad[i], plant.C, noise.covariance)
+    Ad -= K @ plant.C
+    B0 = start[:, :, n_u:] - K @ plant.Dd
+    Bu0 = start[:, :, :n_u] - K @ plant.D
     constants = OutputErrorConstants(
         generators=generators,
         step=step,
         Ad=Ad,
-        B0=B0,
-        B1=B1,
+        B0=B0.transpose(0, 2, 1),
+        B1=end[:, :, n_u:].transpose(0, 2, 1),
         K=K,
         C=plant.C,
         D=plant.Dd.T,
@@ -304,7 +296,7 @@ def discretize(
         offset=offset,
         forgetting=forgetting,
     )
-    return constants, KnownInput(Bu0, Bu1, plant.D, predicts)
+    return constants, KnownInput(Bu0, end[:, :, :n_u], plant.D, predicts)
 
 
 def needs_predictor(A: Matrix, span: float) -> bool:

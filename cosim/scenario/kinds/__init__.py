@@ -84,6 +84,7 @@ from cosim.scenario.kinds.dynamics import (
     LagKind,
     TransferFunctionKind,
 )
+from cosim.scenario.kinds.field_data import FieldDataKind
 from cosim.scenario.kinds.identification import IdentifierKind, RegressorKind
 from cosim.scenario.kinds.look_up import LookUpTableKind
 from cosim.scenario.kinds.observers import UnknownInputObserverKind
@@ -128,6 +129,7 @@ KINDS: Mapping[str, type[Kind]] = {
     "descriptor": DescriptorKind,
     "fmu": FmuKind,
     "recording": RecordingKind,
+    "field-data": FieldDataKind,
     "unknown-input-observer": UnknownInputObserverKind,
     "regressor": RegressorKind,
     "identifier": IdentifierKind,

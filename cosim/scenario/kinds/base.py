@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeAlias
@@ -11,11 +11,14 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeAlias
 from pydantic import Field
 
 from cosim.arrays import Mask, Matrix
+from cosim.blocks.field_data import FieldData
+from cosim.blocks.renaming import Renaming
 from cosim.core.clock import Clock, whole_steps
 from cosim.core.connections import Connection
 from cosim.core.contracts import Component, Recording
 from cosim.core.linear import Linear, LinearModel
 from cosim.core.port import Port
+from cosim.core.signals import Interface
 from cosim.fmi.exporting.specifications import Exportable
 from cosim.scenario.identified import IdentifiedPlant
 from cosim.scenario.schema import Number, TomlTable, UnitName
@@ -78,6 +81,21 @@ class BuildContext(Protocol):
 
     def recording(self, path: str) -> Recording:
         """Open a log."""
+        ...
+
+    def field_data(self, name: str, read: Callable[[], FieldData]) -> FieldData:
+        """Return the samples of a component, which are read once."""
+        ...
+
+    def recorded(self, name: str) -> Interface | None:
+        """Return the interface of a component that is taken from a recording; None: it is not."""
+        ...
+
+    def behind(self, to: Port) -> Mapping[str, Kind]:
+        """Return the components that an input follows: those that drive it, and those behind them.
+
+        Nothing is followed through one that is not computable.
+        """
         ...
 
     def fmu(self, name: str, path: str, options: FmuOptions) -> Component:
@@ -156,6 +174,15 @@ class Kind(TomlTable):
         return True
 
     @property
+    def follows_inputs(self) -> bool:
+        """Whether it has inputs; if not, connections to them are left out."""
+        return True
+
+    def samples_of(self, output: str) -> str | None:
+        """Return the output with the samples of another one at times of their own; None: none."""
+        return None
+
+    @property
     def models(self) -> tuple[str, ...]:
         """The models that a component is made of which is not computable."""
         return ()
@@ -181,10 +208,31 @@ class Kind(TomlTable):
         return component
 
     def implied_connections(
-        self, name: str, connections: Mapping[Port, Connection]
+        self, name: str, connections: Mapping[Port, Connection], specs: Mapping[str, Kind]
     ) -> Mapping[Port, Connection]:
-        """Return the connections that hold where the file has none for these inputs."""
+        """Return the connections that hold where the file has none for these inputs.
+
+        Parameters
+        ----------
+        name : str
+            Of the component.
+        connections : mapping of Port to Connection
+            All of the scenario.
+        specs : mapping of component name to Kind
+            All of the scenario.
+        """
         return {}
+
+    def renamings(self, interface: Interface, given: Sequence[Renaming]) -> Sequence[Renaming]:
+        """Return the renamings of a swap, and those that follow from them.
+
+        Parameters
+        ----------
+        interface : Interface
+            Of the component.
+        given : sequence of Renaming
+        """
+        return given
 
     @abstractmethod
     def build(self, name: str, context: BuildContext) -> Component:

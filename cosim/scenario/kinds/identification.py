@@ -13,7 +13,9 @@ from pydantic import Field
 
 from cosim.arrays import Vector
 from cosim.blocks.adaptive_identifier import AdaptiveIdentifier
+from cosim.blocks.declared import with_units
 from cosim.blocks.estimator import Estimator
+from cosim.blocks.field_data import SAMPLE_TIMES
 from cosim.blocks.identifier import LeastSquaresIdentifier
 from cosim.blocks.kalman_identifier import AugmentedKalmanIdentifier, ExtendedKalmanIdentifier
 from cosim.blocks.output_error_identifier import (
@@ -28,6 +30,7 @@ from cosim.core.clock import LARGEST_NS, whole_steps
 from cosim.core.connections import Connection
 from cosim.core.contracts import Component
 from cosim.core.port import Port
+from cosim.core.signals import Interface
 from cosim.errors import AssumptionError, UsageError
 from cosim.fmi.exporting import kernels
 from cosim.fmi.exporting.kernels import DiscreteModel
@@ -38,9 +41,11 @@ from cosim.scenario.identified import IdentifiedPlant
 from cosim.scenario.kinds.base import (
     BuildContext,
     ExportableKind,
+    Kind,
     PeriodicKind,
     Wiring,
 )
+from cosim.scenario.kinds.field_data import FieldDataKind
 from cosim.scenario.kinds.jumps import check_continuous
 from cosim.scenario.kinds.methods import INPUTS, OPTIONS, IdentificationMethod, all_options
 from cosim.scenario.kinds.observers import UnknownInputObserverKind
@@ -200,9 +205,12 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         return component if n == 1 else Decimated(component, n)
 
     def implied_connections(
-        self, name: str, connections: Mapping[Port, Connection]
+        self, name: str, connections: Mapping[Port, Connection], specs: Mapping[str, Kind]
     ) -> Mapping[Port, Connection]:
-        """Return what drives the observer: a method takes the same signals."""
+        """Return what drives the observer: a method takes the same signals.
+
+        Where y has samples at times of their own, these too.
+        """
         inputs = INPUTS[self.method]
         if not inputs:
             return {}
@@ -219,6 +227,9 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         for to, connection in connections.items():
             if to.component == observer_port.component and to.signal in inputs & {"y", "u"}:
                 implied[replace(to, component=name)] = connection
+        y = Port(name, "y")
+        if self.method == "output-error":
+            implied |= _samples(name, connections.get(y) or implied.get(y), specs)
         return implied
 
     def build(self, name: str, context: BuildContext) -> Component:
@@ -261,9 +272,16 @@ class IdentifierKind(PeriodicKind, ExportableKind):
             return Estimator(augmented)
         if self.method == "projection":
             return Estimator(ProjectionIdentifier(problem, schedule, lower, upper))
-        return OutputErrorIdentifier(
-            problem, schedule, offset=self.offset, lower=lower, upper=upper
+        identifier = OutputErrorIdentifier(
+            problem,
+            schedule,
+            offset=self.offset,
+            lower=lower,
+            upper=upper,
+            most=self._most_samples(name, context),
         )
+        units = self._units_of_observer(source_name, identifier.interface, context)
+        return with_units(identifier, units)
 
     def _least_squares(
         self, name: str, spec: RegressorKind, start_time: float, context: BuildContext
@@ -314,6 +332,46 @@ class IdentifierKind(PeriodicKind, ExportableKind):
             settled=clock.start_time,
             lag=0.0,
         )
+
+    def _units_of_observer(
+        self, regressor_name: str, interface: Interface, context: BuildContext
+    ) -> dict[str, str]:
+        """Return the units of the signals that are taken where the observer takes them."""
+        observer_name = context.driver(Port(regressor_name, "delta"))
+        assert observer_name is not None
+        spec = context.spec(observer_name)
+        assert isinstance(spec, UnknownInputObserverKind)
+        designed = spec.design(observer_name, context).model.units
+        named = {signal: unit.name for signal, unit in designed.items() if unit.name is not None}
+        named |= spec.units
+        units = {}
+        for signal in interface.inputs:
+            of_observer = "y" if signal.name == "samples" else signal.name
+            if of_observer in named:
+                units[signal.name] = named[of_observer]
+        return units
+
+    def _most_samples(self, name: str, context: BuildContext) -> int:
+        """Return how many samples of y are taken in a step; 0: y at the communication points.
+
+        Raises
+        ------
+        UsageError
+            If y is interpolated between samples of a file that do not reach the identifier.
+        """
+        sampled_by = context.driver(Port(name, "samples"))
+        if sampled_by is not None:
+            spec = context.spec(sampled_by)
+            if isinstance(spec, FieldDataKind):
+                return spec.most_in_a_step(sampled_by, context)
+        interpolated = _field_data_behind(Port(name, "y"), context)
+        if interpolated is not None:
+            raise UsageError(
+                f"y is interpolated between the samples of {interpolated!r}; needed it from whole "
+                "outputs of one such component, directly, with one number as gain or none: then "
+                "the samples are taken at their own times"
+            )
+        return 0
 
     def _problem(
         self, regressor_name: str, spec: RegressorKind, context: BuildContext
@@ -382,7 +440,16 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         bounds = {}
         for j, row in enumerate(self.bounds or ()):
             bounds[j] = (float(row[0]), float(row[1]))
+        problem = ""
+        interpolated = _field_data_behind(Port(observer_name, "y"), context)
+        if self.method != "output-error" and interpolated is not None:
+            problem = (
+                f"y is interpolated between the samples of {interpolated!r}; only method = "
+                '"output-error" takes the samples, and only its estimates are judged'
+            )
+            context.warn(name, problem)
         identified = IdentifiedPlant(
+            problem=problem,
             observer=observer_name,
             plant=disturbed_plant(reduced, len(families)),
             families=families,
@@ -517,6 +584,36 @@ def _recovery_notes(recovery: least_squares.Recovery) -> list[str]:
         if group.kind is least_squares.RecoveryKind.EXPONENTIALS:
             notes.append(f"{names}: two exponentials under one alpha come back the larger first")
     return notes
+
+
+def _samples(name: str, y: Connection | None, specs: Mapping[str, Kind]) -> dict[Port, Connection]:
+    """Return the connections to the samples of what drives y, where it has any.
+
+    Those of several elements stand one element behind the other, as the elements do in y.
+    """
+    if y is None or y.matrix.ndim:
+        return {}
+    components = {source.component for source in y.sources}
+    sampled = []
+    for source in y.sources:
+        spec = specs.get(source.component)
+        signal = None if spec is None else spec.samples_of(source.signal)
+        if signal is not None and source.element is None:
+            sampled.append(Port(source.component, signal))
+    if len(sampled) < len(y.sources) or len(components) != 1:
+        return {}
+    return {
+        Port(name, "samples"): Connection(sampled, y.gain, y.offset, y.unit),
+        Port(name, SAMPLE_TIMES): Connection(Port(components.pop(), SAMPLE_TIMES)),
+    }
+
+
+def _field_data_behind(to: Port, context: BuildContext) -> str | None:
+    """Return the component of field data that an input follows; None: there is none."""
+    for name, spec in context.behind(to).items():
+        if isinstance(spec, FieldDataKind):
+            return name
+    return None
 
 
 def _source(connections: Mapping[Port, Connection], to: Port) -> Port | None:

@@ -1,0 +1,315 @@
+"""Recorded samples at times of their own, in the place of a plant.
+
+At the communication points the outputs are on the straight lines between the samples. Beside them
+are the samples themselves, for those who must not take interpolated values for measured ones: of
+every output ``y`` there is ``y_samples``, and ``sample_times`` has their instants. At a
+communication point these are the samples since the one before it; at the start of the run, one that
+is just there. As many as can be in one step have a place, NaN where there is none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.arrays import NAN, Matrix, Vector
+from cosim.core.contracts import Stopped
+from cosim.core.signals import Interface, Signal
+from cosim.errors import GraphError, UsageError, nearest
+
+SAMPLE_TIMES: Final = "sample_times"
+USUAL_GAP: Final = 10.0  # median distances of samples
+
+
+def samples_of(output: str) -> str:
+    """Return the name of the output that has the samples of another one."""
+    return f"{output}_samples"
+
+
+@dataclass(frozen=True, eq=False)
+class FieldSignal:
+    """A recorded signal.
+
+    Parameters
+    ----------
+    name : str
+    unit : str or None
+        None: not declared.
+    values : Matrix, shape (N, size)
+        NaN: not measured.
+    """
+
+    name: str
+    unit: str | None
+    values: Matrix
+
+
+@dataclass(frozen=True, eq=False)
+class FieldData:
+    """Recorded signals at times of their own.
+
+    Parameters
+    ----------
+    source : str
+        Where they come from, for messages.
+    t : Vector, shape (N,)
+        Ascending times [s].
+    signals : tuple of FieldSignal
+    """
+
+    source: str
+    t: Vector
+    signals: tuple[FieldSignal, ...]
+
+    def __getitem__(self, name: str) -> Matrix:
+        """Return the samples of a signal, shape (N, size); NaN: not measured.
+
+        Raises
+        ------
+        UsageError
+            If there is none of that name.
+        """
+        by_name = {signal.name: signal.values for signal in self.signals}
+        if name not in by_name:
+            raise UsageError(f"{self.source} has no signal {name!r}; {nearest(name, by_name)}")
+        return by_name[name]
+
+    @property
+    def measured(self) -> NDArray[np.bool_]:
+        """The times at which something was measured, shape (N,)."""
+        is_measured = np.zeros(len(self.t), np.bool_)
+        for signal in self.signals:
+            is_measured |= np.isfinite(signal.values).any(axis=1)
+        return is_measured
+
+    def most_in_a_step(self, points: Vector) -> int:
+        """Return the largest number of samples between two communication points, at least 1."""
+        t = self.t[self.measured]
+        counts = np.diff(np.searchsorted(t, points, side="right"))
+        return max(1, int(counts.max(initial=1)))
+
+
+@dataclass(frozen=True, eq=False)
+class _Line:
+    """The measured values of one element, straight lines between them."""
+
+    t: Vector
+    values: Vector
+
+    def at(self, t: Vector) -> Vector:
+        """Return the values at times within the samples."""
+        before = np.searchsorted(self.t, t, side="right") - 1
+        after = np.minimum(before + 1, len(self.t) - 1)
+        distance = np.where(after > before, self.t[after] - self.t[before], 1.0)
+        part = (t - self.t[before]) / distance
+        first = self.values[before]
+        values: Vector = first + part * (self.values[after] - first)
+        return values
+
+
+class FieldRecording:
+    """Returns recorded samples, and what is on the straight lines between them.
+
+    Parameters
+    ----------
+    data : FieldData
+    most : int
+        Samples that can be in one step.
+
+    Raises
+    ------
+    GraphError
+        If it is initialized before all is measured, or a step has more samples.
+    Stopped
+        From ``advance``, where an output is measured no more.
+    """
+
+    def __init__(self, data: FieldData, *, most: int) -> None:
+        is_measured = data.measured
+        self._t = data.t[is_measured]
+        self._columns: list[Vector] = []
+        outputs = []
+        samples = []
+        for signal in data.signals:
+            size = signal.values.shape[1]
+            outputs.append(Signal(signal.name, size, unit=signal.unit))
+            of_signal = Signal(
+                samples_of(signal.name),
+                size * most,
+                unit=signal.unit,
+                variability="discrete",
+                optional=True,
+            )
+            samples.append(of_signal)
+            self._columns += list(signal.values[is_measured].T)
+        times = Signal(SAMPLE_TIMES, most, unit="s", variability="discrete", optional=True)
+        self.interface = Interface((), (*outputs, *samples, times), rollback=True)
+        self._lines = measured_lines(data)
+        self._begin = max(line.t[0] for line in self._lines)
+        self._end = min(line.t[-1] for line in self._lines)
+        self._source = data.source
+        self._most = most
+        self._before: float | None = None  # the communication point before the last
+
+    def initialize(self, t: float, u: Vector) -> Vector:
+        """Begin at ``t``: the samples before it are of no step."""
+        self._before = None
+        return self.outputs(t, u)
+
+    def outputs(self, t: float, u: Vector) -> Vector:
+        """Return what is on the straight lines at ``t``, and the samples of the last step.
+
+        Raises
+        ------
+        GraphError
+            If not all is measured then.
+        """
+        if not self._begin <= t <= self._end:
+            raise GraphError(
+                f"{self._source} has samples from {self._begin} s to {self._end} s, was asked for "
+                f"{t} s"
+            )
+        end = np.array([t])
+        first = np.searchsorted(self._t, end, side="left")
+        if self._before is not None:
+            first = np.searchsorted(self._t, np.array([self._before]), side="right")
+        row: Vector = self._rows(end, first)[0]
+        return row
+
+    def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
+        """Return the rows at ``t[1:]``.
+
+        Raises
+        ------
+        Stopped
+            Where an output is measured no more; with the rows before it.
+        """
+        ends = t[1:][t[1:] <= self._end]
+        first = np.searchsorted(self._t, t[: len(ends)], side="right")
+        rows = self._rows(ends, first)
+        if len(ends) < len(t) - 1:
+            raise Stopped(rows, f"the samples end at {self._end} s")
+        self._before = float(t[-2])
+        return rows
+
+    def save(self) -> float | None:
+        """Return the communication point before the last."""
+        return self._before
+
+    def restore(self, state: float | None) -> None:
+        """Return to a saved state."""
+        self._before = state
+
+    def _rows(self, ends: Vector, first: NDArray[np.intp]) -> Matrix:
+        """Return the rows at the ends of steps, with the samples from number ``first`` on."""
+        after = np.searchsorted(self._t, ends, side="right")
+        if (after - first).max(initial=0) > self._most:
+            raise GraphError(
+                f"{self._source}: more than {self._most} samples in a step; needed the "
+                "communication points that it was made for"
+            )
+        number = first[:, np.newaxis] + np.arange(self._most)
+        is_there = number < after[:, np.newaxis]
+        number = np.minimum(number, len(self._t) - 1)
+        parts = [line.at(ends)[:, np.newaxis] for line in self._lines]
+        for column in (*self._columns, self._t):
+            picked = column[number]
+            parts.append(np.where(is_there & np.isfinite(picked), picked, NAN))
+        return np.hstack(parts)
+
+
+def measured_lines(data: FieldData) -> list[_Line]:
+    """Return what was measured of each element of the signals.
+
+    Raises
+    ------
+    UsageError
+        If there is nothing of one.
+    """
+    lines = []
+    for signal in data.signals:
+        for values in signal.values.T:
+            is_measured = np.isfinite(values)
+            if not is_measured.any():
+                raise UsageError(f"{data.source} has no measured value of {signal.name!r}")
+            lines.append(_Line(data.t[is_measured], values[is_measured]))
+    return lines
+
+
+def check_covers(data: FieldData, points: Vector, maximum_gap: float | None) -> None:
+    """Check that all is measured from the first to the last communication point.
+
+    Parameters
+    ----------
+    data : FieldData
+    points : Vector
+        The communication points [s].
+    maximum_gap : float or None
+        Longest time between two samples of a signal [s]; None: ten times the median.
+
+    Raises
+    ------
+    UsageError
+        If a signal begins later, ends earlier, or has a longer gap; says what can be done.
+    """
+    lines = measured_lines(data)
+    begin = max(float(line.t[0]) for line in lines)
+    end = min(float(line.t[-1]) for line in lines)
+    if begin > points[0] or end < points[-1]:
+        inside = points[(points >= begin) & (points <= end)]
+        way_out = f"offset = {begin!r} makes its first time 0"
+        if len(inside) > 1:
+            way_out = f"start_time = {inside[0]} and stop = {inside[-1]} of [scenario] are inside"
+        raise UsageError(
+            f"{data.source} has samples from {begin} s to {end} s; needed {points[0]} s to "
+            f"{points[-1]} s, the whole run: {way_out}"
+        )
+    names = []
+    for signal in data.signals:
+        names += [signal.name] * signal.values.shape[1]
+    for name, line in zip(names, lines, strict=True):
+        _check_gaps(data.source, name, line.t, points, maximum_gap)
+
+
+def _check_gaps(
+    source: str, name: str, t: Vector, points: Vector, maximum_gap: float | None
+) -> None:
+    in_run = (t[1:] > points[0]) & (t[:-1] < points[-1])
+    gaps = np.diff(t)
+    limit = maximum_gap
+    needed = f"at most maximum_gap = {maximum_gap} s"
+    if limit is None:
+        median = float(np.median(gaps)) if len(gaps) else 0.0
+        limit = USUAL_GAP * median
+        needed = f"at most {USUAL_GAP:g} times the median distance of samples, {median:g} s"
+    too_long = np.flatnonzero(in_run & (gaps > limit))
+    if too_long.size:
+        place = too_long[0]
+        raise UsageError(
+            f"{source}: {name!r} has no sample between {t[place]} s and {t[place + 1]} s; needed "
+            f"{needed}; maximum_gap = {float(gaps[in_run].max())!r} takes the straight line "
+            "there, or run before or after it"
+        )
+
+
+def elements_named(names: Sequence[str]) -> dict[str, list[str]]:
+    """Return names by signal: x[0], x[1], ..., all from 0 on, are the elements of x."""
+    groups: dict[str, dict[int, str]] = {}
+    for name in names:
+        whole, bracket, rest = name.rpartition("[")
+        index = rest.removesuffix("]")
+        if bracket and whole and rest.endswith("]") and index.isdecimal():
+            groups.setdefault(whole, {})[int(index)] = name
+    signals: dict[str, list[str]] = {}
+    for name in names:
+        whole = name.rpartition("[")[0]
+        elements = groups.get(whole, {})
+        if name in elements.values() and sorted(elements) == list(range(len(elements))):
+            signals[whole] = [elements[i] for i in range(len(elements))]
+        else:
+            signals[name] = [name]
+    return signals

@@ -1,0 +1,145 @@
+"""Field data: samples of a file, at their own times, in the place of a plant."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import ClassVar, Final, Literal
+
+import numpy as np
+from pydantic import Field, StrictStr
+
+from cosim.arrays import Vector
+from cosim.blocks.field_data import (
+    SAMPLE_TIMES,
+    FieldData,
+    FieldRecording,
+    check_covers,
+    samples_of,
+)
+from cosim.blocks.renaming import Renaming
+from cosim.core.clock import NANOSECONDS, Clock
+from cosim.core.contracts import Component
+from cosim.core.port import Port
+from cosim.core.signals import Interface
+from cosim.errors import UsageError
+from cosim.scenario.field_file import read_field_data
+from cosim.scenario.kinds.base import BuildContext
+from cosim.scenario.kinds.plants import PlantKind
+from cosim.scenario.schema import Number, UnitName
+
+MOST_SAMPLES: Final = 1000  # in one communication step
+
+
+class FieldDataKind(PlantKind):
+    """Samples of a file (.csv, .parquet) at their own times, straight lines between them."""
+
+    ports: ClassVar[str] = "-> columns of the file, samples of each, sample_times"
+    kind: Literal["field-data"]
+    path: str = Field(description="path of a CSV file, or of one in Parquet (.parquet)")
+    time: str | None = Field(
+        None, description="name of the column of the times; default: the first"
+    )
+    time_unit: UnitName | None = Field(
+        None, description="unit of the times; default: as in the name of the column, t [ms], or s"
+    )
+    offset: Number | Literal["first"] = Field(
+        0.0, description='time stamp that is t = 0, as the file has it; "first": the first one'
+    )
+    columns: dict[str, StrictStr | list[StrictStr]] | None = Field(
+        None,
+        description='columns by output, like { y = "level", x_a = ["s1", "s2"] }; default: every '
+        "column is an output of its name, x[0], x[1], ... are the elements of x",
+    )
+    separator: str | None = Field(
+        None,
+        description="of the columns of a CSV file; default: the one in its first line, a tab, "
+        "semicolon, bar or comma",
+    )
+    decimal: Literal[".", ","] = Field(".", description="decimal sign of a CSV file")
+    maximum_gap: Number | None = Field(
+        None,
+        description="longest time between two samples [s]; default: ten times the median",
+    )
+
+    @property
+    def follows_inputs(self) -> bool:
+        """It has none."""
+        return False
+
+    @property
+    def units(self) -> Mapping[str, str]:
+        """The units of the table by port, those of the samples too."""
+        units = dict(super().units)
+        for port, unit in super().units.items():
+            units.setdefault(samples_of(port), unit)
+        return units
+
+    def samples_of(self, output: str) -> str | None:
+        return samples_of(output)
+
+    def renamings(self, interface: Interface, given: Sequence[Renaming]) -> Sequence[Renaming]:
+        """Add the samples of each renamed output."""
+        most = interface.by_name[SAMPLE_TIMES].size
+        outputs = interface.by_name
+        added = []
+        for renaming in given:
+            sources = [source.find(outputs) for source in renaming.sources]
+            if any(found is None or samples_of(found[0].name) not in outputs for found in sources):
+                continue
+            samples = []
+            for source, found in zip(renaming.sources, sources, strict=True):
+                assert found is not None
+                signal, elements = found
+                part = range(elements.start * most, elements.stop * most)
+                samples.append(Port(source.component, samples_of(signal.name), part))
+            shown = renaming.port
+            element: range | None = None
+            match shown.element:
+                case int(index):
+                    element = range(index * most, (index + 1) * most)
+                case range() as indices:
+                    element = range(indices.start * most, indices.stop * most)
+            port = replace(shown, signal=samples_of(shown.signal), element=element)
+            added.append(Renaming(port, tuple(samples), renaming.causality))
+        return [*given, *added]
+
+    def build(self, name: str, context: BuildContext) -> Component:
+        data = context.field_data(name, lambda: self._read(context))
+        points = _points(context.clock)
+        check_covers(data, points, self.maximum_gap)
+        most = data.most_in_a_step(points)
+        if most > MOST_SAMPLES:
+            raise UsageError(
+                f"{data.source} has {most} samples in one communication step; needed at most "
+                f"{MOST_SAMPLES}: a smaller step"
+            )
+        in_run = data.measured & (data.t >= points[0]) & (data.t <= points[-1])
+        context.add_metadata(name, {"samples": int(in_run.sum()), "samples_in_a_step": most})
+        return FieldRecording(data, most=most)
+
+    def most_in_a_step(self, name: str, context: BuildContext) -> int:
+        """Return for how many samples in a communication step there is a place."""
+        recorded = context.recorded(name)
+        if recorded is not None and SAMPLE_TIMES in recorded.by_name:
+            return recorded.by_name[SAMPLE_TIMES].size
+        data = context.field_data(name, lambda: self._read(context))
+        return data.most_in_a_step(_points(context.clock))
+
+    def _read(self, context: BuildContext) -> FieldData:
+        return read_field_data(
+            context.file(self.path),
+            time=self.time,
+            time_unit=self.time_unit,
+            offset=self.offset,
+            columns=self.columns,
+            separator=self.separator,
+            decimal=self.decimal,
+        )
+
+
+def _points(clock: Clock) -> Vector:
+    """Return the communication points [s]."""
+    steps = np.arange(clock.steps + 1)
+    points: Vector = (clock.start_ns + clock.step_ns * steps) / NANOSECONDS
+    return points

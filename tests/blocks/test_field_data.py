@@ -1,0 +1,158 @@
+"""Recorded samples as a component: straight lines at the points, and the samples beside them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cosim.blocks.field_data import (
+    FieldData,
+    FieldRecording,
+    FieldSignal,
+    check_covers,
+    elements_named,
+)
+from cosim.core.contracts import Stopped
+from cosim.errors import GraphError, UsageError
+from cosim.testing import check_component, check_rollback
+
+H = 1e-3
+POINTS = np.arange(101) * H
+NONE = np.zeros(0)
+
+
+def recorded(t, *signals) -> FieldData:
+    return FieldData("the file", np.asarray(t, np.float64), signals)
+
+
+def signal(name, *columns) -> FieldSignal:
+    return FieldSignal(name, None, np.column_stack(columns))
+
+
+def jittered(seed=0) -> FieldData:
+    """Return two signals, of which the second, of size 2, is not always measured."""
+    rng = np.random.default_rng(seed)
+    t = np.sort([*rng.uniform(-0.01, 0.11, 399), POINTS[20]])
+    second = np.column_stack([np.cos(t), t**2])
+    second[rng.random(400) < 0.2, 0] = np.nan
+    return recorded(t, signal("y", np.sin(t)), FieldSignal("x", "m", second))
+
+
+def rows_of(data, points=POINTS):
+    component = FieldRecording(data, most=data.most_in_a_step(points))
+    first = component.initialize(points[0], NONE)
+    rows = component.advance(points, H, np.zeros((len(points), 0)))
+    return component, np.vstack([first, rows])
+
+
+def test_it_keeps_the_contract():
+    """As every component does, and it goes back."""
+    data = jittered()
+    most = data.most_in_a_step(POINTS)
+    check_component(lambda: FieldRecording(data, most=most))
+    check_rollback(lambda: FieldRecording(data, most=most))
+
+
+def test_at_the_points_its_outputs_are_on_straight_lines_between_measured_samples():
+    """What numpy interpolates, each element between its own samples."""
+    data = jittered()
+    _, rows = rows_of(data)
+    for column, values in enumerate((data["y"][:, 0], *data["x"].T)):
+        there = np.isfinite(values)
+        expected = np.interp(POINTS, data.t[there], values[there])
+        np.testing.assert_allclose(rows[:, column], expected, rtol=1e-13)
+
+
+@given(st.integers(0, 100))
+def test_every_sample_of_the_run_is_shown_once_with_its_time(seed):
+    """In the step that it belongs to, in the order of time; those before the start are not."""
+    data = jittered(seed)
+    component, rows = rows_of(data)
+    columns = component.interface.output_columns()
+    times = rows[:, columns["sample_times"]]
+    shown = times[np.isfinite(times)]
+    in_run = (data.t > POINTS[0]) & (data.t <= POINTS[-1])
+    np.testing.assert_array_equal(shown, data.t[in_run])
+    steps = np.where(np.isfinite(times), times, POINTS[:, np.newaxis])
+    assert (steps <= POINTS[:, np.newaxis]).all()
+    assert (steps[1:] > POINTS[:-1, np.newaxis]).all()
+    most = times.shape[1]
+    samples = rows[:, columns["x_samples"]].reshape(len(rows), 2, most)
+    shown_x = samples.transpose(0, 2, 1)[np.isfinite(times)]
+    np.testing.assert_array_equal(shown_x, data["x"][in_run])
+
+
+def test_a_sample_at_the_start_belongs_to_it():
+    """And none before it: there is no step before the first."""
+    data = recorded([-1e-4, 0.0, 5e-4, 0.2], signal("y", [0.0, 1.0, 2.0, 3.0]))
+    component, rows = rows_of(data)
+    columns = component.interface.output_columns()
+    np.testing.assert_array_equal(rows[0, columns["sample_times"]], [0.0])
+    np.testing.assert_array_equal(rows[0, columns["y_samples"]], [1.0])
+    np.testing.assert_array_equal(rows[1, columns["sample_times"]], [5e-4])
+
+
+def test_it_stops_where_the_samples_end():
+    """With the rows before that."""
+    data = recorded([0.0, 0.0105], signal("y", [1.0, 2.0]))
+    component = FieldRecording(data, most=1)
+    component.initialize(0.0, NONE)
+    with pytest.raises(Stopped, match=r"the samples end at 0.0105 s") as stop:
+        component.advance(POINTS, H, np.zeros((101, 0)))
+    assert len(stop.value.outputs) == 10
+    with pytest.raises(GraphError, match=r"from 0.0 s to 0.0105 s, was asked for 1.0 s"):
+        component.initialize(1.0, NONE)
+
+
+def test_more_samples_than_places_are_never_dropped():
+    """The component was made for other communication points."""
+    data = recorded([0.0, 1e-4, 2e-4, 1.0], signal("y", np.arange(4.0)))
+    component = FieldRecording(data, most=1)
+    component.initialize(0.0, NONE)
+    with pytest.raises(GraphError, match="more than 1 samples in a step"):
+        component.advance(POINTS, H, np.zeros((101, 0)))
+
+
+@pytest.mark.parametrize(
+    ("t", "maximum_gap", "text"),
+    [
+        ([0.0, 0.0995], None, "start_time = 0.0 and stop = 0.099 of"),
+        ([0.0004, 0.2], None, "from 0.0004 s to 0.2 s; needed 0.0 s to 0.1 s, the whole run: "),
+        ([7.0, 8.0], None, "offset = 7.0 makes its first time 0"),
+        (
+            [*np.arange(0.0, 0.05, 1e-3), *np.arange(0.062, 0.11, 1e-3)],
+            None,
+            "'y' has no sample between 0.049 s and 0.062 s; needed at most 10 times the median",
+        ),
+        ([0.0, 0.04, 0.1], 0.05, "needed at most maximum_gap = 0.05 s; maximum_gap = 0.06"),
+    ],
+)
+def test_what_is_not_covered_is_refused_with_the_way_out(t, maximum_gap, text):
+    """Before the run, and with the times."""
+    data = recorded(t, signal("y", np.ones(len(t))))
+    with pytest.raises(UsageError) as refused:
+        check_covers(data, POINTS, maximum_gap)
+    assert text in str(refused.value)
+
+
+def test_a_gap_outside_of_the_run_does_not_matter():
+    """Nor one that is allowed."""
+    t = [-5.0, -1e-3, *np.arange(0.0, 0.1005, 1e-3), 5.0]
+    check_covers(recorded(t, signal("y", np.ones(len(t)))), POINTS, None)
+    check_covers(recorded([0.0, 0.1], signal("y", [1.0, 2.0])), POINTS, 0.1)
+
+
+def test_a_signal_that_is_never_measured_is_refused():
+    """By its name."""
+    data = recorded([0.0, 1.0], signal("y", [np.nan, np.nan]))
+    with pytest.raises(UsageError, match="the file has no measured value of 'y'"):
+        check_covers(data, POINTS, None)
+
+
+def test_elements_are_grouped_where_all_are_there():
+    """From 0 on; else each is a signal of its own name, as in FMUs that count from 1."""
+    names = ["x[1]", "y", "x[0]", "z[1]", "z[2]", "w[a]"]
+    expected = {"x": ["x[0]", "x[1]"], "y": ["y"], "z[1]": ["z[1]"], "z[2]": ["z[2]"]}
+    assert elements_named(names) == {**expected, "w[a]": ["w[a]"]}
