@@ -46,7 +46,9 @@ from cosim.theory.worst_case import BoundedDisturbance, FirstOrder, least_square
 
 VIOLATED = 1e-6  # relative violation from which on a point is outside
 ITERATIONS = 60
-SETTLED = 1e-6  # change of theta by one linear program, in first-order half widths
+SETTLED = 1e-6  # change by one linear program, in first-order half widths, that ends a search
+LINEAR = 1e-3  # change, the same, of which the second order is as little
+MISSED = 1e-5  # first-order half widths by which a search may end too early; added to every end
 MOST_COMBINED = 3  # theta of which starts combine steps
 STATED = np.array([1.0, 1.0])  # limits of the multiple of the bound: as it is
 POSITIVE = np.array([0.0, np.inf])
@@ -124,7 +126,10 @@ def feasible_interval(
     if not len(vertices):
         nothing = np.full(n_theta, NAN)
         return FeasibleInterval(nothing, nothing.copy(), vertices)
-    return FeasibleInterval(vertices.min(axis=0), vertices.max(axis=0), vertices)
+    missed = MISSED * half_width
+    lower = np.maximum(vertices.min(axis=0) - missed, limits[:, 0])
+    upper = np.minimum(vertices.max(axis=0) + missed, limits[:, 1])
+    return FeasibleInterval(lower, upper, vertices)
 
 
 def starts_around(problem: BoundedDisturbance, recorded: RecordedOutputs, p: Vector) -> Matrix:
@@ -268,19 +273,25 @@ class _Search:
             solution = self.program.solve(prediction, objective, limits)
             if solution is None:  # the last step left the set by its second order
                 solution = self.program.restore(prediction, limits)
-            elif self._size(solution.step) <= SETTLED:
+            elif self._rests(solution.step, objective):
                 return _Rest(p + solution.step, settled=True)
             if solution is None or self._size(p - self.origin) > REACH:
                 break
             p = p + solution.step
             step = solution.step[:n_theta]
             size = self._size(step)
-            if step @ last < 0.0:
-                radius = size / 2.0
+            if step @ last < 0.0:  # around an end that is no vertex
+                radius = size / 4.0
             elif size >= radius:
                 radius *= 2.0
             last = step
         return _Rest(p, settled=False)
+
+    def _rests(self, step: Vector, objective: Vector) -> bool:
+        """Return whether a step gains nothing and is small enough for its linearization."""
+        gain = abs(float(objective[1:] @ step))
+        size = self._size(step)
+        return size <= SETTLED or (objective[0] == 0.0 and gain <= SETTLED and size <= LINEAR)
 
     def _size(self, step: Vector) -> float:
         """Return the largest step of a theta, in half widths."""
