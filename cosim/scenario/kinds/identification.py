@@ -251,37 +251,51 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         if self.method in ("gradient", "drem"):
             return self._adaptive(spec, start_time)
         problem = self._problem(source_name, spec, context)
-        lower, upper = self._bounds(problem.rayleigh.generators.parameters)
-        problem = problem.within(lower, upper)
         schedule = self._schedule(name, spec, start_time, context)
+        if self.method == "output-error":
+            most = self._most_samples(name, context)
+            identifier: Component = self._output_error(problem, schedule, most)
+        else:
+            identifier = self._baseline(problem, schedule)
+        units = self._units_of_observer(source_name, identifier.interface, context)
+        return with_units(identifier, units)
+
+    def _output_error(
+        self, problem: IdentificationProblem, schedule: IdentificationSchedule, most: int
+    ) -> OutputErrorIdentifier:
+        lower, upper = self._bounds(problem.rayleigh.generators.parameters)
+        return OutputErrorIdentifier(
+            problem.within(lower, upper),
+            schedule,
+            offset=self.offset,
+            lower=lower,
+            upper=upper,
+            most=most,
+        )
+
+    def _baseline(
+        self, problem: IdentificationProblem, schedule: IdentificationSchedule
+    ) -> Component:
+        """Return a method that needs the design model, for comparison with output error."""
         if self.method == "rayleigh":
             return Estimator(RayleighIdentifier(problem, schedule))
+        if self.method == "projection":
+            lower, upper = self._bounds(problem.rayleigh.generators.parameters)
+            within = problem.within(lower, upper)
+            return Estimator(ProjectionIdentifier(within, schedule, lower, upper))
         if self.method == "extended-kalman":
             extended = ExtendedKalmanIdentifier(
                 problem=problem, deviation=self._number("deviation"), size=self._number("size")
             )
             return Estimator(extended)
-        if self.method == "augmented-kalman":
-            augmented = AugmentedKalmanIdentifier(
-                problem=problem,
-                schedule=schedule,
-                deviation=self._number("deviation"),
-                size=self._number("size"),
-                intensity=self._number("intensity"),
-            )
-            return Estimator(augmented)
-        if self.method == "projection":
-            return Estimator(ProjectionIdentifier(problem, schedule, lower, upper))
-        identifier = OutputErrorIdentifier(
-            problem,
-            schedule,
-            offset=self.offset,
-            lower=lower,
-            upper=upper,
-            most=self._most_samples(name, context),
+        augmented = AugmentedKalmanIdentifier(
+            problem=problem,
+            schedule=schedule,
+            deviation=self._number("deviation"),
+            size=self._number("size"),
+            intensity=self._number("intensity"),
         )
-        units = self._units_of_observer(source_name, identifier.interface, context)
-        return with_units(identifier, units)
+        return Estimator(augmented)
 
     def _least_squares(
         self, name: str, spec: RegressorKind, start_time: float, context: BuildContext
