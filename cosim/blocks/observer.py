@@ -7,11 +7,17 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from cosim.blocks.averages import AveragedModel, Smoothed
 from cosim.blocks.plant import linear_model
 from cosim.core.linear import LinearModel
 from cosim.core.signals import Signal
 from cosim.theory.descriptor import ReducedSystem
-from cosim.theory.observer import ObserverDesign, initial_state_map, realize
+from cosim.theory.observer import (
+    ObserverDesign,
+    initial_state_map,
+    realize,
+    realize_averages,
+)
 
 
 def observer_model(
@@ -42,21 +48,15 @@ def observer_model(
     """
     system = realize(reduced, design)
     X0, Xu = initial_state_map(reduced, design, x_a0=x_a0, q0=q0)
-    n_a, n_u = reduced.B_1a.shape
     n_y, n_d = reduced.C5.shape
     n_b = len(reduced.Kx)
-    y = Signal("y", n_y, role="input")
-    inputs: tuple[Signal, ...] = (y,)
-    if n_u:
-        u = Signal("u", n_u, role="input")
-        inputs = (u, y)
-    x_a = Signal("x_a", n_a, role="estimate")
+    inputs = _inputs(reduced)
+    x_a, z = _of_state(reduced)
     delta = Signal("delta", n_d, role="estimate")
     estimates = [x_a, delta]
     if n_b:
         x_b = Signal("x_b", n_b, role="estimate")
         estimates.append(x_b)
-    z = Signal("z", n_a, role="state")
     q = Signal("q", n_y, role="state")
     outputs = (*estimates, z, q)
     states = (*z.elements, *q.elements)
@@ -66,6 +66,73 @@ def observer_model(
     D = system.D
     model = linear_model(inputs, outputs, states=states, A=A, B=B, C=C, D=D, X0=X0, Xu=Xu)
     return _with_constant_state(model) if constant else model
+
+
+def averaged_observer(
+    reduced: ReducedSystem,
+    design: ObserverDesign,
+    *,
+    x_a0: ArrayLike | None = None,
+    constant: bool = False,
+) -> AveragedModel:
+    """Write the observer with a delta to be averaged, and x_b too where it depends on delta.
+
+    Inputs u and y; outputs x_a, x_b where it does not depend on delta, z, then what lags. See
+    :func:`observer_model` for the parameters.
+    """
+    realization = realize_averages(reduced, design)
+    n_a = len(reduced.A_a)
+    X0, Xu = initial_state_map(reduced, design, x_a0=x_a0)
+    n_b = len(reduced.Kx)
+    x_a, z = _of_state(reduced)
+    direct = [x_a, z]
+    lagging = [Signal("delta", len(design.G), role="estimate")]
+    if reduced.Kd.any():
+        lagging.append(Signal("x_b", n_b, role="estimate"))
+    elif n_b:
+        direct.insert(1, Signal("x_b", n_b, role="estimate"))
+    rate = Signal("rate", realization.width)
+    level = Signal("level", realization.width)
+    system = realization.system
+    model = linear_model(
+        _inputs(reduced),
+        (*direct, rate, level),
+        states=tuple(z.elements),
+        A=system.A,
+        B=system.B,
+        C=system.C,
+        D=system.D,
+        X0=X0[:n_a],
+        Xu=Xu[:n_a],
+    )
+    if constant:
+        model = _with_constant_state(model)
+    return AveragedModel(model, tuple(lagging))
+
+
+def consistent_observer(model: AveragedModel, reduced: ReducedSystem, rate: float) -> Smoothed:
+    """Build the observer with averages by a consistent filter.
+
+    Initially delta is 0, as with the filter (19), and x_b what (8) has without delta.
+    """
+    n_d = reduced.Kd.shape[1]
+    start = np.zeros((model.width, model.width))
+    start[n_d:, :n_d] = -reduced.Kd[: model.width - n_d]
+    start[n_d:, n_d:] = np.eye(model.width - n_d)
+    return Smoothed(model, rate, start)
+
+
+def _inputs(reduced: ReducedSystem) -> tuple[Signal, ...]:
+    """Return u and y; only y where there is no u."""
+    n_y, n_u = reduced.C4.shape
+    y = Signal("y", n_y, role="input")
+    return (Signal("u", n_u, role="input"), y) if n_u else (y,)
+
+
+def _of_state(reduced: ReducedSystem) -> tuple[Signal, Signal]:
+    """Return the outputs x_a and z."""
+    n_a = len(reduced.A_a)
+    return Signal("x_a", n_a, role="estimate"), Signal("z", n_a, role="state")
 
 
 def _with_constant_state(model: LinearModel) -> LinearModel:

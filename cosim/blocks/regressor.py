@@ -29,6 +29,8 @@ class Regressor:
         The delays in communication steps.
     delays : sequence of float
         The delays [s].
+    lag : float
+        How far delta lags behind the disturbance [s]: the alphas are read that much earlier.
 
     Raises
     ------
@@ -43,6 +45,7 @@ class Regressor:
         alphas: Sequence[Program],
         steps: Sequence[int],
         delays: Sequence[float],
+        lag: float = 0.0,
     ) -> None:
         for steps_back, delay in zip(steps, delays, strict=True):
             if steps_back > LARGEST_MEMORY:
@@ -57,9 +60,11 @@ class Regressor:
         row = np.array(rows)
         factor = np.array(factors)
         sign = np.array(signs, np.float64)
-        self.constants = RegressorConstants(alphas, steps, delays, row, factor, sign)
+        ages = [lag + delay for delay in delays]
+        self.constants = RegressorConstants(alphas, steps, ages, row, factor, sign)
         self._kernel = RegressorStep(self.constants)
-        delta = Signal("delta", role="input")
+        # what lags has no value at the start
+        delta = Signal("delta", role="input", optional=lag > 0.0)
         mu = Signal("mu", len(terms), optional=True)
         # without a delay of 0 all that mu depends on has passed
         feedthrough = {"mu": ("delta",)} if 0 in steps else {}

@@ -353,6 +353,11 @@ class Recording(Protocol):
         ...
 
     @property
+    def held(self) -> Mapping[str, Mask]:
+        """Which input elements of every component had a zero-order hold."""
+        ...
+
+    @property
     def steps(self) -> int:
         """Number of communication steps."""
         ...

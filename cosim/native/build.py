@@ -23,6 +23,7 @@ SOURCES = (
     "augmented_kalman.c",
     "loops.c",
     "linear.c",
+    "window.c",
     "control.c",
     "elementary.c",
     "runge_kutta.c",

@@ -69,6 +69,24 @@ typedef struct {
 int32_t cosim_delay_step(void *self, double t0, double t1, double h, const double *u0,
                          const double *u1, double *y);
 
+/* --- window.c --- */
+
+/* A discretized linear system, and weighted sums of the increments of other signals over the last
+ * `taps` steps. The increment over a step is Jx x(t) + J0 u(t) + J1 u(t+h). Outputs: those of the
+ * system, then the sums, which have no value (NaN) before `taps` steps were taken. */
+typedef struct {
+    cosim_linear linear;        /* its memory begins that of the whole */
+    int32_t taps, width;        /* at least 1 */
+    const double *Jx, *J0, *J1; /* (width, n), (width, m), (width, m) */
+    const double *weights;      /* (taps) the oldest first */
+    /* that of the system, number of steps taken, the newest increment without J1 u(t+h) (width),
+     * ring (taps, width) */
+    double *memory;
+} cosim_window;
+void cosim_window_outputs(const cosim_window *self, const double *u, double *y);
+int32_t cosim_window_step(void *self, double t0, double t1, double h, const double *u0,
+                          const double *u1, double *y);
+
 /* --- control.c --- */
 
 /* x' = u, except where x is at a limit and u points outwards: exact for inputs that are straight
@@ -197,7 +215,7 @@ typedef struct {
     /* delays, distinct alphas, q + 1, alpha factors of one term */
     int32_t rows, groups, terms, factors;
     const int32_t *steps;        /* (rows) delays in communication steps */
-    const double *delays;        /* (rows) [s] */
+    const double *delays;        /* (rows) how long before now the alphas are read [s] */
     const cosim_program *alphas; /* (groups) */
     const int32_t *row;          /* (terms) row of delta */
     const int32_t *factor;       /* (terms, factors) group * rows + row */

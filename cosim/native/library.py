@@ -38,6 +38,16 @@ class LinearStruct(ctypes.Structure):
     )
 
 
+class WindowStruct(ctypes.Structure):
+    """cosim_window."""
+
+    _fields_ = (
+        ("linear", LinearStruct),
+        *((name, c_int32) for name in ("taps", "width")),
+        *((name, c_void_p) for name in ("Jx", "J0", "J1", "weights", "memory")),
+    )
+
+
 class DelayStruct(ctypes.Structure):
     """cosim_delay."""
 
@@ -206,6 +216,7 @@ _SIGNATURES: dict[str, tuple[Any, tuple[Any, ...]]] = {
             _POINTER,
         ),
     ),
+    "cosim_window_outputs": (None, (_POINTER, _POINTER, _POINTER)),
     "cosim_pid_start": (None, (_POINTER, _POINTER)),
     "cosim_pid_outputs": (None, (_POINTER, _POINTER, _POINTER)),
     "cosim_method_named": (_INT, (c_char_p, POINTER(MethodStruct))),

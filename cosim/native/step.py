@@ -303,7 +303,7 @@ class RegressorConstants:
     steps : sequence of int
         The delays in communication steps.
     delays : sequence of float
-        The delays [s].
+        How long before now the alphas are read [s]: the delays, and the lag of delta.
     row : array of int, shape (terms,)
         Row of delta.
     factor : array of int, shape (terms, factors)

@@ -12,6 +12,7 @@ from cosim.core.port import Port
 from cosim.core.recorded import find_signal
 from cosim.core.signals import Signal
 from cosim.errors import LogError, UnknownSignalError
+from cosim.scenario.recorded_metadata import component_record
 from cosim.units import conversion
 
 
@@ -97,6 +98,46 @@ def stacked_rows_of(
         times, shared, port_shared = np.intersect1d(times, port_times, return_indices=True)
         rows = np.hstack([rows[shared], port_rows[port_shared]])
     return times, rows
+
+
+def lag_of(recording: Recording, port: str) -> float:
+    """Return how far a port lags behind what it estimates [s].
+
+    Raises
+    ------
+    LogError
+        If the metadata of its component cannot be understood.
+    """
+    parsed = Port.parse(port)
+    return component_record(recording, parsed.component).lags.get(parsed.signal, 0.0)
+
+
+def beside_truth(
+    recording: Recording, estimate: str, true_ports: Sequence[str]
+) -> tuple[Nanoseconds, Matrix, Matrix]:
+    """Return an estimate, and the truth at the instants that it belongs to.
+
+    An estimate that lags is compared with the truth that much earlier, which is interpolated
+    linearly there.
+
+    Returns
+    -------
+    tuple
+        The instants of the estimate [ns], shape (N,), its rows and the true ones, shape (N, size).
+    """
+    true_ns, true_rows = stacked_rows_of(recording, true_ports, like=estimate)
+    own_ns = time_ns_of(recording, estimate)
+    own_rows = rows_of(recording, estimate)
+    lag = lag_of(recording, estimate)
+    if not lag:
+        shared_ns, own, true = np.intersect1d(own_ns, true_ns, return_indices=True)
+        return shared_ns, own_rows[own], true_rows[true]
+    wanted = own_ns - lag * 1e9
+    known = np.zeros(len(wanted), np.bool_)
+    if len(true_ns):
+        known = (true_ns[0] <= wanted) & (wanted <= true_ns[-1])
+    columns = [np.interp(wanted[known], true_ns, column) for column in true_rows.T]
+    return own_ns[known], own_rows[known], np.stack(columns, axis=1)
 
 
 def difference(first: Recording, other: Recording, port: str) -> tuple[Matrix, Matrix]:

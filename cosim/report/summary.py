@@ -14,12 +14,13 @@ import numpy as np
 from cosim.arrays import Matrix, Vector, as_columns
 from cosim.core.contracts import Recording
 from cosim.errors import LogError
-from cosim.report.recorded_rows import element_names, rows_of, stacked_rows_of, time_ns_of
+from cosim.report.recorded_rows import beside_truth, element_names, lag_of, rows_of
 from cosim.scenario.assessing import OUTPUT_ERROR
 from cosim.scenario.recorded_metadata import (
     ComponentRecord,
     IdentificationRecord,
     ParameterRecord,
+    ReconstructionRecord,
     component_record,
     first_order_loops,
     recorded_identification,
@@ -41,6 +42,20 @@ class SignalError:
     largest: float  # |error| from there on
     rms: float
     last: float  # |error| at the end
+    lag: float = 0.0  # s, of the estimate: it is compared with the truth that much earlier
+
+
+@dataclass(frozen=True)
+class DeltaReconstruction:
+    """How an observer makes delta, and what that costs."""
+
+    component: str
+    filter: str
+    parameters: Mapping[str, float]
+    lag: float  # s
+    noise_gain: tuple[float, ...]  # of the elements of delta, for white noise in each of y
+    bias: Mapping[str, Any]  # the leading error: coefficient times a derivative of a signal
+    choice: Mapping[str, Any] | None = None  # of auto: what it rests on, and what it expects
 
 
 @dataclass(frozen=True)
@@ -105,6 +120,7 @@ class Summary:
     signals : tuple of SignalError
     values : tuple of ValueOutcome
     identifications : tuple of Identification
+    reconstructions : tuple of DeltaReconstruction
     last : mapping of output name to its last value
         Only where there is no truth.
     loops : tuple of str
@@ -120,6 +136,7 @@ class Summary:
     signals: tuple[SignalError, ...] = ()
     values: tuple[ValueOutcome, ...] = ()
     identifications: tuple[Identification, ...] = ()
+    reconstructions: tuple[DeltaReconstruction, ...] = ()
     last: Mapping[str, float | list[float]] = field(default_factory=dict)
     loops: tuple[str, ...] = ()
 
@@ -133,10 +150,13 @@ def summarize(recording: Recording) -> Summary:
     run = run_metadata(recording)
     truth = truth_of(recording)
     identifiers: dict[str, ComponentRecord] = {}
+    reconstructions = []
     for name in recording.channels:
         record = component_record(recording, name)
         if record.is_identifier:
             identifiers[name] = record
+        if record.reconstruction is not None:
+            reconstructions.append(_reconstruction(recording, name, record, record.reconstruction))
     since = max((record.start_time for record in identifiers.values()), default=0.0)
     recorded = recorded_identification(recording)
     identifications = []
@@ -164,6 +184,7 @@ def summarize(recording: Recording) -> Summary:
         signals=tuple(signals),
         values=tuple(values),
         identifications=tuple(identifications),
+        reconstructions=tuple(reconstructions),
         last=last,
         loops=tuple(first_order_loops(recording)),
     )
@@ -184,24 +205,50 @@ def _last_values(recording: Recording) -> dict[str, float | list[float]]:
 def _signal_error(
     recording: Recording, estimate: str, true_ports: Sequence[str], since: float
 ) -> SignalError:
-    true_ns, true_signals = stacked_rows_of(recording, true_ports, like=estimate)
-    shared_ns, estimate_rows, true_rows = np.intersect1d(
-        time_ns_of(recording, estimate), true_ns, return_indices=True
-    )
-    estimated_values = rows_of(recording, estimate)[estimate_rows]
-    true_values = true_signals[true_rows]
-    error: Matrix = np.abs(estimated_values - true_values)
+    shared_ns, estimated, true = beside_truth(recording, estimate, true_ports)
+    error: Matrix = np.abs(estimated - true)
     time = shared_ns / 1e9
     if not time.size or time[-1] < since:  # the run ended before the identification began
         since = 0.0
     window = error[time >= since]
+    lag = lag_of(recording, estimate)
+    if lag:
+        has_value = ~np.isnan(window).any(axis=1)  # what lags has none at the start
+        window = window[has_value]
     rms = last = float("nan")
     if window.size:
         rms = float(np.sqrt(np.mean(window**2)))
     if len(error):
         last = float(error[-1].max())
     largest = float(window.max(initial=0.0))
-    return SignalError(estimate, ", ".join(true_ports), since, largest, rms, last)
+    return SignalError(estimate, ", ".join(true_ports), since, largest, rms, last, lag)
+
+
+def _reconstruction(
+    recording: Recording, name: str, record: ComponentRecord, design: ReconstructionRecord
+) -> DeltaReconstruction:
+    """Return what the delta of an observer costs, with its inputs held or interpolated."""
+    channel = recording.channels[name]
+    columns = channel.interface.input_columns().get("y", slice(0, 0))
+    held = recording.held[name][columns]
+    shape = (-1, len(held)) if len(held) else (0, 0)
+    interpolated = np.array(record.noise_gain)
+    zero_order = np.array(record.noise_gain_held)
+    if interpolated.size != zero_order.size or interpolated.size % max(len(held), 1):
+        raise LogError(f"metadata of {name!r}: the noise gains do not fit to its y")
+    gains = np.where(held, zero_order.reshape(shape), interpolated.reshape(shape))
+    of_delta = np.sqrt(np.sum(gains**2, axis=1))
+    parameters = {"filter_rate": design.filter_rate, "order": design.order}
+    parameters["half_width"] = design.half_width
+    return DeltaReconstruction(
+        name,
+        design.filter,
+        {key: value for key, value in parameters.items() if value is not None},
+        design.lag,
+        tuple(map(float, of_delta)),
+        design.bias.model_dump(),
+        None if record.choice is None else record.choice.result.model_dump(),
+    )
 
 
 def _without_value(identifications: Sequence[Identification]) -> set[str]:

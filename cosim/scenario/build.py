@@ -34,7 +34,7 @@ from cosim.scenario.identified import IdentifiedPlant
 from cosim.scenario.kinds import BuildContext, Kind
 from cosim.scenario.parsing import Scenario, read
 from cosim.scenario.problems import Key, Problem
-from cosim.scenario.recorded_metadata import ReplayOrigin
+from cosim.scenario.recorded_metadata import ReplayOrigin, component_record
 from cosim.scenario.swap import MapEntry, ports_in, unknown_ports
 from cosim.scenario.truth import check_truth
 
@@ -256,6 +256,9 @@ class Builder:
         if self._recording is not None and not spec.computable:
             for model in spec.models:
                 self.context.model(model)  # what it was made of: a replay cannot change that
+            lags = component_record(self._recording, name).lags
+            if lags:
+                self.context.add_metadata(name, {"lags": lags})
             return Replay(self._recording, name)  # recorded under the scenario's names
         component = spec.build(name, self.context)
         entries = self.scenario.maps.get(name)

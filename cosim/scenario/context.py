@@ -14,9 +14,10 @@ from cosim.core.contracts import Component, Recording
 from cosim.core.port import Port
 from cosim.core.recorded import find_channel
 from cosim.core.signals import Interface
-from cosim.errors import LogError, UsageError, nearest, option, quoted
+from cosim.errors import CosimError, LogError, UsageError, nearest, option, quoted
 from cosim.scenario.identified import IdentifiedPlant
 from cosim.scenario.kinds import Kind
+from cosim.scenario.kinds.base import Spectrum
 from cosim.scenario.parsing import Scenario
 from cosim.scenario.problems import Key
 from cosim.scenario.recorded_metadata import LinearizationRecord, component_record
@@ -103,6 +104,7 @@ class ScenarioBuildContext:
         self.fmus: dict[str, Fmu] = {}
         self._linearized: dict[str, Linearization] = {}
         self._field_data: dict[str, FieldData] = {}
+        self._choices: dict[str, Mapping[str, Any]] = {}
         self.files: set[Path] = set()
         self.identified: dict[str, IdentifiedPlant] = {}
 
@@ -208,6 +210,90 @@ class ScenarioBuildContext:
         if self._recording is None or self.spec(name).computable:
             return None
         return find_channel(self._recording.channels, name, source=self._recording.label).interface
+
+    def lag(self, to: Port) -> float:
+        """Return how far the signal that drives an input lags behind what it estimates [s].
+
+        Signals that pass through static components on their way keep their lag. Of what is wrong in
+        the file, and so reported, nothing is known.
+
+        Raises
+        ------
+        UsageError
+            If it is made of signals that lag differently.
+        """
+        lags: dict[float, Port] = {}
+        seen: set[str] = set()
+        waiting = [to]
+        while waiting:
+            for source in self._sources(waiting.pop()):
+                name = source.component
+                spec = self._scenario.specs.get(name)
+                if spec is None:
+                    continue
+                self._read(f"components.{name}")
+                if not spec.is_static:
+                    lags[self._lag_of(spec, source)] = source
+                elif name not in seen:
+                    seen.add(name)
+                    waiting += self._inputs(name)
+        if len(lags) > 1:
+            found = ", ".join(f"{source} by {lag:g} s" for lag, source in lags.items())
+            raise UsageError(
+                f"{to.name!r} is driven by signals that lag behind differently: {found}; "
+                "needed one lag"
+            )
+        return next(iter(lags), 0.0)
+
+    def _lag_of(self, spec: Kind, source: Port) -> float:
+        if self._recording is not None and not spec.computable:
+            record = component_record(self._recording, source.component)
+            return record.lags.get(source.signal, 0.0)
+        try:
+            return spec.lag(source.component, source.signal, self)
+        except CosimError as error:  # the problem of that component, which reports it itself
+            raise DependsOnInvalid(str(error)) from error
+
+    def _sources(self, to: Port) -> list[Port]:
+        """Return the outputs that drive an input or its elements."""
+        sources: list[Port] = []
+        for port, connection in self._scenario.connections.items():
+            if port.component == to.component and to in (port, port.whole):
+                sources += [source.whole for source in connection.sources]
+        return sources
+
+    def _inputs(self, name: str) -> list[Port]:
+        """Return the inputs of a component that something drives."""
+        ports = {port.whole for port in self._scenario.connections if port.component == name}
+        return sorted(ports, key=str)
+
+    def spectra(self, name: str) -> list[Spectrum]:
+        """Return what is known of the signals of a component, by the tables of those it drives."""
+        spectra = []
+        for to, connection in self._scenario.connections.items():
+            spec = self._scenario.specs.get(to.component)
+            sources = {source.component for source in connection.sources}
+            spectrum = spec.spectrum() if spec is not None and name in sources else None
+            if spectrum is not None:
+                self._read(f"components.{to.component}")
+                spectra.append(spectrum)
+        return spectra
+
+    def chosen(
+        self, name: str, request: Mapping[str, Any], choose: Callable[[], Mapping[str, Any]]
+    ) -> Mapping[str, Any]:
+        """Return what was chosen for a component, or the recorded choice of the same request."""
+        if name not in self._choices:
+            recorded = None
+            if self._recording is not None:
+                recorded = component_record(self._recording, name).choice
+            if recorded is not None and recorded.request == request:
+                result: Mapping[str, Any] = recorded.result.model_dump(mode="json")
+            else:
+                result = choose()
+            self._choices[name] = result
+            self.add_metadata(name, {"choice": {"request": request, "result": result}})
+        return self._choices[name]
 
     def file(self, path: str) -> Path:
         """Return the path of a file named in the scenario, and record that it is read.

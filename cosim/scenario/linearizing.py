@@ -40,11 +40,12 @@ class DesignModel(NamedTuple):
     def declare(self, model: LinearModel) -> LinearModel:
         """Declare the units of the signals of an observer."""
         interface = model.interface
-        inputs = self._with_units(interface.inputs)
-        outputs = self._with_units(interface.outputs)
+        inputs = self.declared(interface.inputs)
+        outputs = self.declared(interface.outputs)
         return replace(model, interface=replace(interface, inputs=inputs, outputs=outputs))
 
-    def _with_units(self, signals: Iterable[Signal]) -> tuple[Signal, ...]:
+    def declared(self, signals: Iterable[Signal]) -> tuple[Signal, ...]:
+        """Return signals of an observer with their units."""
         declared = []
         for signal in signals:
             unit = self.units.get(signal.name, Unit(None))

@@ -52,6 +52,45 @@ class LinearizationRecord(_Record):
     result: dict[str, Any]
 
 
+class WindowRecord(_Record):
+    """The window that was chosen for an observer, for what, and what is expected of it."""
+
+    noise: NumberRow
+    amplitude: Number
+    bandwidth: Number
+    half_width_steps: Whole
+    order: Whole
+    error_by_noise: Number
+    error_by_bias: Number
+    assumption: Text
+
+
+class ChoiceRecord(_Record):
+    """What was chosen for a component, and what the choice rests on."""
+
+    request: dict[str, Any]
+    result: WindowRecord
+
+
+class BiasRecord(_Record):
+    """The leading error of a reconstruction."""
+
+    coefficient: Number
+    derivative: Whole
+    of: Text
+
+
+class ReconstructionRecord(_Record):
+    """How an observer makes delta, and what that costs."""
+
+    filter: Text
+    lag: Number
+    bias: BiasRecord
+    order: Whole | None = None
+    half_width: Number | None = None
+    filter_rate: Number | None = None
+
+
 class ComponentRecord(_Record):
     """Metadata of a component; of an identifier with its unknowns.
 
@@ -70,6 +109,11 @@ class ComponentRecord(_Record):
     bits: Text | None = None
     swap_report: _SwapRecord = _SwapRecord()
     linearization: LinearizationRecord | None = None
+    choice: ChoiceRecord | None = None
+    lags: dict[Text, Number] = {}
+    reconstruction: ReconstructionRecord | None = None
+    noise_gain: NumberRow = ()
+    noise_gain_held: NumberRow = ()
 
     @property
     def is_identifier(self) -> bool:
@@ -146,7 +190,16 @@ _TIMES = ("T_obs", "T_f", "D_max", "T_id")
 
 # Metadata of components that come from eigenvalues: their last digits depend on the processor.
 EIGENVALUE_FIGURES = frozenset(
-    {"eigenvalues", "fixed_modes", "lambda_obs", "T_obs", "T_id", "start_time"}
+    {
+        "eigenvalues",
+        "fixed_modes",
+        "lambda_obs",
+        "noise_gain",
+        "noise_gain_held",
+        "T_obs",
+        "T_id",
+        "start_time",
+    }
 )
 
 

@@ -10,6 +10,8 @@ filters on y and u give (19)::
 
     q' = filter_rate (w - q),    w' is taken as filter_rate (w - q)
 
+``cosim.theory.reconstruction`` has two other ways to w', which the realizations below have too.
+
 The modes of (M, C3) that C3 does not see are the invariant zeros of (A_a, B_2a, C3); no L moves
 them. In coordinates `[W, V]`, V the unobservable subspace and W its complement, `M - L C3` is block
 triangular: `W'M W - W'L C3 W` and `V'M V`.
@@ -38,7 +40,8 @@ class ObserverDesign:
 
     Shapes: ``F (n_a, n_y)``, ``M (n_a, n_a)``, ``N (n_a, n_u)``, ``L (n_a, n_y)``,
     ``G (n_d, n_y)``. ``eigenvalues`` are those of `M - L C3` [1/s], shape ``(n_a,)``,
-    ``fixed_modes`` those of them that no L can move; ``filter_rate`` is `lambda_f` (19) [rad/s].
+    ``fixed_modes`` those of them that no L can move; ``filter_rate`` is `lambda_f` (19) [rad/s],
+    None where there is no such filter.
     """
 
     F: Matrix
@@ -48,7 +51,7 @@ class ObserverDesign:
     G: Matrix
     eigenvalues: ComplexVector
     fixed_modes: ComplexVector
-    filter_rate: float
+    filter_rate: float | None
 
     def __post_init__(self) -> None:
         """Freeze the matrices."""
@@ -93,7 +96,7 @@ def design(
     *,
     L: ArrayLike | None = None,
     poles: Sequence[complex] | None = None,
-    filter_rate: float,
+    filter_rate: float | None = None,
 ) -> ObserverDesign:
     """Design the observer (14)-(18) with a given gain or with given poles.
 
@@ -106,8 +109,8 @@ def design(
     poles : sequence of complex, optional
         Eigenvalues [1/s] of `M - L C3` on the observable part: as many as are not fixed. Exactly
         one of ``L`` and ``poles``.
-    filter_rate : float
-        `lambda_f` of the derivative filter (19) [rad/s].
+    filter_rate : float, optional
+        `lambda_f` of the derivative filter (19) [rad/s]; not needed for a window.
 
     Raises
     ------
@@ -148,16 +151,56 @@ def design(
         G=G,
         eigenvalues=eigenvalues,
         fixed_modes=fixed_modes,
-        filter_rate=float(filter_rate),
+        filter_rate=None if filter_rate is None else float(filter_rate),
     )
 
 
 @dataclass(frozen=True, eq=False)
 class _LinearMap:
-    """A signal `of_x x + of_v v` of the realization with states x = (z, q), inputs v = (u, y)."""
+    """A signal `of_x x + of_v v` of a realization with states x, inputs v = (u, y)."""
 
     of_x: Matrix
     of_v: Matrix
+
+
+@dataclass(frozen=True, eq=False)
+class _ObserverSignals:
+    """What all realizations have: x_a hat, z' (18), u of v, and the drift, a sum of two parts.
+
+    These are `C3 A_a x_a` and, of v, `C3 B_1a u`.
+    """
+
+    x_a: _LinearMap
+    z_dot: _LinearMap
+    U: Matrix
+    drift_of_state: _LinearMap
+    drift_of_u: Matrix
+
+    @property
+    def drift(self) -> _LinearMap:
+        """The drift, `C3 A_a x_a + C3 B_1a u`."""
+        of_v = self.drift_of_state.of_v + self.drift_of_u
+        return _LinearMap(self.drift_of_state.of_x, of_v)
+
+
+def _signals_of(reduced: ReducedSystem, observer: ObserverDesign, Z: Matrix) -> _ObserverSignals:
+    """Compute the signals of a realization; ``Z`` is z of its states."""
+    Y = _w_of_inputs(reduced)
+    n_u = reduced.B_1a.shape[1]
+    U = np.eye(n_u, Y.shape[1])  # u of (u, y)
+    F = observer.F
+    L = observer.L
+    magnitudes = np.abs(F) @ np.abs(Y)
+    x_a = _LinearMap(Z, without_rounding(F @ Y, magnitudes))
+    C3_A = reduced.C3 @ reduced.A_a
+    C3_B = reduced.C3 @ reduced.B_1a
+    drift_of_state = _LinearMap(C3_A @ x_a.of_x, C3_A @ x_a.of_v)
+    closed = observer.M - L @ reduced.C3
+    from_u = observer.N @ U
+    z_dot_of_x = closed @ x_a.of_x
+    z_dot_of_v = closed @ x_a.of_v + from_u + L @ Y
+    z_dot = _LinearMap(z_dot_of_x, z_dot_of_v)
+    return _ObserverSignals(x_a, z_dot, U, drift_of_state, C3_B @ U)
 
 
 def realize(reduced: ReducedSystem, observer: ObserverDesign) -> StateSpace:
@@ -168,34 +211,80 @@ def realize(reduced: ReducedSystem, observer: ObserverDesign) -> StateSpace:
     StateSpace
         Inputs (u, y), states (z, q) with q of the size of y, outputs (x_a hat, delta hat, x_b hat,
         z, q).
+
+    Raises
+    ------
+    AssumptionError
+        If the observer is designed without a filter.
     """
-    n_u = reduced.B_1a.shape[1]
-    n_y, n_a = reduced.C3.shape
-    n_x = n_a + n_y
-    n_v = n_u + n_y
     rate = observer.filter_rate
-    identity = np.eye(n_x)
+    if rate is None:
+        raise AssumptionError("(19): no filter_rate; needed a positive finite rate [rad/s]")
+    n_y, n_a = reduced.C3.shape
+    identity = np.eye(n_a + n_y)
     Z = identity[:n_a]  # z of (z, q)
     Q = identity[n_a:]  # q of (z, q)
-    U = np.eye(n_u, n_v)  # u of (u, y)
+    signals = _signals_of(reduced, observer, Z)
     Y = _w_of_inputs(reduced)
-    F = observer.F
-    L = observer.L
-    magnitudes = np.abs(F) @ np.abs(Y)
-    x_a = _LinearMap(Z, without_rounding(F @ Y, magnitudes))
     w_dot = _LinearMap(-rate * Q, rate * Y)
-    delta = _reconstruction(reduced, observer.G, x_a=x_a, w_dot=w_dot, U=U)
-    x_b = _algebraic_map(reduced, x_a=x_a, delta=delta, U=U)
-    closed = observer.M - L @ reduced.C3
-    from_u = observer.N @ U
-    z_dot_of_x = closed @ x_a.of_x
-    z_dot_of_v = closed @ x_a.of_v + from_u + L @ Y
-    no_feedthrough = np.zeros((n_x, n_v))
-    A = np.vstack([z_dot_of_x, w_dot.of_x])
-    B = np.vstack([z_dot_of_v, w_dot.of_v])
-    C = np.vstack([x_a.of_x, delta.of_x, x_b.of_x, Z, Q])
-    D = np.vstack([x_a.of_v, delta.of_v, x_b.of_v, no_feedthrough])
+    delta = _reconstruction(observer.G, w_dot, signals)
+    x_b = _algebraic_map(reduced, x_a=signals.x_a, delta=delta, U=signals.U)
+    no_feedthrough = np.zeros((n_a + n_y, Y.shape[1]))
+    A = np.vstack([signals.z_dot.of_x, w_dot.of_x])
+    B = np.vstack([signals.z_dot.of_v, w_dot.of_v])
+    C = np.vstack([signals.x_a.of_x, delta.of_x, x_b.of_x, Z, Q])
+    D = np.vstack([signals.x_a.of_v, delta.of_v, x_b.of_v, no_feedthrough])
     return StateSpace(A, B, C, D)
+
+
+@dataclass(frozen=True, eq=False)
+class AveragedRealization:
+    """An observer whose delta, and x_b where it depends on delta, are to be averaged.
+
+    These are signals s that are known by parts: ``s = rate + level'``. Over a step the integral of
+    s is that of ``rate`` plus the increment of ``level``.
+
+    Parameters
+    ----------
+    system : StateSpace
+        Inputs (u, y), states z, outputs (x_a hat, x_b hat where it does not depend on delta, z),
+        then ``rate`` and ``level``, each ``width`` rows.
+    width : int
+        Elements of delta, and of x_b where it depends on delta.
+    """
+
+    system: StateSpace
+    width: int
+
+
+def realize_averages(reduced: ReducedSystem, observer: ObserverDesign) -> AveragedRealization:
+    """Write the observer (18) and the parts of (20) and (8) that are averaged.
+
+    ``delta = G (w' - drift)`` has the rate `-G drift` and the level `G w`.
+    """
+    n_d = len(observer.G)
+    n_a = len(reduced.A_a)
+    signals = _signals_of(reduced, observer, np.eye(n_a))
+    Y = _w_of_inputs(reduced)
+    n_v = Y.shape[1]
+    G = observer.G
+    rates = [_LinearMap(-G @ signals.drift.of_x, -G @ signals.drift.of_v)]
+    levels = [G @ Y]
+    direct = [signals.x_a]
+    width = n_d
+    if reduced.Kd.any():
+        rates.append(_algebraic_map(reduced, x_a=signals.x_a, delta=rates[0], U=signals.U))
+        levels.append(reduced.Kd @ levels[0])
+        width += len(reduced.Kd)
+    else:
+        direct.append(_known_part(reduced, signals))
+    direct.append(_LinearMap(np.eye(n_a), np.zeros((n_a, n_v))))
+    no_state = np.zeros((width, n_a))
+    outputs = [*direct, *rates]
+    C = np.vstack([*(output.of_x for output in outputs), no_state])
+    D = np.vstack([*(output.of_v for output in outputs), *levels])
+    system = StateSpace(signals.z_dot.of_x, signals.z_dot.of_v, C, D)
+    return AveragedRealization(system, width)
 
 
 def initial_state_map(
@@ -206,6 +295,9 @@ def initial_state_map(
     q0: ArrayLike | None = None,
 ) -> tuple[Vector, Matrix]:
     """Compute the initial state of the realized observer as `x(0) = X0 + Xw [u(0); y(0)]`.
+
+    The states are those of :func:`realize`; the first ``n_a`` are those of
+    :func:`realize_averages`.
 
     Parameters
     ----------
@@ -252,7 +344,8 @@ def initial_state_map(
 def identification_start_time(
     *,
     lambda_obs: float,
-    filter_rate: float,
+    filter_rate: float | None = None,
+    window: float | None = None,
     delays: Sequence[float],
     epsilon_observer: float,
     epsilon_filter: float,
@@ -263,8 +356,13 @@ def identification_start_time(
 
     Parameters
     ----------
-    lambda_obs, filter_rate : float
-        Slowest observer rate (37) [1/s] and filter rate (19) [rad/s].
+    lambda_obs : float
+        Slowest observer rate (37) [1/s].
+    filter_rate : float, optional
+        Filter rate (19) [rad/s].
+    window : float, optional
+        In place of a filter, the length of the window that delta is summed up over [s]: T_f, for
+        what is older has no weight. Exactly one of both.
     delays : sequence of float
         `D_j` [s].
     epsilon_observer, epsilon_filter : float
@@ -273,12 +371,15 @@ def identification_start_time(
     Raises
     ------
     AssumptionError
-        If a rate is not positive, a fraction not in (0, 1), or there is no delay.
+        If a rate or the window is not positive, a fraction not in (0, 1), or there is no delay.
     """
-    rates = {"lambda_obs": lambda_obs, "filter_rate": filter_rate}
+    if (filter_rate is None) == (window is None):
+        raise AssumptionError("(36)-(38): needed either filter_rate or window")
+    rates = {"lambda_obs": lambda_obs, "filter_rate": filter_rate, "window": window}
     for name, rate in rates.items():
-        if not 0.0 < rate < math.inf:
-            raise AssumptionError(f"(36)-(38): {name} = {rate:g}; needed a positive finite rate")
+        if rate is not None and not 0.0 < rate < math.inf:
+            what = "time" if name == "window" else "rate"
+            raise AssumptionError(f"(36)-(38): {name} = {rate:g}; needed a positive finite {what}")
     fractions = {"epsilon_observer": epsilon_observer, "epsilon_filter": epsilon_filter}
     for name, fraction in fractions.items():
         if not 0.0 < fraction < 1.0:
@@ -286,7 +387,9 @@ def identification_start_time(
     if not delays:
         raise AssumptionError("(36): no delays; needed at least one")
     T_obs = math.log(1.0 / epsilon_observer) / lambda_obs
-    T_f = math.log(1.0 / epsilon_filter) / filter_rate
+    T_f = window or 0.0
+    if filter_rate is not None:
+        T_f = math.log(1.0 / epsilon_filter) / filter_rate
     D_max = max(delays)
     T_id = T_obs + T_f + D_max
     return IdentificationStartTime(T_obs, T_f, D_max, T_id)
@@ -299,9 +402,9 @@ def _freeze(matrices: ObserverDesign | StateSpace, names: Sequence[str]) -> None
 
 
 def _check_options(
-    L: ArrayLike | None, poles: Sequence[complex] | None, filter_rate: float
+    L: ArrayLike | None, poles: Sequence[complex] | None, filter_rate: float | None
 ) -> None:
-    if not 0.0 < filter_rate < math.inf:
+    if filter_rate is not None and not 0.0 < filter_rate < math.inf:
         raise AssumptionError(
             f"(19): filter_rate = {filter_rate:g}; needed a positive finite rate [rad/s]"
         )
@@ -324,17 +427,20 @@ def _w_of_inputs(reduced: ReducedSystem) -> Matrix:
     return np.hstack([-reduced.C4, np.eye(n_y)])
 
 
-def _reconstruction(
-    reduced: ReducedSystem, G: Matrix, *, x_a: _LinearMap, w_dot: _LinearMap, U: Matrix
-) -> _LinearMap:
+def _reconstruction(G: Matrix, w_dot: _LinearMap, signals: _ObserverSignals) -> _LinearMap:
     """Compute `delta = G (w' - C3 A_a x_a - C3 B_1a u)` (20)."""
-    C3_A = reduced.C3 @ reduced.A_a
-    C3_B = reduced.C3 @ reduced.B_1a
-    drift_of_x = C3_A @ x_a.of_x
-    drift_of_v = C3_A @ x_a.of_v
-    of_x = w_dot.of_x - drift_of_x
-    of_v = w_dot.of_v - drift_of_v - C3_B @ U
+    of_x = w_dot.of_x - signals.drift_of_state.of_x
+    of_v = w_dot.of_v - signals.drift_of_state.of_v - signals.drift_of_u
     return _LinearMap(G @ of_x, G @ of_v)
+
+
+def _known_part(reduced: ReducedSystem, signals: _ObserverSignals) -> _LinearMap:
+    """Compute `Kx x_a + Ku u`, what (8) has without delta."""
+    n_d = reduced.Kd.shape[1]
+    n_x = signals.x_a.of_x.shape[1]
+    n_v = signals.x_a.of_v.shape[1]
+    no_delta = _LinearMap(np.zeros((n_d, n_x)), np.zeros((n_d, n_v)))
+    return _algebraic_map(reduced, x_a=signals.x_a, delta=no_delta, U=signals.U)
 
 
 def _algebraic_map(

@@ -7,12 +7,13 @@ import pytest
 
 from cosim.arrays import NAN
 from cosim.blocks.arithmetic import Static, gain, limit, sum_of, switch
+from cosim.blocks.averages import Windowed
 from cosim.blocks.dynamics import Delay, integrator, lag
 from cosim.blocks.identifier import LeastSquaresIdentifier
 from cosim.blocks.limited_integrator import LimitedIntegrator
 from cosim.blocks.look_up import LookUpTable
 from cosim.blocks.measurement import SensorParameters
-from cosim.blocks.observer import observer_model
+from cosim.blocks.observer import averaged_observer, consistent_observer, observer_model
 from cosim.blocks.pid import Pid, PidParameters
 from cosim.blocks.plant import descriptor_model
 from cosim.blocks.product import Product
@@ -35,6 +36,7 @@ from cosim.theory.descriptor import reduce
 from cosim.theory.disturbance import Exponential, group_by_alpha
 from cosim.theory.estimators.least_squares import plan
 from cosim.theory.observer import design
+from cosim.theory.reconstruction import SavitzkyGolay
 from cosim.theory.regression import expand
 from tests.theory.academic import academic, ordinary
 
@@ -68,6 +70,22 @@ def observer_of_a_constant_input():
     return Linear(observer_model(reduced, designed, constant=True))
 
 
+def with_feedthrough_to_x_b():
+    """Return a system whose algebraic state depends on the disturbance."""
+    system = academic()
+    return reduce(replace(system, Bd=np.array([[1.0], [0.0], [0.5]]), C=np.array([[2, 0, 0]])))
+
+
+def consistent(reduced, **options):
+    averaged = averaged_observer(reduced, design(reduced, poles=[-4.0]), **options)
+    return consistent_observer(averaged, reduced, 1e3)
+
+
+def windowed(reduced, half_width=3, **options):
+    averaged = averaged_observer(reduced, design(reduced, poles=[-4.0]), **options)
+    return Windowed(averaged, SavitzkyGolay(half_width, 2, H).weights)
+
+
 def observer_without_inputs_and_algebraic_states():
     system = ordinary(A=[[0.0, 1.0], [-2.0, -3.0]], B=[[1.0], [0.0]], C=[[1.0, 0.0]])
     reduced = reduce(system)
@@ -75,12 +93,13 @@ def observer_without_inputs_and_algebraic_states():
     return Linear(observer_model(reduced, designed))
 
 
-def regressor(steps=(2, 4, 6)):
+def regressor(steps=(2, 4, 6), lag=0.0):
     alphas = [
         compile_expression("1.35 + 0.25*sin(1.7*t)"),
         compile_expression("1.1 + 0.2*cos(2.3*t)"),
     ]
-    return Regressor(expand((1, 1)), alphas=alphas, steps=steps, delays=[n * H for n in steps])
+    delays = [n * H for n in steps]
+    return Regressor(expand((1, 1)), alphas=alphas, steps=steps, delays=delays, lag=lag)
 
 
 def identifier(**options):
@@ -193,8 +212,17 @@ COMPONENTS = {
     "observer": observer,
     "observer of a constant input": observer_of_a_constant_input,
     "observer without u and x_b": observer_without_inputs_and_algebraic_states,
+    "consistent observer": lambda: consistent(reduce(academic())),
+    "consistent observer of all of x_b": lambda: consistent(with_feedthrough_to_x_b()),
+    "consistent observer of a constant input": lambda: consistent(
+        reduce(academic()), constant=True
+    ),
+    "windowed observer": lambda: windowed(reduce(academic())),
+    "windowed observer of all of x_b": lambda: windowed(with_feedthrough_to_x_b(), 2),
+    "windowed observer of a constant input": lambda: windowed(reduce(academic()), constant=True),
     "regressor": regressor,
     "regressor without delay": lambda: regressor((0, 3, 5)),
+    "regressor of a delta that lags": lambda: regressor(lag=0.2),
     "least squares": identifier,
     "least squares with a prior": lambda: identifier(P0=1e3),
     "replay": lambda: Replay(recording(), "lag"),
@@ -223,6 +251,8 @@ ROLLBACK = [
     "PID step of a period",
     "plant",
     "observer",
+    "consistent observer",
+    "windowed observer",
     "regressor",
     "regressor without delay",
     "least squares",

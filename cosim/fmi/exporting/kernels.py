@@ -6,7 +6,7 @@ text; numbers are written as hexadecimal floats, which are exact.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -22,6 +22,7 @@ from cosim.native.step import (
     RecoveryConstants,
     RegressorConstants,
 )
+from cosim.native.window import WindowConstants
 
 # files of cosim/native that kernels need: those of controllers, those of the method
 CONTROL: Final = ("control.c", "linear.c")
@@ -146,9 +147,10 @@ def regressor(constants: RegressorConstants) -> Kernel:
         f"{{{n_steps}, {n_alphas}, {terms}, {factors}, "
         "steps, delays, alphas, row, factor, sign, 0};"
     )
+    ages = list(constants.delays)
     equations = (
-        "mu_c(t) = sign_c delta(t - D_row) product of alpha_b(t - D_i); "
-        f"delays D = {list(constants.delays)} s; {'; '.join(alphas)}. "
+        "mu_c(t) = sign_c delta(t - D_row) product of alpha_b(t - D_i - lag of delta); "
+        f"alpha is read {ages} s before t; {'; '.join(alphas)}. "
         "No value (NaN) before the longest delay has passed."
     )
     return Kernel(
@@ -212,23 +214,65 @@ def delay(steps: int, width: int, initial: float | None) -> Kernel:
 
 def sampled(discrete: DiscretizedDynamics, *, C: Matrix, D: Matrix, X0: Vector) -> Kernel:
     """Write a linear model discretized for its own step with a zero-order hold of its inputs."""
-    n = len(discrete.Ad)
-    m = discrete.B0.shape[1]
-    p = len(C)
-    arrays = {"Ad": discrete.Ad, "B0": discrete.B0, "B1": discrete.B1, "C": C, "D": D}
-    lines = []
-    matrices = []
-    for letter, array in arrays.items():
-        lines.append(f"static {doubles(letter, array)}")
-        if letter != "B1":  # zero, with a zero-order hold of the inputs
-            matrices.append(f"{letter} = {array.tolist()}")
-    lines.append(doubles("kernel_X0", X0))
-    lines.append(f"const cosim_linear kernel_constants = {{{n}, {m}, {p}, Ad, B0, B1, C, D, 0}};")
     equations = (
         "x_next = Ad x + B0 u, y = C x + D u, with u sampled at the start of its own step and a "
-        f"zero-order hold of y over it; {'; '.join(matrices)}"
+        "zero-order hold of y over it"
     )
+    Xu = np.zeros(discrete.B0.shape)
+    shown = {"Ad": discrete.Ad, "B0": discrete.B0, "C": C, "D": D}  # B1 is zero
+    return _discretized(discrete, C, D, X0, Xu, equations=f"{equations}; {_shown(shown)}")
+
+
+def discretized(
+    discrete: DiscretizedDynamics, *, C: Matrix, D: Matrix, X0: Vector, Xu: Matrix
+) -> Kernel:
+    """Write a linear model discretized for the communication step."""
+    equations = "x_next = Ad x + B0 u + B1 u_next, y = C x + D u, initially x = X0 + Xu u"
+    shown = {"Ad": discrete.Ad, "B0": discrete.B0, "B1": discrete.B1, "C": C, "D": D}
+    return _discretized(discrete, C, D, X0, Xu, equations=f"{equations}; {_shown(shown)}")
+
+
+def _discretized(
+    discrete: DiscretizedDynamics, C: Matrix, D: Matrix, X0: Vector, Xu: Matrix, *, equations: str
+) -> Kernel:
+    n, m = discrete.B0.shape
+    p = len(C)
+    arrays = {"Ad": discrete.Ad, "B0": discrete.B0, "B1": discrete.B1, "C": C, "D": D}
+    lines = [f"static {doubles(letter, array)}" for letter, array in arrays.items()]
+    lines.append(doubles("kernel_X0", X0))
+    lines.append(doubles("kernel_Xu", Xu))
+    lines.append(f"const cosim_linear kernel_constants = {{{n}, {m}, {p}, Ad, B0, B1, C, D, 0}};")
     return Kernel("sampled.c", ("linear.c",), 2 * n, tuple(lines), equations)
+
+
+def _shown(matrices: Mapping[str, Matrix]) -> str:
+    """Write matrices for people."""
+    return "; ".join(f"{name} = {matrix.tolist()}" for name, matrix in matrices.items())
+
+
+def window(constants: WindowConstants, *, X0: Vector, Xu: Matrix) -> Kernel:
+    """Write a linear model discretized for its step, with weighted sums over a window of steps."""
+    n, m, p = constants.sizes
+    names = ("Ad", "B0", "B1", "C", "D", "Jx", "J0", "J1", "weights")
+    arrays = (*constants.matrices, *constants.increments)
+    lines = []
+    for name, array in zip(names, arrays, strict=True):
+        lines.append(f"static {doubles(name, array)}")
+    lines.append(doubles("kernel_X0", X0))
+    lines.append(doubles("kernel_Xu", Xu))
+    taps = len(constants.weights)
+    lines.append(
+        f"const cosim_window kernel_constants = {{{{{n}, {m}, {p}, Ad, B0, B1, C, D, 0}}, "
+        f"{taps}, {constants.width}, Jx, J0, J1, weights, 0}};"
+    )
+    shown = dict(zip(names[:-1], arrays[:-1], strict=True))
+    equations = (
+        "x_next = Ad x + B0 u + B1 u_next, initially x = X0 + Xu u; the first outputs are C x + D "
+        f"u, the others the weighted sums of Jx x + J0 u + J1 u_next over the last {taps} steps, "
+        f"which have no value (NaN) before; {_shown(shown)}"
+    )
+    natives = ("window.c", "linear.c")
+    return Kernel("windowed.c", natives, constants.memory, tuple(lines), equations)
 
 
 def limit(lower: float, upper: float) -> Kernel:

@@ -19,7 +19,7 @@ from cosim.report.plots.curves import (
     draw_curves,
 )
 from cosim.report.plots.picture import Picture, PictureOptions, need_plot
-from cosim.report.recorded_rows import rows_of, stacked_rows_of, time_ns_of
+from cosim.report.recorded_rows import beside_truth, rows_of, time_ns_of
 from cosim.scenario.recorded_metadata import run_metadata, truth_of
 from cosim.scenario.schema import truth_ports
 
@@ -107,11 +107,12 @@ def draw_truth(
 def error_curves(
     recording: Recording, estimate: str, true: Any, options: PictureOptions
 ) -> list[Curve]:
-    """Return estimate minus truth, at the instants that they share."""
-    times, truth = _truth_rows(recording, estimate, true)
-    own_times = time_ns_of(recording, estimate)
-    shared, own_rows, true_rows = np.intersect1d(own_times, times, return_indices=True)
-    errors = rows_of(recording, estimate)[own_rows] - truth[true_rows]
+    """Return estimate minus truth, at the instants that they share.
+
+    An estimate that lags is compared with the truth that much earlier.
+    """
+    shared, estimated, truth = _beside_truth(recording, estimate, true)
+    errors = estimated - truth
     curves = []
     whole = PictureOptions()
     for curve, values in zip(curves_of(recording, estimate, whole), errors.T, strict=True):
@@ -121,13 +122,16 @@ def error_curves(
     return curves
 
 
-def _truth_rows(recording: Recording, estimate: str, true: Any) -> tuple[Nanoseconds, Matrix]:
+def _beside_truth(
+    recording: Recording, estimate: str, true: Any
+) -> tuple[Nanoseconds, Matrix, Matrix]:
     ports = truth_ports(true)
     if ports:
-        return stacked_rows_of(recording, ports, like=estimate)
+        return beside_truth(recording, estimate, ports)
     times = time_ns_of(recording, estimate)
     values = np.atleast_1d(np.array(true, np.float64))
-    return times, np.broadcast_to(values, (len(times), len(values)))
+    truth = np.broadcast_to(values, (len(times), len(values)))
+    return times, rows_of(recording, estimate), truth
 
 
 def limit_to_truth(

@@ -11,10 +11,19 @@ from rich.table import Table
 from cosim.core.contracts import Recording
 from cosim.log import Log
 from cosim.report.recorded_rows import signal_of
-from cosim.report.summary import Identification, ParameterSummary, Summary, span, summarize
+from cosim.report.summary import (
+    DeltaReconstruction,
+    Identification,
+    ParameterSummary,
+    Summary,
+    span,
+    summarize,
+)
 from cosim.report.tables.console import new_table, print_json, print_line, print_table
 from cosim.report.verification import Verification
 from cosim.scenario.recorded_metadata import component_record, recorded_warnings
+
+LONGEST_PRIMES = 4  # of a derivative
 
 
 def print_summary(
@@ -81,6 +90,9 @@ def _summary_table(summary: Summary, recording: Recording) -> Table:
         table = _last_value_table(title, summary, recording)
     if summary.reason:
         table.add_row("stop reason", "", "", summary.reason)
+    for reconstruction in summary.reconstructions:
+        single = len(summary.reconstructions) == 1
+        _add_reconstruction(table, reconstruction, single=single)
     for identification in summary.identifications:
         single = len(summary.identifications) == 1
         _add_identification(table, identification, summary.start, single=single)
@@ -94,6 +106,8 @@ def _error_table(title: str, summary: Summary) -> Table:
     table = new_table(title, ("", "estimate", "truth", "error"))
     for signal in summary.signals:
         window = f"largest for t >= {signal.since:g} s; at the end {signal.last:.3g}"
+        if signal.lag:
+            window += f"; compared with {signal.lag:g} s before, its lag"
         table.add_row(signal.estimate, "", signal.truth, f"{signal.largest:.3g}  ({window})")
     for outcome in summary.values:
         value = "no value" if outcome.value is None else f"{outcome.value:+.6f}"
@@ -110,6 +124,38 @@ def _last_value_table(title: str, summary: Summary, recording: Recording) -> Tab
         text = " ".join(f"{value:.6g}" for value in values)
         table.add_row(name, text, "", signal_of(recording, name).unit or "")
     return table
+
+
+def _add_reconstruction(table: Table, reconstruction: DeltaReconstruction, *, single: bool) -> None:
+    """Add what delta costs: noise, bias and lag."""
+    label = "reconstruction of delta"
+    if not single:
+        label += f" of {reconstruction.component}"
+    parameters = [f"{name} {value:g}" for name, value in reconstruction.parameters.items()]
+    if reconstruction.filter == "first-order":
+        parameters = []  # the scenario has it
+    kind = ", ".join([reconstruction.filter, *parameters])
+    gains = ", ".join(f"{gain:.3g}" for gain in reconstruction.noise_gain)
+    text = f"{kind}: white noise of y x {gains} 1/s; bias {_bias(reconstruction.bias)}"
+    if reconstruction.lag:
+        text += f"; lag {reconstruction.lag:g} s"
+    table.add_row(label, "", "", text)
+    choice = reconstruction.choice
+    if choice is not None:
+        noise = ", ".join(f"{deviation:.3g}" for deviation in choice["noise"])
+        text = (
+            f"chosen for noise of {noise} in y and delta of {choice['amplitude']:.3g} up to "
+            f"{choice['bandwidth']:.3g} rad/s: expected error {choice['error_by_noise']:.2g} by "
+            f"noise, {choice['error_by_bias']:.2g} by bias; {choice['assumption']}"
+        )
+        table.add_row("", "", "", text)
+
+
+def _bias(bias: Mapping[str, Any]) -> str:
+    """Return the leading error as text: ``-0.001 G w''``."""
+    order = bias["derivative"]
+    mark = "'" * order if order <= LONGEST_PRIMES else f"^({order})"
+    return f"{bias['coefficient']:.3g} {bias['of']}{mark}"
 
 
 def _add_identification(

@@ -25,6 +25,7 @@ class SumKind(ExportableKind):
     """y = signs[0] u1 + signs[1] u2 + ..."""
 
     ports: ClassVar[str] = "u1, u2, ... -> y"
+    is_static: ClassVar[bool] = True
     kind: Literal["sum"]
     signs: NumberRow = Field(description="one number an input, like [1, -1]")
     size: Size = Field(1, description="number of elements of every signal")
@@ -42,6 +43,7 @@ class GainKind(ExportableKind):
     """y = K u."""
 
     ports: ClassVar[str] = "u -> y"
+    is_static: ClassVar[bool] = True
     kind: Literal["gain"]
     K: Number | NumberRows = Field(description="a number, or a matrix")
 
@@ -62,6 +64,7 @@ class ProductKind(ExportableKind):
     """y = u1 u2 ..., or divided by some of them, element by element."""
 
     ports: ClassVar[str] = "u1, u2, ... -> y"
+    is_static: ClassVar[bool] = True
     kind: Literal["product"]
     operations: str = Field(description='* or / for each input, like "*/" for u1/u2')
     size: Size = Field(1, description="number of elements of every signal")
@@ -79,6 +82,7 @@ class LimitKind(ExportableKind):
     """y = u within lower and upper."""
 
     ports: ClassVar[str] = "u -> y"
+    is_static: ClassVar[bool] = True
     kind: Literal["limit"]
     lower: Number = Field(description="lower limit")
     upper: Number = Field(description="upper limit")
@@ -112,6 +116,7 @@ class SwitchKind(ExportableKind):
     """y = u1 where control >= threshold, else u2."""
 
     ports: ClassVar[str] = "u1, u2, control -> y"
+    is_static: ClassVar[bool] = True
     kind: Literal["switch"]
     threshold: Number = Field(0.5, description="least control for u1; 0.5 also fits true and false")
     size: Size = Field(1, description="number of elements of u1, u2 and y")

@@ -50,6 +50,28 @@ class LinearSystem:
     error: float
 
 
+@dataclass(frozen=True, slots=True)
+class Spectrum:
+    """What is known of a signal before the run.
+
+    Parameters
+    ----------
+    amplitude : float
+        Its root mean square.
+    bandwidth : float
+        Its highest rate [rad/s].
+    source : Mapping
+        What that was computed from, in plain values.
+    assumption : str
+        What was assumed.
+    """
+
+    amplitude: float
+    bandwidth: float
+    source: Mapping[str, Any]
+    assumption: str
+
+
 class BuildContext(Protocol):
     """What a kind may ask of the scenario that it is built in."""
 
@@ -118,6 +140,23 @@ class BuildContext(Protocol):
         """Record metadata of a component for reports and the log."""
         ...
 
+    def lag(self, to: Port) -> float:
+        """Return how far the signal that drives an input lags behind what it estimates [s]."""
+        ...
+
+    def spectra(self, name: str) -> list[Spectrum]:
+        """Return what is known of the signals of a component, by the tables of those it drives."""
+        ...
+
+    def chosen(
+        self, name: str, request: Mapping[str, Any], choose: Callable[[], Mapping[str, Any]]
+    ) -> Mapping[str, Any]:
+        """Return what was chosen for a component, and record it; a replay takes it from there.
+
+        ``request`` is what the choice rests on, ``choose`` makes it: plain values both.
+        """
+        ...
+
     def warn(self, name: str, text: str) -> None:
         """Record a warning: a component's result is right, but poorly conditioned or costly."""
         ...
@@ -147,9 +186,12 @@ class Kind(TomlTable):
     ----------
     ports : str
         Inputs and outputs for people, such as ``u -> y``.
+    is_static : bool
+        Its outputs are functions of its inputs at the same instant, so that they lag as these do.
     """
 
     ports: ClassVar[str]
+    is_static: ClassVar[bool] = False
     kind: str
     unit: PortUnits = Field(None, description=unit_of("y"))
 
@@ -198,6 +240,14 @@ class Kind(TomlTable):
             Communication step [s].
         """
         return []
+
+    def lag(self, name: str, output: str, context: BuildContext) -> float:
+        """Return how far an output lags behind what it estimates [s], as far as that is known."""
+        return 0.0
+
+    def spectrum(self) -> Spectrum | None:
+        """Return what the table says of the signal that drives the component, if anything."""
+        return None
 
     def period_steps(self, name: str, step_ns: int) -> int:
         """Return the sample period in communication steps of ``step_ns``; 1 where there is none."""

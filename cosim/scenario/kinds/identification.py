@@ -43,6 +43,7 @@ from cosim.scenario.kinds.base import (
     ExportableKind,
     Kind,
     PeriodicKind,
+    Spectrum,
     Wiring,
 )
 from cosim.scenario.kinds.field_data import FieldDataKind
@@ -92,7 +93,10 @@ class RegressorKind(ExportableKind):
         warning = regression.linear_route_warning([group.size for group in groups])
         if warning:
             context.warn(name, warning)
-        return Regressor(terms, alphas=programs, steps=steps, delays=self.delays)
+        lag = context.lag(Port(name, "delta"))
+        if lag:
+            context.add_metadata(name, {"lag": lag})
+        return Regressor(terms, alphas=programs, steps=steps, delays=self.delays, lag=lag)
 
     def exportable(self, name: str, context: BuildContext, wiring: Wiring) -> Exportable:
         component = self.build(name, context)
@@ -102,6 +106,25 @@ class RegressorKind(ExportableKind):
             "and has no derivatives"
         )
         return DiscreteModel(component.interface, kernel, context.step_ns, reason)
+
+    def spectrum(self) -> Spectrum | None:
+        """Return amplitude and bandwidth of alpha, for exponentials, whose rates are real."""
+        if any(term.family != "exponential" for term in self.terms):
+            return None
+        alphas = sorted({term.alpha for term in self.terms})
+        times: Vector = np.arange(512.0) * (math.sqrt(2.0) / 7.0)  # no period divides them
+        measured = [_rms_and_rate(compile_expression(alpha), times) for alpha in alphas]
+        amplitude = math.sqrt(sum(rms**2 for rms, _ in measured))
+        bandwidth = max(rate for _, rate in measured)
+        if not (math.isfinite(amplitude) and 0.0 < bandwidth < math.inf):
+            return None
+        return Spectrum(
+            amplitude,
+            bandwidth,
+            source={"alpha": alphas},
+            assumption="amplitude and bandwidth of delta are those of alpha: each exponential of "
+            "size 1, and slower than alpha",
+        )
 
     def steps(self, context: BuildContext) -> list[int]:
         """Return the delays in communication steps."""
@@ -251,7 +274,7 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         if self.method in ("gradient", "drem"):
             return self._adaptive(spec, start_time)
         problem = self._problem(source_name, spec, context)
-        schedule = self._schedule(name, spec, start_time, context)
+        schedule = self._schedule(name, source_name, spec, start_time, context)
         if self.method == "output-error":
             most = self._most_samples(name, context)
             identifier: Component = self._output_error(problem, schedule, most)
@@ -330,7 +353,12 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         return float(value)
 
     def _schedule(
-        self, name: str, spec: RegressorKind, start_time: float, context: BuildContext
+        self,
+        name: str,
+        regressor_name: str,
+        spec: RegressorKind,
+        start_time: float,
+        context: BuildContext,
     ) -> IdentificationSchedule:
         clock = context.clock
         step = clock.step_ns / 1e9
@@ -343,8 +371,8 @@ class IdentifierKind(PeriodicKind, ExportableKind):
             window=self._window_steps(name, context.step_ns),
             forgetting=1.0 if self.forgetting is None else math.exp(-step / self.forgetting),
             start=start_time,
-            settled=clock.start_time,
-            lag=0.0,
+            settled=clock.start_time + self._window(regressor_name, context),
+            lag=context.lag(Port(name, "delta")),
         )
 
     def _units_of_observer(
@@ -411,13 +439,12 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         clock = context.clock
         span = clock.steps * clock.step_ns / 1e9
         constants = rayleigh_constants(families, groups, terms, spec.delays, span=span)
-        realized = observer.realize(reduced, designed.design)
-        n_a = len(reduced.A_a)
+        transient = designed_by.transient(observer_name, context)
         component = spec.build(regressor_name, context)
         return IdentificationProblem(
             plant=disturbed_plant(reduced, len(families)),
-            modes=realized.A,
-            row=realized.C[n_a],
+            modes=transient.A,
+            row=transient.C[0],
             rayleigh=constants,
             products=component.constants,
             alphas=[compile_expression(term.alpha) for term in spec.terms],
@@ -541,11 +568,13 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         # Rounded to 1e-3 ns: a T_id on a communication point must not become the next one.
         elapsed_ns = round(elapsed_ns, 3)
         longest = max(regressor.delays)
-        if elapsed_ns < round(longest * 1e9, 3):
+        window = self._window(regressor_name, context)
+        if elapsed_ns < round((longest + window) * 1e9, 3):
             since = f" after start_time, {clock.start_time} s" if clock.start_ns else ""
+            plus = f" and the observer's window, {window} s," if window else ""
             raise AssumptionError(
-                f"start: found {T_id} s, needed at least the longest delay, {longest} s{since}: "
-                "before it the regressor has no value"
+                f"start: found {T_id} s, needed at least the longest delay, {longest} s{plus}"
+                f"{since}: before it the regressor has no value"
             )
         if not T_id <= LARGEST_NS / 1e9:
             raise AssumptionError(
@@ -556,6 +585,14 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         start_time = (clock.start_ns + steps * clock.step_ns) / 1e9
         context.add_metadata(name, {"start_time": start_time})
         return start_time
+
+    def _window(self, regressor_name: str, context: BuildContext) -> float:
+        """Return how long the observer that drives the regressor has no delta [s]."""
+        observer_name = context.driver(Port(regressor_name, "delta"))
+        spec = None if observer_name is None else context.spec(observer_name)
+        if observer_name is None or not isinstance(spec, UnknownInputObserverKind):
+            return 0.0
+        return spec.reconstruction(observer_name, context).window
 
     def _computed_start_time(
         self,
@@ -574,15 +611,34 @@ class IdentifierKind(PeriodicKind, ExportableKind):
                 "give start as a time in s instead"
             )
         designed = spec.design(observer_name, context)
+        window = spec.reconstruction(observer_name, context).window
         times = observer.identification_start_time(
             lambda_obs=designed.design.lambda_obs,
-            filter_rate=spec.filter_rate,
+            filter_rate=None if window else spec.filter_rate,
+            window=window or None,
             delays=regressor.delays,
             epsilon_observer=start.epsilon_observer,
             epsilon_filter=start.epsilon_filter,
         )
         context.add_metadata(name, asdict(times))
         return times.T_id
+
+
+def _rms_and_rate(alpha: Program, times: Vector) -> tuple[float, float]:
+    """Return the root mean square of alpha, and the rate of a sine with its derivatives [rad/s].
+
+    That is the ratio of its second derivative to its first, from differences.
+    """
+    h = 1e-4
+    rows = [evaluate_at([alpha], times + shift)[:, 0] for shift in (-h, 0.0, h)]
+    before, now, after = rows
+    first = (after - before) / (2.0 * h)
+    second = (after - 2.0 * now + before) / h**2
+    rms = float(np.sqrt(np.mean(now**2)))
+    slope = float(np.mean(first**2))
+    curvature = float(np.mean(second**2))
+    rate = math.sqrt(curvature / slope) if slope > 0.0 else 0.0
+    return rms, rate
 
 
 def _recovery_notes(recovery: least_squares.Recovery) -> list[str]:

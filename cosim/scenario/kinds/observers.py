@@ -2,24 +2,54 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, ClassVar, Literal, NamedTuple
 
+import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from cosim.blocks.observer import observer_model
-from cosim.core.linear import LinearModel
+from cosim.arrays import Matrix, Vector
+from cosim.blocks.averages import AveragedModel
+from cosim.blocks.observer import averaged_observer, observer_model
+from cosim.core.clock import NANOSECONDS, whole_steps
+from cosim.core.contracts import Component
+from cosim.core.linear import Linear, LinearModel
+from cosim.errors import AssumptionError, LogError, UsageError
+from cosim.fmi.exporting.kernels import DiscreteModel
+from cosim.fmi.exporting.specifications import Exportable
 from cosim.scenario.kinds.base import (
     BuildContext,
-    LinearKind,
+    ExportableKind,
+    LinearSystem,
+    Spectrum,
+    Wiring,
 )
 from cosim.scenario.kinds.plants import StartField
+from cosim.scenario.kinds.reconstruction import (
+    AnyReconstruction,
+    averaging_kernel,
+    averaging_observer,
+    choice,
+    delta_transient,
+    noise_gains,
+    numbers_hash,
+    plain_reconstruction,
+    recorded_noise,
+)
 from cosim.scenario.linearizing import DesignModel, design_model
-from cosim.scenario.schema import Number, NumberRow, NumberRows, TomlTable, matrix
+from cosim.scenario.schema import Number, NumberRow, NumberRows, TomlTable, Whole, matrix
 from cosim.theory import observer
 from cosim.theory.descriptor import reduce
+from cosim.theory.reconstruction import (
+    HIGHEST_ORDER,
+    ConsistentFilter,
+    FirstOrderFilter,
+    SavitzkyGolay,
+)
 
 # filter_rate x step above which a zero-order hold distorts the derivative by more than 2.5 %
 HOLD_LIMIT = 0.05
@@ -57,7 +87,24 @@ class DesignedObserver(NamedTuple):
     design: observer.ObserverDesign
 
 
-class UnknownInputObserverKind(LinearKind):
+FilterName = Literal["first-order", "consistent", "savitzky-golay", "auto"]
+# the keys that a filter needs, and those that no other has
+_NEEDS: dict[str, tuple[str, ...]] = {
+    "first-order": ("filter_rate",),
+    "consistent": ("filter_rate",),
+    "savitzky-golay": ("half_width",),
+    "auto": (),
+}
+_HAS: dict[str, tuple[str, ...]] = {
+    "first-order": (),
+    "consistent": (),
+    "savitzky-golay": ("half_width", "order"),
+    "auto": ("noise", "noise_from", "amplitude", "bandwidth"),
+}
+DEFAULT_ORDER = 4
+
+
+class UnknownInputObserverKind(ExportableKind):
     """Unknown-input observer with disturbance reconstruction (18)-(20)."""
 
     ports: ClassVar[str] = "u, y -> x_a, delta, x_b, z, q"
@@ -73,25 +120,253 @@ class UnknownInputObserverKind(LinearKind):
     x_a0: NumberRow | None = Field(
         None, description="initial estimate; default: consistent with y(0)"
     )
-    filter_rate: Number = Field(description="lambda_f of the derivative filter (19) [rad/s]")
+    filter: FilterName = Field(
+        "first-order",
+        description='how delta is reconstructed: "first-order" filters the derivative (19), '
+        '"consistent" all of (15), with a lag of 1/filter_rate; "savitzky-golay" fits a window, '
+        'with a lag of half_width; "auto" chooses the window by the noise',
+    )
+    filter_rate: Number | None = Field(
+        None,
+        description="lambda_f of the derivative filter (19) [rad/s], needed with a first-order or "
+        "consistent filter; a window does not use it",
+    )
     q0: NumberRow | None = Field(
-        None, description="initial state of the filter; default: no transient"
+        None, description="initial state of the first-order filter; default: no transient"
+    )
+    half_width: Number | None = Field(
+        None, description="half of a Savitzky-Golay window [s], whole communication steps"
+    )
+    order: Whole | None = Field(
+        None, description=f"of its polynomial, at most {HIGHEST_ORDER}; default: {DEFAULT_ORDER}"
+    )
+    noise: Number | NumberRow | None = Field(
+        None, description="deviation of white noise in y, one number or one an output, for auto"
+    )
+    noise_from: str | None = Field(
+        None,
+        description="for auto, in place of noise: path of a log of this observer, whose y has it",
+    )
+    amplitude: Number | None = Field(
+        None, description="root mean square of delta, for auto; default: that of alpha"
+    )
+    bandwidth: Number | None = Field(
+        None, description="highest rate of delta [rad/s], for auto; default: that of alpha"
     )
 
-    def linear_model(self, name: str, context: BuildContext) -> LinearModel:
+    def build(self, name: str, context: BuildContext) -> Component:
         model, design = self.design(name, context)
-        metadata = {
-            "eigenvalues": _plain_eigenvalues(design.eigenvalues),
-            "fixed_modes": _plain_eigenvalues(design.fixed_modes),
-            "lambda_obs": design.lambda_obs,
-        }
-        context.add_metadata(name, metadata)
+        reconstruction = self.reconstruction(name, context)
+        self._record(name, context, model, design, reconstruction)
+        if isinstance(reconstruction, FirstOrderFilter):
+            return Linear(self._filter_model(model, design))
+        averaged = self._averaged_model(model, design)
+        return averaging_observer(averaged, model.reduced, reconstruction)
+
+    def linear_system(self, name: str, context: BuildContext) -> LinearSystem | None:
+        if self.filter != "first-order":
+            return None
+        model = self.linear_model(name, context)
+        return LinearSystem(model.A, model.B, model.C, model.D, error=0.0)
+
+    def linear_model(self, name: str, context: BuildContext) -> LinearModel:
+        """Return the observer with a first-order filter as a linear model."""
+        model, design = self.design(name, context)
+        return self._filter_model(model, design)
+
+    def exportable(self, name: str, context: BuildContext, wiring: Wiring) -> Exportable:
+        reconstruction = self.reconstruction(name, context)
+        if isinstance(reconstruction, FirstOrderFilter):
+            return self.linear_model(name, context)
+        model, design = self.design(name, context)
+        averaged = self._averaged_model(model, design)
+        component = averaging_observer(averaged, model.reduced, reconstruction)
+        design_arrays = component.design(context.step_ns / NANOSECONDS, wiring.held)
+        kernel = averaging_kernel(design_arrays)
+        reason = (
+            "delta is an average of increments over steps, so it lives at the communication points "
+            "and has no derivatives"
+        )
+        return DiscreteModel(component.interface, kernel, context.step_ns, reason)
+
+    def _filter_model(self, model: DesignModel, design: observer.ObserverDesign) -> LinearModel:
         linear = observer_model(
             model.reduced, design, x_a0=self.x_a0, q0=self.q0, constant=model.constant
         )
         return model.declare(linear)
 
+    def _averaged_model(self, model: DesignModel, design: observer.ObserverDesign) -> AveragedModel:
+        averaged = averaged_observer(model.reduced, design, x_a0=self.x_a0, constant=model.constant)
+        linear = model.declare(averaged.linear)
+        lagging = model.declared(averaged.lagging)
+        return replace(averaged, linear=linear, lagging=lagging)
+
+    # --- reconstruction of delta ---
+
+    def reconstruction(self, name: str, context: BuildContext) -> AnyReconstruction:
+        """Return how delta is reconstructed.
+
+        What a filter does not use of ``filter_rate`` and ``q0`` may stand there all the same, so
+        that it can be tried in place of another.
+
+        Raises
+        ------
+        UsageError
+            If a key is missing, or there is one that the filter does not have.
+        AssumptionError
+            If a number does not fit, or nothing can be chosen.
+        """
+        self._check_keys()
+        step = context.step_ns / NANOSECONDS
+        if self.filter == "auto":
+            return self._chosen(name, context)
+        if self.filter == "savitzky-golay":
+            assert self.half_width is not None
+            half_width = whole_steps(self.half_width, context.step_ns, "half_width")
+            order = DEFAULT_ORDER if self.order is None else self.order
+            return SavitzkyGolay(half_width, order, step)
+        assert self.filter_rate is not None
+        if self.filter == "consistent":
+            return ConsistentFilter(self.filter_rate, step)
+        return FirstOrderFilter(self.filter_rate, step)
+
+    def lag(self, name: str, output: str, context: BuildContext) -> float:
+        if output not in ("delta", "x_b"):
+            return 0.0
+        lag = self.reconstruction(name, context).lag
+        if output == "x_b" and lag:
+            follows_delta = self._design_model(name, context).reduced.Kd.any()
+            return lag if follows_delta else 0.0
+        return lag
+
+    def transient(self, name: str, context: BuildContext) -> observer.StateSpace:
+        """Return the dynamics of the errors of delta, which are the output; there are no inputs.
+
+        An average has the modes of the observer too, with other constants before them; that of a
+        filter has its own beside them.
+        """
+        model, design = self.design(name, context)
+        reconstruction = self.reconstruction(name, context)
+        return delta_transient(model.reduced, design, reconstruction)
+
+    def _check_keys(self) -> None:
+        for key in _NEEDS[self.filter]:
+            if getattr(self, key) is None:
+                raise UsageError(f"{key} is missing; needed with filter = {self.filter!r}")
+        every = {key for keys in _HAS.values() for key in keys}
+        for key in sorted(every.difference(_HAS[self.filter])):
+            if getattr(self, key) is not None:
+                filters = [name for name, keys in _HAS.items() if key in keys]
+                raise UsageError(
+                    f"{key}: found it with filter = {self.filter!r}, which has none; needed "
+                    f"filter = {' or '.join(map(repr, filters))}, or no {key}"
+                )
+
+    def _chosen(self, name: str, context: BuildContext) -> SavitzkyGolay:
+        """Choose a window by the noise, or take the recorded choice."""
+        if (self.noise is None) == (self.noise_from is None):
+            raise UsageError(
+                "filter = 'auto' chooses by the noise of y: needed either noise, its deviation, "
+                "or noise_from, a log of this observer"
+            )
+        spectrum = self._spectrum(name, context)
+        model = self._design_model(name, context)
+        step = context.step_ns / NANOSECONDS
+        request = {
+            "noise": self.noise,
+            "noise_from": self.noise_from,
+            "amplitude": self.amplitude,
+            "bandwidth": self.bandwidth,
+            "step": step,
+            "delta": None if spectrum is None else dict(spectrum.source),
+            "model": numbers_hash(self._numbers(name, context)),
+        }
+
+        def choose() -> dict[str, Any]:
+            noise = self._noise(name, context, len(model.reduced.C3))
+            return choice(model.reduced, noise, self._known(spectrum), step)
+
+        plain_request = json.loads(json.dumps(request))
+        result = context.chosen(name, plain_request, choose)
+        try:
+            return SavitzkyGolay(result["half_width_steps"], result["order"], step)
+        except AssumptionError as error:
+            raise LogError(f"the recorded choice of {name!r} cannot be used: {error}") from error
+
+    def _numbers(self, name: str, context: BuildContext) -> tuple[Matrix, ...]:
+        """Return the numbers of the design model, as they are written or recorded."""
+        if isinstance(self.model, str):
+            system = context.model(self.model)
+            return system.A, system.Bu, system.Bd, system.C
+        reduced = self._design_model(name, context).reduced
+        return reduced.A_a, reduced.B_1a, reduced.B_2a, reduced.C3, reduced.C4
+
+    def _spectrum(self, name: str, context: BuildContext) -> Spectrum | None:
+        """Return what the tables say of delta: those of the components that it drives."""
+        if self.amplitude is not None and self.bandwidth is not None:
+            return None
+        known = context.spectra(name)
+        if not known:
+            raise UsageError(
+                "filter = 'auto' needs the amplitude and the bandwidth of delta, and there is no "
+                "regressor whose alpha, of an exponential, has them; give both"
+            )
+        return max(known, key=lambda spectrum: spectrum.bandwidth)
+
+    def _known(self, spectrum: Spectrum | None) -> tuple[float, float, str]:
+        """Return amplitude and bandwidth of delta, and what was assumed."""
+        amplitude = self.amplitude
+        bandwidth = self.bandwidth
+        assumption = "amplitude and bandwidth of delta as given"
+        if spectrum is not None:
+            amplitude = spectrum.amplitude if amplitude is None else amplitude
+            bandwidth = spectrum.bandwidth if bandwidth is None else bandwidth
+            assumption = spectrum.assumption
+        assert amplitude is not None
+        assert bandwidth is not None
+        return amplitude, bandwidth, assumption
+
+    def _noise(self, name: str, context: BuildContext, n_y: int) -> Vector:
+        """Return the deviation of the noise of each element of y."""
+        if self.noise_from is not None:
+            return recorded_noise(context.recording(self.noise_from), name, n_y)
+        given = self.noise if isinstance(self.noise, tuple) else (self.noise,) * n_y
+        if len(given) != n_y:
+            raise UsageError(f"noise: found {len(given)} numbers, needed {n_y}, one an output")
+        noise = np.array(given, np.float64)
+        if (noise < 0.0).any():
+            raise UsageError(f"noise: found {noise.tolist()}; needed deviations of 0 or more")
+        return noise
+
+    def _record(
+        self,
+        name: str,
+        context: BuildContext,
+        model: DesignModel,
+        design: observer.ObserverDesign,
+        reconstruction: AnyReconstruction,
+    ) -> None:
+        """Record what the design is, and what its delta costs."""
+        gains: dict[str, list[float]] = {}
+        step = context.step_ns / NANOSECONDS
+        for key, held in (("noise_gain", False), ("noise_gain_held", True)):
+            of_y = noise_gains(model.reduced, design, reconstruction, h=step, held=held)
+            gains[key] = of_y.ravel().tolist()
+        metadata: dict[str, Any] = {
+            "eigenvalues": _plain_eigenvalues(design.eigenvalues),
+            "fixed_modes": _plain_eigenvalues(design.fixed_modes),
+            "lambda_obs": design.lambda_obs,
+            "reconstruction": plain_reconstruction(reconstruction),
+            **gains,
+        }
+        lags = {output: self.lag(name, output, context) for output in ("delta", "x_b")}
+        if lags["delta"]:
+            metadata["lags"] = {output: lag for output, lag in lags.items() if lag}
+        context.add_metadata(name, metadata)
+
     def advice(self, held: Mapping[str, bool], h: float) -> list[str]:
+        if self.filter != "first-order" or self.filter_rate is None:
+            return []
         product = self.filter_rate * h
         names = " and ".join(name for name, is_held in held.items() if is_held)
         if not names or product <= HOLD_LIMIT:

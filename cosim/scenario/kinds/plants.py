@@ -23,6 +23,7 @@ from cosim.scenario.kinds.base import (
     LinearSystem,
     PeriodicKind,
 )
+from cosim.scenario.recorded_metadata import component_record
 from cosim.scenario.schema import Flag, Number, NumberRow, Whole
 
 if TYPE_CHECKING:
@@ -219,4 +220,11 @@ class RecordingKind(PlantKind):
                 f"{clock.step_ns / NANOSECONDS} s after it, so none at start_time, "
                 f"{clock.start_time} s; needed a whole number of steps between them"
             )
+        lags = component_record(recording, self.component).lags
+        if lags:
+            context.add_metadata(name, {"lags": lags})
         return replay
+
+    def lag(self, name: str, output: str, context: BuildContext) -> float:
+        record = component_record(context.recording(self.log), self.component)
+        return record.lags.get(output, 0.0)

@@ -1,15 +1,16 @@
-/* A linear model discretized for its own step, with a zero-order hold of its inputs (cosim_linear).
- * memory: x, then scratch. */
+/* A linear model discretized for its step (cosim_linear). memory: x, then scratch. */
 #include "discrete.h"
 
 extern const cosim_linear kernel_constants;
-extern const double kernel_X0[];
+extern const double kernel_X0[], kernel_Xu[];
 
 void kernel_initialize(double *memory, double t, const double *u, double *last)
 {
     (void)t;
-    for (int32_t k = 0; k < kernel_constants.n; ++k)
-        memory[k] = kernel_X0[k];
+    const cosim_linear *k = &kernel_constants;
+    cosim_multiply(k->n, k->m, kernel_Xu, u, memory);
+    for (int32_t i = 0; i < k->n; ++i)
+        memory[i] = kernel_X0[i] + memory[i];
     kernel_outputs(memory, t, u, last, last);
 }
 
@@ -33,6 +34,11 @@ const char *kernel_step(double *memory, double t0, double t1, double h, const do
 double kernel_by_input(double *memory, double *y, double t, const double *u, int32_t row,
                        int32_t input, int in_initialization)
 {
-    (void)memory, (void)y, (void)t, (void)u, (void)in_initialization;
-    return kernel_constants.D[row * kernel_constants.m + input];
+    (void)memory, (void)y, (void)t, (void)u;
+    const cosim_linear *k = &kernel_constants;
+    double slope = k->D[row * k->m + input];
+    if (in_initialization)
+        for (int32_t i = 0; i < k->n; ++i)
+            slope += k->C[row * k->n + i] * kernel_Xu[i * k->m + input];
+    return slope;
 }

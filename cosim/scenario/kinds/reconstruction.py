@@ -1,0 +1,174 @@
+"""How an observer reconstructs delta: what that costs, and the choice by the noise."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable
+from dataclasses import asdict
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from cosim.arrays import Matrix, Vector, as_columns
+from cosim.blocks.averages import AveragedModel, Smoothed, Windowed, window_constants
+from cosim.blocks.observer import averaged_observer, consistent_observer
+from cosim.core.contracts import Design, Recording
+from cosim.errors import AssumptionError, UsageError
+from cosim.fmi.exporting import kernels
+from cosim.fmi.exporting.kernels import Kernel
+from cosim.native.step import DiscretizedDynamics, first_order_hold
+from cosim.theory import observer
+from cosim.theory.conditions import decoupling_matrix
+from cosim.theory.descriptor import ReducedSystem
+from cosim.theory.noise_gain import noise_gain, windowed_noise_gain
+from cosim.theory.noise_level import noise_level
+from cosim.theory.reconstruction import (
+    Conditions,
+    ConsistentFilter,
+    FirstOrderFilter,
+    SavitzkyGolay,
+    choose,
+)
+
+AnyReconstruction: TypeAlias = FirstOrderFilter | ConsistentFilter | SavitzkyGolay
+
+
+def plain_reconstruction(reconstruction: AnyReconstruction) -> dict[str, Any]:
+    """Return what a recording keeps of a reconstruction."""
+    plain: dict[str, Any] = {
+        "filter": reconstruction.name,
+        "lag": reconstruction.lag,
+        "bias": asdict(reconstruction.bias),
+    }
+    if isinstance(reconstruction, SavitzkyGolay):
+        plain["half_width"] = reconstruction.lag
+        plain["order"] = reconstruction.order
+    else:
+        plain["filter_rate"] = reconstruction.rate
+    return plain
+
+
+def averaging_observer(
+    model: AveragedModel, reduced: ReducedSystem, reconstruction: ConsistentFilter | SavitzkyGolay
+) -> Windowed | Smoothed:
+    """Build the observer with its averages."""
+    if isinstance(reconstruction, SavitzkyGolay):
+        return Windowed(model, reconstruction.weights)
+    return consistent_observer(model, reduced, reconstruction.rate)
+
+
+def averaging_kernel(arrays: Design) -> Kernel:
+    """Write the observer for export, with the arrays of its design."""
+    X0 = arrays["X0"]
+    Xu = arrays["Xu"]
+    if "weights" in arrays:
+        return kernels.window(window_constants(arrays), X0=X0, Xu=Xu)
+    discrete = DiscretizedDynamics(arrays["Ad"], arrays["B0"], arrays["B1"])
+    return kernels.discretized(discrete, C=arrays["C"], D=arrays["D"], X0=X0, Xu=Xu)
+
+
+def delta_transient(
+    reduced: ReducedSystem, design: observer.ObserverDesign, reconstruction: AnyReconstruction
+) -> observer.StateSpace:
+    """Return the modes of the errors of delta, and how they enter it; there are no inputs."""
+    n_a = len(reduced.A_a)
+    if isinstance(reconstruction, FirstOrderFilter):
+        system = observer.realize(reduced, design)
+        return _autonomous(system.A, system.C[n_a])
+    realization = observer.realize_averages(reduced, design)
+    A = realization.system.A
+    of_delta = realization.system.C[-2 * realization.width]
+    if isinstance(reconstruction, SavitzkyGolay):
+        return _autonomous(A, of_delta)
+    rate = reconstruction.rate
+    filtered = np.append(rate * of_delta, -rate)
+    with_filter = np.vstack([np.hstack([A, np.zeros((n_a, 1))]), filtered])
+    return _autonomous(with_filter, np.eye(n_a + 1)[n_a])
+
+
+def _autonomous(A: Matrix, row: Vector) -> observer.StateSpace:
+    n = len(A)
+    return observer.StateSpace(A, np.zeros((n, 0)), row[np.newaxis], np.zeros((1, 0)))
+
+
+def noise_gains(
+    reduced: ReducedSystem,
+    design: observer.ObserverDesign,
+    reconstruction: AnyReconstruction,
+    *,
+    h: float,
+    held: bool,
+) -> Matrix:
+    """Compute the deviation of delta for white noise of deviation 1 in each element of y."""
+    n_y, n_u = reduced.C4.shape
+    n_a = len(reduced.A_a)
+    n_d = len(design.G)
+    of_y = slice(n_u, n_u + n_y)
+    mask = np.full(n_u + n_y, held)
+    if isinstance(reconstruction, FirstOrderFilter):
+        system = observer.realize(reduced, design)
+        discrete = first_order_hold(system.A, system.B, h, mask)
+        delta = slice(n_a, n_a + n_d)
+        return noise_gain(discrete, system.C[delta], system.D[delta])[:, of_y]
+    model = averaged_observer(reduced, design)
+    component = averaging_observer(model, reduced, reconstruction)
+    arrays = component.design(h, mask)
+    discrete = DiscretizedDynamics(arrays["Ad"], arrays["B0"], arrays["B1"])
+    if isinstance(reconstruction, SavitzkyGolay):
+        increments = (arrays["Jx"][:n_d], arrays["J0"][:n_d], arrays["J1"][:n_d])
+        return windowed_noise_gain(discrete, increments, arrays["weights"])[:, of_y]
+    first = len(arrays["C"]) - model.width
+    delta = slice(first, first + n_d)
+    return noise_gain(discrete, arrays["C"][delta], arrays["D"][delta])[:, of_y]
+
+
+def choice(
+    reduced: ReducedSystem, noise: Vector, known: tuple[float, float, str], step: float
+) -> dict[str, Any]:
+    """Choose a window for the element of delta that has the most noise."""
+    amplitude, bandwidth, assumption = known
+    G = decoupling_matrix(reduced)
+    of_delta = np.sqrt(np.sum((G * noise) ** 2, axis=1))
+    conditions = Conditions(float(of_delta.max()), amplitude, bandwidth, step)
+    chosen = choose(conditions)
+    return {
+        "noise": noise.tolist(),
+        "amplitude": amplitude,
+        "bandwidth": bandwidth,
+        "half_width_steps": chosen.window.half_width,
+        "order": chosen.window.order,
+        "error_by_noise": chosen.error.noise,
+        "error_by_bias": chosen.error.bias,
+        "assumption": assumption,
+    }
+
+
+def recorded_noise(recording: Recording, name: str, n_y: int) -> Vector:
+    """Estimate the noise of each element of y from what an observer read in a log."""
+    port = f"{name}.y"
+    found = name in recording.channels and "y" in recording.channels[name].by_name
+    if not found:
+        raise UsageError(
+            f"noise_from: {recording.label} has no {port!r}; needed a log of a run of this observer"
+        )
+    y = as_columns(recording[port])
+    if y.shape[1] != n_y:
+        raise UsageError(
+            f"noise_from: {port!r} in {recording.label} has size {y.shape[1]}, needed {n_y}"
+        )
+    levels = []
+    for column in y.T:
+        try:
+            levels.append(noise_level(column))
+        except AssumptionError as error:
+            raise UsageError(f"noise_from: {port!r} in {recording.label}: {error}") from error
+    return np.array(levels)
+
+
+def numbers_hash(arrays: Iterable[Matrix]) -> str:
+    """Return a hash of numbers, of their bits."""
+    digest = hashlib.sha256()
+    for array in arrays:
+        digest.update(repr(array.shape).encode())
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()

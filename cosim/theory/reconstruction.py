@@ -1,0 +1,544 @@
+"""Reconstruction of delta: three ways to the derivative in (20), and what each one costs.
+
+With `w = y - C4 u`, the drift `v = C3 A_a x_a + C3 B_1a u` and `G = (C3 B_2a)^+`, delta is
+`G (w' - v)` (20). x_a is known at once, w' is not:
+
+* **first-order**, the paper's (19): w' is read through `F(s) = rate / (s + rate)`, v is not. What F
+  does to w' is an error of delta, `-G w'' / rate` to the leading order, whatever delta is: no
+  instant belongs to this delta but its own.
+* **consistent**: the same filter of all of (15), that is of `r = w - integral of v`, whose
+  derivative is `delta / G`. With the increments of r over the steps, which are known exactly,
+
+      e(t + h) = a e(t) + (1 - a)/h G (r(t + h) - r(t)),    a = exp(-rate h),
+
+  is a moving average of delta with exponential weights: delta at `t - lag`, with the lag
+  `h/2 (1 + a)/(1 - a)`, about 1/rate, but for `delta'' / (2 rate^2)`. Nothing is assumed of w
+  between its samples, so that held ones do no harm.
+* **Savitzky-Golay**: a polynomial is fitted to `2 m + 1` samples of r, m on each side, and its
+  slope in the middle taken, with the fixed lag `m step`. The taps d_k, k = -m..m, are odd in k, and
+  exact for polynomials r up to the order (one more where that is odd). A sum by parts turns them
+  into weights of the increments of r,
+
+      sum_k d_k r_k = sum_i c_i (r_i - r_(i-1)),    c_i = sum over k >= i of d_k,
+
+  so the reconstruction is a moving average of delta: what is exact in r up to degree n is exact in
+  delta up to n - 1, and no sum grows with time.
+
+By white noise of deviation 1 in w at every sample, the derivative has the deviation `noise_gain`.
+Both filters respond to one sample by `s, -s (1 - a), -s (1 - a) a, ...` with `s = (1 - a)/h`, and
+`s = rate` where (19) reads held samples; the sum of squares is `2 s^2 / (1 + a)`. For the fit it is
+the sum of `d_k^2`.
+
+``choose`` takes the window of the least predicted error: the root of the squares of noise and bias,
+the bias that of one sine at the highest rate of delta. The noise that reaches delta through the
+drift is not counted: a window averages it. ``cosim.theory.noise_gain`` counts all of it.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property
+from typing import Final, Protocol
+
+import numpy as np
+
+from cosim.arrays import Vector, frozen
+from cosim.errors import AssumptionError
+
+HIGHEST_ORDER: Final = 10  # of a fitted polynomial: beyond it noise is all that it follows
+MOST_SAMPLES: Final = 100_000  # on each side of a window
+# half width times rate up to which the error of a window grows with it, at every order
+WIDEST: Final = 4.4
+_ORDERS: Final = (2, 4, 6)
+
+
+@dataclass(frozen=True)
+class Bias:
+    """The leading error of a reconstruction: ``coefficient`` times a derivative of a signal.
+
+    Parameters
+    ----------
+    coefficient : float
+        [s] to that power which makes the error one of delta.
+    derivative : int
+    of : str
+        ``delta``, at the instant that the reconstruction belongs to, or ``G w``.
+    """
+
+    coefficient: float
+    derivative: int
+    of: str
+
+
+class DisturbanceFilter(Protocol):
+    """A way to the derivative in (20)."""
+
+    @property
+    def name(self) -> str:
+        """What scenarios call it."""
+        ...
+
+    @property
+    def lag(self) -> float:
+        """How far back the instant lies that delta belongs to [s]."""
+        ...
+
+    @property
+    def window(self) -> float:
+        """How long there is no value at the start [s]."""
+        ...
+
+    @property
+    def bias(self) -> Bias:
+        """The leading error."""
+        ...
+
+    def settling_time(self, epsilon: float) -> float:
+        """Return when a fraction ``epsilon`` of the initial transient is left [s]."""
+        ...
+
+    def noise_gain(self, *, held: bool = False) -> float:
+        """Return the deviation of the derivative for white noise of deviation 1 in w [1/s].
+
+        ``held``: w has a zero-order hold.
+        """
+        ...
+
+    def response(self, rate: float) -> complex:
+        """Return what becomes of a sine of ``rate`` [rad/s] and amplitude 1, the lag taken out.
+
+        The error relative to its amplitude is the distance from 1.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class FirstOrderFilter:
+    """The filter (19) of w' alone, with linear interpolation of w.
+
+    Parameters
+    ----------
+    rate : float
+        `lambda_f` [rad/s].
+    step : float
+        Between samples [s].
+
+    Raises
+    ------
+    AssumptionError
+        If one is not positive and finite.
+    """
+
+    rate: float
+    step: float
+
+    def __post_init__(self) -> None:
+        _check_positive("filter_rate", self.rate, "rate [rad/s]")
+        _check_positive("step", self.step, "time [s]")
+
+    @property
+    def name(self) -> str:
+        """What scenarios call it."""
+        return "first-order"
+
+    @property
+    def lag(self) -> float:
+        """None that could be taken out: what is late is w', not delta."""
+        return 0.0
+
+    @property
+    def window(self) -> float:
+        """It has a value at once."""
+        return 0.0
+
+    @property
+    def bias(self) -> Bias:
+        """The leading error, about `-G w'' / rate`."""
+        return Bias(-_mean_age(self.rate, self.step), 2, "G w")
+
+    def settling_time(self, epsilon: float) -> float:
+        """Return T_f (38)."""
+        return math.log(1.0 / epsilon) / self.rate
+
+    def noise_gain(self, *, held: bool = False) -> float:
+        """Return `s (2 / (1 + a))^(1/2)`."""
+        first = self.rate if held else _newest_weight(self.rate, self.step)
+        return first * math.sqrt(2.0 / (1.0 + math.exp(-self.rate * self.step)))
+
+    def response(self, rate: float) -> complex:
+        """Return the response of G w', a part of delta that may be larger than delta."""
+        return _filtered(self.rate, self.step, rate)
+
+
+@dataclass(frozen=True)
+class ConsistentFilter:
+    """The same filter of all of (15), by increments.
+
+    Parameters
+    ----------
+    rate : float
+        `lambda_f` [rad/s].
+    step : float
+        Between samples [s].
+
+    Raises
+    ------
+    AssumptionError
+        If one is not positive and finite.
+    """
+
+    rate: float
+    step: float
+
+    def __post_init__(self) -> None:
+        _check_positive("filter_rate", self.rate, "rate [rad/s]")
+        _check_positive("step", self.step, "time [s]")
+
+    @property
+    def name(self) -> str:
+        """What scenarios call it."""
+        return "consistent"
+
+    @property
+    def lag(self) -> float:
+        """The mean age of what is averaged, about 1/rate."""
+        return _mean_age(self.rate, self.step)
+
+    @property
+    def window(self) -> float:
+        """It has a value at once."""
+        return 0.0
+
+    @property
+    def bias(self) -> Bias:
+        """The leading error, half of the variance of the age, about `delta'' / (2 rate^2)`."""
+        a = math.exp(-self.rate * self.step)
+        steps = a / math.expm1(-self.rate * self.step) ** 2
+        return Bias(0.5 * self.step**2 * (1.0 / 12.0 + steps), 2, "delta")
+
+    def settling_time(self, epsilon: float) -> float:
+        """Return T_f (38)."""
+        return math.log(1.0 / epsilon) / self.rate
+
+    def noise_gain(self, *, held: bool = False) -> float:
+        """Return `s (2 / (1 + a))^(1/2)`, whatever w is between its samples."""
+        first = _newest_weight(self.rate, self.step)
+        return first * math.sqrt(2.0 / (1.0 + math.exp(-self.rate * self.step)))
+
+    def response(self, rate: float) -> complex:
+        """Return the response of delta."""
+        return _filtered(self.rate, self.step, rate) * cmath.exp(1j * rate * self.lag)
+
+
+@dataclass(frozen=True)
+class SavitzkyGolay:
+    """The slope in the middle of a polynomial, fitted to the samples of a window.
+
+    Parameters
+    ----------
+    half_width : int
+        Samples on each side of the middle, m.
+    order : int
+        Of the polynomial. An even one is as good as the odd one before it: the middle is a point of
+        symmetry.
+    step : float
+        Between samples [s].
+
+    Raises
+    ------
+    AssumptionError
+        If the window is empty or too long, or the order does not fit into it.
+    """
+
+    half_width: int
+    order: int
+    step: float
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.half_width <= MOST_SAMPLES:
+            raise AssumptionError(
+                f"Savitzky-Golay: half width of {self.half_width} samples; needed 1 to "
+                f"{MOST_SAMPLES}"
+            )
+        if not 1 <= self.order <= min(HIGHEST_ORDER, 2 * self.half_width):
+            raise AssumptionError(
+                f"Savitzky-Golay: order {self.order} with {2 * self.half_width + 1} samples; "
+                f"needed 1 to {HIGHEST_ORDER}, and less than there are samples"
+            )
+        if not 0.0 < self.step < math.inf:
+            raise AssumptionError(
+                f"Savitzky-Golay: step = {self.step:g}; needed a positive finite time [s]"
+            )
+
+    @property
+    def name(self) -> str:
+        """What scenarios call it."""
+        return "savitzky-golay"
+
+    @property
+    def lag(self) -> float:
+        """Half of the window."""
+        return self.half_width * self.step
+
+    @property
+    def window(self) -> float:
+        """The window has to be full."""
+        return 2 * self.half_width * self.step
+
+    @cached_property
+    def _coefficients(self) -> tuple[Fraction, ...]:
+        """The odd polynomial that gives the taps times step: of k, k^3, ...
+
+        The least squares fit of a slope, so they solve ``sum_j S(i + j) a_j = [i = 0]`` with the
+        power sums ``S(i) = sum over k of k^(2 i + 2)``.
+        """
+        n = (self.order + 1) // 2
+        sums = [Fraction(self._power_sum(2 * i + 2)) for i in range(2 * n - 1)]
+        rows = [sums[i : i + n] for i in range(n)]
+        right = [Fraction(int(i == 0)) for i in range(n)]
+        return _solve(rows, right)
+
+    def _power_sum(self, power: int) -> int:
+        """Return the sum of k^power over the window, ``power`` even."""
+        right: int = sum(k**power for k in range(1, self.half_width + 1))
+        return 2 * right
+
+    @cached_property
+    def _numerators(self) -> tuple[list[int], int]:
+        """The taps of k = 1..m times step, over one denominator: exact."""
+        coefficients = self._coefficients
+        denominator = math.lcm(*(a.denominator for a in coefficients))
+        integers = [int(a * denominator) for a in coefficients]
+        numerators = []
+        for k in range(1, self.half_width + 1):
+            value = 0
+            for integer in reversed(integers):
+                value = value * k * k + integer
+            numerators.append(value * k)
+        return numerators, denominator
+
+    @cached_property
+    def taps(self) -> Vector:
+        """The weights d_k of r at k = -m..m [1/s], shape ``(2 m + 1,)``, rounded once."""
+        numerators, denominator = self._numerators
+        right = [numerator / denominator for numerator in numerators]
+        left = [-value for value in reversed(right)]
+        return frozen(np.array([*left, 0.0, *right]) / self.step, 1)
+
+    @cached_property
+    def weights(self) -> Vector:
+        """The weights c_i of the increments of r [1/s], oldest first, shape ``(2 m,)``.
+
+        Their sum times step is 1; rounded once.
+        """
+        numerators, denominator = self._numerators
+        total = 0
+        newest_first = []
+        for numerator in reversed(numerators):
+            total += numerator
+            newest_first.append(total / denominator)
+        oldest_first = newest_first[::-1]
+        return frozen(np.array([*newest_first, *oldest_first]) / self.step, 1)
+
+    @property
+    def bias(self) -> Bias:
+        """The leading error: the first odd power of time that the fit does not follow."""
+        degree = 2 * len(self._coefficients) + 1
+        total = Fraction(0)
+        for i, coefficient in enumerate(self._coefficients):
+            total += coefficient * self._power_sum(2 * i + 1 + degree)
+        factor = float(total / math.factorial(degree))
+        return Bias(factor * self.step ** (degree - 1), degree - 1, "delta")
+
+    def settling_time(self, epsilon: float) -> float:
+        """Return the length of the window: what is older has no weight at all."""
+        return self.window
+
+    def noise_gain(self, *, held: bool = False) -> float:
+        """Return the root of the sum of the squared taps."""
+        return math.sqrt(self._coefficients[0]) / self.step
+
+    def response(self, rate: float) -> complex:
+        """Return the response of delta: real, for a window has no error of phase."""
+        if rate == 0.0:
+            return complex(1.0)
+        k = np.arange(1, self.half_width + 1)
+        right = self.taps[self.half_width + 1 :]
+        total = 2.0 * float(np.sum(right * np.sin(k * (rate * self.step))))
+        return complex(total / rate)
+
+
+def _check_positive(name: str, value: float, what: str) -> None:
+    if not 0.0 < value < math.inf:
+        raise AssumptionError(f"(19): {name} = {value:g}; needed a positive finite {what}")
+
+
+def _newest_weight(rate: float, step: float) -> float:
+    """Return `(1 - a)/h`."""
+    return -math.expm1(-rate * step) / step
+
+
+def _mean_age(rate: float, step: float) -> float:
+    """Return `h/2 (1 + a)/(1 - a)`."""
+    return 0.5 * step / math.tanh(0.5 * rate * step)
+
+
+def _filtered(filter_rate: float, step: float, rate: float) -> complex:
+    """Return the response of the average of increments, with exponential weights.
+
+    ``sum over j of (1 - a)/h a^j`` times the mean of ``exp(i rate t)`` over step j back.
+    """
+    if rate == 0.0:
+        return complex(1.0)
+    angle = rate * step
+    mean = cmath.exp(-0.5j * angle) * (math.sin(0.5 * angle) / (0.5 * angle))
+    a = math.exp(-filter_rate * step)
+    return mean * -math.expm1(-filter_rate * step) / (1.0 - a * cmath.exp(-1j * angle))
+
+
+def _solve(rows: list[list[Fraction]], right: list[Fraction]) -> tuple[Fraction, ...]:
+    """Solve a positive definite system exactly, by elimination without pivots."""
+    n = len(right)
+    eliminated = [[*row, value] for row, value in zip(rows, right, strict=True)]
+    for k in range(n):
+        pivot = eliminated[k][k]
+        eliminated[k] = [value / pivot for value in eliminated[k]]
+        for i in range(n):
+            if i != k:
+                factor = eliminated[i][k]
+                pairs = zip(eliminated[i], eliminated[k], strict=True)
+                eliminated[i] = [value - factor * other for value, other in pairs]
+    return tuple(row[n] for row in eliminated)
+
+
+# --- the choice ---
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What a reconstruction has to do with.
+
+    Parameters
+    ----------
+    noise : float
+        Deviation of `G w` at a sample, white [unit of delta times s].
+    amplitude : float
+        Root mean square of delta.
+    bandwidth : float
+        Highest rate of delta [rad/s].
+    step : float
+        Between samples [s].
+
+    Raises
+    ------
+    AssumptionError
+        If a number is not positive and finite; the noise may be 0.
+    """
+
+    noise: float
+    amplitude: float
+    bandwidth: float
+    step: float
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.noise < math.inf:
+            raise AssumptionError(f"noise = {self.noise:g}; needed a finite deviation, 0 or more")
+        for name in ("amplitude", "bandwidth", "step"):
+            value = getattr(self, name)
+            if not 0.0 < value < math.inf:
+                raise AssumptionError(f"{name} = {value:g}; needed a positive finite number")
+        if self.bandwidth * self.step >= WIDEST / 2.0:
+            raise AssumptionError(
+                f"bandwidth = {self.bandwidth:g} rad/s with samples every {self.step:g} s; needed "
+                f"less than {WIDEST / 2.0 / self.step:g} rad/s"
+            )
+
+    def error(self, reconstruction: DisturbanceFilter) -> PredictedError:
+        """Predict the error of a reconstruction of delta."""
+        noise = reconstruction.noise_gain() * self.noise
+        bias = abs(reconstruction.response(self.bandwidth) - 1.0) * self.amplitude
+        return PredictedError(noise, bias)
+
+
+@dataclass(frozen=True)
+class PredictedError:
+    """What is expected of a reconstruction of delta, as root mean squares."""
+
+    noise: float
+    bias: float
+
+    @property
+    def total(self) -> float:
+        """Both together."""
+        return math.hypot(self.noise, self.bias)
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A window, and what is expected of it."""
+
+    window: SavitzkyGolay
+    error: PredictedError
+
+
+def choose(conditions: Conditions) -> Choice:
+    """Choose the window of the least predicted error.
+
+    Among those of the orders 2, 4 and 6 and of every length up to ``WIDEST / bandwidth``. Filters
+    are no candidates: at every rate up to 1/step the best window has less error than the consistent
+    filter, wherever that is less than delta itself; and the first-order filter has the noise of the
+    consistent one, and an error of a lower order.
+
+    Raises
+    ------
+    AssumptionError
+        If the least error is as large as delta.
+    """
+    windows: list[SavitzkyGolay] = []
+    for order in _ORDERS:
+        windows += _best_window(conditions, order)
+    choices = [Choice(window, conditions.error(window)) for window in windows]
+    best = min(choices, key=lambda choice: (choice.error.total, choice.window.half_width))
+    if best.error.total >= conditions.amplitude:
+        raise AssumptionError(
+            f"noise of {conditions.noise:g} in G w at every sample leaves an error of "
+            f"{best.error.total:.3g} in delta with the best window; needed less than its "
+            f"amplitude, {conditions.amplitude:g}: less noise, more samples, or a smaller bandwidth"
+        )
+    return best
+
+
+def _best_window(conditions: Conditions, order: int) -> Sequence[SavitzkyGolay]:
+    """Return the best window of an order; none where no window is short enough."""
+    longest = math.floor(WIDEST / (conditions.bandwidth * conditions.step))
+    shortest = (order + 1) // 2
+    longest = min(longest, MOST_SAMPLES)
+    if longest < shortest:
+        return ()
+
+    def total(half_width: int) -> float:
+        window = SavitzkyGolay(half_width, order, conditions.step)
+        return conditions.error(window).total
+
+    half_width = _first_rise(total, shortest, longest)
+    return (SavitzkyGolay(half_width, order, conditions.step),)
+
+
+def _first_rise(value: Callable[[int], float], low: int, high: int) -> int:
+    """Return where a function stops to fall: noise falls with the length, bias grows."""
+    reach = low
+    while reach < high and value(reach) > value(reach + 1):
+        low = reach + 1
+        reach *= 2
+    high = min(reach, high)
+    while low < high:
+        middle = (low + high) // 2
+        if value(middle) <= value(middle + 1):
+            high = middle
+        else:
+            low = middle + 1
+    return low
