@@ -477,6 +477,94 @@ def _compare_estimators(
         raise typer.Exit(1)
 
 
+LogsArgument = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="LOG...", help="Logs (.mcap) of one plant under one theta: they make one fit."
+    ),
+]
+IdentifierOption = Annotated[
+    str | None,
+    typer.Option(
+        "--component", metavar="NAME", help="The identifier, where the scenario has several."
+    ),
+]
+ValidateOption = Annotated[
+    list[Path] | None,
+    typer.Option(
+        metavar="LOG",
+        help="A log that is not used in the fit: does theta hold there? Exit 1 if not. Repeatable.",
+    ),
+]
+OffsetOption = Annotated[
+    bool, typer.Option("--offset", help="An unknown constant is on every output.")
+]
+BoundsOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ROWS",
+        help="[lower, upper] for every theta, equal ones fix it: [[-1,0],[-inf,inf]]; default: "
+        "those of the scenario.",
+    ),
+]
+IrregularOption = Annotated[
+    float | None,
+    typer.Option(
+        metavar="D",
+        help="Guaranteed intervals for an irregular part of the disturbance, |delta_0| <= D, by "
+        "linear programs.",
+    ),
+]
+IdentificationPlotOption = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="Plot residual, its spectrum, the smoothed disturbance and theta (.png, .svg, .pdf).",
+    ),
+]
+
+
+@app.command()
+def identify(
+    logs: LogsArgument,
+    component: IdentifierOption = None,
+    validate: ValidateOption = None,
+    offset: OffsetOption = False,
+    bounds: BoundsOption = None,
+    irregular: IrregularOption = None,
+    plot: IdentificationPlotOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Identify theta from logs by output error, whatever method their runs used.
+
+    Standard errors, 95 % intervals, a verdict on every parameter, tests of the residual.
+    """
+    from cosim.log import open_log
+    from cosim.report.identification import report_identification
+    from cosim.report.tables.identification import print_identification
+    from cosim.scenario.edits import parse_value
+    from cosim.scenario.identifying import bounds_of, identifier_record
+    from cosim.scenario.identifying import identify as identify_logs
+
+    if irregular is not None and not 0.0 < irregular < float("inf"):
+        raise UsageError(f"--irregular: found {irregular:g}, needed a positive number")
+    _need_plot(plot, None)
+    records = [identifier_record(open_log(log), component) for log in logs]
+    others = [identifier_record(open_log(log), component) for log in validate or ()]
+    limits = None
+    if bounds is not None:
+        limits = bounds_of(parse_value(bounds), records[0].parameters)
+    found = identify_logs(records, offset=offset, bounds=limits)
+    report = report_identification(found, others=others, irregular=irregular)
+    if plot is not None:
+        from cosim.report.plots import plot_identification
+
+        plot_identification(found, plot)
+    print_identification(report, as_json=as_json)
+    if report.failed:
+        raise typer.Exit(1)
+
+
 @app.command()
 def info(
     source: Annotated[

@@ -380,6 +380,7 @@ COMMANDS = [
     (".png", ("replay", "a.mcap", "--plot")),
     (".png", ("compare", "academic", "--swap", "plant=a.mcap", "--plot")),
     (".png", ("plot", "a.mcap", "plant.y", "--out")),
+    (".png", ("identify", "a.mcap", "--plot")),
     (".fmu", ("export", "academic", "--component", "plant", "--force", "--out")),
 ]
 

@@ -298,7 +298,7 @@ def _identification(
         parameters=_parameters(recording, component, own),
         reference=_parameters(recording, component, others),
         deviation=found.deviation,
-        noise=found.problem or _noise(found),
+        noise=found.problem or noise_text(found),
     )
 
 
@@ -317,7 +317,7 @@ def _parameters(
     return tuple(parameters)
 
 
-def _noise(found: IdentificationRecord) -> str:
+def noise_text(found: IdentificationRecord) -> str:
     """Describe the noise of y as the residual of output error shows it."""
     if found.deviation is None or found.accuracy is None:
         return ""

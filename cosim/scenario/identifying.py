@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -24,8 +24,13 @@ from cosim.scenario.build import Experiment
 from cosim.scenario.identified import IdentifiedPlant, SampleRows
 from cosim.scenario.recorded_metadata import component_record
 from cosim.scenario.replaying import rebuilt
-from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
+from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, NoiseModel
+from cosim.theory.irregular_part import GuaranteedInterval, guaranteed_interval
+from cosim.theory.smoothing import SmoothedSignals, smoothed_signals
+from cosim.theory.validation import Validation, validate
 from cosim.theory.verdicts import Assessment, assess
+
+FREQUENCIES: Final = 1025  # of a spectrum, from 0 to half the sampling frequency
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +49,11 @@ class IdentifierRecord:
     identifier: str
     identified: IdentifiedPlant
     data: DataSet
+
+    @property
+    def parameters(self) -> int:
+        """The number of theta."""
+        return sum(len(family.parameters) for family in self.identified.families)
 
     @property
     def estimate(self) -> Vector | None:
@@ -151,13 +161,14 @@ def identify(
     Raises
     ------
     UsageError
-        If the logs are of different models.
+        If the logs are of different models, or two have the same rows.
     AssumptionError
         If there are fewer samples than unknowns, or a bound excludes every value.
     """
     first = records[0]
-    for other in records[1:]:
-        check_one_model(first, other)
+    for number, record in enumerate(records):
+        _check_unused(record, records[:number])
+        check_one_model(first, record)
     identified = first.identified
     has_offset = offset or identified.offset
     assessment = assess(
@@ -188,6 +199,22 @@ def check_one_model(first: IdentifierRecord, other: IdentifierRecord) -> None:
         raise _different(first, other, "the terms of their regressors are of other families")
 
 
+def _check_unused(record: IdentifierRecord, used: Sequence[IdentifierRecord]) -> None:
+    """Check that no data count twice.
+
+    Raises
+    ------
+    UsageError
+        If a log of the same rows is used already.
+    """
+    for other in used:
+        if other.log.recorded_hash == record.log.recorded_hash:
+            raise UsageError(
+                f"{record.log.label} has the rows of {other.log.label}, which is used in the fit; "
+                "needed data of another run"
+            )
+
+
 def _different(first: IdentifierRecord, other: IdentifierRecord, what: str) -> UsageError:
     return UsageError(f"{first.log.label} and {other.log.label}: {what}; needed one model")
 
@@ -208,3 +235,142 @@ def _chosen(log: Log, identified: Mapping[str, Any], identifier: str | None) -> 
     if len(identified) > 1:
         raise UsageError(f"{log.label}: found the identifiers {', '.join(identified)}; name one")
     return next(iter(identified))
+
+
+def validate_record(found: LogIdentification, record: IdentifierRecord) -> Validation:
+    """Hold a fit against the log of another run, which was not used in it.
+
+    Raises
+    ------
+    UsageError
+        If the log is of another model, or was used in the fit.
+    AssumptionError
+        If it has fewer samples than unknowns.
+    """
+    first = found.records[0]
+    _check_unused(record, found.records)
+    check_one_model(first, record)
+    return validate(
+        found.assessment,
+        [used.data for used in found.records],
+        record.data,
+        first.identified.plant,
+        first.identified.families,
+        offset=found.offset,
+    )
+
+
+def smoothed_record(found: LogIdentification, index: int) -> SmoothedSignals:
+    """Return states and disturbance of log number ``index`` by what was found, with bands.
+
+    Raises
+    ------
+    AssumptionError
+        If the plant is unstable.
+    """
+    identified = found.identified
+    assessment = found.assessment
+    return smoothed_signals(
+        assessment.fit,
+        index,
+        found.records[index].data,
+        identified.plant,
+        identified.families,
+        noise=assessment.noise,
+    )
+
+
+def irregular_interval(found: LogIdentification, bound: float) -> GuaranteedInterval:
+    """Return which theta a log allows if an irregular part of delta is within a bound.
+
+    The noise is as large as the residual, which holds the irregular part too; errors of step and
+    quantization are allowed for.
+
+    Parameters
+    ----------
+    found : LogIdentification
+        Of one log.
+    bound : float
+        Of the irregular part, ``|delta_0| <= bound``.
+
+    Raises
+    ------
+    UsageError
+        If there are several logs, or not every theta was estimated.
+    AssumptionError
+        If samples are missing or at unequal distances, or the plant is unstable.
+    """
+    if len(found.records) > 1:
+        raise UsageError(
+            f"found {len(found.records)} logs; needed one to bound theta for an irregular part of "
+            "the disturbance"
+        )
+    assessment = found.assessment
+    if not assessment.fit.estimated.all():
+        missing = ", ".join(f"theta[{j}]" for j in np.flatnonzero(~assessment.fit.estimated))
+        raise UsageError(
+            f"{missing} was not estimated; needed every theta to bound it for an irregular part of "
+            "the disturbance"
+        )
+    identified = found.identified
+    accuracy = assessment.consistency.accuracy[0]
+    sampling_error = float(np.abs(accuracy.step).max()) + 0.5 * float(accuracy.spacing.max())
+    outputs = accuracy.step.shape[1]
+    return guaranteed_interval(
+        found.records[0].data,
+        identified.plant,
+        identified.families,
+        assessment.fit,
+        bound=bound,
+        sigma=np.full(outputs, _largest_deviation(assessment)),
+        sampling_error=sampling_error,
+        noise=NoiseModel(covariance=assessment.noise.covariance, a=np.zeros(0)),
+    )
+
+
+def _largest_deviation(assessment: Assessment) -> float:
+    """Return the deviation of white noise whose means are as large as those of the residual.
+
+    Of colored noise that is the one at the frequency where its spectrum is largest.
+    """
+    if assessment.consistency.is_exact:
+        return 0.0
+    frequencies = np.linspace(0.0, np.pi, FREQUENCIES)
+    lags = np.arange(1, len(assessment.noise.a) + 1)
+    waves = np.exp(-1j * np.outer(frequencies, lags))
+    gain = 1.0 / np.abs(1.0 - waves @ assessment.noise.a)
+    return assessment.fit.deviation * float(gain.max())
+
+
+def bounds_of(rows: object, parameters: int) -> dict[int, tuple[float, float]]:
+    """Return bounds of theta by index.
+
+    Parameters
+    ----------
+    rows : object
+        ``[lower, upper]`` for each theta, as of an identifier in a scenario.
+    parameters : int
+        Number of theta.
+
+    Raises
+    ------
+    UsageError
+        If they are not that.
+    """
+    bounds = {}
+    if isinstance(rows, list) and len(rows) == parameters:
+        for j, row in enumerate(rows):
+            if isinstance(row, list) and len(row) == 2 and all(map(_is_number, row)):
+                lower, upper = map(float, row)
+                if lower <= upper:
+                    bounds[j] = (lower, upper)
+    if len(bounds) != parameters:
+        raise UsageError(
+            f"bounds: found {rows}; needed [lower, upper] for each of the {parameters} parameters, "
+            "inf where there is none: [[-1, 0], [-inf, inf]]"
+        )
+    return bounds
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)

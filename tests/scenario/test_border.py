@@ -354,7 +354,8 @@ def test_numbers_and_names_that_are_too_large_are_refused(changes, message):
 
 WORDS = st.sampled_from(
     ["run", "replay", "diff", "compare", "info", "check", "plot", "list", "show", "export",
-     "linearize", "academic", "x.toml", "x.mcap", "x.fmu", ".", "", "--set", "u.amplitude=nan",
+     "linearize", "identify", "academic", "x.toml", "x.mcap", "x.fmu", ".", "", "--set",
+     "u.amplitude=nan",
      "--swap", "plant=x.fmu", "--map", "plant.y=[", "--stop", "0.01", "nan", "1e400", "--out",
      "out.mcap", "--json", "--quiet", "--dry-run", "--component", "plant", "--fmi", "3", "sine",
      "--toml", "-o", "größe", "=", "a=b", "--step", "-1", "--force", "--plot", "x.png", "--base"]

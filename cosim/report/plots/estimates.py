@@ -18,6 +18,7 @@ from cosim.report.plots.curves import (
     curves_of,
     draw_curves,
 )
+from cosim.report.plots.intervals import band_curves, draw_bands, edges
 from cosim.report.plots.picture import Picture, PictureOptions, need_plot
 from cosim.report.recorded_rows import beside_truth, rows_of, time_ns_of
 from cosim.scenario.recorded_metadata import run_metadata, truth_of
@@ -30,7 +31,8 @@ _STANDARD = PictureOptions()
 def plot_run(recording: Recording, out: Path, options: PictureOptions = _STANDARD) -> None:
     """Draw the standard picture of a run.
 
-    A row for each estimate: on the left with its truth, on the right its error. For a run without
+    A row for each estimate: on the left with its truth, on the right its error, both with the 95 %
+    interval where the standard error is recorded. For a run without
     truth a panel for each output; states only of components that have no other.
 
     Raises
@@ -60,12 +62,15 @@ def _plot_estimates(
     for (left, right), (estimate, true) in zip(panels, truth.items(), strict=True):
         curves = curves_of(recording, estimate, options)
         styles = list(color_styles(len(curves)))
+        widths = band_curves(recording, estimate, options)
         draw_truth(left, recording, estimate, true, options)
+        draw_bands(left, curves, widths, styles)
         draw_curves(left, curves, styles=styles)
         limit_to_truth(left, recording, estimate, true, options)
         errors = error_curves(recording, estimate, true, options)
+        draw_bands(right, errors, widths, styles)
         draw_curves(right, errors, styles=styles)
-        limit_to_settled(right, errors)
+        limit_to_settled(right, [*errors, *edges(widths)])
         right.axhline(0.0, color="0.75", linewidth=1.0)
     picture.panels[0].set_title("estimates (lines) and truth (gray)", fontsize="medium")
     picture.panels[1].set_title("errors", fontsize="medium")

@@ -101,13 +101,15 @@ def need_plot(out: Path) -> None:
 
 
 class Picture:
-    """A figure of panels that share their time axis.
+    """A figure of panels.
 
     Parameters
     ----------
     rows, columns : int
         Of panels.
     options : PictureOptions
+    shares_time : bool
+        Whether all panels have one axis of time; else each has its own, which its drawer labels.
 
     Attributes
     ----------
@@ -120,8 +122,11 @@ class Picture:
         If there is no matplotlib.
     """
 
-    def __init__(self, rows: int, columns: int, options: PictureOptions) -> None:
+    def __init__(
+        self, rows: int, columns: int, options: PictureOptions, *, shares_time: bool = True
+    ) -> None:
         self._options = options
+        self._shares_time = shares_time
         self._columns = columns
         self._figure = _new_figure()
         if options.size is None:
@@ -131,7 +136,7 @@ class Picture:
             width, height = options.size
         self._figure.set_size_inches(width * CENTIMETER, height * CENTIMETER)
         self._figure.set_layout_engine("constrained")
-        grid = self._figure.subplots(rows, columns, sharex=True, squeeze=False)
+        grid = self._figure.subplots(rows, columns, sharex=shares_time, squeeze=False)
         self.panels: list[Any] = list(np.ravel(grid))
 
     def legend(self, lines: list[Any]) -> None:
@@ -154,9 +159,10 @@ class Picture:
             self._figure.suptitle(shown_title)
         for panel in self.panels:
             panel.grid(alpha=0.3)
-        for panel in self.panels[-self._columns :]:
-            panel.set_xlabel("t [s]")
-        self.panels[0].set_xlim(self._options.start, self._options.stop)
+        if self._shares_time:
+            for panel in self.panels[-self._columns :]:
+                panel.set_xlabel("t [s]")
+            self.panels[0].set_xlim(self._options.start, self._options.stop)
         picture = BytesIO()  # a file that is there stays whole if this is interrupted
         try:
             with rc_context(_TEXT_AS_TEXT):

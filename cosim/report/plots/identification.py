@@ -1,0 +1,199 @@
+"""Pictures of an identification from logs: residual and spectrum, disturbance, theta over time."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from cosim.arrays import Vector
+from cosim.errors import AssumptionError
+from cosim.report.plots.curves import COLORS, WIDTH, Curve, color_styles, curves_of
+from cosim.report.plots.curves import draw_curves as draw
+from cosim.report.plots.estimates import (
+    draw_truth,
+    error_curves,
+    limit_to_settled,
+    limit_to_truth,
+)
+from cosim.report.plots.intervals import band_curves, draw_bands, edges
+from cosim.report.plots.picture import Picture, PictureOptions, need_plot
+from cosim.report.recorded_rows import has_signal, signal_of, stacked_rows_of
+from cosim.scenario.identifying import IdentifierRecord, LogIdentification, smoothed_record
+from cosim.scenario.recorded_metadata import truth_of
+from cosim.scenario.schema import truth_ports
+from cosim.theory.consistency import autoregressive_filter
+from cosim.theory.disturbance import generators
+from cosim.theory.fitted_response import FittedResponse, fitted_response
+from cosim.theory.spectrum import whiteness_spectrum
+
+_STANDARD = PictureOptions()
+_THIN: Final = 0.5  # width of a line of noise [points]
+_ROWS: Final = 3  # of panels for a log
+_TITLES: Final = (
+    "residual",
+    "its spectrum; gray: white noise, 95 %",
+    "disturbance by what was found; gray: truth",
+    "its error, and 95 % band",
+    "theta during the run; gray: truth",
+    "its error, and 95 % interval",
+)
+
+
+def plot_identification(
+    found: LogIdentification, out: Path, options: PictureOptions = _STANDARD
+) -> None:
+    """Draw what an identification from logs rests on.
+
+    For each log the residual of y and its spectrum, the disturbance by what was found with its
+    95 % band and its error, and theta as it was estimated during the run.
+
+    Raises
+    ------
+    UsageError
+        If there is no matplotlib, the format of ``out`` is unknown, or a value is too large for an
+        axis.
+    """
+    need_plot(out)
+    picture = Picture(_ROWS * len(found.records), 2, options, shares_time=False)
+    panels = np.reshape(np.array(picture.panels, object), (-1, _ROWS, 2))
+    for index, (record, of_log) in enumerate(zip(found.records, panels, strict=True)):
+        _draw_residual(of_log[0], found, index, options)
+        _draw_disturbance(of_log[1], found, index, options)
+        _draw_theta(of_log[2], record, options)
+        for panel, title in zip(of_log.ravel(), _TITLES, strict=True):
+            panel.set_title(title, fontsize="medium")
+        if len(found.records) > 1:
+            of_log[0, 0].set_title(f"{record.log.label}: {_TITLES[0]}", fontsize="medium")
+        _label_time([of_log[0, 0], *of_log[1], *of_log[2]], record, options)
+    title = "" if len(found.records) > 1 else found.records[0].log.label
+    picture.save(out, title=title)
+
+
+def _label_time(panels: list[Any], record: IdentifierRecord, options: PictureOptions) -> None:
+    """Give panels the axis of time that they would share, were they alone in the picture."""
+    t = record.data.t
+    margin = 0.02 * float(t[-1] - t[0])
+    start = float(t[0]) - margin if options.start is None else options.start
+    stop = float(t[-1]) + margin if options.stop is None else options.stop
+    for panel in panels:
+        panel.set_xlim(start, stop)
+        panel.set_xlabel("t [s]")
+
+
+def _draw_residual(
+    panels: Any, found: LogIdentification, index: int, options: PictureOptions
+) -> None:
+    over_time, spectrum = panels
+    record = found.records[index]
+    assessment = found.assessment
+    identified = found.identified
+    data = record.data
+    response = fitted_response(
+        assessment.fit, index, data, identified.plant, generators(identified.families)
+    )
+    unit = signal_of(record.log, f"{identified.observer}.y").measure
+    names = ["residual of y"]
+    if data.y.shape[1] > 1:
+        names = [f"residual of y[{o}]" for o in range(data.y.shape[1])]
+    curves = []
+    for name, column in zip(names, response.plain_residual.T, strict=True):
+        curves.append(Curve(name, unit, data.t, column).within(options))
+    styles = [{**style, "linewidth": _THIN} for style in color_styles(len(curves))]
+    draw(over_time, curves, styles=styles)
+    over_time.ticklabel_format(axis="y", scilimits=(-2, 3))
+    _draw_spectrum(spectrum, found, record, response)
+
+
+def _draw_spectrum(
+    panel: Any, found: LogIdentification, record: IdentifierRecord, response: FittedResponse
+) -> None:
+    measured = record.data.measured
+    whitened = autoregressive_filter(response.residual[measured], found.assessment.noise.a)
+    t = record.data.t[measured]
+    panel.set_xlabel("frequency [Hz]")
+    panel.set_ylabel("over white noise")
+    try:
+        spectrum = whiteness_spectrum(whitened, float(t[-1] - t[0]) / max(len(t) - 1, 1))
+    except AssumptionError:  # of a handful of samples
+        return
+    panel.set_xscale("log")
+    panel.set_yscale("log")
+    frequency = spectrum.frequency
+    panel.fill_between(frequency, spectrum.lower, spectrum.upper, color="0.88", linewidth=0.0)
+    panel.axhline(1.0, color="0.6", linewidth=1.0)
+    for style, power in zip(color_styles(spectrum.power.shape[1]), spectrum.power.T, strict=True):
+        panel.plot(frequency, power, marker=".", markersize=4.0, **style)
+    panel.set_ylim(bottom=0.5 * float(spectrum.lower.min()))
+
+
+def _draw_disturbance(
+    panels: Any, found: LogIdentification, index: int, options: PictureOptions
+) -> None:
+    left, right = panels
+    record = found.records[index]
+    estimate = f"{found.identified.observer}.delta"
+    unit = signal_of(record.log, estimate).measure
+    try:
+        smoothed = smoothed_record(found, index)
+    except AssumptionError as error:  # of an unstable plant
+        left.text(0.5, 0.5, str(error), transform=left.transAxes, ha="center", wrap=True)
+        return
+    style = {"color": COLORS[0], "linewidth": WIDTH}
+    whole = Curve("delta", unit, smoothed.t, smoothed.disturbance)
+    width = replace(whole, values=smoothed.disturbance_half_width)
+    true = truth_of(record.log).get(estimate)
+    if true is not None:
+        draw_truth(left, record.log, estimate, true, options)
+    drawn = whole.within(options)
+    widths = [width.within(options)]
+    draw_bands(left, [drawn], widths, [style])
+    draw(left, [drawn], styles=[style])
+    if true is None:
+        shown = replace(widths[0], name="half width of the 95 % band")
+    else:
+        values = smoothed.disturbance - _true_disturbance(record, true)
+        shown = replace(whole, name="error of delta", values=values).within(options)
+        draw_bands(right, [shown], widths, [style])
+        right.axhline(0.0, color="0.75", linewidth=1.0)
+    draw(right, [shown], styles=[style])
+    right.ticklabel_format(axis="y", scilimits=(-2, 3))
+
+
+def _true_disturbance(record: IdentifierRecord, true: Any) -> Vector:
+    """Return the true disturbance at the samples, on straight lines between its rows."""
+    ports = truth_ports(true)
+    if not ports:
+        return np.full(len(record.data.t), float(np.atleast_1d(true)[0]))
+    estimate = f"{record.identified.observer}.delta"
+    times, rows = stacked_rows_of(record.log, ports, like=estimate)
+    return np.interp(record.data.t, times / 1e9, rows[:, 0])
+
+
+def _draw_theta(panels: Any, record: IdentifierRecord, options: PictureOptions) -> None:
+    """Draw theta as it was estimated during the run, with its recorded interval."""
+    left, right = panels
+    estimate = f"{record.identifier}.theta"
+    curves = curves_of(record.log, estimate, options)
+    styles = list(color_styles(len(curves)))
+    widths = band_curves(record.log, estimate, options)
+    true = truth_of(record.log).get(estimate)
+    if true is not None:
+        draw_truth(left, record.log, estimate, true, options)
+    draw_bands(left, curves, widths, styles)
+    draw(left, curves, styles=styles)
+    if true is not None:
+        limit_to_truth(left, record.log, estimate, true, options)
+        errors = error_curves(record.log, estimate, true, options)
+        draw_bands(right, errors, widths, styles)
+        draw(right, errors, styles=styles)
+        limit_to_settled(right, [*errors, *edges(widths)])
+        right.axhline(0.0, color="0.75", linewidth=1.0)
+    elif has_signal(record.log, f"{record.identifier}.standard_error"):
+        named = []
+        for width, curve in zip(widths, curves, strict=True):
+            named.append(replace(width, name=f"95 % of {curve.name}"))
+        draw(right, named, styles=styles)
+        limit_to_settled(right, named)

@@ -1,0 +1,58 @@
+"""Bands around curves: the 95 % intervals of estimates whose standard error is recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, Final
+
+from cosim.core.contracts import Recording
+from cosim.report.plots.curves import LARGEST_DRAWN, Curve, Style, curves_of
+from cosim.report.plots.picture import PictureOptions
+from cosim.report.recorded_rows import has_signal
+
+NORMAL: Final = 1.96  # standard errors of the half width of a 95 % interval
+_FAINT: Final = 0.2  # opacity
+
+
+def band_curves(recording: Recording, estimate: str, options: PictureOptions) -> list[Curve]:
+    """Return the half widths of the 95 % intervals of an estimate; none where there is no error.
+
+    Parameters
+    ----------
+    recording : Recording
+    estimate : str
+        A port ``component.theta``, whose component may record ``standard_error``.
+    options : PictureOptions
+    """
+    component, _, signal = estimate.rpartition(".")
+    error = f"{component}.standard_error"
+    if signal != "theta" or not has_signal(recording, error):
+        return []
+    curves = curves_of(recording, error, options)
+    return [replace(curve, values=NORMAL * curve.values) for curve in curves]
+
+
+def edges(widths: Sequence[Curve]) -> list[Curve]:
+    """Return both edges of bands around zero, for the limits of a panel."""
+    return [*widths, *(replace(width, values=-width.values) for width in widths)]
+
+
+def draw_bands(
+    panel: Any, curves: Sequence[Curve], widths: Sequence[Curve], styles: Sequence[Style]
+) -> None:
+    """Draw a band around each curve that has a width, at the instants that they share."""
+    for curve, width, style in zip(curves, widths, styles, strict=False):
+        if len(curve.times) != len(width.times):
+            continue
+        lower = (curve.values - width.values).clip(-LARGEST_DRAWN, LARGEST_DRAWN)
+        upper = (curve.values + width.values).clip(-LARGEST_DRAWN, LARGEST_DRAWN)
+        panel.fill_between(
+            curve.times,
+            lower,
+            upper,
+            color=style["color"],
+            alpha=_FAINT,
+            linewidth=0.0,
+            step="post" if curve.held else None,
+        )

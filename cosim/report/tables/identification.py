@@ -1,0 +1,100 @@
+"""The table of an identification from logs."""
+
+from __future__ import annotations
+
+import itertools
+
+from rich.table import Table
+
+from cosim.report.identification import IdentificationReport, IrregularPart
+from cosim.report.tables.console import new_table, print_json, print_table
+from cosim.scenario.identifying import IdentifierRecord, LogIdentification
+from cosim.theory.consistency import ResidualTest
+from cosim.theory.validation import Validation
+from cosim.theory.verdicts import ParameterVerdict
+
+
+def print_identification(report: IdentificationReport, *, as_json: bool) -> None:
+    """Print what is said of logs."""
+    if as_json:
+        print_json(report.to_dict())
+        return
+    found = report.found
+    assessment = found.assessment
+    identifier = found.records[0].identifier
+    columns = ("", "estimate", "standard error", "95 % interval", "")
+    table = new_table(f"{identifier}: output error{' with offset' * found.offset}", columns)
+    for parameter in assessment.parameters:
+        _add_parameter(table, parameter)
+    for i, j in itertools.combinations(range(len(assessment.parameters)), 2):
+        if assessment.fit.estimated[[i, j]].all():
+            correlation = f"{assessment.correlation[i, j]:+.3f}"
+            table.add_row("correlation", correlation, "", "", f"of theta[{i}] and theta[{j}]")
+    table.add_row("noise", f"{assessment.fit.deviation:.3g}", "", "", report.noise)
+    for index in range(len(found.records)):
+        _add_log(table, found, index)
+    for record, validation in report.validations:
+        _add_validation(table, record, validation)
+    if report.irregular is not None:
+        _add_irregular(table, report.irregular)
+    print_table(table)
+
+
+def _add_log(table: Table, found: LogIdentification, index: int) -> None:
+    """Add what is of one log: its amplitudes and x(0), and the tests of its residual."""
+    record = found.records[index]
+    fit = found.assessment.fit
+    amplitudes = ", ".join(f"{value:.4g}" for value in fit.amplitudes[index])
+    x0 = ", ".join(f"{value:.4g}" for value in fit.x0[index])
+    samples = int(record.data.measured.sum())
+    text = f"{samples} samples: amplitudes {amplitudes}; x(0) {x0}"
+    table.add_row(record.log.label, "", "", "", text)
+    tests = found.assessment.consistency.tests
+    count = len(tests) // len(found.records)
+    for test in tests[index * count : (index + 1) * count]:
+        _add_test(table, test)
+
+
+def _add_parameter(table: Table, parameter: ParameterVerdict) -> None:
+    value = "no value" if parameter.value is None else f"{parameter.value:+.6g}"
+    error = "" if parameter.standard_error is None else f"{parameter.standard_error:.2g}"
+    interval = _interval(parameter.lower, parameter.upper)
+    text = f"{parameter.verdict}: {parameter.reason}"
+    table.add_row(parameter.name, value, error, interval, text)
+
+
+def _interval(lower: float | None, upper: float | None) -> str:
+    if lower is None or upper is None:
+        return ""
+    return f"{lower:.6g} to {upper:.6g}"
+
+
+def _add_test(table: Table, test: ResidualTest) -> None:
+    outcome = "passed" if test.passed else "failed"
+    where = f" ({test.largest})" if test.largest and not test.passed else ""
+    text = f"{outcome}: noise leaves up to {test.threshold:.3g}{where}"
+    table.add_row(test.name, f"{test.statistic:.3g}", "", "", text)
+
+
+def _add_validation(table: Table, record: IdentifierRecord, validation: Validation) -> None:
+    table.add_section()
+    text = f"{validation.verdict}: {validation.reason}"
+    table.add_row(f"validation {record.log.label}", "", "", "", text)
+    size = f"of the residual with theta held: {validation.ratio:.3f} times that of the fit"
+    table.add_row("deviation", f"{validation.deviation:.3g}", "", "", size)
+    for test in validation.tests:
+        if test.degrees:
+            _add_test(table, test)
+
+
+def _add_irregular(table: Table, part: IrregularPart) -> None:
+    table.add_section()
+    chance = "" if part.confidence == 1.0 else f", noise within its bounds with {part.confidence:g}"
+    text = f"every theta that explains the data{chance}; computed in {part.seconds:.3g} s"
+    table.add_row(f"|delta_0| <= {part.bound:g}", "", "", "guaranteed", text)
+    for effect in part.effects:
+        first = f"first order {effect.first_order:.2g} to each side"
+        if not effect.holds:
+            first += ", which does not hold for so large a bound"
+        interval = _interval(effect.lower, effect.upper) or "none"
+        table.add_row(effect.name, "", "", interval, first)

@@ -1,0 +1,194 @@
+"""`cosim identify`: its table, its JSON, its pictures and what it refuses."""
+
+from __future__ import annotations
+
+import json
+import re
+
+import numpy as np
+import pytest
+
+import cosim
+from cosim.report.identification import report_identification
+from cosim.report.plots.intervals import band_curves
+from cosim.report.plots.picture import PictureOptions
+from cosim.scenario.assessing import IDENTIFICATION
+from cosim.scenario.identifying import identifier_record, identify
+
+FAST = {"scenario.step": 0.02, "observer.filter_rate": 50.0}
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory):
+    """Return the logs of runs of one plant, the last with another theta."""
+    folder = tmp_path_factory.mktemp("logs")
+    terms = [
+        {"alpha": "1.35 + 0.25*sin(1.7*t)", "family": "exponential", "theta": -0.1},
+        {"alpha": "1.10 + 0.20*cos(2.3*t)", "family": "exponential", "theta": -0.4},
+    ]
+    changes = {
+        "first": {},
+        "second": {"sensor.seed": 2, "plant.x_a0": [0.0, 2.0]},
+        "other": {"sensor.seed": 3, "delta.terms": terms},
+    }
+    return {
+        name: cosim.run("academic-noisy", out=folder / f"{name}.mcap", set={**FAST, **change})
+        for name, change in changes.items()
+    }
+
+
+def rows(output):
+    """Return the cells of a table in a pipe by the first one."""
+    lines = [line.split("\t") for line in output.splitlines()]
+    return {line[0]: line[1:] for line in lines if len(line) > 1}
+
+
+def test_the_table_shows_what_was_recorded(logs, call):
+    """Estimate, standard error, interval, verdict, correlation, noise and tests."""
+    code, output, _ = call("identify", logs["first"].path)
+    assert code == 0
+    recorded = logs["first"].results[IDENTIFICATION]["identifier"]
+    shown = rows(output)
+    for parameter in recorded["parameters"]:
+        value, error, interval, text = shown[parameter["name"]]
+        assert float(value) == pytest.approx(parameter["value"], rel=1e-5)
+        assert float(error) == pytest.approx(parameter["standard_error"], rel=0.05)
+        low, high = map(float, interval.split(" to "))
+        assert low == pytest.approx(parameter["lower"], rel=1e-5)
+        assert high == pytest.approx(parameter["upper"], rel=1e-5)
+        assert text == "IDENTIFIABLE: the residual is what noise leaves"
+    assert float(shown["correlation"][0]) == pytest.approx(recorded["correlation"][0][1], abs=1e-3)
+    assert float(shown["noise"][0]) == pytest.approx(1e-3, rel=0.1)
+    assert shown["whiteness"][3].startswith("passed: noise leaves up to 55.1")
+    assert "2001 samples: amplitudes " in shown[str(logs["first"].path)][3]
+
+
+def test_several_logs_and_one_to_validate(logs, call):
+    """Each log has its own amplitudes, x(0) and tests; the JSON has the numbers of the table."""
+    first, second = logs["first"].path, logs["second"].path
+    code, output, _ = call("identify", first, "--validate", second, "--json")
+    content = json.loads(output)
+    assert code == 0
+    (validation,) = content["validation"]
+    assert validation["verdict"] == "HOLDS"
+    assert validation["ratio"] == pytest.approx(1.0, abs=0.1)
+    assert [test["passed"] for test in validation["tests"]] == [True] * 4
+    code, output, _ = call("identify", first, second, "--json")
+    both = json.loads(output)
+    errors = [parameter["standard_error"] for parameter in both["parameters"]]
+    alone = [parameter["standard_error"] for parameter in content["parameters"]]
+    assert errors[0] < 0.8 * alone[0]
+    assert [log["log"] for log in both["logs"]] == [str(first), str(second)]
+    np.testing.assert_allclose(both["logs"][1]["x0"], [0.0, 2.0], atol=5e-3)
+    assert len(both["tests"]) == 6
+
+
+def test_a_theta_that_does_not_hold_is_said_and_exits_with_1(logs, call):
+    """With the theta of the other data, and how much larger the residual is."""
+    code, output, _ = call("identify", logs["first"].path, "--validate", logs["other"].path)
+    assert code == 1
+    shown = rows(output)
+    text = shown[f"validation {logs['other'].path}"][3]
+    assert text.startswith("FAILS: theta[0] is ")
+    there, fitted = re.search(r"theta\[1\] is (\S+) \+- \S+ there, (\S+) \+- ", text).groups()
+    assert (float(there), float(fitted)) == pytest.approx((-0.4, -0.3), abs=2e-3)
+    ratio = float(re.search(r"held: ([\d.]+) times", shown["deviation"][3])[1])
+    assert ratio > 1.2
+
+
+def test_two_theta_are_no_fit_of_one(logs, call):
+    """Logs of different theta leave a residual that is not noise's."""
+    _, output, _ = call("identify", logs["first"].path, logs["other"].path)
+    shown = rows(output)
+    assert shown["theta[1]"][3].startswith("INCONSISTENT: the residual is not what noise leaves")
+
+
+def test_options_reach_the_fit(logs, call):
+    """An offset is another unknown; equal bounds fix a theta, which then has no error."""
+    log = logs["first"].path
+    plain = json.loads(call("identify", log, "--json")[1])
+    offset = json.loads(call("identify", log, "--offset", "--json")[1])
+    assert offset["degrees_of_freedom"] == plain["degrees_of_freedom"] - 1
+    assert len(offset["logs"][0]["offset"]) == 1
+    bounds = "[[-inf,inf],[-0.3,-0.3]]"
+    fixed = json.loads(call("identify", log, "--bounds", bounds, "--json")[1])
+    assert fixed["parameters"][1]["value"] == -0.3
+    assert fixed["parameters"][1]["standard_error"] is None
+    assert fixed["parameters"][0]["standard_error"] < plain["parameters"][0]["standard_error"]
+
+
+def test_an_irregular_part_has_guaranteed_intervals(logs):
+    """They contain the truth; the cost is said, and where the first order does not hold."""
+    found = identify([identifier_record(logs["first"])])
+    part = report_identification(found, irregular=2e-3).irregular
+    for effect, true in zip(part.effects, (-0.1, -0.3), strict=True):
+        assert effect.lower <= true <= effect.upper
+        assert effect.holds
+        assert effect.upper - effect.lower < 3.0 * effect.first_order
+    assert part.seconds > 0.0
+    assert part.confidence == 0.999
+
+
+@pytest.mark.campaign
+def test_a_large_irregular_part_is_beyond_the_first_order(logs, call):
+    """It says so, and the linear programs give the interval."""
+    _, output, _ = call("identify", logs["first"].path, "--irregular", "0.02")
+    row = output.splitlines()[-1].split("\t")
+    assert row[0] == "theta[1]"
+    low, high = map(float, row[3].split(" to "))
+    assert low < -0.3 < high
+    assert "which does not hold for so large a bound" in row[4]
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        (("--bounds", "[[-1,0]]"), "needed [lower, upper] for each of the 2 parameters"),
+        (
+            ("--bounds", "[[0,-1],[-1,0]]"),
+            "bounds: found [[0, -1], [-1, 0]]; needed",
+        ),
+        (("--bounds", "wide"), "bounds: found wide; needed [lower, upper]"),
+        (("--irregular", "-1"), "--irregular: found -1, needed a positive number"),
+        (("--irregular", "nan"), "--irregular: found nan, needed a positive number"),
+        (("--component", "observer"), "no identifier 'observer' with a model of y"),
+        (("--irregular", "1", "--bounds", "[[-1,0],[-0.3,-0.3]]"), "theta[1] was not estimated"),
+        (("--plot", "a.txt"), "a.txt: found the ending '.txt'"),
+    ],
+)
+def test_wrong_use_is_refused(logs, call, options, text):
+    """Before anything is printed."""
+    code, output, errors = call("identify", logs["first"].path, *options)
+    assert (code, output) == (2, "")
+    assert text in errors
+
+
+@pytest.mark.parametrize("option", [(), ("--validate",)])
+def test_no_data_count_twice(logs, call, option, tmp_path):
+    """Neither in the fit nor in its validation: a copy of a log has the same rows."""
+    copy = tmp_path / "copy.mcap"
+    copy.write_bytes(logs["first"].path.read_bytes())
+    code, _, errors = call("identify", logs["first"].path, *option, copy)
+    assert code == 2
+    assert "copy.mcap has the rows of" in errors
+
+
+def test_the_picture_shows_residual_spectrum_disturbance_and_theta(logs, call, tmp_path):
+    """With axes, units of time and frequency; of several logs each has its panels."""
+    pytest.importorskip("matplotlib")
+    call("identify", logs["first"].path, logs["second"].path, "--plot", tmp_path / "a.svg")
+    texts = re.findall(r"<text[^>]*>([^<]*)</text>", (tmp_path / "a.svg").read_text("utf-8"))
+    assert texts.count("residual of y") == 2
+    assert texts.count("frequency [Hz]") == 2
+    assert texts.count("error of delta") == 2
+    assert texts.count("error of identifier.theta[1]") == 2
+    assert f"{logs['second'].path}: residual" in texts
+
+
+def test_the_band_of_theta_is_that_of_its_standard_error(logs):
+    """The standard picture draws it around theta; other estimates have none."""
+    widths = band_curves(logs["first"], "identifier.theta", PictureOptions())
+    recorded = logs["first"]["identifier.standard_error"]
+    for width, error in zip(widths, recorded.T, strict=True):
+        np.testing.assert_array_equal(width.values, 1.96 * error)
+    assert band_curves(logs["first"], "observer.delta", PictureOptions()) == []
