@@ -7,6 +7,7 @@ import pytest
 
 import cosim
 from cosim.errors import UsageError
+from cosim.report.plots import plot_comparison
 from cosim.scenario.kinds.methods import METHODS
 
 SHORT = {"scenario.stop": 15.0, "scenario.step": 5e-3, "observer.filter_rate": 100.0}
@@ -46,6 +47,16 @@ def test_every_estimate_is_judged_by_the_data(compared):
     verdicts = {r.method: [record.verdict for record in r.verdicts] for r in compared.results}
     assert verdicts["output-error"] == ["IDENTIFIABLE"] * 2
     assert verdicts["least-squares"] == ["INCONSISTENT"] * 2
+
+
+def test_theta_is_drawn_by_every_method(compared, tmp_path):
+    """One line of the legend a method, and the truth."""
+    path = tmp_path / "theta.svg"
+    plot_comparison(compared, path)
+    drawn = path.read_text(encoding="utf-8")
+    for method in METHODS:
+        assert f"<!-- {method} -->" in drawn
+    assert "<!-- truth -->" in drawn
 
 
 def test_keys_of_another_method_are_left_out():

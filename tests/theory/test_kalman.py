@@ -174,8 +174,8 @@ def test_the_extended_filter_is_that_of_the_book(families):
     np.testing.assert_allclose(found.standard_error[-1][present], errors[present], rtol=1e-5)
 
 
-def test_the_extended_filter_is_overconfident_but_near():
-    """On the paper's example it ends within 1 %, by far more than its own standard errors off."""
+def test_the_extended_filter_ends_near_the_truth():
+    """On the paper's example within 5 %; there is nothing at the start."""
     t = np.arange(4001) * H
     y, u = simulate(plant(), t, delta(t), sigma=1e-3)
     found = extended_kalman(
@@ -185,10 +185,12 @@ def test_the_extended_filter_is_overconfident_but_near():
         ALPHAS,
         plant(),
         (Exponential(), Exponential()),
+        deviation=0.03,  # as much information as 0.1 at ten times the samples
         box=SearchBox(np.array([-3.0, -3.0]), np.array([0.06, 0.06])),
     )
     error = np.abs(found.theta[-1] - THETA)
     assert (error < 0.05 * np.abs(THETA)).all()
+    assert (error < 4.0 * found.standard_error[-1]).all()
     assert np.isnan(found.theta[0]).all()
 
 

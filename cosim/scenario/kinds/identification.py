@@ -205,7 +205,8 @@ class IdentifierKind(PeriodicKind, ExportableKind):
     deviation: Number | None = Field(
         None,
         description="of the Kalman filters: standard deviation of the noise of y; default: "
-        f"{extended_kalman.DEVIATION:g}",
+        f"{augmented_kalman.DEVIATION:g}, of extended-kalman {extended_kalman.DEVIATION:g}, more "
+        "than the noise, for what its linearization errs",
     )
     size: Number | None = Field(
         None,
