@@ -13,6 +13,7 @@ ROOT = Path(__file__).parent.parent
 PAGES = {
     "README": (ROOT / "README.md").read_text(encoding="utf-8"),
     "fmus": (ROOT / ".readme" / "fmus.md").read_text(encoding="utf-8"),
+    "identification": (ROOT / ".readme" / "identification.md").read_text(encoding="utf-8"),
 }
 EXIT_CODES = {"--atol": 1, "disturbance.tim=1.0": 2}  # of commands with this word; 0 of all others
 
@@ -103,6 +104,20 @@ def test_python_runs(tmp_path, monkeypatch, capsys):
     # The relay switches one step of 0.1 s late, where the slope is at most 0.1 / s.
     assert 19.48 <= lowest <= 19.5
     assert 20.5 <= highest <= 20.52
+
+
+def test_the_python_of_an_identification_runs(tmp_path, monkeypatch, capsys):
+    """After the command that makes its log: theta and delta(0) are within their intervals."""
+    monkeypatch.chdir(tmp_path)
+    run_command(next(command for command, _ in commands("identification")), capsys)
+    (block,) = blocks("identification", "python")
+    exec(compile(block, "identification block", "exec"), {"__name__": "readme"})
+    *parameters, smoothed = [line.split() for line in capsys.readouterr().out.splitlines()]
+    for true, (_, _, lower, upper, verdict) in zip((-0.1, -0.3), parameters, strict=True):
+        assert float(lower) <= true <= float(upper)
+        assert verdict == "IDENTIFIABLE"
+    delta, half_width = map(float, smoothed)
+    assert abs(delta - (1.35 + 1.3)) <= 1.5 * half_width
 
 
 def test_a_component_of_ones_own_is_short():

@@ -70,7 +70,7 @@ def _plot_estimates(
         errors = error_curves(recording, estimate, true, options)
         draw_bands(right, errors, widths, styles)
         draw_curves(right, errors, styles=styles)
-        limit_to_settled(right, [*errors, *edges(widths)])
+        limit_to_settled(right, [*errors, *edges(errors, widths)])
         right.axhline(0.0, color="0.75", linewidth=1.0)
     picture.panels[0].set_title("estimates (lines) and truth (gray)", fontsize="medium")
     picture.panels[1].set_title("errors", fontsize="medium")

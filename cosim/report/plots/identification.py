@@ -189,7 +189,7 @@ def _draw_theta(panels: Any, record: IdentifierRecord, options: PictureOptions) 
         errors = error_curves(record.log, estimate, true, options)
         draw_bands(right, errors, widths, styles)
         draw(right, errors, styles=styles)
-        limit_to_settled(right, [*errors, *edges(widths)])
+        limit_to_settled(right, [*errors, *edges(errors, widths)])
         right.axhline(0.0, color="0.75", linewidth=1.0)
     elif has_signal(record.log, f"{record.identifier}.standard_error"):
         named = []

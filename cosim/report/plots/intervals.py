@@ -33,9 +33,14 @@ def band_curves(recording: Recording, estimate: str, options: PictureOptions) ->
     return [replace(curve, values=NORMAL * curve.values) for curve in curves]
 
 
-def edges(widths: Sequence[Curve]) -> list[Curve]:
-    """Return both edges of bands around zero, for the limits of a panel."""
-    return [*widths, *(replace(width, values=-width.values) for width in widths)]
+def edges(curves: Sequence[Curve], widths: Sequence[Curve]) -> list[Curve]:
+    """Return both edges of the band around each curve that has one, for the limits of a panel."""
+    both = []
+    for curve, width in zip(curves, widths, strict=False):
+        if len(curve.times) == len(width.times):
+            both.append(replace(curve, values=curve.values - width.values))
+            both.append(replace(curve, values=curve.values + width.values))
+    return both
 
 
 def draw_bands(
