@@ -69,8 +69,8 @@ SwapOption = Annotated[
         "--swap",
         metavar="COMPONENT=PATH",
         autocompletion=completion.complete_swap,
-        help="Replace a component by an FMU (x.fmu, x.fmu#me, x.fmu#cs) or a recorded component "
-        "(.mcap). Repeatable.",
+        help="Replace a component by an FMU (x.fmu, x.fmu#me, x.fmu#cs), a recorded component "
+        "(.mcap) or samples with their times (.csv, .parquet). Repeatable.",
     ),
 ]
 MapOption = Annotated[
@@ -342,8 +342,8 @@ AlternativesOption = Annotated[
         "--swap",
         metavar="COMPONENT=PATH",
         autocompletion=completion.complete_swap,
-        help="An alternative for a component: x.fmu, x.fmu#me, x.fmu#cs or a recorded log "
-        "(.mcap). Once for each.",
+        help="An alternative for a component: x.fmu, x.fmu#me, x.fmu#cs, a recorded log (.mcap) "
+        "or samples with their times (.csv, .parquet). Once for each.",
     ),
 ]
 EstimatorsOption = Annotated[
@@ -571,7 +571,7 @@ def info(
         str,
         typer.Argument(
             metavar="LOG|FMU|SCENARIO",
-            help="A log (.mcap), an FMU (.fmu) or a scenario.",
+            help="A log (.mcap), an FMU (.fmu), samples (.csv, .parquet) or a scenario.",
             autocompletion=completion.complete_source,
         ),
     ],

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import typer
 
@@ -19,6 +19,7 @@ from cosim.files import FileType, file_type
 if TYPE_CHECKING:
     from cosim.scenario.parsing import Scenario
 
+_READABLE: Final[tuple[FileType, ...]] = ("FMU", "log", "table")
 SETTINGS = "scenario"  # the table whose keys --set reaches like those of a component
 
 
@@ -31,9 +32,8 @@ def complete_scenario(incomplete: str) -> list[str]:
 
 
 def complete_source(incomplete: str) -> list[str]:
-    """Return what ``cosim info`` reads: scenarios, FMUs and logs that begin so."""
-    files = [*_files(incomplete, "FMU"), *_files(incomplete, "log")]
-    return complete_scenario(incomplete) + files
+    """Return what ``cosim info`` reads: scenarios, FMUs, logs, samples that begin so."""
+    return complete_scenario(incomplete) + _readable(incomplete)
 
 
 def complete_kind(incomplete: str) -> list[str]:
@@ -49,12 +49,11 @@ def complete_component(context: typer.Context, incomplete: str) -> list[str]:
 
 
 def complete_swap(context: typer.Context, incomplete: str) -> list[str]:
-    """Return ``component=``, then files of FMUs and logs."""
+    """Return ``component=``, then files of FMUs, logs and samples."""
     component, equals, path = incomplete.partition("=")
     if not equals:
         return [f"{name}=" for name in complete_component(context, incomplete)]
-    files = [*_files(path, "FMU"), *_files(path, "log")]
-    return [f"{component}={file}" for file in files]
+    return [f"{component}={file}" for file in _readable(path)]
 
 
 def complete_setting(context: typer.Context, incomplete: str) -> list[str]:
@@ -113,6 +112,14 @@ def _scenario(context: typer.Context) -> Scenario | None:
             with suppress(CosimError, OSError):
                 return load(name)
     return None
+
+
+def _readable(incomplete: str) -> list[str]:
+    """Return paths of FMUs, logs and tables that begin so, and folders."""
+    found: list[str] = []
+    for wanted in _READABLE:
+        found += _files(incomplete, wanted)
+    return list(dict.fromkeys(found))
 
 
 def _files(incomplete: str, wanted: FileType) -> Iterator[str]:

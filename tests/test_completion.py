@@ -15,6 +15,7 @@ def complete(tmp_path, monkeypatch, capsys):
     (tmp_path / "plants" / "a.fmu").touch()
     (tmp_path / "plants" / "a.txt").touch()
     (tmp_path / "plants" / "a.mcap").touch()
+    (tmp_path / "plants" / "a.csv").touch()
     (tmp_path / ".hidden.toml").touch()
 
     def offered(line):
@@ -39,7 +40,7 @@ def test_scenarios_and_files_are_completed(complete):
         "academic-mine.toml",
     ]
     assert complete("cosim run pl") == ["plants/"]
-    assert complete("cosim info plants/") == ["plants/a.fmu", "plants/a.mcap"]
+    assert complete("cosim info plants/") == ["plants/a.fmu", "plants/a.mcap", "plants/a.csv"]
     assert complete("cosim run plants/") == []
     assert complete("cosim run no-such-folder/x") == []
 
@@ -61,6 +62,7 @@ def test_components_parameters_and_ports_are_those_of_the_scenario(complete):
     assert complete("cosim run academic --swap plant=plants/") == [
         "plant=plants/a.fmu",
         "plant=plants/a.mcap",
+        "plant=plants/a.csv",
     ]
 
 

@@ -261,7 +261,7 @@ def check_covers(data: FieldData, points: Vector, maximum_gap: float | None) -> 
     end = min(float(line.t[-1]) for line in lines)
     if begin > points[0] or end < points[-1]:
         inside = points[(points >= begin) & (points <= end)]
-        way_out = f"offset = {begin!r} makes its first time 0"
+        way_out = 'offset = "first" makes its first time 0'
         if len(inside) > 1:
             way_out = f"start_time = {inside[0]} and stop = {inside[-1]} of [scenario] are inside"
         raise UsageError(

@@ -1,4 +1,4 @@
-"""What a log, an FMU or a scenario contains, as plain values."""
+"""What a log, an FMU, a table of samples or a scenario contains, as plain values."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, fields
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from cosim.core.connections import Connection, unit_reached
 from cosim.core.graph import Graph
 from cosim.core.port import Port
@@ -14,6 +16,7 @@ from cosim.core.recorded import RunMessage
 from cosim.core.signals import Channel, Signal
 from cosim.scenario.build import describe
 from cosim.scenario.document import find
+from cosim.scenario.field_file import read_field_data
 from cosim.scenario.recorded_metadata import (
     component_table,
     recorded_start,
@@ -101,6 +104,34 @@ def _differences(report: Section) -> list[Section]:
     """Return the rows of a swapped component's report that differ."""
     ports: list[Section] = report.get("ports", [])
     return [row for row in ports if row["verdict"] not in ("ok", "unknown")]
+
+
+def describe_samples(source: str) -> Section:
+    """Describe a table of samples: its times, and what was measured of its signals.
+
+    Raises
+    ------
+    UsageError
+        If it is no such table; see :func:`cosim.scenario.field_file.read_field_data`.
+    """
+    data = read_field_data(source)
+    distances = np.diff(data.t)
+    about: Section = {
+        "samples": len(data.t),
+        "times": f"{data.t[0]} s to {data.t[-1]} s",
+        "median distance": f"{np.median(distances):g} s" if len(distances) else None,
+        "largest distance": f"{distances.max():g} s" if len(distances) else None,
+    }
+    signals: list[Section] = []
+    for signal in data.signals:
+        row = {
+            "signal": signal.name,
+            "size": signal.values.shape[1],
+            "unit": signal.unit,
+            "not measured": int(np.isnan(signal.values).any(axis=1).sum()),
+        }
+        signals.append(row)
+    return {"samples": about, "signals": signals}
 
 
 def describe_scenario(name: str) -> Section:

@@ -120,7 +120,7 @@ def test_more_samples_than_places_are_never_dropped():
     [
         ([0.0, 0.0995], None, "start_time = 0.0 and stop = 0.099 of"),
         ([0.0004, 0.2], None, "from 0.0004 s to 0.2 s; needed 0.0 s to 0.1 s, the whole run: "),
-        ([7.0, 8.0], None, "offset = 7.0 makes its first time 0"),
+        ([7.0, 8.0], None, 'offset = "first" makes its first time 0'),
         (
             [*np.arange(0.0, 0.05, 1e-3), *np.arange(0.062, 0.11, 1e-3)],
             None,

@@ -9,6 +9,7 @@ import pytest
 
 import cosim
 from cosim.errors import UsageError
+from cosim.report.inspection import describe_samples
 from cosim.scenario import field_file
 from cosim.scenario.field_file import read_field_data
 from cosim.theory.descriptor import reduce
@@ -213,3 +214,19 @@ def test_samples_of_a_file_are_a_data_set(tmp_path):
     record = DataSet(data.t, data["y"], np.sin(t)[:, np.newaxis], alpha(t))
     assert record.measured.tolist() == [True, True, False, True]
     assert disturbed_plant(reduce(academic()), 2).C.shape == (1, 2)
+
+
+def test_info_shows_what_is_read(tmp_path):
+    """Times, distances, signals with their units, and how much was not measured."""
+    path = written(tmp_path, "t [ms];y [mm];x[0];x[1]\n0;1;2;3\n1;;2;4\n4;1;2;4\n")
+    content = describe_samples(str(path))
+    assert content["samples"] == {
+        "samples": 3,
+        "times": "0.0 s to 0.004 s",
+        "median distance": "0.002 s",
+        "largest distance": "0.003 s",
+    }
+    assert content["signals"] == [
+        {"signal": "y", "size": 1, "unit": "mm", "not measured": 1},
+        {"signal": "x", "size": 2, "unit": None, "not measured": 0},
+    ]

@@ -235,7 +235,7 @@ def test_a_message_does_not_speak_of_options_in_python(tmp_path, monkeypatch, ca
         (["replay", "a.fmu"], "needed a log (.mcap); 'cosim info' shows an FMU"),
         (["replay", "academic"], "needed a log (.mcap); 'cosim run' runs a scenario"),
         (["diff", "a.toml", "a.mcap"], "needed a log (.mcap)"),
-        (["info", "."], "is a folder; needed a log (.mcap), an FMU (.fmu) or a scenario"),
+        (["info", "."], "is a folder; needed a log (.mcap), an FMU (.fmu), samples (.csv"),
         (["check", "a.mcap"], "needed an FMU (.fmu); 'cosim info' shows a log"),
         (["check", "academic"], "needed an FMU (.fmu); 'cosim info' shows a scenario"),
         (["linearize", "a.toml"], "needed an FMU (.fmu)"),

@@ -12,7 +12,7 @@ from cosim.report.tables.console import print_json, print_section
 
 
 def print_contents(source: str, *, as_json: bool) -> None:
-    """Print what a log, an FMU or a scenario contains.
+    """Print what a log, an FMU, a table of samples or a scenario contains.
 
     Raises
     ------
@@ -25,7 +25,8 @@ def print_contents(source: str, *, as_json: bool) -> None:
     path = path_argument("source", source)
     if path.is_dir():
         raise UsageError(
-            f"{source}: is a folder; needed a log (.mcap), an FMU (.fmu) or a scenario"
+            f"{source}: is a folder; needed a log (.mcap), an FMU (.fmu), samples (.csv, "
+            ".parquet) or a scenario"
         )
     source_type = file_type(path)
     match source_type:
@@ -33,6 +34,8 @@ def print_contents(source: str, *, as_json: bool) -> None:
             content = inspection.describe_log(source)
         case "FMU":
             content = inspection.describe_fmu(source)
+        case "table":
+            content = inspection.describe_samples(source)
         case _:
             content = inspection.describe_scenario(source)
     if as_json:
