@@ -34,9 +34,11 @@ CELLS = 200  # in which `cells_of` divides a recording
 BETWEEN = 0.5  # slope of the directions between the first principal one and each other one
 NEGLIGIBLE = 1e-12  # relative size of a principal direction without influence
 MARGIN = 1e-6  # relative, on every bound: ten times the feasibility tolerance of the solver
+# of the solver; on rare degenerate programs the simplex method cycles, or presolve loses digits
+ATTEMPTS = (("highs", True), ("highs", False), ("highs-ipm", False))
 SOLVED = 0  # status of linprog
 INFEASIBLE = 2
-PIVOTS = 5  # a variable; the simplex method cycles on rare degenerate programs
+PIVOTS = 5  # most of them, a variable
 
 
 @dataclass(frozen=True)
@@ -208,7 +210,7 @@ class FeasibleProgram:
         return self._minimize(prediction, costs, np.insert(limits, 1, 0.0, axis=0))
 
     def restore(self, prediction: Prediction, limits: Matrix) -> ProgramSolution | None:
-        """Minimize the violation of the output bounds; the rest as in `solve`."""
+        """Minimize the violation of the output bounds; None only where the solver fails."""
         costs = np.zeros(len(limits) + 1)
         costs[1] = 1.0
         any_violation = [0.0, np.inf]
@@ -266,8 +268,8 @@ class FeasibleProgram:
         no_step = sparse.csr_matrix((n_equations, n_p))
         A_eq = sparse.hstack([self._dynamics, no_step]).tocsr()
         constraints = (A_ub, b_ub, A_eq, np.zeros(n_equations), bounds)
-        options = {"maxiter": PIVOTS * len(cost)}
-        for method in ("highs", "highs-ipm"):
+        for method, presolve in ATTEMPTS:
+            options = {"maxiter": PIVOTS * len(cost), "presolve": presolve}
             result = linprog(cost, *constraints, method=method, options=options)
             if result.status == SOLVED:
                 found: Vector = result.x

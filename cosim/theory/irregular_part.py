@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cosim.arrays import Matrix, Vector
+from cosim.arrays import NAN, Matrix, Vector
 from cosim.errors import AssumptionError
 from cosim.native.estimation import Generators, ResponseRecord
 from cosim.theory.disturbance import Family, generators
@@ -33,6 +33,7 @@ from cosim.theory.worst_case import (
     first_order,
     interval_around,
     irregular_response,
+    least_squares_functional,
 )
 
 EQUAL_STEPS = 1e-9  # relative difference of two steps that still counts as none
@@ -44,21 +45,26 @@ class GuaranteedInterval:
 
     Attributes
     ----------
+    lower, upper : Vector
+        What both intervals below have in common, shape ``(n_theta,)``; infinite where neither has
+        an end, NaN where they contradict each other or no theta explains the data.
     half_width : Vector
-        Largest error of the estimate to first order, shape ``(n_theta,)``.
+        Largest error of the estimate by the irregular part, to first order, shape ``(n_theta,)``.
     around_estimate : Matrix
-        The least and the largest theta that some delta_0 turns into this estimate, exact data,
-        shape ``(n_theta, 2)``; infinite where there is no end. Where it differs much from
-        ``half_width`` to both sides, the first order does not hold.
-    interval : FeasibleInterval
+        The least and the largest theta that some delta_0 and noise turn into this estimate, shape
+        ``(n_theta, 2)``. Where its half width differs much from ``half_width``, the first order
+        does not hold. Narrower than the other one where the noise is larger than delta_0.
+    feasible : FeasibleInterval
         All theta that explain the data. It may exclude the estimate.
     confidence : float
         Probability of the bounds of the noise; 1 without noise.
     """
 
+    lower: Vector
+    upper: Vector
     half_width: Vector
     around_estimate: Matrix
-    interval: FeasibleInterval
+    feasible: FeasibleInterval
     confidence: float
 
 
@@ -178,14 +184,44 @@ def guaranteed_interval(
     p = np.concatenate([fit.theta, fit.amplitudes[0], fit.x0[0], fit.offset[0]])
     noisy = bool(np.any(sigma > 0.0))
     cells = cells_of(len(y), noisy)
-    random_error = gaussian_noise_bound(sigma, cells, len(y), confidence)
+    of_each = 1.0 - (1.0 - confidence) / 2.0  # of the two intervals, so that both hold
+    random_error = gaussian_noise_bound(sigma, cells, len(y), of_each)
     recorded = RecordedOutputs(y, cells, random_error + sampling_error)
+    feasible = feasible_interval(problem, recorded, starts_around(problem, recorded, p))
+    margin = _error_by_noise(problem, p, sigma, of_each)
+    margin += _error_by_sampling(problem, p, sampling_error)
+    around = interval_around(problem, p) + np.outer(margin, [-1.0, 1.0])
+    lower = np.maximum(feasible.lower, around[:, 0])
+    upper = np.minimum(feasible.upper, around[:, 1])
+    contradictory = lower > upper
     return GuaranteedInterval(
+        lower=np.where(contradictory, NAN, lower),
+        upper=np.where(contradictory, NAN, upper),
         half_width=first_order(problem, p).half_width(problem.bound),
-        around_estimate=interval_around(problem, p),
-        interval=feasible_interval(problem, recorded, starts_around(problem, recorded, p)),
+        around_estimate=around,
+        feasible=feasible,
         confidence=confidence if noisy else 1.0,
     )
+
+
+def _error_by_noise(
+    problem: BoundedDisturbance, p: Vector, sigma: Vector, confidence: float
+) -> Vector:
+    """Bound the first-order effect of white noise on all theta at once, shape ``(n_theta,)``."""
+    from scipy.special import ndtri  # takes long to import
+
+    rows = least_squares_functional(problem.model(p).jacobian, problem.weight, problem.n_theta)
+    variance = np.square(rows).sum(axis=1) @ np.square(sigma)
+    quantile = -ndtri((1.0 - confidence) / (2.0 * problem.n_theta))
+    bound: Vector = quantile * np.sqrt(variance)
+    return bound
+
+
+def _error_by_sampling(problem: BoundedDisturbance, p: Vector, largest: float) -> Vector:
+    """Bound the first-order effect of an error of every sample, shape ``(n_theta,)``."""
+    rows = least_squares_functional(problem.model(p).jacobian, problem.weight, problem.n_theta)
+    bound: Vector = largest * np.abs(rows).sum(axis=(1, 2))
+    return bound
 
 
 def _slopes(matrices: Generators, derivatives: Matrix, linear: Vector) -> Matrix:

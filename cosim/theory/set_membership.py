@@ -40,8 +40,8 @@ from itertools import product
 import numpy as np
 
 from cosim.arrays import NAN, Mask, Matrix, Vector
-from cosim.errors import AssumptionError
-from cosim.theory.feasible_program import FeasibleProgram, RecordedOutputs
+from cosim.errors import AssumptionError, RunError
+from cosim.theory.feasible_program import FeasibleProgram, ProgramSolution, RecordedOutputs
 from cosim.theory.worst_case import BoundedDisturbance, FirstOrder, least_squares_functional
 
 VIOLATED = 1e-6  # relative violation from which on a point is outside
@@ -111,6 +111,11 @@ def feasible_interval(
         one sets the scale of the steps.
     box : Matrix, optional
         Limits within which theta is known to lie, shape ``(n_theta, 2)``.
+
+    Raises
+    ------
+    RunError
+        If a linear program cannot be solved, so that nothing is known of the data.
     """
     n_theta = problem.n_theta
     program = FeasibleProgram(problem, recorded)
@@ -225,16 +230,26 @@ class _Search:
     def restore(self) -> bool:
         """Move the origin of the searches to a feasible point; return whether there is one."""
         for _ in range(ITERATIONS):
-            prediction = self.program.predict(self.origin)
-            here = self.program.restore(prediction, self._limits(self.origin, 0.0, STATED))
-            if here is not None and here.violation <= VIOLATED:
+            here = self._least_violation(radius=0.0)
+            if here.violation <= VIOLATED:
                 self.origin = self.origin + here.step
                 return True
-            near = self.program.restore(prediction, self._limits(self.origin, 1.0, STATED))
-            if near is None or self._size(near.step) <= SETTLED:
+            near = self._least_violation(radius=1.0)
+            if self._size(near.step) <= SETTLED:
                 break
             self.origin = self.origin + near.step
         return False
+
+    def _least_violation(self, radius: float) -> ProgramSolution:
+        prediction = self.program.predict(self.origin)
+        limits = self._limits(self.origin, radius, STATED)
+        solution = self.program.restore(prediction, limits)
+        if solution is None:
+            raise RunError(
+                "the linear program of the feasible set could not be solved; other cells make "
+                "another one"
+            )
+        return solution
 
     def extreme(self, parameter: int, direction: int) -> Vector:
         """Find the feasible p with the largest or smallest theta, infinite where there is no end.

@@ -83,14 +83,38 @@ def test_a_recording_gives_an_interval_that_contains_the_truth(sigma, monkeypatc
     data = DataSet(exact.t, exact.y + noise, exact.u, exact.alpha)
     fit = fit_output_error([data], plant(), FAMILIES, START)
     found = guaranteed_interval(data, plant(), FAMILIES, fit, bound=0.02, sigma=np.array([sigma]))
-    assert (found.interval.lower <= THETA).all()
-    assert (found.interval.upper >= THETA).all()
+    assert (found.lower <= THETA).all()
+    assert (found.upper >= THETA).all()
+    assert (found.feasible.lower <= THETA).all()
+    assert (found.feasible.upper >= THETA).all()
     assert np.abs(fit.theta[1] - THETA[1]) > 1e-3
     assert (found.around_estimate[:, 0] <= THETA).all()
     assert (found.around_estimate[:, 1] >= THETA).all()
     assert found.confidence == (0.999 if sigma else 1.0)
     # the first order is that of the example, 0.0137 and 0.0771, seen from the estimate
     np.testing.assert_allclose(found.half_width, [0.0137, 0.0771], rtol=0.25)
+
+
+def test_much_noise_leaves_the_interval_around_the_estimate(monkeypatch):
+    """Noise of 1e-3 beside 0.0002: the data bound theta less than the estimate's own errors do."""
+    monkeypatch.setattr("cosim.theory.feasible_program.CELLS", 50)
+    rng = np.random.default_rng(2)
+    exact = recording(rng.uniform(-2e-4, 2e-4, (4001, 1)))
+    data = DataSet(
+        exact.t, exact.y + 1e-3 * rng.standard_normal(exact.y.shape), exact.u, exact.alpha
+    )
+    fit = fit_output_error([data], plant(), FAMILIES, START)
+    found = guaranteed_interval(
+        data, plant(), FAMILIES, fit, bound=2e-4, sigma=np.array([1e-3]), sampling_error=1e-6
+    )
+    assert (found.lower <= THETA).all()
+    assert (found.upper >= THETA).all()
+    width = found.upper - found.lower
+    assert (width < found.feasible.upper - found.feasible.lower).all()
+    half_width = np.diff(found.around_estimate)[:, 0] / 2.0
+    # 3.66 deviations hold in both theta with probability 0.9995; sampling adds less than 4e-5
+    by_noise = half_width - found.half_width
+    np.testing.assert_allclose(by_noise, 3.66 * fit.standard_error, rtol=0.1)
 
 
 def test_what_is_not_covered_is_refused():

@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 import pytest
-from scipy.optimize import linprog
+from scipy.optimize import OptimizeResult, linprog
 
-from cosim.errors import AssumptionError
+from cosim.errors import AssumptionError, RunError
 from cosim.theory.feasible_program import (
     Cells,
     RecordedOutputs,
@@ -394,6 +394,22 @@ def test_the_interval_scales_with_the_bound_where_the_first_order_holds():
     np.testing.assert_allclose(wide, 10.0 * narrow, rtol=1e-3)
     worst = first_order(model.problem(2e-4), TRUTH).half_width(np.array([2e-4]))
     assert (narrow < worst).all()
+
+
+def test_a_program_that_cannot_be_solved_is_no_verdict(monkeypatch):
+    """A solver that fails says nothing of the data: not that no theta explains them."""
+    attempts = []
+
+    def fail(*_, method, options):
+        attempts.append((method, options["presolve"]))
+        return OptimizeResult(status=4)
+
+    monkeypatch.setattr("scipy.optimize.linprog", fail)
+    model = direct(samples=9, h=0.1)
+    recorded = RecordedOutputs(np.ones((9, 1)), Cells(1, 1), NO_NOISE)
+    with pytest.raises(RunError, match="of the feasible set could not be solved"):
+        feasible_interval(model.problem(0.1), recorded, np.array([[0.0, 1.0]]))
+    assert attempts == [("highs", True), ("highs", False), ("highs-ipm", False)]
 
 
 @pytest.mark.parametrize(
