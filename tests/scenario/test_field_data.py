@@ -339,3 +339,26 @@ def test_of_other_methods_it_is_said_that_they_take_interpolated_values(experime
     assert text in log.results[IDENTIFICATION]["identifier"]["problem"]
     with pytest.raises(UsageError, match=text):
         identifier_record(log)
+
+
+def test_units_are_declared_where_the_file_has_none(experiment, tmp_path):
+    """Of an output and of its samples, under the name that the scenario has for it."""
+    y = experiment.measured(2)
+    plain = experiment.run(experiment.written(tmp_path, y))
+    path = experiment.written(tmp_path, y, header="t,level", scale=1e3)
+    swapped = experiment.scenario.swap(plant=path, map={"plant.y": "level"})
+    log = cosim.run(swapped.set({"plant.unit": {"y": "mm"}, "observer.unit": {"y": "m"}}))
+    np.testing.assert_allclose(
+        log["identifier.theta"][-1], plain["identifier.theta"][-1], rtol=1e-6
+    )
+
+
+def test_estimates_come_online_before_the_regression_has_values(experiment, tmp_path):
+    """The grid of starts takes the samples too; what is said there is true."""
+    path = experiment.written(tmp_path, experiment.measured(1))
+    log = experiment.run(path, {"identifier.period": 0.5, "scenario.stop": 8.0})
+    theta = log["identifier.theta"]
+    error = log["identifier.standard_error"]
+    first = int(np.isfinite(theta).all(axis=1).argmax())
+    assert 0.0 < log.time("identifier.theta")[first] < 6.4  # T_id is 6.46 s at filter_rate 1e3
+    assert (np.abs(theta[first:] - THETA) < 5.0 * error[first:]).all()
