@@ -109,9 +109,7 @@ def validate(
         If there are fewer samples than unknowns.
     """
     fit = assessment.fit
-    own = assess([data], plant, families, fit.theta, offset=offset)
-    if not own.fit.converged:
-        own = assess([data], plant, families, offset=offset)
+    own = _assessment_of(data, plant, families, fit.theta, offset=offset)
     bounds = {j: (float(value), float(value)) for j, value in enumerate(fit.theta)}
     held = fit_output_error(
         [data], plant, families, fit.theta, noise=own.noise, offset=offset, bounds=bounds
@@ -130,6 +128,26 @@ def validate(
         own=own,
         difference=difference,
     )
+
+
+def _assessment_of(
+    data: DataSet,
+    plant: DisturbedPlant,
+    families: Sequence[Family],
+    theta: Vector,
+    *,
+    offset: bool,
+) -> Assessment:
+    """Assess data from a theta that may be none: where nothing fits near it, also from a search."""
+    near = assess([data], plant, families, theta, offset=offset)
+    if near.fit.converged and near.consistency.passed:
+        return near
+    searched = assess([data], plant, families, offset=offset)
+    if not searched.fit.converged:
+        return near
+    if near.fit.converged and near.fit.deviation <= searched.fit.deviation:
+        return near
+    return searched
 
 
 def _root_mean_square(

@@ -114,6 +114,16 @@ def test_data_without_disturbance_test_nothing():
     assert "do not both determine theta[1]" in first.reason
 
 
+@pytest.mark.parametrize("sigma", [0.0, 1e-3])
+def test_a_fit_without_theta_tests_nothing(sigma):
+    """Of data without disturbance: what stands for theta is no start for the other data."""
+    data = noisy("zero disturbance", sigma, 1, COARSE)
+    assessment = assess([data], design(), FAMILIES)
+    found = validated(assessment, data, noisy("good", sigma, 2, COARSE))
+    assert found.verdict is ValidationVerdict.UNTESTED
+    assert found.own.fit.theta == pytest.approx(THETA, abs=5e-3)
+
+
 def test_more_noise_is_no_other_model():
     """The ratio says how much more; the verdict is on the model."""
     assessment, data = fitted(1e-3)

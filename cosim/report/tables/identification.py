@@ -80,7 +80,9 @@ def _add_validation(table: Table, record: IdentifierRecord, validation: Validati
     table.add_section()
     text = f"{validation.verdict}: {validation.reason}"
     table.add_row(f"validation {record.log.label}", "", "", "", text)
-    size = f"of the residual with theta held: {validation.ratio:.3f} times that of the fit"
+    size = f"of the residual with theta held: {validation.ratio:.4g} times that of the fit"
+    if validation.consistency.is_exact:
+        size = "the residual with theta held is below what step, quantization and rounding allow"
     table.add_row("deviation", f"{validation.deviation:.3g}", "", "", size)
     for test in validation.tests:
         if test.degrees:
