@@ -85,6 +85,8 @@ class ExtendedKalmanIdentifier:
         design = {name: np.asarray(getattr(model, name)) for name in _OF_Y}
         design |= {"Bu0": known.B0, "Bu1": known.B1, "Du": known.D}
         design["threshold"] = presence_threshold(generators.size, 1)
+        design["theta"] = first_theta(problem.box)
+        design["spread"] = problem.box.step
         return design
 
     def kernel(self, h: float, held: Mask, design: Design) -> ExtendedKalmanStep:
@@ -108,8 +110,8 @@ class ExtendedKalmanIdentifier:
             alphas=problem.alphas,
             deviation=self.deviation,
             size=self.size,
-            theta=first_theta(problem.box),
-            spread=problem.box.step,
+            theta=design["theta"],
+            spread=design["spread"],
             threshold=design["threshold"],
         )
         return ExtendedKalmanStep(constants)

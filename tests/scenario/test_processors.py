@@ -15,6 +15,7 @@ import pytest
 
 import cosim
 from cosim.scenario.document import shipped
+from cosim.scenario.kinds.methods import METHODS
 from tests.scenario.online import COARSE, ONLINE, noisy
 
 EVERYTHING = """
@@ -144,7 +145,16 @@ print(json.dumps(found))
 """
 # past the start of the identification at 6.461 s
 SHORT = {name: {"scenario.stop": 7.0} for name in shipped()}
-STOPS = {"short": {**SHORT, "online": COARSE}, "whole": {"online": ONLINE}}
+BY_METHOD = {
+    method: {**COARSE, "scenario.stop": 14.0, "identifier.method": method}
+    for method in METHODS
+    if method not in ("output-error", "least-squares")  # they are in "short"
+}
+STOPS = {
+    "short": {**SHORT, "online": COARSE},
+    "methods": BY_METHOD,
+    "whole": {"online": ONLINE},
+}
 TUNABLES = "glibc.cpu.hwcaps=-FMA,-AVX2,-FMA4,-AVX,-AVX_Fast_Unaligned_Load"
 
 
@@ -172,13 +182,17 @@ def child(folder, scenarios, stops, variables):
     platform.libc_ver()[0] != "glibc" or platform.machine() != "x86_64",
     reason="only glibc on x86-64 can be told to leave instructions out",
 )
-@pytest.mark.parametrize("length", ["short", pytest.param("whole", marks=pytest.mark.campaign)])
+@pytest.mark.parametrize(
+    "length", ["short", "methods", pytest.param("whole", marks=pytest.mark.campaign)]
+)
 def test_runs_and_replays_have_the_same_bits_on_other_processors(length, tmp_path):
     """Replays are equal, and new runs, without FMA and AVX in the C library, numpy and BLAS."""
     everything = tmp_path / "everything.toml"
     everything.write_text(EVERYTHING, encoding="utf-8")
     scenarios = {name: name for name in shipped()} | {"everything": str(everything)}
     scenarios["online"] = noisy(tmp_path)
+    if length == "methods":
+        scenarios = dict.fromkeys(BY_METHOD, scenarios["online"])
     hashes = {}
     for name, scenario in scenarios.items():
         log = cosim.run(scenario, out=tmp_path / f"{name}.mcap", set=STOPS[length].get(name))
