@@ -216,11 +216,12 @@ def _signal_error(
         has_value = ~np.isnan(window).any(axis=1)  # what lags has none at the start
         window = window[has_value]
     rms = last = float("nan")
+    largest = float("nan") if lag else 0.0
     if window.size:
         rms = float(np.sqrt(np.mean(window**2)))
+        largest = float(window.max(initial=0.0))
     if len(error):
         last = float(error[-1].max())
-    largest = float(window.max(initial=0.0))
     return SignalError(estimate, ", ".join(true_ports), since, largest, rms, last, lag)
 
 

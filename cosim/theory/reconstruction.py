@@ -97,10 +97,6 @@ class DisturbanceFilter(Protocol):
         """The leading error."""
         ...
 
-    def settling_time(self, epsilon: float) -> float:
-        """Return when a fraction ``epsilon`` of the initial transient is left [s]."""
-        ...
-
     def noise_gain(self, *, held: bool = False) -> float:
         """Return the deviation of the derivative for white noise of deviation 1 in w [1/s].
 
@@ -160,10 +156,6 @@ class FirstOrderFilter:
         """The leading error, about `-G w'' / rate`."""
         return Bias(-_mean_age(self.rate, self.step), 2, "G w")
 
-    def settling_time(self, epsilon: float) -> float:
-        """Return T_f (38)."""
-        return math.log(1.0 / epsilon) / self.rate
-
     def noise_gain(self, *, held: bool = False) -> float:
         """Return `s (2 / (1 + a))^(1/2)`."""
         first = self.rate if held else _newest_weight(self.rate, self.step)
@@ -219,10 +211,6 @@ class ConsistentFilter:
         a = math.exp(-self.rate * self.step)
         steps = a / math.expm1(-self.rate * self.step) ** 2
         return Bias(0.5 * self.step**2 * (1.0 / 12.0 + steps), 2, "delta")
-
-    def settling_time(self, epsilon: float) -> float:
-        """Return T_f (38)."""
-        return math.log(1.0 / epsilon) / self.rate
 
     def noise_gain(self, *, held: bool = False) -> float:
         """Return `s (2 / (1 + a))^(1/2)`, whatever w is between its samples."""
@@ -353,10 +341,6 @@ class SavitzkyGolay:
             total += coefficient * self._power_sum(2 * i + 1 + degree)
         factor = float(total / math.factorial(degree))
         return Bias(factor * self.step ** (degree - 1), degree - 1, "delta")
-
-    def settling_time(self, epsilon: float) -> float:
-        """Return the length of the window: what is older has no weight at all."""
-        return self.window
 
     def noise_gain(self, *, held: bool = False) -> float:
         """Return the root of the sum of the squared taps."""

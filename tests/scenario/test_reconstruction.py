@@ -189,6 +189,13 @@ def test_there_is_no_value_until_the_window_is_full(academic):
     assert not np.isnan(run["observer.x_a"]).any()
 
 
+def test_a_run_shorter_than_the_window_has_no_error_to_show(academic):
+    """Nor an error of 0."""
+    run = cosim.run(academic, set=WINDOW | {"scenario.stop": 0.1})
+    delta = summarize(run).signals[1]
+    assert np.isnan([delta.largest, delta.rms, delta.last]).all()
+
+
 def test_the_products_are_those_of_the_disturbance_that_much_earlier(academic):
     """mu = sign delta(t - lag - D_j) product of alpha(t - lag - D_i), by numpy; (25) vanishes."""
     run = cosim.run(academic, set=SHORT | WINDOW)

@@ -340,8 +340,6 @@ def test_what_a_window_adds_to_the_start_time_is_its_length():
             identification_start_time(**wrong, **options, **fractions)
     with pytest.raises(AssumptionError, match="window = 0; needed a positive finite time"):
         identification_start_time(window=0.0, **options, **fractions)
-    assert ConsistentFilter(10.0, H).settling_time(1e-3) == math.log(1e3) / 10.0
-    assert SavitzkyGolay(20, 2, 0.5).settling_time(1e-3) == 20.0
 
 
 # --- the choice ---

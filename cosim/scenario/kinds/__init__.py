@@ -53,6 +53,9 @@ may say ``dead = { kind = "dead-zone", width = 0.1 }`` under ``[components]``.
 * ``computable`` (True) says that the scenario alone is enough to compute the component again. Where
   it is not, because a file or an FMU is needed, return False: a replay then takes the component
   from the recording.
+* ``lag`` returns how far an output is behind what it estimates, where that is known: a regressor
+  reads its alphas that much earlier. ``is_static`` says that the component hands on the lag of its
+  inputs.
 * ``advice`` returns warnings that depend on what drives the inputs, ``linear_system`` the matrices
   that a report of a swap compares.
 
