@@ -199,6 +199,11 @@ class OutputErrorIdentifier:
         self._kernel = IdentifierStep(self._constants(h, design, held_u))
         return design
 
+    def constants(self, h: float, held: Mask) -> IdentifierConstants:
+        """Return the numbers of its kernel, for a design that is computed now."""
+        held_u = held[len(held) - self.problem.plant.D.shape[1] :]
+        return self._constants(h, self._design(h, held_u), held_u)
+
     def _design(self, h: float, held: Mask) -> dict[str, Matrix]:
         problem = self.problem
         generators = problem.rayleigh.generators

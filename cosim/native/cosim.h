@@ -32,6 +32,10 @@ int64_t cosim_cascade(cosim_step step, void *self, int64_t steps, const double *
 
 /* --- linear.c --- */
 
+/* The place of `count` doubles in `memory`, behind those before, of which there are `next`. Without
+ * memory it only counts. */
+double *cosim_place(double *memory, int64_t *next, int64_t count);
+
 /* y = M v (set) or y += M v (add), M of shape (rows, columns). */
 void cosim_multiply(int32_t rows, int32_t columns, const double *M, const double *v, double *y);
 void cosim_multiply_add(int32_t rows, int32_t columns, const double *M, const double *v, double *y);

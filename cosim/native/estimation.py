@@ -209,7 +209,7 @@ class OutputErrorModel:
         n_y, n = constants.C.shape
         self.outputs = n_y
         self.linear = generators.order + n + (n_y if constants.offset else 0)
-        self._keep = arrays
+        self.arrays = arrays
         self.struct = OutputErrorStruct(
             n,
             n_y,
@@ -486,7 +486,7 @@ class RayleighModel:
         arrays.append(int32(constants.parts))
         arrays.append(np.array(constants.lower, np.float64))
         arrays.append(np.array(constants.upper, np.float64))
-        self._keep = arrays
+        self.arrays = arrays
         terms = len(constants.parts)
         self.struct = RayleighStruct(
             len(generators.size),

@@ -47,6 +47,11 @@ static int64_t memory_of(const cosim_output_error *model)
     return model ? cosim_output_error_memory(model) : 0;
 }
 
+static int64_t state_of(const cosim_output_error *model)
+{
+    return model ? cosim_output_error_state(model) : 0;
+}
+
 static storage storage_of(const cosim_identifier *s)
 {
     const int64_t P = s->rayleigh->parameters, terms = s->rayleigh->terms;
@@ -54,40 +59,41 @@ static storage storage_of(const cosim_identifier *s)
     const int64_t capacity = s->on_delta ? s->capacity : 0;
     const int64_t inputs = s->on_y ? s->known->inputs : 0;
     storage m;
-    double *next = s->memory;
-    m.count = next++;
-    m.taken = next++;
-    m.has_theta = next++;
-    m.next_search = next++;
-    m.largest = next++;
-    m.largest_delta = next++;
-    m.rows = next++;
-    m.summed = next++;
-    m.sums = next, next += terms;
-    m.factors = next, next += terms;
-    m.theta = next, next += P;
-    m.outputs = next, next += s->width;
-    m.R = next, next += terms * terms;
-    m.N = next, next += terms * terms;
-    m.x = next, next += s->on_y ? 2 * s->on_y->states : 0;
-    m.amplitudes = next, next += columns_of(s->on_y);
-    m.work = next, next += memory_of(s->on_y);
-    m.delta_amplitudes = next, next += columns_of(s->on_delta);
-    m.delta_work = next, next += memory_of(s->on_delta);
-    m.before = next, next += 2 * (n_outputs(s) + inputs);
-    m.time = next++;
-    m.betweens = next++;
-    m.grid_taken = next++;
-    m.grid_work = next, next += s->grid ? cosim_output_error_state(s->grid->model) : 0;
-    m.state = next - s->memory;
-    next = m.grid_work + (s->grid ? cosim_output_error_memory(s->grid->model) : 0);
-    m.grid_search = next, next += s->grid ? cosim_start_grid_memory(s->grid) : 0;
-    m.residual = next, next += capacity * n_outputs(s);
-    m.alpha = next, next += capacity * components;
-    m.delta = next, next += capacity;
-    m.delta_alpha = next, next += capacity * components;
-    m.between = next, next += s->between ? cosim_between_memory(s->between) : 0;
-    m.size = next - s->memory;
+    int64_t next = 0;
+    m.count = cosim_place(s->memory, &next, 1);
+    m.taken = cosim_place(s->memory, &next, 1);
+    m.has_theta = cosim_place(s->memory, &next, 1);
+    m.next_search = cosim_place(s->memory, &next, 1);
+    m.largest = cosim_place(s->memory, &next, 1);
+    m.largest_delta = cosim_place(s->memory, &next, 1);
+    m.rows = cosim_place(s->memory, &next, 1);
+    m.summed = cosim_place(s->memory, &next, 1);
+    m.sums = cosim_place(s->memory, &next, terms);
+    m.factors = cosim_place(s->memory, &next, terms);
+    m.theta = cosim_place(s->memory, &next, P);
+    m.outputs = cosim_place(s->memory, &next, s->width);
+    m.R = cosim_place(s->memory, &next, terms * terms);
+    m.N = cosim_place(s->memory, &next, terms * terms);
+    m.x = cosim_place(s->memory, &next, s->on_y ? 2 * s->on_y->states : 0);
+    m.amplitudes = cosim_place(s->memory, &next, columns_of(s->on_y));
+    m.work = cosim_place(s->memory, &next, memory_of(s->on_y));
+    m.delta_amplitudes = cosim_place(s->memory, &next, columns_of(s->on_delta));
+    m.delta_work = cosim_place(s->memory, &next, memory_of(s->on_delta));
+    m.before = cosim_place(s->memory, &next, 2 * (n_outputs(s) + inputs));
+    m.time = cosim_place(s->memory, &next, 1);
+    m.betweens = cosim_place(s->memory, &next, 1);
+    m.grid_taken = cosim_place(s->memory, &next, 1);
+    const cosim_output_error *on_grid = s->grid ? s->grid->model : NULL;
+    m.grid_work = cosim_place(s->memory, &next, state_of(on_grid));
+    m.state = next;
+    next += memory_of(on_grid) - state_of(on_grid);
+    m.grid_search = cosim_place(s->memory, &next, s->grid ? cosim_start_grid_memory(s->grid) : 0);
+    m.residual = cosim_place(s->memory, &next, capacity * n_outputs(s));
+    m.alpha = cosim_place(s->memory, &next, capacity * components);
+    m.delta = cosim_place(s->memory, &next, capacity);
+    m.delta_alpha = cosim_place(s->memory, &next, capacity * components);
+    m.between = cosim_place(s->memory, &next, s->between ? cosim_between_memory(s->between) : 0);
+    m.size = next;
     return m;
 }
 

@@ -15,6 +15,13 @@ void cosim_multiply_add(int32_t rows, int32_t columns, const double *M, const do
     }
 }
 
+double *cosim_place(double *memory, int64_t *next, int64_t count)
+{
+    double *place = memory ? memory + *next : 0;
+    *next += count;
+    return place;
+}
+
 void cosim_multiply(int32_t rows, int32_t columns, const double *M, const double *v, double *y)
 {
     for (int32_t i = 0; i < rows; ++i)

@@ -31,14 +31,14 @@ static parts parts_of(const cosim_start_grid *s, double *memory)
         p.columns += s->points[i] * s->size[i];
         p.width += s->size[i];
     }
-    double *next = memory;
-    p.R = next, next += all * all; /* before that: all columns, x(0) and the offset first */
-    p.rows = next, next += all * all;
-    p.squares = next, next += p.points;
-    p.chosen = next, next += (int64_t)p.columns * p.width;
-    p.T = next, next += p.width * p.width;
-    p.work = next, next += all;
-    p.size = next - memory;
+    int64_t next = 0;
+    p.R = cosim_place(memory, &next, all * all); /* at first with x(0) and the offset before them */
+    p.rows = cosim_place(memory, &next, all * all);
+    p.squares = cosim_place(memory, &next, p.points);
+    p.chosen = cosim_place(memory, &next, (int64_t)p.columns * p.width);
+    p.T = cosim_place(memory, &next, p.width * p.width);
+    p.work = cosim_place(memory, &next, all);
+    p.size = next;
     return p;
 }
 

@@ -59,7 +59,7 @@ class StartGridModel:
             int32(constants.points),
             np.array(constants.theta, np.float64),
         ]
-        self._keep = arrays
+        self.arrays = arrays
         self.struct = StartGridStruct(
             len(constants.size), ctypes.addressof(self.model.struct), *map(pointer, arrays)
         )

@@ -176,7 +176,7 @@ def read(
     maps, map_problems = resolve_maps(valid_tree, document.maps)
     specs, component_problems = _validate_components(file.components)
     connections, connection_problems = _connections(file)
-    connections = _with_implied(specs, _followed(specs, connections))
+    connections = _with_implied(_replaced(document, specs), _followed(specs, connections))
     for key, _ in connection_problems:
         invalid.add(key)
     problems += file_problems + map_problems + component_problems + connection_problems
@@ -249,6 +249,17 @@ def _validate_components(
             except ValidationError as error:
                 problems += problems_of(error, KINDS[kind], table, key)
     return specs, problems
+
+
+def _replaced(document: Document, specs: Mapping[str, Kind]) -> Mapping[str, Kind]:
+    """Return the specs with those that swaps replaced: what takes their place has their inputs."""
+    names = [name for name in document.swapped_components() if name in specs]
+    names = [name for name in names if specs[name].follows_inputs]
+    if not names:
+        return specs
+    tree, _ = document.unswapped().tree()
+    originals, _ = _validate_components({name: tree["components"][name] for name in names})
+    return {**specs, **originals}
 
 
 def _followed(

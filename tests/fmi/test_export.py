@@ -18,6 +18,7 @@ from cosim.errors import FmuError
 from cosim.fmi.component import ModelExchange, load
 from cosim.fmi.exporting import kernels
 from cosim.fmi.exporting.export import export
+from cosim.fmi.exporting.identifier import output_error as kernel_of_output_error
 from cosim.fmi.exporting.kernels import DiscreteModel
 from cosim.fmi.generated import GeneratedInstance
 from cosim.fmi.options import FmuOptions
@@ -32,6 +33,8 @@ from cosim.native.step import (
 )
 from tests.fmi.dae import descriptor
 from tests.fmi.plant import INTERFACE, A, B, C, D, grid, inputs, model, run, solution
+from tests.scenario.online import COARSE
+from tests.scenario.online import identifier as online
 
 NAMES = ("y", "x_a[0]", "x_a[1]", "x_b")
 
@@ -246,6 +249,15 @@ def identifier():
     )
 
 
+def output_error():
+    """Return the identifier of the example for a run of 1 s; estimates begin before its end."""
+    settings = {**COARSE, "scenario.stop": 1.0, "identifier.start": 3.5}
+    component = online("academic", {**settings, "identifier.period": 0.01})
+    constants = component.constants(0.01, np.zeros(component.interface.n_u, np.bool_))
+    kernel = kernel_of_output_error(constants)
+    return DiscreteModel(component.interface, kernel, 1_000_000, "it is discrete")
+
+
 def sampled():
     own = first_order_hold(np.array([[-2.0]]), np.array([[1.0]]), 0.003, np.array([True]))
     kernel = kernels.sampled(own, C=np.array([[1.0]]), D=np.array([[0.5]]), X0=np.array([1.0]))
@@ -257,6 +269,7 @@ MODELS = {
     "static": lambda: static(np.array([[1.0, 2.0], [0.0, -1.0]])),
     "regressor": regressor,
     "identifier": identifier,
+    "output-error": output_error,
     "sampled": sampled,
     "delay": lambda: discrete(kernels.delay(3, 1, None)),
     "limit": lambda: discrete(kernels.limit(-0.5, 0.5), step_ns=0),

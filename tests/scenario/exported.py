@@ -18,7 +18,9 @@ from cosim.scenario.exporting import export_component
 
 H = 1e-3
 STOP = 4.2  # s
-START = {"scenario.stop": STOP, "identifier.start": 3.5}  # theta is there at the end
+# theta is there at the end, and the log has every row
+START = {"scenario.stop": STOP, "identifier.start": 3.5, "identifier.period": H}
+LEAST_SQUARES = {"identifier.method": "least-squares"}
 SAMPLED = {"controller.period": 0.01}
 ACADEMIC = [("academic", name) for name in ("plant", "observer", "regressor", "identifier")]
 LOOP = [("closed-loop", name) for name in ("feedback", "error", "controller")]
@@ -29,6 +31,8 @@ SAMPLED_COMPONENTS = [
     ("step", "controller"),
     ("slow", "identifier"),
     ("held", "identifier"),
+    ("online", "identifier"),
+    ("held-online", "identifier"),
 ]
 COMPONENTS = [
     *ACADEMIC,
@@ -38,12 +42,19 @@ COMPONENTS = [
 ]
 # linear models that have states
 STATES = [("academic", "plant"), ("academic", "observer"), ("closed-loop", "controller")]
-DRIVERS = {"sampled": "error", "slow": "regressor"}
+DRIVERS = {
+    "sampled": ("error.y",),
+    "slow": ("regressor.mu",),
+    "online": ("regressor.mu", "observer.delta", "sensor.y", "u.y"),
+}
+NOISY = ("online", "held-online")
 CHANGES = {
     "sampled": SAMPLED,
     "step": {"controller.period": H},
-    "slow": {"identifier.period": 0.1},
-    "held": {"scenario.input_interpolation": "zero-order"},
+    "slow": {**LEAST_SQUARES, "identifier.period": 0.1},
+    "held": {**LEAST_SQUARES, "scenario.input_interpolation": "zero-order"},
+    "online": {"identifier.period": 0.1},
+    "held-online": {"scenario.input_interpolation": "zero-order"},
 }
 
 
@@ -62,10 +73,12 @@ class Case:
 
 
 def scenario_of(key: str) -> tuple[str, dict[str, Any]]:
-    return ("academic" if key in ("academic", "slow", "held") else "closed-loop"), {
-        **START,
-        **CHANGES.get(key, {}),
-    }
+    name = "closed-loop"
+    if key in ("academic", "slow", "held"):
+        name = "academic"
+    if key in NOISY:
+        name = "academic-noisy"
+    return name, {**START, **CHANGES.get(key, {})}
 
 
 @cache
@@ -89,7 +102,8 @@ def case(key: str, name: str) -> Case:
     if key in DRIVERS:
         # the log keeps only the rows at its period, so it runs here on what drove it
         prepare(component, H, graph.held[name], {})
-        u = columns(run, DRIVERS[key], graph.components[DRIVERS[key]].interface.outputs)
+        signals = [np.reshape(run[port], (len(t), -1)) for port in DRIVERS[key]]
+        u = np.ascontiguousarray(np.hstack(signals))
         y = np.vstack([component.initialize(0.0, u[0]), component.advance(t, H, u)])
     else:
         u = columns(run, name, component.interface.inputs)

@@ -19,7 +19,17 @@ from cosim.fmi.reading.model_description import read
 from cosim.scenario.context import ScenarioBuildContext
 from cosim.scenario.document import find
 from cosim.scenario.exporting import export_component
-from tests.scenario.exported import ACADEMIC, COMPONENTS, STATES, STOP, H, case, drive, export
+from tests.scenario.exported import (
+    ACADEMIC,
+    COMPONENTS,
+    START,
+    STATES,
+    STOP,
+    H,
+    case,
+    drive,
+    export,
+)
 
 FMI = pytest.mark.parametrize("fmi", ["2", "3"])
 
@@ -137,6 +147,8 @@ def test_co_simulation_by_fmpy_alone_gives_what_the_component_gives(key, name, f
     """
     original = case(key, name)
     _, named = rows(original)
+    if fmi == "3" and len({size for _, size, _ in named}) > 1:
+        pytest.skip("fmpy stacks the values of all inputs, which must have one size")
     y = by_fmpy(export(key, name, fmi, folder), "CoSimulation", original, named, STOP)
     component = original.component
     all_held = np.ones(original.u.shape[1], np.bool_)
@@ -248,8 +260,7 @@ def test_every_fmu_takes_its_component_place(folder):
 
     NaN, which is no value yet, is compared too.
     """
-    changes = {"scenario.stop": STOP, "identifier.start": 3.5}
-    expected = cosim.run("academic", set=changes)
+    expected = cosim.run("academic", set=START)
     swaps = {
         name: export("academic", name, fmi, folder)
         for (_, name), fmi in zip(ACADEMIC, "3232", strict=True)

@@ -186,7 +186,7 @@ def least_squares(constants: LeastSquaresConstants) -> Kernel:
         f"Least squares of -mu_0 on mu_1, mu_2, ..., from t = {constants.start_time} s on: eta, "
         "and the parameters theta that follow from it. No value (NaN) before there is one."
     )
-    return Kernel("identifier.c", ESTIMATION, constants.memory, lines, equations)
+    return Kernel("least_squares.c", ESTIMATION, constants.memory, lines, equations)
 
 
 def _recovery(block: RecoveryConstants) -> str:

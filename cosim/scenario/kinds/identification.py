@@ -33,6 +33,7 @@ from cosim.core.port import Port
 from cosim.core.signals import Interface
 from cosim.errors import AssumptionError, UsageError
 from cosim.fmi.exporting import kernels
+from cosim.fmi.exporting.identifier import output_error
 from cosim.fmi.exporting.kernels import DiscreteModel
 from cosim.fmi.exporting.specifications import Exportable
 from cosim.native.expression import Program, compile_expression
@@ -533,14 +534,17 @@ class IdentifierKind(PeriodicKind, ExportableKind):
 
     def exportable(self, name: str, context: BuildContext, wiring: Wiring) -> Exportable:
         component = self.build(name, context)
-        if not isinstance(component, LeastSquaresIdentifier):
+        every = self.period_steps(name, context.step_ns)
+        if isinstance(component, LeastSquaresIdentifier):
+            held = bool(wiring.held.any())
+            kernel = kernels.least_squares(component.constants(component.start_time, held=held))
+        elif isinstance(component, OutputErrorIdentifier):
+            kernel = output_error(component.constants(context.step_ns / 1e9, wiring.held))
+        else:
             raise UsageError(
                 f'{name!r}: an identifier with method = "{self.method}" cannot be exported yet; '
-                'possible: method = "least-squares"'
+                'possible: method = "output-error" or "least-squares"'
             )
-        every = self.period_steps(name, context.step_ns)
-        held = bool(wiring.held.any())
-        kernel = kernels.least_squares(component.constants(component.start_time, held=held))
         reason = (
             "the identifier takes one row at every communication point, so it has no derivatives"
         )
