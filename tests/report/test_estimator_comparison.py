@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import cosim
-from cosim.errors import UsageError
+from cosim.errors import ScenarioError, UsageError
 from cosim.report.plots import plot_comparison
 from cosim.scenario.kinds.methods import METHODS
 
@@ -134,3 +134,20 @@ def test_estimators_and_plants_are_compared_one_after_the_other(call):
     assert (code, "--no-base" in err) == (2, True)
     code, _, err = call("compare", "academic")
     assert (code, "neither --swap nor --estimators" in err) == (2, True)
+
+
+@pytest.mark.parametrize(
+    ("table", "text"),
+    [
+        ({"method": "rayleigh", "gain": 1.0}, "gain: not of method 'rayleigh'; leave it out"),
+        ({"method": "gradient", "forgetting": 1.0}, "forgetting: .* its own: gain"),
+        ({"method": "drem", "gain": -1.0}, "gain: found -1.0 1/s"),
+        ({"method": "extended-kalman", "deviation": 0.0}, "deviation: found 0.0"),
+        ({"method": "augmented-kalman", "intensity": -2.0}, "intensity: found -2.0"),
+        ({"method": "least-squares", "size": 1.0}, "size: not of method 'least-squares'"),
+    ],
+)
+def test_keys_of_no_use_are_refused(table, text):
+    """A key of another method, or a number that makes no estimator."""
+    with pytest.raises(ScenarioError, match=text):
+        cosim.run("academic", set={"identifier": {"kind": "identifier", **table}})
