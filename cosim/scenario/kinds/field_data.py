@@ -23,6 +23,7 @@ from cosim.core.contracts import Component
 from cosim.core.port import Port
 from cosim.core.signals import Interface
 from cosim.errors import UsageError
+from cosim.native.step import LARGEST_MEMORY
 from cosim.scenario.field_file import read_field_data
 from cosim.scenario.kinds.base import BuildContext
 from cosim.scenario.kinds.plants import PlantKind
@@ -109,10 +110,11 @@ class FieldDataKind(PlantKind):
         points = _points(context.clock)
         check_covers(data, points, self.maximum_gap)
         most = data.most_in_a_step(points)
-        if most > MOST_SAMPLES:
+        if most > MOST_SAMPLES or most * len(points) > LARGEST_MEMORY:
             raise UsageError(
-                f"{data.source} has {most} samples in one communication step; needed at most "
-                f"{MOST_SAMPLES}: a smaller step"
+                f"{data.source} has {most} samples in one of {len(points) - 1} communication "
+                f"steps, and every step has a place for as many; needed at most {MOST_SAMPLES}, and "
+                f"{LARGEST_MEMORY} places: a smaller step, or a file without the burst"
             )
         in_run = data.measured & (data.t >= points[0]) & (data.t <= points[-1])
         context.add_metadata(name, {"samples": int(in_run.sum()), "samples_in_a_step": most})
