@@ -535,7 +535,9 @@ def identify(
     plot: IdentificationPlotOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Identify theta from logs by output error, whatever method their runs used.
+    """Identify theta from logs by output error.
+
+    Whatever method their runs used.
 
     Standard errors, 95 % intervals, a verdict on every parameter, tests of the residual.
     """

@@ -295,7 +295,12 @@ def test_list_names_scenarios_and_kinds_with_their_parameters(call):
     code, out, _ = call("list", "--json")
     found = json.loads(out)
     assert code == 0
-    assert set(found["scenarios"]) == {"academic", "academic-as-printed", "closed-loop"}
+    assert set(found["scenarios"]) == {
+        "academic",
+        "academic-as-printed",
+        "academic-noisy",
+        "closed-loop",
+    }
     parameters = found["kinds"]["unknown-input-observer"]["parameters"]
     filter_rate, L = parameters["filter_rate"], parameters["L"]
     assert (filter_rate["required"], filter_rate["default"]) == (False, None)

@@ -154,6 +154,11 @@ def report_identification(
     return IdentificationReport(found=found, validations=validations, irregular=part)
 
 
+def _finite(value: float) -> float | None:
+    """Return an end of an interval; None: there is none."""
+    return float(value) if np.isfinite(value) else None
+
+
 def _irregular_part(found: LogIdentification, bound: float) -> IrregularPart:
     began = perf_counter()
     result = irregular_interval(found, bound)
@@ -167,8 +172,8 @@ def _irregular_part(found: LogIdentification, bound: float) -> IrregularPart:
                 name=f"theta[{j}]",
                 first_order=half_width,
                 holds=bool((np.abs(reach - half_width) <= FIRST_ORDER * half_width).all()),
-                lower=float(result.interval.lower[j]) if result.interval.feasible else None,
-                upper=float(result.interval.upper[j]) if result.interval.feasible else None,
+                lower=_finite(result.lower[j]),
+                upper=_finite(result.upper[j]),
             )
         )
     return IrregularPart(

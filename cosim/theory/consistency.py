@@ -22,8 +22,9 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from cosim.arrays import Matrix, Vector
+from cosim.arrays import Mask, Matrix, Vector
 from cosim.native.estimation import Generators
 from cosim.theory.accuracy import (
     LARGEST_STEP_ERROR,
@@ -36,6 +37,7 @@ from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, NoiseModel
 from cosim.theory.estimators.output_error import OutputErrorFit
 from cosim.theory.fitted_response import FittedResponse, fitted_response
 from cosim.theory.model_errors import Directions, model_errors
+from cosim.theory.quantiles import chi_square_above
 
 FALSE_ALARM: Final = 3e-4  # probability, for white noise, of each of the three tests
 LAGS: Final = 24
@@ -44,6 +46,8 @@ MARGIN: Final = 1.5
 LONGEST_AR: Final = 12
 # samples over which noise may be correlated, as a part of the record
 LONGEST_CORRELATION: Final = 0.01
+# samples of which directions are computed; of longer records every few, which costs power alone
+MOST_SAMPLES: Final = 50_000
 # of a direction: what of it may be left beside the fit, so that rounding does not count
 LEAST_REMAINDER: Final = 1e-6
 
@@ -169,7 +173,8 @@ def noise_color(
     Empty where there is none, or where it would be correlated over a good part of the record.
     """
     residuals = []
-    for problem in _whitened_problems(fit, data, plant, generators(families), noise):
+    matrices = generators(families)
+    for problem in _whitened_problems(fit, data, plant, matrices, noise, whole=True):
         residuals.append(problem.unexplained)
     shortest = min(len(rest) for rest in residuals)
     a = autoregression(residuals, min(LONGEST_AR, shortest // 20))
@@ -214,7 +219,10 @@ def autoregression(residuals: Sequence[Matrix], longest: int) -> Vector:
 
 
 class _WhitenedProblem:
-    """The fit of one data set as a linear regression near its minimum, measured samples only."""
+    """The fit of one data set as a linear regression near its minimum, measured samples only.
+
+    Directions are computed of every so many samples.
+    """
 
     def __init__(
         self,
@@ -224,6 +232,8 @@ class _WhitenedProblem:
         response: FittedResponse,
         accuracy: Accuracy,
         noise: NoiseModel,
+        *,
+        every: int,
     ) -> None:
         self.accuracy = accuracy
         self._order = data.y.shape[1]
@@ -236,28 +246,38 @@ class _WhitenedProblem:
         step_error = np.sqrt(np.mean(accuracy.step**2, axis=0))
         self.step_too_long = bool((step_error > LARGEST_STEP_ERROR * spread).any())
 
-        def whitened(rows: Matrix, *, among_outputs: bool = True) -> Matrix:
-            if among_outputs:
-                rows = np.einsum("ab,nbk->nak", response.weights, rows)
+        def whitened(rows: Matrix, measured: Mask) -> Matrix:
             filtered = autoregressive_filter(rows[measured], noise.a)
             return filtered.reshape(-1, filtered.shape[2])
 
+        def weighed(rows: Matrix) -> Matrix:
+            return np.asarray(np.einsum("ab,nbk->nak", response.weights, rows), np.float64)
+
         unknowns = np.concatenate([response.slopes[:, :, fit.estimated], response.linear], axis=2)
-        self.columns = whitened(unknowns, among_outputs=False)
-        self._residual = whitened(response.residual[:, :, np.newaxis], among_outputs=False)[:, 0]
+        self.columns = whitened(unknowns, measured)
+        self._residual = whitened(response.residual[:, :, np.newaxis], measured)[:, 0]
         quantized = quantization_error(data.y, response.plain_residual, accuracy.spacing)
         errors = np.stack([accuracy.step, quantized], axis=2)
-        self.errors = whitened(errors)
-        directions = model_errors(plant, data, response)
-        self._names = directions.names
-        self._make_directions(Directions(whitened(directions.columns), directions.names))
+        self.errors = whitened(weighed(errors), measured)
+        is_kept = np.arange(len(data.t)) % every == 0
+        self._is_kept = is_kept[measured][len(noise.a) :]
+        thin = data.thinned(every)
+        directions = model_errors(plant, thin, response.thinned(every))
+        columns = whitened(weighed(directions.columns), thin.measured)
+        self._make_directions(Directions(columns, directions.names))
+
+    def _thinned(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the rows of the samples of which directions are computed."""
+        by_sample = rows.reshape(-1, self._order, *rows.shape[1:])
+        kept: NDArray[np.float64] = by_sample[self._is_kept].reshape(-1, *rows.shape[1:])
+        return kept
 
     def _make_directions(self, directions: Directions) -> None:
         """Make the directions orthogonal to the fit, and of length one."""
         columns = directions.columns
         lengths = np.linalg.norm(columns, axis=0)
         scaled = columns / np.where(lengths > 0.0, lengths, 1.0)
-        basis = _orthonormal(self.columns)
+        basis = _orthonormal(self._thinned(self.columns))
         free = scaled - basis @ (basis.T @ scaled)
         remainders = np.linalg.norm(free, axis=0)
         kept = remainders > LEAST_REMAINDER
@@ -281,8 +301,8 @@ class _WhitenedProblem:
 
     def _excess(self, directions: Matrix, deviation: float) -> Vector:
         """Return how much of the residual along directions is more than errors allow."""
-        found = np.abs(directions.T @ self._residual)
-        allowed = MARGIN * np.abs(directions.T @ self.errors).sum(axis=1)
+        found = np.abs(directions.T @ self._thinned(self._residual))
+        allowed = MARGIN * np.abs(directions.T @ self._thinned(self.errors)).sum(axis=1)
         excess: Vector = np.maximum(found - allowed, 0.0) / deviation
         return excess
 
@@ -333,12 +353,17 @@ def _whitened_problems(
     plant: DisturbedPlant,
     matrices: Generators,
     noise: NoiseModel,
+    *,
+    whole: bool = False,
 ) -> list[_WhitenedProblem]:
+    """Return the problem of each data set; ``whole``: with the directions of all samples."""
     problems = []
     for index, one in enumerate(data):
+        longest = len(one.t) if whole or len(noise.a) else MOST_SAMPLES
+        every = max(1, len(one.t) // longest)
         response = fitted_response(fit, index, one, plant, matrices)
         accuracy = accuracy_of(plant, one, response.disturbance, matrices)
-        problems.append(_WhitenedProblem(fit, one, plant, response, accuracy, noise))
+        problems.append(_WhitenedProblem(fit, one, plant, response, accuracy, noise, every=every))
     return problems
 
 
@@ -354,9 +379,7 @@ def _orthonormal(columns: Matrix) -> Matrix:
 
 
 def _threshold(degrees: int, among: int = 1) -> float:
-    from scipy.stats import chi2  # takes long to import
-
-    return float(chi2.isf(FALSE_ALARM / among, degrees))
+    return chi_square_above(FALSE_ALARM / among, degrees)
 
 
 def _moved(fit: OutputErrorFit, problems: Sequence[_WhitenedProblem]) -> Vector:

@@ -153,6 +153,11 @@ class DataSet:
         is_whole: NDArray[np.bool_] = np.equal(np.isnan(self.y).sum(axis=1), 0)
         return is_whole
 
+    def thinned(self, every: int) -> DataSet:
+        """Return every so many samples of it."""
+        thin = slice(None, None, every)
+        return DataSet(self.t[thin], self.y[thin], self.u[thin], self.alpha[thin], self.held)
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class NoiseModel:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
 from cosim.native.estimation import Generators
-from cosim.native.step import first_order_hold
+from cosim.native.step import first_order_hold, linear_step
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 from cosim.theory.estimators.output_error import OutputErrorFit
 
@@ -47,6 +47,17 @@ class FittedResponse:
     def plain_residual(self) -> Matrix:
         """The residual of the outputs themselves, shape (N, n_y)."""
         return np.asarray(np.linalg.solve(self.weights, self.residual.T).T, np.float64)
+
+    def thinned(self, every: int) -> FittedResponse:
+        """Return every so many samples of it."""
+        return FittedResponse(
+            residual=self.residual[::every],
+            slopes=self.slopes[::every],
+            linear=self.linear[::every],
+            weights=self.weights,
+            disturbance=self.disturbance[::every],
+            states=self.states[::every],
+        )
 
 
 def fitted_response(
@@ -146,31 +157,11 @@ def simulate(A: Matrix, B: Matrix, t: Vector, u: Matrix, x0: Vector) -> Matrix:
     if n == 0 or N < 2:
         return np.zeros((N, n))
     h = float(t[-1] - t[0]) / (N - 1)
-    discrete = first_order_hold(A, B, h, np.zeros(B.shape[1], np.bool_))
-    forced = u[:-1] @ discrete.B0.T + u[1:] @ discrete.B1.T
-    return recursion(discrete.Ad, forced, x0)
-
-
-def recursion(Ad: Matrix, forced: NDArray[np.float64], x0: NDArray[np.float64]) -> Matrix:
-    """Compute ``x(k+1) = Ad x(k) + forced(k)``, shapes (N - 1, n, ...) and (n, ...) to (N, n, ...).
-
-    The modes are filters of first order; a matrix without a basis of eigenvectors is stepped.
-    """
-    from scipy.signal import lfilter  # takes long to import
-
-    values, vectors = np.linalg.eig(Ad)
-    driven = np.concatenate([x0[np.newaxis], forced])
-    if np.linalg.cond(vectors) > 1e8:
-        for k in range(1, len(driven)):
-            driven[k] += np.tensordot(Ad, driven[k - 1], axes=1)
-        return driven
-    modal = np.tensordot(np.linalg.inv(vectors), driven, axes=(1, 1))
-    with np.errstate(over="ignore", invalid="ignore"):  # of an unstable plant
-        for i, value in enumerate(values):
-            modal[i] = lfilter([1.0], [1.0, -value], modal[i], axis=0)
-        states = np.tensordot(vectors, modal, axes=1).real
-    result: Matrix = np.moveaxis(states, 0, 1)
-    return result
+    m = B.shape[1]
+    discrete = first_order_hold(A, B, h, np.zeros(m, np.bool_))
+    step = linear_step(discrete, np.eye(n), np.zeros((n, m)))
+    step.memory[:n] = x0
+    return np.vstack([x0, step.advance(t, h, np.ascontiguousarray(u))])
 
 
 def _slopes(

@@ -16,9 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
-from cosim.native.step import first_order_hold
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
-from cosim.theory.fitted_response import FittedResponse, recursion
+from cosim.theory.fitted_response import FittedResponse, simulate
 
 SLOW_DIRECTIONS: Final = 30
 
@@ -74,20 +73,15 @@ def _entering_states(plant: DisturbedPlant, t: Vector, signals: dict[str, Vector
     """Return the responses to each signal, entering at each state."""
     n = len(plant.A)
     n_y = plant.C.shape[0]
-    N = len(t)
-    if n == 0 or N < 2:
-        return Directions(np.zeros((N, n_y, 0)), ())
-    h = float(t[-1] - t[0]) / (N - 1)
-    discrete = first_order_hold(plant.A, np.eye(n), h, np.zeros(n, np.bool_))
-    forcing = np.stack(list(signals.values()), axis=1)
-    begin = np.einsum("ij,nk->nijk", discrete.B0, forcing[:-1])
-    end = np.einsum("ij,nk->nijk", discrete.B1, forcing[1:])
-    K = forcing.shape[1]
-    forced = (begin + end).reshape(N - 1, n, n * K)
-    states = recursion(discrete.Ad, forced, np.zeros((n, n * K)))
-    columns = np.einsum("oi,nik->nok", plant.C, np.nan_to_num(states))
-    names = tuple(f"{name} in the dynamics of x_a[{j}]" for j in range(n) for name in signals)
-    return Directions(columns, names)
+    at_rest = np.zeros(n)
+    columns = np.zeros((len(t), n_y, n * len(signals)))
+    names: list[str] = []
+    for j, unit in enumerate(np.eye(n)):
+        for name, signal in signals.items():
+            states = simulate(plant.A, unit[:, np.newaxis], t, signal[:, np.newaxis], at_rest)
+            columns[:, :, len(names)] = np.nan_to_num(states @ plant.C.T)
+            names.append(f"{name} in the dynamics of x_a[{j}]")
+    return Directions(columns, tuple(names))
 
 
 def _at_outputs(plant: DisturbedPlant, signals: dict[str, Vector]) -> Directions:

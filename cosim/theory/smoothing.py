@@ -28,6 +28,7 @@ from cosim.theory.disturbed_plant import (
 from cosim.theory.estimators.output_error import OutputErrorFit
 from cosim.theory.fitted_response import fitted_response
 from cosim.theory.irregular_part import ResponseModel
+from cosim.theory.quantiles import student_above
 
 BAND: Final = 0.95  # probability of the truth within the band, at any one instant
 
@@ -79,8 +80,6 @@ def smoothed_signals(
     AssumptionError
         If the plant is unstable: its states cannot be simulated.
     """
-    from scipy.stats import t as student  # takes long to import
-
     span = float(data.t[-1] - data.t[0])
     if needs_predictor(plant.A, span):
         raise AssumptionError(
@@ -94,7 +93,7 @@ def smoothed_signals(
     prediction = observed(p)
     covariance = _covariance(fit, index, data, plant, families, noise)[: len(p), : len(p)]
     variance = np.einsum("nop,pq,noq->no", prediction.jacobian, covariance, prediction.jacobian)
-    quantile = float(student.isf(0.5 * (1.0 - BAND), max(fit.freedom, 1.0)))
+    quantile = student_above(0.5 * (1.0 - BAND), max(fit.freedom, 1.0))
     half_width = quantile * np.sqrt(np.maximum(variance, 0.0))
     values = known + prediction.output
     return SmoothedSignals(

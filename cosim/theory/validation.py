@@ -23,6 +23,7 @@ from cosim.theory.disturbance import Family, generators
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 from cosim.theory.estimators.output_error import OutputErrorFit, fit_output_error
 from cosim.theory.fitted_response import fitted_response
+from cosim.theory.quantiles import chi_square_above
 from cosim.theory.verdicts import Assessment, Verdict, assess
 
 
@@ -183,13 +184,11 @@ def _difference(
     assessment: Assessment, own: Assessment, held: OutputErrorFit, tested: Mask
 ) -> ResidualTest:
     """Test whether the theta of the fit and that of the other data are one."""
-    from scipy.stats import chi2  # takes long to import
-
     degrees = int(tested.sum())
     name = "theta is another one"
     if not degrees:
         return ResidualTest(name, 0.0, 0.0, 0, "")
-    threshold = float(chi2.isf(FALSE_ALARM, degrees))
+    threshold = chi_square_above(FALSE_ALARM, degrees)
     apart = own.fit.theta - assessment.fit.theta
     allowed = MARGIN * (assessment.consistency.bias + own.consistency.bias)
     excess: Vector = np.maximum(np.abs(apart) - allowed, 0.0) * np.sign(apart)

@@ -35,6 +35,7 @@ from cosim.theory.estimators.output_error import (
     presence_threshold,
     search_start,
 )
+from cosim.theory.quantiles import student_above
 
 CONFIDENCE: Final = 0.95
 # How the sum of squares at the ends of an interval may differ from that of a linear problem.
@@ -285,10 +286,8 @@ class _Judge:
         )
 
     def _half_widths(self) -> Vector:
-        from scipy.stats import t as student  # takes long to import
-
         fit = self._fit
-        quantile = float(student.isf(0.5 * (1.0 - CONFIDENCE), max(fit.freedom, 1.0)))
+        quantile = student_above(0.5 * (1.0 - CONFIDENCE), max(fit.freedom, 1.0))
         half_width = quantile * fit.standard_error + MARGIN * self._consistency.bias
         half_width[~fit.estimated] = np.nan
         return half_width

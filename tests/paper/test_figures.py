@@ -71,6 +71,7 @@ def test_the_unique_range_of_a_rate_is_noted():
         "regressor.terms": terms,
         "regressor.delays": [0.5, 1.0, 1.5],
         "truth.identifier.theta": [7.0],
+        "identifier.method": "least-squares",
         "scenario.stop": 10.0,
     }
     run = cosim.run("academic", set=changes)

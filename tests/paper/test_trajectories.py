@@ -93,6 +93,7 @@ def test_least_squares_as_printed_gives_the_exact_estimates(name, key, P0, step,
         "observer.q0": [0.0],
         "scenario.step": step,
         "scenario.stop": max(times),
+        "identifier.method": "least-squares",
         "identifier.P0": P0,
     }
     run = cosim.run("academic", set=changes)

@@ -39,7 +39,7 @@ def test_loops_of_first_order_are_in_the_summary(tmp_path):
 )
 def test_metadata_of_an_identifier_is_complete_or_refused(missing, needed):
     """The table after a run shows all of its times in one sum."""
-    run = cosim.run("academic", set={"scenario.stop": 0.1})
+    run = cosim.run("academic-as-printed", set={"scenario.stop": 0.1})
     assert summarize(run).identifications[0].times.keys() == {"T_obs", "T_f", "D_max", "T_id"}
     record = run.metadata["cosim.component.identifier"]
     metadata = json.loads(record["metadata"])

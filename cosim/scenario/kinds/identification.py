@@ -161,6 +161,9 @@ class StartTable(TomlTable):
     )
 
 
+DEFAULT_START = StartTable(epsilon_observer=1e-3, epsilon_filter=1e-3)
+
+
 class IdentifierKind(PeriodicKind, ExportableKind):
     """Identifier of theta, by output error, least squares (33)-(35), or another method."""
 
@@ -180,8 +183,8 @@ class IdentifierKind(PeriodicKind, ExportableKind):
     P0: Number | None = Field(
         None, description="of least-squares: P(0) = P0 I (34); default: no prior"
     )
-    start: Number | StartTable = Field(
-        StartTable(epsilon_observer=1e-3, epsilon_filter=1e-3),
+    start: Number | StartTable | None = Field(
+        None,
         description="T_id [s], or { epsilon_observer, epsilon_filter } for (36)-(38); "
         "default: 1e-3 each",
     )
@@ -564,11 +567,12 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         A computed T_id is counted from the start of the run.
         """
         clock = context.clock
-        if isinstance(self.start, StartTable):
-            T_id = self._computed_start_time(self.start, name, regressor_name, regressor, context)
+        start = DEFAULT_START if self.start is None else self.start
+        if isinstance(start, StartTable):
+            T_id = self._computed_start_time(start, name, regressor_name, regressor, context)
             elapsed_ns = T_id * 1e9
         else:
-            T_id = float(self.start)
+            T_id = float(start)
             elapsed_ns = T_id * 1e9 - clock.start_ns
         # Rounded to 1e-3 ns: a T_id on a communication point must not become the next one.
         elapsed_ns = round(elapsed_ns, 3)

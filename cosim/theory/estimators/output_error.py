@@ -36,6 +36,7 @@ from cosim.theory.disturbed_plant import (
     sample_plant,
     white_noise,
 )
+from cosim.theory.quantiles import chi_square_above
 
 # Probability that noise alone makes the amplitude of an absent component look like one, for one
 # theta; the largest over all theta, which the fit finds, is about a hundred times as probable.
@@ -208,7 +209,7 @@ def search_start(
     records = []
     for one in data:
         every = max(1, len(one.t) // SAMPLES_OF_SEARCH)
-        thin = DataSet(one.t[::every], one.y[::every], one.u[::every], one.alpha[::every])
+        thin = one.thinned(every)
         noise = white_noise(plant.C.shape[0])
         sampled = sample_plant(plant, matrices, thin, noise=noise, offset=offset)
         records.append(sampled.record(thin))
@@ -234,9 +235,7 @@ def search_start(
 
 def presence_threshold(sizes: Sequence[int], records: int) -> Vector:
     """Return above which ``beta' C^-1 beta`` a component is there, shape (components,)."""
-    from scipy.stats import chi2  # takes long to import
-
-    thresholds = [float(chi2.isf(FALSE_PRESENCE, size * records)) for size in sizes]
+    thresholds = [chi_square_above(FALSE_PRESENCE, size * records) for size in sizes]
     return np.array(thresholds)
 
 
