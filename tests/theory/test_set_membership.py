@@ -101,13 +101,13 @@ def test_bounded_noise_alone_has_the_same_closed_form():
 
 
 def test_the_cells_enclose_the_exact_interval():
-    """Coarser cells give a wider interval, never a narrower one; 0.2 s cost less than a fifth."""
+    """Coarser cells give a wider interval, never a narrower one; 0.25 s cost less than a fifth."""
     model = example(h=1e-2)
     problem = model.problem(0.02)
     y = model(TRUTH).output
     exact = [exact_extreme(0.02, 1, direction) for direction in (-1, 1)]
     widths = []
-    for samples in (20, 50):
+    for samples in (25, 50):
         recorded = RecordedOutputs(y, Cells(samples, 1), NO_NOISE)
         found = feasible_interval(problem, recorded, TRUTH[np.newaxis])
         assert found.lower[1] < exact[0]
@@ -117,7 +117,7 @@ def test_the_cells_enclose_the_exact_interval():
     assert widths[0] < 1.2 * (exact[1] - exact[0])
 
 
-@pytest.mark.parametrize("d", [2e-4, 2e-3, 2e-2])
+@pytest.mark.parametrize("d", [pytest.param(2e-4, marks=pytest.mark.campaign), 2e-3, 2e-2])
 def test_the_interval_is_narrower_than_the_worst_error_of_the_estimate(d):
     """And contains the truth under the worst delta_0 for each theta, where the estimate errs most.
 
@@ -131,14 +131,13 @@ def test_the_interval_is_narrower_than_the_worst_error_of_the_estimate(d):
     widest = feasible_interval(problem, RecordedOutputs(exact, cells, NO_NOISE), TRUTH[np.newaxis])
     for parameter in (0, 1):
         worst = [worst_error(problem, TRUTH, parameter, direction) for direction in (-1, 1)]
-        largest = max(abs(found.error) for found in worst)
-        assert half_width(widest)[parameter] < largest
-        for found in worst:
-            y = exact + problem.response.respond(found.delta_0)
-            recorded = RecordedOutputs(y, cells, NO_NOISE)
-            interval = feasible_interval(problem, recorded, found.estimate[np.newaxis])
-            assert contains(interval, TRUTH[:2])
-            assert half_width(interval)[parameter] < largest
+        found = max(worst, key=lambda found: abs(found.error))
+        assert half_width(widest)[parameter] < abs(found.error)
+        y = exact + problem.response.respond(found.delta_0)
+        recorded = RecordedOutputs(y, cells, NO_NOISE)
+        interval = feasible_interval(problem, recorded, found.estimate[np.newaxis])
+        assert contains(interval, TRUTH[:2])
+        assert half_width(interval)[parameter] < abs(found.error)
 
 
 def check_containment(h, cells, signals, seed):
@@ -158,7 +157,7 @@ def check_containment(h, cells, signals, seed):
 
 def test_the_interval_contains_the_truth_for_random_signals():
     """White, bang-bang and smooth ones."""
-    check_containment(2e-2, Cells(30, 1), signals=4, seed=0)
+    check_containment(2e-2, Cells(30, 1), signals=2, seed=0)
 
 
 @pytest.mark.campaign
@@ -256,8 +255,8 @@ def test_no_theta_of_a_grid_outside_of_the_interval_explains_the_data():
     interval = feasible_interval(problem, recorded, TRUTH[np.newaxis])
     start = TRUTH.copy()
     inside = 0
-    for theta1 in np.linspace(-0.14, -0.06, 5):
-        for theta2 in np.linspace(-0.7, -0.05, 9):
+    for theta1 in np.linspace(-0.13, -0.07, 4):
+        for theta2 in np.linspace(-0.5, -0.1, 5):
             start[:2] = (theta1, theta2)
             if least_bound(problem, recorded, start, FIXED).factor <= 1.0:
                 inside += 1
@@ -291,8 +290,6 @@ def test_a_set_that_the_search_from_the_estimate_misses_is_found_from_around_it(
     estimate = refit(problem, y, TRUTH)
     alone = feasible_interval(problem, recorded, estimate[np.newaxis])
     assert not contains(alone, TRUTH[:2])
-    minimum = least_bound(problem, recorded, estimate)
-    assert 1.0 < minimum.factor < 1.01
     starts = starts_around(problem, recorded, estimate)
     around = feasible_interval(problem, recorded, starts[[0, 2]])  # 2: a larger theta2
     assert contains(around, TRUTH[:2])

@@ -184,7 +184,7 @@ def test_the_interval_around_an_estimate_is_that_of_all_corners():
     assert interval[0, 1] == pytest.approx(max(truths), abs=1e-6)
 
 
-@pytest.mark.parametrize("d", [2e-4, 2e-3, 2e-2])
+@pytest.mark.parametrize("d", [pytest.param(2e-4, marks=pytest.mark.campaign), 2e-3, 2e-2])
 def test_the_interval_around_the_worst_estimates_contains_the_truth(d):
     """The first order at the estimate misses the truth by a little; up to 0.002 it is the width."""
     model = example(h=2e-2)
