@@ -113,8 +113,8 @@ class FieldDataKind(PlantKind):
         if most > MOST_SAMPLES or most * len(points) > LARGEST_MEMORY:
             raise UsageError(
                 f"{data.source} has {most} samples in one of {len(points) - 1} communication "
-                f"steps, and every step has a place for as many; needed at most {MOST_SAMPLES}, and "
-                f"{LARGEST_MEMORY} places: a smaller step, or a file without the burst"
+                f"steps, and every step has a place for as many; needed at most {MOST_SAMPLES}, "
+                f"and {LARGEST_MEMORY} places: a smaller step, or a file without the burst"
             )
         in_run = data.measured & (data.t >= points[0]) & (data.t <= points[-1])
         context.add_metadata(name, {"samples": int(in_run.sum()), "samples_in_a_step": most})
