@@ -19,7 +19,9 @@ from cosim.scenario.identifying import (
 from cosim.scenario.recorded_metadata import IdentificationRecord
 from cosim.theory.validation import Validation, ValidationVerdict
 
-FIRST_ORDER: Final = 0.1  # relative difference of the first order up to which it is said to hold
+# relative difference of both sides of an interval around an estimate up to which the first order,
+# which has two equal ones, is said to hold
+FIRST_ORDER: Final = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,9 +34,10 @@ class IrregularEffect:
     first_order : float
         Half width around the estimate.
     holds : bool
-        Whether the first order does: the truths behind this estimate reach as far.
+        Whether the first order does: the truths behind this estimate reach as far to both sides.
     lower, upper : float or None
-        What the data allow, by linear programs; None: no theta explains them with this bound.
+        What the data and the estimate allow, by linear programs; None: no theta explains them with
+        this bound.
     """
 
     name: str
@@ -154,11 +157,6 @@ def report_identification(
     return IdentificationReport(found=found, validations=validations, irregular=part)
 
 
-def _finite(value: float) -> float | None:
-    """Return an end of an interval; None: there is none."""
-    return float(value) if np.isfinite(value) else None
-
-
 def _irregular_part(found: LogIdentification, bound: float) -> IrregularPart:
     began = perf_counter()
     result = irregular_interval(found, bound)
@@ -166,14 +164,17 @@ def _irregular_part(found: LogIdentification, bound: float) -> IrregularPart:
     theta = found.assessment.fit.theta
     effects = []
     for j, half_width in enumerate(result.half_width.tolist()):
-        reach = np.abs(result.around_estimate[j] - theta[j])
+        below, above = np.abs(result.around_estimate[j] - theta[j]).tolist()
+        lower = float(result.lower[j])
+        upper = float(result.upper[j])
+        is_known = not np.isnan(lower + upper)
         effects.append(
             IrregularEffect(
                 name=f"theta[{j}]",
                 first_order=half_width,
-                holds=bool((np.abs(reach - half_width) <= FIRST_ORDER * half_width).all()),
-                lower=_finite(result.lower[j]),
-                upper=_finite(result.upper[j]),
+                holds=bool(abs(above - below) <= FIRST_ORDER * (above + below)),
+                lower=lower if is_known else None,
+                upper=upper if is_known else None,
             )
         )
     return IrregularPart(
