@@ -273,7 +273,7 @@ def smoothed_record(found: LogIdentification, index: int) -> SmoothedSignals:
     return smoothed_signals(
         assessment.fit,
         index,
-        found.records[index].data,
+        [record.data for record in found.records],
         identified.plant,
         identified.families,
         noise=assessment.noise,

@@ -1,21 +1,24 @@
 """States and disturbance over the whole record, from what a fit by output error found.
 
 With theta, amplitudes and x(0) known, the model says what x and delta were at every sample, from
-all samples before and after it: smoothing. Its error comes from the errors of all these unknowns
-together, and to first order from nothing else, where the model is right.
+all samples before and after it: smoothing. Where the model is right, its error is to first order
+that of all these unknowns together, from noise and from what step and quantization have moved them
+by, and that of straight lines between samples in the states themselves.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
 from cosim.errors import AssumptionError
-from cosim.theory.consistency import autoregressive_filter
+from cosim.theory.accuracy import accuracy_of, quantization_error, step_error
+from cosim.theory.consistency import MARGIN, autoregressive_filter
 from cosim.theory.disturbance import Family, generators
 from cosim.theory.disturbed_plant import (
     DataSet,
@@ -26,7 +29,7 @@ from cosim.theory.disturbed_plant import (
     white_noise,
 )
 from cosim.theory.estimators.output_error import OutputErrorFit
-from cosim.theory.fitted_response import fitted_response
+from cosim.theory.fitted_response import disturbance_of, fitted_response
 from cosim.theory.irregular_part import ResponseModel
 from cosim.theory.quantiles import student_above
 
@@ -55,7 +58,7 @@ class SmoothedSignals:
 def smoothed_signals(
     fit: OutputErrorFit,
     index: int,
-    data: DataSet,
+    data: Sequence[DataSet],
     plant: DisturbedPlant,
     families: Sequence[Family],
     *,
@@ -67,9 +70,9 @@ def smoothed_signals(
     ----------
     fit : OutputErrorFit
     index : int
-        Number of the data set among those of the fit.
-    data : DataSet
-        That one.
+        Number of the data set whose signals are wanted.
+    data : sequence of DataSet
+        All those of the fit.
     plant : DisturbedPlant
     families : sequence of Family
     noise : NoiseModel, optional
@@ -80,7 +83,8 @@ def smoothed_signals(
     AssumptionError
         If the plant is unstable: its states cannot be simulated.
     """
-    span = float(data.t[-1] - data.t[0])
+    own = data[index]
+    span = float(own.t[-1] - own.t[0])
     if needs_predictor(plant.A, span):
         raise AssumptionError(
             f"smoothing needs a stable plant: over {span:g} s a mode of this one grows too much "
@@ -88,16 +92,24 @@ def smoothed_signals(
         )
     noise = noise or white_noise(len(plant.C))
     n = len(plant.A)
-    observed, known = _observed(data, plant, families)
+    observed = _with_signals_as_outputs(plant)
+    unmeasured = replace(own, y=np.zeros((len(own.t), n + 1)))
+    model, known = _response(unmeasured, observed, families)
     p = np.concatenate([fit.theta, fit.amplitudes[index], fit.x0[index]])
-    prediction = observed(p)
-    covariance = _covariance(fit, index, data, plant, families, noise)[: len(p), : len(p)]
+    prediction = model(p)
+    regressions = [_regression(fit, i, one, plant, families, noise) for i, one in enumerate(data)]
+    covariance = _covariance(fit, regressions[index])[: len(p), : len(p)]
     variance = np.einsum("nop,pq,noq->no", prediction.jacobian, covariance, prediction.jacobian)
     quantile = student_above(0.5 * (1.0 - BAND), max(fit.freedom, 1.0))
     half_width = quantile * np.sqrt(np.maximum(variance, 0.0))
+    matrices = generators(families)
+    disturbance = disturbance_of(fit.theta, fit.amplitudes[index], own, matrices)
+    moved = prediction.jacobian @ _moved(fit, regressions, index)[: len(p)]
+    moved[:, :, 0] -= step_error(observed, unmeasured, disturbance, matrices)
+    half_width += MARGIN * np.abs(moved).sum(axis=2)
     values = known + prediction.output
     return SmoothedSignals(
-        t=data.t,
+        t=own.t,
         states=values[:, :n],
         states_half_width=half_width[:, :n],
         disturbance=values[:, n],
@@ -105,13 +117,11 @@ def smoothed_signals(
     )
 
 
-def _observed(
-    data: DataSet, plant: DisturbedPlant, families: Sequence[Family]
-) -> tuple[ResponseModel, Matrix]:
-    """Return the model with x and delta as outputs, and the part of them that u makes."""
+def _with_signals_as_outputs(plant: DisturbedPlant) -> DisturbedPlant:
+    """Return the plant with its states and the disturbance as outputs."""
     n, n_u = plant.B.shape
     components = plant.Bd.shape[1]
-    observed = DisturbedPlant(
+    return DisturbedPlant(
         A=plant.A,
         B=plant.B,
         Bd=plant.Bd,
@@ -119,38 +129,85 @@ def _observed(
         D=np.zeros((n + 1, n_u)),
         Dd=np.vstack([np.zeros((n, components)), np.ones((1, components))]),
     )
-    nothing = np.zeros((len(data.t), n + 1))
-    unknown = DataSet(data.t, nothing, data.u, data.alpha, data.held)
-    sampled = sample_plant(observed, generators(families), unknown, noise=white_noise(n + 1))
-    record = sampled.record(unknown)
+
+
+def _response(
+    data: DataSet, observed: DisturbedPlant, families: Sequence[Family]
+) -> tuple[ResponseModel, Matrix]:
+    """Return the response of a plant to the disturbance, and that to u."""
+    noise = white_noise(len(observed.C))
+    sampled = sample_plant(observed, generators(families), data, noise=noise)
+    record = sampled.record(data)
     return ResponseModel(record), -record.residual
 
 
-def _covariance(
+@dataclass(frozen=True, eq=False)
+class _Regression:
+    """A fit near its minimum, of one data set: measured values only, white.
+
+    Parameters
+    ----------
+    slopes : Matrix, shape (M, P)
+    inverse : Matrix, shape (L, M)
+        Pseudo-inverse of the columns of the linear unknowns.
+    free : Matrix, shape (M, P)
+        What of the slopes the linear unknowns cannot take.
+    errors : Matrix, shape (M, 2)
+        Of the step and of quantization.
+    """
+
+    slopes: Matrix
+    inverse: Matrix
+    free: Matrix
+    errors: Matrix
+
+
+def _regression(
     fit: OutputErrorFit,
     index: int,
     data: DataSet,
     plant: DisturbedPlant,
     families: Sequence[Family],
     noise: NoiseModel,
-) -> Matrix:
+) -> _Regression:
+    matrices = generators(families)
+    response = fitted_response(fit, index, data, plant, matrices)
+    accuracy = accuracy_of(plant, data, response.disturbance, matrices)
+    quantized = quantization_error(data.y, response.plain_residual, accuracy.spacing)
+    errors = np.stack([accuracy.step, quantized], axis=2)
+    measured = data.measured
+
+    def white(rows: NDArray[np.float64]) -> Matrix:
+        filtered = autoregressive_filter(rows[measured], noise.a)
+        return filtered.reshape(-1, rows.shape[2])
+
+    linear = white(response.linear)
+    slopes = white(response.slopes)
+    lengths = np.linalg.norm(linear, axis=0)
+    lengths[lengths == 0.0] = 1.0
+    inverse = np.linalg.pinv(linear / lengths, rcond=1e-12) / lengths[:, np.newaxis]
+    free = slopes - linear @ (inverse @ slopes)
+    among_outputs = np.einsum("ab,nbk->nak", response.weights, errors)
+    return _Regression(slopes, inverse, free, white(among_outputs))
+
+
+def _covariance(fit: OutputErrorFit, regression: _Regression) -> Matrix:
     """Compute the covariance of theta, amplitudes, x(0) and offset of a data set.
 
     Of theta it is that of the fit, to which other data sets contribute. For a given theta the
     others have an error of their own, uncorrelated with that of theta, which moves them along.
     """
-    response = fitted_response(fit, index, data, plant, generators(families))
-    measured = data.measured
-    linear = _columns(autoregressive_filter(response.linear[measured], noise.a))
-    slopes = _columns(autoregressive_filter(response.slopes[measured], noise.a))
-    lengths = np.linalg.norm(linear, axis=0)
-    lengths[lengths == 0.0] = 1.0
-    inverse = np.linalg.pinv(linear / lengths, rcond=1e-12) / lengths[:, np.newaxis]
-    moved = -inverse @ slopes
+    inverse = regression.inverse
     own = fit.deviation**2 * (inverse @ inverse.T)
-    cross = moved @ fit.covariance
-    return np.block([[fit.covariance, cross.T], [cross, own + cross @ moved.T]])
+    along = -inverse @ regression.slopes
+    cross = along @ fit.covariance
+    return np.block([[fit.covariance, cross.T], [cross, own + cross @ along.T]])
 
 
-def _columns(rows: Matrix) -> Matrix:
-    return rows.reshape(-1, rows.shape[2])
+def _moved(fit: OutputErrorFit, regressions: Sequence[_Regression], index: int) -> Matrix:
+    """Compute by how much errors of step and quantization move the unknowns, shape (p, 2)."""
+    gradient = sum(one.free.T @ one.errors for one in regressions)
+    theta = fit.covariance @ gradient / fit.deviation**2
+    own = regressions[index]
+    linear = own.inverse @ (own.errors - own.slopes @ theta)
+    return np.vstack([theta, linear])
