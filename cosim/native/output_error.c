@@ -521,68 +521,119 @@ static double amplitude_statistic(int32_t V, int32_t n, const double *covariance
     return sum;
 }
 
+/* Copy columns of T (height, stride) side by side, and make their own triangle of them. */
+static void choose(int32_t height, int32_t stride, const double *T, int32_t count,
+                   const int32_t *columns, double *triangle)
+{
+    double rows[COSIM_MOST_COLUMNS * COSIM_MOST_COLUMNS];
+    for (int32_t i = 0; i < height; ++i)
+        for (int32_t j = 0; j < count; ++j)
+            rows[i * count + j] = T[i * stride + columns[j]];
+    triangularize(height, count, rows, triangle);
+}
+
+/* The regression at theta: n linear unknowns, theta of all components, the residual. */
+typedef struct {
+    int32_t n, width;
+    int32_t kept[COSIM_MOST_COLUMNS]; /* which linear unknowns */
+    double T[COSIM_MOST_COLUMNS * COSIM_MOST_COLUMNS];
+} regression;
+
+/* The statistic of a component. Its own theta is given, those of the others are unknown with the
+ * amplitudes: else errors of these would count as amplitudes of this one. */
+static double presence(const cosim_output_error *s, const regression *r, int32_t component,
+                       int32_t place, int32_t found, const double *beta)
+{
+    double triangle[COSIM_MOST_COLUMNS * COSIM_MOST_COLUMNS];
+    double covariance[COSIM_MOST_COLUMNS * COSIM_MOST_COLUMNS];
+    double work[COSIM_MOST_COLUMNS * (COSIM_MOST_COLUMNS + 1)];
+    int32_t columns[COSIM_MOST_COLUMNS], kept[COSIM_MOST_COLUMNS];
+    int32_t count = 0, slope = r->n;
+    for (int32_t j = 0; j < r->n; ++j)
+        columns[count++] = j;
+    for (int32_t i = 0; i < s->components; ++i)
+        for (int32_t j = 0; j < s->count[i]; ++j, ++slope)
+            if (i != component)
+                columns[count++] = slope;
+    choose(r->width, r->width, r->T, count, columns, triangle);
+    const int32_t independent = independent_columns(triangle, count, count, kept);
+    for (int32_t j = 0; j < independent; ++j)
+        kept[j] = columns[kept[j]];
+    choose(r->width, r->width, r->T, independent, kept, triangle);
+    cosim_covariance(independent, independent, triangle, covariance, work);
+    return amplitude_statistic(found, independent, covariance, place, beta);
+}
+
+/* A component whose amplitudes are not all independent of the others has none. */
+static void make_statistics(const cosim_output_error *s, const regression *r,
+                            const double *amplitudes, double *statistics)
+{
+    int32_t column = 0, place = 0;
+    for (int32_t i = 0; i < s->components; ++i) {
+        int32_t found = 0;
+        while (place + found < r->n && r->kept[place + found] < column + s->size[i])
+            ++found;
+        statistics[i] = 0.0;
+        if (found == s->size[i])
+            statistics[i] = presence(s, r, i, place, found, amplitudes + column);
+        place += found, column += s->size[i];
+    }
+}
+
+/* A row of R with the derivative by theta in the place of those of the basis, for amplitudes beta. */
+static void make_slopes(const cosim_output_error *s, const double *derivative, const double *beta,
+                        double *slope)
+{
+    for (int32_t c = 0; c < s->components; ++c) {
+        for (int32_t j = 0; j < s->count[c]; ++j) {
+            double sum = 0.0;
+            for (int32_t b = 0; b < s->size[c]; ++b)
+                sum += derivative[b] * beta[b];
+            *slope++ = sum;
+            derivative += s->size[c];
+        }
+        beta += s->size[c];
+    }
+}
+
+static void solve_linear(layout l, const double *R, regression *r, double *amplitudes)
+{
+    const int32_t M = l.columns;
+    double solution[COSIM_MOST_COLUMNS];
+    r->n = independent_columns(R, M, l.linear, r->kept);
+    int32_t columns[COSIM_MOST_COLUMNS];
+    memcpy(columns, r->kept, (size_t)r->n * sizeof *columns);
+    columns[r->n] = M - 1;
+    choose(M, M, R, r->n + 1, columns, r->T);
+    cosim_solve_upper(r->n, r->n + 1, r->T, r->T + r->n, r->n + 1, solution);
+    for (int32_t j = 0; j < l.linear; ++j)
+        amplitudes[j] = 0.0;
+    for (int32_t j = 0; j < r->n; ++j)
+        amplitudes[r->kept[j]] = solution[j];
+}
+
 int32_t cosim_output_error_reduce(const cosim_output_error *s, const double *R, double *amplitudes,
                                   double *statistics, double *reduced)
 {
     const layout l = layout_of(s);
     const int32_t M = l.columns, P = l.parameters;
     double rows[COSIM_MOST_COLUMNS * COSIM_MOST_COLUMNS];
-    double T[COSIM_MOST_COLUMNS * COSIM_MOST_COLUMNS];
-    double covariance[COSIM_MOST_COLUMNS * COSIM_MOST_COLUMNS];
-    double work[COSIM_MOST_COLUMNS * (COSIM_MOST_COLUMNS + 1)];
-    double solution[COSIM_MOST_COLUMNS];
-    int32_t kept[COSIM_MOST_COLUMNS];
-    const int32_t n = independent_columns(R, M, l.linear, kept);
-
-    int32_t width = n + 1;
+    regression r;
+    solve_linear(l, R, &r, amplitudes);
+    r.width = r.n + P + 1;
     for (int32_t i = 0; i < M; ++i) {
-        for (int32_t j = 0; j < n; ++j)
-            rows[i * width + j] = R[i * M + kept[j]];
-        rows[i * width + n] = R[i * M + M - 1];
+        double *row = rows + i * r.width;
+        for (int32_t j = 0; j < r.n; ++j)
+            row[j] = R[i * M + r.kept[j]];
+        make_slopes(s, R + i * M + l.linear, amplitudes, row + r.n);
+        row[r.n + P] = R[i * M + M - 1];
     }
-    triangularize(M, width, rows, T);
-    cosim_solve_upper(n, width, T, T + n, width, solution);
-    cosim_covariance(n, width, T, covariance, work);
-    for (int32_t j = 0; j < l.linear; ++j)
-        amplitudes[j] = 0.0;
-    for (int32_t j = 0; j < n; ++j)
-        amplitudes[kept[j]] = solution[j];
-
-    int32_t column = 0, place = 0;
-    for (int32_t i = 0; i < s->components; ++i) {
-        int32_t found = 0;
-        while (place + found < n && kept[place + found] < column + s->size[i])
-            ++found;
-        const int whole = found == s->size[i];
-        statistics[i] =
-            whole ? amplitude_statistic(found, n, covariance, place, solution + place) : 0.0;
-        place += found, column += s->size[i];
-    }
-
-    width = n + P + 1;
-    for (int32_t i = 0; i < M; ++i) {
-        double *row = rows + i * width;
-        for (int32_t j = 0; j < n; ++j)
-            row[j] = R[i * M + kept[j]];
-        const double *derivative = R + i * M + l.linear, *beta = amplitudes;
-        double *slope = row + n;
-        for (int32_t c = 0; c < s->components; ++c) {
-            for (int32_t j = 0; j < s->count[c]; ++j) {
-                double sum = 0.0;
-                for (int32_t b = 0; b < s->size[c]; ++b)
-                    sum += derivative[b] * beta[b];
-                *slope++ = sum;
-                derivative += s->size[c];
-            }
-            beta += s->size[c];
-        }
-        *slope = R[i * M + M - 1];
-    }
-    triangularize(M, width, rows, T);
+    triangularize(M, r.width, rows, r.T);
+    make_statistics(s, &r, amplitudes, statistics);
     for (int32_t i = 0; i <= P; ++i)
         for (int32_t j = 0; j <= P; ++j)
-            reduced[i * (P + 1) + j] = T[(n + i) * width + n + j];
-    return n;
+            reduced[i * (P + 1) + j] = r.T[(r.n + i) * r.width + r.n + j];
+    return r.n;
 }
 
 /* --- Gauss-Newton --- */
