@@ -20,7 +20,7 @@ from cosim.core.signals import Channel
 from cosim.errors import AssumptionError
 from cosim.scenario.identified import IdentifiedPlant, SampleRows
 from cosim.theory.disturbed_plant import DataSet
-from cosim.theory.verdicts import assess, judge
+from cosim.theory.verdicts import assess_from, judge
 
 IDENTIFICATION: Final = "identification"  # the key of the results
 OUTPUT_ERROR: Final = "output-error"
@@ -113,12 +113,11 @@ class _IdentifierData:
 
     def _assessed(self, theta: Vector) -> dict[str, Any]:
         identified = self._identified
-        start = theta if np.isfinite(theta).all() else None
-        assessment = assess(
+        assessment = assess_from(
             [self._data()],
             identified.plant,
             identified.families,
-            start,
+            theta if np.isfinite(theta).all() else None,
             offset=identified.offset,
             bounds=identified.bounds,
         )

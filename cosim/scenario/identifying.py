@@ -28,7 +28,7 @@ from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, NoiseModel
 from cosim.theory.irregular_part import GuaranteedInterval, guaranteed_interval
 from cosim.theory.smoothing import SmoothedSignals, smoothed_signals
 from cosim.theory.validation import Validation, validate
-from cosim.theory.verdicts import Assessment, assess
+from cosim.theory.verdicts import Assessment, assess_from
 
 FREQUENCIES: Final = 1025  # of a spectrum, from 0 to half the sampling frequency
 
@@ -171,7 +171,7 @@ def identify(
         check_one_model(first, record)
     identified = first.identified
     has_offset = offset or identified.offset
-    assessment = assess(
+    assessment = assess_from(
         [record.data for record in records],
         identified.plant,
         identified.families,

@@ -24,7 +24,7 @@ from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 from cosim.theory.estimators.output_error import OutputErrorFit, fit_output_error
 from cosim.theory.fitted_response import fitted_response
 from cosim.theory.quantiles import chi_square_above
-from cosim.theory.verdicts import Assessment, Verdict, assess
+from cosim.theory.verdicts import Assessment, Verdict, assess_from
 
 
 class ValidationVerdict(StrEnum):
@@ -110,7 +110,7 @@ def validate(
         If there are fewer samples than unknowns.
     """
     fit = assessment.fit
-    own = _assessment_of(data, plant, families, fit.theta, offset=offset)
+    own = assess_from([data], plant, families, fit.theta, offset=offset)
     bounds = {j: (float(value), float(value)) for j, value in enumerate(fit.theta)}
     held = fit_output_error(
         [data], plant, families, fit.theta, noise=own.noise, offset=offset, bounds=bounds
@@ -129,26 +129,6 @@ def validate(
         own=own,
         difference=difference,
     )
-
-
-def _assessment_of(
-    data: DataSet,
-    plant: DisturbedPlant,
-    families: Sequence[Family],
-    theta: Vector,
-    *,
-    offset: bool,
-) -> Assessment:
-    """Assess data from a theta that may be none: where nothing fits near it, also from a search."""
-    near = assess([data], plant, families, theta, offset=offset)
-    if near.fit.converged and near.consistency.passed:
-        return near
-    searched = assess([data], plant, families, offset=offset)
-    if not searched.fit.converged:
-        return near
-    if near.fit.converged and near.fit.deviation <= searched.fit.deviation:
-        return near
-    return searched
 
 
 def _root_mean_square(

@@ -180,6 +180,45 @@ def assess(
     return _Judge(fit, consistency, noise, families).assessment()
 
 
+def assess_from(
+    data: Sequence[DataSet],
+    plant: DisturbedPlant,
+    families: Sequence[Family],
+    theta: Vector | None,
+    *,
+    offset: bool = False,
+    bounds: Mapping[int, tuple[float, float]] = NO_BOUNDS,
+) -> Assessment:
+    """Assess from a theta that may be none of these data; where it does not fit, from a search too.
+
+    Parameters
+    ----------
+    data, plant, families, offset, bounds
+        As for :func:`assess`.
+    theta : Vector, shape (P,), or None
+        None: from a search alone.
+
+    Returns
+    -------
+    Assessment
+        The one with the smaller residual.
+
+    Raises
+    ------
+    AssumptionError
+        As from there.
+    """
+    near = assess(data, plant, families, theta, offset=offset, bounds=bounds)
+    if theta is None or (near.fit.converged and near.consistency.passed):
+        return near
+    searched = assess(data, plant, families, offset=offset, bounds=bounds)
+    if not searched.fit.converged:
+        return near
+    if near.fit.converged and near.fit.deviation <= searched.fit.deviation:
+        return near
+    return searched
+
+
 def judge(
     assessment: Assessment, theta: Vector, standard_error: Vector | None
 ) -> tuple[ParameterVerdict, ...]:

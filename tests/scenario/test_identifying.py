@@ -60,7 +60,11 @@ def test_several_logs_are_one_fit(logs):
 
 
 def test_the_log_of_another_method_is_identified_by_output_error(logs):
-    """Least squares was wrong in it; its theta is no start."""
+    """Least squares was wrong in it, and is said to be; its theta is no start."""
+    recorded = logs[2].results[IDENTIFICATION]["identifier"]
+    assert [one["verdict"] for one in recorded["parameters"]] == ["IDENTIFIABLE"] * 2
+    assert [one["verdict"] for one in recorded["estimate"]] == ["INCONSISTENT"] * 2
+    assert "biased" in recorded["estimate"][0]["reason"]
     record = identifier_record(logs[2])
     assert record.estimate is None
     theta = identify([record]).assessment.fit.theta

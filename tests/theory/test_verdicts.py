@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 from cosim.theory.descriptor import reduce
 from cosim.theory.disturbed_plant import DataSet
 from cosim.theory.estimators.output_error import fit_output_error
-from cosim.theory.verdicts import Verdict, assess, judge
+from cosim.theory.verdicts import Verdict, assess, assess_from, judge
 from tests.theory.academic import THETA, academic, alpha
 from tests.theory.academic import delta as true_delta
 from tests.theory.experiments import (
@@ -275,3 +275,12 @@ def test_wrong_models_over_200_seeds(case):
     """All of them are inconsistent."""
     for seed in range(200):
         assert verdicts(noisy(case, 1e-3, seed))[1] == [Verdict.INCONSISTENT] * 2
+
+
+@pytest.mark.parametrize("start", [(0.3, 0.3), (-50.0, -60.0), (0.2, -8.0)])
+def test_a_start_that_does_not_fit_is_replaced(start):
+    """By one that is searched: whatever was recorded, good data are identifiable."""
+    data = noisy("good", 1e-3, seed=3, h=COARSE)
+    assessment = assess_from([data], design(), FAMILIES, np.array(start))
+    assert [parameter.verdict for parameter in assessment.parameters] == GOOD
+    assert misses(assessment) == [False, False]
