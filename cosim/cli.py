@@ -383,7 +383,7 @@ def compare(
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Run a scenario on several plants, or once for several estimators, and compare the estimates.
+    """Run a scenario on several plants, or with several estimators.
 
     With --swap once for each plant; with --estimators every method takes the same recorded data.
     Exit 1 where one of them fails.

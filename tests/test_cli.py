@@ -316,9 +316,9 @@ def test_list_explains_the_parameters_of_a_kind(call):
     """Each with its default, its meaning and its unit, keys of inner tables too."""
     code, out, _ = call("list", "identifier")
     assert code == 0
-    assert out.startswith("identifier: Identifier of theta by least squares (33)-(35).\n")
+    assert out.startswith("identifier: Identifier of theta, by output error")
     rows = {line.split()[0]: line for line in out.splitlines()[2:]}
-    assert re.match(r"P0\toptional\tP\(0\) = P0 I \(34\); default: no prior", rows["P0"])
+    assert re.match(r"P0\toptional\tof least-squares: P\(0\) = P0 I \(34\)", rows["P0"])
     assert re.match(r"start\.epsilon_filter\trequired\tfraction of", rows["start.epsilon_filter"])
     assert re.search(r"^time\t\"t\"\tcolumn of the instants", call("list", "table")[1], re.M)
     kind = json.loads(call("list", "step", "--json")[1])

@@ -37,6 +37,7 @@ def test_scenarios_and_files_are_completed(complete):
     assert complete("cosim run acad") == [
         "academic",
         "academic-as-printed",
+        "academic-noisy",
         "academic-mine.toml",
     ]
     assert complete("cosim run pl") == ["plants/"]

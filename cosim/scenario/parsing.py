@@ -176,7 +176,9 @@ def read(
     maps, map_problems = resolve_maps(valid_tree, document.maps)
     specs, component_problems = _validate_components(file.components)
     connections, connection_problems = _connections(file)
+    given = set(connections)
     connections = _with_implied(_replaced(document, specs), _followed(specs, connections))
+    invalid |= _without_source(file.components, connections, given)
     for key, _ in connection_problems:
         invalid.add(key)
     problems += file_problems + map_problems + component_problems + connection_problems
@@ -272,6 +274,18 @@ def _followed(
         if spec is None or spec.follows_inputs:
             followed[to] = connection
     return followed
+
+
+def _without_source(
+    components: Collection[str], connections: Mapping[Port, Connection], given: Collection[Port]
+) -> set[Key]:
+    """Return the implied connections from no component: what implies them is reported itself."""
+    keys: set[Key] = set()
+    for to, connection in connections.items():
+        sources = {source.component for source in connection.sources}
+        if to not in given and not sources <= set(components):
+            keys.add(("connections", str(to)))
+    return keys
 
 
 def _with_implied(

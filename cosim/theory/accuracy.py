@@ -28,7 +28,7 @@ from cosim.theory.estimators.output_error import ROUNDING
 
 # of the step, relative to a signal: above it the leading order says nothing
 LARGEST_STEP_ERROR: Final = 0.01
-STEPS_CHECKED: Final = 20_000
+STEPS_CHECKED: Final = 4_000
 LATTICE: Final = 1e-6  # of its spacing: how exactly values stand on it
 _DITHER_SEED: Final = 20260512
 

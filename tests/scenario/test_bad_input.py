@@ -141,7 +141,7 @@ CASES = {
         r"steps; nearest: 40\.0 s",
     ),
     "period not a multiple": (
-        [('method = "least-squares"', 'method = "least-squares"\nperiod = 3.3e-3')],
+        [("period = 0.1 ", "period = 3.3e-3 ")],
         r"period of 'identifier': 0\.0033 s is not a whole number of "
         r"0\.001 s steps; nearest: 0\.003 s",
     ),
@@ -218,7 +218,7 @@ CASES = {
         r"there is no model 'acedemic' in \[models\]; did you mean 'academic'\?",
     ),
     "unknown method": (
-        [('method = "least-squares"', 'method = "rls"')],
+        [('method = "output-error"', 'method = "rls"')],
         r"components\.identifier\.method: found 'rls'; there is: output-error, least-squares",
     ),
     "unknown coupling": (
@@ -249,11 +249,11 @@ CASES = {
         r"found 'u\.v'; needed a name of letters, digits, '_' and '-'",
     ),
     "identification before there is a regression": (
-        [("start = { epsilon_observer = 1e-3, epsilon_filter = 1e-3 }", "start = 2.0")],
+        [("period = 0.1 ", "start = 2.0\nperiod = 0.1 ")],
         r"start: found 2\.0 s, needed at least the longest delay, 3\.0 s",
     ),
     "prior that is none": (
-        [('method = "least-squares"', 'method = "least-squares"\nP0 = -1.0')],
+        [('method = "output-error"', 'method = "least-squares"\nP0 = -1.0')],
         r"P0: found -1\.0, needed a positive finite number",
     ),
 }
@@ -391,7 +391,7 @@ def test_a_bad_change_names_the_change(changes, pattern):
         (
             {"plant": "x.zip"},
             r"swap\['plant'\]: found '.*x\.zip', needed a path that ends "
-            r"in \.fmu \(an FMU\) or \.mcap",
+            r"in \.fmu \(an FMU\), \.mcap \(a recorded log\) or \.csv",
         ),
         (
             {"plant": "missing.fmu"},
@@ -429,6 +429,7 @@ def test_a_start_time_is_not_computed_from_one_of_several_observers():
             "gain": [[0.5, 0.5]],
         },
         "scenario.stop": 0.1,
+        "identifier.method": "least-squares",
     }
     with pytest.raises(ScenarioError, match=r"need one observer that drives the regressor alone"):
         cosim.run("academic", set=changes)

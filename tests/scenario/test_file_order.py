@@ -90,7 +90,7 @@ slow = Slow()
 with ExitStack() as resources:
     experiment = Builder(cosim.load("academic"), resources).experiment()
     clock = Clock(10_000.0, 1e-3, int(sys.argv[2]) or None)
-    experiment = replace(experiment, graph=Graph({"x": slow}, {}), clock=clock)
+    experiment = replace(experiment, graph=Graph({"x": slow}, {}), clock=clock, identified={})
     memory = Memory()
     try:
         recording.run_into(memory, experiment, progress=None, profile=None)

@@ -56,7 +56,7 @@ def test_nothing_that_is_recorded_is_computed(logs, log, monkeypatch):
         ("lag", "lag", "Ad"),
         ("lag", "lag", "C"),
         ("academic", "observer", "B1"),
-        ("academic", "identifier", "start"),
+        ("academic", "identifier", "times"),
     ],
 )
 @pytest.mark.parametrize("change", ["renamed", "reshaped", "added to"])

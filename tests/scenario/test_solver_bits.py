@@ -27,6 +27,7 @@ fmu, folder, *solvers = sys.argv[1:]
 results = {}
 for solver in solvers:
     settings = {"scenario.stop": 2.0, "scenario.step": 0.04, "plant.solver": solver}
+    settings["identifier.period"] = 0.04
     if solver == "residual":
         settings["plant.dae"] = settings.pop("plant.solver")
     log = cosim.run(

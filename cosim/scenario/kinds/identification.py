@@ -242,18 +242,14 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         inputs = INPUTS[self.method]
         if not inputs:
             return {}
-        regressor = _source(connections, Port(name, "regressor"))
+        regressor = _driver(connections, Port(name, "regressor"))
         if regressor is None:
             return {}
-        delta = Port(regressor.component, "delta")
-        observer_port = _source(connections, delta)
-        if observer_port is None:
-            return {}
+        observer_name = _driver(connections, Port(regressor, "delta"))
+        taken = {(regressor, "delta"), (observer_name, "y"), (observer_name, "u")}
         implied = {}
-        if "delta" in inputs:
-            implied[Port(name, "delta")] = connections[delta]
         for to, connection in connections.items():
-            if to.component == observer_port.component and to.signal in inputs & {"y", "u"}:
+            if to.signal in inputs and (to.component, to.signal) in taken:
                 implied[replace(to, component=name)] = connection
         y = Port(name, "y")
         if self.method == "output-error":
@@ -695,9 +691,10 @@ def _field_data_behind(to: Port, context: BuildContext) -> str | None:
     return None
 
 
-def _source(connections: Mapping[Port, Connection], to: Port) -> Port | None:
-    """Return the one port that drives an input as a whole; None: there is no such port."""
-    connection = connections.get(to)
-    if connection is None or len(connection.sources) != 1:
-        return None
-    return connection.sources[0]
+def _driver(connections: Mapping[Port, Connection], to: Port) -> str | None:
+    """Return the component that drives an input alone; None: there is no such component."""
+    drivers: set[str] = set()
+    for port, connection in connections.items():
+        if port.whole == to:
+            drivers.update(source.component for source in connection.sources)
+    return drivers.pop() if len(drivers) == 1 else None
