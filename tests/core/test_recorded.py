@@ -28,7 +28,7 @@ def recorded(request):
 def test_a_run_is_a_mapping_of_its_signals(recorded):
     """Names in the order of the row, arrays by name, elements of a signal as well."""
     assert list(recorded) == recorded.signals()
-    assert len(recorded) == len(list(recorded.items())) == 19
+    assert len(recorded) == len(list(recorded.items())) == 24
     assert "u.y" in recorded
     assert "plant.x_a[1]" in recorded
     assert Port.parse("plant.x_a") in recorded
@@ -61,7 +61,7 @@ def test_what_is_no_name_is_refused(recorded, key):
 
 def test_a_run_says_what_it_is(recorded, in_memory):
     """Where it is, how it ended, how long it is."""
-    text = "complete, 100 steps to 0.1 s, 19 signals of 6 components>"
+    text = "complete, 100 steps to 0.1 s, 24 signals of 6 components>"
     assert repr(recorded).endswith(text)
     where = "the run" if recorded is in_memory else str(recorded.path)
     assert repr(recorded).startswith(f"<{where}: ")
