@@ -194,7 +194,7 @@ def run(
             notice=None if quiet else _notice,
             profile=seconds,
         )
-    wall = {"imports": imported - BEGAN, "run and log": perf_counter() - imported}
+    wall = {"imports": imported - BEGAN, "run": perf_counter() - imported}
     if plot is not None:
         from cosim.report.plots import plot_run
 
