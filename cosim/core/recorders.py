@@ -158,7 +158,11 @@ class Memory(RecordedSignals):
         channel = find_channel(self.channels, component, source=self.label)
         rows, _, _ = self._table
         own_rows = rows[:, channel.columns]
-        return own_rows if channel.period == 1 else own_rows[self._is_kept(channel)]
+        if channel.period == 1:
+            return own_rows
+        kept: Matrix = own_rows[self._is_kept(channel)]
+        kept.flags.writeable = False
+        return kept
 
     def blocks(self, component: str) -> Iterator[tuple[Nanoseconds, Matrix]]:
         """Yield times and rows of a component: all at once, as they are in memory anyway.
