@@ -39,6 +39,8 @@ from cosim.theory.quantiles import student_above
 
 CONFIDENCE: Final = 0.95
 # How the sum of squares at the ends of an interval may differ from that of a linear problem.
+# Of a component so far from absent that its effect is linear over an interval: to 2 % of it.
+LINEAR_PRESENCE: Final = 1e4
 LEAST_PROFILE: Final = 0.7
 LARGEST_PROFILE: Final = 1.4
 
@@ -370,7 +372,8 @@ class _Judge:
             )
         if state is ParameterState.AT_BOUND:
             return Verdict.WEAK, "the estimate stands at its bound; the optimum is beyond"
-        ratio = self._profile(j, half_width)
+        is_large = self._fit.presence[self._component[j]] > LINEAR_PRESENCE
+        ratio = 1.0 if is_large else self._profile(j, half_width)
         if not LEAST_PROFILE <= ratio <= LARGEST_PROFILE:
             return Verdict.WEAK, (
                 f"its effect is not linear over its interval (the sum of squares grows "
