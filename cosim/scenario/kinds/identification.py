@@ -380,10 +380,9 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         self, regressor_name: str, interface: Interface, context: BuildContext
     ) -> dict[str, str]:
         """Return the units of the signals that are taken where the observer takes them."""
-        observer_name = context.driver(Port(regressor_name, "delta"))
-        assert observer_name is not None
-        spec = context.spec(observer_name)
-        assert isinstance(spec, UnknownInputObserverKind)
+        found = _observer_of(regressor_name, context)
+        assert found is not None
+        observer_name, spec = found
         designed = spec.design(observer_name, context).model.units
         named = {signal: unit.name for signal, unit in designed.items() if unit.name is not None}
         named |= spec.units
@@ -419,13 +418,13 @@ class IdentifierKind(PeriodicKind, ExportableKind):
     def _problem(
         self, regressor_name: str, spec: RegressorKind, context: BuildContext
     ) -> IdentificationProblem:
-        observer_name = context.driver(Port(regressor_name, "delta"))
-        designed_by = None if observer_name is None else context.spec(observer_name)
-        if observer_name is None or not isinstance(designed_by, UnknownInputObserverKind):
+        found = _observer_of(regressor_name, context)
+        if found is None:
             raise UsageError(
                 f'method = "{self.method}" needs one observer that drives the regressor alone: its '
                 "design model is that of y"
             )
+        observer_name, designed_by = found
         designed = designed_by.design(observer_name, context)
         reduced = designed.model.reduced
         n_d = reduced.C5.shape[1]
@@ -470,10 +469,10 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         self, name: str, regressor_name: str, spec: RegressorKind, context: BuildContext
     ) -> None:
         """Have the estimates judged, where the design model is one that output error can fit."""
-        observer_name = context.driver(Port(regressor_name, "delta"))
-        designed_by = None if observer_name is None else context.spec(observer_name)
-        if observer_name is None or not isinstance(designed_by, UnknownInputObserverKind):
+        found = _observer_of(regressor_name, context)
+        if found is None:
             return
+        observer_name, designed_by = found
         designed = designed_by.design(observer_name, context)
         reduced = designed.model.reduced
         if reduced.C5.shape[1] != 1 or designed.model.constant:
@@ -593,10 +592,10 @@ class IdentifierKind(PeriodicKind, ExportableKind):
 
     def _window(self, regressor_name: str, context: BuildContext) -> float:
         """Return how long the observer that drives the regressor has no delta [s]."""
-        observer_name = context.driver(Port(regressor_name, "delta"))
-        spec = None if observer_name is None else context.spec(observer_name)
-        if observer_name is None or not isinstance(spec, UnknownInputObserverKind):
+        found = _observer_of(regressor_name, context)
+        if found is None:
             return 0.0
+        observer_name, spec = found
         return spec.reconstruction(observer_name, context).window
 
     def _computed_start_time(
@@ -608,13 +607,13 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         context: BuildContext,
     ) -> float:
         """Compute T_id (36)-(38) from the observer that drives the regressor."""
-        observer_name = context.driver(Port(regressor_name, "delta"))
-        spec = None if observer_name is None else context.spec(observer_name)
-        if observer_name is None or not isinstance(spec, UnknownInputObserverKind):
+        found = _observer_of(regressor_name, context)
+        if found is None:
             raise UsageError(
                 "start: (36)-(38) need one observer that drives the regressor alone; "
                 "give start as a time in s instead"
             )
+        observer_name, spec = found
         designed = spec.design(observer_name, context)
         window = spec.reconstruction(observer_name, context).window
         times = observer.identification_start_time(
@@ -689,6 +688,17 @@ def _field_data_behind(to: Port, context: BuildContext) -> str | None:
         if isinstance(spec, FieldDataKind):
             return name
     return None
+
+
+def _observer_of(
+    regressor_name: str, context: BuildContext
+) -> tuple[str, UnknownInputObserverKind] | None:
+    """Return the observer that drives a regressor alone; None: there is no such component."""
+    name = context.driver(Port(regressor_name, "delta"))
+    spec = None if name is None else context.spec(name)
+    if name is None or not isinstance(spec, UnknownInputObserverKind):
+        return None
+    return name, spec
 
 
 def _driver(connections: Mapping[Port, Connection], to: Port) -> str | None:
