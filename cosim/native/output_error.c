@@ -646,75 +646,107 @@ typedef struct {
     int32_t unknowns; /* theta that are estimated */
 } gauss_newton;
 
-/* A theta that the step would carry across a bound goes to the bound, and the rest is solved again
- * without it. */
+/* The theta that are estimated now, and the step of these. */
+typedef struct {
+    int32_t n;
+    int32_t place[COSIM_MOST_PARAMETERS];
+    double triangle[COSIM_MOST_COLUMNS * COSIM_MOST_COLUMNS]; /* (n + 1, n + 1), the residual last */
+    double solution[COSIM_MOST_PARAMETERS];
+} free_theta;
+
+/* The regression of those estimated, the steps of the others taken. */
+static void make_triangle(const cosim_fit *fit, const double *T, const gauss_newton *g, free_theta *f)
+{
+    const int32_t P = fit->parameters, width = P + 1;
+    double rows[COSIM_MOST_COLUMNS * COSIM_MOST_COLUMNS];
+    f->n = 0;
+    for (int32_t j = 0; j < P; ++j)
+        if (fit->state[j] == COSIM_ESTIMATED)
+            f->place[f->n++] = j;
+    for (int32_t i = 0; i < width; ++i) {
+        double *row = rows + i * (f->n + 1);
+        double residual = T[i * width + P];
+        for (int32_t j = 0; j < P; ++j)
+            if (fit->state[j] != COSIM_ESTIMATED)
+                residual -= T[i * width + j] * g->step[j];
+        for (int32_t j = 0; j < f->n; ++j)
+            row[j] = T[i * width + f->place[j]];
+        row[f->n] = residual;
+    }
+    triangularize(width, f->n + 1, rows, f->triangle);
+}
+
+/* Of columns that say the same the first are kept; returns whether any was left out. */
+static int leave_out_dependent(const cosim_fit *fit, const free_theta *f)
+{
+    const int32_t n = f->n, width = n + 1;
+    int found = 0;
+    for (int32_t j = 0; j < n; ++j) {
+        const double whole = length(j + 1, f->triangle + j, width);
+        if (fabs(f->triangle[j * width + j]) > DEPENDENT * whole)
+            continue;
+        fit->state[f->place[j]] = COSIM_DEPENDENT;
+        found = 1;
+    }
+    return found;
+}
+
+/* The theta that the step carries farthest across a bound goes to it; returns whether there is one. */
+static int stop_at_bound(const cosim_fit *fit, const free_theta *f, gauss_newton *g)
+{
+    int32_t stopped = -1;
+    double worst = 0.0;
+    for (int32_t j = 0; j < f->n; ++j) {
+        const int32_t place = f->place[j];
+        const double reached = fit->theta[place] + f->solution[j];
+        const double above = reached - fit->upper[place];
+        const double outside = above > 0.0 ? above : fit->lower[place] - reached;
+        if (outside > worst) {
+            worst = outside;
+            stopped = j;
+        }
+    }
+    if (stopped < 0)
+        return 0;
+    const int32_t place = f->place[stopped];
+    const double bound = f->solution[stopped] > 0.0 ? fit->upper[place] : fit->lower[place];
+    fit->state[place] = COSIM_AT_BOUND;
+    g->step[place] = bound - fit->theta[place];
+    return 1;
+}
+
+static void take_step(const cosim_fit *fit, const free_theta *f, gauss_newton *g)
+{
+    const int32_t P = fit->parameters, n = f->n, width = n + 1;
+    double covariance[COSIM_MOST_PARAMETERS * COSIM_MOST_PARAMETERS];
+    double work[COSIM_MOST_PARAMETERS * (COSIM_MOST_PARAMETERS + 1)];
+    cosim_covariance(n, width, f->triangle, covariance, work);
+    for (int32_t a = 0; a < n; ++a) {
+        g->step[f->place[a]] = f->solution[a];
+        for (int32_t b = 0; b < n; ++b)
+            g->variances[f->place[a] * P + f->place[b]] = covariance[a * n + b];
+    }
+    const double last = f->triangle[n * width + n];
+    g->predicted = last * last;
+    g->unknowns = n;
+}
+
+/* Without one theta after the other that others explain or that would leave its bounds. */
 static void solve_step(const cosim_fit *fit, const double *T, gauss_newton *g)
 {
-    const int32_t P = fit->parameters;
-    const double *theta = fit->theta;
-    double rows[COSIM_MOST_COLUMNS * COSIM_MOST_COLUMNS], triangle[COSIM_MOST_COLUMNS * COSIM_MOST_COLUMNS];
-    double solution[COSIM_MOST_PARAMETERS], work[COSIM_MOST_PARAMETERS * (COSIM_MOST_PARAMETERS + 1)];
-    double covariance[COSIM_MOST_PARAMETERS * COSIM_MOST_PARAMETERS];
-    int32_t place[COSIM_MOST_PARAMETERS];
-    const int32_t width = P + 1;
+    free_theta f;
     memset(g->variances, 0, sizeof g->variances);
-    for (int32_t j = 0; j < P; ++j)
-        g->step[j] = 0.0;
+    memset(g->step, 0, sizeof g->step);
     for (;;) {
-        int32_t n = 0;
-        for (int32_t j = 0; j < P; ++j)
-            if (fit->state[j] == COSIM_ESTIMATED)
-                place[n++] = j;
-        for (int32_t i = 0; i < width; ++i) {
-            double residual = T[i * width + P];
-            for (int32_t j = 0; j < P; ++j)
-                if (fit->state[j] != COSIM_ESTIMATED)
-                    residual -= T[i * width + j] * g->step[j];
-            for (int32_t j = 0; j < n; ++j)
-                rows[i * (n + 1) + j] = T[i * width + place[j]];
-            rows[i * (n + 1) + n] = residual;
-        }
-        triangularize(width, n + 1, rows, triangle);
-        int32_t rank = 0; /* the first of the columns that say the same as others are kept */
-        for (int32_t j = 0; j < n; ++j)
-            if (fabs(triangle[j * (n + 1) + j]) > DEPENDENT * length(j + 1, triangle + j, n + 1))
-                ++rank;
-            else
-                fit->state[place[j]] = COSIM_DEPENDENT;
-        if (rank < n)
+        make_triangle(fit, T, g, &f);
+        if (leave_out_dependent(fit, &f))
             continue;
-        cosim_solve_upper(n, n + 1, triangle, triangle + n, n + 1, solution);
-        int32_t stopped = -1;
-        double worst = 0.0;
-        for (int32_t j = 0; j < n; ++j) {
-            const double reached = theta[place[j]] + solution[j];
-            const double outside = reached > fit->upper[place[j]] ? reached - fit->upper[place[j]]
-                                                                  : fit->lower[place[j]] - reached;
-            if (outside > worst)
-                worst = outside, stopped = j;
-        }
-        if (stopped >= 0) {
-            const int32_t j = place[stopped];
-            const double bound = solution[stopped] > 0.0 ? fit->upper[j] : fit->lower[j];
-            fit->state[j] = COSIM_AT_BOUND;
-            g->step[j] = bound - theta[j];
-            continue;
-        }
-        cosim_covariance(n, n + 1, triangle, covariance, work);
-        for (int32_t a = 0; a < n; ++a) {
-            g->step[place[a]] = solution[a];
-            for (int32_t b = 0; b < n; ++b)
-                g->variances[place[a] * P + place[b]] = covariance[a * n + b];
-        }
-        const double last = triangle[n * (n + 1) + n];
-        g->predicted = last * last;
-        g->unknowns = n;
-        break;
+        const int32_t width = f.n + 1;
+        cosim_solve_upper(f.n, width, f.triangle, f.triangle + f.n, width, f.solution);
+        if (!stop_at_bound(fit, &f, g))
+            break;
     }
-    double squares = 0.0;
-    for (int32_t i = 0; i < width; ++i)
-        squares += T[i * width + P] * T[i * width + P];
-    g->squares = squares;
+    take_step(fit, &f, g);
 }
 
 /* R of all experiments at theta, reduced to theta and stacked. */

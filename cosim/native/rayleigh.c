@@ -8,6 +8,8 @@
 #define DIFFERENCE 0x1p-17    /* of the numerical derivative, relative to the range of theta */
 #define SMALL_STEP 0x1p-20    /* relative to the range of theta */
 #define MOST_ROWS 10
+#define MOST_FIT_ROWS (COSIM_MOST_TERMS + COSIM_MOST_PARAMETERS)
+#define MOST_WIDTH (COSIM_MOST_PARAMETERS + 1)
 
 /* c' expm(-G D) of every component at every delay: (rows, V) of each group, side by side. */
 static void make_rows(const cosim_rayleigh *s, const double *theta, double K[][MOST_ROWS * MOST_ROWS],
@@ -125,67 +127,86 @@ static double within(double value, double lower, double upper)
     return value > upper ? upper : value;
 }
 
-/* Levenberg-Marquardt; the derivatives by central differences. */
+/* The derivatives of the residual by theta, by central differences, and the residual beside them. */
+static void make_regression(const cosim_rayleigh *s, const double *R, const double *N,
+                            const double *theta, const double *rho, double *rows)
+{
+    const int32_t P = s->parameters, n = s->terms, width = P + 1;
+    double point[COSIM_MOST_PARAMETERS], above[COSIM_MOST_TERMS], below[COSIM_MOST_TERMS];
+    memcpy(point, theta, (size_t)P * sizeof *theta);
+    for (int32_t j = 0; j < P; ++j) {
+        const double difference = DIFFERENCE * (s->upper[j] - s->lower[j]);
+        point[j] = theta[j] + difference;
+        residual(s, R, N, point, above);
+        point[j] = theta[j] - difference;
+        residual(s, R, N, point, below);
+        point[j] = theta[j];
+        for (int32_t i = 0; i < n; ++i)
+            rows[i * width + j] = difference > 0.0 ? (above[i] - below[i]) / (2.0 * difference) : 0.0;
+    }
+    for (int32_t i = 0; i < n; ++i)
+        rows[i * width + P] = -rho[i];
+}
+
+/* The rows of Levenberg and Marquardt: one a parameter, as long as its column. */
+static void add_damping(int32_t n, int32_t P, double damping, double *rows)
+{
+    const int32_t width = P + 1;
+    double *damped = rows + n * width;
+    memset(damped, 0, (size_t)(P * width) * sizeof *damped);
+    for (int32_t j = 0; j < P; ++j) {
+        double sum = 0.0;
+        for (int32_t i = 0; i < n; ++i)
+            sum += rows[i * width + j] * rows[i * width + j];
+        damped[j * width + j] = sqrt(damping) * (sum > 0.0 ? sqrt(sum) : 1.0);
+    }
+}
+
+/* Where the step leads, within the box and at most a quarter of it away; returns how far that is,
+ * relative to the box. */
+static double move(const cosim_rayleigh *s, const double *theta, const double *step, double *reached)
+{
+    double largest = 0.0;
+    for (int32_t j = 0; j < s->parameters; ++j) {
+        const double range = s->upper[j] - s->lower[j];
+        const double limited = within(step[j], -0.25 * range, 0.25 * range);
+        reached[j] = within(theta[j] + limited, s->lower[j], s->upper[j]);
+        const double moved = range > 0.0 ? fabs(reached[j] - theta[j]) / range : 0.0;
+        largest = moved > largest ? moved : largest;
+    }
+    return largest;
+}
+
 int32_t cosim_rayleigh_minimize(const cosim_rayleigh *s, const double *R, const double *N,
                                 double *theta, double *value)
 {
     const int32_t P = s->parameters, n = s->terms, width = P + 1;
-    double rho[COSIM_MOST_TERMS], above[COSIM_MOST_TERMS], below[COSIM_MOST_TERMS];
+    double rho[COSIM_MOST_TERMS], trial_rho[COSIM_MOST_TERMS];
     double trial[COSIM_MOST_PARAMETERS], step[COSIM_MOST_PARAMETERS];
-    double rows[(COSIM_MOST_TERMS + COSIM_MOST_PARAMETERS) * (COSIM_MOST_PARAMETERS + 1)];
-    double T[(COSIM_MOST_PARAMETERS + 1) * (COSIM_MOST_PARAMETERS + 1)];
-    double work[COSIM_MOST_PARAMETERS + 1];
+    double rows[MOST_FIT_ROWS * MOST_WIDTH], T[MOST_WIDTH * MOST_WIDTH], work[MOST_WIDTH];
     double damping = 1e-3;
     residual(s, R, N, theta, rho);
     *value = squares_of(n, rho);
     if (!(*value >= 0.0 && *value < INFINITY))
         return COSIM_NO_VALUE;
     for (int32_t iteration = 0; iteration < ITERATIONS; ++iteration) {
-        for (int32_t j = 0; j < P; ++j) {
-            const double difference = DIFFERENCE * (s->upper[j] - s->lower[j]);
-            memcpy(trial, theta, (size_t)P * sizeof *theta);
-            trial[j] = theta[j] + difference;
-            residual(s, R, N, trial, above);
-            trial[j] = theta[j] - difference;
-            residual(s, R, N, trial, below);
-            for (int32_t i = 0; i < n; ++i)
-                rows[i * width + j] = difference > 0.0 ? (above[i] - below[i]) / (2.0 * difference) : 0.0;
-        }
-        for (int32_t i = 0; i < n; ++i)
-            rows[i * width + P] = -rho[i];
-        double lengths[COSIM_MOST_PARAMETERS];
-        for (int32_t j = 0; j < P; ++j) {
-            double sum = 0.0;
-            for (int32_t i = 0; i < n; ++i)
-                sum += rows[i * width + j] * rows[i * width + j];
-            lengths[j] = sum > 0.0 ? sqrt(sum) : 1.0;
-        }
-        for (int32_t j = 0; j < P; ++j) {
-            for (int32_t k = 0; k <= P; ++k)
-                rows[(n + j) * width + k] = 0.0;
-            rows[(n + j) * width + j] = sqrt(damping) * lengths[j];
-        }
+        make_regression(s, R, N, theta, rho, rows);
+        add_damping(n, P, damping, rows);
         memset(T, 0, sizeof T);
         cosim_householder(width, T, n + P, rows, work);
         cosim_solve_upper(P, width, T, T + P, width, step);
-        double largest = 0.0;
-        for (int32_t j = 0; j < P; ++j) {
-            const double range = s->upper[j] - s->lower[j];
-            trial[j] = within(theta[j] + within(step[j], -0.25 * range, 0.25 * range), s->lower[j], s->upper[j]);
-            const double moved = range > 0.0 ? fabs(trial[j] - theta[j]) / range : 0.0;
-            largest = moved > largest ? moved : largest;
-        }
-        residual(s, R, N, trial, above);
-        const double reached = squares_of(n, above);
+        const double moved = move(s, theta, step, trial);
+        residual(s, R, N, trial, trial_rho);
+        const double reached = squares_of(n, trial_rho);
         if (reached < *value) {
             memcpy(theta, trial, (size_t)P * sizeof *theta);
-            memcpy(rho, above, (size_t)n * sizeof *rho);
+            memcpy(rho, trial_rho, (size_t)n * sizeof *rho);
             *value = reached;
             damping *= 0.1;
         } else {
             damping *= 10.0;
         }
-        if (largest <= SMALL_STEP || damping > 1e12)
+        if (moved <= SMALL_STEP || damping > 1e12)
             return COSIM_OK;
     }
     return COSIM_NOT_CONVERGED;
