@@ -29,16 +29,13 @@ Both filters respond to one sample by `s, -s (1 - a), -s (1 - a) a, ...` with `s
 `s = rate` where (19) reads held samples; the sum of squares is `2 s^2 / (1 + a)`. For the fit it is
 the sum of `d_k^2`.
 
-``choose`` takes the window of the least predicted error: the root of the squares of noise and bias,
-the bias that of one sine at the highest rate of delta. The noise that reaches delta through the
-drift is not counted: a window averages it. ``cosim.theory.noise_gain`` counts all of it.
+``cosim.theory.filter_choice`` takes the one of the least predicted error.
 """
 
 from __future__ import annotations
 
 import cmath
 import math
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
@@ -51,9 +48,6 @@ from cosim.errors import AssumptionError
 
 HIGHEST_ORDER: Final = 10  # of a fitted polynomial: beyond it noise is all that it follows
 MOST_SAMPLES: Final = 100_000  # on each side of a window
-# half width times rate up to which the error of a window grows with it, at every order
-WIDEST: Final = 4.4
-_ORDERS: Final = (2, 4, 6)
 
 
 @dataclass(frozen=True)
@@ -113,8 +107,8 @@ class DisturbanceFilter(Protocol):
 
 
 @dataclass(frozen=True)
-class FirstOrderFilter:
-    """The filter (19) of w' alone, with linear interpolation of w.
+class _ExponentialFilter:
+    """What both filters by `F(s) = rate / (s + rate)` have in common.
 
     Parameters
     ----------
@@ -135,6 +129,46 @@ class FirstOrderFilter:
     def __post_init__(self) -> None:
         _check_positive("filter_rate", self.rate, "rate [rad/s]")
         _check_positive("step", self.step, "time [s]")
+
+    @property
+    def window(self) -> float:
+        """It has a value at once."""
+        return 0.0
+
+    @property
+    def _decay(self) -> float:
+        """What is left of a value after a step, `a`."""
+        return math.exp(-self.rate * self.step)
+
+    @property
+    def _newest_weight(self) -> float:
+        """`(1 - a)/h`."""
+        return -math.expm1(-self.rate * self.step) / self.step
+
+    @property
+    def _mean_age(self) -> float:
+        """`h/2 (1 + a)/(1 - a)`."""
+        return 0.5 * self.step / math.tanh(0.5 * self.rate * self.step)
+
+    def _noise_gain(self, first: float) -> float:
+        """Return `s (2 / (1 + a))^(1/2)` for the response ``first`` = s to a sample at once."""
+        return first * math.sqrt(2.0 / (1.0 + self._decay))
+
+    def _averaged(self, rate: float) -> complex:
+        """Return the response of the average of increments, with exponential weights.
+
+        ``sum over j of (1 - a)/h a^j`` times the mean of ``exp(i rate t)`` over step j back.
+        """
+        if rate == 0.0:
+            return complex(1.0)
+        angle = rate * self.step
+        mean = cmath.exp(-0.5j * angle) * (math.sin(0.5 * angle) / (0.5 * angle))
+        newest = self._newest_weight * self.step
+        return mean * newest / (1.0 - self._decay * cmath.exp(-1j * angle))
+
+
+class FirstOrderFilter(_ExponentialFilter):
+    """The filter (19) of w' alone, with linear interpolation of w."""
 
     @property
     def name(self) -> str:
@@ -147,48 +181,21 @@ class FirstOrderFilter:
         return 0.0
 
     @property
-    def window(self) -> float:
-        """It has a value at once."""
-        return 0.0
-
-    @property
     def bias(self) -> Bias:
         """The leading error, about `-G w'' / rate`."""
-        return Bias(-_mean_age(self.rate, self.step), 2, "G w")
+        return Bias(-self._mean_age, 2, "G w")
 
     def noise_gain(self, *, held: bool = False) -> float:
         """Return `s (2 / (1 + a))^(1/2)`."""
-        first = self.rate if held else _newest_weight(self.rate, self.step)
-        return first * math.sqrt(2.0 / (1.0 + math.exp(-self.rate * self.step)))
+        return self._noise_gain(self.rate if held else self._newest_weight)
 
     def response(self, rate: float) -> complex:
         """Return the response of G w', a part of delta that may be larger than delta."""
-        return _filtered(self.rate, self.step, rate)
+        return self._averaged(rate)
 
 
-@dataclass(frozen=True)
-class ConsistentFilter:
-    """The same filter of all of (15), by increments.
-
-    Parameters
-    ----------
-    rate : float
-        `lambda_f` [rad/s].
-    step : float
-        Between samples [s].
-
-    Raises
-    ------
-    AssumptionError
-        If one is not positive and finite.
-    """
-
-    rate: float
-    step: float
-
-    def __post_init__(self) -> None:
-        _check_positive("filter_rate", self.rate, "rate [rad/s]")
-        _check_positive("step", self.step, "time [s]")
+class ConsistentFilter(_ExponentialFilter):
+    """The same filter of all of (15), by increments."""
 
     @property
     def name(self) -> str:
@@ -198,28 +205,21 @@ class ConsistentFilter:
     @property
     def lag(self) -> float:
         """The mean age of what is averaged, about 1/rate."""
-        return _mean_age(self.rate, self.step)
-
-    @property
-    def window(self) -> float:
-        """It has a value at once."""
-        return 0.0
+        return self._mean_age
 
     @property
     def bias(self) -> Bias:
         """The leading error, half of the variance of the age, about `delta'' / (2 rate^2)`."""
-        a = math.exp(-self.rate * self.step)
-        steps = a / math.expm1(-self.rate * self.step) ** 2
+        steps = self._decay / math.expm1(-self.rate * self.step) ** 2
         return Bias(0.5 * self.step**2 * (1.0 / 12.0 + steps), 2, "delta")
 
     def noise_gain(self, *, held: bool = False) -> float:
         """Return `s (2 / (1 + a))^(1/2)`, whatever w is between its samples."""
-        first = _newest_weight(self.rate, self.step)
-        return first * math.sqrt(2.0 / (1.0 + math.exp(-self.rate * self.step)))
+        return self._noise_gain(self._newest_weight)
 
     def response(self, rate: float) -> complex:
         """Return the response of delta."""
-        return _filtered(self.rate, self.step, rate) * cmath.exp(1j * rate * self.lag)
+        return self._averaged(rate) * cmath.exp(1j * rate * self.lag)
 
 
 @dataclass(frozen=True)
@@ -361,29 +361,6 @@ def _check_positive(name: str, value: float, what: str) -> None:
         raise AssumptionError(f"(19): {name} = {value:g}; needed a positive finite {what}")
 
 
-def _newest_weight(rate: float, step: float) -> float:
-    """Return `(1 - a)/h`."""
-    return -math.expm1(-rate * step) / step
-
-
-def _mean_age(rate: float, step: float) -> float:
-    """Return `h/2 (1 + a)/(1 - a)`."""
-    return 0.5 * step / math.tanh(0.5 * rate * step)
-
-
-def _filtered(filter_rate: float, step: float, rate: float) -> complex:
-    """Return the response of the average of increments, with exponential weights.
-
-    ``sum over j of (1 - a)/h a^j`` times the mean of ``exp(i rate t)`` over step j back.
-    """
-    if rate == 0.0:
-        return complex(1.0)
-    angle = rate * step
-    mean = cmath.exp(-0.5j * angle) * (math.sin(0.5 * angle) / (0.5 * angle))
-    a = math.exp(-filter_rate * step)
-    return mean * -math.expm1(-filter_rate * step) / (1.0 - a * cmath.exp(-1j * angle))
-
-
 def _solve(rows: list[list[Fraction]], right: list[Fraction]) -> tuple[Fraction, ...]:
     """Solve a positive definite system exactly, by elimination without pivots."""
     n = len(right)
@@ -397,132 +374,3 @@ def _solve(rows: list[list[Fraction]], right: list[Fraction]) -> tuple[Fraction,
                 pairs = zip(eliminated[i], eliminated[k], strict=True)
                 eliminated[i] = [value - factor * other for value, other in pairs]
     return tuple(row[n] for row in eliminated)
-
-
-# --- the choice ---
-
-
-@dataclass(frozen=True)
-class Conditions:
-    """What a reconstruction has to do with.
-
-    Parameters
-    ----------
-    noise : float
-        Deviation of `G w` at a sample, white [unit of delta times s].
-    amplitude : float
-        Root mean square of delta.
-    bandwidth : float
-        Highest rate of delta [rad/s].
-    step : float
-        Between samples [s].
-
-    Raises
-    ------
-    AssumptionError
-        If a number is not positive and finite; the noise may be 0.
-    """
-
-    noise: float
-    amplitude: float
-    bandwidth: float
-    step: float
-
-    def __post_init__(self) -> None:
-        if not 0.0 <= self.noise < math.inf:
-            raise AssumptionError(f"noise = {self.noise:g}; needed a finite deviation, 0 or more")
-        for name in ("amplitude", "bandwidth", "step"):
-            value = getattr(self, name)
-            if not 0.0 < value < math.inf:
-                raise AssumptionError(f"{name} = {value:g}; needed a positive finite number")
-        if self.bandwidth * self.step >= WIDEST / 2.0:
-            raise AssumptionError(
-                f"bandwidth = {self.bandwidth:g} rad/s with samples every {self.step:g} s; needed "
-                f"less than {WIDEST / 2.0 / self.step:g} rad/s"
-            )
-
-    def error(self, reconstruction: DisturbanceFilter) -> PredictedError:
-        """Predict the error of a reconstruction of delta."""
-        noise = reconstruction.noise_gain() * self.noise
-        bias = abs(reconstruction.response(self.bandwidth) - 1.0) * self.amplitude
-        return PredictedError(noise, bias)
-
-
-@dataclass(frozen=True)
-class PredictedError:
-    """What is expected of a reconstruction of delta, as root mean squares."""
-
-    noise: float
-    bias: float
-
-    @property
-    def total(self) -> float:
-        """Both together."""
-        return math.hypot(self.noise, self.bias)
-
-
-@dataclass(frozen=True)
-class Choice:
-    """A window, and what is expected of it."""
-
-    window: SavitzkyGolay
-    error: PredictedError
-
-
-def choose(conditions: Conditions) -> Choice:
-    """Choose the window of the least predicted error.
-
-    Among those of the orders 2, 4 and 6 and of every length up to ``WIDEST / bandwidth``. Filters
-    are no candidates: at every rate up to 1/step the best window has less error than the consistent
-    filter, wherever that is less than delta itself; and the first-order filter has the noise of the
-    consistent one, and an error of a lower order.
-
-    Raises
-    ------
-    AssumptionError
-        If the least error is as large as delta.
-    """
-    windows: list[SavitzkyGolay] = []
-    for order in _ORDERS:
-        windows += _best_window(conditions, order)
-    choices = [Choice(window, conditions.error(window)) for window in windows]
-    best = min(choices, key=lambda choice: (choice.error.total, choice.window.half_width))
-    if best.error.total >= conditions.amplitude:
-        raise AssumptionError(
-            f"noise of {conditions.noise:g} in G w at every sample leaves an error of "
-            f"{best.error.total:.3g} in delta with the best window; needed less than its "
-            f"amplitude, {conditions.amplitude:g}: less noise, more samples, or a smaller bandwidth"
-        )
-    return best
-
-
-def _best_window(conditions: Conditions, order: int) -> Sequence[SavitzkyGolay]:
-    """Return the best window of an order; none where no window is short enough."""
-    longest = math.floor(WIDEST / (conditions.bandwidth * conditions.step))
-    shortest = (order + 1) // 2
-    longest = min(longest, MOST_SAMPLES)
-    if longest < shortest:
-        return ()
-
-    def total(half_width: int) -> float:
-        window = SavitzkyGolay(half_width, order, conditions.step)
-        return conditions.error(window).total
-
-    half_width = _first_rise(total, shortest, longest)
-    return (SavitzkyGolay(half_width, order, conditions.step),)
-
-
-def _first_rise(value: Callable[[int], float], low: int, high: int) -> int:
-    """Return where a function stops to fall: noise falls with the length, bias grows."""
-    reach = low
-    while reach < high and value(reach) > value(reach + 1):
-        low = reach + 1
-        reach *= 2
-    high = min(reach, high)
-    while low < high:
-        middle = (low + high) // 2
-        if value(middle) <= value(middle + 1):
-            high = middle
-        else:
-            low = middle + 1
-    return low

@@ -16,6 +16,7 @@ from cosim.blocks.observer import averaged_observer, consistent_observer
 from cosim.errors import AssumptionError
 from cosim.native.step import DiscretizedDynamics, first_order_hold
 from cosim.theory.descriptor import reduce
+from cosim.theory.filter_choice import Conditions, choose
 from cosim.theory.noise_gain import noise_gain, windowed_noise_gain
 from cosim.theory.noise_level import noise_level
 from cosim.theory.observer import (
@@ -25,11 +26,9 @@ from cosim.theory.observer import (
     realize_averages,
 )
 from cosim.theory.reconstruction import (
-    Conditions,
     ConsistentFilter,
     FirstOrderFilter,
     SavitzkyGolay,
-    choose,
 )
 from tests.theory.academic import academic, ordinary
 

@@ -20,14 +20,13 @@ from cosim.native.step import DiscretizedDynamics, first_order_hold
 from cosim.theory import observer
 from cosim.theory.conditions import decoupling_matrix
 from cosim.theory.descriptor import ReducedSystem
+from cosim.theory.filter_choice import Conditions, choose
 from cosim.theory.noise_gain import noise_gain, windowed_noise_gain
 from cosim.theory.noise_level import noise_level
 from cosim.theory.reconstruction import (
-    Conditions,
     ConsistentFilter,
     FirstOrderFilter,
     SavitzkyGolay,
-    choose,
 )
 
 AnyReconstruction: TypeAlias = FirstOrderFilter | ConsistentFilter | SavitzkyGolay
