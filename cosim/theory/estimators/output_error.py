@@ -28,7 +28,7 @@ from cosim.native.estimation import (
     ResponseRecord,
     minimize,
 )
-from cosim.theory.disturbance import Family, generators, search_box
+from cosim.theory.disturbance import Family, SearchBox, generators, search_box
 from cosim.theory.disturbed_plant import (
     DataSet,
     DisturbedPlant,
@@ -43,6 +43,7 @@ from cosim.theory.quantiles import chi_square_above
 FALSE_PRESENCE: Final = 1e-8
 SAMPLES_OF_SEARCH: Final = 800
 MOST_POINTS_OF_SEARCH: Final = 576
+MOST_POINTS_ON_AN_AXIS: Final = 24
 SHORTEST_OF_SEARCH: Final = 20.0  # time scales of a record that a start tells apart
 ROUNDING: Final = 2.0**-44  # error of a simulated output relative to the largest output
 NO_BOUNDS: Mapping[int, tuple[float, float]] = MappingProxyType({})
@@ -208,29 +209,36 @@ def search_start(
     matrices = generators(families)
     records = []
     for one in data:
-        every = max(1, len(one.t) // SAMPLES_OF_SEARCH)
-        thin = one.thinned(every)
+        thin = one.thinned(max(1, len(one.t) // SAMPLES_OF_SEARCH))
         noise = white_noise(plant.C.shape[0])
         sampled = sample_plant(plant, matrices, thin, noise=noise, offset=offset)
         records.append(sampled.record(thin))
     span = max(float(one.t[-1] - one.t[0]) for one in data)
     box = search_box(families, span=span, shortest=span / SHORTEST_OF_SEARCH)
-    lower, upper = box.lower.copy(), box.upper.copy()
-    for j, (low, high) in bounds.items():
-        lower[j] = np.clip(low, lower[j], upper[j]) if np.isfinite(low) else lower[j]
-        upper[j] = np.clip(high, lower[j], upper[j]) if np.isfinite(high) else upper[j]
-    points = max(2, int(MOST_POINTS_OF_SEARCH ** (1.0 / max(matrices.parameters, 1))))
-    fractions = (np.arange(min(points, 24)) + 0.5) / min(points, 24)
-    axes = [low + fractions * (high - low) for low, high in zip(lower, upper, strict=True)]
-    best = np.array([axis[0] for axis in axes])
+    best = np.full(matrices.parameters, np.nan)
     least = np.inf
-    for point in itertools.product(*axes):
+    for point in itertools.product(*_axes_of_search(box, bounds)):
         theta = np.array(point)
         squares = sum(least_squares_at(record, theta) for record in records)
-        if squares < least:
+        if squares < least or np.isnan(best).any():
             least = squares
             best = theta
     return best
+
+
+def _axes_of_search(box: SearchBox, bounds: Mapping[int, tuple[float, float]]) -> list[Vector]:
+    """Return the values of each theta on the grid of the search, within box and bounds."""
+    parameters = len(box.lower)
+    points = max(2, int(MOST_POINTS_OF_SEARCH ** (1.0 / max(parameters, 1))))
+    points = min(points, MOST_POINTS_ON_AN_AXIS)
+    fractions = (np.arange(points) + 0.5) / points
+    axes = []
+    for j in range(parameters):
+        low, high = bounds.get(j, (-np.inf, np.inf))
+        lower = np.clip(low, box.lower[j], box.upper[j])
+        upper = np.clip(high, box.lower[j], box.upper[j])
+        axes.append(lower + fractions * (upper - lower))
+    return axes
 
 
 def presence_threshold(sizes: Sequence[int], records: int) -> Vector:
