@@ -277,6 +277,21 @@ def test_wrong_models_over_200_seeds(case):
         assert verdicts(noisy(case, 1e-3, seed))[1] == [Verdict.INCONSISTENT] * 2
 
 
+@pytest.mark.campaign
+@pytest.mark.parametrize(
+    ("case", "offset"), [("alpha times 1.05", False), ("constant delta", True)]
+)
+def test_what_the_class_contains_stays_identifiable_over_200_seeds(case, offset):
+    """The amplitude takes a scaled alpha, the offset a constant; 93 % of the intervals hold."""
+    missed = np.zeros(2, int)
+    for seed in range(200):
+        assessment, found = verdicts(noisy(case, 1e-3, seed), offset=offset)
+        assert found == GOOD
+        missed += misses(assessment)
+    print(f"{case}, offset {offset}: {missed} of 200 missed")
+    assert (missed <= 14).all()
+
+
 @pytest.mark.parametrize("start", [(0.3, 0.3), (-50.0, -60.0), (0.2, -8.0)])
 def test_a_start_that_does_not_fit_is_replaced(start):
     """By one that is searched: whatever was recorded, good data are identifiable."""
