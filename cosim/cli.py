@@ -545,7 +545,8 @@ def identify(
     from cosim.report.identification import report_identification
     from cosim.report.tables.identification import print_identification
     from cosim.scenario.edits import parse_value
-    from cosim.scenario.identifying import bounds_of, identifier_record
+    from cosim.scenario.identified import bounds_of
+    from cosim.scenario.identifying import identifier_record
     from cosim.scenario.identifying import identify as identify_logs
 
     if irregular is not None and not 0.0 < irregular < float("inf"):
@@ -555,7 +556,7 @@ def identify(
     others = [identifier_record(open_log(log), component) for log in validate or ()]
     limits = None
     if bounds is not None:
-        limits = bounds_of(parse_value(bounds), records[0].parameters)
+        limits = bounds_of(parse_value(bounds), records[0].identified.parameters)
     found = identify_logs(records, offset=offset, bounds=limits)
     report = report_identification(found, others=others, irregular=irregular)
     if plot is not None:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import ExitStack
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from cosim.arguments import check_path
 from cosim.blocks.field_data import FieldData
@@ -31,6 +32,8 @@ if TYPE_CHECKING:
     from cosim.fmi.linearizing.linearization import Linearization
     from cosim.fmi.linearizing.request import LinearizationRequest
     from cosim.fmi.options import FmuOptions
+
+T = TypeVar("T")
 
 
 class MessageSource(Protocol):
@@ -104,6 +107,7 @@ class ScenarioBuildContext:
         self.fmus: dict[str, Fmu] = {}
         self._linearized: dict[str, Linearization] = {}
         self._field_data: dict[str, FieldData] = {}
+        self._designs: dict[str, tuple[Any, frozenset[str]]] = {}
         self._choices: dict[str, Mapping[str, Any]] = {}
         self.files: set[Path] = set()
         self.identified: dict[str, IdentifiedPlant] = {}
@@ -115,13 +119,13 @@ class ScenarioBuildContext:
 
     # --- what a kind may ask for ---
 
-    @property
+    @cached_property
     def step_ns(self) -> int:
         """Communication step [ns]."""
         self._need(("scenario", "step"))
         return nanoseconds(self._scenario.file.scenario.step)
 
-    @property
+    @cached_property
     def clock(self) -> Clock:
         """The clock of the run, with blocks of any size."""
         for name in ("step", "start_time", "stop"):
@@ -198,6 +202,23 @@ class ScenarioBuildContext:
         for key in self.invalid:
             if key[0] == "connections" and to in [port.whole for port in ports_in(key[1:2])]:
                 raise DependsOnInvalid
+
+    def designed(self, name: str, design: Callable[[], T]) -> T:
+        """Return the design of a component, which is made once in a build.
+
+        What it was made of counts as read by every component that asks for it.
+        """
+        if name not in self._designs:
+            before = self.reads[self._current]
+            self.reads[self._current] = frozenset()
+            try:
+                made = design()
+                self._designs[name] = made, self.reads[self._current]
+            finally:
+                self.reads[self._current] |= before
+        result: T = self._designs[name][0]
+        self.reads[self._current] |= self._designs[name][1]
+        return result
 
     def field_data(self, name: str, read: Callable[[], FieldData]) -> FieldData:
         """Return the samples of a component, which are read once."""

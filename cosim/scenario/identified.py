@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cosim.arrays import Mask, Matrix, Vector
+from cosim.errors import UsageError
 from cosim.native.expression import Program
 from cosim.native.step import evaluate_at
 from cosim.theory.disturbance import Family
@@ -41,6 +42,21 @@ class IdentifiedPlant:
     offset: bool
     bounds: Mapping[int, tuple[float, float]]
     problem: str = ""
+
+    @property
+    def parameters(self) -> int:
+        """The number of theta."""
+        return sum(len(family.parameters) for family in self.families)
+
+    @property
+    def limits(self) -> tuple[Vector, Vector]:
+        """The bounds of theta as vectors, infinite where there is none, shape (P,)."""
+        lower = np.full(self.parameters, -np.inf)
+        upper = np.full(self.parameters, np.inf)
+        for j, (low, high) in self.bounds.items():
+            lower[j] = low
+            upper[j] = high
+        return lower, upper
 
     def data_set(
         self, t: Vector, y: Matrix, u: Matrix, held: Mask, samples: SampleRows | None = None
@@ -92,3 +108,37 @@ def _inputs_at(t: Vector, points: Vector, u: Matrix, held: Mask) -> Matrix:
     for column, is_held in zip(u.T, held, strict=True):
         columns.append(column[before] if is_held else np.interp(t, points, column))
     return np.array(columns).T.reshape(len(t), u.shape[1])
+
+
+def bounds_of(rows: object, parameters: int) -> dict[int, tuple[float, float]]:
+    """Return bounds of theta by index.
+
+    Parameters
+    ----------
+    rows : object
+        ``[lower, upper]`` for each theta.
+    parameters : int
+        Number of theta.
+
+    Raises
+    ------
+    UsageError
+        If they are not that.
+    """
+    bounds = {}
+    if isinstance(rows, list) and len(rows) == parameters:
+        for j, row in enumerate(rows):
+            if isinstance(row, list) and len(row) == 2 and all(map(_is_number, row)):
+                lower, upper = map(float, row)
+                if lower <= upper:
+                    bounds[j] = (lower, upper)
+    if len(bounds) != parameters:
+        raise UsageError(
+            f"bounds: found {rows}; needed [lower, upper] for each of the {parameters} parameters, "
+            "inf where there is none: [[-1, 0], [-inf, inf]]"
+        )
+    return bounds
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)

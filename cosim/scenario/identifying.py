@@ -51,11 +51,6 @@ class IdentifierRecord:
     data: DataSet
 
     @property
-    def parameters(self) -> int:
-        """The number of theta."""
-        return sum(len(family.parameters) for family in self.identified.families)
-
-    @property
     def estimate(self) -> Vector | None:
         """The last theta of output error in the run; None where there is none."""
         if component_record(self.log, self.identifier).method != OUTPUT_ERROR:
@@ -340,37 +335,3 @@ def _largest_deviation(assessment: Assessment) -> float:
     waves = np.exp(-1j * np.outer(frequencies, lags))
     gain = 1.0 / np.abs(1.0 - waves @ assessment.noise.a)
     return assessment.fit.deviation * float(gain.max())
-
-
-def bounds_of(rows: object, parameters: int) -> dict[int, tuple[float, float]]:
-    """Return bounds of theta by index.
-
-    Parameters
-    ----------
-    rows : object
-        ``[lower, upper]`` for each theta, as of an identifier in a scenario.
-    parameters : int
-        Number of theta.
-
-    Raises
-    ------
-    UsageError
-        If they are not that.
-    """
-    bounds = {}
-    if isinstance(rows, list) and len(rows) == parameters:
-        for j, row in enumerate(rows):
-            if isinstance(row, list) and len(row) == 2 and all(map(_is_number, row)):
-                lower, upper = map(float, row)
-                if lower <= upper:
-                    bounds[j] = (lower, upper)
-    if len(bounds) != parameters:
-        raise UsageError(
-            f"bounds: found {rows}; needed [lower, upper] for each of the {parameters} parameters, "
-            "inf where there is none: [[-1, 0], [-inf, inf]]"
-        )
-    return bounds
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)

@@ -25,6 +25,7 @@ Size = Annotated[Whole, Field(ge=1, le=100_000)]  # of a signal
 Flag = Annotated[bool, Field(strict=True)]
 NumberRow = tuple[Number, ...]
 NumberRows = tuple[NumberRow, ...]
+Limit = Annotated[float, Field(strict=True)]  # inf: there is none
 
 
 def _known_unit(name: str) -> str:

@@ -68,6 +68,19 @@ def test_the_contract_is_kept(options, recorded):
     check_component(lambda: identifier("academic", settings), inputs=recorded[: count + 1], h=H)
 
 
+def test_a_bound_of_a_file_may_be_infinite(tmp_path):
+    """``inf`` is no bound, in a scenario as in ``cosim identify``; NaN is nothing at all."""
+    settings = {**SHORT, "identifier.bounds": [[-np.inf, np.inf], [-np.inf, np.inf]]}
+    log = cosim.run("academic", set=settings, out=tmp_path / "log.mcap")
+    np.testing.assert_array_equal(theta(log), theta(cosim.run("academic", set=SHORT)))
+    assert cosim.diff(log, cosim.replay(log.path)).equal
+    settings["identifier.bounds"] = [[np.nan, np.inf], [-np.inf, np.inf]]
+    with pytest.raises(
+        ScenarioError, match=r"needed \[lower, upper\] for each of the 2 parameters"
+    ):
+        cosim.run("academic", set=settings)
+
+
 def test_a_saved_state_does_not_grow_with_the_samples(recorded):
     """A state of 12 s has the size of one at the beginning, and that of a run ten times as long."""
     sizes = set()

@@ -12,6 +12,7 @@ from cosim.cli import main
 from cosim.errors import CosimError, ScenarioError, flag, option, shell_language
 from cosim.scenario.build import Builder, parse
 from cosim.scenario.document import Document, find
+from cosim.theory import observer, regression
 
 TEXT = find("academic").text
 
@@ -179,7 +180,30 @@ def test_a_build_costs_few_times_what_its_parts_cost():
         with ExitStack() as resources:
             Builder(scenario.set({"observer.filter_rate": 500.0}), resources).experiment()
 
-    assert seconds(edit_and_build) < 50.0 * seconds(lambda: tomllib.loads(TEXT))
+    assert seconds(edit_and_build) < 25.0 * seconds(lambda: tomllib.loads(TEXT))
+
+
+def test_a_build_designs_every_component_once(monkeypatch):
+    """Start time, verdict, problem and units of an identifier rest on one design of its observer.
+
+    Its tables count as read by all of them: a change of the model is one of the identifier.
+    """
+    calls = []
+
+    def counted(function, name):
+        def call(*arguments, **options):
+            calls.append(name)
+            return function(*arguments, **options)
+
+        return call
+
+    monkeypatch.setattr(observer, "design", counted(observer.design, "observer"))
+    monkeypatch.setattr(regression, "expand", counted(regression.expand, "regressor"))
+    with ExitStack() as resources:
+        experiment = Builder(cosim.load("academic"), resources).experiment()
+    assert sorted(calls) == ["observer", "regressor"]
+    tables = {"components.observer", "components.regressor", "models.academic"}
+    assert experiment.reads["identifier"] == tables
 
 
 # --- the language of the caller ---

@@ -88,10 +88,11 @@ from cosim.scenario.kinds.dynamics import (
     TransferFunctionKind,
 )
 from cosim.scenario.kinds.field_data import FieldDataKind
-from cosim.scenario.kinds.identification import IdentifierKind, RegressorKind
+from cosim.scenario.kinds.identification import IdentifierKind
 from cosim.scenario.kinds.look_up import LookUpTableKind
 from cosim.scenario.kinds.observers import UnknownInputObserverKind
 from cosim.scenario.kinds.plants import DescriptorKind, FmuKind, RecordingKind
+from cosim.scenario.kinds.regressor import RegressorKind
 from cosim.scenario.kinds.sensors import SensorKind
 from cosim.scenario.kinds.sources import (
     ChirpKind,

@@ -6,7 +6,7 @@ from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeAlias, TypeVar
 
 from pydantic import Field
 
@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from cosim.fmi.linearizing.linearization import Linearization
     from cosim.fmi.linearizing.request import LinearizationRequest
     from cosim.fmi.options import FmuOptions
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,6 +105,10 @@ class BuildContext(Protocol):
 
     def recording(self, path: str) -> Recording:
         """Open a log."""
+        ...
+
+    def designed(self, name: str, design: Callable[[], T]) -> T:
+        """Return the design of a component, which is made once in a build, whoever asks for it."""
         ...
 
     def field_data(self, name: str, read: Callable[[], FieldData]) -> FieldData:

@@ -380,7 +380,10 @@ class UnknownInputObserverKind(ExportableKind):
         ]
 
     def design(self, name: str, context: BuildContext) -> DesignedObserver:
-        """Design the observer (14)-(18)."""
+        """Return the design of the observer (14)-(18)."""
+        return context.designed(name, lambda: self._designed(name, context))
+
+    def _designed(self, name: str, context: BuildContext) -> DesignedObserver:
         model = self._design_model(name, context)
         L = None
         if self.L is not None:

@@ -1,0 +1,211 @@
+"""What drives an identifier: its regressor, the observer behind it, samples of y."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from cosim.blocks.field_data import SAMPLE_TIMES
+from cosim.core.connections import Connection
+from cosim.core.port import Port
+from cosim.core.signals import Interface
+from cosim.errors import UsageError
+from cosim.native.step import evaluate_at
+from cosim.scenario.kinds.base import BuildContext, Kind
+from cosim.scenario.kinds.field_data import FieldDataKind
+from cosim.scenario.kinds.observers import DesignedObserver, UnknownInputObserverKind
+from cosim.scenario.kinds.regressor import RegressorDesign, RegressorKind
+from cosim.theory.accuracy import check_step
+from cosim.theory.disturbed_plant import DisturbedPlant, disturbed_plant
+from cosim.theory.observer import StateSpace
+
+
+class IdentifierSource:
+    """The regressor that drives an identifier, and the observer that drives that one.
+
+    Parameters
+    ----------
+    identifier : str
+    context : BuildContext
+
+    Attributes
+    ----------
+    identifier : str
+    regression : RegressorDesign
+    observer : ObserverSource or None
+        None: what drives the regressor is no observer, or several.
+
+    Raises
+    ------
+    UsageError
+        If no regressor drives the identifier directly.
+    """
+
+    def __init__(self, identifier: str, context: BuildContext) -> None:
+        name = context.driver(Port(identifier, "regressor"))
+        kind = None if name is None else context.spec(name)
+        if name is None or not isinstance(kind, RegressorKind):
+            raise UsageError(
+                "'regressor' must be driven directly by a component of kind 'regressor', "
+                "whose terms it identifies"
+            )
+        self.identifier = identifier
+        self.regression: RegressorDesign = kind.design(name, context)
+        self.observer = _observer_behind(name, context)
+        self._context = context
+
+    @property
+    def window(self) -> float:
+        """How long the observer has no delta [s]."""
+        return 0.0 if self.observer is None else self.observer.window
+
+    def check_step(self) -> None:
+        """Refuse a communication step between whose ends an alpha is no straight line.
+
+        Raises
+        ------
+        AssumptionError
+            If it is too long.
+        """
+        clock = self._context.clock
+        alphas = self.regression.alphas
+        check_step(
+            lambda t: evaluate_at(alphas, t),
+            [alpha.text for alpha in alphas],
+            start=clock.start_time,
+            stop=clock.stop,
+            h=clock.step_ns / 1e9,
+        )
+
+    def missing_model(self) -> str:
+        """Return why there is no model of y that output error can fit; empty: there is one."""
+        if self.observer is None:
+            return (
+                "no observer drives the regressor alone; needed one, whose design model is that "
+                "of y"
+            )
+        model = self.observer.design.model
+        n_d = model.reduced.C5.shape[1]
+        if n_d == 1 and not model.constant:
+            return ""
+        what = f"{n_d} unknown disturbances" if n_d != 1 else "a constant input"
+        return (
+            f"the design model of {self.observer.name!r} has {what}; needed one disturbance and no "
+            'constant input; or method = "least-squares"'
+        )
+
+    def most_samples(self) -> int:
+        """Return how many samples of y are taken in a step; 0: y at the communication points.
+
+        Raises
+        ------
+        UsageError
+            If y is interpolated between samples of a file that do not reach the identifier.
+        """
+        context = self._context
+        sampled_by = context.driver(Port(self.identifier, "samples"))
+        if sampled_by is not None:
+            kind = context.spec(sampled_by)
+            if isinstance(kind, FieldDataKind):
+                return kind.most_in_a_step(sampled_by, context)
+        interpolated = _field_data_behind(Port(self.identifier, "y"), context)
+        if interpolated is not None:
+            raise UsageError(
+                f"y is interpolated between the samples of {interpolated!r}; needed it from whole "
+                "outputs of one such component, directly, with one number as gain or none: then "
+                "the samples are taken at their own times"
+            )
+        return 0
+
+
+class ObserverSource:
+    """The observer that drives a regressor alone.
+
+    Parameters
+    ----------
+    name : str
+    kind : UnknownInputObserverKind
+    context : BuildContext
+    """
+
+    def __init__(self, name: str, kind: UnknownInputObserverKind, context: BuildContext) -> None:
+        self.name = name
+        self.filter_rate = kind.filter_rate
+        self._kind = kind
+        self._context = context
+
+    @property
+    def design(self) -> DesignedObserver:
+        """Its design, and the model that it is designed on."""
+        return self._kind.design(self.name, self._context)
+
+    @property
+    def transient(self) -> StateSpace:
+        """The dynamics of the errors of delta."""
+        return self._kind.transient(self.name, self._context)
+
+    @property
+    def window(self) -> float:
+        """How long it has no delta [s]."""
+        return self._kind.reconstruction(self.name, self._context).window
+
+    @property
+    def interpolated(self) -> str | None:
+        """The component between whose samples its y is interpolated; None: there is none."""
+        return _field_data_behind(Port(self.name, "y"), self._context)
+
+    def plant(self, components: int) -> DisturbedPlant:
+        """Return its design model with a disturbance of so many components."""
+        return disturbed_plant(self.design.model.reduced, components)
+
+    def units(self, interface: Interface) -> dict[str, str]:
+        """Return the units of the signals that are taken where the observer takes them."""
+        designed = self.design.model.units
+        named = {signal: unit.name for signal, unit in designed.items() if unit.name is not None}
+        named |= self._kind.units
+        units = {}
+        for signal in interface.inputs:
+            of_observer = "y" if signal.name == "samples" else signal.name
+            if of_observer in named:
+                units[signal.name] = named[of_observer]
+        return units
+
+
+def sample_connections(
+    name: str, y: Connection | None, specs: Mapping[str, Kind]
+) -> dict[Port, Connection]:
+    """Return the connections to the samples of what drives y, where it has any.
+
+    Those of several elements stand one element behind the other, as the elements do in y.
+    """
+    if y is None or y.matrix.ndim:
+        return {}
+    components = {source.component for source in y.sources}
+    sampled = []
+    for source in y.sources:
+        spec = specs.get(source.component)
+        signal = None if spec is None else spec.samples_of(source.signal)
+        if signal is not None and source.element is None:
+            sampled.append(Port(source.component, signal))
+    if len(sampled) < len(y.sources) or len(components) != 1:
+        return {}
+    return {
+        Port(name, "samples"): Connection(sampled, y.gain, y.offset, y.unit),
+        Port(name, SAMPLE_TIMES): Connection(Port(components.pop(), SAMPLE_TIMES)),
+    }
+
+
+def _observer_behind(regressor: str, context: BuildContext) -> ObserverSource | None:
+    """Return the observer that drives a regressor alone; None: there is no such component."""
+    name = context.driver(Port(regressor, "delta"))
+    kind = None if name is None else context.spec(name)
+    if name is None or not isinstance(kind, UnknownInputObserverKind):
+        return None
+    return ObserverSource(name, kind, context)
+
+
+def _field_data_behind(to: Port, context: BuildContext) -> str | None:
+    """Return the component of field data that an input follows; None: there is none."""
+    for name, spec in context.behind(to).items():
+        if isinstance(spec, FieldDataKind):
+            return name
+    return None

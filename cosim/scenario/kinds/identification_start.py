@@ -1,0 +1,101 @@
+"""When an identifier starts: a given time, or one after the transients of its observer."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict
+
+from pydantic import Field
+
+from cosim.core.clock import LARGEST_NS, Clock
+from cosim.errors import AssumptionError, UsageError
+from cosim.scenario.kinds.base import BuildContext
+from cosim.scenario.kinds.identification_source import IdentifierSource
+from cosim.scenario.schema import Number, TomlTable
+from cosim.theory.observer import IdentificationStartTime, identification_start_time
+
+
+class StartTable(TomlTable):
+    """Identification start time T_id by (36)-(38)."""
+
+    epsilon_observer: Number = Field(
+        description="fraction of the initial observer error that may remain, in (0, 1)"
+    )
+    epsilon_filter: Number = Field(
+        description="fraction of the initial filter transient that may remain, in (0, 1)"
+    )
+
+
+DEFAULT_START = StartTable(epsilon_observer=1e-3, epsilon_filter=1e-3)
+
+
+def start_time(
+    start: Number | StartTable | None, source: IdentifierSource, context: BuildContext
+) -> float:
+    """Return the first communication point not before T_id, and record it.
+
+    A computed T_id is counted from the start of the run.
+
+    Raises
+    ------
+    UsageError
+        If it is to be computed, and there is no observer to compute it from.
+    AssumptionError
+        If the regressor has no value there, or it is in no run.
+    """
+    clock = context.clock
+    if start is None:
+        start = DEFAULT_START
+    if isinstance(start, StartTable):
+        times = _computed(start, source)
+        context.add_metadata(source.identifier, asdict(times))
+        T_id = times.T_id
+        elapsed_ns = T_id * 1e9
+    else:
+        T_id = float(start)
+        elapsed_ns = T_id * 1e9 - clock.start_ns
+    # Rounded to 1e-3 ns: a T_id on a communication point must not become the next one.
+    elapsed_ns = round(elapsed_ns, 3)
+    _check_past(T_id, elapsed_ns, source, clock)
+    if not T_id <= LARGEST_NS / 1e9:
+        raise AssumptionError(
+            f"start: T_id is {T_id:g} s; needed a time in a run: with computed times, a larger "
+            "filter_rate, eigenvalues of the observer farther left, or larger fractions"
+        )
+    steps = math.ceil(elapsed_ns / clock.step_ns)
+    time = (clock.start_ns + steps * clock.step_ns) / 1e9
+    context.add_metadata(source.identifier, {"start_time": time})
+    return time
+
+
+def _check_past(T_id: float, elapsed_ns: float, source: IdentifierSource, clock: Clock) -> None:
+    """Check that the regressor has a value at T_id."""
+    longest = max(source.regression.delays)
+    window = source.window
+    if elapsed_ns >= round((longest + window) * 1e9, 3):
+        return
+    since = f" after start_time, {clock.start_time} s" if clock.start_ns else ""
+    plus = f" and the observer's window, {window} s," if window else ""
+    raise AssumptionError(
+        f"start: found {T_id} s, needed at least the longest delay, {longest} s{plus}{since}: "
+        "before it the regressor has no value"
+    )
+
+
+def _computed(start: StartTable, source: IdentifierSource) -> IdentificationStartTime:
+    """Compute T_id (36)-(38) from the observer that drives the regressor."""
+    observer = source.observer
+    if observer is None:
+        raise UsageError(
+            "start: (36)-(38) need one observer that drives the regressor alone; "
+            "give start as a time in s instead"
+        )
+    window = observer.window
+    return identification_start_time(
+        lambda_obs=observer.design.design.lambda_obs,
+        filter_rate=None if window else observer.filter_rate,
+        window=window or None,
+        delays=source.regression.delays,
+        epsilon_observer=start.epsilon_observer,
+        epsilon_filter=start.epsilon_filter,
+    )
