@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import InitVar, dataclass, field
 from typing import Final, TypeAlias
 
@@ -112,6 +112,15 @@ def _parsed(source: SourceText) -> tuple[Port, ...]:
 
 def _label(sources: Iterable[Port]) -> str:
     return ", ".join(map(str, sources))
+
+
+def components_driving(connections: Mapping[Port, Connection], to: Port) -> frozenset[str]:
+    """Return the components that drive an input, as a whole or by its elements."""
+    drivers: set[str] = set()
+    for port, connection in connections.items():
+        if port.component == to.component and to in (port, port.whole):
+            drivers.update(source.component for source in connection.sources)
+    return frozenset(drivers)
 
 
 def unit_reached(connection: Connection, source: Signal, target: Signal) -> Unit:

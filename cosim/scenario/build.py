@@ -296,9 +296,13 @@ class Builder:
         connections = self.scenario.connections
         problems = check_connections(ports, connections, self._invalid, unread)
         for to, text in problems.items():
-            key = ("connections", str(to))
-            if key not in invalid:
-                self.problems.append((key, text))
+            origin = self.scenario.implied.get(to, to)
+            key = ("connections", str(origin))
+            if key in invalid or (origin != to and origin in problems):
+                continue  # told of the connection that it follows from
+            if origin != to:
+                text += f"; '{to}' takes what '{origin}' does, unless it has a source of its own"
+            self.problems.append((key, text))
 
     def check(self) -> None:
         """Check that everything could be built.

@@ -11,7 +11,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from cosim.arguments import mapping_argument
-from cosim.core.connections import ONE_SOURCE, Connection
+from cosim.core.connections import ONE_SOURCE, Connection, components_driving
 from cosim.core.port import Port
 from cosim.errors import CosimError, GraphError, nearest, quoted
 from cosim.scenario.document import Document
@@ -33,7 +33,9 @@ class Scenario:
     file : File
     specs : mapping of component name to Kind
     connections : mapping of Port to Connection
-        By input, or elements of it.
+        By input, or elements of it; those that kinds imply among them.
+    implied : mapping of Port to Port
+        Inputs that the file leaves open, and the ones that they share their sources with.
     maps : mapping of component name to list of MapEntry
         Of the swapped components.
     tree : mapping
@@ -49,6 +51,7 @@ class Scenario:
     file: File
     specs: Mapping[str, Kind]
     connections: Mapping[Port, Connection]
+    implied: Mapping[Port, Port]
     maps: Mapping[str, list[MapEntry]]
     tree: Mapping[str, Any]
     parse: Callable[[Document], Scenario] = field(repr=False, compare=False)
@@ -72,11 +75,7 @@ class Scenario:
 
     def sources(self, to: Port) -> frozenset[str]:
         """Return the components that drive an input, as a whole or by its elements."""
-        drivers: set[str] = set()
-        for port, connection in self.connections.items():
-            if port.component == to.component and to in (port, port.whole):
-                drivers.update(source.component for source in connection.sources)
-        return frozenset(drivers)
+        return components_driving(self.connections, to)
 
     def sources_of(self, component: str) -> frozenset[str]:
         """Return the components that drive any input of a component."""
@@ -176,14 +175,13 @@ def read(
     maps, map_problems = resolve_maps(valid_tree, document.maps)
     specs, component_problems = _validate_components(file.components)
     connections, connection_problems = _connections(file)
-    given = set(connections)
-    connections = _with_implied(_replaced(document, specs), _followed(specs, connections))
-    invalid |= _without_source(file.components, connections, given)
+    followed = _followed(specs, connections)
+    connections, implied = _with_implied(_replaced(document, specs), followed)
     for key, _ in connection_problems:
         invalid.add(key)
     problems += file_problems + map_problems + component_problems + connection_problems
     scenario = Scenario(
-        document, file, specs, connections, maps, valid_tree, parse, frozenset(invalid)
+        document, file, specs, connections, implied, maps, valid_tree, parse, frozenset(invalid)
     )
     return scenario, problems
 
@@ -276,29 +274,28 @@ def _followed(
     return followed
 
 
-def _without_source(
-    components: Collection[str], connections: Mapping[Port, Connection], given: Collection[Port]
-) -> set[Key]:
-    """Return the implied connections from no component: what implies them is reported itself."""
-    keys: set[Key] = set()
-    for to, connection in connections.items():
-        sources = {source.component for source in connection.sources}
-        if to not in given and not sources <= set(components):
-            keys.add(("connections", str(to)))
-    return keys
-
-
 def _with_implied(
     specs: Mapping[str, Kind], connections: Mapping[Port, Connection]
-) -> dict[Port, Connection]:
-    """Add the connections that kinds imply for inputs that the file leaves open."""
+) -> tuple[dict[Port, Connection], dict[Port, Port]]:
+    """Add the connections that kinds imply for inputs that the file leaves open.
+
+    Returns
+    -------
+    connections : dict of Port to Connection
+    origins : dict of Port to Port
+        Of each such input, also where the one that it follows has no connection either.
+    """
     given = {port.whole for port in connections}
     result = dict(connections)
+    origins: dict[Port, Port] = {}
     for name, spec in specs.items():
-        for to, connection in spec.implied_connections(name, connections, specs).items():
-            if to.whole not in given:
-                result[to] = connection
-    return result
+        for to, implied in spec.implied_connections(name, connections, specs).items():
+            if to.whole in given:
+                continue
+            origins[to] = implied.origin
+            if implied.connection is not None:
+                result[to] = implied.connection
+    return result, origins
 
 
 def _connections(file: File) -> tuple[dict[Port, Connection], list[Problem]]:

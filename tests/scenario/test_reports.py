@@ -120,6 +120,46 @@ def test_a_loop_is_reported_beside_other_mistakes():
     assert "feeds through" in "".join(lines)
 
 
+OBSERVER_Y = '"observer.y" = "plant.y"'
+
+
+@pytest.mark.parametrize(
+    ("edit", "place", "text"),
+    [
+        ((OBSERVER_Y, '"observer.y" = "plnt.y"'), '"observer.y"', "no component 'plnt'"),
+        ((OBSERVER_Y, '"observer.y" = "plant.yy"'), '"observer.y"', "has no output 'yy'"),
+        ((OBSERVER_Y, '"observer.y" = "plant.x_a"'), '"observer.y"', "size 2 cannot drive size 1"),
+        ((OBSERVER_Y, ""), "[connections]", "'observer.y' is not connected"),
+        (('"observer.u" = "u.y"', ""), "[connections]", "'observer.u' is not connected"),
+        (
+            ('"regressor.delta" = "observer.delta"', '"regressor.delta" = "observer.dlta"'),
+            '"regressor.delta"',
+            "has no output 'dlta'",
+        ),
+    ],
+)
+def test_a_wrong_connection_is_told_once_where_others_follow_from_it(edit, place, text):
+    """The identifier takes what the observer takes: its connections are not in the file."""
+    wrong = edited(edit)
+    (line,) = report(wrong)
+    assert line.startswith(f"x.toml:{line_of(wrong, place)}: ")
+    assert text in line
+    assert "identifier" not in line.split("There is:")[0]
+
+
+def test_a_connection_that_follows_from_another_one_is_told_where_that_stands():
+    """The line of the file that leads to it, and how to change that one alone."""
+    wrong = edited(
+        (OBSERVER_Y, '"observer.y" = { from = "plant.y", unit = "m" }'),
+        ("[components.identifier]\n", '[components.identifier]\nunit = { y = "s" }\n'),
+    )
+    (line,) = report(wrong)
+    number = line_of(wrong, '"observer.y"')
+    assert line.startswith(f"x.toml:{number}: connections.observer.y: ")
+    assert "plant.y -> identifier.y: unit 'm' cannot drive unit 's'" in line
+    assert "'identifier.y' takes what 'observer.y' does, unless it has a source of its own" in line
+
+
 def test_lines_are_found_behind_matrices_of_several_lines():
     """A row of a matrix is no header of a table."""
     text = edited(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeAlias, TypeVar
 
@@ -72,6 +72,34 @@ class Spectrum:
     bandwidth: float
     source: Mapping[str, Any]
     assumption: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImpliedConnection:
+    """A connection that the file does not write, for it follows from one that it does.
+
+    Parameters
+    ----------
+    connection : Connection or None
+        None: the origin has none either.
+    origin : Port
+        The input, or elements of it, whose connection it follows from.
+    """
+
+    connection: Connection | None
+    origin: Port
+
+
+def shared_connections(
+    to: Port, origin: Port, connections: Mapping[Port, Connection]
+) -> dict[Port, ImpliedConnection]:
+    """Return the connections that an input shares with another one, as a whole or by elements."""
+    shared = {}
+    for port, connection in connections.items():
+        if port.whole == origin:
+            own = replace(port, component=to.component, signal=to.signal)
+            shared[own] = ImpliedConnection(connection, port)
+    return shared or {to: ImpliedConnection(None, origin)}
 
 
 class BuildContext(Protocol):
@@ -265,7 +293,7 @@ class Kind(TomlTable):
 
     def implied_connections(
         self, name: str, connections: Mapping[Port, Connection], specs: Mapping[str, Kind]
-    ) -> Mapping[Port, Connection]:
+    ) -> Mapping[Port, ImpliedConnection]:
         """Return the connections that hold where the file has none for these inputs.
 
         Parameters

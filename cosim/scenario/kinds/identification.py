@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -24,7 +23,7 @@ from cosim.blocks.output_error_identifier import (
 from cosim.blocks.projection_identifier import ProjectionIdentifier, RayleighIdentifier
 from cosim.blocks.sampled import Decimated
 from cosim.core.clock import whole_steps
-from cosim.core.connections import Connection
+from cosim.core.connections import Connection, components_driving
 from cosim.core.contracts import Component
 from cosim.core.port import Port
 from cosim.errors import UsageError
@@ -33,7 +32,15 @@ from cosim.fmi.exporting.identifier import output_error
 from cosim.fmi.exporting.kernels import DiscreteModel
 from cosim.fmi.exporting.specifications import Exportable
 from cosim.scenario.identified import IdentifiedPlant, bounds_of
-from cosim.scenario.kinds.base import BuildContext, ExportableKind, Kind, PeriodicKind, Wiring
+from cosim.scenario.kinds.base import (
+    BuildContext,
+    ExportableKind,
+    ImpliedConnection,
+    Kind,
+    PeriodicKind,
+    Wiring,
+    shared_connections,
+)
 from cosim.scenario.kinds.identification_source import (
     IdentifierSource,
     ObserverSource,
@@ -118,27 +125,29 @@ class IdentifierKind(PeriodicKind, ExportableKind):
 
     def implied_connections(
         self, name: str, connections: Mapping[Port, Connection], specs: Mapping[str, Kind]
-    ) -> Mapping[Port, Connection]:
+    ) -> Mapping[Port, ImpliedConnection]:
         """Return what drives the observer: a method takes the same signals.
 
         Where y has samples at times of their own, these too.
         """
-        inputs = INPUTS[self.method]
-        if not inputs:
-            return {}
+        implied: dict[Port, ImpliedConnection] = {}
+        for signal, origin in self._origins(name, connections).items():
+            implied |= shared_connections(Port(name, signal), origin, connections)
+        if self.method == "output-error":
+            implied |= sample_connections(name, connections, implied, specs)
+        return implied
+
+    def _origins(self, name: str, connections: Mapping[Port, Connection]) -> dict[str, Port]:
+        """Return the inputs of regressor and observer that take the signals of the method."""
         regressor = _driver(connections, Port(name, "regressor"))
         if regressor is None:
             return {}
-        observer_name = _driver(connections, Port(regressor, "delta"))
-        taken = {(regressor, "delta"), (observer_name, "y"), (observer_name, "u")}
-        implied = {}
-        for to, connection in connections.items():
-            if to.signal in inputs and (to.component, to.signal) in taken:
-                implied[replace(to, component=name)] = connection
-        y = Port(name, "y")
-        if self.method == "output-error":
-            implied |= sample_connections(name, connections.get(y) or implied.get(y), specs)
-        return implied
+        origins = {"delta": Port(regressor, "delta")}
+        observer = _driver(connections, origins["delta"])
+        if observer is not None:
+            origins |= {"y": Port(observer, "y"), "u": Port(observer, "u")}
+        inputs = INPUTS[self.method]
+        return {signal: origin for signal, origin in origins.items() if signal in inputs}
 
     def build(self, name: str, context: BuildContext) -> Component:
         self._check_options()
@@ -372,8 +381,5 @@ def _recovery_notes(recovery: least_squares.Recovery) -> list[str]:
 
 def _driver(connections: Mapping[Port, Connection], to: Port) -> str | None:
     """Return the component that drives an input alone; None: there is no such component."""
-    drivers: set[str] = set()
-    for port, connection in connections.items():
-        if port.whole == to:
-            drivers.update(source.component for source in connection.sources)
-    return drivers.pop() if len(drivers) == 1 else None
+    drivers = list(components_driving(connections, to))
+    return drivers[0] if len(drivers) == 1 else None

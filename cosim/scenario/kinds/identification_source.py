@@ -10,7 +10,7 @@ from cosim.core.port import Port
 from cosim.core.signals import Interface
 from cosim.errors import UsageError
 from cosim.native.step import evaluate_at
-from cosim.scenario.kinds.base import BuildContext, Kind
+from cosim.scenario.kinds.base import BuildContext, ImpliedConnection, Kind
 from cosim.scenario.kinds.field_data import FieldDataKind
 from cosim.scenario.kinds.observers import DesignedObserver, UnknownInputObserverKind
 from cosim.scenario.kinds.regressor import RegressorDesign, RegressorKind
@@ -171,12 +171,20 @@ class ObserverSource:
 
 
 def sample_connections(
-    name: str, y: Connection | None, specs: Mapping[str, Kind]
-) -> dict[Port, Connection]:
+    name: str,
+    connections: Mapping[Port, Connection],
+    implied: Mapping[Port, ImpliedConnection],
+    specs: Mapping[str, Kind],
+) -> dict[Port, ImpliedConnection]:
     """Return the connections to the samples of what drives y, where it has any.
 
     Those of several elements stand one element behind the other, as the elements do in y.
     """
+    origin = Port(name, "y")
+    y = connections.get(origin)
+    if y is None and origin in implied:
+        y = implied[origin].connection
+        origin = implied[origin].origin
     if y is None or y.matrix.ndim:
         return {}
     components = {source.component for source in y.sources}
@@ -188,9 +196,11 @@ def sample_connections(
             sampled.append(Port(source.component, signal))
     if len(sampled) < len(y.sources) or len(components) != 1:
         return {}
+    samples = Connection(sampled, y.gain, y.offset, y.unit)
+    times = Connection(Port(components.pop(), SAMPLE_TIMES))
     return {
-        Port(name, "samples"): Connection(sampled, y.gain, y.offset, y.unit),
-        Port(name, SAMPLE_TIMES): Connection(Port(components.pop(), SAMPLE_TIMES)),
+        Port(name, "samples"): ImpliedConnection(samples, origin),
+        Port(name, SAMPLE_TIMES): ImpliedConnection(times, origin),
     }
 
 
