@@ -207,12 +207,9 @@ def test_a_build_costs_few_times_what_its_parts_cost():
     """
 
     def seconds(call):
-        times = []
-        for _ in range(7):
-            began = process_time()
-            call()
-            times.append(process_time() - began)
-        return min(times)
+        began = process_time()
+        call()
+        return process_time() - began
 
     scenario = cosim.load("academic")
 
@@ -220,7 +217,12 @@ def test_a_build_costs_few_times_what_its_parts_cost():
         with ExitStack() as resources:
             Builder(scenario.set({"observer.filter_rate": 500.0}), resources).experiment()
 
-    assert seconds(edit_and_build) < 25.0 * seconds(lambda: tomllib.loads(TEXT))
+    built = []
+    parsed = []
+    for _ in range(15):  # by turns: the processor changes its speed
+        built.append(seconds(edit_and_build))
+        parsed.append(seconds(lambda: tomllib.loads(TEXT)))
+    assert min(built) < 30.0 * min(parsed)
 
 
 def test_a_build_designs_every_component_once(monkeypatch):
