@@ -29,7 +29,7 @@ from cosim.scenario.recorded_metadata import (
     truth_of,
 )
 from cosim.scenario.schema import truth_ports
-from cosim.theory.uncertainty import information, verdict
+from cosim.theory.excitation import describe_excitation, information
 
 
 @dataclass(frozen=True)
@@ -352,7 +352,7 @@ def _information(
         values: Vector = np.linalg.eigvalsh(matrix).astype(np.float64)
         prior = None if record.P0 is None else 1.0 / record.P0
         eigenvalues = tuple(map(float, values))
-        sentence = verdict(values, prior)
+        sentence = describe_excitation(values, prior)
     return eigenvalues, sentence
 
 

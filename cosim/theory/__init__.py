@@ -1,6 +1,6 @@
 """The method as pure functions on frozen data.
 
-Reduction, observer, disturbance class, regression, estimators.
+Reduction, observer, disturbance class, regression, estimators, verdicts.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
         coefficients,
         group_by_alpha,
     )
+    from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
     from cosim.theory.estimators.least_squares import (
         Recovery,
         least_squares,
@@ -33,6 +34,9 @@ if TYPE_CHECKING:
         recover,
         trapezoid_weights,
     )
+    from cosim.theory.estimators.output_error import OutputErrorFit, fit_output_error
+    from cosim.theory.excitation import describe_excitation, information
+    from cosim.theory.irregular_part import guaranteed_interval
     from cosim.theory.observer import (
         IdentificationStartTime,
         ObserverDesign,
@@ -42,27 +46,37 @@ if TYPE_CHECKING:
         realize,
     )
     from cosim.theory.regression import Term, chi, eta, expand, mu
-    from cosim.theory.uncertainty import information, verdict
+    from cosim.theory.smoothing import smoothed_signals
+    from cosim.theory.validation import validate
+    from cosim.theory.verdicts import Assessment, Verdict, assess
 
 _HOMES = {
     "AlphaGroup": "cosim.theory.disturbance",
+    "assess": "cosim.theory.verdicts",
+    "Assessment": "cosim.theory.verdicts",
     "chi": "cosim.theory.regression",
     "coefficients": "cosim.theory.disturbance",
+    "DataSet": "cosim.theory.disturbed_plant",
+    "describe_excitation": "cosim.theory.excitation",
     "DescriptorSystem": "cosim.theory.descriptor",
     "design": "cosim.theory.observer",
     "disturbance_transfer": "cosim.theory.descriptor",
+    "DisturbedPlant": "cosim.theory.disturbed_plant",
     "eta": "cosim.theory.regression",
     "expand": "cosim.theory.regression",
     "Exponential": "cosim.theory.disturbance",
     "Family": "cosim.theory.disturbance",
+    "fit_output_error": "cosim.theory.estimators.output_error",
     "group_by_alpha": "cosim.theory.disturbance",
+    "guaranteed_interval": "cosim.theory.irregular_part",
     "identification_start_time": "cosim.theory.observer",
     "IdentificationStartTime": "cosim.theory.observer",
-    "information": "cosim.theory.uncertainty",
+    "information": "cosim.theory.excitation",
     "invariant_zeros": "cosim.theory.descriptor",
     "least_squares": "cosim.theory.estimators.least_squares",
     "mu": "cosim.theory.regression",
     "ObserverDesign": "cosim.theory.observer",
+    "OutputErrorFit": "cosim.theory.estimators.output_error",
     "pencil_index": "cosim.theory.descriptor",
     "plan": "cosim.theory.estimators.least_squares",
     "realize": "cosim.theory.observer",
@@ -71,31 +85,42 @@ _HOMES = {
     "reduce": "cosim.theory.descriptor",
     "ReducedSystem": "cosim.theory.descriptor",
     "Sine": "cosim.theory.disturbance",
+    "smoothed_signals": "cosim.theory.smoothing",
     "StateSpace": "cosim.theory.observer",
     "Term": "cosim.theory.regression",
     "trapezoid_weights": "cosim.theory.estimators.least_squares",
-    "verdict": "cosim.theory.uncertainty",
+    "validate": "cosim.theory.validation",
+    "Verdict": "cosim.theory.verdicts",
 }
 
 __all__ = [
     "AlphaGroup",
+    "Assessment",
+    "DataSet",
     "DescriptorSystem",
+    "DisturbedPlant",
     "Exponential",
     "Family",
     "IdentificationStartTime",
     "ObserverDesign",
+    "OutputErrorFit",
     "Recovery",
     "ReducedSystem",
     "Sine",
     "StateSpace",
     "Term",
+    "Verdict",
+    "assess",
     "chi",
     "coefficients",
+    "describe_excitation",
     "design",
     "disturbance_transfer",
     "eta",
     "expand",
+    "fit_output_error",
     "group_by_alpha",
+    "guaranteed_interval",
     "identification_start_time",
     "information",
     "invariant_zeros",
@@ -106,8 +131,9 @@ __all__ = [
     "realize",
     "recover",
     "reduce",
+    "smoothed_signals",
     "trapezoid_weights",
-    "verdict",
+    "validate",
 ]
 
 __getattr__ = lazy_names(__name__, _HOMES)

@@ -26,6 +26,7 @@ import numpy as np
 
 from cosim.arrays import Matrix, Vector
 from cosim.errors import AssumptionError
+from cosim.theory.quantiles import GUARANTEED_CONFIDENCE, normal_two_sided
 from cosim.theory.worst_case import BoundedDisturbance, IrregularResponse, Prediction
 
 SparseMatrix: TypeAlias = Any  # of scipy, which is loaded late
@@ -118,7 +119,7 @@ def cells_of(recorded: int, noisy: bool) -> Cells:
 
 
 def gaussian_noise_bound(
-    sigma: Vector, cells: Cells, recorded: int, confidence: float = 0.999
+    sigma: Vector, cells: Cells, recorded: int, confidence: float = GUARANTEED_CONFIDENCE
 ) -> Vector:
     """Bound the mean noise of every cell and output at once, with probability ``confidence``.
 
@@ -132,11 +133,8 @@ def gaussian_noise_bound(
     confidence : float
         In (0, 1). By the inequality of Bonferroni.
     """
-    from scipy.special import ndtri  # takes long to import
-
     means = cells.count(recorded) * len(sigma)
-    tail = (1.0 - confidence) / (2.0 * means)
-    bound: Vector = -ndtri(tail) * sigma / np.sqrt(cells.averaged)
+    bound: Vector = normal_two_sided(confidence, means) * sigma / np.sqrt(cells.averaged)
     return bound
 
 

@@ -26,6 +26,7 @@ from cosim.theory.disturbed_plant import (
 )
 from cosim.theory.estimators.output_error import OutputErrorFit
 from cosim.theory.feasible_program import RecordedOutputs, cells_of, gaussian_noise_bound
+from cosim.theory.quantiles import GUARANTEED_CONFIDENCE, normal_two_sided
 from cosim.theory.set_membership import FeasibleInterval, feasible_interval, starts_around
 from cosim.theory.worst_case import (
     BoundedDisturbance,
@@ -157,7 +158,7 @@ def guaranteed_interval(
     bound: float,
     sigma: Vector,
     sampling_error: float = 0.0,
-    confidence: float = 0.999,
+    confidence: float = GUARANTEED_CONFIDENCE,
     noise: NoiseModel | None = None,
 ) -> GuaranteedInterval:
     """Compute which theta the data allow if the irregular part is within its bound.
@@ -208,11 +209,9 @@ def _error_by_noise(
     problem: BoundedDisturbance, p: Vector, sigma: Vector, confidence: float
 ) -> Vector:
     """Bound the first-order effect of white noise on all theta at once, shape ``(n_theta,)``."""
-    from scipy.special import ndtri  # takes long to import
-
     rows = least_squares_functional(problem.model(p).jacobian, problem.weight, problem.n_theta)
     variance = np.square(rows).sum(axis=1) @ np.square(sigma)
-    quantile = -ndtri((1.0 - confidence) / (2.0 * problem.n_theta))
+    quantile = normal_two_sided(confidence, problem.n_theta)
     bound: Vector = quantile * np.sqrt(variance)
     return bound
 

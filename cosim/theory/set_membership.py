@@ -42,17 +42,21 @@ import numpy as np
 from cosim.arrays import NAN, Mask, Matrix, Vector
 from cosim.errors import AssumptionError, RunError
 from cosim.theory.feasible_program import FeasibleProgram, ProgramSolution, RecordedOutputs
-from cosim.theory.worst_case import BoundedDisturbance, FirstOrder, least_squares_functional
+from cosim.theory.worst_case import (
+    REACH,
+    BoundedDisturbance,
+    FirstOrder,
+    least_squares_functional,
+)
 
 VIOLATED = 1e-6  # relative violation from which on a point is outside
-ITERATIONS = 60
-SETTLED = 1e-6  # change by one linear program, in first-order half widths, that ends a search
+MOST_PROGRAMS = 60  # linear programs of one search
+SEARCH_CHANGE = 1e-6  # change by one linear program, in first-order half widths, that ends a search
 LINEAR = 1e-3  # change, the same, of which the second order is as little
 MISSED = 1e-5  # first-order half widths by which a search may end too early; added to every end
 MOST_COMBINED = 3  # theta of which starts combine steps
 STATED = np.array([1.0, 1.0])  # limits of the multiple of the bound: as it is
 POSITIVE = np.array([0.0, np.inf])
-REACH = 100.0  # first-order half widths; an interval that reaches further has no end
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,13 +233,13 @@ class _Search:
 
     def restore(self) -> bool:
         """Move the origin of the searches to a feasible point; return whether there is one."""
-        for _ in range(ITERATIONS):
+        for _ in range(MOST_PROGRAMS):
             here = self._least_violation(radius=0.0)
             if here.violation <= VIOLATED:
                 self.origin = self.origin + here.step
                 return True
             near = self._least_violation(radius=1.0)
-            if self._size(near.step) <= SETTLED:
+            if self._size(near.step) <= SEARCH_CHANGE:
                 break
             self.origin = self.origin + near.step
         return False
@@ -280,7 +284,7 @@ class _Search:
         n_theta = len(self.half_width)
         radius = 1.0  # trust region, in half widths
         last = np.zeros(n_theta)
-        for _ in range(ITERATIONS):
+        for _ in range(MOST_PROGRAMS):
             prediction = self.program.predict(p)
             if not np.isfinite(prediction.jacobian).all():
                 break
@@ -306,7 +310,9 @@ class _Search:
         """Return whether a step gains nothing and is small enough for its linearization."""
         gain = abs(float(objective[1:] @ step))
         size = self._size(step)
-        return size <= SETTLED or (objective[0] == 0.0 and gain <= SETTLED and size <= LINEAR)
+        return size <= SEARCH_CHANGE or (
+            objective[0] == 0.0 and gain <= SEARCH_CHANGE and size <= LINEAR
+        )
 
     def _size(self, step: Vector) -> float:
         """Return the largest step of a theta, in half widths."""

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,9 +30,7 @@ from cosim.theory.disturbed_plant import (
 from cosim.theory.estimators.output_error import OutputErrorFit
 from cosim.theory.fitted_response import disturbance_of, fitted_response
 from cosim.theory.irregular_part import ResponseModel
-from cosim.theory.quantiles import student_above
-
-BAND: Final = 0.95  # probability of the truth within the band, at any one instant
+from cosim.theory.quantiles import CONFIDENCE, student_two_sided
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -100,7 +97,7 @@ def smoothed_signals(
     regressions = [_regression(fit, i, one, plant, families, noise) for i, one in enumerate(data)]
     covariance = _covariance(fit, regressions[index])[: len(p), : len(p)]
     variance = np.einsum("nop,pq,noq->no", prediction.jacobian, covariance, prediction.jacobian)
-    quantile = student_above(0.5 * (1.0 - BAND), max(fit.freedom, 1.0))
+    quantile = student_two_sided(CONFIDENCE, max(fit.freedom, 1.0))
     half_width = quantile * np.sqrt(np.maximum(variance, 0.0))
     matrices = generators(families)
     disturbance = disturbance_of(fit.theta, fit.amplitudes[index], own, matrices)

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
 from cosim.errors import AssumptionError
+from cosim.theory.quantiles import CONFIDENCE, chi_square_limits
 
-PROBABILITY: Final = 0.95  # of a mean within its limits
 BANDS: Final = 60
 
 
@@ -56,8 +56,6 @@ def whiteness_spectrum(residual: Matrix, h: float) -> WhitenessSpectrum:
     AssumptionError
         If there are too few samples for a spectrum.
     """
-    from scipy.stats import chi2  # takes long to import
-
     N = len(residual)
     count = (N - 1) // 2  # without the ends: the mean, and half the sampling frequency
     if count < 1:
@@ -70,12 +68,12 @@ def whiteness_spectrum(residual: Matrix, h: float) -> WhitenessSpectrum:
     power = np.add.reduceat(ordinates, first, axis=0) / members[:, np.newaxis]
     frequency = np.add.reduceat(frequencies, first) / members
     degrees = 2.0 * members
-    outside = 0.5 * (1.0 - PROBABILITY)
+    lower, upper = chi_square_limits(CONFIDENCE, degrees)
     return WhitenessSpectrum(
         frequency,
         power / np.where(level > 0.0, level, 1.0),
-        lower=chi2.ppf(outside, degrees) / degrees,
-        upper=chi2.isf(outside, degrees) / degrees,
+        lower=lower / degrees,
+        upper=upper / degrees,
     )
 
 

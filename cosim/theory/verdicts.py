@@ -35,9 +35,8 @@ from cosim.theory.estimators.output_error import (
     presence_threshold,
     search_start,
 )
-from cosim.theory.quantiles import student_above
+from cosim.theory.quantiles import CONFIDENCE, normal_two_sided, student_two_sided
 
-CONFIDENCE: Final = 0.95
 # How the sum of squares at the ends of an interval may differ from that of a linear problem.
 # Of a component so far from absent that its effect is linear over an interval: to 2 % of it.
 LINEAR_PRESENCE: Final = 1e4
@@ -257,7 +256,7 @@ def _judge_other(
         )
     verdict = own.verdict
     reason = own.reason
-    reach = 0.0 if error is None or not np.isfinite(error) else 1.96 * error
+    reach = 0.0 if error is None or not np.isfinite(error) else normal_two_sided(CONFIDENCE) * error
     interval = (None, None) if error is None else (value - reach, value + reach)
     if own.value is not None and verdict in (Verdict.IDENTIFIABLE, Verdict.WEAK):
         distance = abs(value - own.value)
@@ -328,7 +327,7 @@ class _Judge:
 
     def _half_widths(self) -> Vector:
         fit = self._fit
-        quantile = student_above(0.5 * (1.0 - CONFIDENCE), max(fit.freedom, 1.0))
+        quantile = student_two_sided(CONFIDENCE, max(fit.freedom, 1.0))
         half_width = quantile * fit.standard_error + MARGIN * self._consistency.bias
         half_width[~fit.estimated] = np.nan
         return half_width

@@ -55,13 +55,12 @@ from cosim.arrays import Matrix, Vector
 from cosim.errors import AssumptionError
 from cosim.native.step import DiscretizedDynamics, first_order_hold, linear_step
 
-ITERATIONS = 60  # most refits of one search, and most Gauss-Newton steps of one refit
+MOST_STEPS = 60  # refits of one search, and Gauss-Newton steps of one refit
 HALVINGS = 30  # of a Gauss-Newton step that does not lower the residual
-SETTLED = 1e-10  # change of the output by a step, relative to the residual, that ends a refit
+REFIT_CHANGE = 1e-10  # change of the output by a step, relative to the residual, that ends a refit
 ROUNDING = 1e-14  # the same, relative to the output
-RISE = (
-    1e-10  # relative, of a residual that counts as none: rounding hides the fall of the last steps
-)
+# relative, of a residual that counts as none: rounding hides the fall of the last steps
+RISE = 1e-10
 DIFFERENCE = 1e-5  # relative step of the differences that give the curvature
 REACH = 100.0  # first-order half widths; what goes further has no end
 MATCHED = 1e-8  # of the reach; gain that ends the search of an end, and is added to it
@@ -286,18 +285,18 @@ def refit(problem: BoundedDisturbance, y: Matrix, start: Vector) -> Vector:
     p = start
     prediction = problem.model(p)
     rounding = ROUNDING * float(np.linalg.norm(y @ root))
-    for _ in range(ITERATIONS):
+    for _ in range(MOST_STEPS):
         residual = (y - prediction.output) @ root
         J = _whitened(prediction.jacobian, root)
         solution = np.linalg.lstsq(J, residual.ravel())
         step: Vector = solution[0].astype(np.float64)
         change = float(np.linalg.norm(J @ step))
-        if change <= SETTLED * float(np.linalg.norm(residual)) + rounding:
+        if change <= REFIT_CHANGE * float(np.linalg.norm(residual)) + rounding:
             return p + step
         cost = _cost(problem, y, prediction)
         p, prediction = _descend(problem, y, p, step, cost)
     raise AssumptionError(
-        f"output error from p = {start.tolist()} did not converge in {ITERATIONS} steps"
+        f"output error from p = {start.tolist()} did not converge in {MOST_STEPS} steps"
     )
 
 
@@ -329,7 +328,7 @@ def worst_error(
     if delta_0 is None:
         delta_0 = direction * first_order(problem, p).worst(parameter, problem.bound)
     found = _error_under(problem, p, parameter, delta_0)
-    for _ in range(ITERATIONS):
+    for _ in range(MOST_STEPS):
         y = exact + problem.response.respond(found.delta_0)
         sensitivity = _curved_sensitivity(problem, y, found.estimate, parameter)
         delta_0 = direction * problem.bound * np.sign(sensitivity)
@@ -391,7 +390,7 @@ def _end_around(
 ) -> float:
     normal = np.einsum("kyp,yw->pkw", prediction.jacobian, problem.weight)
     p = estimate
-    for _ in range(ITERATIONS):
+    for _ in range(MOST_STEPS):
         rows = _theta_rows(normal, problem.model(p).jacobian)
         if rows is None:
             break
@@ -413,7 +412,7 @@ def _matched(
 ) -> Vector | None:
     """Solve `normal (g(p) - y) = 0` by Newton's method; None where it does not converge."""
     p = start
-    for _ in range(ITERATIONS):
+    for _ in range(MOST_STEPS):
         with np.errstate(over="ignore", invalid="ignore"):
             prediction = problem.model(p)
         rows = _theta_rows(normal, prediction.jacobian)
@@ -422,7 +421,7 @@ def _matched(
         step: Vector = np.einsum("pky,ky->p", rows, y - prediction.output)
         p = p + step
         change = prediction.jacobian @ step
-        if np.linalg.norm(change) <= SETTLED * np.linalg.norm(prediction.output):
+        if np.linalg.norm(change) <= REFIT_CHANGE * np.linalg.norm(prediction.output):
             return p
     return None
 

@@ -10,8 +10,8 @@ from cosim.core.contracts import Recording
 from cosim.report.plots.curves import LARGEST_DRAWN, Curve, Style, curves_of
 from cosim.report.plots.picture import PictureOptions
 from cosim.report.recorded_rows import has_signal
+from cosim.theory.quantiles import CONFIDENCE, normal_two_sided
 
-NORMAL: Final = 1.96  # standard errors of the half width of a 95 % interval
 _FAINT: Final = 0.2  # opacity
 
 
@@ -30,7 +30,8 @@ def band_curves(recording: Recording, estimate: str, options: PictureOptions) ->
     if signal != "theta" or not has_signal(recording, error):
         return []
     curves = curves_of(recording, error, options)
-    return [replace(curve, values=NORMAL * curve.values) for curve in curves]
+    quantile = normal_two_sided(CONFIDENCE)
+    return [replace(curve, values=quantile * curve.values) for curve in curves]
 
 
 def edges(curves: Sequence[Curve], widths: Sequence[Curve]) -> list[Curve]:

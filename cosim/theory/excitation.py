@@ -1,4 +1,4 @@
-"""What the data determine: the information of (34) and a verdict on it.
+"""Excitation of the regression: the information matrix of (34), described.
 
 The q directions are those of the **regression coefficients** eta (26). The regressor m is
 *persistently exciting* where the information, the integral of m m', has full rank q. The parameters
@@ -39,7 +39,7 @@ def information(m: Matrix, dt: float) -> Matrix:
     return matrix
 
 
-def verdict(eigenvalues: Vector, prior: float | None) -> str:
+def describe_excitation(eigenvalues: Vector, prior: float | None) -> str:
     """Describe in one sentence, with numbers, what the data determine of eta (26).
 
     Parameters

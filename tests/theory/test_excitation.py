@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
+from cosim.theory.excitation import describe_excitation, information
 from cosim.theory.regression import expand, mu
-from cosim.theory.uncertainty import information, verdict
 from tests.theory.academic import delayed
 
 
@@ -33,7 +33,7 @@ def test_the_information_converges_with_order_two(case):
 def test_the_verdict_names_the_prior_that_decides(case):
     """1/P0 = 1e-3 against 1.70e-3: the paper's own setting."""
     eigenvalues = np.array(case("C03")["expected"]["info_eigs_T_id_to_40"])
-    assert verdict(eigenvalues, 1e-3).startswith(
+    assert describe_excitation(eigenvalues, 1e-3).startswith(
         "the prior 1/P0 = 0.001 is 0.59 of the smallest information eigenvalue 0.0017: the "
         "estimate in that direction is the prior's, not the data's (weight of the prior 0.37); "
         "2 of 5 directions are affected, condition 3.23e+04"
@@ -73,4 +73,4 @@ def test_the_verdict_names_the_prior_that_decides(case):
 )
 def test_the_verdict_has_numbers(eigenvalues, prior, message):
     """The data determine eta, nothing does, or the prior does."""
-    assert verdict(np.array(eigenvalues), prior) == message
+    assert describe_excitation(np.array(eigenvalues), prior) == message
