@@ -322,7 +322,7 @@ def noise_text(found: IdentificationRecord) -> str:
     """Describe the noise of y as the residual of output error shows it."""
     if found.deviation is None or found.accuracy is None:
         return ""
-    if found.deviation <= 1.1 * found.accuracy:
+    if found.is_exact:
         return (
             f"the residual is below what step, quantization and rounding allow, "
             f"{found.accuracy:.2g}"

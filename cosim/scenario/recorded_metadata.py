@@ -150,6 +150,7 @@ class IdentificationRecord(_Record):
     estimate: tuple[ParameterRecord, ...] = ()
     deviation: Number | None = None
     accuracy: Number | None = None
+    is_exact: bool = False
     degrees_of_freedom: Number | None = None
     noise_model: NumberRow = ()
     problem: Text = ""

@@ -1,6 +1,7 @@
 """What a residual may be without noise: errors of the step, of quantization, of rounding.
 
-**Step.** Between samples u and the disturbance are straight lines. A chord of f is above f by
+**Step.** Between samples the disturbance is a straight line, and so is an input that is not held;
+one that is held has no error. A chord of f is above f by
 ``h^2 f''/12`` in the mean, so the output of a plant whose signals are smooth differs from the
 simulated one by the response to ``-h^2 f''/12``, which second differences of the samples give:
 one simulation tells the error, to leading order.
@@ -84,6 +85,8 @@ def step_error(
     """
     inputs = np.hstack([data.u, disturbance])
     deviations = -_squared_step_times_curvature(data.t, inputs) / 12.0
+    if data.held is not None:
+        deviations[:, np.flatnonzero(data.held)] = 0.0
     # At the samples themselves a line is exact, so there is no direct feedthrough of its error.
     n_y = plant.C.shape[0]
     without_feedthrough = DisturbedPlant(
@@ -133,11 +136,19 @@ def check_step(
     relative = errors / np.where(sizes > 0.0, sizes, 1.0)
     worst = int(relative.argmax())
     if relative[worst] > LARGEST_STEP_ERROR:
-        enough = h * float(np.sqrt(0.1 * LARGEST_STEP_ERROR / relative[worst]))
+        enough = h * enough_shorter(float(relative[worst]))
         raise AssumptionError(
             f"the communication step {h:g} s is too long: a straight line between two points is "
             f"{relative[worst]:.2g} of alpha {names[worst]!r} off; needed at most {enough:.1g} s"
         )
+
+
+def enough_shorter(relative: float) -> float:
+    """Return by how much steps must be shorter for a tenth of the largest relative error.
+
+    It falls with their square.
+    """
+    return float(np.sqrt(0.1 * LARGEST_STEP_ERROR / relative))
 
 
 def lattice_spacing(y: Vector) -> float:

@@ -43,6 +43,8 @@ FALSE_ALARM: Final = 3e-4  # probability, for white noise, of each of the three 
 LAGS: Final = 24
 # Errors of step and quantization are computed, not bounded: they are allowed half as much again.
 MARGIN: Final = 1.5
+# of a residual over errors that are no noise: up to here it is nothing else
+NOTHING_ELSE: Final = 1.1
 LONGEST_AR: Final = 12
 # samples over which noise may be correlated, as a part of the record
 LONGEST_CORRELATION: Final = 0.01
@@ -85,38 +87,42 @@ class Consistency:
     Parameters
     ----------
     tests : tuple of ResidualTest
-        None where the residual is no larger than rounding.
+        Empty where the residual is no larger than rounding.
     accuracy : tuple of Accuracy
         Of each data set.
     deviation, allowed : float
         Of the residual, and what step, quantization and rounding allow it; both whitened.
-    step_too_long : bool
-        The error of the step is so large that it is not known.
+    step_error : Vector, shape (n_y,)
+        What straight lines between samples cost each output, over its deviation; of the data set
+        where that is most.
     bias : Vector, shape (P,)
         What step and quantization may have moved theta by.
-    amplitude_bias : Vector, shape (order,)
-        The same for the amplitudes of the first data set.
+    presence_bias : Vector, shape (components,)
+        What they may have moved the root of ``OutputErrorFit.presence`` by.
     """
 
     tests: tuple[ResidualTest, ...]
     accuracy: tuple[Accuracy, ...]
     deviation: float
     allowed: float
-    step_too_long: bool
+    step_error: Vector
     bias: Vector
-    amplitude_bias: Vector
+    presence_bias: Vector
 
     @property
     def is_exact(self) -> bool:
         """Whether the residual is below what step, quantization and rounding allow."""
-        return self.deviation <= 1.1 * self.allowed
+        return self.deviation <= NOTHING_ELSE * self.allowed
+
+    @property
+    def step_too_long(self) -> bool:
+        """Whether the error of the step is so large that it is not known."""
+        return bool((self.step_error > LARGEST_STEP_ERROR).any())
 
     @property
     def passed(self) -> bool:
         """Whether the residual is what noise leaves."""
-        if self.step_too_long:
-            return False
-        return self.is_exact or all(test.passed for test in self.tests)
+        return not self.step_too_long and all(test.passed for test in self.tests)
 
 
 def examine(
@@ -143,21 +149,22 @@ def examine(
     allowed = max(problem.allowed for problem in problems)
     rounding = max(problem.rounding for problem in problems)
     tests: list[ResidualTest] = []
-    if fit.deviation > 1.1 * rounding:
+    if fit.deviation > NOTHING_ELSE * rounding:
         for problem in problems:
             tests += problem.tests(fit.deviation)
+    step_errors = [problem.step_error for problem in problems]
     moved = _moved(fit, problems)
     P = int(fit.estimated.sum())
     bias = np.zeros(len(fit.theta))
-    bias[fit.estimated] = moved[:P]
+    bias[fit.estimated] = np.abs(moved[:P]).sum(axis=1)
     return Consistency(
         tuple(tests),
         accuracies,
         fit.deviation,
         allowed,
-        any(problem.step_too_long for problem in problems),
+        np.max(step_errors, axis=0),
         bias,
-        moved[P : P + matrices.order],
+        _presence_bias(fit, problems, matrices, moved[P:]),
     )
 
 
@@ -244,7 +251,7 @@ class _WhitenedProblem:
         y = data.y[measured]
         spread = np.sqrt(np.mean((y - y.mean(axis=0)) ** 2, axis=0))
         step_error = np.sqrt(np.mean(accuracy.step**2, axis=0))
-        self.step_too_long = bool((step_error > LARGEST_STEP_ERROR * spread).any())
+        self.step_error = step_error / np.maximum(spread, accuracy.rounding)
 
         def whitened(rows: Matrix, measured: Mask) -> Matrix:
             filtered = autoregressive_filter(rows[measured], noise.a)
@@ -382,8 +389,8 @@ def _threshold(degrees: int, among: int = 1) -> float:
     return chi_square_above(FALSE_ALARM / among, degrees)
 
 
-def _moved(fit: OutputErrorFit, problems: Sequence[_WhitenedProblem]) -> Vector:
-    """Compute by how much errors may have moved theta and all linear unknowns."""
+def _moved(fit: OutputErrorFit, problems: Sequence[_WhitenedProblem]) -> Matrix:
+    """Compute by how much each of the errors moves theta and the linear unknowns of all data."""
     P = int(fit.estimated.sum())
     linear = problems[0].columns.shape[1] - P
     rows = []
@@ -399,4 +406,40 @@ def _moved(fit: OutputErrorFit, problems: Sequence[_WhitenedProblem]) -> Vector:
     lengths = np.linalg.norm(J, axis=0)
     lengths[lengths == 0.0] = 1.0
     solved = np.linalg.lstsq(J / lengths, np.vstack(errors), rcond=1e-12)[0]
-    return np.asarray(np.abs(solved).sum(axis=1) / lengths, np.float64)
+    return np.asarray(solved / lengths[:, np.newaxis], np.float64)
+
+
+def _presence_bias(
+    fit: OutputErrorFit,
+    problems: Sequence[_WhitenedProblem],
+    matrices: Generators,
+    moved: Matrix,
+) -> Vector:
+    """Return how long the errors of the amplitudes are in the measure of their covariance.
+
+    Parameters
+    ----------
+    fit : OutputErrorFit
+    problems : sequence of _WhitenedProblem
+    matrices : Generators
+    moved : Matrix, shape (all linear unknowns, errors)
+    """
+    P = int(fit.estimated.sum())
+    owner = np.repeat(np.arange(len(matrices.size)), matrices.count)[fit.estimated]
+    of_data = np.split(moved, len(problems))
+    bias = np.zeros(len(matrices.size))
+    first = 0
+    for i, size in enumerate(matrices.size):
+        place = slice(first, first + size)
+        squares = np.zeros(moved.shape[1])
+        for problem, own in zip(problems, of_data, strict=True):
+            amplitudes = problem.columns[:, P:][:, place]
+            others = [problem.columns[:, :P][:, owner != i]]
+            others.append(np.delete(problem.columns[:, P:], place, axis=1))
+            basis = _orthonormal(np.hstack(others))
+            effect = amplitudes @ own[place]
+            effect -= basis @ (basis.T @ effect)
+            squares += np.sum(effect**2, axis=0)
+        bias[i] = np.sqrt(squares).sum() / fit.deviation if fit.deviation > 0.0 else 0.0
+        first += size
+    return bias

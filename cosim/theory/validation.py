@@ -24,7 +24,7 @@ from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 from cosim.theory.estimators.output_error import OutputErrorFit, fit_output_error
 from cosim.theory.fitted_response import fitted_response
 from cosim.theory.quantiles import chi_square_above
-from cosim.theory.verdicts import Assessment, Verdict, assess_from
+from cosim.theory.verdicts import Assessment, assess_from
 
 
 class ValidationVerdict(StrEnum):
@@ -153,8 +153,8 @@ def _comparable(assessment: Assessment, own: Assessment) -> Mask:
     """Return which theta both the fit and the other data determine, shape (P,)."""
     comparable = []
     for j, state in enumerate(assessment.fit.states):
-        of_fit = assessment.parameters[j].verdict is not Verdict.NOT_IDENTIFIABLE
-        of_data = own.parameters[j].verdict is not Verdict.NOT_IDENTIFIABLE
+        of_fit = assessment.parameters[j].verdict.has_value
+        of_data = own.parameters[j].verdict.has_value
         is_known = bool(assessment.fit.estimated[j]) or state is ParameterState.FIXED
         comparable.append(of_fit and of_data and is_known and bool(own.fit.estimated[j]))
     return np.array(comparable, np.bool_)

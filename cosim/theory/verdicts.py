@@ -3,8 +3,10 @@
 ======================  ==========================================================================
 IDENTIFIABLE            the interval holds
 WEAK                    the parameter has an effect, but so little that the interval is no interval
-NOT_IDENTIFIABLE        nothing in the data depends on it: there is no number
+NOT_IDENTIFIABLE        nothing in the data depends on it, or another parameter has the same effect:
+                        there is no number
 INCONSISTENT            the residual is not what noise leaves: the model is wrong, or the step long
+NO_ESTIMATE             the method found no value: that says nothing of the data
 ======================  ==========================================================================
 
 The noise level comes from the residual, so noise never counts as information. A component is there
@@ -24,6 +26,7 @@ import numpy as np
 
 from cosim.arrays import Matrix, Vector
 from cosim.native.estimation import ParameterState
+from cosim.theory.accuracy import LARGEST_STEP_ERROR, enough_shorter
 from cosim.theory.consistency import MARGIN, Consistency, examine, noise_color
 from cosim.theory.disturbance import Family, generators
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, NoiseModel, white_noise
@@ -37,9 +40,11 @@ from cosim.theory.estimators.output_error import (
 )
 from cosim.theory.quantiles import CONFIDENCE, normal_two_sided, student_two_sided
 
-# How the sum of squares at the ends of an interval may differ from that of a linear problem.
-# Of a component so far from absent that its effect is linear over an interval: to 2 % of it.
+# Of a component that is 100 of its deviations from absent: its effect is linear over an interval to
+# 2 % of it.
 LINEAR_PRESENCE: Final = 1e4
+# Growth of the sum of squares at the ends of an interval over that of a linear problem; the root of
+# it is how far such an end is from where it should be: up to 20 %.
 LEAST_PROFILE: Final = 0.7
 LARGEST_PROFILE: Final = 1.4
 
@@ -51,6 +56,12 @@ class Verdict(StrEnum):
     WEAK = "WEAK"
     NOT_IDENTIFIABLE = "NOT_IDENTIFIABLE"
     INCONSISTENT = "INCONSISTENT"
+    NO_ESTIMATE = "NO_ESTIMATE"
+
+    @property
+    def has_value(self) -> bool:
+        """Whether there is a number."""
+        return self not in (Verdict.NOT_IDENTIFIABLE, Verdict.NO_ESTIMATE)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,7 +73,7 @@ class ParameterVerdict:
     name : str
     verdict : Verdict
     value : float or None
-        None: nothing in the data depends on it.
+        None where the verdict has no value.
     standard_error : float or None
     lower, upper : float or None
         The 95 % interval, with what step and quantization may have moved the estimate by.
@@ -123,6 +134,7 @@ class Assessment:
             "deviation": self.fit.deviation,
             "accuracy": max(one.deviation for one in self.consistency.accuracy),
             "degrees_of_freedom": self.fit.freedom,
+            "is_exact": self.consistency.is_exact,
             "noise_model": self.noise.a.tolist(),
             "tests": tests,
         }
@@ -247,7 +259,7 @@ def _judge_other(
     if not np.isfinite(value):
         return ParameterVerdict(
             name=own.name,
-            verdict=Verdict.NOT_IDENTIFIABLE,
+            verdict=Verdict.NO_ESTIMATE,
             value=None,
             standard_error=None,
             lower=None,
@@ -268,7 +280,7 @@ def _judge_other(
             )
         elif error is None:
             reason = "within the interval of output error; the method has no interval of its own"
-    shown = None if verdict is Verdict.NOT_IDENTIFIABLE else value
+    shown = value if verdict.has_value else None
     return ParameterVerdict(
         name=own.name,
         verdict=verdict,
@@ -295,23 +307,10 @@ class _Judge:
         self._noise = noise
         matrices = generators(families)
         self._component = np.repeat(np.arange(len(families)), matrices.count)
-        self._present = self._presence(matrices.size)
-
-    def _presence(self, sizes: Sequence[int]) -> list[bool]:
-        """Return which components are larger than noise and the errors of the step make them."""
-        fit = self._fit
-        threshold = presence_threshold(sizes, len(fit.records))
-        present = []
-        first = 0
-        for i, size in enumerate(sizes):
-            beta = fit.amplitudes[0][first : first + size]
-            moved = self._consistency.amplitude_bias[first : first + size]
-            length = float(np.linalg.norm(beta))
-            part = MARGIN * float(np.linalg.norm(moved)) / length if length > 0.0 else 1.0
-            statistic = float(np.sqrt(fit.presence[i])) * (1.0 - part)
-            present.append(statistic > float(np.sqrt(threshold[i])))
-            first += size
-        return present
+        # which components are larger than noise and the errors of the step make them
+        threshold = presence_threshold(matrices.size, len(fit.records))
+        size = np.sqrt(fit.presence) - MARGIN * consistency.presence_bias
+        self._present = size > np.sqrt(threshold)
 
     def assessment(self) -> Assessment:
         """Return the fit with its intervals and verdicts."""
@@ -335,7 +334,7 @@ class _Judge:
     def _parameter(self, j: int, half_width: Vector) -> ParameterVerdict:
         fit = self._fit
         verdict, reason = self._verdict(j, float(half_width[j]))
-        known = verdict is not Verdict.NOT_IDENTIFIABLE
+        known = verdict.has_value
         value = float(fit.theta[j])
         width = float(half_width[j])
         has_interval = known and bool(np.isfinite(width))
@@ -353,7 +352,7 @@ class _Judge:
         fit = self._fit
         consistency = self._consistency
         if not fit.converged:
-            return Verdict.NOT_IDENTIFIABLE, "the iteration has not converged"
+            return Verdict.NO_ESTIMATE, "the iteration has not converged"
         if not consistency.passed:
             return Verdict.INCONSISTENT, self._inconsistency()
         state = fit.states[j]
@@ -422,9 +421,13 @@ class _Judge:
     def _inconsistency(self) -> str:
         consistency = self._consistency
         if consistency.step_too_long:
+            worst = int(consistency.step_error.argmax())
+            relative = float(consistency.step_error[worst])
             return (
-                "the step is too long for the signals: what straight lines between samples cost is "
-                "more than 1 % of the output; take a tenth of the step"
+                f"the step is too long for the signals: straight lines between samples cost "
+                f"{100.0 * relative:.2g} % of the deviation of y[{worst}], of which "
+                f"{100.0 * LARGEST_STEP_ERROR:g} % can be allowed for; samples at "
+                f"{enough_shorter(relative):.1g} of their distances would do"
             )
         failed = [test for test in consistency.tests if not test.passed]
         found = "; ".join(

@@ -192,7 +192,7 @@ def test_other_estimates_are_held_against_output_error():
     assert [parameter.verdict for parameter in wrong] == [Verdict.INCONSISTENT] * 2
     assert "biased" in wrong[0].reason
     none = judge(assessment, np.array([np.nan, -0.3]), None)
-    assert none[0].verdict is Verdict.NOT_IDENTIFIABLE
+    assert none[0].verdict is Verdict.NO_ESTIMATE
     assert none[0].value is None
     assert none[1].verdict is Verdict.IDENTIFIABLE
     assert none[1].standard_error is None

@@ -1,0 +1,123 @@
+"""What a residual may be: inputs that are held, errors that are allowed, several records."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cosim.theory.accuracy import step_error
+from cosim.theory.disturbance import generators
+from cosim.theory.verdicts import Verdict, assess
+from tests.theory.experiments import FAMILIES, design, exact, times
+from tests.theory.experiments import record as example_record
+from tests.theory.lag import FAMILY, RATE, alpha, lag, record, staircase, states
+from tests.theory.test_verdicts import COARSE, solved
+
+START = np.array([-0.12])
+GRID = np.arange(2001) * 1e-2
+
+
+def held_record(sigma, seed):
+    """Return a record of the lag under an input that is held from sample to sample."""
+    u = staircase(len(GRID), seed)
+    return record(GRID, u, states(GRID, u, held=True)[:, np.newaxis], held=True, sigma=sigma)
+
+
+def test_a_held_input_has_no_error_of_the_step():
+    """It is constant from sample to sample: what is left is that of the disturbance alone."""
+    data = held_record(0.0, 1)
+    delta = (alpha(GRID) * np.exp(RATE * GRID))[:, np.newaxis]
+    without = replace(data, u=np.zeros_like(data.u))
+    found = step_error(lag(), data, delta, generators(FAMILY))
+    np.testing.assert_array_equal(found, step_error(lag(), without, delta, generators(FAMILY)))
+    parameter = assess([data], lag(), FAMILY, START).parameters[0]
+    assert parameter.verdict is Verdict.IDENTIFIABLE
+    assert parameter.lower <= RATE <= parameter.upper
+    assert parameter.upper - parameter.lower < 1e-5
+
+
+@pytest.mark.parametrize("sigma", [0.0, 1e-5, 1e-4])
+def test_a_wrong_gain_of_a_held_input_is_inconsistent(sigma):
+    """By 0.2 %: what the data say is not hidden by an error that they do not have."""
+    found = assess([held_record(sigma, 1)], lag(gain=1.002), FAMILY, START)
+    assert found.parameters[0].verdict is Verdict.INCONSISTENT
+
+
+@pytest.mark.parametrize("sigma", [0.0, 1e-7, 1e-5])
+@pytest.mark.parametrize("bits", [None, 12])
+def test_what_is_allowed_passes_each_test(bits, sigma):
+    """Data below the errors of step and quantization: no test fails beside a good verdict."""
+    y = exact("good", COARSE) if bits else solved(times(COARSE))
+    y = y + sigma * np.random.default_rng(3).standard_normal(y.shape)
+    if bits:
+        level = 8.0 / 2**bits
+        y = level * np.round(y / level)
+    start = np.array([-0.05, -0.5])
+    found = assess([example_record(y, COARSE)], design(), FAMILIES, start)
+    assert found.parameters[0].verdict is Verdict.IDENTIFIABLE
+    assert [test.name for test in found.consistency.tests if not test.passed] == []
+
+
+def test_a_failed_test_is_never_beside_a_good_verdict():
+    """Half of what is allowed, where it does not belong, is not what noise leaves."""
+    u = np.sin(GRID)
+    data = record(GRID, u, states(GRID, u)[:, np.newaxis])
+    allowed = assess([data], lag(), FAMILY, START).consistency.allowed
+    wave = allowed * np.sqrt(2.0) * np.cos(np.pi * GRID)
+    wrong = record(GRID, u, data.y + wave[:, np.newaxis])
+    found = assess([wrong], lag(), FAMILY, START)
+    assert found.consistency.is_exact
+    assert not all(test.passed for test in found.consistency.tests)
+    assert found.parameters[0].verdict is Verdict.INCONSISTENT
+
+
+@pytest.mark.parametrize("sigma", [0.0, 1e-6, 1e-3])
+def test_the_order_of_records_changes_nothing(sigma):
+    """Of a record with the disturbance, one without it and a short one, in all orders."""
+    u = np.sin(GRID)
+    records = []
+    for seed, amplitude in enumerate((1.0, 0.0, 0.3)):
+        y = states(GRID, u, amplitude=amplitude)[:, np.newaxis]
+        records.append(record(GRID, u, y, sigma=sigma, seed=seed))
+    found = []
+    for order in itertools.permutations(records):
+        found.append(assess(order, lag(), FAMILY, START).parameters[0])
+    assert {parameter.verdict for parameter in found} == {Verdict.IDENTIFIABLE}
+    values = [parameter.value for parameter in found]
+    np.testing.assert_allclose(values, values[0], rtol=1e-9)
+    np.testing.assert_allclose(values[0], RATE, atol=1e-2 * sigma + 1e-6)
+
+
+def sampled(h):
+    """Return a record of the lag under a fast input, every h seconds."""
+    t = np.arange(0.0, 20.0, h)
+    u = np.sin(3.0 * t)
+    return record(t, u, states(t, u)[:, np.newaxis], sigma=1e-3)
+
+
+def test_a_long_step_is_said_with_its_error_and_the_step_that_would_do():
+    """Which output, how large the error is, and by how much shorter the step must be."""
+    found = assess([sampled(0.5)], lag(), FAMILY, START)
+    relative = float(found.consistency.step_error[0])
+    assert relative > 0.01
+    reason = found.parameters[0].reason
+    assert "y[0]" in reason
+    assert f"{100.0 * relative:.2g} %" in reason
+    shorter = re.search(r"samples at (\S+) of their distances would do", reason)
+    assert shorter is not None
+    enough = assess([sampled(0.5 * float(shorter[1]))], lag(), FAMILY, START)
+    assert not enough.consistency.step_too_long
+
+
+def test_a_fit_that_has_not_converged_is_no_statement_about_the_data(monkeypatch):
+    """It has no estimate; that nothing depends on theta is not said."""
+    monkeypatch.setattr("cosim.native.estimation.MOST_ITERATIONS", 1)
+    u = np.sin(GRID)
+    data = record(GRID, u, states(GRID, u)[:, np.newaxis], sigma=1e-3)
+    parameter = assess([data], lag(), FAMILY, np.array([-0.5])).parameters[0]
+    assert parameter.verdict is Verdict.NO_ESTIMATE
+    assert parameter.value is None
