@@ -295,6 +295,7 @@ void cosim_covariance(int32_t n, int32_t stride, const double *R, double *covari
 
 /* --- output_error.c --- */
 
+/* Of a model that is fitted, and so of its components, each of which has a column. */
 #define COSIM_MOST_COLUMNS 48
 #define COSIM_MOST_PARAMETERS 16
 
@@ -416,6 +417,7 @@ int32_t cosim_output_error_update(cosim_fit *self);
 /* --- rayleigh.c --- */
 
 #define COSIM_MOST_TERMS 128
+#define COSIM_MOST_ROWS 48 /* delays: one more than there are basis functions, all groups together */
 
 /* The regression (25) as a function of theta: mu' chi(theta) = 0, with noise of covariance N in mu. */
 typedef struct {
@@ -478,8 +480,6 @@ int32_t cosim_between_take(const cosim_between *self, int64_t place, double t0, 
                            const double *samples, cosim_between_record *record, double *y);
 
 /* --- kalman.c --- */
-
-#define COSIM_MOST_STATES 48
 
 /* The covariance R'R of n states, R not necessarily triangular, over a step and a measurement. */
 /* R'R becomes Phi R'R Phi' + sum q q' over the rows q of `noise`, R triangular. `work` has

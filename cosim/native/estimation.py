@@ -13,10 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Matrix, Vector
+from cosim.errors import AssumptionError
 from cosim.native.library import int32, library, pointer
 
 MOST_COLUMNS: Final = 48  # COSIM_MOST_COLUMNS
 MOST_PARAMETERS: Final = 16  # COSIM_MOST_PARAMETERS
+MOST_TERMS: Final = 128  # COSIM_MOST_TERMS
+MOST_ROWS: Final = 48  # COSIM_MOST_ROWS
 MOST_ITERATIONS: Final = 40
 
 NO_INFORMATION: Final = 1  # COSIM_NO_VALUE
@@ -178,9 +181,21 @@ class OutputErrorConstants:
 
 
 class OutputErrorModel:
-    """The regression matrix of a disturbed plant, pass by pass over samples."""
+    """The regression matrix of a disturbed plant, pass by pass over samples.
 
-    def __init__(self, constants: OutputErrorConstants) -> None:
+    Parameters
+    ----------
+    constants : OutputErrorConstants
+    is_fitted : bool
+        Theta is estimated with it, which limits its size; otherwise only its columns are made.
+
+    Raises
+    ------
+    AssumptionError
+        If there are more unknowns than can be fitted at once.
+    """
+
+    def __init__(self, constants: OutputErrorConstants, *, is_fitted: bool = True) -> None:
         generators = constants.generators
         self.constants = constants
         source = constants.source
@@ -223,6 +238,22 @@ class OutputErrorModel:
         )
         self.memory = int(library.cosim_output_error_memory(byref(self.struct)))
         self.columns = int(library.cosim_output_error_columns(byref(self.struct)))
+        if is_fitted:
+            self._check_capacity(n)
+
+    def _check_capacity(self, states: int) -> None:
+        generators = self.constants.generators
+        unknowns = self.columns - 1
+        if self.columns <= MOST_COLUMNS and generators.parameters <= MOST_PARAMETERS:
+            return
+        offsets = self.outputs if self.constants.offset else 0
+        derivatives = unknowns - self.linear
+        raise AssumptionError(
+            f"output error fits {generators.parameters} parameters at once, and {states} states, "
+            f"{generators.order} amplitudes, their {derivatives} derivatives and {offsets} offsets "
+            f"as {unknowns} columns; at most {MOST_PARAMETERS} parameters and {MOST_COLUMNS - 1} "
+            'columns are possible; use a model of fewer states, or method = "least-squares"'
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -460,6 +491,11 @@ class RayleighConstants:
         The box that is searched.
     points : int
         Of the grid of starts, in every direction.
+
+    Raises
+    ------
+    AssumptionError
+        If it is larger than the kernel holds.
     """
 
     generators: Generators
@@ -469,6 +505,19 @@ class RayleighConstants:
     lower: Vector
     upper: Vector
     points: int
+
+    def __post_init__(self) -> None:
+        """Check the sizes."""
+        for name, found, most in (
+            ("terms", len(self.parts), MOST_TERMS),
+            ("delays", len(self.delays), MOST_ROWS),
+            ("parameters", self.generators.parameters, MOST_PARAMETERS),
+        ):
+            if found > most:
+                raise AssumptionError(
+                    f"(25) has {found} {name}, at most {most} are possible; give components the "
+                    "same alpha, use fewer, or estimate by output error from a start of your own"
+                )
 
 
 class RayleighModel:

@@ -32,6 +32,7 @@ typedef struct {
     double *count;
     double *state, *R;  /* (n), (n, n) */
     double *u, *alpha;  /* of the sample before */
+    double *now;        /* (components) alpha of this one */
     double *present;    /* (components) 1: no noise */
     double *next, *Phi; /* (n), (n, n) */
     double *E, *F, *row, *scratch;
@@ -49,6 +50,7 @@ static parts parts_of(const cosim_extended_kalman *s, layout l)
     p.R = next, next += n * n;
     p.u = next, next += s->known->inputs;
     p.alpha = next, next += s->model->components;
+    p.now = next, next += s->model->components;
     p.present = next, next += s->model->components;
     p.next = next, next += n;
     p.Phi = next, next += n * n;
@@ -196,7 +198,7 @@ static void correct(const cosim_extended_kalman *s, layout l, const parts *p, co
 /* A component is there from when on beta' C^-1 beta was more than noise makes of it. */
 static void find_present(const cosim_extended_kalman *s, layout l, const parts *p)
 {
-    double C[COSIM_MOST_STATES * COSIM_MOST_STATES], inverse[COSIM_MOST_STATES * COSIM_MOST_STATES];
+    double *C = p->scratch, *inverse = C + l.largest * l.largest;
     int32_t first = l.x;
     for (int32_t i = 0; i < s->model->components; ++i) {
         const int32_t V = s->model->size[i];
@@ -240,7 +242,7 @@ int32_t cosim_extended_kalman_step(void *self, double t0, double t1, double h, c
     const layout l = layout_of(s->model);
     const parts p = parts_of(s, l);
     const double *measured = u0 + s->terms, *u = measured + s->model->outputs;
-    double alpha[COSIM_MOST_STATES];
+    double *alpha = p.now;
     for (int32_t i = 0; i < s->model->components; ++i)
         alpha[i] = cosim_evaluate(&s->alphas[i], t0);
     if (*p.count > 0.0)

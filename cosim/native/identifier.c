@@ -29,6 +29,7 @@ typedef struct {
     double *grid_taken, *grid_work; /* samples in it; of the grid of starts */
     int64_t state;
     double *grid_search; /* scratch */
+    double *at_point, *pair; /* y at a communication point, and two residuals; scratch */
     double *residual, *alpha;
     double *delta, *delta_alpha;
     double *between;
@@ -88,6 +89,8 @@ static storage storage_of(const cosim_identifier *s)
     m.state = next;
     next += memory_of(on_grid) - state_of(on_grid);
     m.grid_search = cosim_place(s->memory, &next, s->grid ? cosim_start_grid_memory(s->grid) : 0);
+    m.at_point = cosim_place(s->memory, &next, n_outputs(s));
+    m.pair = cosim_place(s->memory, &next, 2 * n_outputs(s));
     m.residual = cosim_place(s->memory, &next, capacity * n_outputs(s));
     m.alpha = cosim_place(s->memory, &next, capacity * components);
     m.delta = cosim_place(s->memory, &next, capacity);
@@ -131,7 +134,8 @@ static void take_regressor(const cosim_identifier *s, const storage *m, double t
 {
     const cosim_regressor *products = s->products;
     const int32_t terms = s->rayleigh->terms;
-    double alpha[COSIM_MOST_TERMS], work[COSIM_MOST_TERMS];
+    double alpha[COSIM_MOST_TERMS]; /* (groups, rows), which are no more than the terms they make */
+    double work[COSIM_MOST_TERMS];
     for (int32_t c = 0; c < terms; ++c)
         if (isnan(mu[c]))
             return;
@@ -190,7 +194,6 @@ static void take_delta(const cosim_identifier *s, const storage *m, double t, co
 
 static int32_t take_outputs(const cosim_identifier *s, const storage *m, double t, const double *y)
 {
-    double at_point[COSIM_MOST_COLUMNS];
     const int32_t outputs = n_outputs(s), inputs = s->known->inputs;
     const int64_t k = (int64_t)*m->count;
     const double *u = y + outputs;
@@ -200,21 +203,20 @@ static int32_t take_outputs(const cosim_identifier *s, const storage *m, double 
     if (s->between) {
         const double *samples = u;
         u += (outputs + 1) * s->between->most;
-        const int32_t status = take_between(s, m, t, samples, u, at_point);
+        const int32_t status = take_between(s, m, t, samples, u, m->at_point);
         if (status)
             return status;
-        y = at_point;
+        y = m->at_point;
     }
     double *ys = m->before, *us = m->before + 2 * outputs;
     memcpy(ys, ys + outputs, (size_t)outputs * sizeof *ys);
     memcpy(us, us + inputs, (size_t)inputs * sizeof *us);
     memcpy(ys + outputs, y, (size_t)outputs * sizeof *ys);
     memcpy(us + inputs, u, (size_t)inputs * sizeof *us);
-    double pair[2 * COSIM_MOST_COLUMNS];
     const int64_t begin = k > 0 ? 1 : 0; /* of the pair: the sample before it, and it */
     cosim_output_error_residual(s->on_y, s->known, begin, begin + 1, us + (begin ? 0 : inputs),
-                                ys + (begin ? 0 : outputs), NULL, m->x, pair);
-    memcpy(m->residual + k * outputs, pair + begin * outputs, (size_t)outputs * sizeof *pair);
+                                ys + (begin ? 0 : outputs), NULL, m->x, m->pair);
+    memcpy(m->residual + k * outputs, m->pair + begin * outputs, (size_t)outputs * sizeof *m->pair);
     return COSIM_OK;
 }
 
@@ -244,8 +246,8 @@ typedef struct {
     cosim_between_record between;
     double estimate[COSIM_MOST_PARAMETERS];
     double covariance[COSIM_MOST_PARAMETERS * COSIM_MOST_PARAMETERS];
-    double statistics[COSIM_MOST_PARAMETERS];
-    double nothing[COSIM_MOST_PARAMETERS];
+    double statistics[COSIM_MOST_COLUMNS];
+    double nothing[COSIM_MOST_COLUMNS];
     uint8_t state[COSIM_MOST_PARAMETERS];
 } estimation;
 

@@ -72,7 +72,7 @@ class ExtendedKalmanStep:
     """The extended Kalman filter bound to its memory; outputs theta and its standard errors."""
 
     def __init__(self, constants: ExtendedKalmanConstants) -> None:
-        model = OutputErrorModel(constants.model)
+        model = OutputErrorModel(constants.model, is_fitted=False)
         known, keep_known = known_input_struct(constants.known)
         programs = program_array(constants.alphas)
         vectors = []

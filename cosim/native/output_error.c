@@ -48,7 +48,7 @@ typedef struct {
     double *E, *F;                 /* expm(G h), and its derivatives */
     double *ring;                  /* (ar, outputs, columns) rows before the filter */
     double *summed, *sums;         /* rows, and (outputs, columns) their sums, that make a mean */
-    double *block;                 /* (BLOCK, columns) */
+    double *block;                 /* (BLOCK + outputs, columns) */
     double *scratch;
     int64_t state, size; /* doubles up to the block, and all */
 } parts;
@@ -75,7 +75,7 @@ static parts parts_of(const cosim_output_error *s, layout l, double *work)
     p.summed = cosim_place(work, &next, 1);
     p.sums = cosim_place(work, &next, s->outputs * M);
     p.state = next;
-    p.block = cosim_place(work, &next, BLOCK * M);
+    p.block = cosim_place(work, &next, (BLOCK + s->outputs) * M);
     p.scratch = cosim_place(work, &next, exponential > rows ? exponential : rows);
     p.size = next;
     return p;
@@ -262,7 +262,7 @@ static void advance_responses(const cosim_output_error *s, layout l, const parts
     memcpy(p->X, p->next, (size_t)n * (size_t)M * sizeof *p->X);
 }
 
-/* One output before weights and filter: C x + D0 input0 + D1 input1, the offset, the residual. */
+/* One output of the model before weights and filter: C x + D0 input0 + D1 input1. */
 typedef struct {
     const double *C;
     const double *D0, *D1; /* of the disturbances; D0 may be NULL */
@@ -486,7 +486,7 @@ static double length(int32_t count, const double *column, int32_t stride)
     return sqrt(squares);
 }
 
-/* The columns of x(0) and of the offset that others already explain are left out. */
+/* The linear columns that those before them already explain are left out. */
 static int32_t independent_columns(const double *R, int32_t M, int32_t linear, int32_t *kept)
 {
     int32_t count = 0;
@@ -508,7 +508,8 @@ static void triangularize(int32_t M, int32_t count, double *rows, double *T)
 static double amplitude_statistic(int32_t V, int32_t n, const double *covariance, int32_t first,
                                   const double *beta)
 {
-    double block[COSIM_MOST_COLUMNS * 4], inverse[COSIM_MOST_COLUMNS * 4];
+    double block[COSIM_MOST_COLUMNS * COSIM_MOST_COLUMNS];
+    double inverse[COSIM_MOST_COLUMNS * COSIM_MOST_COLUMNS];
     for (int32_t a = 0; a < V; ++a)
         for (int32_t b = 0; b < V; ++b)
             block[a * V + b] = covariance[(first + a) * n + first + b];
@@ -754,7 +755,7 @@ static int reduce_all(const cosim_fit *fit, double *T, double *rows_total, int32
 {
     const int32_t width = fit->parameters + 1;
     double reduced[COSIM_MOST_COLUMNS * COSIM_MOST_COLUMNS], work[COSIM_MOST_COLUMNS];
-    double statistics[COSIM_MOST_PARAMETERS];
+    double statistics[COSIM_MOST_COLUMNS];
     memset(T, 0, (size_t)(width * width) * sizeof *T);
     *rows_total = 0.0, *unknowns = 0;
     for (int32_t i = 0; i < fit->components; ++i)
@@ -849,7 +850,8 @@ static int solve(const cosim_fit *fit, gauss_newton *g, double *freedom)
     return rows - unknowns - P > 0.0;
 }
 
-/* Take over the step, and the linear unknowns that belong to it. */
+/* Take over the step. The linear unknowns stay those before it, which differ by less than their
+ * errors where the step is small. */
 static void finish(cosim_fit *fit, const gauss_newton *g, double freedom)
 {
     const int32_t P = fit->parameters;

@@ -7,20 +7,37 @@
 #define STARTS 4              /* best points of the grid that are minimized from */
 #define DIFFERENCE 0x1p-17    /* of the numerical derivative, relative to the range of theta */
 #define SMALL_STEP 0x1p-20    /* relative to the range of theta */
-#define MOST_ROWS 10
 #define MOST_FIT_ROWS (COSIM_MOST_TERMS + COSIM_MOST_PARAMETERS)
 #define MOST_WIDTH (COSIM_MOST_PARAMETERS + 1)
+#define MOST_ENTRIES (COSIM_MOST_ROWS * COSIM_MOST_ROWS)
 
-/* c' expm(-G D) of every component at every delay: (rows, V) of each group, side by side. */
-static void make_rows(const cosim_rayleigh *s, const double *theta, double K[][MOST_ROWS * MOST_ROWS],
-                      int32_t *width)
+/* The columns of each group among those of all. */
+typedef struct {
+    int32_t first[COSIM_MOST_ROWS], width[COSIM_MOST_ROWS];
+    int32_t all;
+} columns;
+
+static columns columns_of(const cosim_rayleigh *s)
+{
+    columns c = {.all = 0};
+    for (int32_t b = 0; b < s->groups; ++b) {
+        c.first[b] = c.all;
+        c.width[b] = 0;
+        for (int32_t i = 0; i < s->components; ++i)
+            if (s->group[i] == b)
+                c.width[b] += s->size[i];
+        c.all += c.width[b];
+    }
+    return c;
+}
+
+/* c' expm(-G D) of every component at every delay: (rows, all), one group beside the other. */
+static void make_rows(const cosim_rayleigh *s, const double *theta, columns at, double *K)
 {
     const double *c = s->c, *G0 = s->G0, *G1 = s->G1;
-    for (int32_t b = 0; b < s->groups; ++b)
-        width[b] = 0;
+    double G[MOST_ENTRIES], E[MOST_ENTRIES], work[2 * MOST_ENTRIES];
     for (int32_t i = 0; i < s->components; ++i) {
-        const int32_t V = s->size[i], b = s->group[i];
-        double G[MOST_ROWS * MOST_ROWS], E[MOST_ROWS * MOST_ROWS], work[2 * MOST_ROWS * MOST_ROWS];
+        const int32_t V = s->size[i], column = at.first[s->group[i]];
         for (int32_t j = 0; j < s->rows; ++j) {
             for (int32_t k = 0; k < V * V; ++k) {
                 double sum = G0[k];
@@ -33,10 +50,10 @@ static void make_rows(const cosim_rayleigh *s, const double *theta, double K[][M
                 double sum = 0.0;
                 for (int32_t a = 0; a < V; ++a)
                     sum += c[a] * E[a * V + k];
-                K[b][j * MOST_ROWS + width[b] + k] = sum;
+                K[j * at.all + column + k] = sum;
             }
         }
-        width[b] += V;
+        at.first[s->group[i]] += V;
         c += V, G0 += V * V, G1 += s->count[i] * V * V, theta += s->count[i];
     }
 }
@@ -71,18 +88,18 @@ static double determinant(int32_t n, double *M)
 /* The constants (25), scaled to length one. */
 static void make_chi(const cosim_rayleigh *s, const double *theta, double *chi)
 {
-    double K[MOST_ROWS][MOST_ROWS * MOST_ROWS], minor[MOST_ROWS * MOST_ROWS];
-    int32_t width[MOST_ROWS];
-    make_rows(s, theta, K, width);
+    double K[MOST_ENTRIES], minor[MOST_ENTRIES];
+    const columns at = columns_of(s);
+    make_rows(s, theta, at, K);
     double squares = 0.0;
     for (int32_t c = 0; c < s->terms; ++c) {
         const int32_t *rows = s->parts + c * (s->rows - 1);
         chi[c] = 1.0;
         for (int32_t b = 0; b < s->groups; ++b) {
-            const int32_t V = width[b];
+            const int32_t V = at.width[b];
             for (int32_t i = 0; i < V; ++i)
                 for (int32_t k = 0; k < V; ++k)
-                    minor[i * V + k] = K[b][rows[i] * MOST_ROWS + k];
+                    minor[i * V + k] = K[rows[i] * at.all + at.first[b] + k];
             chi[c] *= determinant(V, minor);
             rows += V;
         }

@@ -62,28 +62,30 @@ static void eliminate(const cosim_start_grid *s, const parts *p, const double *R
                 p->R + (int64_t)(i + others) * all + others, (size_t)p->columns * sizeof *p->R);
 }
 
-static void digits_of(const cosim_start_grid *s, int64_t point, int32_t *digits)
+/* Take the next digit of a point: which point of the next component it is. */
+static int32_t next_digit(int64_t *point, int32_t points)
 {
-    for (int32_t i = 0; i < s->components; ++i) {
-        digits[i] = (int32_t)(point % s->points[i]);
-        point /= s->points[i];
-    }
+    const int32_t digit = (int32_t)(*point % points);
+    *point /= points;
+    return digit;
+}
+
+static void copy_columns(const parts *p, int32_t count, const double *from, double *to)
+{
+    for (int64_t r = 0; r < p->columns; ++r)
+        memcpy(to + r * p->width, from + r * p->columns, (size_t)count * sizeof *to);
 }
 
 static double squares_at(const cosim_start_grid *s, const parts *p, int64_t point)
 {
-    int32_t digits[COSIM_MOST_PARAMETERS];
-    digits_of(s, point, digits);
-    for (int32_t r = 0; r < p->columns; ++r) {
-        const double *from = p->R + (int64_t)r * p->columns;
-        double *to = p->chosen + (int64_t)r * p->width;
-        for (int32_t i = 0; i < s->components; ++i) {
-            const int32_t V = s->size[i];
-            memcpy(to, from + digits[i] * V, (size_t)V * sizeof *to);
-            from += s->points[i] * V, to += V;
-        }
-        *to = *from;
+    const double *from = p->R;
+    double *to = p->chosen;
+    for (int32_t i = 0; i < s->components; ++i) {
+        const int32_t V = s->size[i];
+        copy_columns(p, V, from + next_digit(&point, s->points[i]) * V, to);
+        from += s->points[i] * V, to += V;
     }
+    copy_columns(p, 1, from, to);
     memset(p->T, 0, (size_t)(p->width * p->width) * sizeof *p->T);
     cosim_householder(p->width, p->T, p->columns, p->chosen, p->work);
     const double residual = p->T[p->width * p->width - 1];
@@ -93,14 +95,13 @@ static double squares_at(const cosim_start_grid *s, const parts *p, int64_t poin
 /* Whether no neighbor along a component is better. */
 static int is_minimum(const cosim_start_grid *s, const parts *p, int64_t point)
 {
-    int32_t digits[COSIM_MOST_PARAMETERS];
-    digits_of(s, point, digits);
-    int64_t stride = 1;
+    const double here = p->squares[point];
+    int64_t stride = 1, rest = point;
     for (int32_t i = 0; i < s->components; ++i) {
-        const double here = p->squares[point];
-        if (digits[i] > 0 && p->squares[point - stride] < here)
+        const int32_t digit = next_digit(&rest, s->points[i]);
+        if (digit > 0 && p->squares[point - stride] < here)
             return 0;
-        if (digits[i] < s->points[i] - 1 && p->squares[point + stride] < here)
+        if (digit < s->points[i] - 1 && p->squares[point + stride] < here)
             return 0;
         stride *= s->points[i];
     }
@@ -109,12 +110,10 @@ static int is_minimum(const cosim_start_grid *s, const parts *p, int64_t point)
 
 static void write_theta(const cosim_start_grid *s, int64_t point, double *theta)
 {
-    int32_t digits[COSIM_MOST_PARAMETERS];
-    digits_of(s, point, digits);
     const double *from = s->theta;
     for (int32_t i = 0; i < s->components; ++i) {
-        const int32_t count = s->count[i];
-        memcpy(theta, from + digits[i] * count, (size_t)count * sizeof *theta);
+        const int32_t count = s->count[i], digit = next_digit(&point, s->points[i]);
+        memcpy(theta, from + digit * count, (size_t)count * sizeof *theta);
         from += s->points[i] * count, theta += count;
     }
 }

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
+from cosim.errors import UsageError
 from cosim.native.estimation import OutputErrorConstants, OutputErrorModel
 from cosim.native.library import int32, library, pointer
 
@@ -51,7 +52,7 @@ class StartGridModel:
     """All combinations of the points of a grid as columns of one regression."""
 
     def __init__(self, constants: StartGridConstants) -> None:
-        self.model = OutputErrorModel(constants.model)
+        self.model = OutputErrorModel(constants.model, is_fitted=False)
         self._parameters = sum(constants.count)
         arrays: list[NDArray[Any]] = [
             int32(constants.size),
@@ -73,8 +74,15 @@ class StartGridModel:
         R : Matrix
             Of the model.
         most : int
-            At most MOST_STARTS.
+            1 to MOST_STARTS.
+
+        Raises
+        ------
+        UsageError
+            If ``most`` is not in that range.
         """
+        if not 1 <= most <= MOST_STARTS:
+            raise UsageError(f"most: found {most} starts; needed 1 to {MOST_STARTS}")
         R = np.ascontiguousarray(R, np.float64)
         scratch = np.zeros(self.memory)
         theta = np.zeros((most, self._parameters))

@@ -29,8 +29,6 @@ from numpy.typing import NDArray
 from cosim.arrays import Matrix, Vector, frozen
 from cosim.errors import AssumptionError
 from cosim.native.estimation import (
-    MOST_COLUMNS,
-    MOST_PARAMETERS,
     Generators,
     KnownInput,
     OutputErrorConstants,
@@ -237,7 +235,7 @@ def sample_plant(
     AssumptionError
         If shapes do not fit, or there are more unknowns than the kernels hold.
     """
-    _check_sizes(plant, generators, data, offset)
+    _check_sizes(plant, generators, data)
     step, predicts, interval = _intervals(data)
     span = float(data.t[-1] - data.t[0])
     constants, known = discretize(
@@ -344,11 +342,9 @@ def predictor_gain(Ad: Matrix, C: Matrix, covariance: Matrix) -> Matrix:
     return result
 
 
-def _check_sizes(
-    plant: DisturbedPlant, generators: Generators, data: DataSet, offset: bool
-) -> None:
+def _check_sizes(plant: DisturbedPlant, generators: Generators, data: DataSet) -> None:
     n_y, components = plant.Dd.shape
-    n, n_u = plant.B.shape
+    n_u = plant.B.shape[1]
     for name, found, needed in (
         ("y", data.y.shape[1], n_y),
         ("u", data.u.shape[1], n_u),
@@ -357,16 +353,6 @@ def _check_sizes(
     ):
         if found != needed:
             raise AssumptionError(f"{name}: {found} columns; the plant needs {needed}")
-    amplitudes = sum(generators.size)
-    slopes = sum(
-        count * size for count, size in zip(generators.count, generators.size, strict=True)
-    )
-    columns = amplitudes + slopes + n + (n_y if offset else 0) + 1
-    if columns > MOST_COLUMNS or generators.parameters > MOST_PARAMETERS:
-        raise AssumptionError(
-            f"{generators.parameters} parameters and {columns - 1} columns; at most "
-            f"{MOST_PARAMETERS} and {MOST_COLUMNS - 1} can be fitted at once"
-        )
 
 
 def _intervals(

@@ -24,7 +24,6 @@ from cosim.theory.disturbance import AlphaGroup, Family, SearchBox, generators, 
 from cosim.theory.regression import Term
 
 MOST_GRID_POINTS = 4096
-MOST_TERMS = 128
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,13 +69,8 @@ def rayleigh_constants(
     Raises
     ------
     AssumptionError
-        If there are too many terms.
+        If there are more terms, delays or parameters than the kernel holds.
     """
-    if len(terms) > MOST_TERMS:
-        raise AssumptionError(
-            f"(25) has {len(terms)} terms, at most {MOST_TERMS} are possible; give components the "
-            "same alpha, or estimate by output error from a start of your own"
-        )
     matrices = generators(families)
     box = rayleigh_box(families, delays, span=span)
     group_of = [0] * len(families)

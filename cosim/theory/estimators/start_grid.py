@@ -111,5 +111,6 @@ def _points(lower: Vector, upper: Vector, points: int) -> Matrix:
     for low, high in zip(lower, upper, strict=True):
         count = points if high > low else 1
         axes.append([low + (k + 0.5) / count * (high - low) for k in range(count)])
-    grid = np.array(list(product(*axes)), np.float64)
-    return grid.reshape(-1, len(lower))
+    points_of_all = list(product(*axes))
+    grid = np.array(points_of_all, np.float64)
+    return grid.reshape(len(points_of_all), len(lower))

@@ -1,0 +1,323 @@
+"""What the kernels of estimation hold: what is too much is refused, all else is right.
+
+Their arrays of fixed size stand on the stack of the process, so that a size that nobody checks is a
+wrong number at best.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar, final
+
+import numpy as np
+import pytest
+
+from cosim.blocks.output_error_identifier import (
+    IdentificationProblem,
+    IdentificationSchedule,
+    OutputErrorIdentifier,
+)
+from cosim.blocks.regressor import Regressor
+from cosim.errors import AssumptionError, UsageError
+from cosim.native.estimation import MOST_ROWS
+from cosim.native.expression import compile_expression
+from cosim.native.start_grid import StartGridModel
+from cosim.theory.disturbance import Exponential, Sine, coefficients, generators, group_by_alpha
+from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, sample_plant, white_noise
+from cosim.theory.estimators.extended_kalman import extended_kalman
+from cosim.theory.estimators.output_error import fit_output_error
+from cosim.theory.estimators.rayleigh import (
+    noise_covariance,
+    rayleigh,
+    rayleigh_box,
+    rayleigh_constants,
+)
+from cosim.theory.estimators.start_grid import start_grid
+from cosim.theory.regression import chi, expand
+
+H = 0.01
+T = np.arange(1001) * H
+
+
+@final
+@dataclass(frozen=True)
+class Harmonics:
+    """A periodic signal of known rates: many basis functions, no parameter."""
+
+    count: int
+    name: ClassVar[str] = "harmonics"
+    parameters: ClassVar[tuple[str, ...]] = ()
+
+    @property
+    def v(self):
+        return 2 * self.count
+
+    @property
+    def c(self):
+        return np.tile([1.0, 0.0], self.count)
+
+    def G(self, theta):
+        matrix = np.zeros((self.v, self.v))
+        for k in range(self.count):
+            rate = 0.7 * (k + 1)
+            matrix[2 * k, 2 * k + 1] = rate
+            matrix[2 * k + 1, 2 * k] = -rate
+        return matrix
+
+    def search(self, span, shortest):
+        return ()
+
+    def theta_from_roots(self, z, spacing):
+        return np.zeros(0)
+
+
+@final
+@dataclass(frozen=True)
+class Constant:
+    """An unknown factor of alpha: one basis function, no parameter."""
+
+    name: ClassVar[str] = "constant"
+    parameters: ClassVar[tuple[str, ...]] = ()
+    v: ClassVar[int] = 1
+
+    @property
+    def c(self):
+        return np.ones(1)
+
+    def G(self, theta):
+        return np.zeros((1, 1))
+
+    def search(self, span, shortest):
+        return ()
+
+    def theta_from_roots(self, z, spacing):
+        return np.zeros(0)
+
+
+def static_plant(components, outputs=1):
+    """Return a plant without states: its outputs are the sum of all components."""
+    return DisturbedPlant(
+        A=np.zeros((0, 0)),
+        B=np.zeros((0, 0)),
+        Bd=np.zeros((0, components)),
+        C=np.zeros((outputs, 0)),
+        D=np.zeros((outputs, 0)),
+        Dd=np.ones((outputs, components)),
+    )
+
+
+def lightly_damped(states, components, outputs=1):
+    """Return oscillators beside each other, driven and seen together."""
+    A = np.zeros((states, states))
+    for i in range(0, states - 1, 2):
+        rate = 1.0 + 0.85 * i
+        A[i : i + 2, i : i + 2] = [[-0.01, rate], [-rate, -0.01]]
+    return DisturbedPlant(
+        A=A,
+        B=np.ones((states, 1)),
+        Bd=np.ones((states, components)),
+        C=np.linspace(1.0, 2.0, outputs)[:, np.newaxis] * np.ones((outputs, states)),
+        D=np.zeros((outputs, 1)),
+        Dd=np.zeros((outputs, components)),
+    )
+
+
+def online(plant):
+    """Return the identifier of two exponentials that act on a plant."""
+    families = [Exponential(), Exponential()]
+    alphas = ["1.35 + 0.25*sin(1.7*t)", "1.1 + 0.2*cos(2.3*t)"]
+    groups = group_by_alpha(alphas, families)
+    terms = expand((1, 1))
+    delays = (0.1, 0.2, 0.3)
+    programs = [compile_expression(alpha) for alpha in alphas]
+    products = Regressor(terms, alphas=programs, steps=[10, 20, 30], delays=delays).constants
+    problem = IdentificationProblem(
+        plant=plant,
+        modes=-np.eye(1),
+        row=np.ones(1),
+        rayleigh=rayleigh_constants(families, groups, terms, delays, span=10.0),
+        products=products,
+        alphas=programs,
+        box=rayleigh_box(families, delays, span=10.0),
+        noise=white_noise(len(plant.C)),
+    )
+    schedule = IdentificationSchedule(
+        period=100,
+        steps=1000,
+        average=5,
+        window=0,
+        forgetting=1.0,
+        start=0.5,
+        settled=0.0,
+        lag=0.0,
+    )
+    infinite = np.full(2, np.inf)
+    return OutputErrorIdentifier(problem, schedule, offset=False, lower=-infinite, upper=infinite)
+
+
+def test_a_plant_of_many_states_has_no_identifier_by_output_error():
+    """60 states, 2 amplitudes and their 2 derivatives; 47 columns in all are possible."""
+    with pytest.raises(AssumptionError, match=r"60 states.*64 columns.*and 47 columns.*least"):
+        online(lightly_damped(60, 2)).prepare(H, np.zeros(9, np.bool_), {})
+    online(lightly_damped(43, 2)).prepare(H, np.zeros(9, np.bool_), {})
+
+
+def test_a_plant_of_many_states_is_not_fitted():
+    """The same sentence for recorded data."""
+    data = DataSet(T, np.ones((len(T), 1)), np.zeros((len(T), 1)), np.ones((len(T), 1)))
+    with pytest.raises(AssumptionError, match=r"60 states.*62 columns"):
+        fit_output_error([data], lightly_damped(60, 1), [Exponential()], np.array([-0.1]))
+
+
+def test_many_outputs_are_fitted():
+    """70 of them: theta of samples that the model made is that of the model."""
+    plant = lightly_damped(4, 1, outputs=70)
+    alpha = 1.35 + 0.25 * np.sin(1.7 * T)[:, np.newaxis]
+    silent = DataSet(T, np.zeros((len(T), 70)), np.sin(T)[:, np.newaxis], alpha)
+    matrices = generators([Exponential()])
+    record = sample_plant(plant, matrices, silent, noise=white_noise(70)).record(silent)
+    response = record.rows(np.array([-0.3]))[:, :, 0]
+    data = replace(silent, y=1.5 * response - record.residual)
+    fit = fit_output_error([data], plant, [Exponential()], np.array([-0.1]))
+    assert fit.converged
+    # rounding of 70 000 rows, over what they say of theta
+    np.testing.assert_allclose(fit.theta, [-0.3], rtol=1e-9)
+
+
+def test_the_identifier_takes_many_outputs():
+    """70 of them: the samples are those of the one output, 70 times."""
+    rng = np.random.default_rng(0)
+    sample = rng.standard_normal((201, 1))
+    rest = rng.standard_normal((201, 8))
+    estimates = []
+    for outputs in (1, 70):
+        plant = lightly_damped(2, 2)
+        plant = replace(
+            plant,
+            C=np.repeat(plant.C, outputs, axis=0),
+            D=np.repeat(plant.D, outputs, axis=0),
+            Dd=np.repeat(plant.Dd, outputs, axis=0),
+        )
+        identifier = online(plant)
+        y = np.repeat(sample, outputs, axis=1)
+        inputs = np.hstack([rest[:, :7], y, rest[:, 7:]])
+        identifier.prepare(H, np.zeros(inputs.shape[1], np.bool_), {})
+        identifier.initialize(0.0, inputs[0])
+        estimates.append(identifier.advance(T[:201], H, inputs)[-1])
+    one, many = estimates
+    # noise is no disturbance, so that theta has no value; the deviation is that of more values
+    assert np.isnan(one[:2]).all() == np.isnan(many[:2]).all()
+
+
+def test_many_components_without_parameters_are_fitted():
+    """40 known signals of unknown size: linear least squares, beside numpy's."""
+    alphas = np.stack([np.cos(0.31 * (i + 1) * T) for i in range(40)], axis=1)
+    y = alphas @ np.linspace(1.0, 2.0, 40)
+    y += 1e-3 * np.random.default_rng(0).standard_normal(len(T))
+    data = DataSet(T, y[:, np.newaxis], np.zeros((len(T), 0)), alphas)
+    fit = fit_output_error([data], static_plant(40), [Constant()] * 40, np.zeros(0))
+    expected = np.linalg.lstsq(alphas, y, rcond=None)[0]
+    np.testing.assert_allclose(fit.amplitudes[0], expected, rtol=1e-10)
+    covariance = np.linalg.inv(alphas.T @ alphas)
+    statistics = expected**2 / np.diag(covariance) / fit.deviation**2
+    np.testing.assert_allclose(fit.presence, statistics, rtol=1e-9)
+
+
+def test_a_component_of_many_basis_functions_is_there():
+    """20 of them: their statistic is beta' C^-1 beta of linear least squares."""
+    family = Harmonics(10)
+    rates = 0.7 * np.arange(1, 11)
+    columns = []
+    for rate in rates:
+        columns += [np.cos(rate * T), np.sin(rate * T)]
+    basis = np.stack(columns, axis=1)
+    y = basis @ np.linspace(1.0, 2.0, 20)
+    y += 1e-3 * np.random.default_rng(0).standard_normal(len(T))
+    data = DataSet(T, y[:, np.newaxis], np.zeros((len(T), 0)), np.ones((len(T), 1)))
+    fit = fit_output_error([data], static_plant(1), [family], np.zeros(0))
+    solution = np.linalg.lstsq(basis, y, rcond=None)[0]
+    np.testing.assert_allclose(fit.amplitudes[0], solution, rtol=1e-9)
+    statistic = np.sum(np.square(basis @ solution)) / fit.deviation**2
+    np.testing.assert_allclose(fit.presence, [statistic], rtol=1e-8)
+
+
+def test_the_grid_of_starts_takes_many_components():
+    """40 known signals beside one exponential: the best point is theta."""
+    families = [Exponential(), *[Constant()] * 40]
+    alphas = np.stack([np.cos(0.31 * i * T) for i in range(41)], axis=1)
+    plant = static_plant(41)
+    y = np.exp(-0.55 * T)[:, np.newaxis] + alphas[:, 1:].sum(axis=1, keepdims=True)
+    data = DataSet(T, y, np.zeros((len(T), 0)), alphas)
+    sampled = sample_plant(plant, generators(families), data, noise=white_noise(1))
+    constants = sampled.model.constants
+    grid = StartGridModel(
+        start_grid(constants, np.array([-2.0]), np.array([0.0]), points=20, average=1)
+    )
+    record = sampled.record(data)
+    samples = type(record)(grid.model, record.residual, record.alpha)
+    starts = grid.search(samples.make(np.zeros(0)), 3)
+    np.testing.assert_allclose(starts[0], [-0.55], rtol=1e-12)
+    with pytest.raises(UsageError, match="most: found 9 starts; needed 1 to 8"):
+        grid.search(samples.make(np.zeros(0)), 9)
+
+
+def test_the_quotient_of_many_rows_is_that_of_the_determinants():
+    """Six sines under one alpha: 13 rows, 13 terms; chi beside numpy's determinants."""
+    families = [Sine()] * 6
+    groups = group_by_alpha(["1"] * 6, families)
+    terms = expand((12,))
+    delays = [0.25 * (j + 1) for j in range(13)]
+    constants = rayleigh_constants(families, groups, terms, delays, span=40.0)
+    mu = np.random.default_rng(0).standard_normal((800, 13))
+    N = noise_covariance(terms, np.ones((800, 13)))
+    theta = np.linspace(0.7, 7.2, 6)
+    found = rayleigh(replace(constants, lower=theta, upper=theta), mu, N, theta=theta)
+    rates = [np.array([rate]) for rate in theta]
+    vector = np.array(chi(terms, [coefficients(families, rates, delays)]))
+    quotient = (vector @ (mu.T @ mu) @ vector) / (vector @ N @ vector)
+    # the condition of 12 of the rows is 4e3 at most
+    assert found.variance == pytest.approx(quotient, rel=1e-10)
+
+
+def test_a_regression_of_too_many_rows_is_refused():
+    """24 sines under one alpha need 49 delays."""
+    families = [Sine()] * 24
+    groups = group_by_alpha(["1"] * 24, families)
+    delays = [0.25 * (j + 1) for j in range(49)]
+    with pytest.raises(AssumptionError, match=f"49 delays.*at most {MOST_ROWS} are possible"):
+        rayleigh_constants(families, groups, expand((48,)), delays, span=40.0)
+
+
+def test_a_regression_of_too_many_parameters_is_refused():
+    """17 exponentials under one alpha."""
+    families = [Exponential()] * 17
+    groups = group_by_alpha(["1"] * 17, families)
+    delays = [0.25 * (j + 1) for j in range(18)]
+    with pytest.raises(AssumptionError, match=r"17 parameters.*at most 16 are possible"):
+        rayleigh_constants(families, groups, expand((17,)), delays, span=40.0)
+
+
+def test_the_extended_filter_takes_many_components():
+    """60 that reach no output change nothing but the rounding."""
+    plant = lightly_damped(2, 1)
+    y = 1e-2 * np.random.default_rng(0).standard_normal((len(T), 1))
+    y += np.exp(-0.3 * T)[:, np.newaxis]
+    u = np.sin(T)[:, np.newaxis]
+    alone = extended_kalman(T, y, u, ["1"], plant, [Exponential()])
+    unseen = replace(
+        plant,
+        Bd=np.hstack([plant.Bd, np.zeros((2, 60))]),
+        Dd=np.hstack([plant.Dd, np.zeros((1, 60))]),
+    )
+    families = [Exponential(), *[Constant()] * 60]
+    beside = extended_kalman(T, y, u, ["1"] * 61, unseen, families)
+    np.testing.assert_allclose(beside.theta, alone.theta, rtol=1e-6)
+    np.testing.assert_allclose(beside.standard_error, alone.standard_error, rtol=1e-6)
+
+
+def test_the_extended_filter_takes_many_states():
+    """60 of them: it needs no room for columns."""
+    plant = lightly_damped(60, 1)
+    y = np.zeros((50, 1))
+    filtered = extended_kalman(T[:50], y, y, ["1"], plant, [Exponential()])
+    assert filtered.theta.shape == (49, 1)
