@@ -97,7 +97,7 @@ class ExtendedKalmanIdentifier:
             generators=problem.rayleigh.generators,
             step=np.array([h]),
             **{name: design[name] for name in _OF_Y},
-            a=np.zeros(0),
+            a=np.zeros((len(design["W"]), 0)),
             offset=False,
             forgetting=1.0,
             average=1,

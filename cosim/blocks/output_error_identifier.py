@@ -31,6 +31,7 @@ from cosim.theory.disturbed_plant import (
     NoiseModel,
     discretize,
     needs_predictor,
+    white_noise,
 )
 from cosim.theory.estimators.output_error import presence_threshold
 from cosim.theory.estimators.projection import reconstruction_model
@@ -224,7 +225,7 @@ class OutputErrorIdentifier:
             held=held,
         )
         model = reconstruction_model(problem.modes, problem.row, len(generators.size))
-        white = NoiseModel(covariance=np.eye(1), a=np.zeros(0))
+        white = white_noise(1)
         never = np.zeros(1, np.bool_)
         on_delta, _ = discretize(model, generators, step=step, predicts=never, noise=white)
         design = {name: np.asarray(getattr(on_y, name)) for name in _OF_Y}
@@ -262,13 +263,13 @@ class OutputErrorIdentifier:
             C=design["delta_C"],
             D=np.ones((components, 1)),
             W=np.eye(1),
-            a=np.zeros(0),
+            a=np.zeros((1, 0)),
         )
         on_y = OutputErrorConstants(
             generators=generators,
             step=step,
             **{name: design[name] for name in _OF_Y},
-            a=np.zeros(0),
+            a=np.zeros((len(design["W"]), 0)),
             offset=self._offset,
             forgetting=float(design["forgetting"][0]),
             average=1,

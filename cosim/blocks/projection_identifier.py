@@ -126,7 +126,7 @@ def model_of_delta(
         C=design["delta_C"],
         D=np.ones((components, 1)),
         W=np.eye(1),
-        a=np.zeros(0),
+        a=np.zeros((1, 0)),
     )
 
 

@@ -322,7 +322,7 @@ typedef struct {
     const double *C;       /* (outputs, states) */
     const double *D;       /* (sources, outputs) */
     const double *W;       /* (outputs, outputs) makes the noise of the outputs white */
-    const double *a;       /* (ar) e(k) = v(k) - a_1 v(k-1) - ... is white, v = W (y - fit) */
+    const double *a;       /* (outputs, ar) W e is white, e(k) = v(k) - a_1 v(k-1) - ..., v = y - fit */
     double forgetting;     /* weight of a row over that of the next sample; 1: they weigh the same */
 } cosim_output_error;
 
@@ -370,7 +370,12 @@ int32_t cosim_output_error_columns(const cosim_output_error *self);
 void cosim_output_error_start(const cosim_output_error *self, const double *theta, double *work);
 void cosim_output_error_take(const cosim_output_error *self, const double *theta,
                              const cosim_record *record, int64_t begin, int64_t end, double *work);
-/* The rows of every sample of the window, (samples, outputs, columns), not filtered. */
+/* The products of the outputs' residuals, (outputs, outputs), summed over the window, at theta and the
+ * linear unknowns; `work` is used. */
+void cosim_output_error_products(const cosim_output_error *self, const double *theta,
+                                 const double *unknowns, const cosim_record *record, double *work,
+                                 double *products);
+/* The rows of every sample of the window, (samples, outputs, columns), neither filtered nor weighed. */
 void cosim_output_error_rows(const cosim_output_error *self, const double *theta,
                              const cosim_record *record, double *work, double *rows);
 

@@ -152,8 +152,8 @@ class OutputErrorConstants:
     D : Matrix, shape (sources, n_y)
     W : Matrix, shape (n_y, n_y)
         Makes the noise of the outputs white, of equal deviation.
-    a : Vector, shape (order,)
-        Autoregressive model of the noise.
+    a : Matrix, shape (n_y, order)
+        Autoregressive model of the noise of each output.
     offset : bool
         A constant on every output is unknown.
     forgetting : float
@@ -173,7 +173,7 @@ class OutputErrorConstants:
     C: Matrix
     D: Matrix
     W: Matrix
-    a: Vector
+    a: Matrix
     offset: bool = False
     forgetting: float = 1.0
     average: int = 1
@@ -231,7 +231,7 @@ class OutputErrorModel:
             len(generators.size),
             len(constants.D),
             int(constants.offset),
-            len(constants.a),
+            constants.a.shape[1],
             constants.average,
             *map(pointer, arrays),
             constants.forgetting,
@@ -354,7 +354,7 @@ class ResponseRecord:
         return self.work[: M * M].reshape(M, M)
 
     def rows(self, theta: Vector) -> NDArray[np.float64]:
-        """Compute the weighted rows at ``theta``, shape (N, n_y, columns), without the filter."""
+        """Compute the rows at ``theta``, shape (N, n_y, columns), neither filtered nor weighed."""
         theta = np.ascontiguousarray(theta, np.float64)
         shape = (len(self.residual), self.model.outputs, self.model.columns)
         rows = np.empty(shape)

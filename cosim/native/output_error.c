@@ -41,7 +41,7 @@ static layout layout_of(const cosim_output_error *s)
 
 typedef struct {
     double *R;                     /* (columns, columns), first: others read it */
-    double *rows, *interval, *lag; /* rows in R; interval of E; rows since the last gap */
+    double *rows, *interval, *lag; /* rows in R; interval of E; samples in the ring, ever */
     double *X, *next;              /* (states, columns) responses */
     double *input0, *input1;       /* (columns) disturbances of the columns at both ends */
     double *basis, *advanced;      /* (basis + derivatives) c' expm(G t) and its derivatives */
@@ -56,7 +56,7 @@ typedef struct {
 static parts parts_of(const cosim_output_error *s, layout l, double *work)
 {
     const int64_t M = l.columns, N = 2 * l.largest;
-    const int64_t exponential = 4 * N * N, rows = (s->outputs + 1) * M;
+    const int64_t exponential = 4 * N * N, rows = 2 * s->outputs * M;
     parts p;
     int64_t next = 0;
     p.R = cosim_place(work, &next, M * M);
@@ -296,18 +296,15 @@ static void make_row(const cosim_output_error *s, layout l, const parts *p, outp
     }
 }
 
-/* The rows of one sample before the filter, one an output, weighted by W. `between`: its rows in
- * the record, where it is no sample of the grid. */
+/* The rows of one sample, one an output. `between`: where they are in the record, if it is no sample
+ * of the grid. */
 static void make_rows(const cosim_output_error *s, layout l, const parts *p, const double *between,
                       const double *residual, double *rows)
 {
     const int32_t n = s->states, M = l.columns;
-    double *plain = rows + s->outputs * M;
-    for (int32_t o = 0; o < s->outputs; ++o)
-        for (int32_t c = 0; c < M; ++c)
-            rows[o * M + c] = 0.0;
     for (int32_t o = 0; o < s->outputs; ++o) {
         output_row from = {s->C + o * n, NULL, s->D + o, s->outputs};
+        double *plain = rows + o * M;
         if (between) {
             const double *row = between + o * (n + 2 * s->sources);
             from = (output_row){row, row + n, row + n + s->sources, 1};
@@ -316,13 +313,6 @@ static void make_rows(const cosim_output_error *s, layout l, const parts *p, con
         if (s->offset)
             plain[l.linear - s->outputs + o] = 1.0;
         plain[M - 1] = residual[o];
-        for (int32_t w = 0; w < s->outputs; ++w) {
-            const double weight = s->W[w * s->outputs + o];
-            if (weight == 0.0)
-                continue;
-            for (int32_t c = 0; c < M; ++c)
-                rows[w * M + c] += weight * plain[c];
-        }
     }
 }
 
@@ -334,23 +324,48 @@ static int is_measured(const cosim_output_error *s, const double *residual)
     return 1;
 }
 
-/* Append the rows of a sample to the block, through the autoregressive filter; returns how many. */
-static int32_t filter_rows(const cosim_output_error *s, layout l, const parts *p, double *rows,
-                           double weight, double *to)
+/* Filter the rows of a sample by the autoregressive model of each output; returns 0 where too few
+ * samples were before it. */
+static int filter_rows(const cosim_output_error *s, layout l, const parts *p, double *rows)
 {
     const int32_t M = l.columns, width = s->outputs * M;
     const int64_t before = (int64_t)*p->lag;
+    double *filtered = rows + width;
     *p->lag += 1.0;
+    if (!s->ar)
+        return 1;
     if (before >= s->ar)
         for (int32_t c = 0; c < width; ++c) {
+            const double *a = s->a + c / M * s->ar;
             double sum = rows[c];
             for (int32_t k = 1; k <= s->ar; ++k)
-                sum -= s->a[k - 1] * p->ring[((before - k) % s->ar) * width + c];
-            to[c] = weight * sum;
+                sum -= a[k - 1] * p->ring[((before - k) % s->ar) * width + c];
+            filtered[c] = sum;
         }
-    if (s->ar)
-        memcpy(p->ring + (before % s->ar) * width, rows, (size_t)width * sizeof *rows);
-    return before >= s->ar ? s->outputs : 0;
+    memcpy(p->ring + (before % s->ar) * width, rows, (size_t)width * sizeof *rows);
+    if (before >= s->ar)
+        memcpy(rows, filtered, (size_t)width * sizeof *rows);
+    return before >= s->ar;
+}
+
+/* Append the rows of a sample to the block, made white by W. */
+static void weigh_rows(const cosim_output_error *s, layout l, const double *rows, double weight,
+                       double *to)
+{
+    const int32_t M = l.columns;
+    for (int32_t w = 0; w < s->outputs; ++w, to += M) {
+        for (int32_t c = 0; c < M; ++c)
+            to[c] = 0.0;
+        for (int32_t o = 0; o < s->outputs; ++o) {
+            const double of_output = s->W[w * s->outputs + o];
+            if (of_output == 0.0)
+                continue;
+            for (int32_t c = 0; c < M; ++c)
+                to[c] += of_output * rows[o * M + c];
+        }
+        for (int32_t c = 0; c < M; ++c)
+            to[c] *= weight;
+    }
 }
 
 /* Go on to the disturbances at sample k; returns the interval that ends there, -1: none. */
@@ -371,10 +386,12 @@ static int32_t advance_inputs(const cosim_output_error *s, layout l, const parts
     return interval;
 }
 
-/* Rows that wait to be rotated into R. */
+/* Rows that wait to be rotated into R; or, where products of residuals are summed, nothing. */
 typedef struct {
     int32_t count;
-    double weight; /* of the next one, relative to R */
+    double weight;          /* of the next one, relative to R */
+    const double *unknowns; /* (linear) amplitudes, x(0) and offset, or NULL */
+    double *products;       /* (outputs, outputs) of residuals at these unknowns */
 } waiting;
 
 static void rotate(layout l, const parts *p, waiting *w)
@@ -384,7 +401,7 @@ static void rotate(layout l, const parts *p, waiting *w)
     if (w->weight != 1.0)
         for (int32_t i = 0; i < M * M; ++i)
             p->R[i] /= w->weight;
-    *w = (waiting){0, 1.0};
+    w->count = 0, w->weight = 1.0;
 }
 
 /* Add the rows of a sample to those that make a mean; returns whether it is whole, and then them. */
@@ -403,20 +420,39 @@ static int make_mean(const cosim_output_error *s, layout l, const parts *p, doub
     return 1;
 }
 
+static void add_products(const cosim_output_error *s, layout l, double *rows, const waiting *w)
+{
+    const int32_t M = l.columns;
+    double *residual = rows + s->outputs * M;
+    for (int32_t o = 0; o < s->outputs; ++o) {
+        const double *row = rows + o * M;
+        double explained = 0.0;
+        for (int32_t c = 0; c < l.linear; ++c)
+            explained += row[c] * w->unknowns[c];
+        residual[o] = row[M - 1] - explained;
+    }
+    for (int32_t o = 0; o < s->outputs; ++o)
+        for (int32_t q = 0; q < s->outputs; ++q)
+            w->products[o * s->outputs + q] += residual[o] * residual[q];
+}
+
 static void take_rows(const cosim_output_error *s, layout l, const parts *p, const double *between,
                       const double *residual, waiting *w)
 {
-    if (!is_measured(s, residual)) {
-        *p->lag = 0.0;
+    if (!is_measured(s, residual))
+        return;
+    make_rows(s, l, p, between, residual, p->scratch);
+    if (w->unknowns) {
+        add_products(s, l, p->scratch, w);
         return;
     }
-    make_rows(s, l, p, between, residual, p->scratch);
     if (s->average > 1 && !make_mean(s, l, p, p->scratch))
         return;
-    const int32_t made =
-        filter_rows(s, l, p, p->scratch, w->weight, p->block + w->count * l.columns);
-    *p->rows += made;
-    w->count += made;
+    if (!filter_rows(s, l, p, p->scratch))
+        return;
+    weigh_rows(s, l, p->scratch, w->weight, p->block + w->count * l.columns);
+    *p->rows += s->outputs;
+    w->count += s->outputs;
     if (w->count + s->outputs > BLOCK)
         rotate(l, p, w);
 }
@@ -435,29 +471,50 @@ static int64_t first_between(const cosim_between_record *between, int64_t k)
     return low;
 }
 
+static void take_samples(const cosim_output_error *s, const parts *p, const double *theta,
+                         const cosim_record *record, int64_t begin, int64_t end, waiting *w)
+{
+    const layout l = layout_of(s);
+    const cosim_between_record *between = record->between;
+    const int64_t width = s->outputs * (s->states + 2 * s->sources);
+    int64_t b = first_between(between, begin);
+    for (int64_t k = begin; k < end; ++k) {
+        const int32_t interval = advance_inputs(s, l, p, theta, record, k);
+        w->weight /= s->forgetting;
+        *p->rows *= s->forgetting * s->forgetting;
+        for (int32_t i = 0; w->products && i < s->outputs * s->outputs; ++i)
+            w->products[i] *= s->forgetting * s->forgetting;
+        for (; between && b < between->count && between->place[b] == (double)k; ++b)
+            if (interval >= 0)
+                take_rows(s, l, p, between->rows + b * width,
+                          between->residual + b * s->outputs, w);
+        if (interval >= 0)
+            advance_responses(s, l, p, interval);
+        take_rows(s, l, p, NULL, record->residual + k * s->outputs, w);
+    }
+}
+
 void cosim_output_error_take(const cosim_output_error *s, const double *theta,
                              const cosim_record *record, int64_t begin, int64_t end, double *work)
 {
     const layout l = layout_of(s);
     const parts p = parts_of(s, l, work);
-    const cosim_between_record *between = record->between;
-    const int64_t width = s->outputs * (s->states + 2 * s->sources);
-    waiting w = {0, 1.0};
-    int64_t b = first_between(between, begin);
-    for (int64_t k = begin; k < end; ++k) {
-        const int32_t interval = advance_inputs(s, l, &p, theta, record, k);
-        w.weight /= s->forgetting;
-        *p.rows *= s->forgetting * s->forgetting;
-        for (; between && b < between->count && between->place[b] == (double)k; ++b)
-            if (interval >= 0)
-                take_rows(s, l, &p, between->rows + b * width,
-                          between->residual + b * s->outputs, &w);
-        if (interval >= 0)
-            advance_responses(s, l, &p, interval);
-        take_rows(s, l, &p, NULL, record->residual + k * s->outputs, &w);
-    }
+    waiting w = {0, 1.0, NULL, NULL};
+    take_samples(s, &p, theta, record, begin, end, &w);
     if (w.count > 0 || w.weight != 1.0)
         rotate(l, &p, &w);
+}
+
+void cosim_output_error_products(const cosim_output_error *s, const double *theta,
+                                 const double *unknowns, const cosim_record *record, double *work,
+                                 double *products)
+{
+    const layout l = layout_of(s);
+    const parts p = parts_of(s, l, work);
+    waiting w = {0, 1.0, unknowns, products};
+    memset(products, 0, (size_t)(s->outputs * s->outputs) * sizeof *products);
+    cosim_output_error_start(s, theta, work);
+    take_samples(s, &p, theta, record, record->first, record->end, &w);
 }
 
 void cosim_output_error_rows(const cosim_output_error *s, const double *theta,
@@ -471,8 +528,8 @@ void cosim_output_error_rows(const cosim_output_error *s, const double *theta,
         const int32_t interval = advance_inputs(s, l, &p, theta, record, k);
         if (interval >= 0)
             advance_responses(s, l, &p, interval);
-        make_rows(s, l, &p, NULL, record->residual + k * s->outputs, p.scratch);
-        memcpy(rows + (k - record->first) * width, p.scratch, (size_t)width * sizeof *rows);
+        make_rows(s, l, &p, NULL, record->residual + k * s->outputs,
+                  rows + (k - record->first) * width);
     }
 }
 

@@ -100,7 +100,7 @@ class Identification:
     notes: tuple[str, ...] = ()
     parameters: tuple[ParameterSummary, ...] = ()
     reference: tuple[ParameterSummary, ...] = ()  # of output error, where the method is another
-    deviation: float | None = None  # of the noise of y, from the residual of output error
+    deviation: tuple[float, ...] = ()  # of the noise of y, from the residual of output error
     noise: str = ""  # what is known of it, or why nothing is
 
 
@@ -320,18 +320,23 @@ def _parameters(
 
 def noise_text(found: IdentificationRecord) -> str:
     """Describe the noise of y as the residual of output error shows it."""
-    if found.deviation is None or found.accuracy is None:
+    if not found.deviation:
         return ""
     if found.is_exact:
         return (
             f"the residual is below what step, quantization and rounding allow, "
-            f"{found.accuracy:.2g}"
+            f"{numbers_text(found.accuracy)}"
         )
-    order = len(found.noise_model)
+    order = len(found.noise_model[0]) if found.noise_model else 0
     if order:
-        coefficients = ", ".join(f"{a:.3g}" for a in found.noise_model)
+        coefficients = "; ".join(", ".join(f"{a:.3g}" for a in row) for row in found.noise_model)
         return f"colored, whitened by an autoregressive model of order {order}: {coefficients}"
     return "of y, from the residual of output error"
+
+
+def numbers_text(numbers: Sequence[float]) -> str:
+    """Return numbers with three digits each."""
+    return ", ".join(f"{number:.3g}" for number in numbers)
 
 
 def _information(

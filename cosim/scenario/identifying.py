@@ -317,21 +317,22 @@ def irregular_interval(found: LogIdentification, bound: float) -> GuaranteedInte
         identified.families,
         assessment.fit,
         bound=bound,
-        sigma=np.full(outputs, _largest_deviation(assessment)),
+        sigma=_largest_deviations(assessment),
         sampling_error=sampling_error,
-        noise=NoiseModel(covariance=assessment.noise.covariance, a=np.zeros(0)),
+        noise=NoiseModel(covariance=assessment.noise.covariance, a=np.zeros((outputs, 0))),
     )
 
 
-def _largest_deviation(assessment: Assessment) -> float:
-    """Return the deviation of white noise whose means are as large as those of the residual.
+def _largest_deviations(assessment: Assessment) -> Vector:
+    """Return deviations of white noise whose means are as large as those of each residual.
 
     Of colored noise that is the one at the frequency where its spectrum is largest.
     """
+    noise = assessment.noise
     if assessment.consistency.is_exact:
-        return 0.0
+        return np.zeros(len(noise.a))
     frequencies = np.linspace(0.0, np.pi, FREQUENCIES)
-    lags = np.arange(1, len(assessment.noise.a) + 1)
+    lags = np.arange(1, noise.order + 1)
     waves = np.exp(-1j * np.outer(frequencies, lags))
-    gain = 1.0 / np.abs(1.0 - waves @ assessment.noise.a)
-    return assessment.fit.deviation * float(gain.max())
+    gains = 1.0 / np.abs(1.0 - waves @ noise.a.T)
+    return np.asarray(assessment.deviations * gains.max(axis=0), np.float64)

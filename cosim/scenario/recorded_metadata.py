@@ -8,17 +8,40 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Any, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    TypeAdapter,
+    ValidationError,
+)
 
 from cosim.core.contracts import Recording
 from cosim.core.recorded import find_signal
 from cosim.errors import LogError
 from cosim.log.metadata import read_json
-from cosim.scenario.schema import Number, NumberRow, Whole, truth_ports
+from cosim.scenario.schema import Number, NumberRow, NumberRows, Whole, truth_ports
 from cosim.units import conversion
 
 Text = Annotated[str, Field(strict=True)]
 _Checked = TypeVar("_Checked")
+
+
+def _as_row(value: object) -> object:
+    """Return the number of the one output that older logs tell of as a row."""
+    return (value,) if isinstance(value, int | float) else value
+
+
+def _as_rows(value: object) -> object:
+    """Return a row of numbers as the only one."""
+    if isinstance(value, list | tuple) and any(isinstance(entry, int | float) for entry in value):
+        return (value,)
+    return value
+
+
+OneAnOutput = Annotated[NumberRow, BeforeValidator(_as_row)]
+RowAnOutput = Annotated[NumberRows, BeforeValidator(_as_rows)]
 
 
 class _Record(BaseModel):
@@ -143,16 +166,17 @@ class IdentificationRecord(_Record):
     """What a log says of an identifier at the end of its run.
 
     ``parameters`` are those of output error, ``estimate`` what the identifier says itself, held
-    against them; ``problem`` is why there is neither.
+    against them; ``problem`` is why there is neither. Deviation of the noise, accuracy and noise
+    model are one an output.
     """
 
     parameters: tuple[ParameterRecord, ...] = ()
     estimate: tuple[ParameterRecord, ...] = ()
-    deviation: Number | None = None
-    accuracy: Number | None = None
+    deviation: OneAnOutput = ()
+    accuracy: OneAnOutput = ()
     is_exact: bool = False
     degrees_of_freedom: Number | None = None
-    noise_model: NumberRow = ()
+    noise_model: RowAnOutput = ()
     problem: Text = ""
 
 

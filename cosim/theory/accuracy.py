@@ -44,20 +44,20 @@ class Accuracy:
         Of the step, at every sample.
     spacing : Vector, shape (n_y,)
         Of the lattice of each output; 0: there is none.
-    rounding : float
-        Of a simulated output.
+    rounding : Vector, shape (n_y,)
+        Of each simulated output.
     """
 
     step: Matrix
     spacing: Vector
-    rounding: float
+    rounding: Vector
 
     @property
-    def deviation(self) -> float:
-        """Root mean square of all of them together, of the output where it is largest."""
-        of_step = float(np.sqrt(np.mean(self.step**2, axis=0)).max(initial=0.0))
-        of_lattice = float(self.spacing.max(initial=0.0)) / np.sqrt(12.0)
-        return float(np.sqrt(of_step**2 + of_lattice**2 + self.rounding**2))
+    def deviations(self) -> Vector:
+        """Root mean square of all of them together, of each output, shape (n_y,)."""
+        of_step = np.mean(self.step**2, axis=0)
+        total: Vector = np.sqrt(of_step + self.spacing**2 / 12.0 + self.rounding**2)
+        return total
 
 
 def accuracy_of(
@@ -66,8 +66,7 @@ def accuracy_of(
     """Compute the errors of a fit that are no noise; the arguments are those of ``step_error``."""
     step = step_error(plant, data, disturbance, generators)
     spacing = np.array([lattice_spacing(column) for column in data.y.T])
-    largest = float(np.nanmax(np.abs(data.y)))
-    return Accuracy(step, spacing, ROUNDING * largest)
+    return Accuracy(step, spacing, ROUNDING * np.nanmax(np.abs(data.y), axis=0))
 
 
 def step_error(

@@ -6,7 +6,10 @@ What a wrong model leaves is *structure*, so the residual is tested
 * along the **directions** of a wrong model (:mod:`cosim.theory.model_errors`), made orthogonal to
   what was fitted: for white noise the square along each is a chi-square of one degree of freedom,
   the sum along K of them, orthogonal among themselves, of K (the score test; C. Rao, 1948);
-* for **whiteness**: the autocorrelations of the first lags (G. Ljung and G. Box, 1978).
+* for **whiteness**: the autocorrelations of each output's first lags (G. Ljung and G. Box, 1978).
+
+Where the deviation of the noise is stated, the variance is tested too: it may differ from what is
+stated by what errors that are no noise add, and by half as much again.
 
 Errors that are no noise (:mod:`cosim.theory.accuracy`) are allowed for, each in every direction and
 at every lag by its own amount. Noise that is colored but has no structure is whitened by an
@@ -90,8 +93,8 @@ class Consistency:
         Empty where the residual is no larger than rounding.
     accuracy : tuple of Accuracy
         Of each data set.
-    deviation, allowed : float
-        Of the residual, and what step, quantization and rounding allow it; both whitened.
+    is_exact : bool
+        The residual of every output is below what step, quantization and rounding allow.
     step_error : Vector, shape (n_y,)
         What straight lines between samples cost each output, over its deviation; of the data set
         where that is most.
@@ -103,16 +106,10 @@ class Consistency:
 
     tests: tuple[ResidualTest, ...]
     accuracy: tuple[Accuracy, ...]
-    deviation: float
-    allowed: float
+    is_exact: bool
     step_error: Vector
     bias: Vector
     presence_bias: Vector
-
-    @property
-    def is_exact(self) -> bool:
-        """Whether the residual is below what step, quantization and rounding allow."""
-        return self.deviation <= NOTHING_ELSE * self.allowed
 
     @property
     def step_too_long(self) -> bool:
@@ -131,6 +128,8 @@ def examine(
     plant: DisturbedPlant,
     families: Sequence[Family],
     noise: NoiseModel,
+    *,
+    stated: Matrix | None = None,
 ) -> Consistency:
     """Test the residual of a fit.
 
@@ -142,16 +141,19 @@ def examine(
     families : sequence of Family
     noise : NoiseModel
         As in the fit.
+    stated : Matrix, shape (n_y, n_y), optional
+        Covariance of the noise, where it is known.
     """
     matrices = generators(families)
     problems = _whitened_problems(fit, data, plant, matrices, noise)
     accuracies = tuple(problem.accuracy for problem in problems)
-    allowed = max(problem.allowed for problem in problems)
     rounding = max(problem.rounding for problem in problems)
     tests: list[ResidualTest] = []
-    if fit.deviation > NOTHING_ELSE * rounding:
-        for problem in problems:
+    for problem in problems:
+        if fit.deviation > NOTHING_ELSE * rounding:
             tests += problem.tests(fit.deviation)
+        if stated is not None:
+            tests += problem.size_tests(stated)
     step_errors = [problem.step_error for problem in problems]
     moved = _moved(fit, problems)
     P = int(fit.estimated.sum())
@@ -160,8 +162,7 @@ def examine(
     return Consistency(
         tuple(tests),
         accuracies,
-        fit.deviation,
-        allowed,
+        _is_exact(fit, problems),
         np.max(step_errors, axis=0),
         bias,
         _presence_bias(fit, problems, matrices, moved[P:]),
@@ -174,24 +175,36 @@ def noise_color(
     plant: DisturbedPlant,
     families: Sequence[Family],
     noise: NoiseModel,
-) -> Vector:
-    """Return an autoregressive model of the noise, estimated beside all directions.
+) -> Matrix:
+    """Return an autoregressive model of each output's noise, estimated beside all directions.
 
-    Empty where there is none, or where it would be correlated over a good part of the record.
+    Returns
+    -------
+    Matrix
+        Shape ``(n_y, order)``; zero where there is none, or where the noise would be correlated
+        over a good part of the record.
     """
     residuals = []
     matrices = generators(families)
     for problem in _whitened_problems(fit, data, plant, matrices, noise, whole=True):
-        residuals.append(problem.unexplained)
+        residuals.append(problem.unexplained @ np.linalg.inv(noise.whitening).T)
     shortest = min(len(rest) for rest in residuals)
-    a = autoregression(residuals, min(LONGEST_AR, shortest // 20))
+    models = []
+    for o in range(len(plant.C)):
+        of_output = [rest[:, [o]] for rest in residuals]
+        a = autoregression(of_output, min(LONGEST_AR, shortest // 20))
+        models.append(a if _is_short(a, shortest) else np.zeros(0))
+    order = max(len(a) for a in models)
+    return np.array([np.pad(a, (0, order - len(a))) for a in models])
+
+
+def _is_short(a: Vector, samples: int) -> bool:
+    """Return whether noise is correlated over a small part of a record only."""
     if not len(a):
-        return a
+        return True
     poles = np.roots(np.concatenate([[1.0], -a]))
     slowest = float(np.abs(poles).max())
-    if slowest >= 1.0 or -1.0 / np.log(slowest) > LONGEST_CORRELATION * shortest:
-        return np.zeros(0)
-    return a
+    return slowest < 1.0 and -1.0 / np.log(slowest) <= LONGEST_CORRELATION * samples
 
 
 def autoregression(residuals: Sequence[Matrix], longest: int) -> Vector:
@@ -244,33 +257,30 @@ class _WhitenedProblem:
     ) -> None:
         self.accuracy = accuracy
         self._order = data.y.shape[1]
-        weight = float(np.abs(response.weights).max())
-        self.allowed = weight * accuracy.deviation
-        self.rounding = weight * accuracy.rounding
+        weights = np.abs(noise.whitening)
+        self.allowed = weights @ accuracy.deviations
+        self.rounding = float((weights @ accuracy.rounding).max())
         measured = data.measured
         y = data.y[measured]
         spread = np.sqrt(np.mean((y - y.mean(axis=0)) ** 2, axis=0))
         step_error = np.sqrt(np.mean(accuracy.step**2, axis=0))
         self.step_error = step_error / np.maximum(spread, accuracy.rounding)
 
-        def whitened(rows: Matrix, measured: Mask) -> Matrix:
-            filtered = autoregressive_filter(rows[measured], noise.a)
-            return filtered.reshape(-1, filtered.shape[2])
-
-        def weighed(rows: Matrix) -> Matrix:
-            return np.asarray(np.einsum("ab,nbk->nak", response.weights, rows), np.float64)
+        def whitened(rows: NDArray[np.float64], measured: Mask) -> Matrix:
+            return noise.whitened(rows[measured]).reshape(-1, rows.shape[2])
 
         unknowns = np.concatenate([response.slopes[:, :, fit.estimated], response.linear], axis=2)
         self.columns = whitened(unknowns, measured)
         self._residual = whitened(response.residual[:, :, np.newaxis], measured)[:, 0]
-        quantized = quantization_error(data.y, response.plain_residual, accuracy.spacing)
+        quantized = quantization_error(data.y, response.residual, accuracy.spacing)
         errors = np.stack([accuracy.step, quantized], axis=2)
-        self.errors = whitened(weighed(errors), measured)
+        self.errors = whitened(errors, measured)
+        self._plain = response.residual[measured]
         is_kept = np.arange(len(data.t)) % every == 0
-        self._is_kept = is_kept[measured][len(noise.a) :]
+        self._is_kept = is_kept[measured][noise.order :]
         thin = data.thinned(every)
         directions = model_errors(plant, thin, response.thinned(every))
-        columns = whitened(weighed(directions.columns), thin.measured)
+        columns = whitened(directions.columns, thin.measured)
         self._make_directions(Directions(columns, directions.names))
 
     def _thinned(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -298,6 +308,12 @@ class _WhitenedProblem:
         rest = self._residual - basis @ (basis.T @ self._residual)
         return rest.reshape(-1, self._order)
 
+    @property
+    def squares(self) -> Vector:
+        """The sums of squares of the whitened residual, shape (n_y,)."""
+        rows = self._residual.reshape(-1, self._order)
+        return np.asarray(np.sum(rows**2, axis=0), np.float64)
+
     def tests(self, deviation: float) -> list[ResidualTest]:
         """Test the residual for noise of a deviation."""
         return [
@@ -305,6 +321,26 @@ class _WhitenedProblem:
             self._all_directions(deviation),
             self._whiteness(deviation),
         ]
+
+    def size_tests(self, stated: Matrix) -> list[ResidualTest]:
+        """Hold the size of the residual of each output against the covariance that is stated."""
+        deviations = np.sqrt(np.diag(stated))
+        return [self._size(o, float(deviation)) for o, deviation in enumerate(deviations)]
+
+    def _size(self, output: int, stated: float) -> ResidualTest:
+        residual = self._plain[:, output]
+        unknowns = self.columns.shape[1] / self._order
+        degrees = max(int(len(residual) - unknowns), 1)
+        found = float(np.sqrt(residual @ residual / degrees))
+        expected = float(np.hypot(stated, self.accuracy.deviations[output]))
+        name = f"deviation of y[{output}] over the stated one"
+        statistic = found / expected
+        if found < stated:
+            name = f"stated deviation over that of y[{output}]"
+            statistic = stated / max(found, np.finfo(np.float64).tiny)
+        threshold = MARGIN * float(np.sqrt(_threshold(degrees) / degrees))
+        sizes = f"found {found:.3g}, stated {stated:.3g}"
+        return ResidualTest(name, statistic, threshold, degrees, sizes)
 
     def _excess(self, directions: Matrix, deviation: float) -> Vector:
         """Return how much of the residual along directions is more than errors allow."""
@@ -329,29 +365,23 @@ class _WhitenedProblem:
         return ResidualTest("traces of model errors", statistic, _threshold(degrees), degrees, "")
 
     def _whiteness(self, deviation: float) -> ResidualTest:
-        residual = self._residual
+        residual = self._residual.reshape(-1, self._order)
+        errors = self.errors.reshape(*residual.shape, -1)
         N = len(residual)
-        lags = max(min(LAGS, N // (4 * self._order)), 1)
-        excess = np.zeros(lags)
+        lags = max(min(LAGS, N // 4), 1)
+        excess = np.zeros((lags, self._order))
         for k in range(1, lags + 1):
-            shift = k * self._order
-            found = abs(float(residual[shift:] @ residual[: N - shift]))
-            allowed = 0.0
-            for error in self.errors.T:
-                allowed += MARGIN * abs(float(error[shift:] @ error[: N - shift]))
-            excess[k - 1] = max(found - allowed, 0.0) / (N * deviation**2)
-        statistic = N * float(excess @ excess)
-        largest = f"lag {int(excess.argmax()) + 1}"
-        return ResidualTest("whiteness", statistic, _threshold(lags), lags, largest)
-
-
-def autoregressive_filter(rows: Matrix, a: Vector) -> Matrix:
-    """Compute ``v(k) - a_1 v(k-1) - ...`` along the first axis; the first rows are lost."""
-    order = len(a)
-    result: Matrix = rows[order:].copy()
-    for k in range(1, order + 1):
-        result -= a[k - 1] * rows[order - k : len(rows) - k]
-    return result
+            found = np.abs(np.sum(residual[k:] * residual[: N - k], axis=0))
+            products = np.abs(np.sum(errors[k:] * errors[: N - k], axis=0))
+            allowed = MARGIN * products.sum(axis=1)
+            excess[k - 1] = np.maximum(found - allowed, 0.0) / (N * deviation**2)
+        statistic = N * float(np.sum(excess**2))
+        degrees = excess.size
+        lag, output = np.unravel_index(int(excess.argmax()), excess.shape)
+        largest = f"lag {lag + 1}"
+        if self._order > 1:
+            largest += f" of y[{output}]"
+        return ResidualTest("whiteness", statistic, _threshold(degrees), degrees, largest)
 
 
 def _whitened_problems(
@@ -366,7 +396,7 @@ def _whitened_problems(
     """Return the problem of each data set; ``whole``: with the directions of all samples."""
     problems = []
     for index, one in enumerate(data):
-        longest = len(one.t) if whole or len(noise.a) else MOST_SAMPLES
+        longest = len(one.t) if whole or noise.order else MOST_SAMPLES
         every = max(1, len(one.t) // longest)
         response = fitted_response(fit, index, one, plant, matrices)
         accuracy = accuracy_of(plant, one, response.disturbance, matrices)
@@ -383,6 +413,14 @@ def _orthonormal(columns: Matrix) -> Matrix:
     squares, vectors = np.linalg.eigh(scaled.T @ scaled)
     kept = squares > LEAST_REMAINDER**2 * squares[-1]
     return np.asarray(scaled @ (vectors[:, kept] / np.sqrt(squares[kept])), np.float64)
+
+
+def _is_exact(fit: OutputErrorFit, problems: Sequence[_WhitenedProblem]) -> bool:
+    """Return whether no residual is larger than errors that are no noise allow."""
+    squares = np.sum([problem.squares for problem in problems], axis=0)
+    deviations = np.sqrt(squares / (max(fit.freedom, 1.0) / len(squares)))
+    allowed = np.max([problem.allowed for problem in problems], axis=0)
+    return bool((deviations <= NOTHING_ELSE * allowed).all())
 
 
 def _threshold(degrees: int, among: int = 1) -> float:

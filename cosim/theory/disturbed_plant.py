@@ -164,13 +164,19 @@ class NoiseModel:
     Parameters
     ----------
     covariance : Matrix, shape (n_y, n_y)
-        Up to a factor, which the residual decides.
-    a : Vector, shape (order,)
-        Autoregressive model, `e(k) = v(k) - a_1 v(k-1) - ...` is white; none: v is white.
+        Of the white e below, up to a factor, which the residual decides.
+    a : Matrix, shape (n_y, order)
+        Autoregressive model of each output, `e(k) = v(k) - a_1 v(k-1) - ...` is white; no columns:
+        v is white.
     """
 
     covariance: Matrix
-    a: Vector
+    a: Matrix
+
+    @property
+    def order(self) -> int:
+        """The order of the autoregressive models."""
+        return int(self.a.shape[1])
 
     @property
     def whitening(self) -> Matrix:
@@ -178,10 +184,45 @@ class NoiseModel:
         factor = np.linalg.cholesky(self.covariance)
         return np.linalg.inv(factor)
 
+    @property
+    def deviations(self) -> Vector:
+        """The deviation of each output's e, shape (n_y,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def whitened(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return rows of successive samples made white, shape (N - order, n_y, k).
+
+        Parameters
+        ----------
+        rows : shape (N, n_y, k)
+        """
+        filtered = autoregressive_filter(rows, self.a)
+        return np.asarray(np.einsum("ab,nbk->nak", self.whitening, filtered), np.float64)
+
 
 def white_noise(outputs: int) -> NoiseModel:
     """Return white noise of equal deviation on every output."""
-    return NoiseModel(covariance=np.eye(outputs), a=np.zeros(0))
+    return NoiseModel(covariance=np.eye(outputs), a=np.zeros((outputs, 0)))
+
+
+def autoregressive_filter(rows: NDArray[np.float64], a: Matrix) -> NDArray[np.float64]:
+    """Compute ``v(k) - a_1 v(k-1) - ...`` of each output along the samples.
+
+    Parameters
+    ----------
+    rows : shape (N, n_y, k)
+    a : Matrix, shape (n_y, order)
+
+    Returns
+    -------
+    array, shape (N - order, n_y, k)
+        The first samples are lost.
+    """
+    order = a.shape[1]
+    result = rows[order:].copy()
+    for k in range(1, order + 1):
+        result -= a[:, k - 1, np.newaxis] * rows[order - k : len(rows) - k]
+    return result
 
 
 @dataclass(frozen=True, eq=False)

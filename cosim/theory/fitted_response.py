@@ -23,13 +23,11 @@ class FittedResponse:
     Parameters
     ----------
     residual : Matrix, shape (N, n_y)
-        Whitened among the outputs, not in time; NaN: not measured.
+        Of the outputs; NaN: not measured.
     slopes : shape (N, n_y, P)
-        Its derivatives by theta, with the other sign; whitened.
+        Its derivatives by theta, with the other sign.
     linear : shape (N, n_y, L)
-        By amplitudes, initial state and offset; whitened.
-    weights : Matrix, shape (n_y, n_y)
-        What whitens.
+        By amplitudes, initial state and offset.
     disturbance : Matrix, shape (N, components)
         ``alpha_i f_i``.
     states : Matrix, shape (N, n)
@@ -39,14 +37,8 @@ class FittedResponse:
     residual: Matrix
     slopes: NDArray[np.float64]
     linear: NDArray[np.float64]
-    weights: Matrix
     disturbance: Matrix
     states: Matrix
-
-    @property
-    def plain_residual(self) -> Matrix:
-        """The residual of the outputs themselves, shape (N, n_y)."""
-        return np.asarray(np.linalg.solve(self.weights, self.residual.T).T, np.float64)
 
     def thinned(self, every: int) -> FittedResponse:
         """Return every so many samples of it."""
@@ -54,7 +46,6 @@ class FittedResponse:
             residual=self.residual[::every],
             slopes=self.slopes[::every],
             linear=self.linear[::every],
-            weights=self.weights,
             disturbance=self.disturbance[::every],
             states=self.states[::every],
         )
@@ -87,7 +78,6 @@ def fitted_response(
         residual=residual,
         slopes=slopes,
         linear=linear,
-        weights=record.model.constants.W,
         disturbance=disturbance,
         states=states,
     )

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from cosim.arrays import Matrix, Vector
 from cosim.errors import AssumptionError
 from cosim.theory.accuracy import accuracy_of, quantization_error, step_error
-from cosim.theory.consistency import MARGIN, autoregressive_filter
+from cosim.theory.consistency import MARGIN
 from cosim.theory.disturbance import Family, generators
 from cosim.theory.disturbed_plant import (
     DataSet,
@@ -170,13 +170,12 @@ def _regression(
     matrices = generators(families)
     response = fitted_response(fit, index, data, plant, matrices)
     accuracy = accuracy_of(plant, data, response.disturbance, matrices)
-    quantized = quantization_error(data.y, response.plain_residual, accuracy.spacing)
+    quantized = quantization_error(data.y, response.residual, accuracy.spacing)
     errors = np.stack([accuracy.step, quantized], axis=2)
     measured = data.measured
 
     def white(rows: NDArray[np.float64]) -> Matrix:
-        filtered = autoregressive_filter(rows[measured], noise.a)
-        return filtered.reshape(-1, rows.shape[2])
+        return noise.whitened(rows[measured]).reshape(-1, rows.shape[2])
 
     linear = white(response.linear)
     slopes = white(response.slopes)
@@ -184,8 +183,7 @@ def _regression(
     lengths[lengths == 0.0] = 1.0
     inverse = np.linalg.pinv(linear / lengths, rcond=1e-12) / lengths[:, np.newaxis]
     free = slopes - linear @ (inverse @ slopes)
-    among_outputs = np.einsum("ab,nbk->nak", response.weights, errors)
-    return _Regression(slopes, inverse, free, white(among_outputs))
+    return _Regression(slopes, inverse, free, white(errors))
 
 
 def _covariance(fit: OutputErrorFit, regression: _Regression) -> Matrix:

@@ -48,7 +48,8 @@ class Validation:
     consistency : Consistency
         Of its residual: it shows the error of theta too.
     deviation, ratio : float
-        Of its residual, and over that of the fit; root mean squares.
+        Of its residual, and over that of the fit; root mean squares, of several outputs in units of
+        the noise of the fit.
     own : Assessment
         With a theta of these data.
     difference : ResidualTest
@@ -89,6 +90,7 @@ def validate(
     plant: DisturbedPlant,
     families: Sequence[Family],
     *,
+    stated: Matrix | None = None,
     offset: bool = False,
 ) -> Validation:
     """Say whether a fit holds for data that were not used in it.
@@ -101,7 +103,7 @@ def validate(
         The data that were used.
     data : DataSet
         Others.
-    plant, families, offset
+    plant, families, stated, offset
         As in the fit.
 
     Raises
@@ -110,12 +112,13 @@ def validate(
         If there are fewer samples than unknowns.
     """
     fit = assessment.fit
-    own = assess_from([data], plant, families, fit.theta, offset=offset)
+    own = assess_from([data], plant, families, fit.theta, stated=stated, offset=offset)
     bounds = {j: (float(value), float(value)) for j, value in enumerate(fit.theta)}
     held = fit_output_error(
         [data], plant, families, fit.theta, noise=own.noise, offset=offset, bounds=bounds
     )
-    deviation = _root_mean_square(held, [data], plant, families)
+    W = assessment.noise.whitening if len(plant.C) > 1 else np.eye(1)
+    deviation = _root_mean_square(held, [data], plant, families, W)
     tested = _comparable(assessment, own)
     difference = _difference(assessment, own, held, tested)
     verdict, reason = _verdict(assessment, own, tested, difference)
@@ -123,9 +126,9 @@ def validate(
         verdict=verdict,
         reason=reason,
         fit=held,
-        consistency=examine(held, [data], plant, families, own.noise),
+        consistency=examine(held, [data], plant, families, own.noise, stated=stated),
         deviation=deviation,
-        ratio=deviation / _root_mean_square(fit, fitted, plant, families),
+        ratio=deviation / _root_mean_square(fit, fitted, plant, families, W),
         own=own,
         difference=difference,
     )
@@ -136,13 +139,15 @@ def _root_mean_square(
     data: Sequence[DataSet],
     plant: DisturbedPlant,
     families: Sequence[Family],
+    W: Matrix,
 ) -> float:
-    """Return the root mean square of the residual, corrected for what was fitted to it."""
+    """Return the root mean square of the residual times W, corrected for what was fitted to it."""
     matrices = generators(families)
     squares = 0.0
     count = 0
     for index, one in enumerate(data):
-        residual = fitted_response(fit, index, one, plant, matrices).residual[one.measured]
+        response = fitted_response(fit, index, one, plant, matrices)
+        residual = response.residual[one.measured] @ W.T
         squares += float(np.sum(residual**2))
         count += residual.size
     unknowns = max(count - fit.freedom, 0.0)

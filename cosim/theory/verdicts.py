@@ -18,7 +18,7 @@ against that (:func:`judge`).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
 from typing import Any, Final
 
@@ -29,15 +29,15 @@ from cosim.native.estimation import ParameterState
 from cosim.theory.accuracy import LARGEST_STEP_ERROR, enough_shorter
 from cosim.theory.consistency import MARGIN, Consistency, examine, noise_color
 from cosim.theory.disturbance import Family, generators
-from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, NoiseModel, white_noise
+from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, NoiseModel
 from cosim.theory.estimators.output_error import (
     NO_BOUNDS,
     OutputErrorFit,
-    fit_output_error,
     least_squares_at,
     presence_threshold,
     search_start,
 )
+from cosim.theory.noise_covariance import fit_with_noise, size_covariance
 from cosim.theory.quantiles import CONFIDENCE, normal_two_sided, student_two_sided
 
 # Of a component that is 100 of its deviations from absent: its effect is linear over an interval to
@@ -102,7 +102,8 @@ class Assessment:
     fit : OutputErrorFit
     consistency : Consistency
     noise : NoiseModel
-        As it was assumed in the fit; ``a`` is not empty where the noise was found to be colored.
+        As it was in the fit, in units of ``fit.deviation``: stated, or that of the residual; ``a``
+        is not empty where the noise was found to be colored.
     half_width : Vector, shape (P,)
         Of the 95 % intervals; NaN where there is none.
     parameters : tuple of ParameterVerdict
@@ -122,17 +123,29 @@ class Assessment:
         correlation: Matrix = self.fit.covariance / np.outer(scale, scale)
         return correlation
 
+    @property
+    def deviations(self) -> Vector:
+        """The deviation of the noise of each output, made white, shape (n_y,)."""
+        return self.fit.deviation * self.noise.deviations
+
+    @property
+    def residual_size(self) -> float:
+        """What maximum likelihood makes smallest: of several outputs a geometric mean."""
+        _, logarithm = np.linalg.slogdet(self.noise.covariance)
+        return self.fit.deviation * float(np.exp(0.5 * logarithm / len(self.noise.a)))
+
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
         parameters = [parameter.to_dict() for parameter in self.parameters]
+        accuracy = np.max([one.deviations for one in self.consistency.accuracy], axis=0)
         tests = []
         for test in self.consistency.tests:
             tests.append({**asdict(test), "passed": test.passed})
         return {
             "parameters": parameters,
             "correlation": self.correlation.tolist(),
-            "deviation": self.fit.deviation,
-            "accuracy": max(one.deviation for one in self.consistency.accuracy),
+            "deviation": self.deviations.tolist(),
+            "accuracy": accuracy.tolist(),
             "degrees_of_freedom": self.fit.freedom,
             "is_exact": self.consistency.is_exact,
             "noise_model": self.noise.a.tolist(),
@@ -146,13 +159,14 @@ def assess(
     families: Sequence[Family],
     start: Vector | None = None,
     *,
-    noise: NoiseModel | None = None,
+    stated: Matrix | None = None,
     offset: bool = False,
     bounds: Mapping[int, tuple[float, float]] = NO_BOUNDS,
 ) -> Assessment:
     """Fit output error, and say what the data say about every parameter.
 
-    Colored noise is recognized and whitened by an autoregressive model.
+    The outputs are weighed by the covariance of their noise, which is that of the residual where it
+    is not stated. Colored noise is recognized and whitened by an autoregressive model.
 
     Parameters
     ----------
@@ -161,8 +175,8 @@ def assess(
     families : sequence of Family
     start : Vector, shape (P,), optional
         By default searched.
-    noise : NoiseModel, optional
-        By default white, of equal deviation on every output.
+    stated : Matrix, shape (n_y, n_y), optional
+        Covariance of the noise of the outputs, where it is known.
     offset, bounds
         As for :func:`cosim.theory.estimators.output_error.fit_output_error`.
 
@@ -171,26 +185,70 @@ def assess(
     AssumptionError
         As from there.
     """
-    noise = noise or white_noise(plant.C.shape[0])
+    return _Assessing(data, plant, families, stated, offset, bounds).assessment(start)
 
-    def fitted(theta: Vector, model: NoiseModel) -> OutputErrorFit:
-        return fit_output_error(
-            data, plant, families, theta, noise=model, offset=offset, bounds=bounds
+
+class _Assessing:
+    """Fits and examines a model of the noise after another."""
+
+    def __init__(
+        self,
+        data: Sequence[DataSet],
+        plant: DisturbedPlant,
+        families: Sequence[Family],
+        stated: Matrix | None,
+        offset: bool,
+        bounds: Mapping[int, tuple[float, float]],
+    ) -> None:
+        self._data = data
+        self._plant = plant
+        self._families = families
+        self._stated = stated
+        self._offset = offset
+        self._bounds = bounds
+
+    def assessment(self, start: Vector | None) -> Assessment:
+        noise = self._first_noise()
+        if start is None:
+            start = search_start(
+                self._data,
+                self._plant,
+                self._families,
+                offset=self._offset,
+                bounds=self._bounds,
+                noise=noise,
+            )
+        found = self._fitted(start, noise, is_known=self._stated is not None)
+        fit, noise, consistency = found
+        if not consistency.passed and not consistency.step_too_long:
+            a = noise_color(fit, self._data, self._plant, self._families, noise)
+            if a.shape[1]:
+                # what is stated is of the noise itself, not of the white one that makes it
+                colored = self._fitted(fit.theta, replace(noise, a=a), is_known=False)
+                if colored[2].passed:
+                    fit, noise, consistency = colored
+        return _Judge(fit, consistency, noise, self._families).assessment()
+
+    def _first_noise(self) -> NoiseModel:
+        outputs = len(self._plant.C)
+        covariance = self._stated
+        if covariance is None:
+            covariance = np.eye(1) if outputs == 1 else size_covariance(self._data)
+        return NoiseModel(covariance=covariance, a=np.zeros((outputs, 0)))
+
+    def _fitted(
+        self, theta: Vector, noise: NoiseModel, *, is_known: bool
+    ) -> tuple[OutputErrorFit, NoiseModel, Consistency]:
+        given = (self._data, self._plant, self._families)
+        fit, noise = fit_with_noise(
+            *given,
+            theta,
+            noise=noise,
+            is_known=is_known,
+            offset=self._offset,
+            bounds=self._bounds,
         )
-
-    if start is None:
-        start = search_start(data, plant, families, offset=offset, bounds=bounds)
-    fit = fitted(start, noise)
-    consistency = examine(fit, data, plant, families, noise)
-    if not consistency.passed and not consistency.step_too_long and not len(noise.a):
-        a = noise_color(fit, data, plant, families, noise)
-        if len(a):
-            colored = NoiseModel(covariance=noise.covariance, a=a)
-            whitened = fitted(fit.theta, colored)
-            again = examine(whitened, data, plant, families, colored)
-            if again.passed:
-                fit, consistency, noise = whitened, again, colored
-    return _Judge(fit, consistency, noise, families).assessment()
+        return fit, noise, examine(fit, *given, noise, stated=self._stated)
 
 
 def assess_from(
@@ -199,6 +257,7 @@ def assess_from(
     families: Sequence[Family],
     theta: Vector | None,
     *,
+    stated: Matrix | None = None,
     offset: bool = False,
     bounds: Mapping[int, tuple[float, float]] = NO_BOUNDS,
 ) -> Assessment:
@@ -206,7 +265,7 @@ def assess_from(
 
     Parameters
     ----------
-    data, plant, families, offset, bounds
+    data, plant, families, stated, offset, bounds
         As for :func:`assess`.
     theta : Vector, shape (P,), or None
         None: from a search alone.
@@ -221,13 +280,14 @@ def assess_from(
     AssumptionError
         As from there.
     """
-    near = assess(data, plant, families, theta, offset=offset, bounds=bounds)
+    assessing = _Assessing(data, plant, families, stated, offset, bounds)
+    near = assessing.assessment(theta)
     if theta is None or (near.fit.converged and near.consistency.passed):
         return near
-    searched = assess(data, plant, families, offset=offset, bounds=bounds)
+    searched = assessing.assessment(None)
     if not searched.fit.converged:
         return near
-    if near.fit.converged and near.fit.deviation <= searched.fit.deviation:
+    if near.fit.converged and near.residual_size <= searched.residual_size:
         return near
     return searched
 
@@ -429,10 +489,10 @@ class _Judge:
                 f"{100.0 * LARGEST_STEP_ERROR:g} % can be allowed for; samples at "
                 f"{enough_shorter(relative):.1g} of their distances would do"
             )
-        failed = [test for test in consistency.tests if not test.passed]
         found = "; ".join(
             f"{test.name}: {test.statistic:.3g}, noise leaves up to {test.threshold:.3g} "
             + (f" ({test.largest})" if test.largest else "")
-            for test in failed
+            for test in consistency.tests
+            if not test.passed
         )
         return f"the residual is not what noise leaves: {found}"

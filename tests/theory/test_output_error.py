@@ -217,7 +217,7 @@ def test_several_outputs_are_weighted_by_their_noise(exact):
     rng = np.random.default_rng(8)
     deviations = np.array([1e-3, 1e-1])
     noisy = np.hstack([y, y]) + deviations * rng.standard_normal((len(t), 2))
-    noise = NoiseModel(covariance=np.diag(deviations**2), a=np.zeros(0))
+    noise = NoiseModel(covariance=np.diag(deviations**2), a=np.zeros((2, 0)))
     fit = fit_output_error([data(t, noisy)], two, FAMILIES, START, noise=noise)
     assert fit.deviation == pytest.approx(1.0, rel=0.02)
     np.testing.assert_allclose(fit.standard_error, 1e-3 * BOUND, rtol=0.02)

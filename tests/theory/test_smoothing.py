@@ -176,7 +176,7 @@ def test_colored_noise_makes_wider_bands():
         colored[k] = 0.8 * colored[k - 1] + 0.6 * white[k]
     y = simulate(t, delta(t).sum(axis=1)) + 1e-3 * colored[:, np.newaxis]
     data = DataSet(t, y, np.sin(t)[:, np.newaxis], alpha(t))
-    noise = NoiseModel(covariance=np.eye(1), a=np.array([0.8]))
+    noise = NoiseModel(covariance=np.eye(1), a=np.array([[0.8]]))
     fit = fit_output_error([data], design(), FAMILIES, START, noise=noise)
     found = smoothed_signals(fit, 0, [data], design(), FAMILIES, noise=noise)
     plain = smoothed(noisy("good", 1e-3, 4, COARSE))

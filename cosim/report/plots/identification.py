@@ -24,7 +24,6 @@ from cosim.report.recorded_rows import has_signal, signal_of, stacked_rows_of
 from cosim.scenario.identifying import IdentifierRecord, LogIdentification, smoothed_record
 from cosim.scenario.recorded_metadata import truth_of
 from cosim.scenario.schema import truth_ports
-from cosim.theory.consistency import autoregressive_filter
 from cosim.theory.disturbance import generators
 from cosim.theory.fitted_response import FittedResponse, fitted_response
 from cosim.theory.spectrum import whiteness_spectrum
@@ -99,7 +98,7 @@ def _draw_residual(
     if data.y.shape[1] > 1:
         names = [f"residual of y[{o}]" for o in range(data.y.shape[1])]
     curves = []
-    for name, column in zip(names, response.plain_residual.T, strict=True):
+    for name, column in zip(names, response.residual.T, strict=True):
         curves.append(Curve(name, unit, data.t, column).within(options))
     styles = [{**style, "linewidth": _THIN} for style in color_styles(len(curves))]
     draw(over_time, curves, styles=styles)
@@ -111,7 +110,8 @@ def _draw_spectrum(
     panel: Any, found: LogIdentification, record: IdentifierRecord, response: FittedResponse
 ) -> None:
     measured = record.data.measured
-    whitened = autoregressive_filter(response.residual[measured], found.assessment.noise.a)
+    noise = found.assessment.noise
+    whitened = noise.whitened(response.residual[measured][:, :, np.newaxis])[:, :, 0]
     t = record.data.t[measured]
     panel.set_xlabel("frequency [Hz]")
     panel.set_ylabel("over white noise")

@@ -7,6 +7,7 @@ import itertools
 from rich.table import Table
 
 from cosim.report.identification import IdentificationReport, IrregularPart
+from cosim.report.summary import numbers_text
 from cosim.report.tables.console import new_table, print_json, print_table
 from cosim.scenario.identifying import IdentifierRecord, LogIdentification
 from cosim.theory.consistency import ResidualTest
@@ -30,7 +31,7 @@ def print_identification(report: IdentificationReport, *, as_json: bool) -> None
         if assessment.fit.estimated[[i, j]].all():
             correlation = f"{assessment.correlation[i, j]:+.3f}"
             table.add_row("correlation", correlation, "", "", f"of theta[{i}] and theta[{j}]")
-    table.add_row("noise", f"{assessment.fit.deviation:.3g}", "", "", report.noise)
+    table.add_row("noise", numbers_text(assessment.deviations.tolist()), "", "", report.noise)
     for index in range(len(found.records)):
         _add_log(table, found, index)
     for record, validation in report.validations:

@@ -16,6 +16,7 @@ from cosim.report.summary import (
     Identification,
     ParameterSummary,
     Summary,
+    numbers_text,
     span,
     summarize,
 )
@@ -183,9 +184,8 @@ def _add_identification(
     for parameter in identification.reference:
         _add_parameter(table, f"{parameter.estimate} by output error", parameter)
     if identification.noise:
-        deviation = identification.deviation
-        size = "" if deviation is None else f"{deviation:.3g}"
-        table.add_row("noise", size, "", identification.noise)
+        deviation = numbers_text(identification.deviation)
+        table.add_row("noise", deviation, "", identification.noise)
 
 
 def _add_parameter(table: Table, label: str, parameter: ParameterSummary) -> None:

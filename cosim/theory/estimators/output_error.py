@@ -191,6 +191,7 @@ def search_start(
     *,
     offset: bool = False,
     bounds: Mapping[int, tuple[float, float]] = NO_BOUNDS,
+    noise: NoiseModel | None = None,
 ) -> Vector:
     """Find a start: the best point of a grid, on samples that are thinned out.
 
@@ -198,7 +199,7 @@ def search_start(
 
     Parameters
     ----------
-    data, plant, families, offset, bounds
+    data, plant, families, offset, bounds, noise
         As for :func:`fit_output_error`.
 
     Returns
@@ -207,10 +208,10 @@ def search_start(
         Shape ``(P,)``, within the bounds.
     """
     matrices = generators(families)
+    noise = noise or white_noise(plant.C.shape[0])
     records = []
     for one in data:
         thin = one.thinned(max(1, len(one.t) // SAMPLES_OF_SEARCH))
-        noise = white_noise(plant.C.shape[0])
         sampled = sample_plant(plant, matrices, thin, noise=noise, offset=offset)
         records.append(sampled.record(thin))
     span = max(float(one.t[-1] - one.t[0]) for one in data)
@@ -262,9 +263,9 @@ class _Problem:
         shortest = 4.0 * span / max(count - 1, 4)
         self.box = search_box(families, span=span, shortest=shortest)
         self._parameters = parameters
-        largest = max(float(np.nanmax(np.abs(one.y))) for one in data)
-        weight = float(np.abs(noise.whitening).max())
-        self.rounding = ROUNDING * max(largest, np.finfo(np.float64).tiny) * weight
+        largest = np.max([np.nanmax(np.abs(one.y), axis=0) for one in data], axis=0)
+        whitened = np.abs(noise.whitening) @ np.maximum(largest, np.finfo(np.float64).tiny)
+        self.rounding = ROUNDING * float(whitened.max())
 
     def bounds(self, given: Mapping[int, tuple[float, float]]) -> tuple[Vector, Vector]:
         # A step beyond these makes the response overflow, or passes between two samples.

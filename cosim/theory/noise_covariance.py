@@ -1,0 +1,159 @@
+"""The noise of several outputs from what a fit leaves, and the fit that is weighed by it.
+
+Where the covariance of the noise is unknown, maximum likelihood minimizes the determinant of the
+products of the residuals (L. Ljung, System Identification, 2nd ed., 1999, section 15.2). It is
+found in turn: the fit for a covariance, the covariance of its residual (W. Oberhofer and J. Kmenta,
+Econometrica, 1974). The first weights are the sizes of the outputs, so that their units do not
+count.
+
+No output is taken for more exact than errors that are no noise leave it
+(:mod:`cosim.theory.accuracy`): weights beyond that would only amplify them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from cosim.arrays import Matrix, Vector
+from cosim.theory.accuracy import accuracy_of
+from cosim.theory.disturbance import Family, generators
+from cosim.theory.disturbed_plant import (
+    DataSet,
+    DisturbedPlant,
+    NoiseModel,
+    autoregressive_filter,
+)
+from cosim.theory.estimators.output_error import (
+    NO_BOUNDS,
+    OutputErrorFit,
+    fit_output_error,
+)
+from cosim.theory.fitted_response import fitted_response
+
+MOST_FITS: Final = 12
+# of a covariance in units of the one that weighed the fit: its effect on theta is of second order
+SMALL_CHANGE: Final = 1e-2
+# degrees of freedom for each entry of a covariance, below which its correlations are left out
+FEWEST_AN_ENTRY: Final = 20.0
+LARGEST_CORRELATION: Final = 1.0 - 2.0**-20
+
+
+def fit_with_noise(
+    data: Sequence[DataSet],
+    plant: DisturbedPlant,
+    families: Sequence[Family],
+    theta: Vector,
+    *,
+    noise: NoiseModel,
+    is_known: bool = False,
+    offset: bool = False,
+    bounds: Mapping[int, tuple[float, float]] = NO_BOUNDS,
+) -> tuple[OutputErrorFit, NoiseModel]:
+    """Fit output error, and estimate the covariance of the noise of several outputs with it.
+
+    Parameters
+    ----------
+    data, plant, families, theta, offset, bounds
+        As for :func:`cosim.theory.estimators.output_error.fit_output_error`.
+    noise : NoiseModel
+        The covariance to begin with. Its autoregressive models stay.
+    is_known : bool
+        The covariance stays too.
+
+    Returns
+    -------
+    OutputErrorFit
+        Its deviation is 1, in units of the estimated noise, or more; of a single output, which
+        needs no weight, that of the residual.
+    NoiseModel
+
+    Raises
+    ------
+    AssumptionError
+        As from there.
+    """
+    if is_known or len(plant.C) == 1:
+        fit = fit_output_error(
+            data, plant, families, theta, noise=noise, offset=offset, bounds=bounds
+        )
+        return fit, noise
+    for _ in range(MOST_FITS):
+        used = noise
+        fit = fit_output_error(
+            data, plant, families, theta, noise=used, offset=offset, bounds=bounds
+        )
+        theta = fit.theta
+        covariance = residual_covariance(fit, data, plant, families, used.a)
+        noise = replace(used, covariance=covariance)
+        relative = used.whitening @ covariance @ used.whitening.T
+        if fit.converged and np.abs(relative - np.eye(len(relative))).max() <= SMALL_CHANGE:
+            break
+    return _of_known_noise(fit), used
+
+
+def residual_covariance(
+    fit: OutputErrorFit,
+    data: Sequence[DataSet],
+    plant: DisturbedPlant,
+    families: Sequence[Family],
+    a: Matrix,
+) -> Matrix:
+    """Return the covariance of the residual of a fit, shape (n_y, n_y).
+
+    Parameters
+    ----------
+    fit, data, plant, families
+        As they belong together.
+    a : Matrix, shape (n_y, order)
+        Autoregressive model that makes the residual white.
+    """
+    outputs = len(plant.C)
+    matrices = generators(families)
+    products = np.zeros((outputs, outputs))
+    least = np.zeros(outputs)
+    for index, one in enumerate(data):
+        response = fitted_response(fit, index, one, plant, matrices)
+        rows = response.residual[one.measured][:, :, np.newaxis]
+        white = autoregressive_filter(rows, a)[:, :, 0]
+        products += white.T @ white
+        accuracy = accuracy_of(plant, one, response.disturbance, matrices)
+        least = np.maximum(least, accuracy.deviations)
+    freedom = max(fit.freedom / outputs, 1.0)
+    covariance = products / freedom
+    if freedom < FEWEST_AN_ENTRY * outputs**2:
+        covariance = np.diag(np.diag(covariance))
+    return _not_below(covariance, least)
+
+
+def size_covariance(data: Sequence[DataSet]) -> Matrix:
+    """Return weights to begin with, as large as the outputs are about their means."""
+    variances = np.mean([np.nanvar(one.y, axis=0) for one in data], axis=0)
+    return np.diag(np.where(variances > 0.0, variances, 1.0))
+
+
+def _not_below(covariance: Matrix, least: Vector) -> Matrix:
+    """Return a covariance with deviations of at least ``least``, and a Cholesky factor."""
+    variances = np.maximum(np.diag(covariance), least**2)
+    result = LARGEST_CORRELATION * covariance
+    np.fill_diagonal(result, np.where(variances > 0.0, variances, 1.0))
+    return result
+
+
+def _of_known_noise(fit: OutputErrorFit) -> OutputErrorFit:
+    """Return the fit with errors for noise of deviation 1, where its residual is smaller.
+
+    It is where an output is more exact than it is taken for: that says nothing of the others.
+    """
+    if not 0.0 < fit.deviation < 1.0:
+        return fit
+    variance = fit.deviation**2
+    return replace(
+        fit,
+        covariance=fit.covariance / variance,
+        presence=fit.presence * variance,
+        deviation=1.0,
+    )
