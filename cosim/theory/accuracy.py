@@ -23,9 +23,9 @@ import numpy as np
 
 from cosim.arrays import Matrix, Vector
 from cosim.errors import AssumptionError
-from cosim.native.estimation import Generators
-from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, sample_plant, white_noise
+from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 from cosim.theory.estimators.output_error import ROUNDING
+from cosim.theory.forced_response import forced_outputs
 
 # of the step, relative to a signal: above it the leading order says nothing
 LARGEST_STEP_ERROR: Final = 0.01
@@ -60,18 +60,14 @@ class Accuracy:
         return total
 
 
-def accuracy_of(
-    plant: DisturbedPlant, data: DataSet, disturbance: Matrix, generators: Generators
-) -> Accuracy:
+def accuracy_of(plant: DisturbedPlant, data: DataSet, disturbance: Matrix) -> Accuracy:
     """Compute the errors of a fit that are no noise; the arguments are those of ``step_error``."""
-    step = step_error(plant, data, disturbance, generators)
+    step = step_error(plant, data, disturbance)
     spacing = np.array([lattice_spacing(column) for column in data.y.T])
     return Accuracy(step, spacing, ROUNDING * np.nanmax(np.abs(data.y), axis=0))
 
 
-def step_error(
-    plant: DisturbedPlant, data: DataSet, disturbance: Matrix, generators: Generators
-) -> Matrix:
+def step_error(plant: DisturbedPlant, data: DataSet, disturbance: Matrix) -> Matrix:
     """Compute the error of straight lines between samples, shape (N, n_y).
 
     Parameters
@@ -80,28 +76,13 @@ def step_error(
     data : DataSet
     disturbance : Matrix, shape (N, components)
         ``alpha_i f_i`` as it was fitted.
-    generators : Generators
     """
     inputs = np.hstack([data.u, disturbance])
     deviations = -_squared_step_times_curvature(data.t, inputs) / 12.0
-    if data.held is not None:
-        deviations[:, np.flatnonzero(data.held)] = 0.0
+    deviations[:, np.flatnonzero(data.is_held)] = 0.0
     # At the samples themselves a line is exact, so there is no direct feedthrough of its error.
-    n_y = plant.C.shape[0]
-    without_feedthrough = DisturbedPlant(
-        A=plant.A,
-        B=np.hstack([plant.B, plant.Bd]),
-        Bd=plant.Bd,
-        C=plant.C,
-        D=np.zeros((n_y, inputs.shape[1])),
-        Dd=np.zeros_like(plant.Dd),
-    )
-    quiet = np.where(np.isnan(data.y), np.nan, 0.0)
-    at_rest = DataSet(data.t, np.nan_to_num(quiet), deviations, data.alpha)
-    sampled = sample_plant(without_feedthrough, generators, at_rest, noise=white_noise(n_y))
-    # The outputs are 0, so what is left of them is the response with the other sign. Where the
-    # output is not measured the predictor does not correct; that difference is of higher order.
-    return -sampled.record(at_rest).residual
+    at_states = deviations @ np.hstack([plant.B, plant.Bd]).T
+    return forced_outputs(plant, data).respond(at_states, np.zeros_like(at_states))
 
 
 def check_step(

@@ -399,7 +399,7 @@ def _whitened_problems(
         longest = len(one.t) if whole or noise.order else MOST_SAMPLES
         every = max(1, len(one.t) // longest)
         response = fitted_response(fit, index, one, plant, matrices)
-        accuracy = accuracy_of(plant, one, response.disturbance, matrices)
+        accuracy = accuracy_of(plant, one, response.disturbance)
         problems.append(_WhitenedProblem(fit, one, plant, response, accuracy, noise, every=every))
     return problems
 

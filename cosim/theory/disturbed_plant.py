@@ -38,6 +38,7 @@ from cosim.native.estimation import (
 )
 from cosim.native.step import first_order_holds
 from cosim.theory.descriptor import ReducedSystem
+from cosim.theory.sampling import distinct_steps
 
 # growth of a mode over the record from which on the output is predicted, not simulated
 LARGEST_GROWTH: Final = 1e3
@@ -150,6 +151,13 @@ class DataSet:
         """At which times all outputs were measured, shape (N,)."""
         is_whole: NDArray[np.bool_] = np.equal(np.isnan(self.y).sum(axis=1), 0)
         return is_whole
+
+    @property
+    def is_held(self) -> NDArray[np.bool_]:
+        """Which inputs keep their value from one sample to the next, shape (n_u,)."""
+        if self.held is None:
+            return np.zeros(self.u.shape[1], np.bool_)
+        return np.array(self.held, np.bool_)
 
     def thinned(self, every: int) -> DataSet:
         """Return every so many samples of it."""
@@ -277,7 +285,7 @@ def sample_plant(
         If shapes do not fit, or there are more unknowns than the kernels hold.
     """
     _check_sizes(plant, generators, data)
-    step, predicts, interval = _intervals(data)
+    step, predicts, interval = sample_intervals(data)
     span = float(data.t[-1] - data.t[0])
     constants, known = discretize(
         plant,
@@ -396,19 +404,18 @@ def _check_sizes(plant: DisturbedPlant, generators: Generators, data: DataSet) -
             raise AssumptionError(f"{name}: {found} columns; the plant needs {needed}")
 
 
-def _intervals(
+def sample_intervals(
     data: DataSet,
 ) -> tuple[Vector, NDArray[np.bool_], NDArray[np.integer] | None]:
     """Return the distinct intervals, whether a measured sample begins each, and which is where.
 
     Intervals that differ by rounding of the times are one.
     """
-    if len(data.t) < 2:
-        return np.ones(1), np.ones(1, np.bool_), None
-    steps = np.round(np.diff(data.t), 12)
+    steps, index = distinct_steps(data.t)
     measured = data.measured[:-1]
-    if measured.all() and (steps == steps[0]).all():
-        return steps[:1], np.ones(1, np.bool_), None
-    kinds, index = np.unique(np.stack([steps, measured], axis=1), axis=0, return_inverse=True)
-    interval = np.concatenate([[0], index.ravel()]).astype(np.int32)
-    return np.ascontiguousarray(kinds[:, 0]), kinds[:, 1] != 0.0, interval
+    if len(steps) == 1 and measured.all():
+        return steps, np.ones(1, np.bool_), None
+    kinds = np.stack([index[1:], measured], axis=1)
+    found, which = np.unique(kinds, axis=0, return_inverse=True)
+    interval = np.concatenate([[0], which.ravel()]).astype(np.int32)
+    return steps[found[:, 0]], found[:, 1] != 0, interval

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
 from cosim.native.estimation import Generators
-from cosim.native.step import first_order_hold, linear_step
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 from cosim.theory.estimators.output_error import OutputErrorFit
+from cosim.theory.forced_response import simulate
 
 LARGEST_STATE = 1e6  # over the output: of an unstable plant, whose simulation says nothing
 
@@ -70,7 +70,9 @@ def fitted_response(
     disturbance = disturbance_of(fit.theta, amplitudes, data, generators)
     forcing = np.hstack([data.u, disturbance])
     inputs = np.hstack([plant.B, plant.Bd])
-    states = simulate(plant.A, inputs, data.t, forcing, fit.x0[index])
+    held = np.zeros(forcing.shape[1], np.bool_)
+    held[: data.u.shape[1]] = data.is_held
+    states = simulate(plant.A, inputs, data.t, forcing, fit.x0[index], held)
     largest = LARGEST_STATE * float(np.nanmax(np.abs(data.y)))
     if not np.abs(states).max(initial=0.0) <= largest:
         states = np.zeros((len(data.t), 0))
@@ -134,24 +136,6 @@ def system_matrices(theta: Vector, generators: Generators) -> list[Matrix]:
         at_G0 += squares
         matrices.append(G.reshape(size, size))
     return matrices
-
-
-def simulate(A: Matrix, B: Matrix, t: Vector, u: Matrix, x0: Vector) -> Matrix:
-    """Simulate ``x' = A x + B u`` for straight lines between samples, shape (N, n).
-
-    Where samples are at unequal distances all steps are taken for their mean: what is simulated
-    here is tested, not fitted.
-    """
-    n = len(A)
-    N = len(t)
-    if n == 0 or N < 2:
-        return np.zeros((N, n))
-    h = float(t[-1] - t[0]) / (N - 1)
-    m = B.shape[1]
-    discrete = first_order_hold(A, B, h, np.zeros(m, np.bool_))
-    step = linear_step(discrete, np.eye(n), np.zeros((n, m)))
-    step.memory[:n] = x0
-    return np.vstack([x0, step.advance(t, h, np.ascontiguousarray(u))])
 
 
 def _slopes(

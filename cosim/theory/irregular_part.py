@@ -27,6 +27,7 @@ from cosim.theory.disturbed_plant import (
 from cosim.theory.estimators.output_error import OutputErrorFit
 from cosim.theory.feasible_program import RecordedOutputs, cells_of, gaussian_noise_bound
 from cosim.theory.quantiles import GUARANTEED_CONFIDENCE, normal_two_sided
+from cosim.theory.sampling import equal_step
 from cosim.theory.set_membership import FeasibleInterval, feasible_interval, starts_around
 from cosim.theory.worst_case import (
     BoundedDisturbance,
@@ -36,8 +37,6 @@ from cosim.theory.worst_case import (
     irregular_response,
     least_squares_functional,
 )
-
-EQUAL_STEPS = 1e-9  # relative difference of two steps that still counts as none
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,12 +117,13 @@ def bounded_problem(
     AssumptionError
         If the samples are not equally spaced, an output is missing, or the plant is unstable.
     """
-    steps = np.diff(data.t)
-    h = float(np.median(steps))
-    if np.abs(steps - h).max(initial=0.0) > EQUAL_STEPS * h or not data.measured.all():
+    if not data.measured.all():
+        missing = int(np.isnan(data.y).sum())
         raise AssumptionError(
-            "the interval for a bounded irregular part needs equally spaced samples, all measured"
+            f"{missing} values are not measured; the interval for a bounded irregular part needs "
+            "all, equally spaced"
         )
+    h = equal_step(data.t)
     span = float(data.t[-1] - data.t[0])
     if needs_predictor(plant.A, span):
         raise AssumptionError(

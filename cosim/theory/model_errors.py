@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
-from cosim.theory.fitted_response import FittedResponse, simulate
+from cosim.theory.fitted_response import FittedResponse
+from cosim.theory.forced_response import forced_outputs
 
 SLOW_DIRECTIONS: Final = 30
 
@@ -35,7 +36,7 @@ def model_errors(plant: DisturbedPlant, data: DataSet, response: FittedResponse)
     signals = _signals(data, response)
     changes = _alpha_changes(data, response.disturbance)
     parts = [
-        _entering_states(plant, data.t, {**signals, **changes}),
+        _entering_states(plant, data, {**signals, **changes}),
         _at_outputs(plant, signals),
         _slow(data.t, plant.C.shape[0]),
     ]
@@ -48,10 +49,14 @@ def _signals(data: DataSet, response: FittedResponse) -> dict[str, Vector]:
     """Return what a wrong entry of a matrix multiplies, by its name in a report."""
     signals = {f"x_a[{i}]": column for i, column in enumerate(response.states.T)}
     for j, column in enumerate(data.u.T):
-        signals[f"u[{j}]"] = column
+        signals[_input_name(j)] = column
     signals["delta"] = response.disturbance.sum(axis=1)
     signals["a constant"] = np.ones(len(data.t))
     return signals
+
+
+def _input_name(j: int) -> str:
+    return f"u[{j}]"
 
 
 def _alpha_changes(data: DataSet, disturbance: Matrix) -> dict[str, Vector]:
@@ -69,17 +74,21 @@ def _alpha_changes(data: DataSet, disturbance: Matrix) -> dict[str, Vector]:
     return changes
 
 
-def _entering_states(plant: DisturbedPlant, t: Vector, signals: dict[str, Vector]) -> Directions:
+def _entering_states(
+    plant: DisturbedPlant, data: DataSet, signals: dict[str, Vector]
+) -> Directions:
     """Return the responses to each signal, entering at each state."""
-    n = len(plant.A)
-    n_y = plant.C.shape[0]
-    at_rest = np.zeros(n)
-    columns = np.zeros((len(t), n_y, n * len(signals)))
+    n_y, n = plant.C.shape
+    outputs = forced_outputs(plant, data)
+    held = {_input_name(j) for j, is_held in enumerate(data.is_held) if is_held}
+    columns = np.zeros((len(data.t), n_y, n * len(signals)))
+    nothing = np.zeros((len(data.t), n))
     names: list[str] = []
     for j, unit in enumerate(np.eye(n)):
         for name, signal in signals.items():
-            states = simulate(plant.A, unit[:, np.newaxis], t, signal[:, np.newaxis], at_rest)
-            columns[:, :, len(names)] = np.nan_to_num(states @ plant.C.T)
+            entering = np.outer(signal, unit)
+            parts = (nothing, entering) if name in held else (entering, nothing)
+            columns[:, :, len(names)] = np.nan_to_num(outputs.respond(*parts))
             names.append(f"{name} in the dynamics of x_a[{j}]")
     return Directions(columns, tuple(names))
 

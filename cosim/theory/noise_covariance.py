@@ -120,7 +120,7 @@ def residual_covariance(
         rows = response.residual[one.measured][:, :, np.newaxis]
         white = autoregressive_filter(rows, a)[:, :, 0]
         products += white.T @ white
-        accuracy = accuracy_of(plant, one, response.disturbance, matrices)
+        accuracy = accuracy_of(plant, one, response.disturbance)
         least = np.maximum(least, accuracy.deviations)
     freedom = max(fit.freedom / outputs, 1.0)
     covariance = products / freedom

@@ -102,7 +102,7 @@ def smoothed_signals(
     matrices = generators(families)
     disturbance = disturbance_of(fit.theta, fit.amplitudes[index], own, matrices)
     moved = prediction.jacobian @ _moved(fit, regressions, index)[: len(p)]
-    moved[:, :, 0] -= step_error(observed, unmeasured, disturbance, matrices)
+    moved[:, :, 0] -= step_error(observed, unmeasured, disturbance)
     half_width += MARGIN * np.abs(moved).sum(axis=2)
     values = known + prediction.output
     return SmoothedSignals(
@@ -169,7 +169,7 @@ def _regression(
 ) -> _Regression:
     matrices = generators(families)
     response = fitted_response(fit, index, data, plant, matrices)
-    accuracy = accuracy_of(plant, data, response.disturbance, matrices)
+    accuracy = accuracy_of(plant, data, response.disturbance)
     quantized = quantization_error(data.y, response.residual, accuracy.spacing)
     errors = np.stack([accuracy.step, quantized], axis=2)
     measured = data.measured

@@ -11,6 +11,11 @@ import pytest
 
 from cosim.theory.accuracy import step_error
 from cosim.theory.disturbance import generators
+from cosim.theory.disturbed_plant import DisturbedPlant
+from cosim.theory.estimators.output_error import fit_output_error
+from cosim.theory.fitted_response import fitted_response
+from cosim.theory.forced_response import forced_outputs
+from cosim.theory.model_errors import model_errors
 from cosim.theory.verdicts import Verdict, assess
 from tests.theory.experiments import FAMILIES, design, exact, times
 from tests.theory.experiments import record as example_record
@@ -32,8 +37,8 @@ def test_a_held_input_has_no_error_of_the_step():
     data = held_record(0.0, 1)
     delta = (alpha(GRID) * np.exp(RATE * GRID))[:, np.newaxis]
     without = replace(data, u=np.zeros_like(data.u))
-    found = step_error(lag(), data, delta, generators(FAMILY))
-    np.testing.assert_array_equal(found, step_error(lag(), without, delta, generators(FAMILY)))
+    found = step_error(lag(), data, delta)
+    np.testing.assert_array_equal(found, step_error(lag(), without, delta))
     parameter = assess([data], lag(), FAMILY, START).parameters[0]
     assert parameter.verdict is Verdict.IDENTIFIABLE
     assert parameter.lower <= RATE <= parameter.upper
@@ -66,7 +71,7 @@ def test_a_failed_test_is_never_beside_a_good_verdict():
     """Half of what is allowed, where it does not belong, is not what noise leaves."""
     u = np.sin(GRID)
     data = record(GRID, u, states(GRID, u)[:, np.newaxis])
-    allowed = assess([data], lag(), FAMILY, START).consistency.allowed
+    allowed = assess([data], lag(), FAMILY, START).consistency.accuracy[0].deviations[0]
     wave = allowed * np.sqrt(2.0) * np.cos(np.pi * GRID)
     wrong = record(GRID, u, data.y + wave[:, np.newaxis])
     found = assess([wrong], lag(), FAMILY, START)
@@ -121,3 +126,47 @@ def test_a_fit_that_has_not_converged_is_no_statement_about_the_data(monkeypatch
     parameter = assess([data], lag(), FAMILY, np.array([-0.5])).parameters[0]
     assert parameter.verdict is Verdict.NO_ESTIMATE
     assert parameter.value is None
+
+
+UNEQUAL = np.concatenate([np.arange(0.0, 5.0, 0.005), np.arange(5.0, 20.0, 0.02)])
+JITTERED = GRID + 1e-3 * np.random.default_rng(8).random(len(GRID))
+
+
+@pytest.mark.parametrize("held", [False, True])
+@pytest.mark.parametrize("t", [UNEQUAL, JITTERED], ids=["two steps", "jitter"])
+def test_the_states_of_a_fit_are_those_at_the_samples(t, held):
+    """Whatever their distances, and whether the input is held between them."""
+    u = staircase(len(t), 3)
+    x = states(t, u, held=held)
+    data = record(t, u, x[:, np.newaxis], held=held)
+    fit = fit_output_error([data], lag(), FAMILY, START)
+    response = fitted_response(fit, 0, data, lag(), generators(FAMILY))
+    np.testing.assert_allclose(response.states[:, 0], x, atol=1e-9)
+
+
+@pytest.mark.parametrize("held", [False, True])
+@pytest.mark.parametrize("t", [UNEQUAL, JITTERED], ids=["two steps", "jitter"])
+def test_a_wrong_gain_leaves_its_own_trace_at_any_samples(t, held):
+    """The direction of a wrong B is the response of the plant to u."""
+    u = staircase(len(t), 3)
+    data = record(t, u, states(t, u, held=held)[:, np.newaxis], held=held)
+    fit = fit_output_error([data], lag(), FAMILY, START)
+    response = fitted_response(fit, 0, data, lag(), generators(FAMILY))
+    directions = model_errors(lag(), data, response)
+    place = directions.names.index("u[0] in the dynamics of x_a[0]")
+    np.testing.assert_allclose(
+        directions.columns[:, 0, place], states(t, u, amplitude=0.0, held=held), atol=1e-9
+    )
+
+
+def test_what_is_lacking_in_an_unstable_plant_shows_in_its_predicted_outputs():
+    """A direction is bounded there, as the residual is: it is no simulation that grows."""
+    plant = DisturbedPlant(A=[[1.0]], B=[[1.0]], Bd=[[1.0]], C=[[1.0]], D=[[0.0]], Dd=[[0.0]])
+    u = np.sin(GRID)
+    data = record(GRID, u, np.ones((len(GRID), 1)))
+    outputs = forced_outputs(plant, data)
+    lines = np.ones((len(GRID), 1))
+    found = outputs.respond(lines, np.zeros_like(lines))
+    # exp(h) - 1 over a step, and the pole of the prediction is exp(-h): a geometric series
+    series = np.expm1(1e-2) * np.expm1(-GRID) / np.expm1(-1e-2)
+    np.testing.assert_allclose(found[:, 0], series, rtol=1e-9, atol=1e-12)

@@ -9,6 +9,7 @@ import numpy as np
 from cosim.arrays import Matrix, Vector
 from cosim.native.adaptive import AdaptiveConstants, AdaptiveLaw, AdaptiveStep
 from cosim.theory.estimators.least_squares import Recovery, recovery_constants
+from cosim.theory.sampling import equal_step
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +68,7 @@ def adapt(
     )
     kernel = AdaptiveStep(law, constants)
     kernel.initialize()
-    step = round(float(t[1] - t[0]), 12)  # without the rounding of the times
+    step = equal_step(t)
     y = kernel.step.advance(np.ascontiguousarray(t), step, mu)
     n_theta = recovery.n_theta
     return AdaptiveEstimate(y[:, :n_theta], y[:, n_theta:])

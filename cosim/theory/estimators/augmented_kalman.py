@@ -35,6 +35,7 @@ from cosim.theory.disturbance import Family
 from cosim.theory.disturbed_plant import DisturbedPlant, NoiseModel, white_noise
 from cosim.theory.estimators.output_error import OutputErrorFit
 from cosim.theory.estimators.projection import project
+from cosim.theory.sampling import equal_step
 
 DEVIATION: Final = 1e-3
 SIZE: Final = 1.0
@@ -118,7 +119,7 @@ def smoothed_disturbance(
     intensity : float
         Spectral density of the second derivative of delta.
     """
-    h = round(float(t[1] - t[0]), 12)
+    h = equal_step(t)
     n_y, n = plant.C.shape
     free = np.zeros(u.shape[1], np.bool_)
     model = augmented_model(plant, h, noise=white_noise(n_y), intensity=intensity, held=free)

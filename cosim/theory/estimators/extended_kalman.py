@@ -29,6 +29,7 @@ from cosim.native.kalman import ExtendedKalmanConstants, ExtendedKalmanStep
 from cosim.theory.disturbance import Family, SearchBox, generators, search_box
 from cosim.theory.disturbed_plant import DisturbedPlant, NoiseModel, discretize, white_noise
 from cosim.theory.estimators.output_error import presence_threshold
+from cosim.theory.sampling import equal_step
 
 # Of 3e-4, 1e-3, ..., 0.3 and 0.3, 1, 3, in the paper's example over 8 seeds of noise of 1e-3 and
 # without noise: the deviation of the noise itself loses theta in one of 8 seeds, 0.01 ends 10 of
@@ -106,7 +107,7 @@ def extended_kalman(
     box : SearchBox, optional
         Of theta, which begins in it with the deviation of its step; by default that of the record.
     """
-    h = round(float(t[1] - t[0]), 12)
+    h = equal_step(t)
     span = float(t[-1] - t[0])
     searched = box or search_box(families, span=span, shortest=span / 40.0)
     model, known = filter_model(plant, families, h, noise=white_noise(len(plant.C)))
