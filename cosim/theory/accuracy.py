@@ -78,11 +78,11 @@ def step_error(plant: DisturbedPlant, data: DataSet, disturbance: Matrix) -> Mat
         ``alpha_i f_i`` as it was fitted.
     """
     inputs = np.hstack([data.u, disturbance])
-    deviations = -_squared_step_times_curvature(data.t, inputs) / 12.0
+    deviations = _mean_deviation(data.t, inputs)
     deviations[:, np.flatnonzero(data.is_held)] = 0.0
     # At the samples themselves a line is exact, so there is no direct feedthrough of its error.
     at_states = deviations @ np.hstack([plant.B, plant.Bd]).T
-    return forced_outputs(plant, data).respond(at_states, np.zeros_like(at_states))
+    return forced_outputs(plant, data).respond(np.zeros_like(at_states), at_states)
 
 
 def check_step(
@@ -176,16 +176,19 @@ def quantization_error(y: Matrix, residual: Matrix, spacing: Vector) -> Matrix:
     return errors
 
 
-def _squared_step_times_curvature(t: Vector, values: Matrix) -> Matrix:
-    """Return ``h^2 f''`` at every sample, from divided differences; its neighbor's at the ends."""
-    curvature = np.zeros_like(values)
+def _mean_deviation(t: Vector, values: Matrix) -> Matrix:
+    """Return what a signal has over straight lines in the mean of the interval behind each sample.
+
+    Its curvature is that of divided differences; at the ends that of the neighbor.
+    """
+    deviation = np.zeros_like(values)
     if len(t) < 3:
-        return curvature
+        return deviation
     steps = np.diff(t)[:, np.newaxis]
     slopes = np.diff(values, axis=0) / steps
-    span = steps[1:] + steps[:-1]
-    second = 2.0 * np.diff(slopes, axis=0) / span
-    curvature[1:-1] = second * (0.5 * span) ** 2
+    curvature = np.empty_like(values)
+    curvature[1:-1] = 2.0 * np.diff(slopes, axis=0) / (steps[1:] + steps[:-1])
     curvature[0] = curvature[1]
     curvature[-1] = curvature[-2]
-    return curvature
+    deviation[:-1] = -(steps**2) * (curvature[1:] + curvature[:-1]) / 24.0
+    return deviation

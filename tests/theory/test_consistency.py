@@ -170,3 +170,16 @@ def test_what_is_lacking_in_an_unstable_plant_shows_in_its_predicted_outputs():
     # exp(h) - 1 over a step, and the pole of the prediction is exp(-h): a geometric series
     series = np.expm1(1e-2) * np.expm1(-GRID) / np.expm1(-1e-2)
     np.testing.assert_allclose(found[:, 0], series, rtol=1e-9, atol=1e-12)
+
+
+def test_the_error_of_long_steps_among_short_ones_is_computed():
+    """In the mean over each interval: of a ramp's square it is known, h^2 / 12 times 2, exactly."""
+    t = np.cumsum(np.tile([0.001, 0.05], 200))
+    u = t**2
+    data = record(t, u, np.ones((len(t), 1)))
+    found = step_error(lag(), data, np.zeros((len(t), 1)))
+    fine = np.linspace(0.0, 1.0, 101)[1:]
+    dense = np.concatenate([t[:1], (t[:-1, None] + np.diff(t)[:, None] * fine).ravel()])
+    true = states(dense, dense**2, amplitude=0.0)[:: len(fine)]
+    chord = states(t, u, amplitude=0.0)
+    np.testing.assert_allclose(found[:, 0], true - chord, rtol=2e-2, atol=1e-3 * np.ptp(found))
