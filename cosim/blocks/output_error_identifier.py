@@ -61,8 +61,8 @@ class IdentificationProblem:
         The known factor of every component.
     box : SearchBox
         Where theta is searched.
-    noise : NoiseModel
-        Of y.
+    stated : Matrix, shape (n_y, n_y), or None
+        Covariance of the noise of y; None: it is not known.
     """
 
     plant: DisturbedPlant
@@ -72,7 +72,13 @@ class IdentificationProblem:
     products: RegressorConstants
     alphas: Sequence[Program]
     box: SearchBox
-    noise: NoiseModel
+    stated: Matrix | None = None
+
+    @property
+    def noise(self) -> NoiseModel:
+        """The noise of y: as it is stated, else of one deviation on every output."""
+        white = white_noise(len(self.plant.C))
+        return white if self.stated is None else replace(white, covariance=self.stated)
 
     def within(self, lower: Vector, upper: Vector) -> IdentificationProblem:
         """Return the problem with its search within bounds, shape (P,)."""
@@ -124,7 +130,8 @@ class OutputErrorIdentifier:
     Inputs regressor (mu), delta, y and u; outputs theta, its standard errors, the deviation of the
     noise of y, and the amplitudes of the components at the beginning of the window. They have no
     value (NaN) until the data determine them, theta of a component that noise alone explains never.
-    An estimate rests on the samples before its instant.
+    An estimate rests on the samples before its instant. Where the noise of several outputs is not
+    stated, they are weighed by the covariance of what the fit leaves.
 
     Where y is sampled at instants of its own, these count in its place: the inputs ``samples``
     (the ``most`` values of a step for each output, one output behind the other) and
@@ -147,7 +154,8 @@ class OutputErrorIdentifier:
     Stopped
         From ``advance``, where a sample is said to be of an instant outside its step.
     AssumptionError
-        From ``prepare``, where the plant is unstable and its samples have instants of their own.
+        From ``prepare``, where the plant is unstable, and its samples have instants of their own or
+        the noise of several outputs is not stated.
     """
 
     def __init__(
@@ -182,7 +190,7 @@ class OutputErrorIdentifier:
         outputs = (
             Signal("theta", P, optional=True, role="estimate"),
             Signal("standard_error", P, optional=True, role="estimate"),
-            Signal("deviation", 1, optional=True, role="estimate"),
+            Signal("deviation", n_y, optional=True, role="estimate"),
             Signal("amplitude", generators.order, optional=True, role="estimate"),
         )
         names = tuple(signal.name for signal in inputs)
@@ -215,6 +223,11 @@ class OutputErrorIdentifier:
             raise AssumptionError(
                 "the plant is unstable, so that its output has to be predicted from the samples "
                 "before, at constant distances; needed samples at the communication points"
+            )
+        if predicts[0] and problem.stated is None and len(problem.plant.C) > 1:
+            raise AssumptionError(
+                "the plant is unstable, so that its outputs have to be predicted by what is known "
+                "of their noise; needed its deviation, one number an output, or its covariance"
             )
         on_y, known = discretize(
             problem.plant,
@@ -297,6 +310,7 @@ class OutputErrorIdentifier:
             upper=self._upper,
             scale=scale,
             threshold=design["threshold"],
+            deviations=None if problem.stated is None else problem.noise.deviations,
             grid=self._grid(on_y, lower, upper),
             between=self._between(design, held),
         )

@@ -31,6 +31,7 @@ SOURCES = (
     "estimate.c",
     "householder.c",
     "between.c",
+    "weights.c",
     "identifier.c",
     "kalman.c",
     "extended_kalman.c",

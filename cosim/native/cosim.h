@@ -419,6 +419,13 @@ int32_t cosim_output_error_fit(cosim_fit *self);
 /* One step with the R that is there, for samples that were taken since. */
 int32_t cosim_output_error_update(cosim_fit *self);
 
+/* --- weights.c --- */
+
+/* W with W C W' = I for the covariance C of noise, (n, n); `deviations` are those of C. None is taken
+ * for smaller than `least`, nor for as good as equal to others. C is changed, L is scratch. */
+void cosim_noise_weights(int32_t n, double *covariance, const double *least, double *deviations,
+                         double *L, double *W);
+
 /* --- rayleigh.c --- */
 
 #define COSIM_MOST_TERMS 128
@@ -523,7 +530,9 @@ int32_t cosim_extended_kalman_step(void *self, double t0, double t1, double h, c
  * quotient and improved on delta. The search is repeated when the samples have become so many more,
  * and the best of all fits counts, so that no local minimum stays for long. Its inputs
  * are mu, delta, y and u, of which a step takes those at its beginning; its outputs are theta, its
- * standard errors, the deviation of the noise, and the amplitudes at the beginning of the window.
+ * standard errors, the deviation of the noise of each y, and the amplitudes at the beginning of the
+ * window. Where the noise of several y is not known, its covariance is that of the residual, and
+ * estimated again with every fit to all samples: at least as often as they have become twice as many.
  * Where y is sampled at instants of its own, the samples stand between y and u in the inputs, and
  * count in the place of y.
  * Without on_y it ends with what was found on delta, its outputs are theta and the amplitudes;
@@ -532,12 +541,12 @@ typedef struct {
     int32_t period;
     int32_t width;    /* of the outputs */
     int32_t average;  /* samples of mu that make one row */
+    int32_t weighs;   /* whether W is estimated, of several outputs; else it is that of on_y */
     int64_t window;   /* samples; 0: all */
     int64_t capacity; /* samples */
     double start;     /* first instant of which mu counts [s] */
     double settled;   /* first instant of which delta counts [s] */
     double lag;       /* of delta [s] */
-    double weight;    /* largest entry of the W of on_y */
     const cosim_regressor *products;
     const cosim_program *alphas; /* (components) */
     const cosim_rayleigh *rayleigh;
@@ -545,6 +554,7 @@ typedef struct {
     const cosim_known_input *known;            /* of on_y */
     const double *lower, *upper, *scale; /* (parameters) as in cosim_fit */
     const double *threshold;             /* (components) */
+    const double *deviations;            /* (outputs) of the noise that the W of on_y makes white */
     const cosim_start_grid *grid;
     const cosim_between *between; /* NULL: y is sampled at the communication points */
     double *memory;

@@ -13,6 +13,9 @@
 #define ROUNDING_OF_THETA 0x1p-20 /* relative to its longest step */
 #define MARGIN 25.0   /* variances by which other minima must be worse */
 #define ROUNDING 0x1p-44 /* of a simulated output, relative to the largest one */
+#define WEIGHINGS 4   /* of several outputs by what a fit to them leaves, after a search */
+#define FEWEST 20.0   /* degrees of freedom for each entry of a covariance with correlations */
+#define MOST_EXACT 0x1p-26 /* of an output, relative to its largest value: it may be on a lattice */
 #define TOLERANCE 6.0 /* of a step since the last pass, in steps that are small enough */
 
 /* The state, and behind it the samples, which are only ever appended. */
@@ -23,12 +26,13 @@ typedef struct {
     double *R, *N;
     double *x;
     double *amplitudes, *work;             /* of y */
+    double *W, *deviations;                /* of its noise */
     double *delta_amplitudes, *delta_work; /* of delta */
     double *before; /* y and u of the last two samples */
     double *time, *betweens; /* of the last sample; number of samples between those of the grid */
     double *grid_taken, *grid_work; /* samples in it; of the grid of starts */
     int64_t state;
-    double *grid_search; /* scratch */
+    double *grid_search, *covariance, *least, *factor; /* scratch */
     double *at_point, *pair; /* y at a communication point, and two residuals; scratch */
     double *residual, *alpha;
     double *delta, *delta_alpha;
@@ -65,7 +69,7 @@ static storage storage_of(const cosim_identifier *s)
     m.taken = cosim_place(s->memory, &next, 1);
     m.has_theta = cosim_place(s->memory, &next, 1);
     m.next_search = cosim_place(s->memory, &next, 1);
-    m.largest = cosim_place(s->memory, &next, 1);
+    m.largest = cosim_place(s->memory, &next, n_outputs(s));
     m.largest_delta = cosim_place(s->memory, &next, 1);
     m.rows = cosim_place(s->memory, &next, 1);
     m.summed = cosim_place(s->memory, &next, 1);
@@ -78,6 +82,8 @@ static storage storage_of(const cosim_identifier *s)
     m.x = cosim_place(s->memory, &next, s->on_y ? 2 * s->on_y->states : 0);
     m.amplitudes = cosim_place(s->memory, &next, columns_of(s->on_y));
     m.work = cosim_place(s->memory, &next, memory_of(s->on_y));
+    m.W = cosim_place(s->memory, &next, n_outputs(s) * n_outputs(s));
+    m.deviations = cosim_place(s->memory, &next, n_outputs(s));
     m.delta_amplitudes = cosim_place(s->memory, &next, columns_of(s->on_delta));
     m.delta_work = cosim_place(s->memory, &next, memory_of(s->on_delta));
     m.before = cosim_place(s->memory, &next, 2 * (n_outputs(s) + inputs));
@@ -91,6 +97,9 @@ static storage storage_of(const cosim_identifier *s)
     m.grid_search = cosim_place(s->memory, &next, s->grid ? cosim_start_grid_memory(s->grid) : 0);
     m.at_point = cosim_place(s->memory, &next, n_outputs(s));
     m.pair = cosim_place(s->memory, &next, 2 * n_outputs(s));
+    m.covariance = cosim_place(s->memory, &next, n_outputs(s) * n_outputs(s));
+    m.least = cosim_place(s->memory, &next, n_outputs(s));
+    m.factor = cosim_place(s->memory, &next, n_outputs(s) * n_outputs(s));
     m.residual = cosim_place(s->memory, &next, capacity * n_outputs(s));
     m.alpha = cosim_place(s->memory, &next, capacity * components);
     m.delta = cosim_place(s->memory, &next, capacity);
@@ -121,6 +130,11 @@ void cosim_identifier_start(cosim_identifier *s, double *y)
 {
     const storage m = storage_of(s);
     memset(s->memory, 0, (size_t)m.state * sizeof *s->memory);
+    if (s->on_y) {
+        const size_t outputs = (size_t)n_outputs(s);
+        memcpy(m.W, s->on_y->W, outputs * outputs * sizeof *m.W);
+        memcpy(m.deviations, s->deviations, outputs * sizeof *m.deviations);
+    }
     forget_outputs(s, &m);
     memcpy(y, m.outputs, (size_t)s->width * sizeof *y);
 }
@@ -198,8 +212,8 @@ static int32_t take_outputs(const cosim_identifier *s, const storage *m, double 
     const int64_t k = (int64_t)*m->count;
     const double *u = y + outputs;
     for (int32_t o = 0; o < outputs; ++o)
-        if (fabs(y[o]) > *m->largest)
-            *m->largest = fabs(y[o]);
+        if (fabs(y[o]) > m->largest[o])
+            m->largest[o] = fabs(y[o]);
     if (s->between) {
         const double *samples = u;
         u += (outputs + 1) * s->between->most;
@@ -243,6 +257,7 @@ static int32_t take_sample(const cosim_identifier *s, const storage *m, double t
 typedef struct {
     cosim_fit fit;
     cosim_experiment experiment;
+    cosim_output_error weighed; /* on_y with the W of now */
     cosim_between_record between;
     double estimate[COSIM_MOST_PARAMETERS];
     double covariance[COSIM_MOST_PARAMETERS * COSIM_MOST_PARAMETERS];
@@ -275,13 +290,29 @@ static void prepare_fit(const cosim_identifier *s, estimation *e, double accurac
     };
 }
 
+/* Of a row of y, made white. */
+static double rounding_of(const cosim_identifier *s, const storage *m)
+{
+    const int32_t outputs = n_outputs(s);
+    double largest = 0.0;
+    for (int32_t w = 0; w < outputs; ++w) {
+        double sum = 0.0;
+        for (int32_t o = 0; o < outputs; ++o)
+            sum += fabs(m->W[w * outputs + o]) * m->largest[o];
+        largest = sum > largest ? sum : largest;
+    }
+    return ROUNDING * largest;
+}
+
 static void prepare_fit_of_y(const cosim_identifier *s, const storage *m, double *theta, estimation *e)
 {
     const int64_t count = (int64_t)*m->count;
     const int64_t first = s->window && count > s->window ? count - s->window : 0;
-    prepare_fit(s, e, ROUNDING * *m->largest * s->weight, theta);
+    prepare_fit(s, e, rounding_of(s, m), theta);
+    e->weighed = *s->on_y;
+    e->weighed.W = m->W;
     e->experiment = (cosim_experiment){
-        .model = s->on_y,
+        .model = &e->weighed,
         .record = {first, count, m->residual, m->alpha, NULL, NULL},
         .work = m->work,
         .amplitudes = m->amplitudes,
@@ -317,24 +348,71 @@ static void prepare_last_fit(const cosim_identifier *s, const storage *m, double
         prepare_fit_of_delta(s, m, theta, e);
 }
 
-/* Only what is fitted to y has errors: the noise of delta is not white. */
+/* --- the noise of several outputs --- */
+
+/* W by what the linear unknowns leave of y, with `freedom` for each output. */
+static void weigh(const cosim_identifier *s, const storage *m, estimation *e,
+                  const double *unknowns, double freedom)
+{
+    const int32_t n = n_outputs(s);
+    const cosim_experiment *x = &e->experiment;
+    const int correlated = freedom >= FEWEST * n * n;
+    cosim_output_error_products(x->model, e->fit.theta, unknowns, &x->record, x->work, m->covariance);
+    for (int32_t i = 0; i < n; ++i) {
+        for (int32_t j = 0; j < n; ++j)
+            m->covariance[i * n + j] *= i == j || correlated ? 1.0 / freedom : 0.0;
+        m->least[i] = MOST_EXACT * m->largest[i];
+    }
+    cosim_noise_weights(n, m->covariance, m->least, m->deviations, m->factor, m->W);
+    e->fit.accuracy = rounding_of(s, m);
+}
+
+/* Before there is a fit outputs count by their sizes, so that their units do not. */
+static void weigh_by_size(const cosim_identifier *s, const storage *m)
+{
+    const double nothing[COSIM_MOST_COLUMNS] = {0.0};
+    estimation e;
+    prepare_fit_of_y(s, m, m->theta, &e);
+    weigh(s, m, &e, nothing, 1.0);
+}
+
+/* Fit all samples; where the noise is not known, so many times more with what the last fit says of
+ * it. */
+static int32_t fit_weighed(const cosim_identifier *s, const storage *m, estimation *e,
+                           int32_t weighings)
+{
+    int32_t status = cosim_output_error_fit(&e->fit);
+    for (int32_t i = 0; s->weighs && i < weighings && status == COSIM_OK; ++i) {
+        weigh(s, m, e, m->amplitudes, e->fit.freedom / n_outputs(s));
+        memcpy(m->theta, e->estimate, (size_t)s->rayleigh->parameters * sizeof *m->theta);
+        status = cosim_output_error_fit(&e->fit);
+    }
+    return status;
+}
+
+/* Only what is fitted to y has errors: the noise of delta is not white. Those of outputs that are
+ * more exact than they are taken for say nothing of the others. */
 static void write_outputs(const cosim_identifier *s, const storage *m, const estimation *e)
 {
     const int32_t P = s->rayleigh->parameters;
-    double unused[COSIM_MOST_PARAMETERS + 1];
-    double *theta = m->outputs, *error = unused, *deviation = unused + P, *amplitudes = theta + P;
+    double unused[COSIM_MOST_PARAMETERS];
+    double *theta = m->outputs, *error = unused, *amplitudes = theta + P;
+    const double variance = e->fit.variance;
+    const int is_more_exact = s->weighs && variance < 1.0;
+    const double factor = is_more_exact ? 1.0 / variance : 1.0;
     int32_t column = 0, j = 0;
     if (s->on_y) {
+        double *deviation = theta + 2 * P;
         error = theta + P;
-        deviation = error + P;
-        amplitudes = deviation + 1;
+        amplitudes = deviation + n_outputs(s);
+        for (int32_t o = 0; o < n_outputs(s); ++o)
+            deviation[o] = m->deviations[o] * (is_more_exact ? 1.0 : sqrt(variance));
     }
-    *deviation = sqrt(e->fit.variance);
     for (int32_t i = 0; i < s->rayleigh->components; ++i) {
         for (int32_t k = 0; k < s->rayleigh->count[i]; ++k, ++j) {
             const int known = e->state[j] == COSIM_ESTIMATED || e->state[j] == COSIM_FIXED;
             theta[j] = known ? e->estimate[j] : no_value();
-            error[j] = known ? sqrt(e->covariance[j * P + j]) : no_value();
+            error[j] = known ? sqrt(factor * e->covariance[j * P + j]) : no_value();
         }
         for (int32_t k = 0; k < s->rayleigh->size[i]; ++k, ++column)
             amplitudes[column] = e->experiment.amplitudes[column];
@@ -362,17 +440,21 @@ static int32_t start_on_regression(const cosim_identifier *s, const storage *m, 
 /* The best points of the grid, for all samples so far. */
 static int32_t starts_on_grid(const cosim_identifier *s, const storage *m, double *theta)
 {
-    const cosim_output_error *model = s->grid->model;
+    cosim_output_error model = *s->grid->model;
     const int32_t unknowns = cosim_output_error_columns(s->on_y);
     estimation e;
-    if (*m->count < (double)ROWS_A_TERM * unknowns * model->average)
+    if (*m->count < (double)ROWS_A_TERM * unknowns * model.average)
         return 0;
+    if (s->weighs) {
+        model.W = m->W;
+        *m->grid_taken = 0.0;
+    }
     prepare_fit_of_y(s, m, theta, &e);
     cosim_record record = e.experiment.record;
     record.first = 0;
     if (*m->grid_taken == 0.0)
-        cosim_output_error_start(model, theta, m->grid_work);
-    cosim_output_error_take(model, theta, &record, (int64_t)*m->grid_taken, record.end,
+        cosim_output_error_start(&model, theta, m->grid_work);
+    cosim_output_error_take(&model, theta, &record, (int64_t)*m->grid_taken, record.end,
                             m->grid_work);
     *m->grid_taken = (double)record.end;
     return cosim_start_grid_search(s->grid, m->grid_work, m->grid_search, STARTS, theta);
@@ -497,7 +579,7 @@ static int32_t follow(const cosim_identifier *s, const storage *m, estimation *e
             return status;
         memcpy(m->theta, e->estimate, (size_t)P * sizeof *m->theta);
     }
-    return cosim_output_error_fit(&e->fit);
+    return fit_weighed(s, m, e, 1);
 }
 
 static void estimate(const cosim_identifier *s, const storage *m)
@@ -509,11 +591,13 @@ static void estimate(const cosim_identifier *s, const storage *m)
     if (*m->count >= *m->next_search) {
         if (found)
             best = candidate_of(s, m->theta, &e, COSIM_OK);
+        else if (s->weighs)
+            weigh_by_size(s, m);
         found = search(s, m, found, &best);
         if (found) {
             memcpy(m->theta, best.theta, (size_t)P * sizeof *m->theta);
             prepare_last_fit(s, m, m->theta, &e);
-            found = cosim_output_error_fit(&e.fit) == COSIM_OK;
+            found = fit_weighed(s, m, &e, WEIGHINGS) == COSIM_OK;
         }
         /* before mu counts there may be too few samples to tell minima apart */
         found = found && (best.is_certain || *m->time >= s->start);

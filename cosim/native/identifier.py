@@ -32,12 +32,12 @@ class IdentifierStruct(ctypes.Structure):
     """cosim_identifier."""
 
     _fields_ = (
-        *((name, c_int32) for name in ("period", "width", "average")),
+        *((name, c_int32) for name in ("period", "width", "average", "weighs")),
         *((name, c_int64) for name in ("window", "capacity")),
-        *((name, c_double) for name in ("start", "settled", "lag", "weight")),
+        *((name, c_double) for name in ("start", "settled", "lag")),
         *((name, c_void_p) for name in ("products", "alphas", "rayleigh", "on_delta", "on_y")),
-        *((name, c_void_p) for name in ("known", "lower", "upper", "scale", "threshold", "grid")),
-        *((name, c_void_p) for name in ("between", "memory")),
+        *((name, c_void_p) for name in ("known", "lower", "upper", "scale", "threshold")),
+        *((name, c_void_p) for name in ("deviations", "grid", "between", "memory")),
     )
 
 
@@ -121,6 +121,9 @@ class IdentifierConstants:
         Bounds of theta, and its longest step.
     threshold : Vector, shape (components,)
         Statistic from which on a component is no noise.
+    deviations : Vector, shape (n_y,)
+        Of the noise that the W of on_y makes white, which is known; none: it is estimated, of one
+        output with W = 1.
     grid : StartGridConstants, optional
         Of starts on y.
     between : BetweenConstants or None
@@ -144,18 +147,31 @@ class IdentifierConstants:
     upper: Vector
     scale: Vector
     threshold: Vector
+    deviations: Vector | None = None
     grid: StartGridConstants | None = None
     between: BetweenConstants | None = None
 
     @property
     def n_y(self) -> int:
-        """The number of outputs: theta, its standard errors, the deviation, the amplitudes."""
+        """The number of outputs: theta, its standard errors, the deviations, the amplitudes."""
         generators = self.rayleigh.generators
         if self.on_delta is None:
             return generators.parameters
         if self.on_y is None:
             return generators.parameters + generators.order
-        return 2 * generators.parameters + 1 + generators.order
+        return 2 * generators.parameters + len(self.on_y.C) + generators.order
+
+    @property
+    def weighs(self) -> bool:
+        """Whether the outputs are weighed by a covariance that is estimated."""
+        return self.on_y is not None and len(self.on_y.C) > 1 and self.deviations is None
+
+    @property
+    def known_deviations(self) -> Vector:
+        """Those of the noise that the W of on_y makes white; 1 where they are estimated."""
+        if self.deviations is not None:
+            return self.deviations
+        return np.ones(0 if self.on_y is None else len(self.on_y.C))
 
 
 class IdentifierState:
@@ -194,9 +210,9 @@ class IdentifierStep:
                 constants.upper,
                 constants.scale,
                 constants.threshold,
+                constants.known_deviations,
             )
         ]
-        weight = 1.0 if constants.on_y is None else float(np.abs(constants.on_y.W).max())
         stages = (
             None if on_delta is None else on_delta.struct,
             None if on_y is None else on_y.struct,
@@ -208,12 +224,12 @@ class IdentifierStep:
             constants.period,
             constants.n_y,
             constants.average,
+            constants.weighs,
             constants.window,
             constants.capacity,
             constants.start,
             constants.settled,
             constants.lag,
-            weight,
             *map(_address_of, structs),
             *map(pointer, vectors),
             _address_of(None if grid is None else grid.struct),

@@ -118,6 +118,7 @@ class _IdentifierData:
             identified.plant,
             identified.families,
             theta if np.isfinite(theta).all() else None,
+            stated=identified.stated,
             offset=identified.offset,
             bounds=identified.bounds,
         )

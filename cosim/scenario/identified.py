@@ -33,6 +33,8 @@ class IdentifiedPlant:
         Of theta.
     problem : str
         Why nothing can be said of the estimates; empty: nothing stands against it.
+    stated : Matrix, shape (n_y, n_y), or None
+        Covariance of the noise of y; None: it is not known.
     """
 
     observer: str
@@ -42,6 +44,7 @@ class IdentifiedPlant:
     offset: bool
     bounds: Mapping[int, tuple[float, float]]
     problem: str = ""
+    stated: Matrix | None = None
 
     @property
     def parameters(self) -> int:

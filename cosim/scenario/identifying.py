@@ -171,6 +171,7 @@ def identify(
         identified.plant,
         identified.families,
         first.estimate,
+        stated=identified.stated,
         offset=has_offset,
         bounds=identified.bounds if bounds is None else bounds,
     )
@@ -251,6 +252,7 @@ def validate_record(found: LogIdentification, record: IdentifierRecord) -> Valid
         record.data,
         first.identified.plant,
         first.identified.families,
+        stated=first.identified.stated,
         offset=found.offset,
     )
 

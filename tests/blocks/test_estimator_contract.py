@@ -21,7 +21,6 @@ from cosim.core.signals import Interface, Signal
 from cosim.native.expression import compile_expression
 from cosim.testing import check_estimator
 from cosim.theory.disturbance import group_by_alpha
-from cosim.theory.disturbed_plant import white_noise
 from cosim.theory.estimators import drem, gradient
 from cosim.theory.estimators.least_squares import plan
 from cosim.theory.estimators.rayleigh import rayleigh_box, rayleigh_constants
@@ -49,7 +48,6 @@ def problem(case):
         products=products,
         alphas=[compile_expression(alpha) for alpha in case.alphas],
         box=rayleigh_box(case.families, case.delays, span=case.span),
-        noise=white_noise(1),
     )
 
 

@@ -139,7 +139,6 @@ def online(plant):
         products=products,
         alphas=programs,
         box=rayleigh_box(families, delays, span=10.0),
-        noise=white_noise(len(plant.C)),
     )
     schedule = IdentificationSchedule(
         period=100,

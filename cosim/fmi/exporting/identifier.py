@@ -27,6 +27,7 @@ NATIVES: Final = (
     "rayleigh.c",
     "start_grid.c",
     "between.c",
+    "weights.c",
     "linear.c",
     *ESTIMATION,
 )
@@ -96,6 +97,7 @@ def output_error(constants: IdentifierConstants) -> Kernel:
         )
     pointers.append(_known(writer, constants))
     pointers += [constants.lower, constants.upper, constants.scale, constants.threshold]
+    pointers.append(constants.known_deviations)
     pointers.append(_grid(writer, constants))
     pointers += [NOTHING, NOTHING]  # samples between communication points; memory
     writer.struct("cosim_identifier", "kernel_constants", step.step.state, pointers)

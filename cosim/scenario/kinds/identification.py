@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -49,8 +50,8 @@ from cosim.scenario.kinds.identification_source import (
 from cosim.scenario.kinds.identification_start import StartTable, start_time
 from cosim.scenario.kinds.methods import INPUTS, OPTIONS, IdentificationMethod, all_options
 from cosim.scenario.kinds.regressor import RegressorDesign
-from cosim.scenario.schema import Flag, Limit, Number
-from cosim.theory.disturbed_plant import white_noise
+from cosim.scenario.kinds.stated_noise import stated_covariance
+from cosim.scenario.schema import Flag, Limit, Number, NumberRow, NumberRows
 from cosim.theory.estimators import augmented_kalman, drem, extended_kalman, gradient, least_squares
 from cosim.theory.estimators.rayleigh import rayleigh_box, rayleigh_constants
 
@@ -97,11 +98,17 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         description="of gradient and drem: rate at which eta follows [1/s]; default: "
         f"{gradient.GAIN:g}, of drem {drem.GAIN:g}",
     )
-    deviation: Number | None = Field(
+    deviation: Number | NumberRow | None = Field(
         None,
-        description="of the Kalman filters: standard deviation of the noise of y; default: "
-        f"{augmented_kalman.DEVIATION:g}, of extended-kalman {extended_kalman.DEVIATION:g}, more "
-        "than the noise, for what its linearization errs",
+        description="of output-error and the Kalman filters: standard deviation of the noise of y, "
+        "one number or one for each output; default of output-error: that of the residual, of "
+        f"augmented-kalman {augmented_kalman.DEVIATION:g}, of extended-kalman "
+        f"{extended_kalman.DEVIATION:g}, more than the noise, for what its linearization errs",
+    )
+    covariance: NumberRows | None = Field(
+        None,
+        description="of output-error and the Kalman filters, in place of deviation: covariance of "
+        "the noise of y, a row for each output",
     )
     size: Number | None = Field(
         None,
@@ -182,6 +189,10 @@ class IdentifierKind(PeriodicKind, ExportableKind):
                 '"output-error" takes the samples, and only its estimates are judged'
             )
             context.warn(source.identifier, problem)
+        plant = observer.plant(len(families))
+        stated = None
+        if self.method == "output-error":
+            stated = stated_covariance(self.deviation, self.covariance, len(plant.C))
         bounds = {}
         if self.bounds is not None:
             parameters = sum(len(family.parameters) for family in families)
@@ -189,11 +200,12 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         identified = IdentifiedPlant(
             problem=problem,
             observer=observer.name,
-            plant=observer.plant(len(families)),
+            plant=plant,
             families=families,
             alphas=source.regression.alphas,
             offset=self.offset,
             bounds=bounds,
+            stated=stated,
         )
         context.add_identified(source.identifier, identified)
         return identified
@@ -256,8 +268,14 @@ class IdentifierKind(PeriodicKind, ExportableKind):
     def _kalman(
         self, problem: IdentificationProblem, schedule: IdentificationSchedule
     ) -> Component:
-        deviation = self._number("deviation")
         size = self._number("size")
+        if self.covariance is None and not isinstance(self.deviation, tuple):
+            deviation = self._number("deviation")
+        else:
+            outputs = len(problem.plant.C)
+            stated = stated_covariance(self.deviation, self.covariance, outputs)
+            problem = replace(problem, stated=stated)
+            deviation = 1.0
         if self.method == "extended-kalman":
             extended = ExtendedKalmanIdentifier(problem=problem, deviation=deviation, size=size)
             return Estimator(extended)
@@ -360,7 +378,7 @@ def _problem(
         products=design.component().constants,
         alphas=design.alphas,
         box=rayleigh_box(families, design.delays, span=span),
-        noise=white_noise(len(identified.plant.C)),
+        stated=identified.stated,
     )
 
 

@@ -38,17 +38,21 @@ INPUTS: Mapping[IdentificationMethod, frozenset[str]] = MappingProxyType(
 # The keys of each method, beside those that all have, with their defaults; NaN: without it.
 OPTIONS: Mapping[IdentificationMethod, Mapping[str, float]] = MappingProxyType(
     {
-        "output-error": dict.fromkeys(("offset", "window", "forgetting", "bounds"), NAN),
+        "output-error": dict.fromkeys(
+            ("offset", "window", "forgetting", "bounds", "deviation", "covariance"), NAN
+        ),
         "least-squares": {"P0": NAN},
         "projection": dict.fromkeys(("window", "bounds"), NAN),
         "rayleigh": {},
         "augmented-kalman": {
             "deviation": augmented_kalman.DEVIATION,
+            "covariance": NAN,
             "size": augmented_kalman.SIZE,
             "intensity": augmented_kalman.INTENSITY,
         },
         "extended-kalman": {
             "deviation": extended_kalman.DEVIATION,
+            "covariance": NAN,
             "size": extended_kalman.SIZE,
         },
         "drem": {"gain": drem.GAIN, "forgetting": drem.FORGETTING},

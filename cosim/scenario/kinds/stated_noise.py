@@ -1,0 +1,65 @@
+"""The noise of y as a scenario states it: a deviation, one an output, or a covariance."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from cosim.arrays import Matrix, Vector
+from cosim.errors import UsageError
+
+SYMMETRY = 1e-9  # relative difference of entries that are one number
+
+
+def stated_covariance(
+    deviation: float | Sequence[float] | None,
+    covariance: Sequence[Sequence[float]] | None,
+    outputs: int,
+) -> Matrix | None:
+    """Return the covariance of the noise of y, shape (n_y, n_y); None: nothing is stated.
+
+    Raises
+    ------
+    UsageError
+        If both are given, or they are no deviations or covariance of so many outputs.
+    """
+    if deviation is not None and covariance is not None:
+        raise UsageError("found both deviation and covariance; needed one of them, or none")
+    if deviation is not None:
+        return np.diag(_deviations(deviation, outputs) ** 2)
+    if covariance is None:
+        return None
+    if any(len(row) != outputs for row in covariance) or len(covariance) != outputs:
+        raise UsageError(
+            f"covariance: found {[list(row) for row in covariance]}; needed {outputs} rows of "
+            f"{outputs} numbers, as y has"
+        )
+    matrix = np.array(covariance, np.float64)
+    scale = np.sqrt(np.abs(np.diag(matrix)))
+    difference = np.abs(matrix - matrix.T)
+    is_symmetric = bool((difference <= SYMMETRY * np.outer(scale, scale)).all())
+    if not is_symmetric or not _is_positive(matrix, scale):
+        raise UsageError(
+            f"covariance: found {matrix.tolist()}; needed a symmetric positive definite matrix"
+        )
+    return matrix
+
+
+def _deviations(deviation: float | Sequence[float], outputs: int) -> Vector:
+    deviations = np.array(deviation, np.float64)
+    if deviations.ndim and deviations.shape != (outputs,):
+        raise UsageError(
+            f"deviation: found {deviations.size} numbers; needed one, or one for each of {outputs} "
+            "outputs"
+        )
+    if not ((deviations > 0.0) & (deviations < np.inf)).all():
+        raise UsageError(f"deviation: found {deviation}; needed positive finite numbers")
+    return np.broadcast_to(deviations, outputs)
+
+
+def _is_positive(matrix: Matrix, scale: Vector) -> bool:
+    if not (np.isfinite(matrix).all() and (scale > 0.0).all()):
+        return False
+    correlations = matrix / np.outer(scale, scale)
+    return bool(np.linalg.eigvalsh(correlations).min() > np.finfo(np.float64).eps * len(matrix))
