@@ -464,10 +464,14 @@ typedef struct {
     const double *theta;         /* (points_i, count_i) of one component behind the other */
 } cosim_start_grid;
 int64_t cosim_start_grid_memory(const cosim_start_grid *self);
+int64_t cosim_start_grid_points(const cosim_start_grid *self);
+/* The least squares of every combination, (points); R: that of the model. */
+void cosim_start_grid_squares(const cosim_start_grid *self, const double *R, double *memory,
+                              double *squares);
 /* The combinations that no neighbor betters, the best first, at most `most` of them: theta of shape
- * (most, parameters). R: that of the model. Returns how many there are. */
-int32_t cosim_start_grid_search(const cosim_start_grid *self, const double *R, double *memory,
-                                int32_t most, double *theta);
+ * (most, parameters). Returns how many there are. */
+int32_t cosim_start_grid_best(const cosim_start_grid *self, const double *squares, int32_t most,
+                              double *theta);
 
 /* --- between.c --- */
 

@@ -32,7 +32,7 @@ typedef struct {
     double *time, *betweens; /* of the last sample; number of samples between those of the grid */
     double *grid_taken, *grid_work; /* samples in it; of the grid of starts */
     int64_t state;
-    double *grid_search, *covariance, *least, *factor; /* scratch */
+    double *grid_search, *grid_squares, *covariance, *least, *factor; /* scratch */
     double *at_point, *pair; /* y at a communication point, and two residuals; scratch */
     double *residual, *alpha;
     double *delta, *delta_alpha;
@@ -95,6 +95,7 @@ static storage storage_of(const cosim_identifier *s)
     m.state = next;
     next += memory_of(on_grid) - state_of(on_grid);
     m.grid_search = cosim_place(s->memory, &next, s->grid ? cosim_start_grid_memory(s->grid) : 0);
+    m.grid_squares = cosim_place(s->memory, &next, s->grid ? cosim_start_grid_points(s->grid) : 0);
     m.at_point = cosim_place(s->memory, &next, n_outputs(s));
     m.pair = cosim_place(s->memory, &next, 2 * n_outputs(s));
     m.covariance = cosim_place(s->memory, &next, n_outputs(s) * n_outputs(s));
@@ -457,7 +458,8 @@ static int32_t starts_on_grid(const cosim_identifier *s, const storage *m, doubl
     cosim_output_error_take(&model, theta, &record, (int64_t)*m->grid_taken, record.end,
                             m->grid_work);
     *m->grid_taken = (double)record.end;
-    return cosim_start_grid_search(s->grid, m->grid_work, m->grid_search, STARTS, theta);
+    cosim_start_grid_squares(s->grid, m->grid_work, m->grid_search, m->grid_squares);
+    return cosim_start_grid_best(s->grid, m->grid_squares, STARTS, theta);
 }
 
 /* --- the best of several fits --- */

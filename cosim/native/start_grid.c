@@ -5,17 +5,15 @@
 
 /* The sum of squares at a point of the grid, and the points themselves, one digit a component. */
 typedef struct {
-    int64_t points;              /* of all components together */
     int32_t columns;             /* of the points, and the residual */
     int32_t width;               /* columns of one point, and the residual */
     double *R;                   /* (columns, columns): x(0) and the offset are eliminated */
     double *rows;                /* (columns of the model, the same), of rotations */
-    double *squares;             /* (points) */
     double *chosen, *T, *work;   /* (columns, width), (width, width), of rotations */
     int64_t size;
 } parts;
 
-static int64_t points_of(const cosim_start_grid *s)
+int64_t cosim_start_grid_points(const cosim_start_grid *s)
 {
     int64_t points = 1;
     for (int32_t i = 0; i < s->components; ++i)
@@ -26,7 +24,7 @@ static int64_t points_of(const cosim_start_grid *s)
 static parts parts_of(const cosim_start_grid *s, double *memory)
 {
     const int64_t all = cosim_output_error_columns(s->model);
-    parts p = {.points = points_of(s), .columns = 1, .width = 1};
+    parts p = {.columns = 1, .width = 1};
     for (int32_t i = 0; i < s->components; ++i) {
         p.columns += s->points[i] * s->size[i];
         p.width += s->size[i];
@@ -34,7 +32,6 @@ static parts parts_of(const cosim_start_grid *s, double *memory)
     int64_t next = 0;
     p.R = cosim_place(memory, &next, all * all); /* at first with x(0) and the offset before them */
     p.rows = cosim_place(memory, &next, all * all);
-    p.squares = cosim_place(memory, &next, p.points);
     p.chosen = cosim_place(memory, &next, (int64_t)p.columns * p.width);
     p.T = cosim_place(memory, &next, p.width * p.width);
     p.work = cosim_place(memory, &next, all);
@@ -93,15 +90,15 @@ static double squares_at(const cosim_start_grid *s, const parts *p, int64_t poin
 }
 
 /* Whether no neighbor along a component is better. */
-static int is_minimum(const cosim_start_grid *s, const parts *p, int64_t point)
+static int is_minimum(const cosim_start_grid *s, const double *squares, int64_t point)
 {
-    const double here = p->squares[point];
+    const double here = squares[point];
     int64_t stride = 1, rest = point;
     for (int32_t i = 0; i < s->components; ++i) {
         const int32_t digit = next_digit(&rest, s->points[i]);
-        if (digit > 0 && p->squares[point - stride] < here)
+        if (digit > 0 && squares[point - stride] < here)
             return 0;
-        if (digit < s->points[i] - 1 && p->squares[point + stride] < here)
+        if (digit < s->points[i] - 1 && squares[point + stride] < here)
             return 0;
         stride *= s->points[i];
     }
@@ -119,10 +116,11 @@ static void write_theta(const cosim_start_grid *s, int64_t point, double *theta)
 }
 
 /* Insert a point among the best ones, which stand in ascending order; returns how many there are. */
-static int32_t keep_best(const parts *p, int64_t point, int32_t found, int32_t most, int64_t *best)
+static int32_t keep_best(const double *squares, int64_t point, int32_t found, int32_t most,
+                         int64_t *best)
 {
     int32_t place = found;
-    while (place > 0 && p->squares[point] < p->squares[best[place - 1]])
+    while (place > 0 && squares[point] < squares[best[place - 1]])
         --place;
     if (place == most)
         return found;
@@ -133,20 +131,27 @@ static int32_t keep_best(const parts *p, int64_t point, int32_t found, int32_t m
     return count;
 }
 
-int32_t cosim_start_grid_search(const cosim_start_grid *s, const double *R, double *memory,
-                                int32_t most, double *theta)
+void cosim_start_grid_squares(const cosim_start_grid *s, const double *R, double *memory,
+                              double *squares)
 {
     const parts p = parts_of(s, memory);
+    const int64_t points = cosim_start_grid_points(s);
+    eliminate(s, &p, R);
+    for (int64_t k = 0; k < points; ++k)
+        squares[k] = squares_at(s, &p, k);
+}
+
+int32_t cosim_start_grid_best(const cosim_start_grid *s, const double *squares, int32_t most,
+                              double *theta)
+{
+    const int64_t points = cosim_start_grid_points(s);
     int64_t best[COSIM_MOST_STARTS];
     int32_t parameters = 0, found = 0;
     for (int32_t i = 0; i < s->components; ++i)
         parameters += s->count[i];
-    eliminate(s, &p, R);
-    for (int64_t k = 0; k < p.points; ++k)
-        p.squares[k] = squares_at(s, &p, k);
-    for (int64_t k = 0; k < p.points; ++k)
-        if (p.squares[k] < INFINITY && is_minimum(s, &p, k))
-            found = keep_best(&p, k, found, most, best);
+    for (int64_t k = 0; k < points; ++k)
+        if (squares[k] < INFINITY && is_minimum(s, squares, k))
+            found = keep_best(squares, k, found, most, best);
     for (int32_t i = 0; i < found; ++i)
         write_theta(s, best[i], theta + i * parameters);
     return found;

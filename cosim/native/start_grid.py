@@ -65,14 +65,25 @@ class StartGridModel:
             len(constants.size), ctypes.addressof(self.model.struct), *map(pointer, arrays)
         )
         self.memory = int(library.cosim_start_grid_memory(byref(self.struct)))
+        self.points = int(library.cosim_start_grid_points(byref(self.struct)))
 
-    def search(self, R: Matrix, most: int) -> Matrix:
+    def squares(self, R: Matrix) -> Vector:
+        """Compute the least squares of every combination from R of the model, shape (points,)."""
+        R = np.ascontiguousarray(R, np.float64)
+        scratch = np.zeros(self.memory)
+        squares = np.empty(self.points)
+        library.cosim_start_grid_squares(
+            byref(self.struct), pointer(R), pointer(scratch), pointer(squares)
+        )
+        return squares
+
+    def best(self, squares: Vector, most: int) -> Matrix:
         """Return the points that no neighbor betters, the best first, shape (at most most, P).
 
         Parameters
         ----------
-        R : Matrix
-            Of the model.
+        squares : Vector, shape (points,)
+            Of one record, or the sum over several.
         most : int
             1 to MOST_STARTS.
 
@@ -83,19 +94,19 @@ class StartGridModel:
         """
         if not 1 <= most <= MOST_STARTS:
             raise UsageError(f"most: found {most} starts; needed 1 to {MOST_STARTS}")
-        R = np.ascontiguousarray(R, np.float64)
-        scratch = np.zeros(self.memory)
+        squares = np.ascontiguousarray(squares, np.float64)
         theta = np.zeros((most, self._parameters))
-        addresses = (pointer(R), pointer(scratch))
-        count = library.cosim_start_grid_search(
-            byref(self.struct), *addresses, most, pointer(theta)
+        count = library.cosim_start_grid_best(
+            byref(self.struct), pointer(squares), most, pointer(theta)
         )
         return theta[:count]
 
 
 for _name, (_result, _arguments) in {
     "cosim_start_grid_memory": (c_int64, (c_void_p,)),
-    "cosim_start_grid_search": (c_int32, (c_void_p, c_void_p, c_void_p, c_int32, c_void_p)),
+    "cosim_start_grid_points": (c_int64, (c_void_p,)),
+    "cosim_start_grid_squares": (None, (c_void_p, c_void_p, c_void_p, c_void_p)),
+    "cosim_start_grid_best": (c_int32, (c_void_p, c_void_p, c_int32, c_void_p)),
 }.items():
     _function = getattr(library, _name)
     _function.restype = _result

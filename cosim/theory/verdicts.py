@@ -35,8 +35,8 @@ from cosim.theory.estimators.output_error import (
     OutputErrorFit,
     least_squares_at,
     presence_threshold,
-    search_start,
 )
+from cosim.theory.estimators.start_grid import search_start
 from cosim.theory.noise_covariance import fit_with_noise, size_covariance
 from cosim.theory.quantiles import CONFIDENCE, normal_two_sided, student_two_sided
 

@@ -254,10 +254,11 @@ def test_the_grid_of_starts_takes_many_components():
     )
     record = sampled.record(data)
     samples = type(record)(grid.model, record.residual, record.alpha)
-    starts = grid.search(samples.make(np.zeros(0)), 3)
+    squares = grid.squares(samples.make(np.zeros(0)))
+    starts = grid.best(squares, 3)
     np.testing.assert_allclose(starts[0], [-0.55], rtol=1e-12)
     with pytest.raises(UsageError, match="most: found 9 starts; needed 1 to 8"):
-        grid.search(samples.make(np.zeros(0)), 9)
+        grid.best(squares, 9)
 
 
 def test_the_quotient_of_many_rows_is_that_of_the_determinants():

@@ -1,13 +1,18 @@
 """Starts of theta from y alone: every point of the grid is a least squares of its own."""
 
+from functools import cache
+
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+from scipy.signal import lsim
 
-from cosim.native.estimation import OutputErrorModel, ResponseRecord
+from cosim.native.estimation import ResponseRecord
 from cosim.native.start_grid import StartGridModel
 from cosim.theory.disturbance import Exponential, Sine, generators
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, sample_plant, white_noise
-from cosim.theory.estimators.start_grid import search_starts, start_grid
+from cosim.theory.estimators.start_grid import search_start, search_starts, start_grid
 
 T = np.arange(401) * 0.02
 LOWER = np.array([-3.0, 0.2])
@@ -25,44 +30,96 @@ PLANT = DisturbedPlant(
 )
 
 
-def sampled(offset=False):
-    """Return the model of y with a record of it, made of its own columns at the true theta."""
-    nothing = np.zeros((len(T), 2))
-    alpha = np.stack([1.0 + 0.3 * np.sin(1.7 * T), np.ones_like(T)], axis=1)
-    data = DataSet(T, nothing, np.zeros((len(T), 0)), alpha)
+def known_factors(t):
+    """Return alpha of both components."""
+    return np.stack([1.0 + 0.3 * np.sin(1.7 * t), np.ones_like(t)], axis=-1)
+
+
+def disturbances(t):
+    """Return the exponential, and a sine of known phase."""
+    sine = 0.7 * np.cos(TRUE[1] * t) - 0.9 * np.sin(TRUE[1] * t)
+    return known_factors(t) * np.stack([1.3 * np.exp(TRUE[0] * t), sine], axis=-1)
+
+
+def simulated(present=(1.0, 1.0)):
+    """Return y by another solver, with noise; ``present``: how much of each component there is."""
+    solution = solve_ivp(
+        lambda t, x: PLANT.A @ x + PLANT.Bd @ (present * disturbances(t)),
+        (0.0, T[-1]),
+        [0.5, -0.2],
+        t_eval=T,
+        rtol=1e-9,
+        atol=1e-10,
+    )
+    y = solution.y.T @ PLANT.C.T + (present * disturbances(T)) @ PLANT.Dd.T
+    return y + 1e-3 * np.random.default_rng(0).standard_normal(y.shape)
+
+
+def sampled(offset=False, present=(1.0, 1.0)):
+    """Return the record of y, with an offset where it is unknown."""
+    y = simulated(present) + (np.array([0.3, 0.1]) if offset else 0.0)
+    data = DataSet(T, y, np.zeros((len(T), 0)), known_factors(T))
     plant = sample_plant(PLANT, generators(FAMILIES), data, noise=white_noise(2), offset=offset)
-    columns = plant.record(data).rows(TRUE)
-    unknowns = np.array([1.3, 0.7, -0.9, 0.5, -0.2, 0.3, 0.1])[: plant.model.linear]
-    y = columns[:, :, : plant.model.linear] @ unknowns
-    y += 1e-3 * np.random.default_rng(0).standard_normal(y.shape)
-    return plant.model, ResponseRecord(plant.model, y, alpha)
+    return plant.record(data)
 
 
-def least_squares(model, record, theta, average):
-    """Return the squares at theta: means and their least squares by numpy."""
-    columns = ResponseRecord(model, record.residual, record.alpha).rows(theta)
+@cache
+def response(component, kind, rate):
+    """Return the outputs under one basis function, straight between samples, shape (N, 2)."""
+    shape = {"exp": np.exp, "cos": np.cos, "sin": np.sin}[kind]
+    signal = known_factors(T)[:, component] * shape(rate * T)
+    system = (PLANT.A, PLANT.Bd[:, [component]], PLANT.C, PLANT.Dd[:, [component]])
+    return lsim(system, signal, T)[1]
+
+
+@cache
+def free_response(state):
+    """Return the outputs from one initial state of 1, shape (N, 2)."""
+    start = np.eye(2)[state]
+    return np.array([PLANT.C @ expm(PLANT.A * t) @ start for t in T])
+
+
+def least_squares(record, theta, average, offset):
+    """Return the squares at theta: means of columns that are made here, and numpy."""
+    a, w = (float(value) for value in theta)
+    columns = [response(0, "exp", a), response(1, "cos", w), response(1, "sin", w)]
+    columns += [free_response(0), free_response(1)]
+    if offset:
+        columns += [np.tile(row, (len(T), 1)) for row in np.eye(2)]
+    columns.append(record.residual)
     whole = len(T) // average
-    blocks = columns[: whole * average].reshape(whole, average, 2, -1).mean(axis=1)
-    rows = blocks.reshape(2 * whole, -1)
-    regressors = rows[:, : model.linear]
-    solution = np.linalg.lstsq(regressors, rows[:, -1], rcond=None)[0]
-    return float(np.sum((rows[:, -1] - regressors @ solution) ** 2))
+    kept = np.stack(columns, axis=-1)[: whole * average]
+    rows = kept.reshape(whole, average, 2, -1).mean(axis=1).reshape(2 * whole, -1)
+    solution = np.linalg.lstsq(rows[:, :-1], rows[:, -1], rcond=None)[0]
+    return float(np.sum((rows[:, -1] - rows[:, :-1] @ solution) ** 2))
 
 
 @pytest.mark.parametrize("offset", [False, True])
-def test_the_best_point_is_that_of_all_least_squares(offset):
-    """And all starts are ordered by their squares; none has a better neighbor."""
-    model, record = sampled(offset)
+def test_every_point_is_a_least_squares_of_its_own(offset):
+    """Its squares are those of its own columns, apart from the kernels."""
+    record = sampled(offset)
+    grid = StartGridModel(start_grid(record.model.constants, LOWER, UPPER, points=9, average=8))
+    beside = ResponseRecord(grid.model, record.residual, record.alpha)
+    squares = grid.squares(beside.make(np.zeros(0))).reshape(9, 9).T
+    axes = [LOWER[j] + (np.arange(9) + 0.5) / 9 * (UPPER - LOWER)[j] for j in (0, 1)]
+    expected = [[least_squares(record, (a, b), 8, offset) for b in axes[1]] for a in axes[0]]
+    # rounding of R, relative to all of y, over what is left of it
+    np.testing.assert_allclose(squares, expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("offset", [False, True])
+def test_starts_are_the_best_points(offset):
+    """Ordered by their squares; none has a better neighbor."""
+    record = sampled(offset)
     points = 9
-    grid = start_grid(model.constants, LOWER, UPPER, points=points, average=8)
-    starts = search_starts(grid, record, most=4)
+    starts = search_starts([record], LOWER, UPPER, points=points, most=4)
     axes = [LOWER[j] + (np.arange(points) + 0.5) / points * (UPPER - LOWER)[j] for j in (0, 1)]
     squares = np.array(
-        [[least_squares(model, record, np.array([a, b]), 8) for b in axes[1]] for a in axes[0]]
+        [[least_squares(record, (a, b), 1, offset) for b in axes[1]] for a in axes[0]]
     )
     best = np.unravel_index(squares.argmin(), squares.shape)
     np.testing.assert_allclose(starts[0], [axes[0][best[0]], axes[1][best[1]]], rtol=1e-13)
-    found = [least_squares(model, record, start, 8) for start in starts]
+    found = [least_squares(record, start, 1, offset) for start in starts]
     assert found == sorted(found)
     for start in starts:
         i = int(np.abs(axes[0] - start[0]).argmin())
@@ -72,37 +129,42 @@ def test_the_best_point_is_that_of_all_least_squares(offset):
                 assert squares[a, b] >= squares[i, j]
 
 
+def test_several_records_have_one_start():
+    """In each of two one component is missing: only both together tell both theta."""
+    first = sampled(present=(1.0, 0.0))
+    second = sampled(present=(0.0, 1.0))
+    for records in ([first, second], [second, first]):
+        start = search_starts(records, LOWER, UPPER, points=9, most=1)[0]
+        assert (np.abs(start - TRUE) <= 0.5 * (UPPER - LOWER) / 9).all()
+
+
 def test_a_theta_that_is_known_has_one_point():
     """Bounds without width are no direction to search in."""
-    model, record = sampled()
+    record = sampled()
     lower = np.array([-0.4, 0.2])
     upper = np.array([-0.4, 3.0])
-    grid = start_grid(model.constants, lower, upper, points=20, average=4)
+    grid = start_grid(record.model.constants, lower, upper, points=20, average=4)
     assert grid.points == (1, 20)
-    starts = search_starts(grid, record, most=1)
+    starts = search_starts([record], lower, upper, points=20, most=1)
     assert starts[0, 0] == -0.4
     assert abs(starts[0, 1] - 1.7) <= 0.5 * 2.8 / 20
 
 
-def test_samples_may_be_added_piece_by_piece():
-    """One pass over all samples, or several, make the same R up to rounding."""
-    model, record = sampled()
-    grid = start_grid(model.constants, LOWER, UPPER, points=5, average=7)
-    side_by_side = StartGridModel(grid).model
-    assert isinstance(side_by_side, OutputErrorModel)
-    whole = ResponseRecord(side_by_side, record.residual, record.alpha)
-    R = whole.make(np.zeros(0))
-    assert R.shape == (5 + 10 + 2 + 1,) * 2
-    first = ResponseRecord(side_by_side, record.residual[:200], record.alpha[:200])
-    fewer = first.make(np.zeros(0))
-    # R'R grows with the rows
-    assert (np.diag(R.T @ R) > np.diag(fewer.T @ fewer)).all()
+def test_a_known_theta_beyond_the_box_of_the_search_is_searched_with():
+    """Held there, the other one is found."""
+    data = DataSet(T, simulated(), np.zeros((len(T), 0)), known_factors(T))
+    start = search_start([data], PLANT, FAMILIES, bounds={0: (-9.0, -9.0)})
+    assert start[0] == -9.0
+    record = sampled()
+    found = least_squares(record, (-9.0, start[1]), 1, False)
+    others = [least_squares(record, (-9.0, rate), 1, False) for rate in np.linspace(0.3, 5.0, 16)]
+    assert found <= min(others)
 
 
 def test_rows_that_say_the_same_leave_numbers():
     """Fewer rows than columns: what rounding leaves is divided by nothing that vanishes."""
-    model, record = sampled()
-    grid = start_grid(model.constants, LOWER, UPPER, points=24, average=1)
+    record = sampled()
+    grid = start_grid(record.model.constants, LOWER, UPPER, points=24, average=1)
     for count in range(1, 30):
         short = ResponseRecord(
             StartGridModel(grid).model, record.residual[:count], record.alpha[:count]

@@ -10,7 +10,6 @@ maximum likelihood, and its covariance is the Cramer-Rao bound for the same unkn
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -28,7 +27,7 @@ from cosim.native.estimation import (
     ResponseRecord,
     minimize,
 )
-from cosim.theory.disturbance import Family, SearchBox, generators, search_box
+from cosim.theory.disturbance import Family, generators, search_box
 from cosim.theory.disturbed_plant import (
     DataSet,
     DisturbedPlant,
@@ -41,10 +40,6 @@ from cosim.theory.quantiles import chi_square_above
 # Probability that noise alone makes the amplitude of an absent component look like one, for one
 # theta; the largest over all theta, which the fit finds, is about a hundred times as probable.
 FALSE_PRESENCE: Final = 1e-8
-SAMPLES_OF_SEARCH: Final = 800
-MOST_POINTS_OF_SEARCH: Final = 576
-MOST_POINTS_ON_AN_AXIS: Final = 24
-SHORTEST_OF_SEARCH: Final = 20.0  # time scales of a record that a start tells apart
 ROUNDING: Final = 2.0**-44  # error of a simulated output relative to the largest output
 NO_BOUNDS: Mapping[int, tuple[float, float]] = MappingProxyType({})
 
@@ -149,8 +144,8 @@ def fit_output_error(
             plant, matrices, one, noise=noise, offset=offset, forgetting=forgetting
         )
         records.append(sampled.record(one))
-    problem = _Problem(data, families, noise, matrices.parameters)
-    lower, upper = problem.bounds(bounds)
+    problem = _Problem(data, families, noise)
+    lower, upper = bound_vectors(bounds, matrices.parameters)
     result = minimize(
         records,
         np.clip(theta, lower, upper),
@@ -184,62 +179,26 @@ def least_squares_at(record: ResponseRecord, theta: Vector) -> float:
     return float(rest @ rest)
 
 
-def search_start(
-    data: Sequence[DataSet],
-    plant: DisturbedPlant,
-    families: Sequence[Family],
-    *,
-    offset: bool = False,
-    bounds: Mapping[int, tuple[float, float]] = NO_BOUNDS,
-    noise: NoiseModel | None = None,
-) -> Vector:
-    """Find a start: the best point of a grid, on samples that are thinned out.
+def bound_vectors(
+    bounds: Mapping[int, tuple[float, float]], parameters: int
+) -> tuple[Vector, Vector]:
+    """Return the bounds of all parameters, infinite where none are given, shapes ``(P,)``.
 
-    Nothing but the data is needed; where there is a regression, its Rayleigh quotient is cheaper.
-
-    Parameters
-    ----------
-    data, plant, families, offset, bounds, noise
-        As for :func:`fit_output_error`.
-
-    Returns
-    -------
-    Vector
-        Shape ``(P,)``, within the bounds.
+    Raises
+    ------
+    AssumptionError
+        If there is no such parameter, or an upper bound is below the lower one.
     """
-    matrices = generators(families)
-    noise = noise or white_noise(plant.C.shape[0])
-    records = []
-    for one in data:
-        thin = one.thinned(max(1, len(one.t) // SAMPLES_OF_SEARCH))
-        sampled = sample_plant(plant, matrices, thin, noise=noise, offset=offset)
-        records.append(sampled.record(thin))
-    span = max(float(one.t[-1] - one.t[0]) for one in data)
-    box = search_box(families, span=span, shortest=span / SHORTEST_OF_SEARCH)
-    best = np.full(matrices.parameters, np.nan)
-    least = np.inf
-    for point in itertools.product(*_axes_of_search(box, bounds)):
-        theta = np.array(point)
-        squares = sum(least_squares_at(record, theta) for record in records)
-        if squares < least or np.isnan(best).any():
-            least = squares
-            best = theta
-    return best
-
-
-def _axes_of_search(box: SearchBox, bounds: Mapping[int, tuple[float, float]]) -> list[Vector]:
-    """Return the values of each theta on the grid of the search, within box and bounds."""
-    parameters = len(box.lower)
-    points = max(2, int(MOST_POINTS_OF_SEARCH ** (1.0 / max(parameters, 1))))
-    points = min(points, MOST_POINTS_ON_AN_AXIS)
-    fractions = (np.arange(points) + 0.5) / points
-    axes = []
-    for j in range(parameters):
-        low, high = bounds.get(j, (-np.inf, np.inf))
-        lower = np.clip(low, box.lower[j], box.upper[j])
-        upper = np.clip(high, box.lower[j], box.upper[j])
-        axes.append(lower + fractions * (upper - lower))
-    return axes
+    lower = np.full(parameters, -np.inf)
+    upper = np.full(parameters, np.inf)
+    for j, (low, high) in bounds.items():
+        if not 0 <= j < parameters:
+            raise AssumptionError(f"bounds: no theta[{j}]; there are {parameters} parameters")
+        if not low <= high:
+            raise AssumptionError(f"bounds of theta[{j}]: {low} > {high}; needed lower first")
+        lower[j] = low
+        upper[j] = high
+    return lower, upper
 
 
 def presence_threshold(sizes: Sequence[int], records: int) -> Vector:
@@ -256,31 +215,15 @@ class _Problem:
         data: Sequence[DataSet],
         families: Sequence[Family],
         noise: NoiseModel,
-        parameters: int,
     ) -> None:
         span = max(float(one.t[-1] - one.t[0]) for one in data)
         count = max(len(one.t) for one in data)
+        # a step beyond a tenth of this makes the response overflow, or passes between two samples
         shortest = 4.0 * span / max(count - 1, 4)
         self.box = search_box(families, span=span, shortest=shortest)
-        self._parameters = parameters
         largest = np.max([np.nanmax(np.abs(one.y), axis=0) for one in data], axis=0)
         whitened = np.abs(noise.whitening) @ np.maximum(largest, np.finfo(np.float64).tiny)
         self.rounding = ROUNDING * float(whitened.max())
-
-    def bounds(self, given: Mapping[int, tuple[float, float]]) -> tuple[Vector, Vector]:
-        # A step beyond these makes the response overflow, or passes between two samples.
-        lower = np.full(self._parameters, -np.inf)
-        upper = np.full(self._parameters, np.inf)
-        for j, (low, high) in given.items():
-            if not 0 <= j < self._parameters:
-                raise AssumptionError(
-                    f"bounds: no theta[{j}]; there are {self._parameters} parameters"
-                )
-            if not low <= high:
-                raise AssumptionError(f"bounds of theta[{j}]: {low} > {high}; needed lower first")
-            lower[j] = low
-            upper[j] = high
-        return lower, upper
 
 
 def _fit(

@@ -21,9 +21,8 @@ from cosim.arrays import Matrix, Vector
 from cosim.errors import AssumptionError
 from cosim.native.estimation import NO_INFORMATION, RayleighConstants, RayleighModel, triangle
 from cosim.theory.disturbance import AlphaGroup, Family, SearchBox, generators, search_box
+from cosim.theory.estimators.start_grid import grid_points
 from cosim.theory.regression import Term
-
-MOST_GRID_POINTS = 4096
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +79,6 @@ def rayleigh_constants(
     parts = []
     for term in terms:
         parts.append([row for part in term.parts for row in part])
-    points = int(MOST_GRID_POINTS ** (1.0 / max(matrices.parameters, 1)))
     return RayleighConstants(
         generators=matrices,
         group=tuple(group_of),
@@ -88,7 +86,7 @@ def rayleigh_constants(
         parts=np.array(parts),
         lower=box.lower,
         upper=box.upper,
-        points=min(points, 24),
+        points=grid_points(matrices.parameters),
     )
 
 

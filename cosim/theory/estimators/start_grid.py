@@ -1,22 +1,54 @@
-"""Starts of theta from y itself, where nothing else is known yet.
+"""Starts of theta from y itself, where nothing else is known.
 
 For given theta y is linear in all other unknowns. So the responses to every component at every
 point of a grid of its own theta are columns of one regression: a single pass over the samples makes
 the triangle R of all of them, and the least squares of any combination of points follow from a
 choice of its columns, without the samples. Rows are means of successive samples. Unlike the
 regression (25) this needs neither delays nor a transient that is over.
+
+A minimum of the grid may lead to a local minimum of output error, whose residual cannot tell: a
+wrong model would leave one of the same size. So several are fitted from, and the best fit counts,
+online (``identifier.c``) as well as for recorded data (:func:`search_start`).
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import product
+from typing import Final
 
 import numpy as np
 
 from cosim.arrays import Matrix, Vector
 from cosim.native.estimation import Generators, OutputErrorConstants, ResponseRecord
 from cosim.native.start_grid import StartGridConstants, StartGridModel
+from cosim.theory.disturbance import Family, generators, search_box
+from cosim.theory.disturbed_plant import (
+    DataSet,
+    DisturbedPlant,
+    NoiseModel,
+    sample_plant,
+    white_noise,
+)
+from cosim.theory.estimators.output_error import (
+    NO_BOUNDS,
+    OutputErrorFit,
+    bound_vectors,
+    fit_output_error,
+)
+
+STARTS: Final = 4  # points of the grid that are fitted from
+MOST_POINTS: Final = 4096
+MOST_POINTS_ON_AN_AXIS: Final = 24
+ROWS: Final = 800  # of the regression: means of successive samples
+SHORTEST: Final = 20.0  # time scales of a record that a start tells apart
+
+
+def grid_points(parameters: int) -> int:
+    """Return how many points a grid of starts has in every direction."""
+    points = int(MOST_POINTS ** (1.0 / max(parameters, 1)))
+    return min(points, MOST_POINTS_ON_AN_AXIS)
 
 
 def start_grid(
@@ -72,11 +104,84 @@ def start_grid(
     )
 
 
-def search_starts(grid: StartGridConstants, record: ResponseRecord, *, most: int) -> Matrix:
-    """Return the best points of the grid for a record of y, the best first, shape (starts, P)."""
-    model = StartGridModel(grid)
-    samples = ResponseRecord(model.model, record.residual, record.alpha, record.interval)
-    return model.search(samples.make(np.zeros(0)), most)
+def search_starts(
+    records: Sequence[ResponseRecord], lower: Vector, upper: Vector, *, points: int, most: int
+) -> Matrix:
+    """Return the best points of the grid for records of y, the best first, shape (starts, P).
+
+    Parameters
+    ----------
+    records : sequence of ResponseRecord
+        Under the same theta; a point is as good as the sum of its squares over all of them.
+    lower, upper : Vector, shape (P,)
+        The box.
+    points : int
+        In every direction.
+    most : int
+        Starts at most.
+    """
+    sums = np.zeros(1)
+    for record in records:
+        average = max(1, len(record.residual) // ROWS)
+        constants = start_grid(record.model.constants, lower, upper, points=points, average=average)
+        grid = StartGridModel(constants)
+        beside = ResponseRecord(grid.model, record.residual, record.alpha, record.interval)
+        sums = sums + grid.squares(beside.make(np.zeros(0)))
+    return grid.best(sums, most)
+
+
+def search_start(
+    data: Sequence[DataSet],
+    plant: DisturbedPlant,
+    families: Sequence[Family],
+    *,
+    noise: NoiseModel | None = None,
+    offset: bool = False,
+    bounds: Mapping[int, tuple[float, float]] = NO_BOUNDS,
+) -> Vector:
+    """Find a start: theta of the best fit from the best points of a grid.
+
+    Nothing but the data is needed; where there is a regression, its Rayleigh quotient is cheaper.
+
+    Parameters
+    ----------
+    data, plant, families, noise, offset, bounds
+        As for :func:`fit_output_error`; the noise without an autoregressive model.
+
+    Returns
+    -------
+    Vector
+        Shape ``(P,)``, within the bounds.
+
+    Raises
+    ------
+    AssumptionError
+        As from there.
+    """
+    matrices = generators(families)
+    noise = noise or white_noise(plant.C.shape[0])
+    records = []
+    for one in data:
+        sampled = sample_plant(plant, matrices, one, noise=noise, offset=offset)
+        records.append(sampled.record(one))
+    span = max(float(one.t[-1] - one.t[0]) for one in data)
+    box = search_box(families, span=span, shortest=span / SHORTEST)
+    given_lower, given_upper = bound_vectors(bounds, matrices.parameters)
+    lower = np.clip(box.lower, given_lower, given_upper)
+    upper = np.clip(box.upper, given_lower, given_upper)
+    points = grid_points(matrices.parameters)
+    starts = search_starts(records, lower, upper, points=points, most=STARTS)
+    if not len(starts):
+        return lower  # no response is finite, which a fit will say
+
+    def fitted(start: Vector) -> OutputErrorFit:
+        return fit_output_error(
+            data, plant, families, start, noise=noise, offset=offset, bounds=bounds
+        )
+
+    fits = [fitted(start) for start in starts]
+    converged = [fit for fit in fits if fit.converged]
+    return min(converged or fits, key=lambda fit: fit.deviation).theta
 
 
 class _Matrices:
