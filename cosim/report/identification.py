@@ -10,6 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from cosim.report.summary import noise_text
+from cosim.scenario.assessing import plain_amplitudes
 from cosim.scenario.identifying import (
     IdentifierRecord,
     LogIdentification,
@@ -117,13 +118,14 @@ class IdentificationReport:
 
     def _logs(self) -> list[dict[str, Any]]:
         fit = self.found.assessment.fit
+        amplitudes = plain_amplitudes(self.found.amplitudes)
         logs = []
         for i, record in enumerate(self.found.records):
             logs.append(
                 {
                     "log": record.log.label,
                     "samples": int(record.data.measured.sum()),
-                    "amplitudes": fit.amplitudes[i].tolist(),
+                    "amplitudes": amplitudes[i],
                     "x0": fit.x0[i].tolist(),
                     "offset": fit.offset[i].tolist(),
                 }

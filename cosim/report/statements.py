@@ -19,6 +19,7 @@ messages of what it copies, why the run ended, the machine.
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 from collections.abc import Collection, Iterable, Iterator, Sequence
@@ -38,6 +39,7 @@ from cosim.log.result import RESULT, RESULT_FILE
 from cosim.scenario.recorded_metadata import (
     EIGENVALUE_FIGURES,
     IdentificationRecord,
+    ParameterRecord,
     component_metadata,
     component_table,
     recorded_identification,
@@ -207,16 +209,28 @@ class _Statements:
             needed = _parameters(expected.get(name))
             if not _agree(found, needed):
                 yield f"verdicts on {name!r}", found, needed
+            if name in recorded and name in expected and recorded[name].amplitudes:
+                found = _amplitudes(recorded[name])
+                needed = _amplitudes(expected[name])
+                if not _agree(found, needed):
+                    yield f"amplitudes of {name!r}", found, needed
 
 
 def _parameters(record: IdentificationRecord | None) -> list[dict[str, Any]]:
-    """Return what a log says of the parameters of an identifier, reasons left out."""
+    """Return what a log says of the parameters of an identifier."""
     if record is None:
         return []
-    parameters = []
-    for parameter in (*record.parameters, *record.estimate):
-        parameters.append(parameter.model_dump(exclude={"reason"}))
-    return parameters
+    return _plain((*record.parameters, *record.estimate))
+
+
+def _amplitudes(record: IdentificationRecord) -> list[dict[str, Any]]:
+    """Return what a log says of the amplitudes and phases of an identifier."""
+    return _plain(itertools.chain.from_iterable(record.amplitudes))
+
+
+def _plain(parameters: Iterable[ParameterRecord]) -> list[dict[str, Any]]:
+    """Return verdicts as plain values, reasons left out."""
+    return [parameter.model_dump(exclude={"reason"}) for parameter in parameters]
 
 
 def _agree(found: Sequence[dict[str, Any]], needed: Sequence[dict[str, Any]]) -> bool:

@@ -75,16 +75,17 @@ class ParameterSummary:
     Parameters
     ----------
     estimate : str
-        Its port.
+        Its port; of an amplitude or a phase its name.
     verdict, reason : str
-    value, half_width : float or None
-        The estimate and its 95 % interval; None: the data say nothing about it.
+    value, standard_error, half_width : float or None
+        The estimate, its error and its 95 % interval; None: the data say nothing about it.
     """
 
     estimate: str
     verdict: str
     reason: str
     value: float | None
+    standard_error: float | None
     half_width: float | None
 
 
@@ -100,6 +101,7 @@ class Identification:
     notes: tuple[str, ...] = ()
     parameters: tuple[ParameterSummary, ...] = ()
     reference: tuple[ParameterSummary, ...] = ()  # of output error, where the method is another
+    amplitudes: tuple[ParameterSummary, ...] = ()  # and phases, by output error
     deviation: tuple[float, ...] = ()  # of the noise of y, from the residual of output error
     noise: str = ""  # what is known of it, or why nothing is
 
@@ -286,6 +288,9 @@ def _identification(
     sentence = ""
     if record.unknowns is not None:
         eigenvalues, sentence = _information(recording, component, record)
+    amplitudes = []
+    for of_data in found.amplitudes:
+        amplitudes += [_parameter(one.name, one) for one in of_data]
     is_output_error = record.method == OUTPUT_ERROR
     own = found.parameters if is_output_error else found.estimate
     others = () if is_output_error else found.parameters
@@ -298,6 +303,7 @@ def _identification(
         record.notes,
         parameters=_parameters(recording, component, own),
         reference=_parameters(recording, component, others),
+        amplitudes=tuple(amplitudes),
         deviation=found.deviation,
         noise=found.problem or noise_text(found),
     )
@@ -307,15 +313,17 @@ def _parameters(
     recording: Recording, component: str, records: Sequence[ParameterRecord]
 ) -> tuple[ParameterSummary, ...]:
     names = element_names(f"{component}.theta", len(records))
-    parameters = []
-    for name, record in zip(names, records, strict=True):
-        half_width = None
-        if record.lower is not None and record.upper is not None:
-            half_width = 0.5 * (record.upper - record.lower)
-        parameters.append(
-            ParameterSummary(name, record.verdict, record.reason, record.value, half_width)
-        )
-    return tuple(parameters)
+    pairs = zip(names, records, strict=True)
+    return tuple(_parameter(name, record) for name, record in pairs)
+
+
+def _parameter(name: str, record: ParameterRecord) -> ParameterSummary:
+    half_width = None
+    if record.lower is not None and record.upper is not None:
+        half_width = 0.5 * (record.upper - record.lower)
+    return ParameterSummary(
+        name, record.verdict, record.reason, record.value, record.standard_error, half_width
+    )
 
 
 def noise_text(found: IdentificationRecord) -> str:

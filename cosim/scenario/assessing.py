@@ -8,7 +8,7 @@ whose last bits depend on the processor.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -19,8 +19,9 @@ from cosim.core.graph import Graph
 from cosim.core.signals import Channel
 from cosim.errors import AssumptionError
 from cosim.scenario.identified import IdentifiedPlant, SampleRows
+from cosim.theory.amplitude_verdicts import amplitude_verdicts
 from cosim.theory.disturbed_plant import DataSet
-from cosim.theory.verdicts import assess_from, judge
+from cosim.theory.verdicts import ParameterVerdict, assess_from, judge
 
 IDENTIFICATION: Final = "identification"  # the key of the results
 OUTPUT_ERROR: Final = "output-error"
@@ -113,8 +114,9 @@ class _IdentifierData:
 
     def _assessed(self, theta: Vector) -> dict[str, Any]:
         identified = self._identified
+        data = [self._data()]
         assessment = assess_from(
-            [self._data()],
+            data,
             identified.plant,
             identified.families,
             theta if np.isfinite(theta).all() else None,
@@ -124,6 +126,8 @@ class _IdentifierData:
         )
         error = None if self._error is None else self._last[self._error]
         result = assessment.to_dict()
+        amplitudes = amplitude_verdicts(assessment, data, identified.families)
+        result["amplitudes"] = plain_amplitudes(amplitudes)
         own = judge(assessment, theta, error)
         result["estimate"] = [parameter.to_dict() for parameter in own]
         return result
@@ -136,6 +140,13 @@ class _IdentifierData:
         if self._sample_columns is not None:
             samples = SampleRows(*map(np.concatenate, (self._sample_times, self._samples)))
         return self._identified.data_set(t, y, u, self._held, samples)
+
+
+def plain_amplitudes(
+    amplitudes: Sequence[Sequence[ParameterVerdict]],
+) -> list[list[dict[str, Any]]]:
+    """Return the verdicts on the amplitudes of each data set as plain values."""
+    return [[amplitude.to_dict() for amplitude in of_data] for of_data in amplitudes]
 
 
 def _shifted(columns: slice, offset: int) -> slice:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
@@ -24,11 +25,12 @@ from cosim.scenario.build import Experiment
 from cosim.scenario.identified import IdentifiedPlant, SampleRows
 from cosim.scenario.recorded_metadata import component_record
 from cosim.scenario.replaying import rebuilt
+from cosim.theory.amplitude_verdicts import amplitude_verdicts
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, NoiseModel
 from cosim.theory.irregular_part import GuaranteedInterval, guaranteed_interval
 from cosim.theory.smoothing import SmoothedSignals, smoothed_signals
 from cosim.theory.validation import Validation, validate
-from cosim.theory.verdicts import Assessment, assess_from
+from cosim.theory.verdicts import Assessment, ParameterVerdict, assess_from
 
 FREQUENCIES: Final = 1025  # of a spectrum, from 0 to half the sampling frequency
 
@@ -80,6 +82,12 @@ class LogIdentification:
     def identified(self) -> IdentifiedPlant:
         """The model."""
         return self.records[0].identified
+
+    @cached_property
+    def amplitudes(self) -> tuple[tuple[ParameterVerdict, ...], ...]:
+        """What may be said about amplitudes and phases, those of each log."""
+        data = [record.data for record in self.records]
+        return amplitude_verdicts(self.assessment, data, self.identified.families)
 
 
 def identifier_record(log: Log, identifier: str | None = None) -> IdentifierRecord:

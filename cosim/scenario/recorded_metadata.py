@@ -151,7 +151,7 @@ class ComponentRecord(_Record):
 
 
 class ParameterRecord(_Record):
-    """What a log says of one parameter: a verdict, and no number where there is none."""
+    """What a log says of one parameter or amplitude: a verdict, no number where there is none."""
 
     name: Text
     verdict: Text
@@ -165,12 +165,13 @@ class ParameterRecord(_Record):
 class IdentificationRecord(_Record):
     """What a log says of an identifier at the end of its run.
 
-    ``parameters`` are those of output error, ``estimate`` what the identifier says itself, held
-    against them; ``problem`` is why there is neither. Deviation of the noise, accuracy and noise
-    model are one an output.
+    ``parameters`` are those of output error, ``amplitudes`` belong to them, those of each data set;
+    ``estimate`` is what the identifier says itself, held against them; ``problem`` is why there is
+    neither. Deviation of the noise, accuracy and noise model are one an output.
     """
 
     parameters: tuple[ParameterRecord, ...] = ()
+    amplitudes: tuple[tuple[ParameterRecord, ...], ...] = ()
     estimate: tuple[ParameterRecord, ...] = ()
     deviation: OneAnOutput = ()
     accuracy: OneAnOutput = ()

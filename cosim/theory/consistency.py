@@ -100,6 +100,8 @@ class Consistency:
         where that is most.
     bias : Vector, shape (P,)
         What step and quantization may have moved theta by.
+    amplitude_bias : Matrix, shape (data sets, order)
+        What they may have moved the amplitudes of each data set by.
     presence_bias : Vector, shape (components,)
         What they may have moved the root of ``OutputErrorFit.presence`` by.
     """
@@ -109,6 +111,7 @@ class Consistency:
     is_exact: bool
     step_error: Vector
     bias: Vector
+    amplitude_bias: Matrix
     presence_bias: Vector
 
     @property
@@ -159,12 +162,14 @@ def examine(
     P = int(fit.estimated.sum())
     bias = np.zeros(len(fit.theta))
     bias[fit.estimated] = np.abs(moved[:P]).sum(axis=1)
+    of_linear = np.abs(moved[P:]).sum(axis=1).reshape(len(data), -1)
     return Consistency(
         tuple(tests),
         accuracies,
         _is_exact(fit, problems),
         np.max(step_errors, axis=0),
         bias,
+        of_linear[:, : matrices.order],
         _presence_bias(fit, problems, matrices, moved[P:]),
     )
 

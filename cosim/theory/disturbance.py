@@ -47,6 +47,20 @@ class Family(Protocol):
     def G(self, theta: Vector) -> Matrix:
         """Compute the system matrix [1/s], shape ``(v, v)``."""
 
+    @property
+    def constants(self) -> tuple[str, ...]:
+        """The names of what `beta(0)` says: an amplitude, and of a sine its phase [rad]."""
+
+    @property
+    def formula(self) -> str:
+        """The component by the names of its parameters and constants in braces."""
+
+    def constants_of(self, beta: Vector) -> tuple[Vector, Matrix]:
+        """Compute the constants from `beta(0)`, shape ``(v,)``, and their derivatives, ``(v, v)``.
+
+        Constants that have none, such as the phase of a sine that is zero, are NaN.
+        """
+
     def search(self, span: float, shortest: float) -> tuple[tuple[float, float], ...]:
         """Return for each parameter the range in which a start is searched.
 
@@ -72,6 +86,8 @@ class Exponential:
 
     name: ClassVar[str] = "exponential"
     parameters: ClassVar[tuple[str, ...]] = ("theta",)
+    constants: ClassVar[tuple[str, ...]] = ("amplitude",)
+    formula: ClassVar[str] = "{amplitude} exp({theta} t)"
     v: ClassVar[int] = 1
 
     @property
@@ -82,6 +98,10 @@ class Exponential:
     def G(self, theta: Vector) -> Matrix:
         """Compute the system matrix [1/s], shape ``(1, 1)``."""
         return np.array([[theta[0]]])
+
+    def constants_of(self, beta: Vector) -> tuple[Vector, Matrix]:
+        """Return the amplitude, which is beta."""
+        return beta.copy(), np.eye(1)
 
     def search(self, span: float, shortest: float) -> tuple[tuple[float, float], ...]:
         """Return the range from a decay within ``shortest`` to a tenfold growth over ``span``."""
@@ -104,6 +124,8 @@ class Sine:
 
     name: ClassVar[str] = "sine"
     parameters: ClassVar[tuple[str, ...]] = ("rate",)
+    constants: ClassVar[tuple[str, ...]] = ("amplitude", "phase")
+    formula: ClassVar[str] = "{amplitude} sin({rate} t + {phase})"
     v: ClassVar[int] = 2
 
     @property
@@ -115,6 +137,16 @@ class Sine:
         """Compute the system matrix [1/s], shape ``(2, 2)``."""
         rate = theta[0]
         return np.array([[0.0, rate], [-rate, 0.0]])
+
+    def constants_of(self, beta: Vector) -> tuple[Vector, Matrix]:
+        """Compute amplitude and phase from `beta = amplitude (sin phase, cos phase)`."""
+        sine, cosine = beta
+        amplitude = math.hypot(sine, cosine)
+        if not 0.0 < amplitude < math.inf:
+            return np.array([amplitude, NAN]), np.full((2, 2), NAN)
+        direction = beta / amplitude
+        across = np.array([direction[1], -direction[0]]) / amplitude
+        return np.array([amplitude, math.atan2(sine, cosine)]), np.array([direction, across])
 
     def search(self, span: float, shortest: float) -> tuple[tuple[float, float], ...]:
         """Return the range from a quarter of a period over ``span`` to half of one."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,7 @@ from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 from cosim.theory.estimators.output_error import OutputErrorFit
 from cosim.theory.forced_response import simulate
 
+TAYLOR_TERMS = 14  # of a norm of a half the rest is below 0.5^15 / 15! = 3e-17
 LARGEST_STATE = 1e6  # over the output: of an unstable plant, whose simulation says nothing
 
 
@@ -66,7 +68,7 @@ def fitted_response(
     count = len(unknowns)
     linear = rows[:, :, :count]
     residual = rows[:, :, -1] - linear @ unknowns
-    slopes = _slopes(rows[:, :, count:-1], amplitudes, generators)
+    slopes = slopes_of(rows[:, :, count:-1], amplitudes, generators)
     disturbance = disturbance_of(fit.theta, amplitudes, data, generators)
     forcing = np.hstack([data.u, disturbance])
     inputs = np.hstack([plant.B, plant.Bd])
@@ -103,8 +105,6 @@ def disturbance_of(
     Matrix
         Shape ``(N, components)``.
     """
-    from scipy.linalg import expm  # takes long to import
-
     t = data.t - data.t[0]
     values = np.empty((len(t), len(generators.size)))
     first = 0
@@ -115,11 +115,28 @@ def disturbance_of(
         if len(G) == 1:
             f = c[0] * beta[0] * np.exp(G[0, 0] * t)
         else:
-            transitions = expm(G * t[:, np.newaxis, np.newaxis])
-            f = np.einsum("a,nab,b->n", c, transitions, beta)
+            f = np.einsum("a,nab,b->n", c, transitions(G, t), beta)
         values[:, i] = data.alpha[:, i] * f
         first = stop
     return values
+
+
+def transitions(G: Matrix, t: Vector) -> NDArray[np.float64]:
+    """Compute ``expm(G t)`` at many instants at once, shape (N, V, V).
+
+    By scaling, a Taylor series and squaring: scipy takes the instants one by one.
+    """
+    largest = float(np.abs(G).sum(axis=1).max() * np.abs(t).max(initial=0.0))
+    squarings = max(0, math.frexp(2.0 * largest)[1])  # so that the norm is at most a half
+    scaled = G * np.ldexp(t, -squarings)[:, np.newaxis, np.newaxis]
+    term = scaled
+    result = np.eye(len(G)) + scaled
+    for k in range(2, TAYLOR_TERMS + 1):
+        term = term @ scaled / k
+        result += term
+    for _ in range(squarings):
+        result = result @ result
+    return np.asarray(result, np.float64)
 
 
 def system_matrices(theta: Vector, generators: Generators) -> list[Matrix]:
@@ -138,17 +155,29 @@ def system_matrices(theta: Vector, generators: Generators) -> list[Matrix]:
     return matrices
 
 
-def _slopes(
+def slopes_of(
     derivatives: NDArray[np.float64], amplitudes: Vector, generators: Generators
 ) -> NDArray[np.float64]:
-    """Return the derivatives by theta at the fitted amplitudes, shape (N, n_y, P)."""
-    N, n_y, _ = derivatives.shape
-    slopes = np.empty((N, n_y, generators.parameters))
+    """Multiply derivatives of the basis by theta with amplitudes.
+
+    Parameters
+    ----------
+    derivatives : shape (..., columns)
+        Of every function of the basis by every parameter of its component.
+    amplitudes : Vector, shape (order,)
+        All beta_i, one behind the other.
+    generators : Generators
+
+    Returns
+    -------
+    shape (..., P)
+    """
+    slopes = np.empty((*derivatives.shape[:-1], generators.parameters))
     column = first = parameter = 0
     for size, count in zip(generators.size, generators.count, strict=True):
         beta = amplitudes[first : first + size]
         for _ in range(count):
-            slopes[:, :, parameter] = derivatives[:, :, column : column + size] @ beta
+            slopes[..., parameter] = derivatives[..., column : column + size] @ beta
             column += size
             parameter += 1
         first += size

@@ -14,7 +14,7 @@ import numpy as np
 
 from cosim.arrays import NAN, Matrix, Vector
 from cosim.errors import AssumptionError
-from cosim.native.estimation import Generators, ResponseRecord
+from cosim.native.estimation import ResponseRecord
 from cosim.theory.disturbance import Family, generators
 from cosim.theory.disturbed_plant import (
     DataSet,
@@ -26,6 +26,7 @@ from cosim.theory.disturbed_plant import (
 )
 from cosim.theory.estimators.output_error import OutputErrorFit
 from cosim.theory.feasible_program import RecordedOutputs, cells_of, gaussian_noise_bound
+from cosim.theory.fitted_response import slopes_of
 from cosim.theory.quantiles import GUARANTEED_CONFIDENCE, normal_two_sided
 from cosim.theory.sampling import equal_step
 from cosim.theory.set_membership import FeasibleInterval, feasible_interval, starts_around
@@ -82,7 +83,7 @@ class ResponseModel:
         linear = p[matrices.parameters :]
         rows = self.record.rows(theta)
         columns = rows[:, :, : kernel.linear]
-        slopes = _slopes(matrices, rows[:, :, kernel.linear : -1], linear)
+        slopes = slopes_of(rows[:, :, kernel.linear : -1], linear, matrices)
         jacobian = np.concatenate([slopes, columns], axis=2)
         return Prediction(columns @ linear, jacobian)
 
@@ -221,17 +222,3 @@ def _error_by_sampling(problem: BoundedDisturbance, p: Vector, largest: float) -
     rows = least_squares_functional(problem.model(p).jacobian, problem.weight, problem.n_theta)
     bound: Vector = largest * np.abs(rows).sum(axis=(1, 2))
     return bound
-
-
-def _slopes(matrices: Generators, derivatives: Matrix, linear: Vector) -> Matrix:
-    """Multiply the derivatives of the basis by the amplitudes, shape ``(N, n_y, n_theta)``."""
-    slopes = []
-    column = 0
-    first = 0
-    for size, count in zip(matrices.size, matrices.count, strict=True):
-        beta = linear[first : first + size]
-        for _ in range(count):
-            slopes.append(derivatives[:, :, column : column + size] @ beta)
-            column += size
-        first += size
-    return np.stack(slopes, axis=-1)

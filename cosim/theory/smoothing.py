@@ -31,6 +31,7 @@ from cosim.theory.estimators.output_error import OutputErrorFit
 from cosim.theory.fitted_response import disturbance_of, fitted_response
 from cosim.theory.irregular_part import ResponseModel
 from cosim.theory.quantiles import CONFIDENCE, student_two_sided
+from cosim.theory.record_information import joint_covariance
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -95,7 +96,11 @@ def smoothed_signals(
     p = np.concatenate([fit.theta, fit.amplitudes[index], fit.x0[index]])
     prediction = model(p)
     regressions = [_regression(fit, i, one, plant, families, noise) for i, one in enumerate(data)]
-    covariance = _covariance(fit, regressions[index])[: len(p), : len(p)]
+    own_regression = regressions[index]
+    joint = joint_covariance(
+        own_regression.inverse, own_regression.slopes, fit.covariance, fit.deviation
+    )
+    covariance = joint[: len(p), : len(p)]
     variance = np.einsum("nop,pq,noq->no", prediction.jacobian, covariance, prediction.jacobian)
     quantile = student_two_sided(CONFIDENCE, max(fit.freedom, 1.0))
     half_width = quantile * np.sqrt(np.maximum(variance, 0.0))
@@ -184,19 +189,6 @@ def _regression(
     inverse = np.linalg.pinv(linear / lengths, rcond=1e-12) / lengths[:, np.newaxis]
     free = slopes - linear @ (inverse @ slopes)
     return _Regression(slopes, inverse, free, white(errors))
-
-
-def _covariance(fit: OutputErrorFit, regression: _Regression) -> Matrix:
-    """Compute the covariance of theta, amplitudes, x(0) and offset of a data set.
-
-    Of theta it is that of the fit, to which other data sets contribute. For a given theta the
-    others have an error of their own, uncorrelated with that of theta, which moves them along.
-    """
-    inverse = regression.inverse
-    own = fit.deviation**2 * (inverse @ inverse.T)
-    along = -inverse @ regression.slopes
-    cross = along @ fit.covariance
-    return np.block([[fit.covariance, cross.T], [cross, own + cross @ along.T]])
 
 
 def _moved(fit: OutputErrorFit, regressions: Sequence[_Regression], index: int) -> Matrix:

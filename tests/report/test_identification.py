@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from statistics import NormalDist
 
 import numpy as np
 import pytest
@@ -60,7 +61,50 @@ def test_the_table_shows_what_was_recorded(logs, call):
     assert float(shown["correlation"][0]) == pytest.approx(recorded["correlation"][0][1], abs=1e-3)
     assert float(shown["noise"][0]) == pytest.approx(1e-3, rel=0.1)
     assert shown["whiteness"][3].startswith("passed: noise leaves up to 55.1")
-    assert "2001 samples: amplitudes " in shown[str(logs["first"].path)][3]
+    assert shown[str(logs["first"].path)][3].startswith("2001 samples; x(0) ")
+    for amplitude in recorded["amplitudes"][0]:
+        value, error, _, text = shown[amplitude["name"]]
+        assert float(value) == pytest.approx(amplitude["value"], rel=1e-5)
+        assert float(error) == pytest.approx(amplitude["standard_error"], rel=0.05)
+        assert float(value) == pytest.approx(1.0, abs=4.0 * float(error))
+        assert text.startswith("IDENTIFIABLE: in amplitude[")
+
+
+def test_amplitude_rate_and_phase_of_a_sine_are_those_of_the_scenario(call):
+    """In the table of the run and in the JSON of its log, at t = 0 though it starts at 2 s.
+
+    An exponential that is not there has no number, beside a sine that has all three.
+    """
+    alpha = "1.35 + 0.25*sin(1.7*t)"
+    term = {"alpha": alpha, "family": "sine", "theta": 1.1, "amplitude": 0.7, "phase": 0.4}
+    known = [{"alpha": alpha, "family": "sine"}, {"alpha": "1.0", "family": "exponential"}]
+    changes = {
+        **FAST,
+        "scenario.start_time": 2.0,
+        "delta.terms": [term],
+        "regressor.terms": known,
+        "regressor.delays": [0.4, 0.8, 1.2, 1.6],
+    }
+    options = []
+    for key, value in changes.items():
+        toml = json.dumps(value).replace(": ", " = ")
+        options += ["--set", f"{key}={toml}"]
+    code, output, _ = call("run", "academic-noisy", "--out", "log.mcap", *options)
+    assert code == 0
+    shown = rows(output)
+    for name, true in (("amplitude[0]", 0.7), ("phase[0]", 0.4)):
+        value, half_width = map(float, shown[name][0].split(" ± "))
+        assert abs(value - true) < 2.0 * half_width < 0.02
+    assert shown["phase[0]"][2] == "IDENTIFIABLE: in rad at t = 0"
+    assert shown["amplitude[1]"][0] == "no value"
+    (log,) = json.loads(call("identify", "log.mcap", "--json")[1])["logs"]
+    found = {one["name"]: one for one in log["amplitudes"]}
+    assert list(found) == ["amplitude[0]", "phase[0]", "amplitude[1]"]
+    six_digits = float(shown["phase[0]"][0].split()[0])
+    assert found["phase[0]"]["value"] == pytest.approx(six_digits, rel=1e-5)
+    assert 0.0 < found["phase[0]"]["standard_error"] < 0.01
+    assert found["amplitude[1]"]["value"] is None
+    assert found["amplitude[1]"]["standard_error"] is None
 
 
 def test_several_logs_and_one_to_validate(logs, call):
@@ -190,5 +234,6 @@ def test_the_band_of_theta_is_that_of_its_standard_error(logs):
     widths = band_curves(logs["first"], "identifier.theta", PictureOptions())
     recorded = logs["first"]["identifier.standard_error"]
     for width, error in zip(widths, recorded.T, strict=True):
-        np.testing.assert_array_equal(width.values, 1.96 * error)
+        expected = NormalDist().inv_cdf(0.975) * error
+        np.testing.assert_allclose(width.values, expected, rtol=1e-12)
     assert band_curves(logs["first"], "observer.delta", PictureOptions()) == []

@@ -151,6 +151,49 @@ def test_no_result_can_be_changed(valid, tmp_path, key):
         assert "result.json" in verification.problems[0]
 
 
+@pytest.fixture(scope="module")
+def judged(tmp_path_factory):
+    """Record a run whose identifier has estimates; return its path."""
+    folder = tmp_path_factory.mktemp("judged")
+    text = cosim.load("academic").document.text
+    for before, after in (("stop = 40.0", "stop = 8.0"), ("step = 1e-3", "step = 1e-2")):
+        assert before in text
+        text = text.replace(before, after)
+    scenario = folder / "short.toml"
+    scenario.write_text(text.replace("filter_rate = 1e3", "filter_rate = 100.0"))
+    path = folder / "a.mcap"
+    cosim.run(scenario, out=path)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("key", "named"), [("parameters", "verdicts on"), ("amplitudes", "amplitudes of")]
+)
+def test_no_estimate_can_be_changed(judged, tmp_path, key, named):
+    """Neither a parameter nor an amplitude, by more than other processors make of it."""
+    results = dict(open_log(judged).results)
+    for factor, passes in ((1.0, True), (1.0 + 1e-9, True), (1.0 + 1e-4, False)):
+        changed = json.loads(json.dumps(results))
+        found = changed["identification"]["identifier"][key]
+        first = found[0][0] if key == "amplitudes" else found[0]
+        first["value"] *= factor
+        data = json.dumps(changed).encode()
+        path = forged(judged, tmp_path / "b.mcap", attachments={"result.json": data})
+        verification = verified(path)
+        assert verification.passed is passes
+        if not passes:
+            (problem,) = verification.problems
+            assert f"{named} 'identifier': found" in problem
+
+
+def test_a_log_of_before_amplitudes_were_recorded_is_still_true(judged, tmp_path):
+    """It says nothing of them that would be false."""
+    results = json.loads(json.dumps(dict(open_log(judged).results)))
+    del results["identification"]["identifier"]["amplitudes"]
+    data = json.dumps(results).encode()
+    assert verified(forged(judged, tmp_path / "b.mcap", attachments={"result.json": data})).passed
+
+
 def test_of_many_contradictions_the_first_are_shown(valid, tmp_path):
     """Every value of the last row may be wrong; all of them stand in the JSON."""
     results = dict(open_log(valid).results)

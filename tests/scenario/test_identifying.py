@@ -7,7 +7,7 @@ import pytest
 
 import cosim
 from cosim.errors import UsageError
-from cosim.scenario.assessing import IDENTIFICATION
+from cosim.scenario.assessing import IDENTIFICATION, plain_amplitudes
 from cosim.scenario.identifying import identifier_record, identify
 
 FAST = {"scenario.step": 0.01, "observer.filter_rate": 100.0}
@@ -29,10 +29,11 @@ def logs(tmp_path_factory):
 
 
 def test_a_log_says_what_the_run_said(logs):
-    """Parameters, tests and noise are those recorded at its end: data and model are the same."""
+    """Parameters, amplitudes, tests and noise are those recorded at its end."""
     found = identify([identifier_record(logs[0])])
     recorded = dict(logs[0].results[IDENTIFICATION]["identifier"])
     recorded.pop("estimate")
+    assert recorded.pop("amplitudes") == plain_amplitudes(found.amplitudes)
     assert found.assessment.to_dict() == recorded
 
 

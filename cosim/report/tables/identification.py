@@ -42,14 +42,15 @@ def print_identification(report: IdentificationReport, *, as_json: bool) -> None
 
 
 def _add_log(table: Table, found: LogIdentification, index: int) -> None:
-    """Add what is of one log: its amplitudes and x(0), and the tests of its residual."""
+    """Add what is of one log: x(0), amplitudes and phases, and the tests of its residual."""
     record = found.records[index]
     fit = found.assessment.fit
-    amplitudes = ", ".join(f"{value:.4g}" for value in fit.amplitudes[index])
     x0 = ", ".join(f"{value:.4g}" for value in fit.x0[index])
     samples = int(record.data.measured.sum())
-    text = f"{samples} samples: amplitudes {amplitudes}; x(0) {x0}"
+    text = f"{samples} samples; x(0) {x0}"
     table.add_row(record.log.label, "", "", "", text)
+    for amplitude in found.amplitudes[index]:
+        _add_parameter(table, amplitude)
     tests = found.assessment.consistency.tests
     count = len(tests) // len(found.records)
     for test in tests[index * count : (index + 1) * count]:

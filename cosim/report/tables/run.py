@@ -183,6 +183,8 @@ def _add_identification(
         _add_parameter(table, parameter.estimate, parameter)
     for parameter in identification.reference:
         _add_parameter(table, f"{parameter.estimate} by output error", parameter)
+    for amplitude in identification.amplitudes:
+        _add_parameter(table, amplitude.estimate, amplitude)
     if identification.noise:
         deviation = numbers_text(identification.deviation)
         table.add_row("noise", deviation, "", identification.noise)

@@ -1,0 +1,102 @@
+"""What may be said about amplitudes and phases: the verdict on their component's parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from cosim.theory.amplitudes import ComponentConstants, component_constants
+from cosim.theory.consistency import MARGIN
+from cosim.theory.disturbance import Family
+from cosim.theory.disturbed_plant import DataSet
+from cosim.theory.quantiles import CONFIDENCE, student_two_sided
+from cosim.theory.verdicts import Assessment, ParameterVerdict, Verdict
+
+# from the best verdict to the worst, for what rests on several
+_ORDER: Final = {verdict: place for place, verdict in enumerate(Verdict)}
+_MEANINGS: Final = {"phase": "in rad at t = 0"}
+
+
+def amplitude_verdicts(
+    assessment: Assessment, data: Sequence[DataSet], families: Sequence[Family]
+) -> tuple[tuple[ParameterVerdict, ...], ...]:
+    """Return what may be said about amplitudes and phases, those of each data set.
+
+    Parameters
+    ----------
+    assessment : Assessment
+        Of these data.
+    data : sequence of DataSet
+    families : sequence of Family
+    """
+    verdicts = []
+    for index, one in enumerate(data):
+        verdicts.append(_of_data_set(assessment, index, float(one.t[0]), families))
+    return tuple(verdicts)
+
+
+def _of_data_set(
+    assessment: Assessment, index: int, t_1: float, families: Sequence[Family]
+) -> tuple[ParameterVerdict, ...]:
+    consistency = assessment.consistency
+    moved = np.concatenate([consistency.bias, consistency.amplitude_bias[index]])
+    found = component_constants(assessment.fit, index, families, t_1=t_1, moved=moved)
+    verdicts = []
+    first = 0
+    for i, constants in enumerate(found):
+        count = len(constants.family.parameters)
+        parameters = assessment.parameters[first : first + count]
+        verdicts += _of_component(i, constants, parameters, assessment.fit.freedom)
+        first += count
+    return tuple(verdicts)
+
+
+def _of_component(
+    i: int,
+    constants: ComponentConstants,
+    parameters: Sequence[ParameterVerdict],
+    freedom: float,
+) -> list[ParameterVerdict]:
+    """Return the verdicts on the constants of component i."""
+    family = constants.family
+    names = {name: f"{name}[{i}]" for name in family.constants}
+    for name, parameter in zip(family.parameters, parameters, strict=True):
+        names[name] = parameter.name
+    meaning = f"in {family.formula.format(**names)}"
+    worst = max(parameters, key=lambda parameter: _ORDER[parameter.verdict])
+    verdict = worst.verdict
+    problem = _problem(constants, worst)
+    if problem and verdict.has_value:
+        verdict = Verdict.NOT_IDENTIFIABLE
+    quantile = student_two_sided(CONFIDENCE, max(freedom, 1.0))
+    verdicts = []
+    for k, name in enumerate(family.constants):
+        value = float(constants.values[k])
+        error = float(constants.standard_error[k])
+        reach = quantile * error + MARGIN * float(constants.bias[k])
+        known = not problem
+        verdicts.append(
+            ParameterVerdict(
+                name=names[name],
+                verdict=verdict,
+                value=value if known else None,
+                standard_error=error if known else None,
+                lower=value - reach if known else None,
+                upper=value + reach if known else None,
+                reason=problem or _MEANINGS.get(name, meaning),
+            )
+        )
+    return verdicts
+
+
+def _problem(constants: ComponentConstants, worst: ParameterVerdict) -> str:
+    """Return why there are no numbers; empty: there are."""
+    if not worst.verdict.has_value:
+        return worst.reason
+    if constants.family.v > 1 and not constants.is_present:
+        return "its component is not larger here than the largest that noise alone fits"
+    if not np.isfinite(constants.values).all():
+        return "another unknown has the same effect on the output, or t = 0 is too far off"
+    return ""
