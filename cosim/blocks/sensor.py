@@ -20,6 +20,11 @@ data assumes: held, it would lag by half a step, and a derivative filter behind 
 too high. y holds where the input holds, and where the sensor samples less often than at every
 communication point.
 
+Who must not take kept or interpolated values for measured ones finds the samples themselves beside
+y: ``y_samples`` and ``sample_times`` have them where one was taken, and no value (NaN) elsewhere
+and for what was lost. Their time is that at which they are reported: delay and jitter are not
+known.
+
 Each random effect has a stream of its own, PCG64 of the seed sequence of ``seed`` with the spawn
 key 0 (noise), 1 (jitter) or 2 (dropouts). Every sample takes the same count of its words, so that
 an effect that is switched on changes no number of another. Elements of a vector are independent.
@@ -31,7 +36,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cosim.arrays import Mask, Matrix, Vector
+from cosim.arrays import NAN, Mask, Matrix, Vector
+from cosim.blocks.field_data import SAMPLE_TIMES, samples_of
 from cosim.blocks.measurement import (
     MeasuringChain,
     SampleStreams,
@@ -68,6 +74,15 @@ class SensorState:
     streams: StreamState
 
 
+@dataclass(frozen=True, slots=True)
+class _Reported:
+    """What is reported, one row a communication point; in ``is_new`` whether it is a new sample."""
+
+    y: Matrix
+    valid: Mask
+    is_new: Mask
+
+
 class Sensor:
     """Reports its input u as y, and by ``valid`` whether the sample in y is new (1) or kept (0).
 
@@ -81,6 +96,8 @@ class Sensor:
         Number of elements of u, y and valid.
     unit : str, optional
         The unit of u and y.
+    samples : bool
+        The samples are there beside y.
 
     Raises
     ------
@@ -89,9 +106,15 @@ class Sensor:
     """
 
     def __init__(
-        self, parameters: SensorParameters, *, size: int = 1, unit: str | None = None
+        self,
+        parameters: SensorParameters,
+        *,
+        size: int = 1,
+        unit: str | None = None,
+        samples: bool = False,
     ) -> None:
         self._size = size
+        self._samples = samples
         self._period = parameters.period
         self._drops = parameters.dropout is not None
         self._instants = SamplingInstants(parameters, size)
@@ -107,12 +130,18 @@ class Sensor:
         if self._drops:
             valid = Signal("valid", size, variability="discrete", type="boolean")
             outputs = (y, valid)
+        measured = ["y"]
+        if self._samples:
+            measured.append(samples_of("y"))
+            of_y = Signal(samples_of("y"), size, unit, "discrete", optional=True)
+            times = Signal(SAMPLE_TIMES, 1, "s", "discrete", optional=True)
+            outputs += (of_y, times)
         now = self._instants.reach_now
         return Interface(
             (u,),
             outputs,
-            feedthrough={"y": ("u",)} if now else {},
-            initial={"y": ("u",)},
+            feedthrough=dict.fromkeys(measured, ("u",)) if now else {},
+            initial=dict.fromkeys(measured, ("u",)),
             delayed=() if now else ("u",),
             prepares=True,
             rollback=True,
@@ -134,23 +163,23 @@ class Sensor:
 
     def outputs(self, t: float, u: Vector) -> Vector:
         """Return what is reported at ``t``."""
-        y, valid = self._report(u[np.newaxis])
-        row: Vector = self._outputs(y[1:], valid[1:])[0]
+        reported = self._report(u[np.newaxis])
+        row: Vector = self._outputs(np.array([t]), reported, 1)[0]
         return row
 
     def advance(self, t: Vector, h: float, u: Matrix) -> Matrix:
         """Report K samples."""
         steps = len(t) - 1
         # row 0 again: its input may have been extrapolated when it was reported
-        y, valid = self._report(u)
+        reported = self._report(u)
         self._keep_past(u[:steps])
-        self._y = y[steps].copy()
-        self._valid = valid[steps].copy()
+        self._y = reported.y[steps].copy()
+        self._valid = reported.valid[steps].copy()
         until_end = self._since + steps
         before_end = (until_end - 1) // self._period
         self._streams.skip(before_end)
         self._since = until_end - before_end * self._period
-        return self._outputs(y[2:], valid[2:])
+        return self._outputs(t[1:], reported, 2)
 
     def _keep_past(self, u: Matrix) -> None:
         depth = self._instants.depth
@@ -158,8 +187,8 @@ class Sensor:
             known = np.concatenate((self._past, u))
             self._past = known[-depth:].copy()
 
-    def _report(self, u: Matrix) -> tuple[Matrix, Mask]:
-        """Return y and valid before the time reached, then at the rows of ``u`` from there on."""
+    def _report(self, u: Matrix) -> _Reported:
+        """Return what is reported before the time reached, then at the rows of ``u``."""
         row = np.arange(len(u))
         if self._period > 1:
             # from now to the first sample: none where one is due
@@ -175,11 +204,22 @@ class Sensor:
         if self._period > 1:
             until_row = self._since + np.arange(len(u))
             latest = np.concatenate(([0], until_row // self._period))
-            return y[latest], valid[latest]
-        return y, valid
+            is_new = np.append(False, until_row % self._period == 0)
+            return _Reported(y[latest], valid[latest], is_new)
+        return _Reported(y, valid, np.append(False, np.ones(len(u), np.bool_)))
 
-    def _outputs(self, y: Matrix, valid: Mask) -> Matrix:
-        return np.concatenate((y, valid), axis=1) if self._drops else y
+    def _outputs(self, t: Vector, reported: _Reported, first: int) -> Matrix:
+        """Return the outputs at ``t``, which are those of the rows from ``first`` on."""
+        y = reported.y[first:]
+        valid = reported.valid[first:]
+        columns = [y]
+        if self._drops:
+            columns.append(valid.astype(np.float64))
+        if self._samples:
+            is_new = reported.is_new[first:, np.newaxis]
+            columns.append(np.where(is_new & valid, y, NAN))
+            columns.append(np.where(is_new, t[:, np.newaxis], NAN))
+        return np.concatenate(columns, axis=1)
 
     def save(self) -> SensorState:
         """Copy the state."""

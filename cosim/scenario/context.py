@@ -177,6 +177,12 @@ class ScenarioBuildContext:
         self._need_connected(to)
         return self._scenario.driver(to)
 
+    def drivers(self, to: Port) -> Mapping[str, Kind]:
+        """Return the components that drive an input, as a whole or by its elements."""
+        self._need_connected(to)
+        specs = self._scenario.specs
+        return {name: specs[name] for name in sorted(self._scenario.sources(to)) if name in specs}
+
     def behind(self, to: Port) -> Mapping[str, Kind]:
         """Return the components that an input follows, up to those that are not computable."""
         self._need_connected(to)

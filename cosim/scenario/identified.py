@@ -79,7 +79,11 @@ class IdentifiedPlant:
         if samples is not None:
             points = t
             t, y = samples.flat(y.shape[1])
-            u = _inputs_at(t, points, u, held)
+            if np.isin(t, points).all():
+                y = _at_points(points, t, y)
+                t = points
+            else:
+                u = _inputs_at(t, points, u, held)
         return DataSet(t, y, u, evaluate_at(self.alphas, t), held)
 
 
@@ -102,6 +106,16 @@ class SampleRows:
         is_there = np.isfinite(self.times)
         by_output = self.values.reshape(len(self.times), outputs, -1)
         return self.times[is_there], by_output.transpose(0, 2, 1)[is_there]
+
+
+def _at_points(points: Vector, t: Vector, y: Matrix) -> Matrix:
+    """Return samples at the communication points, shape (N, n_y); NaN where there is none.
+
+    So the inputs count as they are known, also between the samples.
+    """
+    at_points = np.full((len(points), y.shape[1]), np.nan)
+    at_points[np.searchsorted(points, t)] = y
+    return at_points
 
 
 def _inputs_at(t: Vector, points: Vector, u: Matrix, held: Mask) -> Matrix:

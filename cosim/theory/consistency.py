@@ -281,10 +281,12 @@ class _WhitenedProblem:
         errors = np.stack([accuracy.step, quantized], axis=2)
         self.errors = whitened(errors, measured)
         self._plain = response.residual[measured]
-        is_kept = np.arange(len(data.t)) % every == 0
+        rows = data.kept(every)
+        is_kept = np.zeros(len(data.t), np.bool_)
+        is_kept[rows] = True
         self._is_kept = is_kept[measured][noise.order :]
         thin = data.thinned(every)
-        directions = model_errors(plant, thin, response.thinned(every))
+        directions = model_errors(plant, thin, response.at(rows))
         columns = whitened(directions.columns, thin.measured)
         self._make_directions(Directions(columns, directions.names))
 

@@ -159,10 +159,15 @@ class DataSet:
             return np.zeros(self.u.shape[1], np.bool_)
         return np.array(self.held, np.bool_)
 
+    def kept(self, every: int) -> NDArray[np.intp]:
+        """Return the rows that are left of every so many, also of the measured ones."""
+        rows = np.arange(0, len(self.t), every)
+        return np.union1d(rows, np.flatnonzero(self.measured)[::every])
+
     def thinned(self, every: int) -> DataSet:
-        """Return every so many samples of it."""
-        thin = slice(None, None, every)
-        return DataSet(self.t[thin], self.y[thin], self.u[thin], self.alpha[thin], self.held)
+        """Return every so many samples of it, and the inputs as often."""
+        rows = self.kept(every)
+        return DataSet(self.t[rows], self.y[rows], self.u[rows], self.alpha[rows], self.held)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

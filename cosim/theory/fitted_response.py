@@ -42,14 +42,14 @@ class FittedResponse:
     disturbance: Matrix
     states: Matrix
 
-    def thinned(self, every: int) -> FittedResponse:
-        """Return every so many samples of it."""
+    def at(self, rows: NDArray[np.intp]) -> FittedResponse:
+        """Return it at some of the samples."""
         return FittedResponse(
-            residual=self.residual[::every],
-            slopes=self.slopes[::every],
-            linear=self.linear[::every],
-            disturbance=self.disturbance[::every],
-            states=self.states[::every],
+            residual=self.residual[rows],
+            slopes=self.slopes[rows],
+            linear=self.linear[rows],
+            disturbance=self.disturbance[rows],
+            states=self.states[rows],
         )
 
 

@@ -187,6 +187,9 @@ COMPONENTS = {
     "delay of one step": lambda: Delay(1),
     "delay from a given start": lambda: Delay(4, initial=7.0),
     "sensor without effects": lambda: Sensor(SensorParameters(), size=2),
+    "sensor with its samples": lambda: Sensor(
+        SensorParameters(noise=0.1, dropout=0.3, period=3, seed=1), size=2, samples=True
+    ),
     "sensor": lambda: sensor(jitter=0.4),
     "sensor with a delay": lambda: sensor(delay=3.0),
     "sensor with a delay of parts of steps": lambda: sensor(delay=0.6, jitter=0.3),

@@ -318,6 +318,22 @@ def test_a_period_samples_less_often():
     np.testing.assert_array_equal(sparse, np.repeat(samples, 4, axis=0)[:403])
 
 
+@pytest.mark.parametrize("period", [1, 4])
+def test_samples_are_there_once_each(period):
+    """Where one is taken, with the time; no value between, nor of what is lost; y holds them."""
+    u = random_inputs(403, 2)
+    parameters = SensorParameters(noise=SIGMA, dropout=0.3, seed=9, period=period)
+    sensor = Sensor(parameters, size=2, samples=True)
+    rows = drive(sensor, u)
+    y, valid, samples, instants = np.split(rows, [2, 4, 6], axis=1)
+    is_taken = np.arange(403) % period == 0
+    assert np.isnan(samples[~is_taken]).all()
+    assert np.isnan(instants[~is_taken]).all()
+    np.testing.assert_array_equal(instants[is_taken, 0], times(402)[is_taken])
+    expected = np.where(valid[is_taken] == 1.0, y[is_taken], np.nan)
+    np.testing.assert_array_equal(samples[is_taken], expected)
+
+
 @pytest.mark.parametrize(
     "parameters",
     [

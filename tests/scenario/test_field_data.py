@@ -252,7 +252,7 @@ def test_what_is_not_true_of_the_data_is_said(experiment, tmp_path):
         ({"plant.columns": {"level": "y"}}, "'plant' has no output 'y'"),
         (
             {"connections.observer.y": {"from": "plant.y", "gain": [[1.0]]}},
-            "y is interpolated between the samples of 'plant'; needed it from whole outputs",
+            "y has values between the samples of 'plant'; needed it from whole outputs",
         ),
         ({"plant.kind": "field"}, "unknown kind 'field'; did you mean 'field-data'?"),
     ],
@@ -278,7 +278,7 @@ def test_parts_between_the_file_and_the_identifier_are_refused(experiment, plain
     """A gain of the observer's y has no samples; one of the connection has."""
     y = experiment.measured(0)
     path = experiment.written(tmp_path, y)
-    with pytest.raises(ScenarioError, match="y is interpolated between the samples of 'plant'"):
+    with pytest.raises(ScenarioError, match="y has values between the samples of 'plant'"):
         experiment.run(
             path,
             {
@@ -337,7 +337,7 @@ def test_of_other_methods_it_is_said_that_they_take_interpolated_values(experime
     path = experiment.written(tmp_path, experiment.y)
     experiment.run(path, {"identifier.method": "least-squares"}, out=out)
     log = open_log(out)
-    text = "y is interpolated between the samples of 'plant'"
+    text = "y has values between the samples of 'plant'"
     assert any(text in warning for _, warning in recorded_warnings(log))
     assert text in log.results[IDENTIFICATION]["identifier"]["problem"]
     with pytest.raises(UsageError, match=text):

@@ -147,6 +147,10 @@ class BuildContext(Protocol):
         """Return the interface of a component that is taken from a recording; None: it is not."""
         ...
 
+    def drivers(self, to: Port) -> Mapping[str, Kind]:
+        """Return the components that drive an input, as a whole or by its elements."""
+        ...
+
     def behind(self, to: Port) -> Mapping[str, Kind]:
         """Return the components that an input follows: those that drive it, and those behind them.
 
@@ -257,6 +261,14 @@ class Kind(TomlTable):
     def samples_of(self, output: str) -> str | None:
         """Return the output with the samples of another one at times of their own; None: none."""
         return None
+
+    def samples_with(self, other: Kind) -> bool:
+        """Return whether its samples have the times of those of another component."""
+        return False
+
+    def most_in_a_step(self, name: str, context: BuildContext) -> int:
+        """Return for how many samples in a communication step there is a place; 0: none."""
+        return 0
 
     @property
     def models(self) -> tuple[str, ...]:

@@ -182,10 +182,10 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         """Return the model of y; have the estimates judged by it at the end of the run."""
         families = source.regression.families
         problem = ""
-        interpolated = observer.interpolated
-        if self.method != "output-error" and interpolated is not None:
+        sampled_by = observer.sampled_by
+        if self.method != "output-error" and sampled_by is not None:
             problem = (
-                f"y is interpolated between the samples of {interpolated!r}; only method = "
+                f"y has values between the samples of {sampled_by!r}; only method = "
                 '"output-error" takes the samples, and only its estimates are judged'
             )
             context.warn(source.identifier, problem)

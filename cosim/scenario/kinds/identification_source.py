@@ -99,20 +99,19 @@ class IdentifierSource:
         Raises
         ------
         UsageError
-            If y is interpolated between samples of a file that do not reach the identifier.
+            If y has values between samples, and these do not reach the identifier.
         """
         context = self._context
-        sampled_by = context.driver(Port(self.identifier, "samples"))
-        if sampled_by is not None:
-            kind = context.spec(sampled_by)
-            if isinstance(kind, FieldDataKind):
-                return kind.most_in_a_step(sampled_by, context)
-        interpolated = _field_data_behind(Port(self.identifier, "y"), context)
-        if interpolated is not None:
+        drivers = context.drivers(Port(self.identifier, "samples"))
+        most = [kind.most_in_a_step(name, context) for name, kind in drivers.items()]
+        if any(most):
+            return max(most)
+        sampled = _sampled_behind(Port(self.identifier, "y"), context)
+        if sampled is not None:
             raise UsageError(
-                f"y is interpolated between the samples of {interpolated!r}; needed it from whole "
-                "outputs of one such component, directly, with one number as gain or none: then "
-                "the samples are taken at their own times"
+                f"y has values between the samples of {sampled!r}; needed it from whole outputs of "
+                "one such component, or of sensors with one period, directly, with one number as "
+                "gain or none: then the samples are taken at their own times"
             )
         return 0
 
@@ -149,9 +148,9 @@ class ObserverSource:
         return self._kind.reconstruction(self.name, self._context).window
 
     @property
-    def interpolated(self) -> str | None:
-        """The component between whose samples its y is interpolated; None: there is none."""
-        return _field_data_behind(Port(self.name, "y"), self._context)
+    def sampled_by(self) -> str | None:
+        """The component between whose samples its y has values, too; None: there is none."""
+        return _sampled_behind(Port(self.name, "y"), self._context)
 
     def plant(self, components: int) -> DisturbedPlant:
         """Return its design model with a disturbance of so many components."""
@@ -187,17 +186,21 @@ def sample_connections(
         origin = implied[origin].origin
     if y is None or y.matrix.ndim:
         return {}
-    components = {source.component for source in y.sources}
     sampled = []
     for source in y.sources:
         spec = specs.get(source.component)
         signal = None if spec is None else spec.samples_of(source.signal)
         if signal is not None and source.element is None:
             sampled.append(Port(source.component, signal))
-    if len(sampled) < len(y.sources) or len(components) != 1:
+    first = y.sources[0].component
+    if len(sampled) < len(y.sources):
         return {}
+    for source in y.sources:
+        is_first = source.component == first
+        if not is_first and not specs[first].samples_with(specs[source.component]):
+            return {}
     samples = Connection(sampled, y.gain, y.offset, y.unit)
-    times = Connection(Port(components.pop(), SAMPLE_TIMES))
+    times = Connection(Port(first, SAMPLE_TIMES))
     return {
         Port(name, "samples"): ImpliedConnection(samples, origin),
         Port(name, SAMPLE_TIMES): ImpliedConnection(times, origin),
@@ -213,9 +216,15 @@ def _observer_behind(regressor: str, context: BuildContext) -> ObserverSource | 
     return ObserverSource(name, kind, context)
 
 
-def _field_data_behind(to: Port, context: BuildContext) -> str | None:
-    """Return the component of field data that an input follows; None: there is none."""
+def _sampled_behind(to: Port, context: BuildContext) -> str | None:
+    """Return the field data that an input follows, or a sensor with samples that drives it.
+
+    None: there is none.
+    """
     for name, spec in context.behind(to).items():
         if isinstance(spec, FieldDataKind):
+            return name
+    for name, kind in context.drivers(to).items():
+        if kind.most_in_a_step(name, context):
             return name
     return None

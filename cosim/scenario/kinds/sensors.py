@@ -6,12 +6,13 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
+from cosim.blocks.field_data import samples_of
 from cosim.blocks.measurement import SensorParameters
 from cosim.blocks.sensor import Sensor
 from cosim.core.clock import nanoseconds
 from cosim.core.contracts import Component
 from cosim.errors import UsageError
-from cosim.scenario.kinds.base import BuildContext, PeriodicKind, PortUnits, unit_of
+from cosim.scenario.kinds.base import BuildContext, Kind, PeriodicKind, PortUnits, unit_of
 from cosim.scenario.schema import Number, NumberRow, Size, Whole
 
 EACH = ", one number or one for each element"
@@ -20,7 +21,7 @@ EACH = ", one number or one for each element"
 class SensorKind(PeriodicKind):
     """y = u after delay and jitter, bias, noise, limits, quantization, dropouts, in this order."""
 
-    ports: ClassVar[str] = "u -> y, valid"
+    ports: ClassVar[str] = "u -> y, valid, y_samples, sample_times"
     kind: Literal["sensor"]
     delay: Number = Field(
         0.0,
@@ -62,14 +63,29 @@ class SensorKind(PeriodicKind):
     )
     period: Number | None = Field(
         None,
-        description="sample period [s], whole communication steps, over which y holds; default: "
-        "one communication step, with y interpolated linearly where u is",
+        description="sample period [s], whole communication steps, over which y holds; y_samples "
+        "and sample_times, there with period or dropout, have the samples alone; default: one "
+        "communication step, with y interpolated linearly where u is",
     )
     size: Size = Field(1, description="number of elements, whose errors are independent")
     unit: PortUnits = Field(None, description=unit_of("u and y"))
 
     def with_period(self, component: Component, n: int) -> Component:
         return component
+
+    @property
+    def _offers_samples(self) -> bool:
+        """Whether y has values that are no new samples."""
+        return self.period is not None or self.dropout is not None
+
+    def samples_of(self, output: str) -> str | None:
+        return samples_of(output) if output == "y" and self._offers_samples else None
+
+    def samples_with(self, other: Kind) -> bool:
+        return isinstance(other, SensorKind) and other.period == self.period
+
+    def most_in_a_step(self, name: str, context: BuildContext) -> int:
+        return 1 if self._offers_samples else 0
 
     def build(self, name: str, context: BuildContext) -> Sensor:
         parameters = SensorParameters(
@@ -85,7 +101,7 @@ class SensorKind(PeriodicKind):
             seed=self.seed,
             period=self.period_steps(name, context.step_ns),
         )
-        return Sensor(parameters, size=self.size, unit=self.unit_name)
+        return Sensor(parameters, size=self.size, unit=self.unit_name, samples=self._offers_samples)
 
 
 def _steps(key: str, time: float, step_ns: int) -> float:

@@ -1,0 +1,156 @@
+"""Sensors that sample less often than at every communication point: each sample counts once."""
+
+import numpy as np
+import pytest
+
+import cosim
+from cosim.errors import CosimError
+from cosim.scenario.identifying import identifier_record
+from cosim.scenario.recorded_metadata import recorded_identification
+from tests.scenario.test_several_outputs import SCENARIO as TWO
+
+H = 1e-2  # s
+PERIOD = 0.1  # s
+SETTINGS = {
+    "scenario.step": H,
+    "scenario.stop": 40.0,
+    "observer.filter_rate": 100.0,
+    "identifier.start": 3.5,
+    "identifier.period": 0.5,
+}
+# Cramer-Rao bound over the deviation of the noise for 40 s at 1 ms; tests/theory/experiments.py
+BOUND = np.array([7.0863e-3, 6.2226e-2])
+
+
+def run(**changes):
+    """Run the example with a sensor of deviation 1e-3."""
+    settings = {f"sensor.{key}": value for key, value in changes.items()}
+    return cosim.run("academic-noisy", set={**SETTINGS, **settings})
+
+
+@pytest.fixture(scope="module")
+def slow():
+    """Run it with ten communication steps between two samples."""
+    return run(period=PERIOD)
+
+
+def verdicts(log):
+    """Return what output error says at the end of a run."""
+    return recorded_identification(log)["identifier"]
+
+
+def errors(log):
+    """Return the standard errors of output error at the end of a run."""
+    return np.array([one.standard_error for one in verdicts(log).parameters])
+
+
+def test_standard_errors_are_those_of_the_samples_that_there_are(slow):
+    """They are the bound for a hundredth of the samples, 10 times that for all.
+
+    Their own noise is that of the deviation, 1/sqrt(800) = 3.5 %, and the sum over 401 samples is
+    that over 40001 to 1 %: within 15 %.
+    """
+    np.testing.assert_allclose(errors(slow), 10.0 * 1e-3 * BOUND, rtol=0.15)
+    online = slow["identifier.standard_error"][-1]
+    np.testing.assert_allclose(online, errors(slow), rtol=0.05)
+    assert slow["identifier.deviation"][-1] == pytest.approx(1e-3, rel=0.15)
+
+
+def test_the_verdict_is_that_of_good_data(slow):
+    """The residual of held samples would be no noise."""
+    found = verdicts(slow)
+    assert [one.verdict for one in found.parameters] == 2 * ["IDENTIFIABLE"]
+    assert [one.verdict for one in found.estimate] == 2 * ["IDENTIFIABLE"]
+    for one, true in zip(found.parameters, [-0.1, -0.3], strict=True):
+        assert abs(one.value - true) < 4.0 * one.standard_error
+
+
+def test_online_is_offline(slow):
+    """Both count the same samples, with the inputs at all communication points between them."""
+    offline = np.array([one.value for one in verdicts(slow).parameters])
+    assert (np.abs(slow["identifier.theta"][-1] - offline) < 0.05 * errors(slow)).all()
+
+
+def test_the_data_of_a_log_are_the_samples(tmp_path):
+    """401 of 40 s; the sensor's log has these rows alone, so all are there."""
+    log = cosim.run(
+        "academic-noisy",
+        set={**SETTINGS, "sensor.period": PERIOD},
+        out=tmp_path / "slow.mcap",
+    )
+    record = identifier_record(log)
+    assert int(record.data.measured.sum()) == 401
+    assert len(record.data.t) == 4001
+    np.testing.assert_array_equal(log["sensor.y_samples"], log["sensor.y"])
+    assert cosim.diff(log, cosim.replay(log.path)).equal
+
+
+def test_lost_samples_do_not_count():
+    """Of every other sample lost those kept count: the standard errors grow by sqrt(2)."""
+    ratio = errors(run(dropout=0.5)) / errors(run())
+    np.testing.assert_allclose(ratio, np.sqrt(2.0), rtol=0.1)
+
+
+def test_errors_have_the_size_of_standard_errors_over_seeds():
+    """Over 8 seeds: the sum of 16 squares is a chi-square of 16 degrees, 3e-4 below 3.3, above 43.
+
+    Held samples as new ones would make it ten times that.
+    """
+    squares = 0.0
+    for seed in range(8):
+        log = run(period=PERIOD, seed=seed)
+        found = verdicts(log).parameters
+        for one, true in zip(found, [-0.1, -0.3], strict=True):
+            squares += ((one.value - true) / one.standard_error) ** 2
+    assert 3.3 < squares < 43.0
+
+
+def test_other_methods_get_no_verdict_on_held_samples():
+    """They take y at every communication point; the reason is said."""
+    log = cosim.run(
+        "academic-noisy",
+        set={**SETTINGS, "sensor.period": PERIOD, "identifier.method": "rayleigh"},
+    )
+    assert "y has values between the samples of 'sensor'" in verdicts(log).problem
+
+
+def two_sensors(tmp_path, second):
+    """Write a scenario with a sensor for each output; return its path."""
+    sensors = f"""
+[components.first]
+kind = "sensor"
+noise = 0.1
+seed = 1
+period = 0.1
+[components.second]
+kind = "sensor"
+noise = 1e-3
+seed = 2
+{second}
+[components.observer]
+"""
+    begin = TWO.index("[components.sensor]")
+    text = TWO[:begin] + sensors + TWO[TWO.index("[components.observer]") + 22 :]
+    text = text.replace(
+        '"sensor.u" = "plant.y"', '"first.u" = "plant.y[0]"\n"second.u" = "plant.y[1]"'
+    )
+    text = text.replace('"observer.y" = "sensor.y"', '"observer.y" = ["first.y", "second.y"]')
+    path = tmp_path / "two.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_sensors_with_one_period_are_one(tmp_path):
+    """Their samples have the same times; the noise of each is its own."""
+    log = cosim.run(two_sensors(tmp_path, "period = 0.1"))
+    found = verdicts(log)
+    assert [one.verdict for one in found.parameters] == 2 * ["IDENTIFIABLE"]
+    np.testing.assert_allclose(found.deviation, [0.1, 1e-3], rtol=0.2)
+
+
+def test_sensors_with_different_periods_are_refused(tmp_path):
+    """Nothing says when which output was measured."""
+    with pytest.raises(
+        CosimError, match=r"y has values between the samples of 'first'.*one period"
+    ):
+        cosim.run(two_sensors(tmp_path, ""))
