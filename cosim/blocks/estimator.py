@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
-from typing import Generic, Protocol
+from types import MappingProxyType
+from typing import Final, Generic, Protocol
 
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.contracts import Design, State, Stopped, check_design
 from cosim.core.signals import Interface
-from cosim.native.step import FULL, NO_VALUE, NativeStep
+from cosim.native.step import FULL, NO_VALUE, OUTSIDE, NativeStep
+
+_PROBLEMS: Final = MappingProxyType(
+    {
+        NO_VALUE: "an input has no value at {time} s, where it counts; start after the delays",
+        FULL: "no room for more samples at {time} s",
+        OUTSIDE: "a sample at {time} s is said to be of an instant that is not since the "
+        "communication point before; needed the samples of that step",
+    }
+)
 
 
 class EstimatorKernel(Protocol[State]):
@@ -60,8 +70,8 @@ class Estimator(Generic[State]):
     Raises
     ------
     Stopped
-        From ``advance``, where an input that counts has no value, or there is no room for more
-        samples.
+        From ``advance``, where an input that counts has no value, a sample is said to be of an
+        instant outside its step, or there is no room for more samples.
     """
 
     def __init__(self, method: SteppableEstimator[State]) -> None:
@@ -91,13 +101,9 @@ class Estimator(Generic[State]):
         y = step.advance(t, h, u)
         if len(y):
             self._last = y[-1].copy()
-        if step.status == NO_VALUE:
-            time = float(t[len(y)])
-            raise Stopped(
-                y, f"an input has no value at {time} s, where it counts; start after the delays"
-            )
-        if step.status == FULL:
-            raise Stopped(y, f"no room for more samples at {float(t[len(y)])} s")
+        if step.status in _PROBLEMS:
+            problem = _PROBLEMS[step.status]
+            raise Stopped(y, problem.format(time=float(t[len(y)])))
         return y
 
     def save(self) -> tuple[State, Vector]:

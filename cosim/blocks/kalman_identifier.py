@@ -7,28 +7,27 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cosim.arrays import Mask
-from cosim.blocks.output_error_identifier import IdentificationProblem, IdentificationSchedule
-from cosim.blocks.projection_identifier import (
+from cosim.blocks.identification_problem import (
+    IdentificationProblem,
+    IdentificationSchedule,
     design_of_delta,
+    design_of_y,
     model_of_delta,
-    stage_constants,
+    model_of_y,
 )
+from cosim.blocks.projection_identifier import stage_constants
 from cosim.core.contracts import Design
 from cosim.core.signals import Interface, Signal
 from cosim.errors import UsageError
-from cosim.native.estimation import KnownInput, OutputErrorConstants
 from cosim.native.kalman import (
     AugmentedKalmanConstants,
     AugmentedKalmanStep,
     ExtendedKalmanConstants,
     ExtendedKalmanStep,
 )
-from cosim.theory.disturbed_plant import discretize
 from cosim.theory.estimators.augmented_kalman import augmented_model, first_spread
 from cosim.theory.estimators.extended_kalman import first_theta
-from cosim.theory.estimators.output_error import presence_threshold
 
-_OF_Y = ("Ad", "B0", "B1", "K", "C", "D", "W")
 _AUGMENTED = ("Phi", "B0", "B1", "C", "D", "W", "noise")
 
 
@@ -62,7 +61,7 @@ class ExtendedKalmanIdentifier:
         """Inputs regressor, y and u, outputs theta and standard_error."""
         P = self.problem.rayleigh.generators.parameters
         outputs = (
-            Signal("theta", P, optional=True, role="estimate"),
+            self.problem.theta_signal(),
             Signal("standard_error", P, optional=True, role="estimate"),
         )
         inputs = _inputs(self.problem)
@@ -71,42 +70,18 @@ class ExtendedKalmanIdentifier:
 
     def design(self, h: float, held: Mask) -> Design:
         """Discretize the plant."""
-        problem = self.problem
-        generators = problem.rayleigh.generators
-        n_u = problem.plant.D.shape[1]
-        model, known = discretize(
-            problem.plant,
-            generators,
-            step=np.array([h]),
-            predicts=np.zeros(1, np.bool_),
-            noise=problem.noise,
-            held=held[len(held) - n_u :],
-        )
-        design = {name: np.asarray(getattr(model, name)) for name in _OF_Y}
-        design |= {"Bu0": known.B0, "Bu1": known.B1, "Du": known.D}
-        design["threshold"] = presence_threshold(generators.size, 1)
-        design["theta"] = first_theta(problem.box)
-        design["spread"] = problem.box.step
-        return design
+        box = self.problem.box
+        model = design_of_y(self.problem, h, held, predicts=False)
+        return {**model, "theta": first_theta(box), "spread": box.step}
 
     def kernel(self, h: float, held: Mask, design: Design) -> ExtendedKalmanStep:
         """Return the filter without samples."""
         problem = self.problem
-        never = np.zeros(1, np.bool_)
-        model = OutputErrorConstants(
-            generators=problem.rayleigh.generators,
-            step=np.array([h]),
-            **{name: design[name] for name in _OF_Y},
-            a=np.zeros((len(design["W"]), 0)),
-            offset=False,
-            forgetting=1.0,
-            average=1,
-            source=None,
-        )
+        model, known = model_of_y(problem, h, design)
         constants = ExtendedKalmanConstants(
             terms=len(problem.rayleigh.parts),
             model=model,
-            known=KnownInput(design["Bu0"], design["Bu1"], design["Du"], never),
+            known=known,
             alphas=problem.alphas,
             deviation=self.deviation,
             size=self.size,
@@ -150,21 +125,19 @@ class AugmentedKalmanIdentifier:
     @property
     def interface(self) -> Interface:
         """Inputs regressor, y and u, output theta."""
-        P = self.problem.rayleigh.generators.parameters
-        theta = Signal("theta", P, optional=True, role="estimate")
         inputs = _inputs(self.problem)
+        outputs = (self.problem.theta_signal(),)
         names = tuple(signal.name for signal in inputs)
-        return Interface(inputs, (theta,), delayed=names, prepares=True, rollback=True)
+        return Interface(inputs, outputs, delayed=names, prepares=True, rollback=True)
 
     def design(self, h: float, held: Mask) -> Design:
         """Discretize the plant with delta and its derivative as states."""
-        n_u = self.problem.plant.D.shape[1]
         model = augmented_model(
             self.problem.plant,
             h,
             noise=self.problem.noise,
             intensity=self.intensity,
-            held=held[len(held) - n_u :],
+            held=self.problem.held_inputs(held),
         )
         start = np.array([self.schedule.start])
         return {**model, **design_of_delta(self.problem, h), "start": start}
@@ -201,7 +174,7 @@ def check_positive(**numbers: float) -> None:
 def _inputs(problem: IdentificationProblem) -> tuple[Signal, ...]:
     n_y, n_u = problem.plant.D.shape
     inputs = [
-        Signal("regressor", len(problem.rayleigh.parts), optional=True, role="input"),
+        problem.regressor_signal(),
         Signal("y", n_y, role="input"),
     ]
     if n_u:

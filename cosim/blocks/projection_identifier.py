@@ -6,14 +6,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cosim.arrays import Mask, Matrix, Vector
-from cosim.blocks.output_error_identifier import IdentificationProblem, IdentificationSchedule
+from cosim.arrays import Mask, Vector
+from cosim.blocks.identification_problem import (
+    IdentificationProblem,
+    IdentificationSchedule,
+    design_of_delta,
+    model_of_delta,
+)
 from cosim.core.contracts import Design
 from cosim.core.signals import Interface, Signal
 from cosim.native.estimation import OutputErrorConstants
 from cosim.native.identifier import IdentifierConstants, IdentifierStep
-from cosim.theory.disturbed_plant import discretize, white_noise
-from cosim.theory.estimators.projection import reconstruction_model
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,8 +35,8 @@ class RayleighIdentifier:
     @property
     def interface(self) -> Interface:
         """Input regressor, output theta."""
-        regressor = _regressor_signal(self.problem)
-        theta = _theta_signal(self.problem)
+        regressor = self.problem.regressor_signal()
+        theta = self.problem.theta_signal()
         return Interface(
             (regressor,), (theta,), delayed=("regressor",), prepares=True, rollback=True
         )
@@ -74,12 +77,12 @@ class ProjectionIdentifier:
     def interface(self) -> Interface:
         """Inputs regressor and delta, outputs theta and amplitude."""
         inputs = (
-            _regressor_signal(self.problem),
+            self.problem.regressor_signal(),
             Signal("delta", 1, optional=True, role="input"),
         )
         order = self.problem.rayleigh.generators.order
         amplitude = Signal("amplitude", order, optional=True, role="estimate")
-        outputs = (_theta_signal(self.problem), amplitude)
+        outputs = (self.problem.theta_signal(), amplitude)
         names = tuple(signal.name for signal in inputs)
         return Interface(inputs, outputs, delayed=names, prepares=True, rollback=True)
 
@@ -95,48 +98,6 @@ class ProjectionIdentifier:
         on_delta = model_of_delta(self.problem, h, design)
         constants = stage_constants(self.problem, schedule, on_delta, self.lower, self.upper)
         return IdentifierStep(constants)
-
-
-def design_of_delta(problem: IdentificationProblem, h: float) -> dict[str, Matrix]:
-    """Discretize the modes of the observer, whose transients are in delta."""
-    generators = problem.rayleigh.generators
-    model = reconstruction_model(problem.modes, problem.row, len(generators.size))
-    never = np.zeros(1, np.bool_)
-    on_delta, _ = discretize(
-        model, generators, step=np.array([h]), predicts=never, noise=white_noise(1)
-    )
-    return {"delta_Ad": on_delta.Ad, "delta_C": on_delta.C}
-
-
-def model_of_delta(
-    problem: IdentificationProblem, h: float, design: Design
-) -> OutputErrorConstants:
-    """Return the numbers of a fit to delta."""
-    generators = problem.rayleigh.generators
-    components = len(generators.size)
-    m = len(problem.modes)
-    no_input = np.zeros((1, components, m))
-    return OutputErrorConstants(
-        generators=generators,
-        step=np.array([h]),
-        Ad=design["delta_Ad"],
-        B0=no_input,
-        B1=no_input,
-        K=np.zeros((1, m, 1)),
-        C=design["delta_C"],
-        D=np.ones((components, 1)),
-        W=np.eye(1),
-        a=np.zeros((1, 0)),
-    )
-
-
-def _regressor_signal(problem: IdentificationProblem) -> Signal:
-    return Signal("regressor", len(problem.rayleigh.parts), optional=True, role="input")
-
-
-def _theta_signal(problem: IdentificationProblem) -> Signal:
-    parameters = problem.rayleigh.generators.parameters
-    return Signal("theta", parameters, optional=True, role="estimate")
 
 
 def stage_constants(

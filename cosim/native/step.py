@@ -29,6 +29,7 @@ from cosim.native.library import (
 
 NO_VALUE = 1  # COSIM_NO_VALUE
 FULL = 5  # COSIM_FULL
+OUTSIDE = 6  # COSIM_OUTSIDE
 DOUBLE = 8  # bytes
 WORDS_PER_NORMAL = 2  # random words that one Gaussian number takes
 LARGEST_MEMORY = 2**27  # values in a component's memory or in a matrix, 1 GiB

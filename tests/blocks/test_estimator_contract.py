@@ -8,13 +8,10 @@ import pytest
 from cosim.arrays import NAN
 from cosim.blocks.adaptive_identifier import AdaptiveIdentifier
 from cosim.blocks.estimator import Estimator
+from cosim.blocks.identification_problem import IdentificationProblem, IdentificationSchedule
 from cosim.blocks.identifier import LeastSquaresIdentifier
 from cosim.blocks.kalman_identifier import AugmentedKalmanIdentifier, ExtendedKalmanIdentifier
-from cosim.blocks.output_error_identifier import (
-    IdentificationProblem,
-    IdentificationSchedule,
-    OutputErrorIdentifier,
-)
+from cosim.blocks.output_error_identifier import OutputErrorIdentifier
 from cosim.blocks.projection_identifier import ProjectionIdentifier, RayleighIdentifier
 from cosim.blocks.regressor import Regressor
 from cosim.core.signals import Interface, Signal
@@ -83,9 +80,10 @@ def adaptive(law, gain, forgetting=np.inf):
 
 
 def output_error(case):
-    return OutputErrorIdentifier(
+    method = OutputErrorIdentifier(
         problem(case), schedule(case), offset=False, lower=-BOUNDS, upper=BOUNDS
     )
+    return Estimator(method)
 
 
 def projection(case):

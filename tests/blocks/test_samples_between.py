@@ -10,6 +10,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 import cosim
+from cosim.blocks.estimator import Estimator
 from cosim.blocks.output_error_identifier import OutputErrorIdentifier
 from cosim.core.contracts import Stopped
 from cosim.errors import AssumptionError
@@ -40,16 +41,17 @@ def run():
     return scenario, cosim.run(scenario)
 
 
-def identifier(scenario, *, most=MOST, plant=None) -> OutputErrorIdentifier:
+def identifier(scenario, *, most=MOST, plant=None) -> Estimator:
     with ExitStack() as resources:
-        built = Builder(scenario, resources).components["identifier"]._component
+        built = Builder(scenario, resources).components["identifier"]._component.method
     problem = built.problem
     if plant is not None:
         object.__setattr__(problem, "plant", plant)
     unbounded = np.full(2, np.inf)
-    made = OutputErrorIdentifier(
+    method = OutputErrorIdentifier(
         problem, built.schedule, offset=False, lower=-unbounded, upper=unbounded, most=most
     )
+    made = Estimator(method)
     n_u = made.interface.n_u
     made.prepare(H, np.zeros(n_u, np.bool_), {})
     return made
@@ -116,7 +118,7 @@ def test_samples_between_communication_points_count_at_their_instants(run):
     used = times[times <= t[-2]]
     data = DataSet(used, y[: len(used), np.newaxis], np.sin(used)[:, np.newaxis], alpha(used))
     families = (Exponential(), Exponential())
-    fit = fit_output_error([data], component.problem.plant, families, np.array(THETA))
+    fit = fit_output_error([data], component.method.problem.plant, families, np.array(THETA))
     # both take straight lines for curves, of 10 ms and of 8 ms: 5e-7 at 1 ms, by the square
     assert (np.abs(found[:2] - fit.theta) < 5e-5).all()
     assert (np.abs(found[:2] - fit.theta) < 0.05 * fit.standard_error).all()

@@ -253,7 +253,8 @@ def output_error():
     """Return the identifier of the example for a run of 1 s; estimates begin before its end."""
     settings = {**COARSE, "scenario.stop": 1.0, "identifier.start": 3.5}
     component = online("academic", {**settings, "identifier.period": 0.01})
-    constants = component.constants(0.01, np.zeros(component.interface.n_u, np.bool_))
+    held = np.zeros(component.interface.n_u, np.bool_)
+    constants = component.method.constants(0.01, held, component.method.design(0.01, held))
     kernel = kernel_of_output_error(constants)
     return DiscreteModel(component.interface, kernel, 1_000_000, "it is discrete")
 

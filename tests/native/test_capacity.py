@@ -12,12 +12,11 @@ from typing import ClassVar, final
 import numpy as np
 import pytest
 
-from cosim.blocks.output_error_identifier import (
-    IdentificationProblem,
-    IdentificationSchedule,
-    OutputErrorIdentifier,
-)
+from cosim.blocks.estimator import Estimator
+from cosim.blocks.identification_problem import IdentificationProblem, IdentificationSchedule
+from cosim.blocks.output_error_identifier import OutputErrorIdentifier
 from cosim.blocks.regressor import Regressor
+from cosim.core.contracts import Stopped
 from cosim.errors import AssumptionError, UsageError
 from cosim.native.estimation import MOST_ROWS
 from cosim.native.expression import compile_expression
@@ -151,7 +150,8 @@ def online(plant):
         lag=0.0,
     )
     infinite = np.full(2, np.inf)
-    return OutputErrorIdentifier(problem, schedule, offset=False, lower=-infinite, upper=infinite)
+    method = OutputErrorIdentifier(problem, schedule, offset=False, lower=-infinite, upper=infinite)
+    return Estimator(method)
 
 
 def test_a_plant_of_many_states_has_no_identifier_by_output_error():
@@ -206,6 +206,17 @@ def test_the_identifier_takes_many_outputs():
     one, many = estimates
     # noise is no disturbance, so that theta has no value; the deviation is that of more values
     assert np.isnan(one[:2]).all() == np.isnan(many[:2]).all()
+
+
+def test_samples_beyond_the_room_stop_the_identifier():
+    """It has that of a run; the estimates before are returned."""
+    identifier = online(lightly_damped(2, 2))
+    rows = np.random.default_rng(0).standard_normal((1011, 9))
+    identifier.prepare(H, np.zeros(9, np.bool_), {})
+    identifier.initialize(0.0, rows[0])
+    with pytest.raises(Stopped, match=r"no room for more samples at 10\.0 s") as caught:
+        identifier.advance(np.arange(1011) * H, H, rows)
+    assert caught.value.steps == 1000
 
 
 def test_many_components_without_parameters_are_fitted():

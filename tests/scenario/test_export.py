@@ -443,3 +443,14 @@ def test_nothing_is_built_that_a_component_does_not_rest_on(tmp_path, monkeypatc
     scenario.write_text(text, encoding="utf-8")
     export_component(str(scenario), "gain", tmp_path / "gain.fmu", fmi="3")
     assert opened == []
+
+
+def test_an_identifier_whose_signals_have_units_is_exported(tmp_path):
+    """With the unit that its input has from the observer."""
+    scenario = tmp_path / "academic.toml"
+    text = find("academic").text
+    table = "[components.observer]\n"
+    scenario.write_text(text.replace(table, f'{table}unit = {{ y = "V" }}\n', 1))
+    changes = {"scenario.stop": 1.0}
+    export_component(str(scenario), "identifier", tmp_path / "identifier.fmu", set=changes)
+    assert read(tmp_path / "identifier.fmu").description["y"].unit == "V"

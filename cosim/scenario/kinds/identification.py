@@ -14,13 +14,10 @@ from cosim.arrays import Vector
 from cosim.blocks.adaptive_identifier import AdaptiveIdentifier
 from cosim.blocks.declared import with_units
 from cosim.blocks.estimator import Estimator
+from cosim.blocks.identification_problem import IdentificationProblem, IdentificationSchedule
 from cosim.blocks.identifier import LeastSquaresIdentifier
 from cosim.blocks.kalman_identifier import AugmentedKalmanIdentifier, ExtendedKalmanIdentifier
-from cosim.blocks.output_error_identifier import (
-    IdentificationProblem,
-    IdentificationSchedule,
-    OutputErrorIdentifier,
-)
+from cosim.blocks.output_error_identifier import OutputErrorIdentifier
 from cosim.blocks.projection_identifier import ProjectionIdentifier, RayleighIdentifier
 from cosim.blocks.sampled import Decimated
 from cosim.core.clock import whole_steps
@@ -157,6 +154,10 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         return {signal: origin for signal, origin in origins.items() if signal in inputs}
 
     def build(self, name: str, context: BuildContext) -> Component:
+        return with_units(*self._built(name, context))
+
+    def _built(self, name: str, context: BuildContext) -> tuple[Component, Mapping[str, str]]:
+        """Return the identifier, and the units that its inputs have from the observer."""
         self._check_options()
         source = IdentifierSource(name, context)
         source.check_step()
@@ -167,14 +168,14 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         else:
             identified = self._identified(source, source.observer, context)
         if self.method == "least-squares":
-            return self._least_squares(name, source.regression, begin, context)
+            return self._least_squares(name, source.regression, begin, context), {}
         context.add_metadata(name, {"method": self.method})
         if self.method in ("gradient", "drem"):
-            return self._adaptive(source.regression, begin)
+            return self._adaptive(source.regression, begin), {}
         if source.observer is None or identified is None:
             raise UsageError(f'method = "{self.method}": {problem}')
         identifier = self._of_model(source, source.observer, identified, begin, context)
-        return with_units(identifier, source.observer.units(identifier.interface))
+        return identifier, source.observer.units(identifier.interface)
 
     def _identified(
         self, source: IdentifierSource, observer: ObserverSource, context: BuildContext
@@ -250,7 +251,7 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         schedule = self._schedule(source, begin, context)
         lower, upper = identified.limits
         if self.method == "output-error":
-            return OutputErrorIdentifier(
+            identifier = OutputErrorIdentifier(
                 problem.within(lower, upper),
                 schedule,
                 offset=self.offset,
@@ -258,6 +259,7 @@ class IdentifierKind(PeriodicKind, ExportableKind):
                 upper=upper,
                 most=source.most_samples(),
             )
+            return Estimator(identifier)
         if self.method == "projection":
             within = problem.within(lower, upper)
             return Estimator(ProjectionIdentifier(within, schedule, lower, upper))
@@ -333,13 +335,16 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         return whole_steps(self.window, step_ns, f"window of {name!r}")
 
     def exportable(self, name: str, context: BuildContext, wiring: Wiring) -> Exportable:
-        component = self.build(name, context)
+        component, units = self._built(name, context)
+        method = component.method if isinstance(component, Estimator) else component
         every = self.period_steps(name, context.step_ns)
-        if isinstance(component, LeastSquaresIdentifier):
+        if isinstance(method, LeastSquaresIdentifier):
             held = bool(wiring.held.any())
-            kernel = kernels.least_squares(component.constants(component.start_time, held=held))
-        elif isinstance(component, OutputErrorIdentifier):
-            kernel = output_error(component.constants(context.step_ns / 1e9, wiring.held))
+            kernel = kernels.least_squares(method.constants(method.start_time, held=held))
+        elif isinstance(method, OutputErrorIdentifier):
+            h = context.step_ns / 1e9
+            design = method.design(h, wiring.held)
+            kernel = output_error(method.constants(h, wiring.held, design))
         else:
             raise UsageError(
                 f'{name!r}: an identifier with method = "{self.method}" cannot be exported yet; '
@@ -349,7 +354,7 @@ class IdentifierKind(PeriodicKind, ExportableKind):
             "the identifier takes one row at every communication point, so it has no derivatives"
         )
         return DiscreteModel(
-            self.with_period(component, every).interface,
+            self.with_period(with_units(component, units), every).interface,
             kernel,
             context.step_ns,
             reason,

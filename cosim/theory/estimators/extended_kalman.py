@@ -22,12 +22,11 @@ from typing import Final
 
 import numpy as np
 
-from cosim.arrays import Mask, Matrix, Vector
-from cosim.native.estimation import KnownInput, OutputErrorConstants
+from cosim.arrays import Matrix, Vector
 from cosim.native.expression import compile_expression
 from cosim.native.kalman import ExtendedKalmanConstants, ExtendedKalmanStep
 from cosim.theory.disturbance import Family, SearchBox, generators, search_box
-from cosim.theory.disturbed_plant import DisturbedPlant, NoiseModel, discretize, white_noise
+from cosim.theory.disturbed_plant import DisturbedPlant, discretize, white_noise
 from cosim.theory.estimators.output_error import presence_threshold
 from cosim.theory.sampling import equal_step
 
@@ -59,21 +58,6 @@ def first_theta(box: SearchBox) -> Vector:
     step = box.step
     start: Vector = np.clip(0.0, box.lower + step, box.upper - step)
     return start
-
-
-def filter_model(
-    plant: DisturbedPlant,
-    families: Sequence[Family],
-    h: float,
-    *,
-    noise: NoiseModel,
-    held: Mask | None = None,
-) -> tuple[OutputErrorConstants, KnownInput]:
-    """Discretize the plant for steps of h seconds, without a predictor."""
-    never = np.zeros(1, np.bool_)
-    return discretize(
-        plant, generators(families), step=np.array([h]), predicts=never, noise=noise, held=held
-    )
 
 
 def extended_kalman(
@@ -110,7 +94,13 @@ def extended_kalman(
     h = equal_step(t)
     span = float(t[-1] - t[0])
     searched = box or search_box(families, span=span, shortest=span / 40.0)
-    model, known = filter_model(plant, families, h, noise=white_noise(len(plant.C)))
+    model, known = discretize(
+        plant,
+        generators(families),
+        step=np.array([h]),
+        predicts=np.zeros(1, np.bool_),
+        noise=white_noise(len(plant.C)),
+    )
     constants = ExtendedKalmanConstants(
         terms=0,
         model=model,

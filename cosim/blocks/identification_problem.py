@@ -1,0 +1,207 @@
+"""What is identified, when, and the models of it that methods share.
+
+A method discretizes once, for the design that is recorded (``design_of_...``), and makes the
+numbers of its kernel of what was recorded (``model_of_...``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from cosim.arrays import Mask, Matrix, Vector
+from cosim.core.contracts import Design
+from cosim.core.signals import Signal
+from cosim.native.estimation import KnownInput, OutputErrorConstants, RayleighConstants
+from cosim.native.expression import Program
+from cosim.native.step import RegressorConstants
+from cosim.theory.disturbance import SearchBox
+from cosim.theory.disturbed_plant import DisturbedPlant, NoiseModel, discretize, white_noise
+from cosim.theory.estimators.output_error import presence_threshold
+from cosim.theory.estimators.projection import reconstruction_model
+
+OF_Y: Final = ("Ad", "B0", "B1", "K", "C", "D", "W")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class IdentificationProblem:
+    """What is identified, from which signals.
+
+    Parameters
+    ----------
+    plant : DisturbedPlant
+        The design model of y.
+    modes, row : Matrix (m, m), Vector (m,)
+        The observer's own dynamics, and how they enter delta.
+    rayleigh : RayleighConstants
+        The regression as a function of theta.
+    products : RegressorConstants
+        Of the regressor that makes mu.
+    alphas : sequence of Program
+        The known factor of every component.
+    box : SearchBox
+        Where theta is searched.
+    stated : Matrix, shape (n_y, n_y), or None
+        Covariance of the noise of y; None: it is not known.
+    """
+
+    plant: DisturbedPlant
+    modes: Matrix
+    row: Vector
+    rayleigh: RayleighConstants
+    products: RegressorConstants
+    alphas: Sequence[Program]
+    box: SearchBox
+    stated: Matrix | None = None
+
+    @property
+    def noise(self) -> NoiseModel:
+        """The noise of y: as it is stated, else of one deviation on every output."""
+        white = white_noise(len(self.plant.C))
+        return white if self.stated is None else replace(white, covariance=self.stated)
+
+    def held_inputs(self, held: Mask) -> Mask:
+        """Return which entries of u are held, of all inputs: u stands last."""
+        n_u = self.plant.D.shape[1]
+        return held[len(held) - n_u :]
+
+    def regressor_signal(self) -> Signal:
+        """Return the input mu."""
+        return Signal("regressor", len(self.rayleigh.parts), optional=True, role="input")
+
+    def theta_signal(self) -> Signal:
+        """Return the output theta."""
+        parameters = self.rayleigh.generators.parameters
+        return Signal("theta", parameters, optional=True, role="estimate")
+
+    def within(self, lower: Vector, upper: Vector) -> IdentificationProblem:
+        """Return the problem with its search within bounds, shape (P,)."""
+        searched = replace(
+            self.rayleigh,
+            lower=np.clip(self.rayleigh.lower, lower, upper),
+            upper=np.clip(self.rayleigh.upper, lower, upper),
+        )
+        return replace(self, rayleigh=searched)
+
+
+@dataclass(frozen=True, kw_only=True)
+class IdentificationSchedule:
+    """When samples count, and how many.
+
+    Parameters
+    ----------
+    period : int
+        Communication steps between two estimates.
+    steps : int
+        Communication steps of the longest run.
+    average : int
+        Samples of mu that make one row of the regression.
+    window : int
+        Samples of a moving window; 0: all.
+    forgetting : float
+        Weight of a sample over that of the next one; 1: all weigh the same.
+    start : float
+        First instant of which mu counts, the identification start time T_id (36) [s].
+    settled : float
+        First instant of which delta counts [s].
+    lag : float
+        Of delta [s].
+    """
+
+    period: int
+    steps: int
+    average: int
+    window: int
+    forgetting: float
+    start: float
+    settled: float
+    lag: float
+
+
+def design_of_y(
+    problem: IdentificationProblem, h: float, held: Mask, *, predicts: bool
+) -> dict[str, Matrix]:
+    """Discretize the plant.
+
+    Parameters
+    ----------
+    problem : IdentificationProblem
+    h : float
+        Communication step [s].
+    held : Mask
+        Inputs of the identifier with a zero-order hold.
+    predicts : bool
+        y is predicted from the sample before, as the plant is unstable.
+    """
+    generators = problem.rayleigh.generators
+    on_y, known = discretize(
+        problem.plant,
+        generators,
+        step=np.array([h]),
+        predicts=np.array([predicts]),
+        noise=problem.noise,
+        held=problem.held_inputs(held),
+    )
+    design = {name: np.asarray(getattr(on_y, name)) for name in OF_Y}
+    design |= {"Bu0": known.B0, "Bu1": known.B1, "Du": known.D}
+    design["threshold"] = presence_threshold(generators.size, 1)
+    return design
+
+
+def model_of_y(
+    problem: IdentificationProblem,
+    h: float,
+    design: Design,
+    *,
+    offset: bool = False,
+    forgetting: float = 1.0,
+) -> tuple[OutputErrorConstants, KnownInput]:
+    """Return the numbers of a fit to y, and of what is known of y."""
+    model = OutputErrorConstants(
+        generators=problem.rayleigh.generators,
+        step=np.array([h]),
+        **{name: design[name] for name in OF_Y},
+        a=np.zeros((len(design["W"]), 0)),
+        offset=offset,
+        forgetting=forgetting,
+        average=1,
+        source=None,
+    )
+    predicts = np.array([bool(design["K"].any())])
+    return model, KnownInput(design["Bu0"], design["Bu1"], design["Du"], predicts)
+
+
+def design_of_delta(problem: IdentificationProblem, h: float) -> dict[str, Matrix]:
+    """Discretize the modes of the observer, whose transients are in delta."""
+    generators = problem.rayleigh.generators
+    model = reconstruction_model(problem.modes, problem.row, len(generators.size))
+    never = np.zeros(1, np.bool_)
+    on_delta, _ = discretize(
+        model, generators, step=np.array([h]), predicts=never, noise=white_noise(1)
+    )
+    return {"delta_Ad": on_delta.Ad, "delta_C": on_delta.C}
+
+
+def model_of_delta(
+    problem: IdentificationProblem, h: float, design: Design
+) -> OutputErrorConstants:
+    """Return the numbers of a fit to delta."""
+    generators = problem.rayleigh.generators
+    components = len(generators.size)
+    m = len(problem.modes)
+    no_input = np.zeros((1, components, m))
+    return OutputErrorConstants(
+        generators=generators,
+        step=np.array([h]),
+        Ad=design["delta_Ad"],
+        B0=no_input,
+        B1=no_input,
+        K=np.zeros((1, m, 1)),
+        C=design["delta_C"],
+        D=np.ones((components, 1)),
+        W=np.eye(1),
+        a=np.zeros((1, 0)),
+    )
