@@ -9,6 +9,7 @@
     │   │   └── AlgebraicLoopError
     │   ├── ClockError        a time, step or period that is off the grid
     │   ├── AssumptionError   an assumption of the method that does not hold
+    │   │   └── StartError    an iteration cannot start where it should; another start may do
     │   ├── FmuError          an FMU that cannot be used, or a model that cannot become one
     │   └── LogError          a log that cannot be read, or written
     │       └── UnknownSignalError   what was not recorded; a KeyError too
@@ -69,6 +70,10 @@ class ClockError(UsageError):
 
 class AssumptionError(UsageError):
     """An assumption of the method that does not hold for the given system."""
+
+
+class StartError(AssumptionError):
+    """An iteration cannot start where it should."""
 
 
 class FmuError(UsageError):

@@ -77,14 +77,15 @@ def _of_component(
         error = float(constants.standard_error[k])
         reach = quantile * error + MARGIN * float(constants.bias[k])
         known = not problem
+        has_interval = known and verdict.has_interval
         verdicts.append(
             ParameterVerdict(
                 name=names[name],
                 verdict=verdict,
                 value=value if known else None,
-                standard_error=error if known else None,
-                lower=value - reach if known else None,
-                upper=value + reach if known else None,
+                standard_error=error if has_interval else None,
+                lower=value - reach if has_interval else None,
+                upper=value + reach if has_interval else None,
                 reason=problem or _MEANINGS.get(name, meaning),
             )
         )

@@ -1,11 +1,12 @@
 """What may be said about an estimate: one verdict for every parameter, from the data alone.
 
 ======================  ==========================================================================
-IDENTIFIABLE            the interval holds
+IDENTIFIABLE            no test contradicts the model; if it is right, the interval holds
 WEAK                    the parameter has an effect, but so little that the interval is no interval
 NOT_IDENTIFIABLE        nothing in the data depends on it, or another parameter has the same effect:
                         there is no number
-INCONSISTENT            the residual is not what noise leaves: the model is wrong, or the step long
+INCONSISTENT            the residual is not what noise leaves: the model is wrong, a bound, or the
+                        step long; no interval holds
 NO_ESTIMATE             the method found no value: that says nothing of the data
 ======================  ==========================================================================
 
@@ -23,8 +24,10 @@ from enum import StrEnum
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
+from cosim.errors import StartError
 from cosim.native.estimation import ParameterState
 from cosim.theory.accuracy import LARGEST_STEP_ERROR, enough_shorter
 from cosim.theory.consistency import MARGIN, Consistency, examine, noise_color
@@ -37,6 +40,7 @@ from cosim.theory.estimators.output_error import (
     presence_threshold,
 )
 from cosim.theory.estimators.start_grid import search_start
+from cosim.theory.missing_terms import Terms, hidden_terms, silent_terms
 from cosim.theory.noise_covariance import fit_with_noise, size_covariance
 from cosim.theory.quantiles import CONFIDENCE, normal_two_sided, student_two_sided
 
@@ -63,6 +67,11 @@ class Verdict(StrEnum):
         """Whether there is a number."""
         return self not in (Verdict.NOT_IDENTIFIABLE, Verdict.NO_ESTIMATE)
 
+    @property
+    def has_interval(self) -> bool:
+        """Whether an interval around the number holds, if the model does."""
+        return self in (Verdict.IDENTIFIABLE, Verdict.WEAK)
+
 
 @dataclass(frozen=True, kw_only=True)
 class ParameterVerdict:
@@ -76,7 +85,8 @@ class ParameterVerdict:
         None where the verdict has no value.
     standard_error : float or None
     lower, upper : float or None
-        The 95 % interval, with what step and quantization may have moved the estimate by.
+        The 95 % interval, with what step and quantization may have moved the estimate by; None
+        where the verdict has no interval.
     reason : str
     """
 
@@ -227,7 +237,34 @@ class _Assessing:
                 colored = self._fitted(fit.theta, replace(noise, a=a), is_known=False)
                 if colored[2].passed:
                     fit, noise, consistency = colored
-        return _Judge(fit, consistency, noise, self._families).assessment()
+        missing = self._missing(fit, noise, consistency)
+        judge = _Judge(fit, consistency, noise, self._families, self._bounds, missing)
+        return judge.assessment()
+
+    def _missing(
+        self, fit: OutputErrorFit, noise: NoiseModel, consistency: Consistency
+    ) -> dict[int, str]:
+        """Return why components do not show, where noise is not the cause."""
+        reasons = silent_terms(fit, self._data, self._families)
+        absent = ~is_present(fit, consistency, self._families)
+        absent[list(reasons)] = False
+        if len(absent) < 2 or not absent.any() or not consistency.passed:
+            return reasons
+        terms = Terms(
+            data=self._data,
+            plant=self._plant,
+            families=self._families,
+            noise=noise,
+            offset=self._offset,
+            bounds=self._bounds,
+        )
+        for i, others in hidden_terms(fit, terms, absent=absent).items():
+            names = " and ".join(f"terms[{k}]" for k in others)
+            reasons[i] = (
+                f"without {names} it would be there: the data are explained by either alone; "
+                "leave one out"
+            )
+        return reasons
 
     def _first_noise(self) -> NoiseModel:
         outputs = len(self._plant.C)
@@ -281,8 +318,17 @@ def assess_from(
         As from there.
     """
     assessing = _Assessing(data, plant, families, stated, offset, bounds)
-    near = assessing.assessment(theta)
-    if theta is None or (near.fit.converged and near.consistency.passed):
+    if theta is None:
+        return assessing.assessment(None)
+    try:
+        near = assessing.assessment(theta)
+    except StartError:
+        return assessing.assessment(None)
+    if (
+        near.fit.converged
+        and near.consistency.passed
+        and ParameterState.ABSENT not in near.fit.states
+    ):
         return near
     searched = assessing.assessment(None)
     if not searched.fit.converged:
@@ -290,6 +336,17 @@ def assess_from(
     if near.fit.converged and near.residual_size <= searched.residual_size:
         return near
     return searched
+
+
+def is_present(
+    fit: OutputErrorFit, consistency: Consistency, families: Sequence[Family]
+) -> NDArray[np.bool_]:
+    """Return which components are larger than noise and the errors of the step make them."""
+    sizes = [family.v for family in families]
+    threshold = presence_threshold(sizes, len(fit.records))
+    size = np.sqrt(fit.presence) - MARGIN * consistency.presence_bias
+    present: NDArray[np.bool_] = size > np.sqrt(threshold)
+    return present
 
 
 def judge(
@@ -329,25 +386,24 @@ def _judge_other(
     verdict = own.verdict
     reason = own.reason
     reach = 0.0 if error is None or not np.isfinite(error) else normal_two_sided(CONFIDENCE) * error
-    interval = (None, None) if error is None else (value - reach, value + reach)
     if own.value is not None and verdict in (Verdict.IDENTIFIABLE, Verdict.WEAK):
         distance = abs(value - own.value)
         if distance > reach + half_width:
             verdict = Verdict.INCONSISTENT
             reason = (
-                f"biased: {distance:.3g} from the output-error estimate {own.value:.6g} "
-                f"+- {half_width:.2g}"
+                f"differs by {distance:.3g} from the output-error estimate {own.value:.6g} "
+                f"+- {half_width:.2g}, more than both intervals allow: biased here"
             )
         elif error is None:
             reason = "within the interval of output error; the method has no interval of its own"
-    shown = value if verdict.has_value else None
+    has_interval = verdict.has_interval and error is not None
     return ParameterVerdict(
         name=own.name,
         verdict=verdict,
-        value=shown,
-        standard_error=error if shown is not None else None,
-        lower=interval[0] if shown is not None else None,
-        upper=interval[1] if shown is not None else None,
+        value=value if verdict.has_value else None,
+        standard_error=error if has_interval else None,
+        lower=value - reach if has_interval else None,
+        upper=value + reach if has_interval else None,
         reason=reason,
     )
 
@@ -361,16 +417,17 @@ class _Judge:
         consistency: Consistency,
         noise: NoiseModel,
         families: Sequence[Family],
+        bounds: Mapping[int, tuple[float, float]],
+        missing: Mapping[int, str],
     ) -> None:
         self._fit = fit
         self._consistency = consistency
         self._noise = noise
         matrices = generators(families)
         self._component = np.repeat(np.arange(len(families)), matrices.count)
-        # which components are larger than noise and the errors of the step make them
-        threshold = presence_threshold(matrices.size, len(fit.records))
-        size = np.sqrt(fit.presence) - MARGIN * consistency.presence_bias
-        self._present = size > np.sqrt(threshold)
+        self._present = is_present(fit, consistency, families)
+        self._bounds = bounds
+        self._missing = missing
 
     def assessment(self) -> Assessment:
         """Return the fit with its intervals and verdicts."""
@@ -397,7 +454,7 @@ class _Judge:
         known = verdict.has_value
         value = float(fit.theta[j])
         width = float(half_width[j])
-        has_interval = known and bool(np.isfinite(width))
+        has_interval = verdict.has_interval and bool(np.isfinite(width))
         return ParameterVerdict(
             name=f"theta[{j}]",
             verdict=verdict,
@@ -411,14 +468,17 @@ class _Judge:
     def _verdict(self, j: int, half_width: float) -> tuple[Verdict, str]:
         fit = self._fit
         consistency = self._consistency
+        component = int(self._component[j])
+        if component in self._missing:
+            return Verdict.NOT_IDENTIFIABLE, self._missing[component]
         if not fit.converged:
-            return Verdict.NO_ESTIMATE, "the iteration has not converged"
+            return Verdict.NO_ESTIMATE, self._not_converged()
         if not consistency.passed:
             return Verdict.INCONSISTENT, self._inconsistency()
         state = fit.states[j]
         if state is ParameterState.FIXED:
             return Verdict.IDENTIFIABLE, "fixed by its bounds"
-        if state is ParameterState.ABSENT or not self._present[self._component[j]]:
+        if state is ParameterState.ABSENT or not self._present[component]:
             return Verdict.NOT_IDENTIFIABLE, (
                 "its component is not larger than the largest that noise alone fits: a larger "
                 "disturbance or less noise would show it"
@@ -429,7 +489,7 @@ class _Judge:
                 "apart"
             )
         if state is ParameterState.AT_BOUND:
-            return Verdict.WEAK, "the estimate stands at its bound; the optimum is beyond"
+            return Verdict.WEAK, f"{self._at_bound(j)}: widen it"
         is_large = self._fit.presence[self._component[j]] > LINEAR_PRESENCE
         ratio = 1.0 if is_large else self._profile(j, half_width)
         if not LEAST_PROFILE <= ratio <= LARGEST_PROFILE:
@@ -438,7 +498,26 @@ class _Judge:
                 f"{ratio:.2g} times as much as it should); {self._weak_direction()}: a longer "
                 "record, a larger disturbance or less noise would supply it"
             )
-        return Verdict.IDENTIFIABLE, "the residual is what noise leaves"
+        return Verdict.IDENTIFIABLE, (
+            "no test contradicts the model; the interval holds if it is right"
+        )
+
+    def _not_converged(self) -> str:
+        last = ", ".join(f"{value:.4g}" for value in self._fit.theta)
+        reason = f"the iteration has not converged; where it stopped, at theta = {last}, "
+        if self._consistency.passed:
+            return reason + (
+                "the residual is what noise leaves, so these data hardly determine theta: bounds, "
+                "fewer terms or a longer record may help"
+            )
+        return reason + (
+            "the residual is not what noise leaves: a family, an alpha or the plant may be wrong"
+        )
+
+    def _at_bound(self, j: int) -> str:
+        bound = float(self._fit.theta[j])
+        side = "lower" if bound == self._bounds[j][0] else "upper"
+        return f"theta[{j}] stands at its {side} bound {bound:g}; the optimum is beyond"
 
     def _profile(self, j: int, half_width: float) -> float:
         """Return the growth of the squares at the ends of an interval over that expected.
@@ -489,6 +568,12 @@ class _Judge:
                 f"{100.0 * LARGEST_STEP_ERROR:g} % can be allowed for; samples at "
                 f"{enough_shorter(relative):.1g} of their distances would do"
             )
+        for j, state in enumerate(self._fit.states):
+            if state is ParameterState.AT_BOUND:
+                return (
+                    f"{self._at_bound(j)}: widen it; where it stands, the residual is not what "
+                    "noise leaves"
+                )
         found = "; ".join(
             f"{test.name}: {test.statistic:.3g}, noise leaves up to {test.threshold:.3g} "
             + (f" ({test.largest})" if test.largest else "")

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
-from cosim.errors import AssumptionError
+from cosim.errors import AssumptionError, StartError
 from cosim.native.estimation import (
     NO_INFORMATION,
     GaussNewtonResult,
@@ -133,6 +133,8 @@ def fit_output_error(
     ------
     AssumptionError
         If sizes do not fit, a bound excludes every value, or there are fewer samples than unknowns.
+    StartError
+        If the response at the start is not finite.
     """
     if not data:
         raise AssumptionError("no data; needed at least one record")
@@ -158,10 +160,11 @@ def fit_output_error(
     if result.status == NO_INFORMATION:
         measured = sum(int(one.measured.sum()) * one.y.shape[1] for one in data)
         unknowns = len(records) * records[0].model.linear + matrices.parameters
-        raise AssumptionError(
-            f"{measured} measured values for {unknowns} unknowns; needed more, and a theta at "
-            "which the response is finite"
-        )
+        if measured > unknowns:
+            raise StartError(
+                f"the response at theta = {theta.tolist()} is not finite; needed another start"
+            )
+        raise AssumptionError(f"{measured} measured values for {unknowns} unknowns; needed more")
     return _fit(result, records, matrices.order, plant.A.shape[0])
 
 

@@ -1,0 +1,160 @@
+"""What verdicts say where there is no number, or none that may be trusted: causes and ways out."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cosim.errors import AssumptionError
+from cosim.theory.amplitude_verdicts import amplitude_verdicts
+from cosim.theory.disturbance import Exponential, Sine
+from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
+from cosim.theory.verdicts import Verdict, assess, assess_from, judge
+
+TRUE = -0.4
+T = np.arange(501) * 0.02
+ONE = (Exponential(),)
+
+
+def plant(terms: int) -> DisturbedPlant:
+    """Return `x' = -x + sum_i alpha_i f_i, y = x`."""
+    return DisturbedPlant(
+        A=-np.eye(1),
+        B=np.zeros((1, 0)),
+        Bd=np.ones((1, terms)),
+        C=np.eye(1),
+        D=np.zeros((1, 0)),
+        Dd=np.zeros((1, terms)),
+    )
+
+
+def measured(*alphas: float, t=T, amplitude: float = 2.0, sigma: float = 1e-3) -> DataSet:
+    """Return noisy samples of x under `amplitude exp(-0.4 t)`, with constant alphas."""
+    x = 0.5 * np.exp(-t) + amplitude * np.exp(TRUE * t) / (1.0 + TRUE)
+    y = x + sigma * np.random.default_rng(5).standard_normal(len(t))
+    alpha = np.tile(alphas, (len(t), 1))
+    return DataSet(t, y[:, np.newaxis], np.zeros((len(t), 0)), alpha)
+
+
+@pytest.mark.parametrize("start", [64.2, -1e6, 1e300])
+def test_a_start_whose_response_is_not_finite_is_replaced(start):
+    """By a searched one: it says nothing of the data."""
+    found = assess_from([measured(1.0)], plant(1), ONE, np.array([start]))
+    assert found.parameters[0].verdict is Verdict.IDENTIFIABLE
+    assert found.parameters[0].lower <= TRUE <= found.parameters[0].upper
+
+
+def test_an_infinite_response_is_no_lack_of_samples():
+    """One error for each: the number of samples, and the start."""
+    with pytest.raises(AssumptionError, match=r"at theta = \[64.2\] is not finite"):
+        assess([measured(1.0)], plant(1), ONE, np.array([64.2]))
+    with pytest.raises(AssumptionError, match="2 measured values for 3 unknowns; needed more"):
+        assess([measured(1.0, t=T[:2])], plant(1), ONE, np.array([-0.3]))
+
+
+@pytest.mark.parametrize("shown", ["absent", "other", "both"])
+def test_a_term_whose_alpha_is_zero_has_no_theta(shown):
+    """However large a residual it leaves: no residual makes it a number."""
+    alphas = {"absent": (0.0,), "other": (0.0, 1.0), "both": (0.0, 0.0)}[shown]
+    families = ONE * len(alphas)
+    found = assess([measured(*alphas)], plant(len(alphas)), families)
+    verdicts = [parameter.verdict for parameter in found.parameters]
+    for parameter, alpha in zip(found.parameters, alphas, strict=True):
+        if alpha == 0.0:
+            assert parameter.verdict is Verdict.NOT_IDENTIFIABLE
+            assert parameter.value is None
+            assert "is 0 at every sample" in parameter.reason
+    assert (verdicts[-1] is Verdict.IDENTIFIABLE) == (shown == "other")
+    own = judge(found, np.full(len(alphas), -5.9), None)
+    assert own[0].value is None
+
+
+def test_terms_that_do_not_reach_the_output_have_no_theta():
+    """Alpha is not zero, but the response is."""
+    blind = DisturbedPlant(
+        A=-np.eye(2),
+        B=np.zeros((2, 0)),
+        Bd=np.array([[1.0, 0.0], [0.0, 1.0]]),
+        C=np.array([[1.0, 0.0]]),
+        D=np.zeros((1, 0)),
+        Dd=np.zeros((1, 2)),
+    )
+    first, second = assess([measured(1.0, 1.0)], blind, ONE * 2).parameters
+    assert first.verdict is Verdict.IDENTIFIABLE
+    assert second.verdict is Verdict.NOT_IDENTIFIABLE
+    assert "does not reach y" in second.reason
+
+
+@pytest.mark.parametrize("alphas", [(1.0, 1.0), (1.0, -2.5)])
+def test_terms_of_which_one_explains_the_data_are_named(alphas):
+    """More data or less noise would not help: two equal terms share one amplitude anyhow."""
+    found = assess([measured(*alphas)], plant(2), ONE * 2)
+    assert found.parameters[0].verdict is Verdict.NOT_IDENTIFIABLE
+    for parameter, other in zip(found.parameters, (1, 0), strict=True):
+        if parameter.verdict is Verdict.IDENTIFIABLE:
+            assert parameter.lower <= TRUE <= parameter.upper
+            continue
+        assert f"without terms[{other}] " in parameter.reason
+        assert "less noise" not in parameter.reason
+
+
+@pytest.mark.parametrize("terms", [1, 2])
+def test_a_term_that_is_lost_in_noise_is_called_so(terms):
+    """The other cause of the same verdict."""
+    found = assess([measured(*[1.0] * terms, amplitude=0.0)], plant(terms), ONE * terms)
+    for parameter in found.parameters:
+        assert parameter.verdict is Verdict.NOT_IDENTIFIABLE
+        assert "less noise would show it" in parameter.reason
+
+
+def test_a_term_that_is_absent_beside_one_that_is_there_is_called_so():
+    """The alphas differ: the second explains nothing of the first."""
+    data = measured(1.0, 1.0)
+    alpha = np.stack([np.ones(len(T)), 1.0 + np.sin(3.0 * T)], axis=1)
+    first, second = assess([DataSet(T, data.y, data.u, alpha)], plant(2), ONE * 2).parameters
+    assert first.verdict is Verdict.IDENTIFIABLE
+    assert second.verdict is Verdict.NOT_IDENTIFIABLE
+    assert "less noise would show it" in second.reason
+
+
+def test_a_wrong_family_says_what_to_do():
+    """The iteration runs towards a sine of rate 0: the family has no exponential."""
+    (parameter,) = assess([measured(1.0)], plant(1), (Sine(),)).parameters
+    assert parameter.verdict in (Verdict.NO_ESTIMATE, Verdict.INCONSISTENT)
+    assert parameter.lower is None
+    if parameter.verdict is Verdict.NO_ESTIMATE:
+        assert "family" in parameter.reason
+
+
+@pytest.mark.parametrize(
+    ("bounds", "side", "bound"), [((-0.3, 0.0), "lower", "-0.3"), ((-9.0, -0.5), "upper", "-0.5")]
+)
+@pytest.mark.parametrize("sigma", [1e-3, 1.0])
+def test_an_estimate_at_a_bound_names_it(bounds, side, bound, sigma):
+    """Whether its residual is that of noise or not."""
+    data = measured(1.0, sigma=sigma, amplitude=2.0 if sigma < 0.1 else 40.0)
+    (parameter,) = assess([data], plant(1), ONE, bounds={0: bounds}).parameters
+    assert parameter.value == float(bound)
+    assert f"theta[0] stands at its {side} bound {bound}" in parameter.reason
+    assert "widen" in parameter.reason
+    assert "dynamics" not in parameter.reason
+    assert parameter.lower is None
+
+
+def test_what_is_inconsistent_has_no_interval():
+    """There is none that holds."""
+    data = measured(1.0)
+    wrong = DataSet(data.t, data.y + 0.1 * np.sin(data.t)[:, np.newaxis], data.u, data.alpha)
+    found = assess([wrong], plant(1), ONE)
+    (parameter,) = found.parameters
+    assert parameter.verdict is Verdict.INCONSISTENT
+    assert parameter.value is not None
+    assert (parameter.standard_error, parameter.lower, parameter.upper) == (None, None, None)
+    ((amplitude,),) = amplitude_verdicts(found, [wrong], ONE)
+    assert amplitude.value is not None
+    assert (amplitude.standard_error, amplitude.lower, amplitude.upper) == (None, None, None)
+    (biased,) = judge(assess([data], plant(1), ONE), np.array([-50.9]), np.array([1e-9]))
+    assert biased.verdict is Verdict.INCONSISTENT
+    assert biased.value == -50.9
+    assert (biased.standard_error, biased.lower, biased.upper) == (None, None, None)
+    assert "more than both intervals allow" in biased.reason
