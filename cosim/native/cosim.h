@@ -414,8 +414,10 @@ typedef struct {
     double variance;             /* of a row */
     double freedom;              /* rows less unknowns */
 } cosim_fit;
-/* Iterate from theta to the least squares. */
+/* Iterate from theta to the least squares. The last step moves the linear unknowns to first order. */
 int32_t cosim_output_error_fit(cosim_fit *self);
+/* Pass over all samples at the estimate: the linear unknowns, the variance and R are then those there. */
+void cosim_output_error_settle(cosim_fit *self);
 /* One step with the R that is there, for samples that were taken since. */
 int32_t cosim_output_error_update(cosim_fit *self);
 

@@ -462,6 +462,8 @@ def minimize(
         *map(pointer, outputs),
     )
     status = int(library.cosim_output_error_fit(byref(fit)))
+    if status != NO_INFORMATION:
+        library.cosim_output_error_settle(byref(fit))
     return GaussNewtonResult(
         status,
         estimate,
@@ -612,6 +614,7 @@ SIGNATURES: Final = {
         (POINTER(OutputErrorStruct), c_void_p, POINTER(RecordStruct), c_void_p, c_void_p),
     ),
     "cosim_output_error_fit": (c_int32, (POINTER(FitStruct),)),
+    "cosim_output_error_settle": (None, (POINTER(FitStruct),)),
     "cosim_output_error_update": (c_int32, (POINTER(FitStruct),)),
     "cosim_rayleigh_minimize": (
         c_int32,

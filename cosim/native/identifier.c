@@ -384,8 +384,8 @@ static int32_t fit_weighed(const cosim_identifier *s, const storage *m, estimati
 {
     int32_t status = cosim_output_error_fit(&e->fit);
     for (int32_t i = 0; s->weighs && i < weighings && status == COSIM_OK; ++i) {
-        weigh(s, m, e, m->amplitudes, e->fit.freedom / n_outputs(s));
         memcpy(m->theta, e->estimate, (size_t)s->rayleigh->parameters * sizeof *m->theta);
+        weigh(s, m, e, m->amplitudes, e->fit.freedom / n_outputs(s));
         status = cosim_output_error_fit(&e->fit);
     }
     return status;

@@ -311,7 +311,7 @@ static void make_rows(const cosim_output_error *s, layout l, const parts *p, con
         }
         make_row(s, l, p, from, plain);
         if (s->offset)
-            plain[l.linear - s->outputs + o] = 1.0;
+            plain[l.linear - s->outputs + o] += 1.0; /* C x has what the predictor knows of it */
         plain[M - 1] = residual[o];
     }
 }
@@ -670,28 +670,53 @@ static void solve_linear(layout l, const double *R, regression *r, double *ampli
         amplitudes[r->kept[j]] = solution[j];
 }
 
-int32_t cosim_output_error_reduce(const cosim_output_error *s, const double *R, double *amplitudes,
-                                  double *statistics, double *reduced)
+static void make_regression(const cosim_output_error *s, const double *R, double *amplitudes,
+                            regression *r)
 {
     const layout l = layout_of(s);
     const int32_t M = l.columns, P = l.parameters;
     double rows[COSIM_MOST_COLUMNS * COSIM_MOST_COLUMNS];
-    regression r;
-    solve_linear(l, R, &r, amplitudes);
-    r.width = r.n + P + 1;
+    solve_linear(l, R, r, amplitudes);
+    r->width = r->n + P + 1;
     for (int32_t i = 0; i < M; ++i) {
-        double *row = rows + i * r.width;
-        for (int32_t j = 0; j < r.n; ++j)
-            row[j] = R[i * M + r.kept[j]];
-        make_slopes(s, R + i * M + l.linear, amplitudes, row + r.n);
-        row[r.n + P] = R[i * M + M - 1];
+        double *row = rows + i * r->width;
+        for (int32_t j = 0; j < r->n; ++j)
+            row[j] = R[i * M + r->kept[j]];
+        make_slopes(s, R + i * M + l.linear, amplitudes, row + r->n);
+        row[r->n + P] = R[i * M + M - 1];
     }
-    triangularize(M, r.width, rows, r.T);
+    triangularize(M, r->width, rows, r->T);
+}
+
+int32_t cosim_output_error_reduce(const cosim_output_error *s, const double *R, double *amplitudes,
+                                  double *statistics, double *reduced)
+{
+    const int32_t P = layout_of(s).parameters;
+    regression r;
+    make_regression(s, R, amplitudes, &r);
     make_statistics(s, &r, amplitudes, statistics);
     for (int32_t i = 0; i <= P; ++i)
         for (int32_t j = 0; j <= P; ++j)
             reduced[i * (P + 1) + j] = r.T[(r.n + i) * r.width + r.n + j];
     return r.n;
+}
+
+/* The linear unknowns after a step of theta, to first order. */
+static void move_linear(const cosim_experiment *x, const double *step)
+{
+    const int32_t P = layout_of(x->model).parameters;
+    double right[COSIM_MOST_COLUMNS], solution[COSIM_MOST_COLUMNS];
+    regression r;
+    make_regression(x->model, x->work, x->amplitudes, &r);
+    for (int32_t i = 0; i < r.n; ++i) {
+        const double *row = r.T + i * r.width + r.n;
+        right[i] = row[P];
+        for (int32_t j = 0; j < P; ++j)
+            right[i] -= row[j] * step[j];
+    }
+    cosim_solve_upper(r.n, r.width, r.T, right, 1, solution);
+    for (int32_t j = 0; j < r.n; ++j)
+        x->amplitudes[r.kept[j]] = solution[j];
 }
 
 /* --- Gauss-Newton --- */
@@ -907,8 +932,6 @@ static int solve(const cosim_fit *fit, gauss_newton *g, double *freedom)
     return rows - unknowns - P > 0.0;
 }
 
-/* Take over the step. The linear unknowns stay those before it, which differ by less than their
- * errors where the step is small. */
 static void finish(cosim_fit *fit, const gauss_newton *g, double freedom)
 {
     const int32_t P = fit->parameters;
@@ -922,6 +945,31 @@ static void finish(cosim_fit *fit, const gauss_newton *g, double freedom)
         fit->covariance[j] = variance * g->variances[j];
 }
 
+/* The linear unknowns go with theta to the estimate. */
+static void move_all_linear(const cosim_fit *fit, const gauss_newton *g)
+{
+    for (int32_t e = 0; e < fit->experiments; ++e)
+        move_linear(&fit->experiment[e], g->step);
+}
+
+void cosim_output_error_settle(cosim_fit *fit)
+{
+    double squares = 0.0;
+    pass(fit, fit->estimate);
+    for (int32_t e = 0; e < fit->experiments; ++e) {
+        const cosim_experiment *x = &fit->experiment[e];
+        const layout l = layout_of(x->model);
+        regression r;
+        solve_linear(l, x->work, &r, x->amplitudes);
+        const double last = r.T[(r.n + 1) * (r.n + 1) - 1];
+        squares += last * last;
+    }
+    const double before = fit->variance;
+    fit->variance = variance_of(fit, squares, fit->freedom, 0);
+    for (int32_t j = 0; before > 0.0 && j < fit->parameters * fit->parameters; ++j)
+        fit->covariance[j] *= fit->variance / before;
+}
+
 int32_t cosim_output_error_update(cosim_fit *fit)
 {
     gauss_newton g;
@@ -929,6 +977,7 @@ int32_t cosim_output_error_update(cosim_fit *fit)
     if (!solve(fit, &g, &freedom))
         return COSIM_NO_VALUE;
     finish(fit, &g, freedom);
+    move_all_linear(fit, &g);
     return relative_step(fit, &g, fit->variance) <= fit->tolerance ? COSIM_OK : COSIM_NOT_CONVERGED;
 }
 
@@ -954,8 +1003,10 @@ int32_t cosim_output_error_fit(cosim_fit *fit)
             memcpy(accepted, fit->theta, (size_t)P * sizeof *accepted);
             halvings = 0;
             finish(fit, &g, freedom);
-            if (relative_step(fit, &g, fit->variance) <= 1.0)
+            if (relative_step(fit, &g, fit->variance) <= 1.0) {
+                move_all_linear(fit, &g);
                 return COSIM_OK;
+            }
             limit_step(fit, &g);
         } else if (++halvings > HALVINGS) {
             break;
@@ -966,5 +1017,6 @@ int32_t cosim_output_error_fit(cosim_fit *fit)
         for (int32_t j = 0; j < P; ++j)
             fit->theta[j] = accepted[j] + g.step[j];
     }
+    memcpy(fit->estimate, accepted, (size_t)P * sizeof *accepted);
     return COSIM_NOT_CONVERGED;
 }
