@@ -77,13 +77,7 @@ class IdentifiedPlant:
             What counts in the place of y.
         """
         if samples is not None:
-            points = t
-            t, y = samples.flat(y.shape[1])
-            if np.isin(t, points).all():
-                y = _at_points(points, t, y)
-                t = points
-            else:
-                u = _inputs_at(t, points, u, held)
+            t, y, u = samples.beside(t, u, held, y.shape[1])
         return DataSet(t, y, u, evaluate_at(self.alphas, t), held)
 
 
@@ -101,21 +95,25 @@ class SampleRows:
     times: Matrix
     values: Matrix
 
+    def beside(
+        self, points: Vector, u: Matrix, held: Mask, outputs: int
+    ) -> tuple[Vector, Matrix, Matrix]:
+        """Return t, y and u at the samples and at the communication points.
+
+        Inputs and alphas go on from point to point, whatever is measured; at a point without a
+        sample y is NaN.
+        """
+        times, values = self.flat(outputs)
+        t = np.union1d(times, points)
+        y = np.full((len(t), outputs), np.nan)
+        y[np.searchsorted(t, times)] = values
+        return t, y, _inputs_at(t, points, u, held)
+
     def flat(self, outputs: int) -> tuple[Vector, Matrix]:
         """Return the times and values of the samples, shapes (N,) and (N, n_y)."""
         is_there = np.isfinite(self.times)
         by_output = self.values.reshape(len(self.times), outputs, -1)
         return self.times[is_there], by_output.transpose(0, 2, 1)[is_there]
-
-
-def _at_points(points: Vector, t: Vector, y: Matrix) -> Matrix:
-    """Return samples at the communication points, shape (N, n_y); NaN where there is none.
-
-    So the inputs count as they are known, also between the samples.
-    """
-    at_points = np.full((len(points), y.shape[1]), np.nan)
-    at_points[np.searchsorted(points, t)] = y
-    return at_points
 
 
 def _inputs_at(t: Vector, points: Vector, u: Matrix, held: Mask) -> Matrix:

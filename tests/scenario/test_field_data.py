@@ -135,6 +135,25 @@ def test_estimates_reach_the_bound_over_200_seeds(tmp_path):
     assert (ratio >= 0.85).all(), ratio
 
 
+def test_the_verdict_knows_the_inputs_between_the_samples(experiment, tmp_path):
+    """Of one sample in 20 the verdict has the estimate of the run, and the truth in its interval.
+
+    Straight lines from sample to sample, of u and alpha, would move theta by far more.
+    """
+    path = tmp_path / "field.csv"
+    sparse = np.append(np.arange(0, len(experiment.t) - 1, 20), len(experiment.t) - 1)
+    rows = zip(experiment.t[sparse].tolist(), experiment.y[sparse].tolist(), strict=True)
+    path.write_text("\n".join(["t,y", *(f"{t!r},{y!r}" for t, y in rows)]) + "\n", encoding="utf-8")
+    log = experiment.run(path, {"plant.maximum_gap": 1.0})
+    parameters = log.results[IDENTIFICATION]["identifier"]["parameters"]
+    for parameter, true in zip(parameters, THETA, strict=True):
+        assert parameter["verdict"] == "IDENTIFIABLE"
+        assert parameter["lower"] <= true <= parameter["upper"]
+        assert parameter["upper"] - parameter["lower"] < 1e-4
+    values = [parameter["value"] for parameter in parameters]
+    np.testing.assert_allclose(values, log["identifier.theta"][-1], atol=1e-6)
+
+
 def test_the_same_file_gives_the_same_estimate_without_a_scenario(experiment, tmp_path):
     """A fit of all samples at their times, from the functions of theory alone."""
     path = experiment.written(tmp_path, experiment.measured(1))
