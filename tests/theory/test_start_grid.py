@@ -1,5 +1,6 @@
 """Starts of theta from y alone: every point of the grid is a least squares of its own."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -12,7 +13,12 @@ from cosim.native.estimation import ResponseRecord
 from cosim.native.start_grid import StartGridModel
 from cosim.theory.disturbance import Exponential, Sine, generators
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, sample_plant, white_noise
-from cosim.theory.estimators.start_grid import search_start, search_starts, start_grid
+from cosim.theory.estimators.start_grid import (
+    box_of_search,
+    search_start,
+    search_starts,
+    start_grid,
+)
 
 T = np.arange(401) * 0.02
 LOWER = np.array([-3.0, 0.2])
@@ -170,3 +176,50 @@ def test_rows_that_say_the_same_leave_numbers():
             StartGridModel(grid).model, record.residual[:count], record.alpha[:count]
         )
         assert np.isfinite(short.make(np.zeros(0))).all()
+
+
+def lag(rate, *, sigma=0.0, seed=0):
+    """Return 20 s of x' = -x + sin(rate t), closed form, every 10 ms."""
+    t = np.arange(2001) * 1e-2
+    scale = 1.0 / (1.0 + rate**2)
+    y = scale * (np.sin(rate * t) - rate * np.cos(rate * t) + rate * np.exp(-t))
+    y += sigma * np.random.default_rng(seed).standard_normal(len(t))
+    ones = np.ones((len(t), 1))
+    return DataSet(t, y[:, np.newaxis], np.zeros((len(t), 0)), ones)
+
+
+FIRST_ORDER = DisturbedPlant(
+    A=np.array([[-1.0]]),
+    B=np.zeros((1, 0)),
+    Bd=np.ones((1, 1)),
+    C=np.ones((1, 1)),
+    D=np.zeros((1, 0)),
+    Dd=np.zeros((1, 1)),
+)
+
+
+@pytest.mark.parametrize("rate", [0.3, 2.0, 4.0, 8.0, 20.0, 30.0])
+def test_a_sine_is_found_up_to_a_hundred_periods(rate):
+    """Of 20 s: its periodogram has lobes as narrow as 1/20 Hz, and the grid has a point in each."""
+    start = search_start([lag(rate, sigma=1e-3)], FIRST_ORDER, [Sine()])
+    assert abs(start[0] - rate) < 1e-2
+
+
+@pytest.mark.parametrize("bounds", [(95.0, 105.0), (60.0, np.inf), (0.0, np.inf)])
+def test_a_rate_beyond_the_box_is_found_within_bounds(bounds):
+    """Wherever they lie; without a lower one that is near the box ends before, and says where."""
+    data = lag(100.0)
+    box = box_of_search([Sine()], span=20.0, bounds={0: bounds})
+    assert bounds[0] <= box.lower[0] < box.upper[0] <= bounds[1]
+    start = search_start([data], FIRST_ORDER, [Sine()], bounds={0: bounds})
+    assert (abs(start[0] - 100.0) < 0.1) == (box.lower[0] <= 100.0 <= box.upper[0])
+
+
+def test_two_sines_are_found_up_to_twenty_five_periods():
+    """Each on its own axis of the grid, under one alpha."""
+    one = lag(3.0)
+    y = one.y + 0.5 * lag(7.5).y
+    data = DataSet(one.t, y, one.u, np.ones((len(one.t), 2)))
+    plant = replace(FIRST_ORDER, Bd=np.ones((1, 2)), Dd=np.zeros((1, 2)))
+    start = search_start([data], plant, [Sine(), Sine()])
+    np.testing.assert_allclose(np.sort(start), [3.0, 7.5], atol=1e-2)

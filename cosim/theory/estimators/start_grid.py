@@ -23,7 +23,7 @@ import numpy as np
 from cosim.arrays import Matrix, Vector
 from cosim.native.estimation import Generators, OutputErrorConstants, ResponseRecord
 from cosim.native.start_grid import StartGridConstants, StartGridModel
-from cosim.theory.disturbance import Family, generators, search_box
+from cosim.theory.disturbance import Family, SearchBox, generators, search_box
 from cosim.theory.disturbed_plant import (
     DataSet,
     DisturbedPlant,
@@ -41,8 +41,10 @@ from cosim.theory.estimators.output_error import (
 STARTS: Final = 4  # points of the grid that are fitted from
 MOST_POINTS: Final = 4096
 MOST_POINTS_ON_AN_AXIS: Final = 24
-ROWS: Final = 800  # of the regression: means of successive samples
-SHORTEST: Final = 20.0  # time scales of a record that a start tells apart
+MOST_POINTS_OF_RECORDS: Final = 256  # on an axis, where one search is all that is made
+ROWS: Final = 1024  # of the regression: means of successive samples
+# of the grid, for each time scale that a record has room for: half periods of a sine
+POINTS_A_SCALE: Final = 1.2
 
 
 def grid_points(parameters: int) -> int:
@@ -122,7 +124,8 @@ def search_starts(
     """
     sums = np.zeros(1)
     for record in records:
-        average = max(1, len(record.residual) // ROWS)
+        samples = int((~np.isnan(record.residual).any(axis=1)).sum())
+        average = max(1, samples // ROWS)
         constants = start_grid(record.model.constants, lower, upper, points=points, average=average)
         grid = StartGridModel(constants)
         beside = ResponseRecord(grid.model, record.residual, record.alpha, record.interval)
@@ -165,14 +168,11 @@ def search_start(
         sampled = sample_plant(plant, matrices, one, noise=noise, offset=offset)
         records.append(sampled.record(one))
     span = max(float(one.t[-1] - one.t[0]) for one in data)
-    box = search_box(families, span=span, shortest=span / SHORTEST)
-    given_lower, given_upper = bound_vectors(bounds, matrices.parameters)
-    lower = np.clip(box.lower, given_lower, given_upper)
-    upper = np.clip(box.upper, given_lower, given_upper)
-    points = grid_points(matrices.parameters)
-    starts = search_starts(records, lower, upper, points=points, most=STARTS)
+    box = box_of_search(families, span=span, bounds=bounds)
+    points = _points_of_records(matrices.parameters)
+    starts = search_starts(records, box.lower, box.upper, points=points, most=STARTS)
     if not len(starts):
-        return lower  # no response is finite, which a fit will say
+        return box.lower  # no response is finite, which a fit will say
 
     def fitted(start: Vector) -> OutputErrorFit:
         return fit_output_error(
@@ -182,6 +182,46 @@ def search_start(
     fits = [fitted(start) for start in starts]
     converged = [fit for fit in fits if fit.converged]
     return min(converged or fits, key=lambda fit: fit.deviation).theta
+
+
+def box_of_search(
+    families: Sequence[Family],
+    *,
+    span: float,
+    bounds: Mapping[int, tuple[float, float]] = NO_BOUNDS,
+) -> SearchBox:
+    """Return where :func:`search_start` looks: as far as the points of its grid are dense enough.
+
+    Bounds that are narrower are searched instead, wherever they lie.
+
+    Parameters
+    ----------
+    families : sequence of Family
+    span : float
+        Length of the record [s].
+    bounds : mapping of index to (lower, upper)
+        Of entries of theta.
+
+    Raises
+    ------
+    AssumptionError
+        If there is no such parameter, or an upper bound is below the lower one.
+    """
+    parameters = sum(len(family.parameters) for family in families)
+    time_scales = _points_of_records(parameters) / POINTS_A_SCALE
+    box = search_box(families, span=span, shortest=span / time_scales)
+    lower, upper = bound_vectors(bounds, parameters)
+    width = box.upper - box.lower
+    # Bounds apart from the box are entered as far as the box is wide.
+    first = np.clip(box.lower, lower, np.maximum(lower, upper - width))
+    last = np.clip(box.upper, np.minimum(upper, lower + width), upper)
+    return SearchBox(first, last)
+
+
+def _points_of_records(parameters: int) -> int:
+    """Return how many points the grid for recorded data has in every direction."""
+    points = int(MOST_POINTS ** (1.0 / max(parameters, 1)))
+    return min(points, MOST_POINTS_OF_RECORDS)
 
 
 class _Matrices:
