@@ -82,8 +82,10 @@ int32_t cosim_between_take(const cosim_between *s, int64_t place, double t0, dou
                 y[o] = samples[o * s->most + i];
             continue;
         }
-        if (!(t0 < t && t < t1) || record->count == s->capacity)
+        if (!(t0 < t && t < t1))
             return COSIM_OUTSIDE;
+        if (record->count == s->capacity)
+            return COSIM_FULL;
         record->place[record->count] = (double)place;
         append(s, record, t - t0, (t - t0) / (t1 - t0), x, u0, u1, samples + i, s->most);
         record->count += 1;

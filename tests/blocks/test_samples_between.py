@@ -12,8 +12,13 @@ from scipy.linalg import expm
 import cosim
 from cosim.blocks.estimator import Estimator
 from cosim.blocks.output_error_identifier import OutputErrorIdentifier
-from cosim.core.contracts import Stopped
-from cosim.errors import AssumptionError
+from cosim.core.contracts import Stopped, prepare
+from cosim.errors import AssumptionError, RunError
+from cosim.fmi.component import load
+from cosim.fmi.exporting.export import export
+from cosim.fmi.exporting.identifier import output_error
+from cosim.fmi.exporting.kernels import DiscreteModel
+from cosim.fmi.options import FmuOptions
 from cosim.scenario.build import Builder
 from cosim.theory.descriptor import reduce
 from cosim.theory.disturbance import Exponential
@@ -194,3 +199,29 @@ def held_response(reduced, h):
     generator[:2, 2] = reduced.B_1a[:, 0]
     exponential = expm(generator * h)
     return exponential[:2, :2], exponential[:2, 2]
+
+
+def test_an_exported_identifier_takes_the_samples_too(run, tmp_path):
+    """Bit for bit as the component, and it names what stops it as the component does."""
+    scenario, log = run
+    times = 0.8 * H * np.arange(1, 2400)
+    t, u = rows(log, times, outputs_at(times))
+    component = identifier(scenario)
+    expected = estimate(component, t, u)
+    held = np.zeros(component.interface.n_u, np.bool_)
+    design = component.method.design(H, held)
+    kernel = output_error(component.method.constants(H, held, design))
+    model = DiscreteModel(component.interface, kernel, round(H * 1e9), "it is discrete")
+    path = tmp_path / "identifier.fmu"
+    export(model, path, name="identifier", fmi="3")
+
+    def advance(u):
+        with load(path, FmuOptions(interface_type="cs")) as fmu:
+            prepare(fmu.component, H, held, {})
+            return estimate(fmu.component, t, u)
+
+    assert np.isfinite(expected[-1]).all()
+    np.testing.assert_array_equal(advance(u), expected)
+    u[7, 8 + MOST] = t[7] + 0.5 * H
+    with pytest.raises(RunError, match="instant that is not since the communication point before"):
+        advance(u)

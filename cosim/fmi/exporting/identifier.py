@@ -99,7 +99,7 @@ def output_error(constants: IdentifierConstants) -> Kernel:
     pointers += [constants.lower, constants.upper, constants.scale, constants.threshold]
     pointers.append(constants.known_deviations)
     pointers.append(_grid(writer, constants))
-    pointers += [NOTHING, NOTHING]  # samples between communication points; memory
+    pointers += [_between(writer, constants), NOTHING]  # the memory is the instance's
     writer.struct("cosim_identifier", "kernel_constants", step.step.state, pointers)
     writer.lines[-1] = writer.lines[-1].removeprefix("static ")
     equations = (
@@ -129,6 +129,13 @@ def _grid(writer: _Writer, constants: IdentifierConstants) -> str:
     grid = StartGridModel(constants.grid)
     model = _model(writer, "on_grid", grid.model)
     return writer.struct("cosim_start_grid", "grid", grid.struct, [model, *grid.arrays])
+
+
+def _between(writer: _Writer, constants: IdentifierConstants) -> str:
+    if constants.between is None:
+        return NOTHING
+    struct, arrays = constants.between.struct(constants.capacity)
+    return writer.struct("cosim_between", "between", struct, arrays)
 
 
 def _regressor(writer: _Writer, constants: RegressorConstants) -> str:
