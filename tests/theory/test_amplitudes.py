@@ -104,7 +104,9 @@ def test_intervals_contain_the_truth_in_95_percent():
     for seed in range(100):
         ((found,), _) = constants([data(t, y + noise(3e-2, seed, len(t)))])
         for k, (name, true) in enumerate((("amplitude[0]", 2.0), ("phase[0]", 0.5))):
-            inside[k] += found[name].lower <= true <= found[name].upper
+            one = found[name]
+            if one.lower is not None:  # a false alarm has no interval
+                inside[k] += one.lower <= true <= one.upper
     assert (inside >= 88).all()
     assert (inside < 100).all()
 

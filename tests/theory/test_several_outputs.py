@@ -75,11 +75,11 @@ def campaign(covariance, seeds: range):
     verdicts = []
     for seed in seeds:
         noise = np.random.default_rng(seed).standard_normal(y.shape) @ factor.T
-        found = assess([record(y + noise)], plant, FAMILIES, START).parameters
-        truths = list(zip(found, THETA, strict=True))
-        errors.append([one.value - true for one, true in truths])
-        misses.append([not one.lower <= true <= one.upper for one, true in truths])
-        verdicts.append([one.verdict for one in found])
+        found = assess([record(y + noise)], plant, FAMILIES, START)
+        error = found.fit.theta - THETA
+        errors.append(error)
+        misses.append(np.abs(error) > found.half_width)
+        verdicts.append([one.verdict for one in found.parameters])
     return np.array(errors), np.array(misses), verdicts
 
 

@@ -38,9 +38,9 @@ def verdicts(data, **options):
 
 
 def misses(assessment) -> list[bool]:
-    """Return which intervals do not contain the truth."""
-    pairs = zip(assessment.parameters, THETA, strict=True)
-    return [not p.lower <= true <= p.upper for p, true in pairs]
+    """Return which intervals do not contain the truth, those of false alarms too."""
+    missed = np.abs(assessment.fit.theta - THETA) > assessment.half_width
+    return list(missed)
 
 
 def solved(t):
