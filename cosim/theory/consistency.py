@@ -269,7 +269,9 @@ class _WhitenedProblem:
         y = data.y[measured]
         spread = np.sqrt(np.mean((y - y.mean(axis=0)) ** 2, axis=0))
         step_error = np.sqrt(np.mean(accuracy.step**2, axis=0))
-        self.step_error = step_error / np.maximum(spread, accuracy.rounding)
+        scale = np.maximum(spread, accuracy.rounding)
+        scale[scale == 0.0] = np.inf  # of an output that is 0 at every sample
+        self.step_error = step_error / scale
 
         def whitened(rows: NDArray[np.float64], measured: Mask) -> Matrix:
             return noise.whitened(rows[measured]).reshape(-1, rows.shape[2])

@@ -43,6 +43,7 @@ from cosim.theory.estimators.start_grid import search_start
 from cosim.theory.missing_terms import Terms, hidden_terms, silent_terms
 from cosim.theory.noise_covariance import fit_with_noise, size_covariance
 from cosim.theory.quantiles import CONFIDENCE, normal_two_sided, student_two_sided
+from cosim.theory.standing_outputs import StandingOutput, standing_outputs
 
 # Of a component that is 100 of its deviations from absent: its effect is linear over an interval to
 # 2 % of it.
@@ -238,7 +239,8 @@ class _Assessing:
                 if colored[2].passed:
                     fit, noise, consistency = colored
         missing = self._missing(fit, noise, consistency)
-        judge = _Judge(fit, consistency, noise, self._families, self._bounds, missing)
+        standing = standing_outputs(self._data)
+        judge = _Judge(fit, consistency, noise, self._families, self._bounds, missing, standing)
         return judge.assessment()
 
     def _missing(
@@ -419,6 +421,7 @@ class _Judge:
         families: Sequence[Family],
         bounds: Mapping[int, tuple[float, float]],
         missing: Mapping[int, str],
+        standing: Sequence[StandingOutput],
     ) -> None:
         self._fit = fit
         self._consistency = consistency
@@ -428,6 +431,7 @@ class _Judge:
         self._present = is_present(fit, consistency, families)
         self._bounds = bounds
         self._missing = missing
+        self._standing = standing
 
     def assessment(self) -> Assessment:
         """Return the fit with its intervals and verdicts."""
@@ -558,12 +562,20 @@ class _Judge:
         return f"the direction {' '.join(terms)} is missing"
 
     def _inconsistency(self) -> str:
+        constant = [str(output) for output in self._standing if output.whole]
+        if constant:
+            return "; ".join(constant)
+        found = [str(output) for output in self._standing]
+        return "; ".join([*found, self._contradiction()])
+
+    def _contradiction(self) -> str:
+        """Return what of the fit is not as the model has it."""
         consistency = self._consistency
         if consistency.step_too_long:
             worst = int(consistency.step_error.argmax())
             relative = float(consistency.step_error[worst])
             return (
-                f"the step is too long for the signals: straight lines between samples cost "
+                f"the samples are too far apart for the signals: straight lines between them cost "
                 f"{100.0 * relative:.2g} % of the deviation of y[{worst}], of which "
                 f"{100.0 * LARGEST_STEP_ERROR:g} % can be allowed for; samples at "
                 f"{enough_shorter(relative):.1g} of their distances would do"

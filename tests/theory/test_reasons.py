@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -89,7 +91,7 @@ def test_terms_that_do_not_reach_the_output_have_no_theta():
 def test_terms_of_which_one_explains_the_data_are_named(alphas):
     """More data or less noise would not help: two equal terms share one amplitude anyhow."""
     found = assess([measured(*alphas)], plant(2), ONE * 2)
-    assert found.parameters[0].verdict is Verdict.NOT_IDENTIFIABLE
+    assert Verdict.NOT_IDENTIFIABLE in [parameter.verdict for parameter in found.parameters]
     for parameter, other in zip(found.parameters, (1, 0), strict=True):
         if parameter.verdict is Verdict.IDENTIFIABLE:
             assert parameter.lower <= TRUE <= parameter.upper
@@ -158,3 +160,37 @@ def test_what_is_inconsistent_has_no_interval():
     assert biased.value == -50.9
     assert (biased.standard_error, biased.lower, biased.upper) == (None, None, None)
     assert "more than both intervals allow" in biased.reason
+
+
+@pytest.mark.parametrize("value", [0.0, 3.0, -1.0])
+def test_an_output_that_does_not_change_is_named(value):
+    """No distance of the samples would help: u moves the plant, and y does not show it."""
+    forced = replace(plant(1), B=np.ones((1, 1)), D=np.zeros((1, 1)))
+    u = np.where(T >= 2.0, 1.0, 0.0)[:, np.newaxis]
+    data = DataSet(T, np.full((len(T), 1), value), u, np.ones((len(T), 1)))
+    (parameter,) = assess([data], forced, ONE).parameters
+    assert parameter.lower is None
+    assert f"y[0] is {value:g} at every sample" in parameter.reason
+    assert "far apart" not in parameter.reason
+
+
+def test_an_output_that_stands_at_a_limit_is_named():
+    """A sensor at the lower limit of its range from ln(...) on."""
+    data = measured(1.0)
+    cut = DataSet(T, np.maximum(data.y, 1.0), data.u, data.alpha)
+    (parameter,) = assess([cut], plant(1), ONE).parameters
+    since = T[np.flatnonzero(data.y[:, 0] > 1.0)[-1] + 1]
+    assert parameter.verdict is Verdict.INCONSISTENT
+    assert f"y[0] stands at 1 from {since:g} s to 10 s" in parameter.reason
+
+
+def test_samples_too_far_apart_are_called_so():
+    """Their distance counts, which of recorded data is no step of a simulation."""
+    t = T[::50]
+    y = np.exp(-t) + np.sin(2.0 * t)
+    u = 3.0 * np.sin(3.0 * t)[:, np.newaxis]
+    forced = replace(plant(1), B=np.ones((1, 1)), D=np.zeros((1, 1)))
+    data = DataSet(t, y[:, np.newaxis], u, np.ones((len(t), 1)))
+    (parameter,) = assess([data], forced, ONE).parameters
+    assert "the samples are too far apart" in parameter.reason
+    assert "stands" not in parameter.reason

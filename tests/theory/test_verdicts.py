@@ -149,7 +149,7 @@ def test_a_long_step_is_inconsistent():
     data = DataSet(t, y, np.sin(t)[:, np.newaxis], alpha(t))
     assessment, found = verdicts(data)
     assert found == [Verdict.INCONSISTENT, Verdict.INCONSISTENT]
-    assert "the step is too long" in assessment.parameters[0].reason
+    assert "the samples are too far apart" in assessment.parameters[0].reason
 
 
 def test_colored_noise_is_whitened():
