@@ -15,8 +15,9 @@ import numpy as np
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.contracts import Design
 from cosim.core.signals import Signal
-from cosim.native.estimation import KnownInput, OutputErrorConstants, RayleighConstants
 from cosim.native.expression import Program
+from cosim.native.output_error import KnownInput, OutputErrorConstants
+from cosim.native.rayleigh import RayleighConstants
 from cosim.native.step import RegressorConstants
 from cosim.theory.disturbance import SearchBox
 from cosim.theory.disturbed_plant import DisturbedPlant, NoiseModel, discretize, white_noise

@@ -18,8 +18,9 @@ from cosim.blocks.identification_problem import (
 from cosim.core.contracts import Design
 from cosim.core.signals import Interface, Signal
 from cosim.errors import AssumptionError
-from cosim.native.estimation import OutputErrorConstants
-from cosim.native.identifier import BetweenConstants, IdentifierConstants, IdentifierStep
+from cosim.native.between import BetweenConstants
+from cosim.native.identifier import IdentifierConstants, IdentifierStep
+from cosim.native.output_error import OutputErrorConstants
 from cosim.native.start_grid import StartGridConstants
 from cosim.theory.disturbed_plant import needs_predictor
 from cosim.theory.estimators.start_grid import start_grid

@@ -15,8 +15,8 @@ from cosim.blocks.identification_problem import (
 )
 from cosim.core.contracts import Design
 from cosim.core.signals import Interface, Signal
-from cosim.native.estimation import OutputErrorConstants
 from cosim.native.identifier import IdentifierConstants, IdentifierStep
+from cosim.native.output_error import OutputErrorConstants
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from cosim.arrays import NAN, Vector
-from cosim.native.library import address, library, pointer
+from cosim.native.library import address, declare, library, pointer
 from cosim.native.step import NativeStep, RecoveryConstants, recovery_array
 
 AdaptiveLaw: TypeAlias = Literal["gradient", "drem"]
@@ -96,7 +96,4 @@ class AdaptiveStep:
         self.step.restore(state)
 
 
-for _name in ("cosim_gradient_memory", "cosim_drem_memory"):
-    _function = getattr(library, _name)
-    _function.restype = c_int64
-    _function.argtypes = (c_void_p,)
+declare({f"cosim_{law}_memory": (c_int64, (c_void_p,)) for law in ("gradient", "drem")})

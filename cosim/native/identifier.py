@@ -10,20 +10,19 @@ from typing import Any
 from weakref import WeakSet
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cosim.arrays import Mask, Matrix, Vector
+from cosim.arrays import Vector
 from cosim.errors import UsageError
-from cosim.native.estimation import (
+from cosim.native.between import BetweenConstants
+from cosim.native.expression import Program
+from cosim.native.library import address, declare, library, pointer
+from cosim.native.output_error import (
     KnownInput,
     OutputErrorConstants,
     OutputErrorModel,
-    RayleighConstants,
-    RayleighModel,
     known_input_struct,
 )
-from cosim.native.expression import Program
-from cosim.native.library import address, library, pointer
+from cosim.native.rayleigh import RayleighConstants, RayleighModel
 from cosim.native.start_grid import StartGridConstants, StartGridModel
 from cosim.native.step import NativeStep, RegressorConstants, program_array, regressor_struct
 
@@ -39,53 +38,6 @@ class IdentifierStruct(ctypes.Structure):
         *((name, c_void_p) for name in ("known", "lower", "upper", "scale", "threshold")),
         *((name, c_void_p) for name in ("deviations", "grid", "between", "memory")),
     )
-
-
-class BetweenStruct(ctypes.Structure):
-    """cosim_between."""
-
-    _fields_ = (
-        *((name, c_int32) for name in ("most", "states", "outputs", "inputs", "components")),
-        ("capacity", c_int64),
-        *((name, c_void_p) for name in ("A", "B", "C", "D", "held")),
-    )
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class BetweenConstants:
-    """The numbers of cosim_between.
-
-    Parameters
-    ----------
-    most : int
-        Samples in one communication step.
-    A : Matrix, shape (n, n)
-    B : Matrix, shape (n, n_u + components)
-    C : Matrix, shape (n_y, n)
-    D : Matrix, shape (n_y, n_u + components)
-    held : Mask, shape (n_u,)
-        Inputs with a zero-order hold over the step.
-    """
-
-    most: int
-    A: Matrix
-    B: Matrix
-    C: Matrix
-    D: Matrix
-    held: Mask
-
-    def struct(self, steps: int) -> tuple[BetweenStruct, list[NDArray[Any]]]:
-        """Return the struct for a number of steps, and the arrays that must outlive it."""
-        n_y, n = self.C.shape
-        n_u = len(self.held)
-        components = self.B.shape[1] - n_u
-        arrays: list[NDArray[Any]] = []
-        for values in (self.A, self.B, self.C, self.D):
-            arrays.append(np.ascontiguousarray(values, np.float64))
-        free = np.zeros(components, np.bool_)
-        arrays.append(np.concatenate([self.held, free]).astype(np.uint8))
-        sizes = (self.most, n, n_y, n_u, components, steps * self.most)
-        return BetweenStruct(*sizes, *map(pointer, arrays)), arrays
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -292,11 +244,10 @@ def _address_of(struct: ctypes.Structure | ctypes.Array[Any] | None) -> int:
     return 0 if struct is None else ctypes.addressof(struct)
 
 
-for _name, (_result, _arguments) in {
-    "cosim_identifier_memory": (c_int64, (c_void_p,)),
-    "cosim_identifier_state": (c_int64, (c_void_p,)),
-    "cosim_identifier_start": (None, (c_void_p, c_void_p)),
-}.items():
-    _function = getattr(library, _name)
-    _function.restype = _result
-    _function.argtypes = _arguments
+declare(
+    {
+        "cosim_identifier_memory": (c_int64, (c_void_p,)),
+        "cosim_identifier_state": (c_int64, (c_void_p,)),
+        "cosim_identifier_start": (None, (c_void_p, c_void_p)),
+    }
+)

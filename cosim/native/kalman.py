@@ -11,15 +11,15 @@ import numpy as np
 
 from cosim.arrays import Matrix, Vector
 from cosim.errors import UsageError
-from cosim.native.estimation import (
+from cosim.native.expression import Program
+from cosim.native.identifier import IdentifierConstants, IdentifierStep
+from cosim.native.library import address, declare, library, pointer
+from cosim.native.output_error import (
     KnownInput,
     OutputErrorConstants,
     OutputErrorModel,
     known_input_struct,
 )
-from cosim.native.expression import Program
-from cosim.native.identifier import IdentifierConstants, IdentifierStep
-from cosim.native.library import address, library, pointer
 from cosim.native.step import LARGEST_MEMORY, NativeStep, program_array
 
 
@@ -233,13 +233,12 @@ class AugmentedKalmanStep:
         self.step.restore(state)
 
 
-for _name, (_result, _arguments) in {
-    "cosim_extended_kalman_memory": (c_int64, (c_void_p,)),
-    "cosim_extended_kalman_start": (None, (c_void_p, c_void_p)),
-    "cosim_augmented_kalman_memory": (c_int64, (c_void_p,)),
-    "cosim_augmented_kalman_start": (None, (c_void_p, c_void_p)),
-    "cosim_augmented_kalman_smooth": (None, (c_void_p, c_void_p)),
-}.items():
-    _function = getattr(library, _name)
-    _function.restype = _result
-    _function.argtypes = _arguments
+declare(
+    {
+        "cosim_extended_kalman_memory": (c_int64, (c_void_p,)),
+        "cosim_extended_kalman_start": (None, (c_void_p, c_void_p)),
+        "cosim_augmented_kalman_memory": (c_int64, (c_void_p,)),
+        "cosim_augmented_kalman_start": (None, (c_void_p, c_void_p)),
+        "cosim_augmented_kalman_smooth": (None, (c_void_p, c_void_p)),
+    }
+)

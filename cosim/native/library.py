@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Mapping
 from ctypes import (
     POINTER,
     c_char,
@@ -14,7 +15,7 @@ from ctypes import (
     c_uint8,
     c_void_p,
 )
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -179,8 +180,10 @@ class InterpolationStruct(ctypes.Structure):
 _POINTER = c_void_p  # to doubles, or to the state of a step
 _INT = c_int32
 
-# name: (result, arguments), as in cosim.h, fmi.h and process.h
-_SIGNATURES: dict[str, tuple[Any, tuple[Any, ...]]] = {
+Signature: TypeAlias = tuple[Any, tuple[Any, ...]]  # result, arguments
+
+# as in cosim.h, fmi.h and process.h
+_SIGNATURES: dict[str, Signature] = {
     "cosim_cascade": (
         c_int64,
         (
@@ -247,14 +250,21 @@ def _load() -> Any:
         raise UsageError(
             f"the compiled kernels {path} cannot be loaded ({error}); run 'pip install -e .' again"
         ) from error
-    for name, (result, arguments) in _SIGNATURES.items():
-        function = getattr(library, name)
-        function.restype = result
-        function.argtypes = arguments
     return library
 
 
 library = _load()
+
+
+def declare(signatures: Mapping[str, Signature]) -> None:
+    """Declare functions of the library, as in its headers."""
+    for name, (result, arguments) in signatures.items():
+        function = getattr(library, name)
+        function.restype = result
+        function.argtypes = arguments
+
+
+declare(_SIGNATURES)
 
 
 def address(function: str) -> int:

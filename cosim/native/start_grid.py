@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
 from cosim.errors import UsageError
-from cosim.native.estimation import OutputErrorConstants, OutputErrorModel
-from cosim.native.library import int32, library, pointer
+from cosim.native.library import declare, int32, library, pointer
+from cosim.native.output_error import OutputErrorConstants, OutputErrorModel
 
 MOST_STARTS: Final = 8  # COSIM_MOST_STARTS
 
@@ -102,12 +102,11 @@ class StartGridModel:
         return theta[:count]
 
 
-for _name, (_result, _arguments) in {
-    "cosim_start_grid_memory": (c_int64, (c_void_p,)),
-    "cosim_start_grid_points": (c_int64, (c_void_p,)),
-    "cosim_start_grid_squares": (None, (c_void_p, c_void_p, c_void_p, c_void_p)),
-    "cosim_start_grid_best": (c_int32, (c_void_p, c_void_p, c_int32, c_void_p)),
-}.items():
-    _function = getattr(library, _name)
-    _function.restype = _result
-    _function.argtypes = _arguments
+declare(
+    {
+        "cosim_start_grid_memory": (c_int64, (c_void_p,)),
+        "cosim_start_grid_points": (c_int64, (c_void_p,)),
+        "cosim_start_grid_squares": (None, (c_void_p, c_void_p, c_void_p, c_void_p)),
+        "cosim_start_grid_best": (c_int32, (c_void_p, c_void_p, c_int32, c_void_p)),
+    }
+)

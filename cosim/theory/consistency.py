@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Matrix, Vector
-from cosim.native.estimation import Generators
+from cosim.native.output_error import Generators
 from cosim.theory.accuracy import (
     LARGEST_STEP_ERROR,
     Accuracy,

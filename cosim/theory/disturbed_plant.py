@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector, frozen
 from cosim.errors import AssumptionError
-from cosim.native.estimation import (
+from cosim.native.output_error import (
     Generators,
     KnownInput,
     OutputErrorConstants,

@@ -12,7 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Matrix, Vector
-from cosim.native.estimation import Generators, KnownInput, OutputErrorModel, residual_of
+from cosim.native.output_error import (
+    Generators,
+    KnownInput,
+    OutputErrorModel,
+    residual_of,
+)
 from cosim.theory.disturbed_plant import (
     DataSet,
     DisturbedPlant,

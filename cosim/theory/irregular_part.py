@@ -14,7 +14,7 @@ import numpy as np
 
 from cosim.arrays import NAN, Matrix, Vector
 from cosim.errors import AssumptionError
-from cosim.native.estimation import ResponseRecord
+from cosim.native.output_error import ResponseRecord
 from cosim.theory.disturbance import Family, generators
 from cosim.theory.disturbed_plant import (
     DataSet,

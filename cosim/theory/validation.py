@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from cosim.arrays import Mask, Matrix, Vector
-from cosim.native.estimation import ParameterState
+from cosim.native.output_error import ParameterState
 from cosim.theory.consistency import FALSE_ALARM, MARGIN, Consistency, ResidualTest, examine
 from cosim.theory.disturbance import Family, generators
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant

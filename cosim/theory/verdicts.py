@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
 from cosim.errors import StartError
-from cosim.native.estimation import ParameterState
+from cosim.native.output_error import ParameterState
 from cosim.theory.accuracy import LARGEST_STEP_ERROR, enough_shorter
 from cosim.theory.consistency import MARGIN, Consistency, examine, noise_color
 from cosim.theory.disturbance import Family, generators

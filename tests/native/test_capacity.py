@@ -18,8 +18,8 @@ from cosim.blocks.output_error_identifier import OutputErrorIdentifier
 from cosim.blocks.regressor import Regressor
 from cosim.core.contracts import Stopped
 from cosim.errors import AssumptionError, UsageError
-from cosim.native.estimation import MOST_ROWS
 from cosim.native.expression import compile_expression
+from cosim.native.rayleigh import MOST_ROWS
 from cosim.native.start_grid import StartGridModel
 from cosim.theory.disturbance import Exponential, Sine, coefficients, generators, group_by_alpha
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, sample_plant, white_noise

@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from cosim.errors import AssumptionError
-from cosim.native.estimation import ParameterState
+from cosim.native.output_error import ParameterState
 from cosim.theory.descriptor import reduce
 from cosim.theory.disturbance import Exponential, Sine
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, NoiseModel, disturbed_plant

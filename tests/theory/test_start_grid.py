@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from scipy.signal import lsim
 
-from cosim.native.estimation import ResponseRecord
+from cosim.native.output_error import ResponseRecord
 from cosim.native.start_grid import StartGridModel
 from cosim.theory.disturbance import Exponential, Sine, generators
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, sample_plant, white_noise

@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.fmi.exporting.kernels import ESTIMATION, Kernel, doubles, integers
-from cosim.native.estimation import OutputErrorModel, RayleighModel, known_input_struct
 from cosim.native.expression import Program
 from cosim.native.identifier import IdentifierConstants, IdentifierStep
+from cosim.native.output_error import OutputErrorModel, known_input_struct
+from cosim.native.rayleigh import RayleighModel
 from cosim.native.start_grid import StartGridModel
 from cosim.native.step import RegressorConstants
 

@@ -19,7 +19,9 @@ import numpy as np
 
 from cosim.arrays import Matrix, Vector
 from cosim.errors import AssumptionError
-from cosim.native.estimation import NO_INFORMATION, RayleighConstants, RayleighModel, triangle
+from cosim.native.householder import triangle
+from cosim.native.output_error import NO_INFORMATION
+from cosim.native.rayleigh import RayleighConstants, RayleighModel
 from cosim.theory.disturbance import AlphaGroup, Family, SearchBox, generators, search_box
 from cosim.theory.estimators.start_grid import grid_points
 from cosim.theory.regression import Term

@@ -21,7 +21,7 @@ from typing import Final
 import numpy as np
 
 from cosim.arrays import Matrix, Vector
-from cosim.native.estimation import Generators, OutputErrorConstants, ResponseRecord
+from cosim.native.output_error import Generators, OutputErrorConstants, ResponseRecord
 from cosim.native.start_grid import StartGridConstants, StartGridModel
 from cosim.theory.disturbance import Family, SearchBox, generators, search_box
 from cosim.theory.disturbed_plant import (

@@ -1,4 +1,4 @@
-"""The kernels that estimate theta from sums of squares: output error and Rayleigh quotient."""
+"""The kernel that estimates theta by output error, or by variable projection."""
 
 from __future__ import annotations
 
@@ -14,12 +14,10 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Mask, Matrix, Vector
 from cosim.errors import AssumptionError
-from cosim.native.library import int32, library, pointer
+from cosim.native.library import declare, int32, library, pointer
 
 MOST_COLUMNS: Final = 48  # COSIM_MOST_COLUMNS
 MOST_PARAMETERS: Final = 16  # COSIM_MOST_PARAMETERS
-MOST_TERMS: Final = 128  # COSIM_MOST_TERMS
-MOST_ROWS: Final = 48  # COSIM_MOST_ROWS
 MOST_ITERATIONS: Final = 40
 
 NO_INFORMATION: Final = 1  # COSIM_NO_VALUE
@@ -87,17 +85,6 @@ class FitStruct(ctypes.Structure):
         *((name, c_double) for name in ("accuracy", "tolerance")),
         *((name, c_void_p) for name in ("theta", "estimate", "covariance", "statistics", "state")),
         *((name, c_double) for name in ("variance", "freedom")),
-    )
-
-
-class RayleighStruct(ctypes.Structure):
-    """cosim_rayleigh."""
-
-    _fields_ = (
-        *((name, c_int32) for name in ("components", "parameters", "rows", "groups", "terms")),
-        *((name, c_void_p) for name in ("size", "count", "group", "c", "G0", "G1", "delays")),
-        *((name, c_void_p) for name in ("parts", "lower", "upper")),
-        ("points", c_int32),
     )
 
 
@@ -476,156 +463,38 @@ def minimize(
     )
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class RayleighConstants:
-    """The numbers of cosim_rayleigh.
-
-    Parameters
-    ----------
-    generators : Generators
-    group : tuple of int
-        Which group of (21) each component belongs to.
-    delays : tuple of float
-        D_j [s].
-    parts : array of int, shape (terms, delays - 1)
-        The rows R_b of all groups, one group behind the other.
-    lower, upper : Vector, shape (P,)
-        The box that is searched.
-    points : int
-        Of the grid of starts, in every direction.
-
-    Raises
-    ------
-    AssumptionError
-        If it is larger than the kernel holds.
-    """
-
-    generators: Generators
-    group: tuple[int, ...]
-    delays: tuple[float, ...]
-    parts: NDArray[np.integer]
-    lower: Vector
-    upper: Vector
-    points: int
-
-    def __post_init__(self) -> None:
-        """Check the sizes."""
-        for name, found, most in (
-            ("terms", len(self.parts), MOST_TERMS),
-            ("delays", len(self.delays), MOST_ROWS),
-            ("parameters", self.generators.parameters, MOST_PARAMETERS),
-        ):
-            if found > most:
-                raise AssumptionError(
-                    f"(25) has {found} {name}, at most {most} are possible; give components the "
-                    "same alpha, use fewer, or estimate by output error from a start of your own"
-                )
-
-
-class RayleighModel:
-    """The quotient chi' S chi / chi' N chi as a function of theta."""
-
-    def __init__(self, constants: RayleighConstants) -> None:
-        generators = constants.generators
-        arrays: list[NDArray[Any]] = [
-            int32(generators.size),
-            int32(generators.count),
-            int32(constants.group),
-        ]
-        for values in (generators.c, generators.G0, generators.G1, constants.delays):
-            arrays.append(np.array(values, np.float64))
-        arrays.append(int32(constants.parts))
-        arrays.append(np.array(constants.lower, np.float64))
-        arrays.append(np.array(constants.upper, np.float64))
-        self.arrays = arrays
-        terms = len(constants.parts)
-        self.struct = RayleighStruct(
-            len(generators.size),
-            generators.parameters,
-            len(constants.delays),
-            max(constants.group) + 1,
-            terms,
-            *map(pointer, arrays),
-            constants.points,
-        )
-
-    def minimize(self, R: Matrix, N: Matrix, theta: Vector | None) -> tuple[int, Vector, float]:
-        """Minimize from ``theta``, or from the best points of the grid.
-
-        Returns
-        -------
-        tuple of int, Vector and float
-            Status, theta and quotient.
-        """
-        R = np.ascontiguousarray(R, np.float64)
-        N = np.ascontiguousarray(N, np.float64)
-        value = c_double()
-        found = np.zeros(self.struct.parameters)
-        function = library.cosim_rayleigh_search
-        if theta is not None:
-            found[:] = theta
-            function = library.cosim_rayleigh_minimize
-        status = int(
-            function(byref(self.struct), pointer(R), pointer(N), pointer(found), byref(value))
-        )
-        return status, found, value.value
-
-
-def triangle(rows: Matrix, R: Matrix | None = None) -> Matrix:
-    """Rotate rows, shape ``(N, n)``, into an upper triangle R with R'R = sum of their products."""
-    n = rows.shape[1]
-    result = np.zeros((n, n)) if R is None else np.array(R, np.float64)
-    block = 256
-    work = np.empty(n)
-    for begin in range(0, len(rows), block):
-        part = np.array(rows[begin : begin + block], np.float64)
-        library.cosim_householder(n, pointer(result), len(part), pointer(part), pointer(work))
-    return result
-
-
-SIGNATURES: Final = {
-    "cosim_householder": (None, (c_int32, c_void_p, c_int32, c_void_p, c_void_p)),
-    "cosim_output_error_memory": (c_int64, (POINTER(OutputErrorStruct),)),
-    "cosim_output_error_columns": (c_int32, (POINTER(OutputErrorStruct),)),
-    "cosim_output_error_start": (None, (POINTER(OutputErrorStruct), c_void_p, c_void_p)),
-    "cosim_output_error_take": (
-        None,
-        (
-            POINTER(OutputErrorStruct),
-            c_void_p,
-            POINTER(RecordStruct),
-            c_int64,
-            c_int64,
-            c_void_p,
+declare(
+    {
+        "cosim_output_error_memory": (c_int64, (POINTER(OutputErrorStruct),)),
+        "cosim_output_error_columns": (c_int32, (POINTER(OutputErrorStruct),)),
+        "cosim_output_error_start": (None, (POINTER(OutputErrorStruct), c_void_p, c_void_p)),
+        "cosim_output_error_take": (
+            None,
+            (
+                POINTER(OutputErrorStruct),
+                c_void_p,
+                POINTER(RecordStruct),
+                c_int64,
+                c_int64,
+                c_void_p,
+            ),
         ),
-    ),
-    "cosim_output_error_residual": (
-        None,
-        (
-            POINTER(OutputErrorStruct),
-            POINTER(KnownInputStruct),
-            c_int64,
-            c_int64,
-            *(c_void_p,) * 5,
+        "cosim_output_error_residual": (
+            None,
+            (
+                POINTER(OutputErrorStruct),
+                POINTER(KnownInputStruct),
+                c_int64,
+                c_int64,
+                *(c_void_p,) * 5,
+            ),
         ),
-    ),
-    "cosim_output_error_rows": (
-        None,
-        (POINTER(OutputErrorStruct), c_void_p, POINTER(RecordStruct), c_void_p, c_void_p),
-    ),
-    "cosim_output_error_fit": (c_int32, (POINTER(FitStruct),)),
-    "cosim_output_error_settle": (None, (POINTER(FitStruct),)),
-    "cosim_output_error_update": (c_int32, (POINTER(FitStruct),)),
-    "cosim_rayleigh_minimize": (
-        c_int32,
-        (POINTER(RayleighStruct), c_void_p, c_void_p, c_void_p, POINTER(c_double)),
-    ),
-    "cosim_rayleigh_search": (
-        c_int32,
-        (POINTER(RayleighStruct), c_void_p, c_void_p, c_void_p, POINTER(c_double)),
-    ),
-}
-for _name, (_result, _arguments) in SIGNATURES.items():
-    _function = getattr(library, _name)
-    _function.restype = _result
-    _function.argtypes = _arguments
+        "cosim_output_error_rows": (
+            None,
+            (POINTER(OutputErrorStruct), c_void_p, POINTER(RecordStruct), c_void_p, c_void_p),
+        ),
+        "cosim_output_error_fit": (c_int32, (POINTER(FitStruct),)),
+        "cosim_output_error_settle": (None, (POINTER(FitStruct),)),
+        "cosim_output_error_update": (c_int32, (POINTER(FitStruct),)),
+    }
+)
