@@ -142,7 +142,7 @@ def design_of_y(
         problem.plant,
         generators,
         step=np.array([h]),
-        predicts=np.array([predicts]),
+        predicting=np.full((1, len(problem.plant.C)), predicts),
         noise=problem.noise,
         held=problem.held_inputs(held),
     )
@@ -179,9 +179,9 @@ def design_of_delta(problem: IdentificationProblem, h: float) -> dict[str, Matri
     """Discretize the modes of the observer, whose transients are in delta."""
     generators = problem.rayleigh.generators
     model = reconstruction_model(problem.modes, problem.row, len(generators.size))
-    never = np.zeros(1, np.bool_)
+    never = np.zeros((1, 1), np.bool_)
     on_delta, _ = discretize(
-        model, generators, step=np.array([h]), predicts=never, noise=white_noise(1)
+        model, generators, step=np.array([h]), predicting=never, noise=white_noise(1)
     )
     return {"delta_Ad": on_delta.Ad, "delta_C": on_delta.C}
 

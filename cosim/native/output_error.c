@@ -41,13 +41,15 @@ static layout layout_of(const cosim_output_error *s)
 
 typedef struct {
     double *R;                     /* (columns, columns), first: others read it */
-    double *rows, *interval, *lag; /* rows in R; interval of E; samples in the ring, ever */
+    double *rows, *interval;       /* rows in R; interval of E */
+    double *lag;                   /* (outputs) samples in the ring, ever */
     double *X, *next;              /* (states, columns) responses */
     double *input0, *input1;       /* (columns) disturbances of the columns at both ends */
     double *basis, *advanced;      /* (basis + derivatives) c' expm(G t) and its derivatives */
     double *E, *F;                 /* expm(G h), and its derivatives */
     double *ring;                  /* (ar, outputs, columns) rows before the filter */
-    double *summed, *sums;         /* rows, and (outputs, columns) their sums, that make a mean */
+    double *summed, *sums;         /* (outputs) rows, and (outputs, columns) sums, that make a mean */
+    double *pairs;                 /* (outputs, outputs) samples behind a product of residuals */
     double *block;                 /* (BLOCK + outputs, columns) */
     double *scratch;
     int64_t state, size; /* doubles up to the block, and all */
@@ -56,13 +58,13 @@ typedef struct {
 static parts parts_of(const cosim_output_error *s, layout l, double *work)
 {
     const int64_t M = l.columns, N = 2 * l.largest;
-    const int64_t exponential = 4 * N * N, rows = 2 * s->outputs * M;
+    const int64_t exponential = 4 * N * N, rows = s->outputs * (2 * M + s->outputs);
     parts p;
     int64_t next = 0;
     p.R = cosim_place(work, &next, M * M);
     p.rows = cosim_place(work, &next, 1);
     p.interval = cosim_place(work, &next, 1);
-    p.lag = cosim_place(work, &next, 1);
+    p.lag = cosim_place(work, &next, s->outputs);
     p.X = cosim_place(work, &next, s->states * M);
     p.next = cosim_place(work, &next, s->states * M);
     p.input0 = cosim_place(work, &next, M);
@@ -72,8 +74,9 @@ static parts parts_of(const cosim_output_error *s, layout l, double *work)
     p.E = cosim_place(work, &next, l.E);
     p.F = cosim_place(work, &next, l.F);
     p.ring = cosim_place(work, &next, (int64_t)s->ar * s->outputs * M);
-    p.summed = cosim_place(work, &next, 1);
+    p.summed = cosim_place(work, &next, s->outputs);
     p.sums = cosim_place(work, &next, s->outputs * M);
+    p.pairs = cosim_place(work, &next, s->outputs * s->outputs);
     p.state = next;
     p.block = cosim_place(work, &next, (BLOCK + s->outputs) * M);
     p.scratch = cosim_place(work, &next, exponential > rows ? exponential : rows);
@@ -95,6 +98,18 @@ int32_t cosim_output_error_columns(const cosim_output_error *s) { return layout_
 
 /* --- the known part of the outputs --- */
 
+/* x += K y; an output that was not measured has no gain. */
+static void correct(int32_t n, int32_t outputs, const double *K, const double *y, double *x)
+{
+    for (int32_t a = 0; a < n; ++a) {
+        double sum = 0.0;
+        for (int32_t o = 0; o < outputs; ++o)
+            if (K[a * outputs + o] != 0.0)
+                sum += K[a * outputs + o] * y[o];
+        x[a] += sum;
+    }
+}
+
 void cosim_output_error_residual(const cosim_output_error *s, const cosim_known_input *known,
                                  int64_t begin, int64_t end, const double *u, const double *y,
                                  const int32_t *interval, double *x, double *residual)
@@ -108,7 +123,7 @@ void cosim_output_error_residual(const cosim_output_error *s, const cosim_known_
             cosim_multiply_add(n, m, known->B0 + i * n * m, u + (k - 1) * m, next);
             cosim_multiply_add(n, m, known->B1 + i * n * m, u + k * m, next);
             if (known->predicts[i])
-                cosim_multiply_add(n, outputs, s->K + i * n * outputs, y + (k - 1) * outputs, next);
+                correct(n, outputs, s->K + i * n * outputs, y + (k - 1) * outputs, next);
             memcpy(x, next, (size_t)n * sizeof *x);
         }
         double *r = residual + k * outputs;
@@ -316,56 +331,108 @@ static void make_rows(const cosim_output_error *s, layout l, const parts *p, con
     }
 }
 
-static int is_measured(const cosim_output_error *s, const double *residual)
+/* Of the rows of a sample one whose residual is NaN is not there: its output was not measured. */
+static int is_there(layout l, const double *rows, int32_t o)
 {
-    for (int32_t o = 0; o < s->outputs; ++o)
-        if (isnan(residual[o]))
-            return 0;
-    return 1;
+    return !isnan(rows[o * l.columns + l.columns - 1]);
 }
 
-/* Filter the rows of a sample by the autoregressive model of each output; returns 0 where too few
- * samples were before it. */
-static int filter_rows(const cosim_output_error *s, layout l, const parts *p, double *rows)
+static int32_t rows_there(const cosim_output_error *s, layout l, const double *rows)
+{
+    int32_t count = 0;
+    for (int32_t o = 0; o < s->outputs; ++o)
+        count += is_there(l, rows, o);
+    return count;
+}
+
+static void leave_out(layout l, double *rows, int32_t o)
+{
+    rows[o * l.columns + l.columns - 1] = NAN;
+}
+
+/* Filter the rows of a sample by the autoregressive model of each output; those that have too few
+ * before them are left out. */
+static void filter_rows(const cosim_output_error *s, layout l, const parts *p, double *rows)
 {
     const int32_t M = l.columns, width = s->outputs * M;
-    const int64_t before = (int64_t)*p->lag;
     double *filtered = rows + width;
-    *p->lag += 1.0;
-    if (!s->ar)
-        return 1;
-    if (before >= s->ar)
-        for (int32_t c = 0; c < width; ++c) {
-            const double *a = s->a + c / M * s->ar;
-            double sum = rows[c];
-            for (int32_t k = 1; k <= s->ar; ++k)
-                sum -= a[k - 1] * p->ring[((before - k) % s->ar) * width + c];
-            filtered[c] = sum;
-        }
-    memcpy(p->ring + (before % s->ar) * width, rows, (size_t)width * sizeof *rows);
-    if (before >= s->ar)
-        memcpy(rows, filtered, (size_t)width * sizeof *rows);
-    return before >= s->ar;
+    for (int32_t o = 0; o < s->outputs && s->ar; ++o) {
+        if (!is_there(l, rows, o))
+            continue;
+        const double *a = s->a + o * s->ar;
+        const int64_t before = (int64_t)p->lag[o];
+        double *row = rows + o * M, *ring = p->ring + o * M;
+        p->lag[o] += 1.0;
+        if (before >= s->ar)
+            for (int32_t c = 0; c < M; ++c) {
+                double sum = row[c];
+                for (int32_t k = 1; k <= s->ar; ++k)
+                    sum -= a[k - 1] * ring[((before - k) % s->ar) * width + c];
+                filtered[c] = sum;
+            }
+        memcpy(ring + (before % s->ar) * width, row, (size_t)M * sizeof *row);
+        if (before >= s->ar)
+            memcpy(row, filtered, (size_t)M * sizeof *row);
+        else
+            leave_out(l, rows, o);
+    }
 }
 
-/* Append the rows of a sample to the block, made white by W. */
-static void weigh_rows(const cosim_output_error *s, layout l, const double *rows, double weight,
-                       double *to)
+/* Rotate rows r > m and row m of W so that column m of it is left in row m alone. */
+static void rotate_away(const cosim_output_error *s, layout l, int32_t m, double *W, double *rows)
 {
-    const int32_t M = l.columns;
-    for (int32_t w = 0; w < s->outputs; ++w, to += M) {
+    const int32_t outputs = s->outputs, M = l.columns;
+    for (int32_t r = m + 1; r < outputs; ++r) {
+        const double here = W[m * outputs + m], there = W[r * outputs + m];
+        if (there == 0.0)
+            continue;
+        const double length = sqrt(here * here + there * there);
+        const double cosine = here / length, sine = there / length;
+        for (int32_t o = 0; o < outputs; ++o) {
+            const double upper = W[m * outputs + o], lower = W[r * outputs + o];
+            W[m * outputs + o] = cosine * upper + sine * lower;
+            W[r * outputs + o] = cosine * lower - sine * upper;
+        }
+        for (int32_t c = 0; c < M; ++c) {
+            const double upper = rows[m * M + c], lower = rows[r * M + c];
+            rows[m * M + c] = cosine * upper + sine * lower;
+            rows[r * M + c] = cosine * lower - sine * upper;
+        }
+    }
+}
+
+/* Append the rows of a sample to the block, made white by W; returns how many. What is not measured
+ * is an unknown of its own: rotated into one row, which says nothing of the others and is left out.
+ * That is the covariance of those that are measured, for W is a lower triangle. */
+static int32_t weigh_rows(const cosim_output_error *s, layout l, const double *rows, double weight,
+                          double *W, double *to)
+{
+    const int32_t outputs = s->outputs, M = l.columns;
+    double *white = to;
+    for (int32_t w = 0; w < outputs; ++w, white += M) {
         for (int32_t c = 0; c < M; ++c)
-            to[c] = 0.0;
-        for (int32_t o = 0; o < s->outputs; ++o) {
-            const double of_output = s->W[w * s->outputs + o];
-            if (of_output == 0.0)
+            white[c] = 0.0;
+        for (int32_t o = 0; o < outputs; ++o) {
+            const double of_output = s->W[w * outputs + o];
+            if (of_output == 0.0 || !is_there(l, rows, o))
                 continue;
             for (int32_t c = 0; c < M; ++c)
-                to[c] += of_output * rows[o * M + c];
+                white[c] += of_output * rows[o * M + c];
         }
         for (int32_t c = 0; c < M; ++c)
-            to[c] *= weight;
+            white[c] *= weight;
     }
+    memcpy(W, s->W, (size_t)(outputs * outputs) * sizeof *W);
+    int32_t count = 0;
+    for (int32_t o = 0; o < outputs; ++o)
+        if (!is_there(l, rows, o))
+            rotate_away(s, l, o, W, to);
+    for (int32_t o = 0; o < outputs; ++o)
+        if (is_there(l, rows, o)) {
+            memmove(to + count * M, to + o * M, (size_t)M * sizeof *to);
+            ++count;
+        }
+    return count;
 }
 
 /* Go on to the disturbances at sample k; returns the interval that ends there, -1: none. */
@@ -404,23 +471,31 @@ static void rotate(layout l, const parts *p, waiting *w)
     w->count = 0, w->weight = 1.0;
 }
 
-/* Add the rows of a sample to those that make a mean; returns whether it is whole, and then them. */
-static int make_mean(const cosim_output_error *s, layout l, const parts *p, double *rows)
+/* Add the rows of a sample to those that make a mean of each output: the mean where it is whole, else
+ * the row is left out. */
+static void make_means(const cosim_output_error *s, layout l, const parts *p, double *rows)
 {
-    const int32_t width = s->outputs * l.columns;
-    for (int32_t c = 0; c < width; ++c)
-        p->sums[c] += rows[c];
-    *p->summed += 1.0;
-    if (*p->summed < s->average)
-        return 0;
-    for (int32_t c = 0; c < width; ++c)
-        rows[c] = p->sums[c] / s->average;
-    memset(p->sums, 0, (size_t)width * sizeof *p->sums);
-    *p->summed = 0.0;
-    return 1;
+    const int32_t M = l.columns;
+    for (int32_t o = 0; o < s->outputs; ++o) {
+        if (!is_there(l, rows, o))
+            continue;
+        double *row = rows + o * M, *sums = p->sums + o * M;
+        for (int32_t c = 0; c < M; ++c)
+            sums[c] += row[c];
+        p->summed[o] += 1.0;
+        if (p->summed[o] < s->average) {
+            leave_out(l, rows, o);
+            continue;
+        }
+        for (int32_t c = 0; c < M; ++c)
+            row[c] = sums[c] / s->average;
+        memset(sums, 0, (size_t)M * sizeof *sums);
+        p->summed[o] = 0.0;
+    }
 }
 
-static void add_products(const cosim_output_error *s, layout l, double *rows, const waiting *w)
+static void add_products(const cosim_output_error *s, layout l, const parts *p, double *rows,
+                         const waiting *w)
 {
     const int32_t M = l.columns;
     double *residual = rows + s->outputs * M;
@@ -433,26 +508,46 @@ static void add_products(const cosim_output_error *s, layout l, double *rows, co
     }
     for (int32_t o = 0; o < s->outputs; ++o)
         for (int32_t q = 0; q < s->outputs; ++q)
-            w->products[o * s->outputs + q] += residual[o] * residual[q];
+            if (is_there(l, rows, o) && is_there(l, rows, q)) {
+                w->products[o * s->outputs + q] += residual[o] * residual[q];
+                p->pairs[o * s->outputs + q] += 1.0;
+            }
+}
+
+/* As if every output had been measured as often as they are in the mean. */
+static void even_out(const cosim_output_error *s, const parts *p, double *products)
+{
+    const int32_t outputs = s->outputs;
+    double samples = 0.0;
+    for (int32_t o = 0; o < outputs; ++o)
+        samples += p->pairs[o * outputs + o] / outputs;
+    for (int32_t i = 0; i < outputs * outputs; ++i)
+        if (p->pairs[i] > 0.0 && p->pairs[i] != samples)
+            products[i] *= samples / p->pairs[i];
 }
 
 static void take_rows(const cosim_output_error *s, layout l, const parts *p, const double *between,
                       const double *residual, waiting *w)
 {
-    if (!is_measured(s, residual))
+    double *rows = p->scratch, *W = rows + 2 * s->outputs * l.columns;
+    int32_t measured = 0;
+    for (int32_t o = 0; o < s->outputs; ++o)
+        measured += !isnan(residual[o]);
+    if (!measured)
         return;
-    make_rows(s, l, p, between, residual, p->scratch);
+    make_rows(s, l, p, between, residual, rows);
     if (w->unknowns) {
-        add_products(s, l, p->scratch, w);
+        add_products(s, l, p, rows, w);
         return;
     }
-    if (s->average > 1 && !make_mean(s, l, p, p->scratch))
+    if (s->average > 1)
+        make_means(s, l, p, rows);
+    filter_rows(s, l, p, rows);
+    if (!rows_there(s, l, rows))
         return;
-    if (!filter_rows(s, l, p, p->scratch))
-        return;
-    weigh_rows(s, l, p->scratch, w->weight, p->block + w->count * l.columns);
-    *p->rows += s->outputs;
-    w->count += s->outputs;
+    const int32_t made = weigh_rows(s, l, rows, w->weight, W, p->block + w->count * l.columns);
+    *p->rows += made;
+    w->count += made;
     if (w->count + s->outputs > BLOCK)
         rotate(l, p, w);
 }
@@ -482,8 +577,10 @@ static void take_samples(const cosim_output_error *s, const parts *p, const doub
         const int32_t interval = advance_inputs(s, l, p, theta, record, k);
         w->weight /= s->forgetting;
         *p->rows *= s->forgetting * s->forgetting;
-        for (int32_t i = 0; w->products && i < s->outputs * s->outputs; ++i)
+        for (int32_t i = 0; w->products && i < s->outputs * s->outputs; ++i) {
             w->products[i] *= s->forgetting * s->forgetting;
+            p->pairs[i] *= s->forgetting * s->forgetting;
+        }
         for (; between && b < between->count && between->place[b] == (double)k; ++b)
             if (interval >= 0)
                 take_rows(s, l, p, between->rows + b * width,
@@ -515,6 +612,7 @@ void cosim_output_error_products(const cosim_output_error *s, const double *thet
     memset(products, 0, (size_t)(s->outputs * s->outputs) * sizeof *products);
     cosim_output_error_start(s, theta, work);
     take_samples(s, &p, theta, record, record->first, record->end, &w);
+    even_out(s, &p, products);
 }
 
 void cosim_output_error_rows(const cosim_output_error *s, const double *theta,

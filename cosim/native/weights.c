@@ -5,8 +5,8 @@
 
 #define LARGEST_CORRELATION (1.0 - 0x1p-20)
 
-/* C = L L', row by row, into the lower triangle of L. */
-static void factorize(int32_t n, const double *C, double *L)
+/* C = L L', row by row, into the lower triangle of L; returns whether there is one. */
+static int factorize(int32_t n, const double *C, double *L)
 {
     memset(L, 0, (size_t)(n * n) * sizeof *L);
     for (int32_t i = 0; i < n; ++i)
@@ -14,8 +14,20 @@ static void factorize(int32_t n, const double *C, double *L)
             double sum = C[i * n + j];
             for (int32_t k = 0; k < j; ++k)
                 sum -= L[i * n + k] * L[j * n + k];
+            if (i == j && !(sum > 0.0))
+                return 0;
             L[i * n + j] = i == j ? sqrt(sum) : sum / L[j * n + j];
         }
+    return 1;
+}
+
+/* Of outputs that are measured at different times the products may belong to no covariance. */
+static void leave_out_correlations(int32_t n, double *covariance)
+{
+    for (int32_t i = 0; i < n; ++i)
+        for (int32_t j = 0; j < n; ++j)
+            if (j != i)
+                covariance[i * n + j] = 0.0;
 }
 
 void cosim_noise_weights(int32_t n, double *covariance, const double *least, double *deviations,
@@ -32,7 +44,10 @@ void cosim_noise_weights(int32_t n, double *covariance, const double *least, dou
             *variance = 1.0;
         deviations[i] = sqrt(*variance);
     }
-    factorize(n, covariance, L);
+    if (!factorize(n, covariance, L)) {
+        leave_out_correlations(n, covariance);
+        factorize(n, covariance, L);
+    }
     memset(W, 0, (size_t)(n * n) * sizeof *W);
     for (int32_t j = 0; j < n; ++j)
         for (int32_t i = j; i < n; ++i) {

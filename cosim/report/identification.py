@@ -124,7 +124,7 @@ class IdentificationReport:
             logs.append(
                 {
                     "log": record.log.label,
-                    "samples": int(record.data.measured.sum()),
+                    "samples": record.data.samples,
                     "amplitudes": amplitudes[i],
                     "x0": fit.x0[i].tolist(),
                     "offset": fit.offset[i].tolist(),

@@ -27,7 +27,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.arrays import Mask, Matrix, Vector
+from cosim.arrays import Matrix, Vector
 from cosim.native.output_error import Generators
 from cosim.theory.accuracy import (
     LARGEST_STEP_ERROR,
@@ -36,7 +36,7 @@ from cosim.theory.accuracy import (
     quantization_error,
 )
 from cosim.theory.disturbance import Family, generators
-from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, NoiseModel
+from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, NoiseModel, counted_values
 from cosim.theory.estimators.output_error import OutputErrorFit
 from cosim.theory.fitted_response import FittedResponse, fitted_response
 from cosim.theory.model_errors import Directions, model_errors
@@ -190,13 +190,17 @@ def noise_color(
         over a good part of the record.
     """
     residuals = []
+    counted = []
     matrices = generators(families)
     for problem in _whitened_problems(fit, data, plant, matrices, noise, whole=True):
-        residuals.append(problem.unexplained @ np.linalg.inv(noise.whitening).T)
-    shortest = min(len(rest) for rest in residuals)
+        residuals.append(noise.colored(problem.unexplained, problem.counted))
+        counted.append(problem.counted)
     models = []
     for o in range(len(plant.C)):
-        of_output = [rest[:, [o]] for rest in residuals]
+        of_output = []
+        for rest, values in zip(residuals, counted, strict=True):
+            of_output.append(rest[values[:, o]][:, [o]])
+        shortest = min(map(len, of_output))
         a = autoregression(of_output, min(LONGEST_AR, shortest // 20))
         models.append(a if _is_short(a, shortest) else np.zeros(0))
     order = max(len(a) for a in models)
@@ -261,42 +265,39 @@ class _WhitenedProblem:
         every: int,
     ) -> None:
         self.accuracy = accuracy
-        self._order = data.y.shape[1]
+        self.counted = counted_values(data.measured, noise.order)
         weights = np.abs(noise.whitening)
         self.allowed = weights @ accuracy.deviations
         self.rounding = float((weights @ accuracy.rounding).max())
-        measured = data.measured
-        y = data.y[measured]
-        spread = np.sqrt(np.mean((y - y.mean(axis=0)) ** 2, axis=0))
         step_error = np.sqrt(np.mean(accuracy.step**2, axis=0))
-        scale = np.maximum(spread, accuracy.rounding)
+        scale = np.maximum(np.nanstd(data.y, axis=0), accuracy.rounding)
         scale[scale == 0.0] = np.inf  # of an output that is 0 at every sample
         self.step_error = step_error / scale
 
-        def whitened(rows: NDArray[np.float64], measured: Mask) -> Matrix:
-            return noise.whitened(rows[measured]).reshape(-1, rows.shape[2])
+        def whitened(rows: NDArray[np.float64], measured: NDArray[np.bool_]) -> Matrix:
+            return noise.whitened(rows, measured).reshape(-1, rows.shape[2])
 
         unknowns = np.concatenate([response.slopes[:, :, fit.estimated], response.linear], axis=2)
-        self.columns = whitened(unknowns, measured)
-        self._residual = whitened(response.residual[:, :, np.newaxis], measured)[:, 0]
+        self.columns = whitened(unknowns, data.measured)
+        self._residual = whitened(response.residual[:, :, np.newaxis], data.measured)[:, 0]
         quantized = quantization_error(data.y, response.residual, accuracy.spacing)
         errors = np.stack([accuracy.step, quantized], axis=2)
-        self.errors = whitened(errors, measured)
-        self._plain = response.residual[measured]
-        rows = data.kept(every)
-        is_kept = np.zeros(len(data.t), np.bool_)
-        is_kept[rows] = True
-        self._is_kept = is_kept[measured][noise.order :]
+        self.errors = whitened(errors, data.measured)
+        self._plain = response.residual
+        self._rows = data.kept(every)
         thin = data.thinned(every)
-        directions = model_errors(plant, thin, response.at(rows))
+        directions = model_errors(plant, thin, response.at(self._rows))
         columns = whitened(directions.columns, thin.measured)
         self._make_directions(Directions(columns, directions.names))
 
+    def _by_sample(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return rows by sample and output, those that are not counted 0, (N, n_y, ...)."""
+        return rows.reshape(*self.counted.shape, *rows.shape[1:])
+
     def _thinned(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the rows of the samples of which directions are computed."""
-        by_sample = rows.reshape(-1, self._order, *rows.shape[1:])
-        kept: NDArray[np.float64] = by_sample[self._is_kept].reshape(-1, *rows.shape[1:])
-        return kept
+        kept = self._by_sample(rows)[self._rows]
+        return kept.reshape(-1, *rows.shape[1:])
 
     def _make_directions(self, directions: Directions) -> None:
         """Make the directions orthogonal to the fit, and of length one."""
@@ -315,13 +316,12 @@ class _WhitenedProblem:
         """What is left of the residual beside all directions, shape (N, n_y)."""
         basis = _orthonormal(self._directions)
         rest = self._residual - basis @ (basis.T @ self._residual)
-        return rest.reshape(-1, self._order)
+        return self._by_sample(rest)
 
     @property
     def squares(self) -> Vector:
         """The sums of squares of the whitened residual, shape (n_y,)."""
-        rows = self._residual.reshape(-1, self._order)
-        return np.asarray(np.sum(rows**2, axis=0), np.float64)
+        return np.asarray(np.sum(self._by_sample(self._residual) ** 2, axis=0), np.float64)
 
     def tests(self, deviation: float) -> list[ResidualTest]:
         """Test the residual for noise of a deviation."""
@@ -337,8 +337,8 @@ class _WhitenedProblem:
         return [self._size(o, float(deviation)) for o, deviation in enumerate(deviations)]
 
     def _size(self, output: int, stated: float) -> ResidualTest:
-        residual = self._plain[:, output]
-        unknowns = self.columns.shape[1] / self._order
+        residual = self._plain[self.counted[:, output], output]
+        unknowns = self.columns.shape[1] / self.counted.shape[1]
         degrees = max(int(len(residual) - unknowns), 1)
         found = float(np.sqrt(residual @ residual / degrees))
         expected = float(np.hypot(stated, self.accuracy.deviations[output]))
@@ -374,23 +374,32 @@ class _WhitenedProblem:
         return ResidualTest("traces of model errors", statistic, _threshold(degrees), degrees, "")
 
     def _whiteness(self, deviation: float) -> ResidualTest:
-        residual = self._residual.reshape(-1, self._order)
-        errors = self.errors.reshape(*residual.shape, -1)
-        N = len(residual)
-        lags = max(min(LAGS, N // 4), 1)
-        excess = np.zeros((lags, self._order))
-        for k in range(1, lags + 1):
-            found = np.abs(np.sum(residual[k:] * residual[: N - k], axis=0))
-            products = np.abs(np.sum(errors[k:] * errors[: N - k], axis=0))
-            allowed = MARGIN * products.sum(axis=1)
-            excess[k - 1] = np.maximum(found - allowed, 0.0) / (N * deviation**2)
-        statistic = N * float(np.sum(excess**2))
-        degrees = excess.size
-        lag, output = np.unravel_index(int(excess.argmax()), excess.shape)
-        largest = f"lag {lag + 1}"
-        if self._order > 1:
-            largest += f" of y[{output}]"
+        residual = self._by_sample(self._residual)
+        errors = self._by_sample(self.errors)
+        squares = []
+        places = []
+        for o, values in enumerate(self.counted.T):
+            excess = _correlation(residual[values, o], errors[values, o], deviation)
+            squares += list(excess**2)
+            of_output = f" of y[{o}]" if len(self.counted.T) > 1 else ""
+            places += [f"lag {lag}{of_output}" for lag in range(1, len(excess) + 1)]
+        degrees = len(squares)
+        largest = places[int(np.argmax(squares))]
+        statistic = float(np.sum(squares))
         return ResidualTest("whiteness", statistic, _threshold(degrees), degrees, largest)
+
+
+def _correlation(residual: Vector, errors: Matrix, deviation: float) -> Vector:
+    """Return the correlations of the first lags beyond what errors allow, of deviation 1 each."""
+    N = len(residual)
+    lags = max(min(LAGS, N // 4), 1)
+    excess = np.zeros(lags)
+    for k in range(1, lags + 1):
+        found = abs(float(residual[k:] @ residual[: N - k]))
+        products = np.abs(np.sum(errors[k:] * errors[: N - k], axis=0))
+        excess[k - 1] = max(found - MARGIN * float(products.sum()), 0.0)
+    correlation: Vector = excess / (np.sqrt(N) * deviation**2)
+    return correlation
 
 
 def _whitened_problems(

@@ -20,6 +20,7 @@ so nothing is lost (B. Anderson and J. Moore, Optimal Filtering, 1979, section 4
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from typing import Final
 
@@ -98,7 +99,7 @@ class DataSet:
     t : Vector, shape (N,)
         Ascending instants [s], at any distances.
     y : Matrix, shape (N, n_y)
-        Outputs; NaN: not measured.
+        Outputs; NaN: not measured. Each counts where it is measured, alone or with others.
     u : Matrix, shape (N, n_u)
         Inputs.
     alpha : Matrix, shape (N, components)
@@ -109,7 +110,7 @@ class DataSet:
     Raises
     ------
     AssumptionError
-        If the sizes do not fit, time does not ascend, a number is not finite, or nothing is
+        If the sizes do not fit, time does not ascend, a number is not finite, or an output is never
         measured.
     """
 
@@ -143,14 +144,23 @@ class DataSet:
                 raise AssumptionError(
                     f"{name} is not finite at t = {self.t[place]} s; needed a number at every time"
                 )
-        if np.isinf(self.y).any() or np.isnan(self.y).all():
+        if np.isinf(self.y).any():
             raise AssumptionError("y: needed finite numbers, and NaN only where not measured")
+        never = np.flatnonzero(~self.measured.any(axis=0))
+        if len(never):
+            raise AssumptionError(
+                f"y[{never[0]}] is never measured; needed a value of every output"
+            )
 
     @property
     def measured(self) -> NDArray[np.bool_]:
-        """At which times all outputs were measured, shape (N,)."""
-        is_whole: NDArray[np.bool_] = np.equal(np.isnan(self.y).sum(axis=1), 0)
-        return is_whole
+        """Which outputs were measured when, shape (N, n_y)."""
+        return ~np.isnan(self.y)
+
+    @property
+    def samples(self) -> int:
+        """The number of times at which something was measured."""
+        return int(self.measured.any(axis=1).sum())
 
     @property
     def is_held(self) -> NDArray[np.bool_]:
@@ -160,9 +170,11 @@ class DataSet:
         return np.array(self.held, np.bool_)
 
     def kept(self, every: int) -> NDArray[np.intp]:
-        """Return the rows that are left of every so many, also of the measured ones."""
-        rows = np.arange(0, len(self.t), every)
-        return np.union1d(rows, np.flatnonzero(self.measured)[::every])
+        """Return the rows that are left of every so many, also of those of each output."""
+        rows: NDArray[np.intp] = np.arange(0, len(self.t), every)
+        for values in self.measured.T:
+            rows = np.union1d(rows, np.flatnonzero(values)[::every])
+        return rows
 
     def thinned(self, every: int) -> DataSet:
         """Return every so many samples of it, and the inputs as often."""
@@ -202,15 +214,43 @@ class NoiseModel:
         """The deviation of each output's e, shape (n_y,)."""
         return np.sqrt(np.diag(self.covariance))
 
-    def whitened(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return rows of successive samples made white, shape (N - order, n_y, k).
+    def whitened(
+        self, rows: NDArray[np.float64], measured: NDArray[np.bool_]
+    ) -> NDArray[np.float64]:
+        """Return rows of successive samples made white, shape (N, n_y, k).
+
+        Those of a sample are white by the covariance of the outputs that it has. Rows that are not
+        counted are 0.
 
         Parameters
         ----------
         rows : shape (N, n_y, k)
+        measured : shape (N, n_y)
         """
-        filtered = autoregressive_filter(rows, self.a)
-        return np.asarray(np.einsum("ab,nbk->nak", self.whitening, filtered), np.float64)
+        filtered = autoregressive_filter(rows, self.a, measured)
+        result = np.zeros_like(filtered)
+        for there, samples in _by_outputs(counted_values(measured, self.order)):
+            W = np.linalg.inv(self._factor(there))
+            part = np.ix_(samples, there)
+            result[part] = np.einsum("ab,nbk->nak", W, filtered[part])
+        return result
+
+    def colored(self, white: Matrix, measured: NDArray[np.bool_]) -> Matrix:
+        """Return e for what :meth:`whitened` makes of it, shape (N, n_y)."""
+        result = np.zeros_like(white)
+        for there, samples in _by_outputs(counted_values(measured, self.order)):
+            part = np.ix_(samples, there)
+            result[part] = white[part] @ self._factor(there).T
+        return result
+
+    def _factor(self, outputs: NDArray[np.bool_]) -> Matrix:
+        part = self.covariance[np.ix_(outputs, outputs)]
+        return np.asarray(np.linalg.cholesky(part), np.float64)
+
+
+def counted_values(measured: NDArray[np.bool_], order: int) -> NDArray[np.bool_]:
+    """Return which values count, shape (N, n_y): those behind ``order`` others of their output."""
+    return measured & (np.cumsum(measured, axis=0) > order)
 
 
 def white_noise(outputs: int) -> NoiseModel:
@@ -218,24 +258,42 @@ def white_noise(outputs: int) -> NoiseModel:
     return NoiseModel(covariance=np.eye(outputs), a=np.zeros((outputs, 0)))
 
 
-def autoregressive_filter(rows: NDArray[np.float64], a: Matrix) -> NDArray[np.float64]:
-    """Compute ``v(k) - a_1 v(k-1) - ...`` of each output along the samples.
+def autoregressive_filter(
+    rows: NDArray[np.float64], a: Matrix, measured: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """Compute ``v(k) - a_1 v(k-1) - ...`` of each output along its measured samples.
 
     Parameters
     ----------
     rows : shape (N, n_y, k)
     a : Matrix, shape (n_y, order)
+    measured : shape (N, n_y)
 
     Returns
     -------
-    array, shape (N - order, n_y, k)
-        The first samples are lost.
+    array, shape (N, n_y, k)
+        0 where not measured, and for the first samples of each output.
     """
     order = a.shape[1]
-    result = rows[order:].copy()
-    for k in range(1, order + 1):
-        result -= a[:, k - 1, np.newaxis] * rows[order - k : len(rows) - k]
+    result = np.zeros_like(rows)
+    for o, coefficients in enumerate(a):
+        places = np.flatnonzero(measured[:, o])
+        own = rows[places, o]
+        filtered = own[order:].copy()
+        for k, coefficient in enumerate(coefficients, start=1):
+            filtered -= coefficient * own[order - k : len(own) - k]
+        result[places[order:], o] = filtered
     return result
+
+
+def _by_outputs(
+    measured: NDArray[np.bool_],
+) -> Iterator[tuple[NDArray[np.bool_], NDArray[np.integer]]]:
+    """Yield every set of outputs that are measured together, (n_y,), and the samples it has."""
+    sets, index = np.unique(measured, axis=0, return_inverse=True)
+    for i, outputs in enumerate(sets):
+        if outputs.any():
+            yield outputs, np.flatnonzero(index.ravel() == i)
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,13 +348,13 @@ def sample_plant(
         If shapes do not fit, or there are more unknowns than the kernels hold.
     """
     _check_sizes(plant, generators, data)
-    step, predicts, interval = sample_intervals(data)
+    step, measured, interval = sample_intervals(data)
     span = float(data.t[-1] - data.t[0])
     constants, known = discretize(
         plant,
         generators,
         step=step,
-        predicts=predicts & needs_predictor(plant.A, span),
+        predicting=measured & needs_predictor(plant.A, span),
         noise=noise,
         offset=offset,
         forgetting=forgetting,
@@ -310,7 +368,7 @@ def discretize(
     generators: Generators,
     *,
     step: Vector,
-    predicts: NDArray[np.bool_],
+    predicting: NDArray[np.bool_],
     noise: NoiseModel,
     offset: bool = False,
     forgetting: float = 1.0,
@@ -322,8 +380,14 @@ def discretize(
     ----------
     step : Vector, shape (m,)
         Lengths of the intervals [s].
-    predicts : shape (m,)
-        Whether the output is predicted over it from the one at its beginning.
+    predicting : shape (m, n_y)
+        Which outputs at its beginning are there to predict those at its end; none: these are
+        simulated.
+
+    Raises
+    ------
+    AssumptionError
+        If an unstable mode is not seen by the outputs, all of them measured.
     """
     n, n_u = plant.B.shape
     n_y, components = plant.Dd.shape
@@ -334,8 +398,15 @@ def discretize(
         mask[:n_u] = held
     Ad, start, end = first_order_holds(plant.A, inputs, step, mask)
     K = np.zeros((m, n, n_y))
-    for i in np.flatnonzero(predicts):
-        K[i] = predictor_gain(Ad[i], plant.C, noise.covariance)
+    for i in np.flatnonzero(predicting.any(axis=1)):
+        seen = predicting[i]
+        gain = predictor_gain(Ad[i], plant.C[seen], noise.covariance[np.ix_(seen, seen)])
+        if gain is not None:
+            K[i][:, seen] = gain
+        elif seen.all():
+            raise AssumptionError(
+                "the outputs do not see an unstable mode of the plant, so nothing can predict it"
+            )
     Ad -= K @ plant.C
     B0 = start[:, :, n_u:] - K @ plant.Dd
     Bu0 = start[:, :, :n_u] - K @ plant.D
@@ -353,6 +424,7 @@ def discretize(
         offset=offset,
         forgetting=forgetting,
     )
+    predicts = np.asarray(predicting.any(axis=1), np.bool_)
     return constants, KnownInput(Bu0, end[:, :, :n_u], plant.D, predicts)
 
 
@@ -364,17 +436,14 @@ def needs_predictor(A: Matrix, span: float) -> bool:
     return bool(fastest * span > np.log(LARGEST_GROWTH))
 
 
-def predictor_gain(Ad: Matrix, C: Matrix, covariance: Matrix) -> Matrix:
+def predictor_gain(Ad: Matrix, C: Matrix, covariance: Matrix) -> Matrix | None:
     """Compute the gain that moves every unstable mode z of Ad to 1/z, shape (n, n_y).
+
+    None where an unstable mode is not seen by the outputs.
 
     In coordinates of the unstable modes, x = V w, it is the stationary Kalman gain without process
     noise. The inverse Y of its covariance solves ``Y = F'(Y + C' R^-1 C) F`` with F the inverse of
     the unstable block.
-
-    Raises
-    ------
-    AssumptionError
-        If an unstable mode is not seen by the outputs.
     """
     from scipy.linalg import schur, solve_discrete_lyapunov  # takes long to import
 
@@ -387,9 +456,7 @@ def predictor_gain(Ad: Matrix, C: Matrix, covariance: Matrix) -> Matrix:
     information = F.T @ seen.T @ inverse_noise @ seen @ F
     Y = solve_discrete_lyapunov(F.T, information)
     if np.linalg.cond(Y) > 1e14:
-        raise AssumptionError(
-            "the outputs do not see an unstable mode of the plant, so nothing can predict it"
-        )
+        return None
     P = np.linalg.inv(Y)
     gain = unstable @ P @ seen.T @ np.linalg.inv(seen @ P @ seen.T + covariance)
     result: Matrix = V @ gain
@@ -412,15 +479,23 @@ def _check_sizes(plant: DisturbedPlant, generators: Generators, data: DataSet) -
 def sample_intervals(
     data: DataSet,
 ) -> tuple[Vector, NDArray[np.bool_], NDArray[np.integer] | None]:
-    """Return the distinct intervals, whether a measured sample begins each, and which is where.
+    """Return the distinct intervals, which outputs are measured at their beginnings, and where.
 
     Intervals that differ by rounding of the times are one.
+
+    Returns
+    -------
+    Vector, shape (m,)
+        Lengths [s].
+    array, shape (m, n_y)
+    array of int, shape (N,), or None
+        Which of them ends at each sample; None: all are the first.
     """
     steps, index = distinct_steps(data.t)
     measured = data.measured[:-1]
     if len(steps) == 1 and measured.all():
-        return steps, np.ones(1, np.bool_), None
-    kinds = np.stack([index[1:], measured], axis=1)
+        return steps, np.ones((1, data.y.shape[1]), np.bool_), None
+    kinds = np.column_stack([index[1:], measured])
     found, which = np.unique(kinds, axis=0, return_inverse=True)
     interval = np.concatenate([[0], which.ravel()]).astype(np.int32)
-    return steps[found[:, 0]], found[:, 1] != 0, interval
+    return steps[found[:, 0]], found[:, 1:] != 0, interval

@@ -52,10 +52,10 @@ class ForcedOutputs:
 
 def forced_outputs(plant: DisturbedPlant, data: DataSet) -> ForcedOutputs:
     """Discretize a plant for signals at its states."""
-    step, predicts, interval = sample_intervals(data)
+    step, measured, interval = sample_intervals(data)
     span = float(data.t[-1] - data.t[0])
     model, known = _discretized(
-        plant.A, plant.C, step, predicts=predicts & needs_predictor(plant.A, span)
+        plant.A, plant.C, step, predicting=measured & needs_predictor(plant.A, span)
     )
     return ForcedOutputs(model, known, interval)
 
@@ -83,7 +83,7 @@ def simulate(A: Matrix, B: Matrix, t: Vector, u: Matrix, x0: Vector, held: Mask)
     if n == 0 or len(t) < 2:
         return np.tile(x0, (len(t), 1))
     step, interval = distinct_steps(t)
-    model, known = _discretized(A, np.eye(n), step, predicts=np.zeros(len(step), np.bool_))
+    model, known = _discretized(A, np.eye(n), step, predicting=np.zeros((len(step), n), np.bool_))
     # x - x0 starts from rest under the constant A x0 beside u
     lines = u[:, ~held] @ B[:, ~held].T
     levels = u[:, held] @ B[:, held].T + A @ x0
@@ -93,7 +93,7 @@ def simulate(A: Matrix, B: Matrix, t: Vector, u: Matrix, x0: Vector, held: Mask)
 
 
 def _discretized(
-    A: Matrix, C: Matrix, step: Vector, *, predicts: Mask
+    A: Matrix, C: Matrix, step: Vector, *, predicting: NDArray[np.bool_]
 ) -> tuple[OutputErrorModel, KnownInput]:
     """Discretize for n signals that are straight lines and n that are held, at the states."""
     n_y, n = C.shape
@@ -107,6 +107,6 @@ def _discretized(
     )
     held = np.arange(2 * n) >= n
     constants, known = discretize(
-        plant, _NO_COMPONENTS, step=step, predicts=predicts, noise=white_noise(n_y), held=held
+        plant, _NO_COMPONENTS, step=step, predicting=predicting, noise=white_noise(n_y), held=held
     )
     return OutputErrorModel(constants), known

@@ -26,6 +26,7 @@ from cosim.theory.disturbed_plant import (
     DisturbedPlant,
     NoiseModel,
     autoregressive_filter,
+    counted_values,
 )
 from cosim.theory.estimators.output_error import (
     NO_BOUNDS,
@@ -114,17 +115,22 @@ def residual_covariance(
     outputs = len(plant.C)
     matrices = generators(families)
     products = np.zeros((outputs, outputs))
+    pairs = np.zeros((outputs, outputs))
     least = np.zeros(outputs)
     for index, one in enumerate(data):
         response = fitted_response(fit, index, one, plant, matrices)
-        rows = response.residual[one.measured][:, :, np.newaxis]
-        white = autoregressive_filter(rows, a)[:, :, 0]
+        rows = response.residual[:, :, np.newaxis]
+        white = autoregressive_filter(rows, a, one.measured)[:, :, 0]
         products += white.T @ white
+        there = counted_values(one.measured, a.shape[1]).astype(np.float64)
+        pairs += there.T @ there
         accuracy = accuracy_of(plant, one, response.disturbance)
         least = np.maximum(least, accuracy.deviations)
     freedom = max(fit.freedom / outputs, 1.0)
-    covariance = products / freedom
-    if freedom < FEWEST_AN_ENTRY * outputs**2:
+    # as if every output had been measured as often as they are in the mean
+    evened = products * (np.diag(pairs).mean() / np.maximum(pairs, 1.0))
+    covariance = evened / freedom
+    if freedom < FEWEST_AN_ENTRY * outputs**2 or not _is_covariance(covariance):
         covariance = np.diag(np.diag(covariance))
     return _not_below(covariance, least)
 
@@ -133,6 +139,14 @@ def size_covariance(data: Sequence[DataSet]) -> Matrix:
     """Return weights to begin with, as large as the outputs are about their means."""
     variances = np.mean([np.nanvar(one.y, axis=0) for one in data], axis=0)
     return np.diag(np.where(variances > 0.0, variances, 1.0))
+
+
+def _is_covariance(C: Matrix) -> bool:
+    """Return whether there is noise of it; not so where outputs are measured at different times."""
+    deviations = np.sqrt(np.maximum(np.diag(C), np.finfo(np.float64).tiny))
+    correlation = LARGEST_CORRELATION * C / np.outer(deviations, deviations)
+    np.fill_diagonal(correlation, 1.0)
+    return bool(np.linalg.eigvalsh(correlation)[0] > 0.0)
 
 
 def _not_below(covariance: Matrix, least: Vector) -> Matrix:

@@ -180,7 +180,7 @@ def _regression(
     measured = data.measured
 
     def white(rows: NDArray[np.float64]) -> Matrix:
-        return noise.whitened(rows[measured]).reshape(-1, rows.shape[2])
+        return noise.whitened(rows, measured).reshape(-1, rows.shape[2])
 
     linear = white(response.linear)
     slopes = white(response.slopes)

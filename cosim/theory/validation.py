@@ -10,7 +10,7 @@ held is larger than noise makes it, too (the likelihood ratio; S. Wilks, 1938).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
 from typing import Any
 
@@ -20,7 +20,7 @@ from cosim.arrays import Mask, Matrix, Vector
 from cosim.native.output_error import ParameterState
 from cosim.theory.consistency import FALSE_ALARM, MARGIN, Consistency, ResidualTest, examine
 from cosim.theory.disturbance import Family, generators
-from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
+from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, NoiseModel, white_noise
 from cosim.theory.estimators.output_error import OutputErrorFit, fit_output_error
 from cosim.theory.fitted_response import fitted_response
 from cosim.theory.quantiles import chi_square_above
@@ -117,8 +117,10 @@ def validate(
     held = fit_output_error(
         [data], plant, families, fit.theta, noise=own.noise, offset=offset, bounds=bounds
     )
-    W = assessment.noise.whitening if len(plant.C) > 1 else np.eye(1)
-    deviation = _root_mean_square(held, [data], plant, families, W)
+    noise = white_noise(len(plant.C))
+    if len(plant.C) > 1:
+        noise = replace(noise, covariance=assessment.noise.covariance)
+    deviation = _root_mean_square(held, [data], plant, families, noise)
     tested = _comparable(assessment, own)
     difference = _difference(assessment, own, held, tested)
     verdict, reason = _verdict(assessment, own, tested, difference)
@@ -128,7 +130,7 @@ def validate(
         fit=held,
         consistency=examine(held, [data], plant, families, own.noise, stated=stated),
         deviation=deviation,
-        ratio=deviation / _root_mean_square(fit, fitted, plant, families, W),
+        ratio=deviation / _root_mean_square(fit, fitted, plant, families, noise),
         own=own,
         difference=difference,
     )
@@ -139,17 +141,17 @@ def _root_mean_square(
     data: Sequence[DataSet],
     plant: DisturbedPlant,
     families: Sequence[Family],
-    W: Matrix,
+    noise: NoiseModel,
 ) -> float:
-    """Return the root mean square of the residual times W, corrected for what was fitted to it."""
+    """Return the root mean square of the white residual, corrected for what was fitted to it."""
     matrices = generators(families)
     squares = 0.0
     count = 0
     for index, one in enumerate(data):
         response = fitted_response(fit, index, one, plant, matrices)
-        residual = response.residual[one.measured] @ W.T
-        squares += float(np.sum(residual**2))
-        count += residual.size
+        white = noise.whitened(response.residual[:, :, np.newaxis], one.measured)
+        squares += float(np.sum(white**2))
+        count += int(one.measured.sum())
     unknowns = max(count - fit.freedom, 0.0)
     return float(np.sqrt(squares / max(count - unknowns, 1.0)))
 

@@ -228,7 +228,7 @@ def test_several_outputs_are_weighted_by_their_noise(exact):
     [
         ({"t": np.array([0.0, 2.0, 1.0])}, "time does not ascend: 2.0 s at sample 1"),
         ({"u": np.array([[0.0], [np.nan], [0.0]])}, "u is not finite at t = 1.0 s"),
-        ({"y": np.full((3, 1), np.nan)}, "NaN only where not measured"),
+        ({"y": np.full((3, 1), np.nan)}, r"y\[0\] is never measured"),
         ({"y": np.zeros((2, 1))}, "y: 2 samples; needed 3"),
         ({"alpha": np.full((3, 2), np.inf)}, "alpha is not finite at t = 0.0 s"),
     ],

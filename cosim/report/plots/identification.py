@@ -25,6 +25,7 @@ from cosim.scenario.identifying import IdentifierRecord, LogIdentification, smoo
 from cosim.scenario.recorded_metadata import truth_of
 from cosim.scenario.schema import truth_ports
 from cosim.theory.disturbance import generators
+from cosim.theory.disturbed_plant import counted_values
 from cosim.theory.fitted_response import FittedResponse, fitted_response
 from cosim.theory.spectrum import whiteness_spectrum
 
@@ -111,22 +112,26 @@ def _draw_spectrum(
 ) -> None:
     measured = record.data.measured
     noise = found.assessment.noise
-    whitened = noise.whitened(response.residual[measured][:, :, np.newaxis])[:, :, 0]
-    t = record.data.t[measured]
+    whitened = noise.whitened(response.residual[:, :, np.newaxis], measured)[:, :, 0]
+    counted = counted_values(measured, noise.order)
     panel.set_xlabel("frequency [Hz]")
     panel.set_ylabel("over white noise")
-    try:
-        spectrum = whiteness_spectrum(whitened, float(t[-1] - t[0]) / max(len(t) - 1, 1))
-    except AssumptionError:  # of a handful of samples
+    for o, style in enumerate(color_styles(whitened.shape[1])):
+        t = record.data.t[counted[:, o]]
+        values = whitened[counted[:, o]][:, [o]]
+        try:
+            spectrum = whiteness_spectrum(values, float(t[-1] - t[0]) / max(len(t) - 1, 1))
+        except AssumptionError:  # of a handful of samples
+            continue
+        frequency = spectrum.frequency
+        panel.fill_between(frequency, spectrum.lower, spectrum.upper, color="0.88", linewidth=0.0)
+        panel.plot(frequency, spectrum.power[:, 0], marker=".", markersize=4.0, **style)
+        panel.set_ylim(bottom=0.5 * float(spectrum.lower.min()))
+    if not panel.lines:
         return
     panel.set_xscale("log")
     panel.set_yscale("log")
-    frequency = spectrum.frequency
-    panel.fill_between(frequency, spectrum.lower, spectrum.upper, color="0.88", linewidth=0.0)
     panel.axhline(1.0, color="0.6", linewidth=1.0)
-    for style, power in zip(color_styles(spectrum.power.shape[1]), spectrum.power.T, strict=True):
-        panel.plot(frequency, power, marker=".", markersize=4.0, **style)
-    panel.set_ylim(bottom=0.5 * float(spectrum.lower.min()))
 
 
 def _draw_disturbance(

@@ -46,8 +46,7 @@ def _add_log(table: Table, found: LogIdentification, index: int) -> None:
     record = found.records[index]
     fit = found.assessment.fit
     x0 = ", ".join(f"{value:.4g}" for value in fit.x0[index])
-    samples = int(record.data.measured.sum())
-    text = f"{samples} samples; x(0) {x0}"
+    text = f"{record.data.samples} samples; x(0) {x0}"
     table.add_row(record.log.label, "", "", "", text)
     for amplitude in found.amplitudes[index]:
         _add_parameter(table, amplitude)

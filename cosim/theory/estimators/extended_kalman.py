@@ -98,7 +98,7 @@ def extended_kalman(
         plant,
         generators(families),
         step=np.array([h]),
-        predicts=np.zeros(1, np.bool_),
+        predicting=np.zeros((1, len(plant.C)), np.bool_),
         noise=white_noise(len(plant.C)),
     )
     constants = ExtendedKalmanConstants(

@@ -158,7 +158,7 @@ def fit_output_error(
         accuracy=problem.rounding,
     )
     if result.status == NO_INFORMATION:
-        measured = sum(int(one.measured.sum()) * one.y.shape[1] for one in data)
+        measured = sum(int(one.measured.sum()) for one in data)
         unknowns = len(records) * records[0].model.linear + matrices.parameters
         if measured > unknowns:
             raise StartError(
