@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -140,20 +142,37 @@ def bounds_of(rows: object, parameters: int) -> dict[int, tuple[float, float]]:
     UsageError
         If they are not that.
     """
-    bounds = {}
-    if isinstance(rows, list) and len(rows) == parameters:
-        for j, row in enumerate(rows):
-            if isinstance(row, list) and len(row) == 2 and all(map(_is_number, row)):
-                lower, upper = map(float, row)
-                if lower <= upper:
-                    bounds[j] = (lower, upper)
-    if len(bounds) != parameters:
+    if not isinstance(rows, list) or len(rows) != parameters:
         raise UsageError(
             f"bounds: found {rows}; needed [lower, upper] for each of the {parameters} parameters, "
             "inf where there is none: [[-1, 0], [-inf, inf]]"
         )
-    return bounds
+    return {j: _bounds_of_one(row, j) for j, row in enumerate(rows)}
+
+
+def _bounds_of_one(row: object, j: int) -> tuple[float, float]:
+    if not isinstance(row, list) or len(row) != 2 or not all(map(_is_number, row)):
+        raise UsageError(
+            f"bounds of theta[{j}]: found {row}; needed two numbers, [lower, upper], inf where "
+            "there is none: [-1, inf]"
+        )
+    lower, upper = map(float, row)
+    if not lower <= upper:
+        raise UsageError(
+            f"bounds of theta[{j}]: the lower {lower:g} is above the upper {upper:g}; needed "
+            "[lower, upper]"
+        )
+    if lower == np.inf or upper == -np.inf:
+        raise UsageError(
+            f"bounds of theta[{j}]: [{lower:g}, {upper:g}] has no number between them; needed "
+            "[lower, upper], -inf or inf where there is none"
+        )
+    return lower, upper
 
 
 def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
+    if isinstance(value, float):
+        return not math.isnan(value)
+    if isinstance(value, bool) or not isinstance(value, int):
+        return False
+    return abs(value) <= sys.float_info.max

@@ -192,8 +192,12 @@ def test_a_large_irregular_part_is_beyond_the_first_order(logs, call):
         (("--bounds", "[[-1,0]]"), "needed [lower, upper] for each of the 2 parameters"),
         (
             ("--bounds", "[[0,-1],[-1,0]]"),
-            "bounds: found [[0, -1], [-1, 0]]; needed",
+            "bounds of theta[0]: the lower 0 is above the upper -1",
         ),
+        (("--bounds", "[[-1,0],[nan,1]]"), "bounds of theta[1]: found [nan, 1]; needed two"),
+        (("--bounds", "[[-1,0],[true,1]]"), "bounds of theta[1]: found [True, 1]; needed two"),
+        (("--bounds", f"[[-1,0],[1,{10**400}]]"), "bounds of theta[1]: found [1, 1000"),
+        (("--bounds", "[[-1,0],[inf,inf]]"), "[inf, inf] has no number between"),
         (("--bounds", "wide"), "bounds: found wide; needed [lower, upper]"),
         (("--irregular", "-1"), "--irregular: found -1, needed a positive number"),
         (("--irregular", "nan"), "--irregular: found nan, needed a positive number"),

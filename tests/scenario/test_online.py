@@ -260,7 +260,7 @@ def test_a_zero_order_hold_costs_the_square_of_the_step_or_the_step():
         ({"window": 0.0}, "window: found 0.0 s, needed a positive finite time"),
         ({"window": 8.0, "forgetting": 3.0}, "found both window and forgetting"),
         ({"window": 0.0151}, "window of 'identifier'"),
-        ({"bounds": [[0.0, -1.0], [0.0, 1.0]]}, "lower, upper"),
+        ({"bounds": [[0.0, -1.0], [0.0, 1.0]]}, "the lower 0 is above the upper -1"),
         ({"P0": 1.0}, "P0: not of method 'output-error'"),
     ],
 )
