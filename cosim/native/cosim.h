@@ -47,6 +47,10 @@ int32_t cosim_invert(int32_t n, double *M, double *inverse);
  * doubles. */
 void cosim_exponential(int32_t n, const double *M, double *E, double *work);
 
+/* G = G0 + sum_j theta_j G1_j, all of shape (n, n), those of G1 one behind the other. */
+void cosim_system_matrix(int32_t n, int32_t count, const double *G0, const double *G1,
+                         const double *theta, double *G);
+
 /* Exact discretization of x' = A x + B u for inputs that are interpolated linearly over the step
  * (the triangle, or first-order, hold): x(t+h) = Ad x + B0 u(t) + B1 u(t+h). held[j] != 0:
  * zero-order hold of input j at u(t). `work` has 4 N N doubles, N = n + 2 m. */
@@ -466,6 +470,10 @@ typedef struct {
     const double *theta;         /* (points_i, count_i) of one component behind the other */
 } cosim_start_grid;
 int64_t cosim_start_grid_memory(const cosim_start_grid *self);
+/* Insert a value among the smallest ones of a grid, which stand in ascending order with their points;
+ * infinity and NaN are none. Returns how many there are then, at most `most`. */
+int32_t cosim_keep_smallest(double value, int64_t point, int32_t found, int32_t most, double *values,
+                            int64_t *points);
 int64_t cosim_start_grid_points(const cosim_start_grid *self);
 /* The least squares of every combination, (points); R: that of the model. */
 void cosim_start_grid_squares(const cosim_start_grid *self, const double *R, double *memory,

@@ -117,6 +117,17 @@ void cosim_exponential(int32_t n, const double *M, double *E, double *work)
         E[i * (n + 1)] += 1.0;
 }
 
+void cosim_system_matrix(int32_t n, int32_t count, const double *G0, const double *G1,
+                         const double *theta, double *G)
+{
+    for (int32_t k = 0; k < n * n; ++k) {
+        double sum = G0[k];
+        for (int32_t j = 0; j < count; ++j)
+            sum += theta[j] * G1[j * n * n + k];
+        G[k] = sum;
+    }
+}
+
 /* With v = du/ds constant over the unit interval s = (t - t0)/h, the state (x, u, v) has
  * the generator [[h A, h B, 0], [0, 0, I], [0, 0, 0]]; the first block row of its exponential is
  * (Ad, G1, G2), and x(t+h) = Ad x + G1 u0 + G2 (u1 - u0). */

@@ -144,18 +144,16 @@ void cosim_output_error_basis(const cosim_output_error *s, const double *theta, 
     const double *G0 = s->G0, *G1 = s->G1;
     for (int32_t i = 0; i < s->components; ++i) {
         const int32_t V = s->size[i], N = 2 * V;
-        double *A = work, *expA = A + N * N;
+        double *A = work, *expA = A + N * N, *G = E; /* until E is known */
+        cosim_system_matrix(V, s->count[i], G0, G1, theta, G);
+        memset(A, 0, (size_t)(N * N) * sizeof *A);
+        for (int32_t a = 0; a < V; ++a)
+            for (int32_t b = 0; b < V; ++b)
+                A[a * N + b] = A[(V + a) * N + V + b] = G[a * V + b] * h;
         for (int32_t j = 0; j < s->count[i] || j == 0; ++j) {
-            memset(A, 0, (size_t)(N * N) * sizeof *A);
-            for (int32_t a = 0; a < V; ++a)
-                for (int32_t b = 0; b < V; ++b) {
-                    double G = G0[a * V + b];
-                    for (int32_t k = 0; k < s->count[i]; ++k)
-                        G += theta[k] * G1[(k * V + a) * V + b];
-                    A[a * N + b] = G * h;
-                    A[(V + a) * N + V + b] = G * h;
-                    A[a * N + V + b] = s->count[i] ? G1[(j * V + a) * V + b] * h : 0.0;
-                }
+            for (int32_t a = 0; a < V && s->count[i]; ++a)
+                for (int32_t b = 0; b < V; ++b)
+                    A[a * N + V + b] = G1[(j * V + a) * V + b] * h;
             cosim_exponential(N, A, expA, expA + N * N);
             for (int32_t a = 0; a < V; ++a)
                 for (int32_t b = 0; b < V; ++b) {

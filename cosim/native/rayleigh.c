@@ -35,17 +35,14 @@ static columns columns_of(const cosim_rayleigh *s)
 static void make_rows(const cosim_rayleigh *s, const double *theta, columns at, double *K)
 {
     const double *c = s->c, *G0 = s->G0, *G1 = s->G1;
-    double G[MOST_ENTRIES], E[MOST_ENTRIES], work[2 * MOST_ENTRIES];
+    double G[MOST_ENTRIES], M[MOST_ENTRIES], E[MOST_ENTRIES], work[2 * MOST_ENTRIES];
     for (int32_t i = 0; i < s->components; ++i) {
         const int32_t V = s->size[i], column = at.first[s->group[i]];
+        cosim_system_matrix(V, s->count[i], G0, G1, theta, G);
         for (int32_t j = 0; j < s->rows; ++j) {
-            for (int32_t k = 0; k < V * V; ++k) {
-                double sum = G0[k];
-                for (int32_t p = 0; p < s->count[i]; ++p)
-                    sum += theta[p] * G1[p * V * V + k];
-                G[k] = -s->delays[j] * sum;
-            }
-            cosim_exponential(V, G, E, work);
+            for (int32_t k = 0; k < V * V; ++k)
+                M[k] = -s->delays[j] * G[k];
+            cosim_exponential(V, M, E, work);
             for (int32_t k = 0; k < V; ++k) {
                 double sum = 0.0;
                 for (int32_t a = 0; a < V; ++a)
@@ -229,53 +226,40 @@ int32_t cosim_rayleigh_minimize(const cosim_rayleigh *s, const double *R, const 
     return COSIM_NOT_CONVERGED;
 }
 
-/* Insert a point among the best ones, which stand in ascending order. */
-static void keep_best(int32_t P, double value, const double *theta, double *values,
-                      double best[][COSIM_MOST_PARAMETERS])
+/* The middle of a cell of the grid. */
+static void write_point(const cosim_rayleigh *s, int64_t k, double *theta)
 {
-    int32_t place = STARTS;
-    while (place > 0 && value < values[place - 1])
-        --place;
-    if (place == STARTS)
-        return;
-    for (int32_t i = STARTS - 1; i > place; --i) {
-        values[i] = values[i - 1];
-        memcpy(best[i], best[i - 1], (size_t)P * sizeof *theta);
+    for (int32_t j = 0; j < s->parameters; ++j) {
+        const double fraction = ((double)(k % s->points) + 0.5) / s->points;
+        theta[j] = s->lower[j] + fraction * (s->upper[j] - s->lower[j]);
+        k /= s->points;
     }
-    values[place] = value;
-    memcpy(best[place], theta, (size_t)P * sizeof *theta);
 }
 
 int32_t cosim_rayleigh_search(const cosim_rayleigh *s, const double *R, const double *N,
                               double *theta, double *value)
 {
     const int32_t P = s->parameters;
-    double values[STARTS], best[STARTS][COSIM_MOST_PARAMETERS], rho[COSIM_MOST_TERMS];
-    int64_t count = 1;
+    double point[COSIM_MOST_PARAMETERS], rho[COSIM_MOST_TERMS], values[STARTS];
+    int64_t best[STARTS], count = 1;
+    int32_t found = 0;
     for (int32_t j = 0; j < P; ++j)
         count *= s->points;
-    for (int32_t i = 0; i < STARTS; ++i)
-        values[i] = INFINITY;
     for (int64_t k = 0; k < count; ++k) {
-        int64_t rest = k;
-        double point[COSIM_MOST_PARAMETERS];
-        for (int32_t j = 0; j < P; ++j) {
-            const double fraction = ((double)(rest % s->points) + 0.5) / s->points;
-            point[j] = s->lower[j] + fraction * (s->upper[j] - s->lower[j]);
-            rest /= s->points;
-        }
+        write_point(s, k, point);
         residual(s, R, N, point, rho);
-        keep_best(P, squares_of(s->terms, rho), point, values, best);
+        found = cosim_keep_smallest(squares_of(s->terms, rho), k, found, STARTS, values, best);
     }
     *value = INFINITY;
     int32_t status = COSIM_NO_VALUE;
-    for (int32_t i = 0; i < STARTS && values[i] < INFINITY; ++i) {
+    for (int32_t i = 0; i < found; ++i) {
         double reached;
-        const int32_t result = cosim_rayleigh_minimize(s, R, N, best[i], &reached);
+        write_point(s, best[i], point);
+        const int32_t result = cosim_rayleigh_minimize(s, R, N, point, &reached);
         if (result != COSIM_NO_VALUE && reached < *value) {
             *value = reached;
             status = result;
-            memcpy(theta, best[i], (size_t)P * sizeof *theta);
+            memcpy(theta, point, (size_t)P * sizeof *theta);
         }
     }
     return status;

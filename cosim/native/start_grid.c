@@ -115,19 +115,21 @@ static void write_theta(const cosim_start_grid *s, int64_t point, double *theta)
     }
 }
 
-/* Insert a point among the best ones, which stand in ascending order; returns how many there are. */
-static int32_t keep_best(const double *squares, int64_t point, int32_t found, int32_t most,
-                         int64_t *best)
+int32_t cosim_keep_smallest(double value, int64_t point, int32_t found, int32_t most, double *values,
+                            int64_t *points)
 {
     int32_t place = found;
-    while (place > 0 && squares[point] < squares[best[place - 1]])
+    while (place > 0 && value < values[place - 1])
         --place;
-    if (place == most)
+    if (place == most || !(value < INFINITY))
         return found;
     const int32_t count = found < most ? found + 1 : most;
-    for (int32_t i = count - 1; i > place; --i)
-        best[i] = best[i - 1];
-    best[place] = point;
+    for (int32_t i = count - 1; i > place; --i) {
+        values[i] = values[i - 1];
+        points[i] = points[i - 1];
+    }
+    values[place] = value;
+    points[place] = point;
     return count;
 }
 
@@ -145,13 +147,14 @@ int32_t cosim_start_grid_best(const cosim_start_grid *s, const double *squares, 
                               double *theta)
 {
     const int64_t points = cosim_start_grid_points(s);
+    double values[COSIM_MOST_STARTS];
     int64_t best[COSIM_MOST_STARTS];
     int32_t parameters = 0, found = 0;
     for (int32_t i = 0; i < s->components; ++i)
         parameters += s->count[i];
     for (int64_t k = 0; k < points; ++k)
-        if (squares[k] < INFINITY && is_minimum(s, squares, k))
-            found = keep_best(squares, k, found, most, best);
+        if (is_minimum(s, squares, k))
+            found = cosim_keep_smallest(squares[k], k, found, most, values, best);
     for (int32_t i = 0; i < found; ++i)
         write_theta(s, best[i], theta + i * parameters);
     return found;
