@@ -105,21 +105,37 @@ def check_step(
     ------
     AssumptionError
         If a line is more than 1 % off halfway between two points; with the step that would do.
+        If an alpha is not finite there.
     """
     steps = min(round((stop - start) / h), STEPS_CHECKED)
     points: Vector = start + h * np.arange(steps + 1, dtype=np.float64)
     between: Vector = points[:-1] + 0.5 * h
     ends = alpha(points)
     middles = alpha(between)
-    errors = np.abs(middles - 0.5 * (ends[:-1] + ends[1:])).max(axis=0, initial=0.0)
+    _check_finite(ends, points, names)
+    _check_finite(middles, between, names)
+    distances = np.abs(middles - 0.5 * (ends[:-1] + ends[1:]))
+    errors = distances.max(axis=0, initial=0.0)
     sizes = np.sqrt(np.mean(ends**2, axis=0))
     relative = errors / np.where(sizes > 0.0, sizes, 1.0)
     worst = int(relative.argmax())
     if relative[worst] > LARGEST_STEP_ERROR:
         enough = h * enough_shorter(float(relative[worst]))
+        place = int(distances[:, worst].argmax())
         raise AssumptionError(
             f"the communication step {h:g} s is too long: a straight line between two points is "
-            f"{relative[worst]:.2g} of alpha {names[worst]!r} off; needed at most {enough:.1g} s"
+            f"{relative[worst]:.2g} of alpha {names[worst]!r} off, most at t = {between[place]:g} "
+            f"s; needed at most {enough:.1g} s, or an alpha without such a place"
+        )
+
+
+def _check_finite(values: Matrix, t: Vector, names: Sequence[str]) -> None:
+    wrong = np.argwhere(~np.isfinite(values))
+    if wrong.size:
+        row, column = wrong[0]
+        raise AssumptionError(
+            f"alpha {names[column]!r} is {values[row, column]:g} at t = {t[row]:g} s; needed a "
+            "finite number at every instant of the run"
         )
 
 

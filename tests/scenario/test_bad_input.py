@@ -499,3 +499,24 @@ def test_what_is_off_the_grid_or_too_large_is_refused(changes, pattern):
     """Nothing is rounded to the grid, and nothing is tried that cannot fit."""
     with pytest.raises(ScenarioError, match=pattern):
         cosim.run("academic", set=changes)
+
+
+@pytest.mark.parametrize(
+    ("component", "alpha", "text"),
+    [
+        ("regressor", "1/(t - 5)", r"alpha '1/\(t - 5\)' is -?inf at t = 5 s"),
+        ("regressor", "1/(t - 4.015)", r"is -?inf at t = 4.015 s|off, most at t = 4.01"),
+        ("regressor", "log(t - 1)", r"alpha 'log\(t - 1\)' is nan at t = 0 s"),
+        ("delta", "1/(t - 5)", r"alpha '1/\(t - 5\)' is -?inf at t = 5 s"),
+        ("delta", "log(t - 1)", r"alpha 'log\(t - 1\)' is nan at t = 0 s"),
+    ],
+)
+def test_an_alpha_that_is_not_finite_is_refused_before_the_run(component, alpha, text):
+    """With the instant, and without a warning of numpy."""
+    term = {"alpha": alpha, "family": "exponential"}
+    changes = {"regressor.terms": [term], "regressor.delays": [0.5, 1.0]}
+    if component == "delta":
+        changes = {"delta.terms": [{**term, "theta": -0.4}]}
+    changes |= {"scenario.step": 0.01, "scenario.stop": 10.0, "observer.filter_rate": 50.0}
+    with pytest.raises(UsageError, match=text):
+        cosim.run("academic-noisy", set=changes)

@@ -20,6 +20,7 @@ from cosim.fmi.exporting.specifications import Exportable
 from cosim.native.expression import Program, compile_expression
 from cosim.native.step import evaluate_at
 from cosim.scenario.kinds.base import BuildContext, ExportableKind, Spectrum, Wiring
+from cosim.scenario.kinds.finite_values import check_finite
 from cosim.scenario.kinds.jumps import check_continuous
 from cosim.scenario.schema import NumberRow, TomlTable
 from cosim.theory import regression
@@ -145,6 +146,7 @@ class RegressorKind(ExportableKind):
         steps = self._steps(context)
         for group in groups:
             check_continuous(group.alpha, context.clock, ALPHA_WAY_OUT)
+            check_finite(group.alpha, context.clock)
         programs = {group.alpha: compile_expression(group.alpha) for group in groups}
         if len(groups) > 1:
             self._check_alpha_products(terms, programs.values())

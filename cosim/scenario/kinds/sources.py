@@ -17,6 +17,7 @@ from cosim.errors import UsageError
 from cosim.native.expression import FUNCTIONS, compile_expression
 from cosim.scenario.csv_file import read_csv
 from cosim.scenario.kinds.base import BuildContext, Kind
+from cosim.scenario.kinds.finite_values import check_finite
 from cosim.scenario.kinds.jumps import (
     check_continuous,
     check_sampled,
@@ -262,6 +263,7 @@ class DisturbanceKind(Kind):
         texts = [_term_expression(term) for term in self.terms]
         for term in self.terms:
             check_continuous(term.alpha, context.clock, DISTURBANCE_WAY_OUT)
+            check_finite(term.alpha, context.clock)
         context.add_metadata(name, {"theta": [term.theta for term in self.terms]})
         return source.Expression([" + ".join(texts)], unit=self.unit_name)
 
