@@ -78,9 +78,10 @@ class IdentifiedPlant:
         samples : SampleRows, optional
             What counts in the place of y.
         """
+        points = t
         if samples is not None:
             t, y, u = samples.beside(t, u, held, y.shape[1])
-        return DataSet(t, y, u, evaluate_at(self.alphas, t), held)
+        return DataSet(t, y, u, evaluate_at(self.alphas, t), held, np.isin(t, points))
 
 
 @dataclass(frozen=True, eq=False)

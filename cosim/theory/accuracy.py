@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
 from cosim.errors import AssumptionError
@@ -77,12 +78,14 @@ def step_error(plant: DisturbedPlant, data: DataSet, disturbance: Matrix) -> Mat
     disturbance : Matrix, shape (N, components)
         ``alpha_i f_i`` as it was fitted.
     """
-    inputs = np.hstack([data.u, disturbance])
-    deviations = _mean_deviation(data.t, inputs)
-    deviations[:, np.flatnonzero(data.is_held)] = 0.0
-    # At the samples themselves a line is exact, so there is no direct feedthrough of its error.
-    at_states = deviations @ np.hstack([plant.B, plant.Bd]).T
-    return forced_outputs(plant, data).respond(np.zeros_like(at_states), at_states)
+    everywhere = np.arange(len(data.t))
+    of_u, at_samples = _line_error(data.t, data.u, np.flatnonzero(data.is_taken))
+    of_u[:, data.is_held] = 0.0
+    at_samples[:, data.is_held] = 0.0
+    of_disturbance, _ = _line_error(data.t, disturbance, everywhere)
+    at_states = of_u @ plant.B.T + of_disturbance @ plant.Bd.T
+    response = forced_outputs(plant, data).respond(np.zeros_like(at_states), at_states)
+    return response + at_samples @ plant.D.T
 
 
 def check_step(
@@ -192,19 +195,35 @@ def quantization_error(y: Matrix, residual: Matrix, spacing: Vector) -> Matrix:
     return errors
 
 
-def _mean_deviation(t: Vector, values: Matrix) -> Matrix:
-    """Return what a signal has over straight lines in the mean of the interval behind each sample.
+def _line_error(t: Vector, values: Matrix, knots: NDArray[np.intp]) -> tuple[Matrix, Matrix]:
+    """Compute by how much straight lines between some samples of smooth signals are wrong.
 
-    Its curvature is that of divided differences; at the ends that of the neighbor.
+    Parameters
+    ----------
+    t : Vector, shape (N,)
+    values : Matrix, shape (N, m)
+        Between the knots on straight lines.
+    knots : shape (K,)
+        The samples that are exact.
+
+    Returns
+    -------
+    tuple of two Matrix, each (N, m)
+        What a signal has over the lines in the mean of the interval behind each sample, and at it.
     """
-    deviation = np.zeros_like(values)
-    if len(t) < 3:
-        return deviation
-    steps = np.diff(t)[:, np.newaxis]
-    slopes = np.diff(values, axis=0) / steps
-    curvature = np.empty_like(values)
-    curvature[1:-1] = 2.0 * np.diff(slopes, axis=0) / (steps[1:] + steps[:-1])
-    curvature[0] = curvature[1]
-    curvature[-1] = curvature[-2]
-    deviation[:-1] = -(steps**2) * (curvature[1:] + curvature[:-1]) / 24.0
-    return deviation
+    if len(knots) < 3:
+        return np.zeros_like(values), np.zeros_like(values)
+    lengths = np.diff(t[knots])[:, np.newaxis]
+    slopes = np.diff(values[knots], axis=0) / lengths
+    at_knots = 2.0 * np.diff(slopes, axis=0) / (lengths[1:] + lengths[:-1])
+    at_knots = np.vstack([at_knots[:1], at_knots, at_knots[-1:]])
+    curvature = 0.5 * (at_knots[1:] + at_knots[:-1])
+    line = np.clip(np.searchsorted(knots, np.arange(len(t)), side="right") - 1, 0, len(lengths) - 1)
+    H = lengths[line]
+    begin = (t - t[knots[line]])[:, np.newaxis]
+    end = begin + np.append(np.diff(t), 0.0)[:, np.newaxis]
+    # of (H - s) s f'' / 2, which a parabola has below its chord
+    squares = 0.5 * H * (end + begin) - (end**2 + end * begin + begin**2) / 3.0
+    in_the_mean = -0.5 * curvature[line] * squares
+    at_samples = -0.5 * curvature[line] * (H - begin) * begin
+    return in_the_mean, at_samples

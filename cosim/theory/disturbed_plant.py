@@ -106,6 +106,8 @@ class DataSet:
         The known factor of each component of the disturbance.
     held : shape (n_u,), optional
         Inputs that keep their value from one sample to the next; by default none: straight lines.
+    taken : shape (N,), optional
+        Samples at which u was taken; at others it is on the straight lines between. By default all.
 
     Raises
     ------
@@ -119,6 +121,7 @@ class DataSet:
     u: Matrix
     alpha: Matrix
     held: NDArray[np.bool_] | None = None
+    taken: NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
         """Freeze and check the samples."""
@@ -169,6 +172,13 @@ class DataSet:
             return np.zeros(self.u.shape[1], np.bool_)
         return np.array(self.held, np.bool_)
 
+    @property
+    def is_taken(self) -> NDArray[np.bool_]:
+        """At which samples u was taken, shape (N,)."""
+        if self.taken is None:
+            return np.ones(len(self.t), np.bool_)
+        return np.array(self.taken, np.bool_)
+
     def kept(self, every: int) -> NDArray[np.intp]:
         """Return the rows that are left of every so many, also of those of each output."""
         rows: NDArray[np.intp] = np.arange(0, len(self.t), every)
@@ -179,7 +189,8 @@ class DataSet:
     def thinned(self, every: int) -> DataSet:
         """Return every so many samples of it, and the inputs as often."""
         rows = self.kept(every)
-        return DataSet(self.t[rows], self.y[rows], self.u[rows], self.alpha[rows], self.held)
+        taken = self.is_taken[rows]
+        return DataSet(self.t[rows], self.y[rows], self.u[rows], self.alpha[rows], self.held, taken)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -13,7 +13,7 @@ from scipy.signal import lfilter
 from cosim.errors import AssumptionError
 from cosim.theory.accuracy import step_error
 from cosim.theory.disturbance import generators
-from cosim.theory.disturbed_plant import DisturbedPlant, NoiseModel
+from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, NoiseModel
 from cosim.theory.estimators.output_error import fit_output_error
 from cosim.theory.fitted_response import fitted_response
 from cosim.theory.forced_response import forced_outputs, simulate
@@ -295,3 +295,30 @@ def test_an_output_that_is_never_measured_is_refused():
     pattern[:, 1] = False
     with pytest.raises(AssumptionError, match=r"y\[1\] is never measured"):
         missing(pattern, 1)
+
+
+@pytest.mark.parametrize("feedthrough", [0.0, 0.5])
+@pytest.mark.parametrize("place", [0, 10, 25])
+def test_samples_between_the_points_of_an_input_have_the_error_of_its_lines(place, feedthrough):
+    """Where u is known at other instants than y: it is wrong at the samples themselves too."""
+    fine = np.arange(20001) * 1e-3
+    u = np.sin(2.0 * fine)
+    y = states(fine, u) + feedthrough * u
+    points = fine[::50]
+    samples = fine[place::50]
+    t = np.union1d(samples, points)
+    at_samples = np.full((len(t), 1), np.nan)
+    at_samples[np.searchsorted(t, samples), 0] = y[place::50]
+    between = np.interp(t, points, u[::50])[:, np.newaxis]
+    taken = np.isin(t, points)
+    data = DataSet(t, at_samples, between, alpha(t)[:, np.newaxis], taken=taken)
+    plant = replace(lag(), D=np.array([[feedthrough]]))
+    found = assess([data], plant, FAMILY, START)
+    parameter = found.parameters[0]
+    assert parameter.verdict is Verdict.IDENTIFIABLE
+    assert parameter.lower <= RATE <= parameter.upper
+    delta = (alpha(t) * np.exp(RATE * t))[:, np.newaxis]
+    error = step_error(plant, data, delta)[~np.isnan(at_samples)]
+    lines = states(t, between[:, 0]) + feedthrough * between[:, 0]
+    true = y[place::50] - lines[np.searchsorted(t, samples)]
+    np.testing.assert_allclose(error, true, atol=0.1 * np.abs(true).max())
