@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from time import perf_counter
-from typing import Any, Final
-
-import numpy as np
+from typing import Any
 
 from cosim.report.summary import noise_text
 from cosim.scenario.assessing import plain_amplitudes
@@ -17,58 +15,27 @@ from cosim.scenario.identifying import (
     irregular_interval,
     validate_record,
 )
+from cosim.scenario.irregular import IrregularPart, irregular_part
 from cosim.scenario.recorded_metadata import IdentificationRecord
 from cosim.theory.validation import Validation, ValidationVerdict
 
-# relative difference of both sides of an interval around an estimate up to which the first order,
-# which has two equal ones, is said to hold
-FIRST_ORDER: Final = 0.05
-
 
 @dataclass(frozen=True, kw_only=True)
-class IrregularEffect:
-    """What an irregular part of the disturbance within a bound leaves open of one theta.
+class TimedPart:
+    """What an irregular part within a bound leaves open, and what it cost to compute that.
 
     Parameters
     ----------
-    name : str
-    first_order : float
-        Half width around the estimate.
-    holds : bool
-        Whether the first order does: the truths behind this estimate reach as far to both sides.
-    lower, upper : float or None
-        What the data and the estimate allow, by linear programs; None: no theta explains them with
-        this bound.
-    """
-
-    name: str
-    first_order: float
-    holds: bool
-    lower: float | None
-    upper: float | None
-
-
-@dataclass(frozen=True, kw_only=True)
-class IrregularPart:
-    """What ``|delta_0| <= bound`` leaves open, and what it cost to compute that.
-
-    Parameters
-    ----------
-    bound : float
-    effects : tuple of IrregularEffect
-    confidence : float
-        Probability of the bounds of the noise.
+    part : IrregularPart
     seconds : float
     """
 
-    bound: float
-    effects: tuple[IrregularEffect, ...]
-    confidence: float
+    part: IrregularPart
     seconds: float
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-        return asdict(self)
+        return {**self.part.to_dict(), "seconds": self.seconds}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -79,12 +46,12 @@ class IdentificationReport:
     ----------
     found : LogIdentification
     validations : tuple of (IdentifierRecord, Validation)
-    irregular : IrregularPart or None
+    irregular : TimedPart or None
     """
 
     found: LogIdentification
     validations: tuple[tuple[IdentifierRecord, Validation], ...] = ()
-    irregular: IrregularPart | None = None
+    irregular: TimedPart | None = None
 
     @property
     def failed(self) -> bool:
@@ -159,26 +126,7 @@ def report_identification(
     return IdentificationReport(found=found, validations=validations, irregular=part)
 
 
-def _irregular_part(found: LogIdentification, bound: float) -> IrregularPart:
+def _irregular_part(found: LogIdentification, bound: float) -> TimedPart:
     began = perf_counter()
-    result = irregular_interval(found, bound)
-    seconds = perf_counter() - began
-    theta = found.assessment.fit.theta
-    effects = []
-    for j, half_width in enumerate(result.half_width.tolist()):
-        below, above = np.abs(result.around_estimate[j] - theta[j]).tolist()
-        lower = float(result.lower[j])
-        upper = float(result.upper[j])
-        is_known = not np.isnan(lower + upper)
-        effects.append(
-            IrregularEffect(
-                name=f"theta[{j}]",
-                first_order=half_width,
-                holds=bool(abs(above - below) <= FIRST_ORDER * (above + below)),
-                lower=lower if is_known else None,
-                upper=upper if is_known else None,
-            )
-        )
-    return IrregularPart(
-        bound=bound, effects=tuple(effects), confidence=result.confidence, seconds=seconds
-    )
+    part = irregular_part(bound, irregular_interval(found, bound))
+    return TimedPart(part=part, seconds=perf_counter() - began)

@@ -57,6 +57,8 @@ _EIGENVALUE_RTOL = 1e-2
 # of the record of the run: what a replay takes, has of its own, or is compared below
 _OTHER_KEYS = {"edits", "format", "replay", "stop", "warnings"}
 _ESTIMATE_RTOL = 1e-6  # what other processors make of the linear algebra behind a verdict
+# by how much linear programs may miss the ends of intervals, and more
+_GUARANTEED_RTOL = 1e-4
 _END_KEYS = ("status", "reason", "steps", "end_ns", "content_hash")
 
 _Statement: TypeAlias = tuple[str, Any, Any]  # about what, as recorded, as it should be
@@ -209,11 +211,8 @@ class _Statements:
             needed = _parameters(expected.get(name))
             if not _agree(found, needed):
                 yield f"verdicts on {name!r}", found, needed
-            if name in recorded and name in expected and recorded[name].amplitudes:
-                found = _amplitudes(recorded[name])
-                needed = _amplitudes(expected[name])
-                if not _agree(found, needed):
-                    yield f"amplitudes of {name!r}", found, needed
+            if name in recorded and name in expected:
+                yield from _beside_verdicts(name, recorded[name], expected[name])
 
 
 def _parameters(record: IdentificationRecord | None) -> list[dict[str, Any]]:
@@ -221,6 +220,31 @@ def _parameters(record: IdentificationRecord | None) -> list[dict[str, Any]]:
     if record is None:
         return []
     return _plain((*record.parameters, *record.estimate))
+
+
+def _beside_verdicts(
+    name: str, recorded: IdentificationRecord, expected: IdentificationRecord
+) -> Iterator[_Statement]:
+    """Yield amplitudes and guaranteed intervals that differ, where the log has some."""
+    if recorded.amplitudes:
+        found = _amplitudes(recorded)
+        needed = _amplitudes(expected)
+        if not _agree(found, needed):
+            yield f"amplitudes of {name!r}", found, needed
+    if recorded.irregular is not None:
+        found = _guaranteed(recorded)
+        needed = _guaranteed(expected)
+        if not _agree(found, needed, rtol=_GUARANTEED_RTOL):
+            yield f"guaranteed intervals of {name!r}", found, needed
+
+
+def _guaranteed(record: IdentificationRecord) -> list[dict[str, Any]]:
+    """Return what a log says of an irregular part of the disturbance, the problem left out."""
+    irregular = record.irregular
+    if irregular is None:
+        return []
+    part = {"bound": irregular.bound, "confidence": irregular.confidence}
+    return [part, *(effect.model_dump() for effect in irregular.effects)]
 
 
 def _amplitudes(record: IdentificationRecord) -> list[dict[str, Any]]:
@@ -233,7 +257,12 @@ def _plain(parameters: Iterable[ParameterRecord]) -> list[dict[str, Any]]:
     return [parameter.model_dump(exclude={"reason"}) for parameter in parameters]
 
 
-def _agree(found: Sequence[dict[str, Any]], needed: Sequence[dict[str, Any]]) -> bool:
+def _agree(
+    found: Sequence[dict[str, Any]],
+    needed: Sequence[dict[str, Any]],
+    *,
+    rtol: float = _ESTIMATE_RTOL,
+) -> bool:
     """Return whether verdicts are equal and their numbers equal but for rounding."""
     if len(found) != len(needed):
         return False
@@ -243,7 +272,7 @@ def _agree(found: Sequence[dict[str, Any]], needed: Sequence[dict[str, Any]]) ->
         for key, value in one.items():
             expected = other[key]
             if isinstance(value, float) and isinstance(expected, float):
-                if not math.isclose(value, expected, rel_tol=_ESTIMATE_RTOL, abs_tol=1e-12):
+                if not math.isclose(value, expected, rel_tol=rtol, abs_tol=1e-12):
                     return False
             elif value != expected:
                 return False

@@ -19,6 +19,7 @@ from cosim.scenario.assessing import OUTPUT_ERROR
 from cosim.scenario.recorded_metadata import (
     ComponentRecord,
     IdentificationRecord,
+    IrregularRecord,
     ParameterRecord,
     ReconstructionRecord,
     component_record,
@@ -90,6 +91,27 @@ class ParameterSummary:
 
 
 @dataclass(frozen=True)
+class GuaranteedSummary:
+    """What an irregular part of the disturbance within a bound leaves open of every theta.
+
+    Parameters
+    ----------
+    bound : float
+    problem : str
+        Why that is not known.
+    effects : tuple of mapping
+        Of each theta its estimate, interval and reach to first order, as plain values.
+    confidence : float
+        Probability of the bounds of the noise.
+    """
+
+    bound: float
+    problem: str
+    effects: tuple[Mapping[str, Any], ...]
+    confidence: float
+
+
+@dataclass(frozen=True)
 class Identification:
     """What the data of an identifier determine."""
 
@@ -104,6 +126,7 @@ class Identification:
     amplitudes: tuple[ParameterSummary, ...] = ()  # and phases, by output error
     deviation: tuple[float, ...] = ()  # of the noise of y, from the residual of output error
     noise: str = ""  # what is known of it, or why nothing is
+    guaranteed: GuaranteedSummary | None = None
 
 
 @dataclass(frozen=True)
@@ -306,7 +329,18 @@ def _identification(
         amplitudes=tuple(amplitudes),
         deviation=found.deviation,
         noise=found.problem or noise_text(found),
+        guaranteed=_guaranteed(component, found.irregular),
     )
+
+
+def _guaranteed(component: str, record: IrregularRecord | None) -> GuaranteedSummary | None:
+    if record is None:
+        return None
+    names = element_names(f"{component}.theta", len(record.effects))
+    effects = []
+    for name, effect in zip(names, record.effects, strict=True):
+        effects.append({**effect.model_dump(exclude={"name"}), "estimate": name})
+    return GuaranteedSummary(record.bound, record.problem, tuple(effects), record.confidence)
 
 
 def _parameters(

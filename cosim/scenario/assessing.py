@@ -17,11 +17,13 @@ from cosim.arrays import Mask, Matrix, Vector
 from cosim.core.contracts import Block
 from cosim.core.graph import Graph
 from cosim.core.signals import Channel
-from cosim.errors import AssumptionError
+from cosim.errors import AssumptionError, RunError
 from cosim.scenario.identified import IdentifiedPlant, SampleRows
+from cosim.scenario.irregular import interval_of, irregular_part
 from cosim.theory.amplitude_verdicts import amplitude_verdicts
 from cosim.theory.disturbed_plant import DataSet
-from cosim.theory.verdicts import ParameterVerdict, assess_from, judge
+from cosim.theory.irregular_part import Programs
+from cosim.theory.verdicts import Assessment, ParameterVerdict, assess_from, judge
 
 IDENTIFICATION: Final = "identification"  # the key of the results
 OUTPUT_ERROR: Final = "output-error"
@@ -130,6 +132,8 @@ class _IdentifierData:
         result["amplitudes"] = plain_amplitudes(amplitudes)
         own = judge(assessment, theta, error)
         result["estimate"] = [parameter.to_dict() for parameter in own]
+        if identified.irregular is not None:
+            result["irregular"] = _irregular(assessment, data[0], identified, identified.irregular)
         return result
 
     def _data(self) -> DataSet:
@@ -147,6 +151,19 @@ def plain_amplitudes(
 ) -> list[list[dict[str, Any]]]:
     """Return the verdicts on the amplitudes of each data set as plain values."""
     return [[amplitude.to_dict() for amplitude in of_data] for of_data in amplitudes]
+
+
+def _irregular(
+    assessment: Assessment, data: DataSet, identified: IdentifiedPlant, bound: float
+) -> dict[str, Any]:
+    """Return what an irregular part within its bound leaves open, or why that is not known."""
+    try:
+        interval = interval_of(
+            assessment, data, identified, bound, programs=Programs.BEYOND_FIRST_ORDER
+        )
+    except (AssumptionError, RunError) as error:
+        return {"bound": bound, "problem": str(error)}
+    return irregular_part(bound, interval).to_dict()
 
 
 def _shifted(columns: slice, offset: int) -> slice:

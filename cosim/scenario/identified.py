@@ -37,6 +37,8 @@ class IdentifiedPlant:
         Why nothing can be said of the estimates; empty: nothing stands against it.
     stated : Matrix, shape (n_y, n_y), or None
         Covariance of the noise of y; None: it is not known.
+    irregular : float or None
+        Bound of an irregular part of the disturbance that intervals are guaranteed for.
     """
 
     observer: str
@@ -47,6 +49,7 @@ class IdentifiedPlant:
     bounds: Mapping[int, tuple[float, float]]
     problem: str = ""
     stated: Matrix | None = None
+    irregular: float | None = None
 
     @property
     def parameters(self) -> int:

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -23,16 +23,15 @@ from cosim.log import Log
 from cosim.scenario.assessing import OUTPUT_ERROR
 from cosim.scenario.build import Experiment
 from cosim.scenario.identified import IdentifiedPlant, SampleRows
+from cosim.scenario.irregular import interval_of
 from cosim.scenario.recorded_metadata import component_record
 from cosim.scenario.replaying import rebuilt
 from cosim.theory.amplitude_verdicts import amplitude_verdicts
-from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, NoiseModel
-from cosim.theory.irregular_part import GuaranteedInterval, guaranteed_interval
+from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
+from cosim.theory.irregular_part import GuaranteedInterval, Programs
 from cosim.theory.smoothing import SmoothedSignals, smoothed_signals
 from cosim.theory.validation import Validation, validate
 from cosim.theory.verdicts import Assessment, ParameterVerdict, assess_from
-
-FREQUENCIES: Final = 1025  # of a spectrum, from 0 to half the sampling frequency
 
 
 @dataclass(frozen=True, eq=False)
@@ -288,9 +287,6 @@ def smoothed_record(found: LogIdentification, index: int) -> SmoothedSignals:
 def irregular_interval(found: LogIdentification, bound: float) -> GuaranteedInterval:
     """Return which theta a log allows if an irregular part of delta is within a bound.
 
-    The noise is as large as the residual, which holds the irregular part too; errors of step and
-    quantization are allowed for.
-
     Parameters
     ----------
     found : LogIdentification
@@ -301,48 +297,15 @@ def irregular_interval(found: LogIdentification, bound: float) -> GuaranteedInte
     Raises
     ------
     UsageError
-        If there are several logs, or not every theta was estimated.
+        If there are several logs.
     AssumptionError
-        If samples are missing or at unequal distances, or the plant is unstable.
+        If not every theta was estimated, samples are missing or at unequal distances, or the plant
+        is unstable.
     """
     if len(found.records) > 1:
         raise UsageError(
             f"found {len(found.records)} logs; needed one to bound theta for an irregular part of "
             "the disturbance"
         )
-    assessment = found.assessment
-    if not assessment.fit.estimated.all():
-        missing = ", ".join(f"theta[{j}]" for j in np.flatnonzero(~assessment.fit.estimated))
-        raise UsageError(
-            f"{missing} was not estimated; needed every theta to bound it for an irregular part of "
-            "the disturbance"
-        )
-    identified = found.identified
-    accuracy = assessment.consistency.accuracy[0]
-    sampling_error = float(np.abs(accuracy.step).max()) + 0.5 * float(accuracy.spacing.max())
-    outputs = accuracy.step.shape[1]
-    return guaranteed_interval(
-        found.records[0].data,
-        identified.plant,
-        identified.families,
-        assessment.fit,
-        bound=bound,
-        sigma=_largest_deviations(assessment),
-        sampling_error=sampling_error,
-        noise=NoiseModel(covariance=assessment.noise.covariance, a=np.zeros((outputs, 0))),
-    )
-
-
-def _largest_deviations(assessment: Assessment) -> Vector:
-    """Return deviations of white noise whose means are as large as those of each residual.
-
-    Of colored noise that is the one at the frequency where its spectrum is largest.
-    """
-    noise = assessment.noise
-    if assessment.consistency.is_exact:
-        return np.zeros(len(noise.a))
-    frequencies = np.linspace(0.0, np.pi, FREQUENCIES)
-    lags = np.arange(1, noise.order + 1)
-    waves = np.exp(-1j * np.outer(frequencies, lags))
-    gains = 1.0 / np.abs(1.0 - waves @ noise.a.T)
-    return np.asarray(assessment.deviations * gains.max(axis=0), np.float64)
+    data = found.records[0].data
+    return interval_of(found.assessment, data, found.identified, bound, programs=Programs.ALWAYS)

@@ -162,6 +162,26 @@ class ParameterRecord(_Record):
     reason: Text = ""
 
 
+class EffectRecord(_Record):
+    """What a log says of one theta under an irregular part of the disturbance."""
+
+    name: Text
+    first_order: Number
+    holds: bool
+    is_explained: bool
+    lower: Number | None = None
+    upper: Number | None = None
+
+
+class IrregularRecord(_Record):
+    """What a log says of an irregular part within a bound, or why nothing."""
+
+    bound: Number
+    effects: tuple[EffectRecord, ...] = ()
+    confidence: Number = 1.0
+    problem: Text = ""
+
+
 class IdentificationRecord(_Record):
     """What a log says of an identifier at the end of its run.
 
@@ -178,6 +198,7 @@ class IdentificationRecord(_Record):
     is_exact: bool = False
     degrees_of_freedom: Number | None = None
     noise_model: RowAnOutput = ()
+    irregular: IrregularRecord | None = None
     problem: Text = ""
 
 

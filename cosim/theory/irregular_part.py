@@ -9,10 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import StrEnum
+from typing import Final
 
 import numpy as np
 
-from cosim.arrays import NAN, Matrix, Vector
+from cosim.arrays import NAN, Mask, Matrix, Vector
 from cosim.errors import AssumptionError
 from cosim.native.output_error import ResponseRecord
 from cosim.theory.disturbance import Family, generators
@@ -39,6 +41,17 @@ from cosim.theory.worst_case import (
     least_squares_functional,
 )
 
+# relative difference of both sides of an interval around an estimate up to which the first order,
+# which has two equal ones, is said to hold
+FIRST_ORDER: Final = 0.05
+
+
+class Programs(StrEnum):
+    """When linear programs are solved."""
+
+    ALWAYS = "always"
+    BEYOND_FIRST_ORDER = "beyond the first order"
+
 
 @dataclass(frozen=True, eq=False)
 class GuaranteedInterval:
@@ -55,8 +68,10 @@ class GuaranteedInterval:
         The least and the largest theta that some delta_0 and noise turn into this estimate, shape
         ``(n_theta, 2)``. Where its half width differs much from ``half_width``, the first order
         does not hold. Narrower than the other one where the noise is larger than delta_0.
-    feasible : FeasibleInterval
-        All theta that explain the data. It may exclude the estimate.
+    first_order_holds : Mask
+        Where the interval around the estimate reaches as far to both sides, shape ``(n_theta,)``.
+    feasible : FeasibleInterval or None
+        All theta that explain the data. It may exclude the estimate. None: not computed.
     confidence : float
         Probability of the bounds of the noise; 1 without noise.
     """
@@ -65,7 +80,8 @@ class GuaranteedInterval:
     upper: Vector
     half_width: Vector
     around_estimate: Matrix
-    feasible: FeasibleInterval
+    first_order_holds: Mask
+    feasible: FeasibleInterval | None
     confidence: float
 
 
@@ -161,6 +177,7 @@ def guaranteed_interval(
     sampling_error: float = 0.0,
     confidence: float = GUARANTEED_CONFIDENCE,
     noise: NoiseModel | None = None,
+    programs: Programs = Programs.ALWAYS,
 ) -> GuaranteedInterval:
     """Compute which theta the data allow if the irregular part is within its bound.
 
@@ -180,30 +197,50 @@ def guaranteed_interval(
         samples.
     confidence : float
         Probability with which the noise is within its bounds, where there is noise.
+    programs : Programs
+        When linear programs are solved, which take seconds to minutes: without them the interval is
+        that around the estimate, which is the narrower one where the first order holds and there
+        is noise.
     """
     offset = bool(len(fit.offset[0]))
     problem, y = bounded_problem(data, plant, families, bound=bound, noise=noise, offset=offset)
     p = np.concatenate([fit.theta, fit.amplitudes[0], fit.x0[0], fit.offset[0]])
     noisy = bool(np.any(sigma > 0.0))
-    cells = cells_of(len(y), noisy)
     of_each = 1.0 - (1.0 - confidence) / 2.0  # of the two intervals, so that both hold
-    random_error = gaussian_noise_bound(sigma, cells, len(y), of_each)
-    recorded = RecordedOutputs(y, cells, random_error + sampling_error)
-    feasible = feasible_interval(problem, recorded, starts_around(problem, recorded, p))
     margin = _error_by_noise(problem, p, sigma, of_each)
     margin += _error_by_sampling(problem, p, sampling_error)
     around = interval_around(problem, p) + np.outer(margin, [-1.0, 1.0])
-    lower = np.maximum(feasible.lower, around[:, 0])
-    upper = np.minimum(feasible.upper, around[:, 1])
+    holds = _reach_equal(around, fit.theta)
+    feasible = None
+    lower = around[:, 0]
+    upper = around[:, 1]
+    if programs is Programs.ALWAYS or not holds.all():
+        cells = cells_of(len(y), noisy)
+        random_error = gaussian_noise_bound(sigma, cells, len(y), of_each)
+        recorded = RecordedOutputs(y, cells, random_error + sampling_error)
+        feasible = feasible_interval(problem, recorded, starts_around(problem, recorded, p))
+        lower = np.maximum(feasible.lower, lower)
+        upper = np.minimum(feasible.upper, upper)
     contradictory = lower > upper
     return GuaranteedInterval(
         lower=np.where(contradictory, NAN, lower),
         upper=np.where(contradictory, NAN, upper),
         half_width=first_order(problem, p).half_width(problem.bound),
         around_estimate=around,
+        first_order_holds=holds,
         feasible=feasible,
         confidence=confidence if noisy else 1.0,
     )
+
+
+def _reach_equal(interval: Matrix, theta: Vector) -> Mask:
+    """Return where intervals around theta reach as far to both sides."""
+    below = theta - interval[:, 0]
+    above = interval[:, 1] - theta
+    finite = np.isfinite(below + above)
+    equal: Mask = finite.copy()
+    equal[finite] = np.abs(above - below)[finite] <= FIRST_ORDER * (above + below)[finite]
+    return equal
 
 
 def _error_by_noise(

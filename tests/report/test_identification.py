@@ -166,12 +166,13 @@ def test_options_reach_the_fit(logs, call):
 def test_an_irregular_part_has_guaranteed_intervals(logs):
     """They contain the truth; the cost is said, and where the first order does not hold."""
     found = identify([identifier_record(logs["first"])])
-    part = report_identification(found, irregular=2e-3).irregular
+    timed = report_identification(found, irregular=2e-3).irregular
+    part = timed.part
     for effect, true in zip(part.effects, (-0.1, -0.3), strict=True):
         assert effect.lower <= true <= effect.upper
         assert effect.holds
         assert effect.upper - effect.lower < 3.0 * effect.first_order
-    assert part.seconds > 0.0
+    assert timed.seconds > 0.0
     assert part.confidence == 0.999
 
 

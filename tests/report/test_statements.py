@@ -156,7 +156,13 @@ def judged(tmp_path_factory):
     """Record a run whose identifier has estimates; return its path."""
     folder = tmp_path_factory.mktemp("judged")
     text = cosim.load("academic").document.text
-    for before, after in (("stop = 40.0", "stop = 8.0"), ("step = 1e-3", "step = 1e-2")):
+    own = "[components.identifier]\n"
+    changes = (
+        ("stop = 40.0", "stop = 8.0"),
+        ("step = 1e-3", "step = 1e-2"),
+        (own, f"{own}irregular = 1e-5\n"),
+    )
+    for before, after in changes:
         assert before in text
         text = text.replace(before, after)
     scenario = folder / "short.toml"
@@ -167,16 +173,23 @@ def judged(tmp_path_factory):
 
 
 @pytest.mark.parametrize(
-    ("key", "named"), [("parameters", "verdicts on"), ("amplitudes", "amplitudes of")]
+    ("key", "place", "named"),
+    [
+        ("parameters", (0, "value"), "verdicts on"),
+        ("amplitudes", (0, 1, "value"), "amplitudes of"),
+        ("irregular", ("effects", 1, "lower"), "guaranteed intervals of"),
+    ],
 )
-def test_no_estimate_can_be_changed(judged, tmp_path, key, named):
-    """Neither a parameter nor an amplitude, by more than other processors make of it."""
+def test_no_estimate_can_be_changed(judged, tmp_path, key, place, named):
+    """Neither parameter, amplitude nor interval, by more than other processors make of it."""
     results = dict(open_log(judged).results)
-    for factor, passes in ((1.0, True), (1.0 + 1e-9, True), (1.0 + 1e-4, False)):
+    for factor, passes in ((1.0, True), (1.0 + 1e-9, True), (1.0 + 1e-3, False)):
         changed = json.loads(json.dumps(results))
         found = changed["identification"]["identifier"][key]
-        first = found[0][0] if key == "amplitudes" else found[0]
-        first["value"] *= factor
+        *way, last = place
+        for step in way:
+            found = found[step]
+        found[last] *= factor
         data = json.dumps(changed).encode()
         path = forged(judged, tmp_path / "b.mcap", attachments={"result.json": data})
         verification = verified(path)
@@ -186,10 +199,11 @@ def test_no_estimate_can_be_changed(judged, tmp_path, key, named):
             assert f"{named} 'identifier': found" in problem
 
 
-def test_a_log_of_before_amplitudes_were_recorded_is_still_true(judged, tmp_path):
-    """It says nothing of them that would be false."""
+@pytest.mark.parametrize("key", ["amplitudes", "irregular"])
+def test_a_log_that_says_nothing_of_them_is_true(judged, tmp_path, key):
+    """Older ones have no amplitudes, nor guaranteed intervals."""
     results = json.loads(json.dumps(dict(open_log(judged).results)))
-    del results["identification"]["identifier"]["amplitudes"]
+    del results["identification"]["identifier"][key]
     data = json.dumps(results).encode()
     assert verified(forged(judged, tmp_path / "b.mcap", attachments={"result.json": data})).passed
 

@@ -6,7 +6,8 @@ import itertools
 
 from rich.table import Table
 
-from cosim.report.identification import IdentificationReport, IrregularPart
+from cosim.report.guaranteed import interval_text, reach_text
+from cosim.report.identification import IdentificationReport, TimedPart
 from cosim.report.summary import numbers_text
 from cosim.report.tables.console import new_table, print_json, print_table
 from cosim.scenario.identifying import IdentifierRecord, LogIdentification
@@ -90,14 +91,13 @@ def _add_validation(table: Table, record: IdentifierRecord, validation: Validati
             _add_test(table, test)
 
 
-def _add_irregular(table: Table, part: IrregularPart) -> None:
+def _add_irregular(table: Table, timed: TimedPart) -> None:
     table.add_section()
+    part = timed.part
     chance = "" if part.confidence == 1.0 else f", noise within its bounds with {part.confidence:g}"
-    text = f"every theta that explains the data{chance}; computed in {part.seconds:.3g} s"
+    text = f"every theta that explains the data{chance}; computed in {timed.seconds:.3g} s"
     table.add_row(f"|delta_0| <= {part.bound:g}", "", "", "guaranteed", text)
     for effect in part.effects:
-        first = f"first order {effect.first_order:.2g} to each side"
-        if not effect.holds:
-            first += ", which does not hold for so large a bound"
-        interval = _interval(effect.lower, effect.upper) or "none"
-        table.add_row(effect.name, "", "", interval, first)
+        interval = interval_text(effect.lower, effect.upper, is_explained=effect.is_explained)
+        reach = reach_text(effect.first_order, holds=effect.holds)
+        table.add_row(effect.name, "", "", interval, reach)

@@ -10,9 +10,11 @@ from rich.table import Table
 
 from cosim.core.contracts import Recording
 from cosim.log import Log
+from cosim.report.guaranteed import interval_text, reach_text
 from cosim.report.recorded_rows import signal_of
 from cosim.report.summary import (
     DeltaReconstruction,
+    GuaranteedSummary,
     Identification,
     ParameterSummary,
     Summary,
@@ -179,6 +181,11 @@ def _add_identification(
     for text in (identification.verdict, *identification.notes):
         if text:
             table.add_row("", "", "", text)
+    _add_estimates(table, identification)
+
+
+def _add_estimates(table: Table, identification: Identification) -> None:
+    """Add what is said of theta, of amplitudes and phases, and of the noise."""
     for parameter in identification.parameters:
         _add_parameter(table, parameter.estimate, parameter)
     for parameter in identification.reference:
@@ -188,6 +195,26 @@ def _add_identification(
     if identification.noise:
         deviation = numbers_text(identification.deviation)
         table.add_row("noise", deviation, "", identification.noise)
+    if identification.guaranteed is not None:
+        _add_guaranteed(table, identification.guaranteed)
+
+
+def _add_guaranteed(table: Table, guaranteed: GuaranteedSummary) -> None:
+    """Add the intervals that hold for an irregular part within a bound."""
+    label = f"|delta_0| <= {guaranteed.bound:g}"
+    if guaranteed.problem:
+        table.add_row(label, "", "", guaranteed.problem)
+        return
+    chance = ""
+    if guaranteed.confidence < 1.0:
+        chance = f", noise within its bounds with {guaranteed.confidence:g}"
+    table.add_row(label, "", "", f"guaranteed intervals by output error{chance}")
+    for effect in guaranteed.effects:
+        interval = interval_text(
+            effect["lower"], effect["upper"], is_explained=effect["is_explained"]
+        )
+        reach = reach_text(effect["first_order"], holds=effect["holds"])
+        table.add_row(effect["estimate"], interval, "", reach)
 
 
 def _add_parameter(table: Table, label: str, parameter: ParameterSummary) -> None:

@@ -124,6 +124,15 @@ class IdentifierKind(PeriodicKind, ExportableKind):
         "equal ones fix it",
     )
 
+    irregular: Number | None = Field(
+        None,
+        gt=0.0,
+        description="largest magnitude of an irregular part of the disturbance, |delta_0|, of "
+        "which nothing else is known: the verdict at the end of the run has the interval of every "
+        "theta that is guaranteed for it. That takes a second, and where the first order does not "
+        "hold, for a bound that moves theta far, linear programs that take up to minutes",
+    )
+
     def with_period(self, component: Component, n: int) -> Component:
         return component if n == 1 else Decimated(component, n)
 
@@ -207,6 +216,7 @@ class IdentifierKind(PeriodicKind, ExportableKind):
             offset=self.offset,
             bounds=bounds,
             stated=stated,
+            irregular=self.irregular,
         )
         context.add_identified(source.identifier, identified)
         return identified
