@@ -347,7 +347,7 @@ def test_the_verdict_and_the_log_rest_on_the_samples(experiment, tmp_path):
     record = identifier_record(log)
     of_the_log = identify([record]).assessment.to_dict()
     assert of_the_log == {key: recorded[key] for key in of_the_log}
-    np.testing.assert_array_equal(record.data.t[record.data.measured], experiment.t)
+    np.testing.assert_array_equal(record.data.t[record.data.measured[:, 0]], experiment.t)
 
 
 def test_of_other_methods_it_is_said_that_they_take_interpolated_values(experiment, tmp_path):
