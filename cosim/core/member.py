@@ -21,7 +21,7 @@ from cosim.core.connections import Connection
 from cosim.core.contracts import Component, Design, Preparable, Stopped, prepare
 from cosim.core.ports import ConnectionEnd
 from cosim.core.signals import Channel, element_names
-from cosim.errors import CosimError, LogError, NonFiniteError, RunError
+from cosim.errors import AssumptionError, CosimError, LogError, NonFiniteError, RunError
 from cosim.units import Conversion
 
 Columns: TypeAlias = slice | NDArray[np.intp]
@@ -186,6 +186,8 @@ class Member:
         ------
         LogError
             If the recorded design does not fit it.
+        AssumptionError
+            If it cannot be designed.
         RunError
             If it raises what is no error of cosim, or its design is not finite float64 arrays.
         """
@@ -197,6 +199,8 @@ class Member:
             arrays = dict(design)
         except LogError as error:  # of the recorded design, which has no name there
             raise LogError(f"{self.name!r}: {error}") from error
+        except AssumptionError as error:  # of the method, which has no name there either
+            raise AssumptionError(f"{self.name!r}: {error}") from error
         except CosimError:
             raise
         except Exception as error:

@@ -6,7 +6,7 @@ import ctypes
 from collections.abc import Sequence
 from ctypes import byref, c_double, c_int32, c_int64, c_void_p
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 from weakref import WeakSet
 
 import numpy as np
@@ -145,8 +145,8 @@ class IdentifierStep:
     """The identifier bound to its memory."""
 
     def __init__(self, constants: IdentifierConstants) -> None:
-        on_delta = _struct_of(constants.on_delta)
-        on_y = _struct_of(constants.on_y)
+        on_delta = _model_of(constants.on_delta, "delta")
+        on_y = _model_of(constants.on_y, "y")
         rayleigh = RayleighModel(constants.rayleigh)
         known: ctypes.Structure | None = None
         keep_known: Sequence[object] = ()
@@ -236,8 +236,10 @@ class IdentifierStep:
                 state.replaced_after = samples
 
 
-def _struct_of(constants: OutputErrorConstants | None) -> OutputErrorModel | None:
-    return None if constants is None else OutputErrorModel(constants)
+def _model_of(
+    constants: OutputErrorConstants | None, signal: Literal["y", "delta"]
+) -> OutputErrorModel | None:
+    return None if constants is None else OutputErrorModel(constants, fitted_to=signal)
 
 
 def _address_of(struct: ctypes.Structure | ctypes.Array[Any] | None) -> int:

@@ -72,7 +72,7 @@ class ExtendedKalmanStep:
     """The extended Kalman filter bound to its memory; outputs theta and its standard errors."""
 
     def __init__(self, constants: ExtendedKalmanConstants) -> None:
-        model = OutputErrorModel(constants.model, is_fitted=False)
+        model = OutputErrorModel(constants.model, fitted_to=None)
         known, keep_known = known_input_struct(constants.known)
         programs = program_array(constants.alphas)
         vectors = []

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from ctypes import POINTER, byref, c_double, c_int32, c_int64, c_void_p
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -173,8 +173,8 @@ class OutputErrorModel:
     Parameters
     ----------
     constants : OutputErrorConstants
-    is_fitted : bool
-        Theta is estimated with it, which limits its size; otherwise only its columns are made.
+    fitted_to : {"y", "delta"} or None
+        Theta is estimated with it, which limits its size; None: only its columns are made.
 
     Raises
     ------
@@ -182,7 +182,9 @@ class OutputErrorModel:
         If there are more unknowns than can be fitted at once.
     """
 
-    def __init__(self, constants: OutputErrorConstants, *, is_fitted: bool = True) -> None:
+    def __init__(
+        self, constants: OutputErrorConstants, *, fitted_to: Literal["y", "delta"] | None = "y"
+    ) -> None:
         generators = constants.generators
         self.constants = constants
         source = constants.source
@@ -225,10 +227,11 @@ class OutputErrorModel:
         )
         self.memory = int(library.cosim_output_error_memory(byref(self.struct)))
         self.columns = int(library.cosim_output_error_columns(byref(self.struct)))
-        if is_fitted:
-            self._check_capacity(n)
+        if fitted_to is not None:
+            states = "states" if fitted_to == "y" else "modes of the observer"
+            self._check_capacity(fitted_to, f"{n} {states}")
 
-    def _check_capacity(self, states: int) -> None:
+    def _check_capacity(self, signal: str, states: str) -> None:
         generators = self.constants.generators
         unknowns = self.columns - 1
         if self.columns <= MOST_COLUMNS and generators.parameters <= MOST_PARAMETERS:
@@ -236,7 +239,7 @@ class OutputErrorModel:
         offsets = self.outputs if self.constants.offset else 0
         derivatives = unknowns - self.linear
         raise AssumptionError(
-            f"output error fits {generators.parameters} parameters at once, and {states} states, "
+            f"the fit to {signal} has {generators.parameters} parameters, and {states}, "
             f"{generators.order} amplitudes, their {derivatives} derivatives and {offsets} offsets "
             f"as {unknowns} columns; at most {MOST_PARAMETERS} parameters and {MOST_COLUMNS - 1} "
             'columns are possible; use a model of fewer states, or method = "least-squares"'

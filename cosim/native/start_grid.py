@@ -52,7 +52,7 @@ class StartGridModel:
     """All combinations of the points of a grid as columns of one regression."""
 
     def __init__(self, constants: StartGridConstants) -> None:
-        self.model = OutputErrorModel(constants.model, is_fitted=False)
+        self.model = OutputErrorModel(constants.model, fitted_to=None)
         self._parameters = sum(constants.count)
         arrays: list[NDArray[Any]] = [
             int32(constants.size),

@@ -16,7 +16,7 @@ from cosim.core.graph import Graph
 from cosim.core.master import run, simulate
 from cosim.core.recorders import Memory
 from cosim.core.signals import Interface, Signal
-from cosim.errors import CosimError, GraphError, RunError
+from cosim.errors import AssumptionError, CosimError, GraphError, RunError
 from tests.core.parts import integrator, times
 
 
@@ -125,6 +125,16 @@ def test_the_mask_and_the_recorded_design_cannot_be_written_to():
     with pytest.raises(RunError, match=text):
         graph.prepare(10**6, recorded)
     assert recorded["x"]["A"] == 1.0
+
+
+def test_what_cannot_be_designed_has_the_name_of_its_component():
+    """The assumption that does not hold is one of the method, which knows no name."""
+
+    def fails(h, held, recorded):
+        raise AssumptionError("(13): no observer")
+
+    with pytest.raises(AssumptionError, match=re.escape("'x': (13): no observer")):
+        cascade(Custom(prepare=fails)).prepare(10**6)
 
 
 WRONG = {

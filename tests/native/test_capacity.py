@@ -6,21 +6,25 @@ wrong number at best.
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import ClassVar, final
 
 import numpy as np
 import pytest
 
+import cosim.native
 from cosim.blocks.estimator import Estimator
 from cosim.blocks.identification_problem import IdentificationProblem, IdentificationSchedule
 from cosim.blocks.output_error_identifier import OutputErrorIdentifier
 from cosim.blocks.regressor import Regressor
 from cosim.core.contracts import Stopped
 from cosim.errors import AssumptionError, UsageError
+from cosim.native import output_error
 from cosim.native.expression import compile_expression
-from cosim.native.rayleigh import MOST_ROWS
-from cosim.native.start_grid import StartGridModel
+from cosim.native.rayleigh import MOST_ROWS, MOST_TERMS
+from cosim.native.start_grid import MOST_STARTS, StartGridModel
 from cosim.theory.disturbance import Exponential, Sine, coefficients, generators, group_by_alpha
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, sample_plant, white_noise
 from cosim.theory.estimators.extended_kalman import extended_kalman
@@ -121,7 +125,7 @@ def lightly_damped(states, components, outputs=1):
     )
 
 
-def online(plant):
+def online(plant, modes=1):
     """Return the identifier of two exponentials that act on a plant."""
     families = [Exponential(), Exponential()]
     alphas = ["1.35 + 0.25*sin(1.7*t)", "1.1 + 0.2*cos(2.3*t)"]
@@ -132,8 +136,8 @@ def online(plant):
     products = Regressor(terms, alphas=programs, steps=[10, 20, 30], delays=delays).constants
     problem = IdentificationProblem(
         plant=plant,
-        modes=-np.eye(1),
-        row=np.ones(1),
+        modes=-np.eye(modes),
+        row=np.ones(modes),
         rayleigh=rayleigh_constants(families, groups, terms, delays, span=10.0),
         products=products,
         alphas=programs,
@@ -154,11 +158,32 @@ def online(plant):
     return Estimator(method)
 
 
+def test_the_limits_are_those_of_the_kernels():
+    """Every one of cosim.h has its number in the file that checks it."""
+    header = (Path(cosim.native.__file__).parent / "cosim.h").read_text()
+    limits = dict(re.findall(r"#define COSIM_(MOST_\w+) (\d+)", header))
+    checked = {
+        "MOST_COLUMNS": output_error.MOST_COLUMNS,
+        "MOST_PARAMETERS": output_error.MOST_PARAMETERS,
+        "MOST_TERMS": MOST_TERMS,
+        "MOST_ROWS": MOST_ROWS,
+        "MOST_STARTS": MOST_STARTS,
+    }
+    assert {name: int(limit) for name, limit in limits.items()} == checked
+
+
 def test_a_plant_of_many_states_has_no_identifier_by_output_error():
     """60 states, 2 amplitudes and their 2 derivatives; 47 columns in all are possible."""
     with pytest.raises(AssumptionError, match=r"60 states.*64 columns.*and 47 columns.*least"):
         online(lightly_damped(60, 2)).prepare(H, np.zeros(9, np.bool_), {})
     online(lightly_damped(43, 2)).prepare(H, np.zeros(9, np.bool_), {})
+
+
+def test_an_observer_of_many_modes_has_none_either():
+    """Its transients are unknowns of the fit to delta."""
+    identifier = online(lightly_damped(2, 2), modes=60)
+    with pytest.raises(AssumptionError, match=r"fit to delta has 2 .* 60 modes of the observer"):
+        identifier.prepare(H, np.zeros(9, np.bool_), {})
 
 
 def test_a_plant_of_many_states_is_not_fitted():
