@@ -5,7 +5,7 @@ Errors against the truth, estimates, start times of identifiers, and what their 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -323,7 +323,7 @@ def _identification(
         record.times,
         eigenvalues,
         sentence,
-        record.notes,
+        (*record.notes, *_extent(recording, component, record, found)),
         parameters=_parameters(recording, component, own),
         reference=_parameters(recording, component, others),
         amplitudes=tuple(amplitudes),
@@ -341,6 +341,27 @@ def _guaranteed(component: str, record: IrregularRecord | None) -> GuaranteedSum
     for name, effect in zip(names, record.effects, strict=True):
         effects.append({**effect.model_dump(exclude={"name"}), "estimate": name})
     return GuaranteedSummary(record.bound, record.problem, tuple(effects), record.confidence)
+
+
+def _extent(
+    recording: Recording, component: str, record: ComponentRecord, found: IdentificationRecord
+) -> Iterator[str]:
+    """Yield what the verdicts rest on, and why the signal theta has no last value beside them."""
+    if found.extent:
+        yield found.extent
+    theta = f"{component}.theta"
+    rows = as_columns(recording[theta])
+    has_value = bool(len(rows)) and bool(np.isfinite(rows[-1]).all())
+    if record.method != OUTPUT_ERROR or has_value or found.problem:
+        return
+    end = recording.end_ns / 1e9
+    if end < record.start_time:
+        cause = f"the run ends at {end:g} s, before the identification start time"
+    elif all(parameter.value is None for parameter in found.parameters):
+        return  # the verdicts say why
+    else:
+        cause = "the samples that it had, as it weighs them, do not determine theta"
+    yield f"{theta} itself has no value at the end: {cause}"
 
 
 def _parameters(

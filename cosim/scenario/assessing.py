@@ -2,8 +2,8 @@
 
 The same for every method: output error is fitted to what the observer took in as y and u, and what
 the identifier says is held against it. Where the identifier takes samples of y at times of their
-own, it is fitted to these. They are results, not signals: they rest on linear algebra
-whose last bits depend on the processor.
+own, it is fitted to these; where it has a moving window, to the last one. They are results, not
+signals: they rest on linear algebra whose last bits depend on the processor.
 """
 
 from __future__ import annotations
@@ -128,6 +128,7 @@ class _IdentifierData:
         )
         error = None if self._error is None else self._last[self._error]
         result = assessment.to_dict()
+        result["extent"] = identified.extent
         amplitudes = amplitude_verdicts(assessment, data, identified.families)
         result["amplitudes"] = plain_amplitudes(amplitudes)
         own = judge(assessment, theta, error)
@@ -143,7 +144,8 @@ class _IdentifierData:
         samples = None
         if self._sample_columns is not None:
             samples = SampleRows(*map(np.concatenate, (self._sample_times, self._samples)))
-        return self._identified.data_set(t, y, u, self._held, samples)
+        whole = self._identified.data_set(t, y, u, self._held, samples)
+        return whole.last(self._identified.window)
 
 
 def plain_amplitudes(

@@ -39,6 +39,10 @@ class IdentifiedPlant:
         Covariance of the noise of y; None: it is not known.
     irregular : float or None
         Bound of an irregular part of the disturbance that intervals are guaranteed for.
+    window : float
+        Length of the moving window that the estimates rest on [s]; infinite: all samples.
+    forgetting : float
+        Time constant in which samples lose their weight [s]; infinite: they keep it.
     """
 
     observer: str
@@ -50,6 +54,20 @@ class IdentifiedPlant:
     problem: str = ""
     stated: Matrix | None = None
     irregular: float | None = None
+    window: float = np.inf
+    forgetting: float = np.inf
+
+    @property
+    def extent(self) -> str:
+        """What the verdicts of a run rest on, where that are not simply all samples."""
+        if np.isfinite(self.window):
+            return f"verdicts and intervals are those of the last {self.window:g} s, the window"
+        if np.isfinite(self.forgetting):
+            return (
+                "verdicts and intervals are those of all samples with equal weight; theta itself "
+                f"forgets them with a time constant of {self.forgetting:g} s"
+            )
+        return ""
 
     @property
     def parameters(self) -> int:

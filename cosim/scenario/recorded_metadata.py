@@ -187,7 +187,8 @@ class IdentificationRecord(_Record):
 
     ``parameters`` are those of output error, ``amplitudes`` belong to them, those of each data set;
     ``estimate`` is what the identifier says itself, held against them; ``problem`` is why there is
-    neither. Deviation of the noise, accuracy and noise model are one an output.
+    neither. Deviation of the noise, accuracy and noise model are one an output. ``extent`` is what
+    they rest on, where it is not simply all samples.
     """
 
     parameters: tuple[ParameterRecord, ...] = ()
@@ -199,6 +200,7 @@ class IdentificationRecord(_Record):
     degrees_of_freedom: Number | None = None
     noise_model: RowAnOutput = ()
     irregular: IrregularRecord | None = None
+    extent: Text = ""
     problem: Text = ""
 
 

@@ -188,7 +188,15 @@ class DataSet:
 
     def thinned(self, every: int) -> DataSet:
         """Return every so many samples of it, and the inputs as often."""
-        rows = self.kept(every)
+        return self._rows(self.kept(every))
+
+    def last(self, span: float) -> DataSet:
+        """Return the samples less than ``span`` seconds before the last one, and that one."""
+        before = self.t[-1] - span
+        rounding = 1e-9 * span if np.isfinite(span) else 0.0
+        return self._rows(np.flatnonzero(self.t > before + rounding))
+
+    def _rows(self, rows: NDArray[np.intp]) -> DataSet:
         taken = self.is_taken[rows]
         return DataSet(self.t[rows], self.y[rows], self.u[rows], self.alpha[rows], self.held, taken)
 

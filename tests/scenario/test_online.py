@@ -6,6 +6,8 @@ import pytest
 import cosim
 from cosim.core.contracts import prepare
 from cosim.errors import ScenarioError, UsageError
+from cosim.report.summary import summarize
+from cosim.scenario.recorded_metadata import recorded_identification
 from cosim.testing import check_component
 from tests.scenario.online import COARSE, ONLINE, THETA, H, identifier, inputs, noisy, run
 
@@ -268,3 +270,32 @@ def test_options_that_make_no_sense_are_refused(options, text):
     """Each with what was found."""
     with pytest.raises((ScenarioError, UsageError), match=text):
         run(**options)
+
+
+def test_the_verdict_of_a_window_is_made_of_its_samples():
+    """Its interval is that of the last 4 s; theta is in it, as it rests on the same samples."""
+    whole = recorded_identification(run())["identifier"].parameters
+    log = run(window=4.0)
+    found = recorded_identification(log)["identifier"]
+    assert "of the last 4 s" in found.extent
+    for part, full in zip(found.parameters, whole, strict=True):
+        assert part.standard_error is None or part.standard_error > full.standard_error
+    assert "of the last 4 s" in " ".join(summarize(log).identifications[0].notes)
+
+
+def test_a_window_too_short_for_a_value_has_no_verdict_of_other_samples():
+    """No number stands beside an estimate that has none."""
+    log = run(window=3 * H)
+    assert np.isnan(theta(log)[-1]).all()
+    found = recorded_identification(log)["identifier"]
+    assert found.problem
+    assert found.parameters == ()
+
+
+def test_verdicts_beside_forgetting_say_that_they_do_not_forget():
+    """And the estimate that forgot too much has its reason."""
+    log = run(forgetting=1e-3)
+    assert np.isnan(theta(log)[-1]).all()
+    notes = " ".join(summarize(log).identifications[0].notes)
+    assert "those of all samples with equal weight" in notes
+    assert "identifier.theta itself has no value at the end: the samples that it had" in notes

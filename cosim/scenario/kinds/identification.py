@@ -217,6 +217,8 @@ class IdentifierKind(PeriodicKind, ExportableKind):
             bounds=bounds,
             stated=stated,
             irregular=self.irregular,
+            window=math.inf if self.window is None else self.window,
+            forgetting=math.inf if self.forgetting is None else self.forgetting,
         )
         context.add_identified(source.identifier, identified)
         return identified
