@@ -52,11 +52,14 @@ class IrregularPart:
     effects : tuple of IrregularEffect
     confidence : float
         Probability of the bounds of the noise.
+    unsolved : int
+        Searches whose linear program could not be solved; with any the data alone show no end.
     """
 
     bound: float
     effects: tuple[IrregularEffect, ...]
     confidence: float
+    unsolved: int
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
@@ -79,7 +82,12 @@ def irregular_part(bound: float, interval: GuaranteedInterval) -> IrregularPart:
                 upper=upper if np.isfinite(upper) else None,
             )
         )
-    return IrregularPart(bound=bound, effects=tuple(effects), confidence=interval.confidence)
+    return IrregularPart(
+        bound=bound,
+        effects=tuple(effects),
+        confidence=interval.confidence,
+        unsolved=0 if interval.feasible is None else interval.feasible.unsolved,
+    )
 
 
 def interval_of(

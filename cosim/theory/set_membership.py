@@ -40,7 +40,7 @@ from itertools import product
 import numpy as np
 
 from cosim.arrays import NAN, Mask, Matrix, Vector
-from cosim.errors import AssumptionError, RunError
+from cosim.errors import AssumptionError
 from cosim.theory.feasible_program import FeasibleProgram, ProgramSolution, RecordedOutputs
 from cosim.theory.worst_case import (
     REACH,
@@ -70,11 +70,15 @@ class FeasibleInterval:
     vertices : Matrix
         The feasible theta that the searches reached, shape ``(k, n_theta)``; none where the bounds
         do not explain the data.
+    unsolved : int
+        Starts from which a linear program could not be solved. Nothing is known of what is around
+        them, so there is no end where there are any.
     """
 
     lower: Vector
     upper: Vector
     vertices: Matrix
+    unsolved: int = 0
 
     @property
     def feasible(self) -> bool:
@@ -115,23 +119,23 @@ def feasible_interval(
         one sets the scale of the steps.
     box : Matrix, optional
         Limits within which theta is known to lie, shape ``(n_theta, 2)``.
-
-    Raises
-    ------
-    RunError
-        If a linear program cannot be solved, so that nothing is known of the data.
     """
     n_theta = problem.n_theta
     program = FeasibleProgram(problem, recorded)
     limits = np.tile([-np.inf, np.inf], (n_theta, 1)) if box is None else box
     half_width = _half_width(problem, recorded, starts[0])
     vertices = np.zeros((0, n_theta))
+    unsolved = 0
     for start in starts:
         search = _Search(program, start, limits, half_width)
-        if search.restore() and not _encloses(vertices, search.origin[:n_theta]):
+        is_feasible = search.restore()
+        unsolved += search.is_unsolved
+        if is_feasible and not _encloses(vertices, search.origin[:n_theta]):
             for parameter in range(n_theta):
                 ends = [search.extreme(parameter, -1), search.extreme(parameter, 1)]
                 vertices = np.concatenate([vertices, np.array(ends)[:, :n_theta]])
+    if unsolved:
+        return FeasibleInterval(limits[:, 0], limits[:, 1], vertices, unsolved)
     if not len(vertices):
         nothing = np.full(n_theta, NAN)
         return FeasibleInterval(nothing, nothing.copy(), vertices)
@@ -148,7 +152,8 @@ def starts_around(problem: BoundedDisturbance, recorded: RecordedOutputs, p: Vec
     -------
     Matrix
         Shape ``(k, n_p)``: all combinations of -1, 0 and 1 half widths for up to three theta, one
-        theta at a time for more; p itself first.
+        theta at a time for more; p itself first. The nuisance parameters are those of least squares
+        at each.
     """
     n_theta = problem.n_theta
     half_width = _half_width(problem, recorded, p)
@@ -157,7 +162,8 @@ def starts_around(problem: BoundedDisturbance, recorded: RecordedOutputs, p: Vec
         signs = np.array(list(product((0.0, -1.0, 1.0), repeat=n_theta)))[1:]
     starts = np.tile(p, (1 + len(signs), 1))
     starts[1:, :n_theta] += signs * half_width
-    return starts
+    balanced = [_balanced(problem, recorded.y, start) for start in starts[1:]]
+    return np.array([p, *balanced])
 
 
 def least_bound(
@@ -190,6 +196,25 @@ def least_bound(
         limits[fixed] = theta[fixed, None]
     search = _Search(program, start, limits, _half_width(problem, recorded, start))
     return search.least_bound()
+
+
+def _balanced(problem: BoundedDisturbance, y: Matrix, p: Vector) -> Vector:
+    """Replace the nuisance parameters by those of least squares at theta, where these are finite.
+
+    A growing exponential with the amplitude of a decaying one has no digit left of y.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        jacobian = problem.model(p).jacobian
+    n_theta = problem.n_theta
+    columns = jacobian[:, :, n_theta:].reshape(y.size, -1)
+    largest = np.abs(columns).max(axis=0, initial=0.0)
+    if not np.isfinite(largest).all():
+        return p
+    unit = np.where(largest > 0.0, largest, 1.0)
+    solution = np.linalg.lstsq(columns / unit, y.ravel())
+    balanced = p.copy()
+    balanced[n_theta:] = solution[0] / unit
+    return balanced
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,30 +255,38 @@ class _Search:
         self.origin = start
         self.box = box
         self.half_width = half_width
+        self.is_unsolved = False
 
     def restore(self) -> bool:
-        """Move the origin of the searches to a feasible point; return whether there is one."""
+        """Move the origin of the searches to a feasible point; return whether there is one.
+
+        ``is_unsolved`` tells afterwards whether there may be one that could not be computed.
+        """
+        problem = self.program.problem
         for _ in range(MOST_PROGRAMS):
             here = self._least_violation(radius=0.0)
+            if here is None:
+                self.is_unsolved = True
+                break
             if here.violation <= VIOLATED:
                 self.origin = self.origin + here.step
                 return True
             near = self._least_violation(radius=1.0)
+            if near is None:
+                self.is_unsolved = True
+                break
             if self._size(near.step) <= SEARCH_CHANGE:
                 break
-            self.origin = self.origin + near.step
+            y = self.program.recorded.y
+            self.origin = _balanced(problem, y, self.origin + near.step)
         return False
 
-    def _least_violation(self, radius: float) -> ProgramSolution:
+    def _least_violation(self, radius: float) -> ProgramSolution | None:
         prediction = self.program.predict(self.origin)
+        if not np.isfinite(prediction.jacobian).all():
+            return None
         limits = self._limits(self.origin, radius, STATED)
-        solution = self.program.restore(prediction, limits)
-        if solution is None:
-            raise RunError(
-                "the linear program of the feasible set could not be solved; other cells make "
-                "another one"
-            )
-        return solution
+        return self.program.restore(prediction, limits)
 
     def extreme(self, parameter: int, direction: int) -> Vector:
         """Find the feasible p with the largest or smallest theta, infinite where there is no end.

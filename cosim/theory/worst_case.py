@@ -33,7 +33,8 @@ From an estimate back to the truth
 An estimate p_hat satisfies `F (y - g(p_hat)) = 0` with F at p_hat, so the truth is one of the p
 with `F (g(p) + L delta_0 - g(p_hat)) = 0` for an admissible delta_0. `interval_around` finds the
 largest and the smallest theta_i of these p as above: bang-bang by the sign of
-`L' F' (F J(p))^-T e_i`, then p by Newton's method, until neither changes. It contains the truth
+`L' F' (F J(p))^-T e_i`, then p by Newton's method, until neither changes, for a bound that grows
+from none: delta_0 = 0 is admissible, so the estimate is one of these p. It contains the truth
 where the first order, evaluated at the estimate instead of at the truth, misses it by a little;
 noise moves it by its effect on the estimate. With d = 0.02 it has no end in the example from an
 unlucky estimate: then the estimate says too little, and only all the data bound theta
@@ -63,6 +64,7 @@ ROUNDING = 1e-14  # the same, relative to the output
 RISE = 1e-10
 DIFFERENCE = 1e-5  # relative step of the differences that give the curvature
 REACH = 100.0  # first-order half widths; what goes further has no end
+GROWTH_STEPS = 4  # of the bound, from none to all, in which an end is followed
 MATCHED = 1e-8  # of the reach; gain that ends the search of an end, and is added to it
 SINGULAR = 1e13  # condition
 INDEPENDENT = 1e-13  # least relative pivot of the Jacobian with columns of length 1
@@ -388,23 +390,40 @@ def _end_around(
     direction: int,
     reach: float,
 ) -> float:
+    """Follow the end of theta as the bound grows; infinite where nothing shows an end.
+
+    The end of a larger bound is farther out, and p a continuous function of delta_0 as long as
+    `normal J` is not singular: what goes back or changes its orientation is of another branch.
+    """
     normal = np.einsum("kyp,yw->pkw", prediction.jacobian, problem.weight)
+    no_end = direction * np.inf
+    ended = MATCHED * reach
     p = estimate
-    for _ in range(MOST_STEPS):
+    for step in range(MOST_STEPS):
         rows = _theta_rows(normal, problem.model(p).jacobian)
         if rows is None:
-            break
+            return no_end
+        share = min((step + 1) / GROWTH_STEPS, 1.0)
         sensitivity = problem.response.adjoint(rows[parameter])
-        delta_0 = -direction * problem.bound * np.sign(sensitivity)
+        delta_0 = -direction * share * problem.bound * np.sign(sensitivity)
         y = prediction.output - problem.response.respond(delta_0)
         found = _matched(problem, normal, y, p)
-        if found is None or abs(found[parameter] - estimate[parameter]) > reach:
-            break
+        if found is None or not _keeps_orientation(normal, problem.model(found).jacobian):
+            return no_end
         gain = direction * (found[parameter] - p[parameter])
+        if gain < -ended or abs(found[parameter] - estimate[parameter]) > reach:
+            return no_end
         p = found
-        if gain <= MATCHED * reach:
-            return float(p[parameter]) + direction * MATCHED * reach
-    return direction * np.inf
+        if share == 1.0 and gain <= ended:
+            return float(p[parameter]) + direction * ended
+    return no_end
+
+
+def _keeps_orientation(normal: NDArray[np.float64], jacobian: NDArray[np.float64]) -> bool:
+    """Return whether `normal J` has the positive determinant that it has at the estimate."""
+    product: Matrix = np.einsum("pky,kyq->pq", normal, jacobian)
+    sign: float = np.linalg.slogdet(product)[0]
+    return sign > 0.0
 
 
 def _matched(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.signal import lsim
 
 from cosim.errors import AssumptionError
 from cosim.theory.descriptor import reduce
@@ -70,6 +71,51 @@ def test_the_jacobian_of_every_family_is_its_derivative():
         # central differences: 1e-10 times the third derivative, up to 10^3 over 10 s
         np.testing.assert_allclose(jacobian[:, :, j], (ahead - behind) / 2e-5, rtol=0, atol=1e-6)
     assert problem.bound.shape == (2,)
+
+
+def uncertain(seed):
+    """Return what a lag of 1 s makes of exponentials -0.2 and -1.5 and of a signal within 0.05.
+
+    Straight lines between samples 0.1 s apart, by a solver of its own.
+    """
+    t = np.arange(201) * 0.1
+    rng = np.random.default_rng(seed)
+    signals = (
+        rng.uniform(-1.0, 1.0, len(t)),
+        np.sign(rng.standard_normal(len(t))),
+        np.sign(np.sin(rng.uniform(0.3, 3.0) * t + rng.uniform(0.0, 6.0))),
+    )
+    delta = np.exp(-0.2 * t) + np.exp(-1.5 * t) + 0.05 * signals[seed % 3]
+    y = lsim(([[-1.0]], [[1.0]], [[1.0]], [[0.0]]), delta, t, X0=[1.0])[1]
+    return DataSet(t, y[:, np.newaxis], np.zeros((len(t), 0)), np.ones((len(t), 2)))
+
+
+@pytest.mark.parametrize("seed", [1, 10])
+def test_no_end_is_of_another_branch_where_the_first_order_says_little(seed):
+    """Both intervals contain what they must: the truth, and around the estimate itself.
+
+    An irregular part of 0.05 leaves the faster theta a half width of 3 to 6: Newton's method finds
+    points of another branch (seed 10), and a growing exponential with the amplitude of the decaying
+    one overflows the digits of a linear program (seed 1).
+    """
+    lag = DisturbedPlant(
+        A=np.array([[-1.0]]),
+        B=np.zeros((1, 0)),
+        Bd=np.ones((1, 2)),
+        C=np.array([[1.0]]),
+        D=np.zeros((1, 0)),
+        Dd=np.zeros((1, 2)),
+    )
+    truth = np.array([-0.2, -1.5])
+    data = uncertain(seed)
+    fit = fit_output_error([data], lag, FAMILIES, truth)
+    found = guaranteed_interval(data, lag, FAMILIES, fit, bound=0.05, sigma=np.zeros(1))
+    rounding = 1e-6 * (1.0 + np.abs(truth))
+    assert (found.lower <= truth + rounding).all()
+    assert (found.upper >= truth - rounding).all()
+    assert (found.around_estimate[:, 0] <= fit.theta).all()
+    assert (found.around_estimate[:, 1] >= fit.theta).all()
+    assert found.feasible.unsolved == 0
 
 
 @pytest.mark.parametrize("sigma", [0.0, 1e-3])

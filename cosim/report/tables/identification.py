@@ -96,6 +96,8 @@ def _add_irregular(table: Table, timed: TimedPart) -> None:
     part = timed.part
     chance = "" if part.confidence == 1.0 else f", noise within its bounds with {part.confidence:g}"
     text = f"every theta that explains the data{chance}; computed in {timed.seconds:.3g} s"
+    if part.unsolved:
+        text += f"; {part.unsolved} linear programs could not be solved, so the data show no end"
     table.add_row(f"|delta_0| <= {part.bound:g}", "", "", "guaranteed", text)
     for effect in part.effects:
         interval = interval_text(effect.lower, effect.upper, is_explained=effect.is_explained)
