@@ -75,11 +75,10 @@ int32_t cosim_between_take(const cosim_between *s, int64_t place, double t0, dou
         y[o] = NAN;
     for (int32_t i = 0; i < s->most; ++i) {
         const double t = instants[i];
-        if (isnan(t))
-            continue;
-        if (t == t1) {
+        if (isnan(t) || t == t1) {
             for (int32_t o = 0; o < s->outputs; ++o)
-                y[o] = samples[o * s->most + i];
+                if (!isnan(samples[o * s->most + i]))
+                    y[o] = samples[o * s->most + i];
             continue;
         }
         if (!(t0 < t && t < t1))

@@ -313,7 +313,7 @@ typedef struct {
     int32_t sources;       /* known factors alpha, each with its B and D */
     int32_t offset;        /* whether a constant on every output is unknown */
     int32_t ar;            /* order of the filter that whitens the noise */
-    int32_t average;       /* successive samples whose mean is one row; more than 1 without ar */
+    int32_t average;       /* steps, the mean of whose samples is one row; more than 1 without ar */
     const int32_t *size;   /* (components) V_i */
     const int32_t *count;  /* (components) parameters in theta_i */
     const int32_t *source; /* (components) which of them each has */
@@ -500,7 +500,7 @@ int64_t cosim_between_memory(const cosim_between *self);
 cosim_between_record cosim_between_in(const cosim_between *self, double *memory, int64_t count);
 /* Append the samples of the step from t0 to t1, which the sample `place` of the grid ends; x: the
  * state at t0 without disturbances. `samples` are (outputs, most) values, then `most` instants, NaN
- * where there is none. One at t1 is that of the grid: y becomes it, or NaN where there is none. */
+ * where there is none. One at t1, or without an instant, is that of the grid: y becomes it, or NaN. */
 int32_t cosim_between_take(const cosim_between *self, int64_t place, double t0, double t1,
                            const double *x, const double *u0, const double *u1,
                            const double *samples, cosim_between_record *record, double *y);

@@ -48,8 +48,8 @@ typedef struct {
     double *basis, *advanced;      /* (basis + derivatives) c' expm(G t) and its derivatives */
     double *E, *F;                 /* expm(G h), and its derivatives */
     double *ring;                  /* (ar, outputs, columns) rows before the filter */
-    double *summed, *sums;         /* (outputs) rows, and (outputs, columns) sums, that make a mean */
     double *pairs;                 /* (outputs, outputs) samples behind a product of residuals */
+    double *steps, *summed, *sums; /* of means: steps, (outputs) rows, (outputs, columns) sums */
     double *block;                 /* (BLOCK + outputs, columns) */
     double *scratch;
     int64_t state, size; /* doubles up to the block, and all */
@@ -74,6 +74,7 @@ static parts parts_of(const cosim_output_error *s, layout l, double *work)
     p.E = cosim_place(work, &next, l.E);
     p.F = cosim_place(work, &next, l.F);
     p.ring = cosim_place(work, &next, (int64_t)s->ar * s->outputs * M);
+    p.steps = cosim_place(work, &next, 1);
     p.summed = cosim_place(work, &next, s->outputs);
     p.sums = cosim_place(work, &next, s->outputs * M);
     p.pairs = cosim_place(work, &next, s->outputs * s->outputs);
@@ -469,26 +470,15 @@ static void rotate(layout l, const parts *p, waiting *w)
     w->count = 0, w->weight = 1.0;
 }
 
-/* Add the rows of a sample to those that make a mean of each output: the mean where it is whole, else
- * the row is left out. */
-static void make_means(const cosim_output_error *s, layout l, const parts *p, double *rows)
+static void add_to_means(const cosim_output_error *s, layout l, const parts *p, const double *rows)
 {
     const int32_t M = l.columns;
     for (int32_t o = 0; o < s->outputs; ++o) {
         if (!is_there(l, rows, o))
             continue;
-        double *row = rows + o * M, *sums = p->sums + o * M;
         for (int32_t c = 0; c < M; ++c)
-            sums[c] += row[c];
+            p->sums[o * M + c] += rows[o * M + c];
         p->summed[o] += 1.0;
-        if (p->summed[o] < s->average) {
-            leave_out(l, rows, o);
-            continue;
-        }
-        for (int32_t c = 0; c < M; ++c)
-            row[c] = sums[c] / s->average;
-        memset(sums, 0, (size_t)M * sizeof *sums);
-        p->summed[o] = 0.0;
     }
 }
 
@@ -524,10 +514,25 @@ static void even_out(const cosim_output_error *s, const parts *p, double *produc
             products[i] *= samples / p->pairs[i];
 }
 
+/* Filter and weigh rows, those of one sample or means, and append them. */
+static void append_rows(const cosim_output_error *s, layout l, const parts *p, double *rows,
+                        waiting *w)
+{
+    double *W = rows + 2 * s->outputs * l.columns;
+    filter_rows(s, l, p, rows);
+    if (!rows_there(s, l, rows))
+        return;
+    const int32_t made = weigh_rows(s, l, rows, w->weight, W, p->block + w->count * l.columns);
+    *p->rows += made;
+    w->count += made;
+    if (w->count + s->outputs > BLOCK)
+        rotate(l, p, w);
+}
+
 static void take_rows(const cosim_output_error *s, layout l, const parts *p, const double *between,
                       const double *residual, waiting *w)
 {
-    double *rows = p->scratch, *W = rows + 2 * s->outputs * l.columns;
+    double *rows = p->scratch;
     int32_t measured = 0;
     for (int32_t o = 0; o < s->outputs; ++o)
         measured += !isnan(residual[o]);
@@ -539,15 +544,30 @@ static void take_rows(const cosim_output_error *s, layout l, const parts *p, con
         return;
     }
     if (s->average > 1)
-        make_means(s, l, p, rows);
-    filter_rows(s, l, p, rows);
-    if (!rows_there(s, l, rows))
+        add_to_means(s, l, p, rows);
+    else
+        append_rows(s, l, p, rows, w);
+}
+
+/* At the end of a step: append the means of the samples of the last steps, if these are all. */
+static void take_means(const cosim_output_error *s, layout l, const parts *p, waiting *w)
+{
+    const int32_t M = l.columns;
+    *p->steps += 1.0;
+    if (*p->steps < s->average)
         return;
-    const int32_t made = weigh_rows(s, l, rows, w->weight, W, p->block + w->count * l.columns);
-    *p->rows += made;
-    w->count += made;
-    if (w->count + s->outputs > BLOCK)
-        rotate(l, p, w);
+    for (int32_t o = 0; o < s->outputs; ++o) {
+        double *row = p->scratch + o * M, *sums = p->sums + o * M;
+        if (p->summed[o] == 0.0)
+            leave_out(l, p->scratch, o);
+        else
+            for (int32_t c = 0; c < M; ++c)
+                row[c] = sums[c] / p->summed[o];
+        p->summed[o] = 0.0;
+    }
+    memset(p->sums, 0, (size_t)(s->outputs * M) * sizeof *p->sums);
+    *p->steps = 0.0;
+    append_rows(s, l, p, p->scratch, w);
 }
 
 /* The first of the samples between those of the grid that is in the step to k or later. */
@@ -586,6 +606,8 @@ static void take_samples(const cosim_output_error *s, const parts *p, const doub
         if (interval >= 0)
             advance_responses(s, l, p, interval);
         take_rows(s, l, p, NULL, record->residual + k * s->outputs, w);
+        if (s->average > 1 && !w->unknowns)
+            take_means(s, l, p, w);
     }
 }
 

@@ -146,7 +146,8 @@ class OutputErrorConstants:
     forgetting : float
         Weight of a sample over that of the next one.
     average : int
-        Successive samples whose mean is one row of the regression; more than 1 only without ``a``.
+        Steps, the mean of whose samples is one row of the regression; more than 1 only without
+        ``a``.
     source : tuple of int, optional
         Which alpha, B and D each component has; by default each its own.
     """

@@ -143,7 +143,7 @@ class _IdentifierData:
         u = np.concatenate(self._inputs)
         samples = None
         if self._sample_columns is not None:
-            samples = SampleRows(*map(np.concatenate, (self._sample_times, self._samples)))
+            samples = SampleRows(t, *map(np.concatenate, (self._sample_times, self._samples)))
         whole = self._identified.data_set(t, y, u, self._held, samples)
         return whole.last(self._identified.window)
 

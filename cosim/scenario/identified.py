@@ -107,15 +107,19 @@ class IdentifiedPlant:
 
 @dataclass(frozen=True, eq=False)
 class SampleRows:
-    """Samples of y at times of their own, as signals have them: NaN where there is none.
+    """Samples of y, as signals have them: NaN where there is none.
 
     Parameters
     ----------
+    t : Vector, shape (K,)
+        Communication points.
     times : Matrix, shape (K, m)
+        Of the samples since the one before; NaN beside a sample: it is of the communication point.
     values : Matrix, shape (K, n_y m)
         Those of one output behind those of another.
     """
 
+    t: Vector
     times: Matrix
     values: Matrix
 
@@ -135,9 +139,10 @@ class SampleRows:
 
     def flat(self, outputs: int) -> tuple[Vector, Matrix]:
         """Return the times and values of the samples, shapes (N,) and (N, n_y)."""
-        is_there = np.isfinite(self.times)
-        by_output = self.values.reshape(len(self.times), outputs, -1)
-        return self.times[is_there], by_output.transpose(0, 2, 1)[is_there]
+        values = self.values.reshape(len(self.t), outputs, -1).transpose(0, 2, 1)
+        times = np.where(np.isnan(self.times), self.t[:, np.newaxis], self.times)
+        is_there = np.isfinite(values).any(axis=2)
+        return times[is_there], values[is_there]
 
 
 def _inputs_at(t: Vector, points: Vector, u: Matrix, held: Mask) -> Matrix:

@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from cosim.arrays import Vector, as_columns
+from cosim.arrays import Matrix, Nanoseconds, Vector, as_columns
+from cosim.core.clock import seconds
 from cosim.core.connections import conversions_of
 from cosim.core.port import Port
 from cosim.core.ports import Ports
@@ -135,12 +136,24 @@ def _samples(log: Log, experiment: Experiment, identifier: str) -> SampleRows | 
         return None
     connection = connections[to]
     conversions = conversions_of(Ports(experiment.graph.layout), to, connection)
+    (times,) = connections[Port(identifier, "sample_times")].sources
+    t_ns = log.time_ns(times.component)
+    for source in connection.sources:
+        t_ns = np.union1d(t_ns, log.time_ns(source.component))
     parts = []
     for source, convert in zip(connection.sources, conversions, strict=True):
-        reached = connection.matrix * as_columns(log[source]) + connection.offset
+        reached = connection.matrix * _at_times(log, source, t_ns) + connection.offset
         parts.append(convert(reached))
-    (times,) = connections[Port(identifier, "sample_times")].sources
-    return SampleRows(as_columns(log[times]), np.hstack(parts))
+    t = seconds(t_ns)
+    return SampleRows(t, _at_times(log, times, t_ns), np.hstack(parts))
+
+
+def _at_times(log: Log, port: Port, t_ns: Nanoseconds) -> Matrix:
+    """Return the rows of a signal at times; NaN where the log has none."""
+    recorded = as_columns(log[port])
+    rows = np.full((len(t_ns), recorded.shape[1]), np.nan)
+    rows[np.searchsorted(t_ns, log.time_ns(port.component))] = recorded
+    return rows
 
 
 def identify(

@@ -151,11 +151,11 @@ def test_noise_that_is_stated_wrong_is_said(two):
 )
 def test_the_contract_is_kept(options, two, log):
     """One call of many steps equals many calls of one step; a state goes back."""
-    settings = {**options, "scenario.stop": 6.0, "identifier.period": 0.5}
+    settings = {**options, "scenario.stop": 3.0, "identifier.period": 0.5}
     columns = [log[name] for name in ("regressor.mu", "observer.delta", "sensor.y", "u.y")]
     inputs = np.hstack([np.reshape(rows, (len(rows), -1)) for rows in columns])
     check_component(
-        lambda: identifier(str(two), settings), inputs=np.ascontiguousarray(inputs[:601]), h=1e-2
+        lambda: identifier(str(two), settings), inputs=np.ascontiguousarray(inputs[:301]), h=1e-2
     )
 
 
@@ -215,7 +215,8 @@ def test_an_exported_identifier_has_the_same_bits(two, log, tmp_path):
     """The weights are estimated by the same kernel in both homes."""
     fmu = tmp_path / "identifier.fmu"
     export_component(str(two), "identifier", fmu)
-    run = cosim.run(two, swap={"identifier": fmu}, set={"identifier.interface_type": "cs"})
+    settings = {"identifier.interface_type": "cs", "scenario.stop": 8.0}
+    run = cosim.run(two, swap={"identifier": fmu}, set=settings)
     for signal in ("identifier.theta", "identifier.standard_error", "identifier.deviation"):
-        every = (len(run[signal]) - 1) // (len(log[signal]) - 1)  # the FMU has no period
-        assert np.array_equal(run[signal][::every], log[signal], equal_nan=True), signal
+        found = run[signal][::10]  # the FMU has no period
+        assert np.array_equal(found, log[signal][:81], equal_nan=True), signal

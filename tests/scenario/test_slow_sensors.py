@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 import cosim
-from cosim.errors import CosimError
-from cosim.scenario.identifying import identifier_record
+from cosim.scenario.identifying import identifier_record, identify
 from cosim.scenario.recorded_metadata import recorded_identification
 from tests.scenario.test_several_outputs import SCENARIO as TWO
 
@@ -148,9 +147,19 @@ def test_sensors_with_one_period_are_one(tmp_path):
     np.testing.assert_allclose(found.deviation, [0.1, 1e-3], rtol=0.2)
 
 
-def test_sensors_with_different_periods_are_refused(tmp_path):
-    """Nothing says when which output was measured."""
-    with pytest.raises(
-        CosimError, match=r"y has values between the samples of 'first'.*one period"
-    ):
-        cosim.run(two_sensors(tmp_path, ""))
+@pytest.mark.parametrize(
+    ("second", "samples"), [("", 2001), ("period = 0.05", 401), ("period = 0.03", 667)]
+)
+def test_each_sensor_counts_at_its_own_times(tmp_path, second, samples):
+    """At every point, in turn with the other or not; a later fit of the log is that of the run."""
+    path = two_sensors(tmp_path, second)
+    log = cosim.run(path, out=tmp_path / "two.mcap")
+    found = verdicts(log)
+    assert [one.verdict for one in found.parameters] == 2 * ["IDENTIFIABLE"]
+    np.testing.assert_allclose(found.deviation, [0.1, 1e-3], rtol=0.2)
+    offline = np.array([one.value for one in found.parameters])
+    assert (np.abs(log["identifier.theta"][-1] - offline) < 0.2 * errors(log)).all()
+    record = identifier_record(log)
+    np.testing.assert_array_equal(record.data.measured.sum(axis=0), [201, samples])
+    later = identify([record]).assessment
+    np.testing.assert_array_equal(later.fit.theta, offline)

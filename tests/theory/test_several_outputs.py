@@ -86,21 +86,21 @@ def campaign(covariance, seeds: range):
 def test_a_bad_output_costs_nothing_where_nothing_is_stated():
     """The error is that of the Cramer-Rao bound for the true covariance.
 
-    The ratio is that within 4 of its own standard errors, 1/sqrt(2 * 12 * 2); the standard errors
+    The ratio is that within 4 of its own standard errors, 1/sqrt(2 * 8 * 2); the standard errors
     are the bound to 5 %.
     """
     plant = two_outputs()
     expected = bound(plant, np.diag(SIGMA**2))
     white = NoiseModel(covariance=np.eye(2), a=np.zeros((2, 0)))
     errors = []
-    for seed in range(12):
+    for seed in range(8):
         data = [record(noisy(seed=seed))]
         fit, noise = fit_with_noise(data, plant, FAMILIES, START, noise=white)
         errors.append(fit.theta - THETA)
         np.testing.assert_allclose(noise.deviations, SIGMA, rtol=0.05)
         np.testing.assert_allclose(fit.standard_error, expected, rtol=0.05)
     ratio = np.sqrt(np.mean((np.array(errors) / expected) ** 2))
-    assert 1.0 - 4.0 / np.sqrt(48.0) < ratio < 1.0 + 4.0 / np.sqrt(48.0)
+    assert 1.0 - 4.0 / np.sqrt(32.0) < ratio < 1.0 + 4.0 / np.sqrt(32.0)
 
 
 @pytest.mark.campaign
@@ -132,15 +132,14 @@ def test_units_of_the_outputs_do_not_count():
     What the weights leave of the unit is their own tolerance, 1 %, in a small part of an error.
     """
     found = []
-    for scale in (1e-6, 1.0, 1e6):
+    for scale in (1.0, 1e6):
         assessment = assess([record(noisy(scale=scale))], two_outputs(scale), FAMILIES)
         found.append(assessment)
-    middle = found[1]
-    error = middle.fit.standard_error
-    for other in found:
-        assert (np.abs(other.fit.theta - middle.fit.theta) < 0.02 * error).all()
-        np.testing.assert_allclose(other.fit.standard_error, error, rtol=0.01)
-        assert [one.verdict for one in other.parameters] == GOOD
+    one, other = found
+    error = one.fit.standard_error
+    assert (np.abs(other.fit.theta - one.fit.theta) < 0.02 * error).all()
+    np.testing.assert_allclose(other.fit.standard_error, error, rtol=0.01)
+    assert [parameter.verdict for parameter in other.parameters] == GOOD
 
 
 def test_correlated_noise_is_estimated_with_its_correlation():

@@ -174,6 +174,22 @@ def test_a_wrong_model_does_not_pass_for_colored_noise():
         assert found == [Verdict.INCONSISTENT, Verdict.INCONSISTENT]
 
 
+def test_few_samples_among_many_inputs_count_as_few():
+    """One of 40 rows is measured: theta is searched, and its errors are those of 101 samples.
+
+    That is the bound for all 40001 samples times sqrt(40001 / 101), to what a sum of 101 differs
+    from the integral, and the deviation of so few is known to 7 %: within 30 %.
+    """
+    t = times(COARSE)
+    y = noisy("good", 1e-4, seed=5, h=COARSE).y.copy()
+    y[np.arange(len(t)) % 40 > 0] = np.nan
+    assessment = assess([record(y, COARSE)], design(), FAMILIES)
+    assert [parameter.verdict for parameter in assessment.parameters] == GOOD
+    assert misses(assessment) == [False, False]
+    expected = 1e-4 * BOUND * np.sqrt(40001 / 101)
+    np.testing.assert_allclose(assessment.fit.standard_error, expected, rtol=0.3)
+
+
 def test_noise_makes_a_parameter_weak_before_it_is_lost():
     """Where the interval is so wide that the effect is not linear in it, the verdict says so."""
     found = set()

@@ -262,9 +262,10 @@ class Kind(TomlTable):
         """Return the output with the samples of another one at times of their own; None: none."""
         return None
 
-    def samples_with(self, other: Kind) -> bool:
-        """Return whether its samples have the times of those of another component."""
-        return False
+    @property
+    def samples_at_points(self) -> bool:
+        """Whether samples are of communication points, at most one of each."""
+        return True
 
     def most_in_a_step(self, name: str, context: BuildContext) -> int:
         """Return for how many samples in a communication step there is a place; 0: none."""

@@ -79,6 +79,10 @@ class FieldDataKind(PlantKind):
     def samples_of(self, output: str) -> str | None:
         return samples_of(output)
 
+    @property
+    def samples_at_points(self) -> bool:
+        return False
+
     def renamings(self, interface: Interface, given: Sequence[Renaming]) -> Sequence[Renaming]:
         """Add the samples of each renamed output."""
         most = interface.by_name[SAMPLE_TIMES].size

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 from cosim.blocks.field_data import SAMPLE_TIMES
 from cosim.core.connections import Connection
@@ -110,8 +111,8 @@ class IdentifierSource:
         if sampled is not None:
             raise UsageError(
                 f"y has values between the samples of {sampled!r}; needed it from whole outputs of "
-                "one such component, or of sensors with one period, directly, with one number as "
-                "gain or none: then the samples are taken at their own times"
+                "one such component, or from sensors, directly, with one number as gain or none: "
+                "then the samples are taken at their own times"
             )
         return 0
 
@@ -186,25 +187,38 @@ def sample_connections(
         origin = implied[origin].origin
     if y is None or y.matrix.ndim:
         return {}
-    sampled = []
-    for source in y.sources:
-        spec = specs.get(source.component)
-        signal = None if spec is None else spec.samples_of(source.signal)
-        if signal is not None and source.element is None:
-            sampled.append(Port(source.component, signal))
-    first = y.sources[0].component
-    if len(sampled) < len(y.sources):
+    sampled = _sampled_outputs(y, specs)
+    if sampled is None:
         return {}
-    for source in y.sources:
-        is_first = source.component == first
-        if not is_first and not specs[first].samples_with(specs[source.component]):
-            return {}
-    samples = Connection(sampled, y.gain, y.offset, y.unit)
-    times = Connection(Port(first, SAMPLE_TIMES))
+    sources, timed_by = sampled
+    samples = Connection(sources, y.gain, y.offset, y.unit)
+    times = Connection(Port(timed_by, SAMPLE_TIMES))
     return {
         Port(name, "samples"): ImpliedConnection(samples, origin),
         Port(name, SAMPLE_TIMES): ImpliedConnection(times, origin),
     }
+
+
+def _sampled_outputs(y: Connection, specs: Mapping[str, Kind]) -> tuple[list[Port], str] | None:
+    """Return the samples of what drives y, and the component that has their times.
+
+    Those that have no time of their own are of the communication points. None: there are no
+    samples, or several components have times of their own.
+    """
+    sources = []
+    timed_by = None
+    for source in y.sources:
+        spec = specs.get(source.component)
+        signal = None if spec is None else spec.samples_of(source.signal)
+        if spec is None or signal is None:
+            sources.append(source)
+            continue
+        is_alone = all(other.component == source.component for other in y.sources)
+        if not spec.samples_at_points and (source.element is not None or not is_alone):
+            return None
+        sources.append(replace(source, signal=signal))
+        timed_by = source.component
+    return None if timed_by is None else (sources, timed_by)
 
 
 def _observer_behind(regressor: str, context: BuildContext) -> ObserverSource | None:

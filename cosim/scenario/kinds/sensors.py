@@ -12,7 +12,7 @@ from cosim.blocks.sensor import Sensor
 from cosim.core.clock import nanoseconds
 from cosim.core.contracts import Component
 from cosim.errors import UsageError
-from cosim.scenario.kinds.base import BuildContext, Kind, PeriodicKind, PortUnits, unit_of
+from cosim.scenario.kinds.base import BuildContext, PeriodicKind, PortUnits, unit_of
 from cosim.scenario.schema import Number, NumberRow, Size, Whole
 
 EACH = ", one number or one for each element"
@@ -80,9 +80,6 @@ class SensorKind(PeriodicKind):
 
     def samples_of(self, output: str) -> str | None:
         return samples_of(output) if output == "y" and self._offers_samples else None
-
-    def samples_with(self, other: Kind) -> bool:
-        return isinstance(other, SensorKind) and other.period == self.period
 
     def most_in_a_step(self, name: str, context: BuildContext) -> int:
         return 1 if self._offers_samples else 0
