@@ -27,18 +27,24 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.arrays import Matrix, Vector
+from cosim.arrays import Mask, Matrix, Vector
 from cosim.native.output_error import Generators
 from cosim.theory.accuracy import (
     LARGEST_STEP_ERROR,
     Accuracy,
     accuracy_of,
-    quantization_error,
 )
 from cosim.theory.disturbance import Family, generators
-from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, NoiseModel, counted_values
+from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, NoiseModel
 from cosim.theory.estimators.output_error import OutputErrorFit
 from cosim.theory.fitted_response import FittedResponse, fitted_response
+from cosim.theory.linearized_fit import (
+    ErrorBias,
+    LinearizedFit,
+    error_bias,
+    linearize_fit,
+    whitened_rows,
+)
 from cosim.theory.model_errors import Directions, model_errors
 from cosim.theory.quantiles import chi_square_above
 
@@ -148,7 +154,7 @@ def examine(
         Covariance of the noise, where it is known.
     """
     matrices = generators(families)
-    problems = _whitened_problems(fit, data, plant, matrices, noise)
+    problems = _tested_fits(fit, data, plant, matrices, noise)
     accuracies = tuple(problem.accuracy for problem in problems)
     rounding = max(problem.rounding for problem in problems)
     tests: list[ResidualTest] = []
@@ -158,19 +164,17 @@ def examine(
         if stated is not None:
             tests += problem.size_tests(stated)
     step_errors = [problem.step_error for problem in problems]
-    moved = _moved(fit, problems)
-    P = int(fit.estimated.sum())
-    bias = np.zeros(len(fit.theta))
-    bias[fit.estimated] = np.abs(moved[:P]).sum(axis=1)
-    of_linear = np.abs(moved[P:]).sum(axis=1).reshape(len(data), -1)
+    linearized = [problem.fit for problem in problems]
+    moved = error_bias(linearized, fit.estimated)
+    of_linear = np.abs(moved.linear).sum(axis=2)
     return Consistency(
         tuple(tests),
         accuracies,
         _is_exact(fit, problems),
         np.max(step_errors, axis=0),
-        bias,
+        np.abs(moved.theta).sum(axis=1),
         of_linear[:, : matrices.order],
-        _presence_bias(fit, problems, matrices, moved[P:]),
+        _presence_bias(fit, linearized, matrices, moved),
     )
 
 
@@ -192,9 +196,9 @@ def noise_color(
     residuals = []
     counted = []
     matrices = generators(families)
-    for problem in _whitened_problems(fit, data, plant, matrices, noise, whole=True):
-        residuals.append(noise.colored(problem.unexplained, problem.counted))
-        counted.append(problem.counted)
+    for problem in _tested_fits(fit, data, plant, matrices, noise, whole=True):
+        residuals.append(noise.colored(problem.unexplained, problem.fit.counted))
+        counted.append(problem.fit.counted)
     models = []
     for o in range(len(plant.C)):
         of_output = []
@@ -247,15 +251,15 @@ def autoregression(residuals: Sequence[Matrix], longest: int) -> Vector:
     return best
 
 
-class _WhitenedProblem:
-    """The fit of one data set as a linear regression near its minimum, measured samples only.
+class _TestedFit:
+    """The fit of one data set near its minimum, and the directions of a wrong model beside it.
 
     Directions are computed of every so many samples.
     """
 
     def __init__(
         self,
-        fit: OutputErrorFit,
+        estimated: Mask,
         data: DataSet,
         plant: DisturbedPlant,
         response: FittedResponse,
@@ -265,7 +269,8 @@ class _WhitenedProblem:
         every: int,
     ) -> None:
         self.accuracy = accuracy
-        self.counted = counted_values(data.measured, noise.order)
+        self.fit = linearize_fit(data, response, accuracy, noise)
+        self._unknowns = np.hstack([self.fit.slopes[:, estimated], self.fit.linear])
         weights = np.abs(noise.whitening)
         self.allowed = weights @ accuracy.deviations
         self.rounding = float((weights @ accuracy.rounding).max())
@@ -273,30 +278,16 @@ class _WhitenedProblem:
         scale = np.maximum(np.nanstd(data.y, axis=0), accuracy.rounding)
         scale[scale == 0.0] = np.inf  # of an output that is 0 at every sample
         self.step_error = step_error / scale
-
-        def whitened(rows: NDArray[np.float64], measured: NDArray[np.bool_]) -> Matrix:
-            return noise.whitened(rows, measured).reshape(-1, rows.shape[2])
-
-        unknowns = np.concatenate([response.slopes[:, :, fit.estimated], response.linear], axis=2)
-        self.columns = whitened(unknowns, data.measured)
-        self._residual = whitened(response.residual[:, :, np.newaxis], data.measured)[:, 0]
-        quantized = quantization_error(data.y, response.residual, accuracy.spacing)
-        errors = np.stack([accuracy.step, quantized], axis=2)
-        self.errors = whitened(errors, data.measured)
         self._plain = response.residual
         self._rows = data.kept(every)
         thin = data.thinned(every)
         directions = model_errors(plant, thin, response.at(self._rows))
-        columns = whitened(directions.columns, thin.measured)
+        columns = whitened_rows(directions.columns, thin.measured, noise)
         self._make_directions(Directions(columns, directions.names))
-
-    def _by_sample(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return rows by sample and output, those that are not counted 0, (N, n_y, ...)."""
-        return rows.reshape(*self.counted.shape, *rows.shape[1:])
 
     def _thinned(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the rows of the samples of which directions are computed."""
-        kept = self._by_sample(rows)[self._rows]
+        kept = self.fit.by_sample(rows)[self._rows]
         return kept.reshape(-1, *rows.shape[1:])
 
     def _make_directions(self, directions: Directions) -> None:
@@ -304,7 +295,7 @@ class _WhitenedProblem:
         columns = directions.columns
         lengths = np.linalg.norm(columns, axis=0)
         scaled = columns / np.where(lengths > 0.0, lengths, 1.0)
-        basis = _orthonormal(self._thinned(self.columns))
+        basis = _orthonormal(self._thinned(self._unknowns))
         free = scaled - basis @ (basis.T @ scaled)
         remainders = np.linalg.norm(free, axis=0)
         kept = remainders > LEAST_REMAINDER
@@ -315,13 +306,13 @@ class _WhitenedProblem:
     def unexplained(self) -> Matrix:
         """What is left of the residual beside all directions, shape (N, n_y)."""
         basis = _orthonormal(self._directions)
-        rest = self._residual - basis @ (basis.T @ self._residual)
-        return self._by_sample(rest)
+        residual = self.fit.residual
+        return self.fit.by_sample(residual - basis @ (basis.T @ residual))
 
     @property
     def squares(self) -> Vector:
         """The sums of squares of the whitened residual, shape (n_y,)."""
-        return np.asarray(np.sum(self._by_sample(self._residual) ** 2, axis=0), np.float64)
+        return np.asarray(np.sum(self.fit.by_sample(self.fit.residual) ** 2, axis=0), np.float64)
 
     def tests(self, deviation: float) -> list[ResidualTest]:
         """Test the residual for noise of a deviation."""
@@ -337,8 +328,8 @@ class _WhitenedProblem:
         return [self._size(o, float(deviation)) for o, deviation in enumerate(deviations)]
 
     def _size(self, output: int, stated: float) -> ResidualTest:
-        residual = self._plain[self.counted[:, output], output]
-        unknowns = self.columns.shape[1] / self.counted.shape[1]
+        residual = self._plain[self.fit.counted[:, output], output]
+        unknowns = self._unknowns.shape[1] / self.fit.counted.shape[1]
         degrees = max(int(len(residual) - unknowns), 1)
         found = float(np.sqrt(residual @ residual / degrees))
         expected = float(np.hypot(stated, self.accuracy.deviations[output]))
@@ -353,8 +344,8 @@ class _WhitenedProblem:
 
     def _excess(self, directions: Matrix, deviation: float) -> Vector:
         """Return how much of the residual along directions is more than errors allow."""
-        found = np.abs(directions.T @ self._thinned(self._residual))
-        allowed = MARGIN * np.abs(directions.T @ self._thinned(self.errors)).sum(axis=1)
+        found = np.abs(directions.T @ self._thinned(self.fit.residual))
+        allowed = MARGIN * np.abs(directions.T @ self._thinned(self.fit.errors)).sum(axis=1)
         excess: Vector = np.maximum(found - allowed, 0.0) / deviation
         return excess
 
@@ -374,14 +365,14 @@ class _WhitenedProblem:
         return ResidualTest("traces of model errors", statistic, _threshold(degrees), degrees, "")
 
     def _whiteness(self, deviation: float) -> ResidualTest:
-        residual = self._by_sample(self._residual)
-        errors = self._by_sample(self.errors)
+        residual = self.fit.by_sample(self.fit.residual)
+        errors = self.fit.by_sample(self.fit.errors)
         squares = []
         places = []
-        for o, values in enumerate(self.counted.T):
+        for o, values in enumerate(self.fit.counted.T):
             excess = _correlation(residual[values, o], errors[values, o], deviation)
             squares += list(excess**2)
-            of_output = f" of y[{o}]" if len(self.counted.T) > 1 else ""
+            of_output = f" of y[{o}]" if len(self.fit.counted.T) > 1 else ""
             places += [f"lag {lag}{of_output}" for lag in range(1, len(excess) + 1)]
         degrees = len(squares)
         largest = places[int(np.argmax(squares))]
@@ -402,7 +393,7 @@ def _correlation(residual: Vector, errors: Matrix, deviation: float) -> Vector:
     return correlation
 
 
-def _whitened_problems(
+def _tested_fits(
     fit: OutputErrorFit,
     data: Sequence[DataSet],
     plant: DisturbedPlant,
@@ -410,7 +401,7 @@ def _whitened_problems(
     noise: NoiseModel,
     *,
     whole: bool = False,
-) -> list[_WhitenedProblem]:
+) -> list[_TestedFit]:
     """Return the problem of each data set; ``whole``: with the directions of all samples."""
     problems = []
     for index, one in enumerate(data):
@@ -418,7 +409,9 @@ def _whitened_problems(
         every = max(1, len(one.t) // longest)
         response = fitted_response(fit, index, one, plant, matrices)
         accuracy = accuracy_of(plant, one, response.disturbance)
-        problems.append(_WhitenedProblem(fit, one, plant, response, accuracy, noise, every=every))
+        problems.append(
+            _TestedFit(fit.estimated, one, plant, response, accuracy, noise, every=every)
+        )
     return problems
 
 
@@ -433,7 +426,7 @@ def _orthonormal(columns: Matrix) -> Matrix:
     return np.asarray(scaled @ (vectors[:, kept] / np.sqrt(squares[kept])), np.float64)
 
 
-def _is_exact(fit: OutputErrorFit, problems: Sequence[_WhitenedProblem]) -> bool:
+def _is_exact(fit: OutputErrorFit, problems: Sequence[_TestedFit]) -> bool:
     """Return whether no residual is larger than errors that are no noise allow."""
     squares = np.sum([problem.squares for problem in problems], axis=0)
     deviations = np.sqrt(squares / (max(fit.freedom, 1.0) / len(squares)))
@@ -445,55 +438,26 @@ def _threshold(degrees: int, among: int = 1) -> float:
     return chi_square_above(FALSE_ALARM / among, degrees)
 
 
-def _moved(fit: OutputErrorFit, problems: Sequence[_WhitenedProblem]) -> Matrix:
-    """Compute by how much each of the errors moves theta and the linear unknowns of all data."""
-    P = int(fit.estimated.sum())
-    linear = problems[0].columns.shape[1] - P
-    rows = []
-    errors = []
-    for index, problem in enumerate(problems):
-        columns = np.zeros((len(problem.columns), P + linear * len(problems)))
-        columns[:, :P] = problem.columns[:, :P]
-        first = P + index * linear
-        columns[:, first : first + linear] = problem.columns[:, P:]
-        rows.append(columns)
-        errors.append(problem.errors)
-    J = np.vstack(rows)
-    lengths = np.linalg.norm(J, axis=0)
-    lengths[lengths == 0.0] = 1.0
-    solved = np.linalg.lstsq(J / lengths, np.vstack(errors), rcond=1e-12)[0]
-    return np.asarray(solved / lengths[:, np.newaxis], np.float64)
-
-
 def _presence_bias(
     fit: OutputErrorFit,
-    problems: Sequence[_WhitenedProblem],
+    linearized: Sequence[LinearizedFit],
     matrices: Generators,
-    moved: Matrix,
+    moved: ErrorBias,
 ) -> Vector:
     """Return how long the errors of the amplitudes are in the measure of their covariance.
 
-    Parameters
-    ----------
-    fit : OutputErrorFit
-    problems : sequence of _WhitenedProblem
-    matrices : Generators
-    moved : Matrix, shape (all linear unknowns, errors)
+    Their own theta is given, as in ``OutputErrorFit.presence``.
     """
-    P = int(fit.estimated.sum())
-    owner = np.repeat(np.arange(len(matrices.size)), matrices.count)[fit.estimated]
-    of_data = np.split(moved, len(problems))
+    owner = np.repeat(np.arange(len(matrices.size)), matrices.count)
     bias = np.zeros(len(matrices.size))
     first = 0
     for i, size in enumerate(matrices.size):
         place = slice(first, first + size)
-        squares = np.zeros(moved.shape[1])
-        for problem, own in zip(problems, of_data, strict=True):
-            amplitudes = problem.columns[:, P:][:, place]
-            others = [problem.columns[:, :P][:, owner != i]]
-            others.append(np.delete(problem.columns[:, P:], place, axis=1))
-            basis = _orthonormal(np.hstack(others))
-            effect = amplitudes @ own[place]
+        squares = np.zeros(moved.theta.shape[1])
+        for one, own in zip(linearized, moved.linear, strict=True):
+            others = one.slopes[:, fit.estimated & (owner != i)]
+            basis = _orthonormal(np.hstack([others, np.delete(one.linear, place, axis=1)]))
+            effect = one.linear[:, place] @ own[place]
             effect -= basis @ (basis.T @ effect)
             squares += np.sum(effect**2, axis=0)
         bias[i] = np.sqrt(squares).sum() / fit.deviation if fit.deviation > 0.0 else 0.0

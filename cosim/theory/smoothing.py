@@ -12,11 +12,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.arrays import Matrix, Vector
 from cosim.errors import AssumptionError
-from cosim.theory.accuracy import accuracy_of, quantization_error, step_error
+from cosim.theory.accuracy import accuracy_of, step_error
 from cosim.theory.consistency import MARGIN
 from cosim.theory.disturbance import Family, generators
 from cosim.theory.disturbed_plant import (
@@ -30,6 +29,7 @@ from cosim.theory.disturbed_plant import (
 from cosim.theory.estimators.output_error import OutputErrorFit
 from cosim.theory.fitted_response import disturbance_of, fitted_response
 from cosim.theory.irregular_part import ResponseModel
+from cosim.theory.linearized_fit import LinearizedFit, error_bias, linearize_fit
 from cosim.theory.quantiles import CONFIDENCE, student_two_sided
 from cosim.theory.record_information import joint_covariance
 
@@ -95,18 +95,17 @@ def smoothed_signals(
     model, known = _response(unmeasured, observed, families)
     p = np.concatenate([fit.theta, fit.amplitudes[index], fit.x0[index]])
     prediction = model(p)
-    regressions = [_regression(fit, i, one, plant, families, noise) for i, one in enumerate(data)]
-    own_regression = regressions[index]
-    joint = joint_covariance(
-        own_regression.inverse, own_regression.slopes, fit.covariance, fit.deviation
-    )
+    fits = [_linearized(fit, i, one, plant, families, noise) for i, one in enumerate(data)]
+    linearized = fits[index]
+    joint = joint_covariance(linearized.inverse, linearized.slopes, fit.covariance, fit.deviation)
     covariance = joint[: len(p), : len(p)]
     variance = np.einsum("nop,pq,noq->no", prediction.jacobian, covariance, prediction.jacobian)
     quantile = student_two_sided(CONFIDENCE, max(fit.freedom, 1.0))
     half_width = quantile * np.sqrt(np.maximum(variance, 0.0))
     matrices = generators(families)
     disturbance = disturbance_of(fit.theta, fit.amplitudes[index], own, matrices)
-    moved = prediction.jacobian @ _moved(fit, regressions, index)[: len(p)]
+    bias = error_bias(fits, fit.estimated)
+    moved = prediction.jacobian @ np.vstack([bias.theta, bias.linear[index]])[: len(p)]
     moved[:, :, 0] -= step_error(observed, unmeasured, disturbance)
     half_width += MARGIN * np.abs(moved).sum(axis=2)
     values = known + prediction.output
@@ -143,58 +142,14 @@ def _response(
     return ResponseModel(record), -record.residual
 
 
-@dataclass(frozen=True, eq=False)
-class _Regression:
-    """A fit near its minimum, of one data set: measured values only, white.
-
-    Parameters
-    ----------
-    slopes : Matrix, shape (M, P)
-    inverse : Matrix, shape (L, M)
-        Pseudo-inverse of the columns of the linear unknowns.
-    free : Matrix, shape (M, P)
-        What of the slopes the linear unknowns cannot take.
-    errors : Matrix, shape (M, 2)
-        Of the step and of quantization.
-    """
-
-    slopes: Matrix
-    inverse: Matrix
-    free: Matrix
-    errors: Matrix
-
-
-def _regression(
+def _linearized(
     fit: OutputErrorFit,
     index: int,
     data: DataSet,
     plant: DisturbedPlant,
     families: Sequence[Family],
     noise: NoiseModel,
-) -> _Regression:
-    matrices = generators(families)
-    response = fitted_response(fit, index, data, plant, matrices)
+) -> LinearizedFit:
+    response = fitted_response(fit, index, data, plant, generators(families))
     accuracy = accuracy_of(plant, data, response.disturbance)
-    quantized = quantization_error(data.y, response.residual, accuracy.spacing)
-    errors = np.stack([accuracy.step, quantized], axis=2)
-    measured = data.measured
-
-    def white(rows: NDArray[np.float64]) -> Matrix:
-        return noise.whitened(rows, measured).reshape(-1, rows.shape[2])
-
-    linear = white(response.linear)
-    slopes = white(response.slopes)
-    lengths = np.linalg.norm(linear, axis=0)
-    lengths[lengths == 0.0] = 1.0
-    inverse = np.linalg.pinv(linear / lengths, rcond=1e-12) / lengths[:, np.newaxis]
-    free = slopes - linear @ (inverse @ slopes)
-    return _Regression(slopes, inverse, free, white(errors))
-
-
-def _moved(fit: OutputErrorFit, regressions: Sequence[_Regression], index: int) -> Matrix:
-    """Compute by how much errors of step and quantization move the unknowns, shape (p, 2)."""
-    gradient = sum(one.free.T @ one.errors for one in regressions)
-    theta = fit.covariance @ gradient / fit.deviation**2
-    own = regressions[index]
-    linear = own.inverse @ (own.errors - own.slopes @ theta)
-    return np.vstack([theta, linear])
+    return linearize_fit(data, response, accuracy, noise)
