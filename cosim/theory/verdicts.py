@@ -18,7 +18,7 @@ against that (:func:`judge`).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
 from typing import Any, Final
@@ -30,7 +30,13 @@ from cosim.arrays import Matrix, Vector
 from cosim.errors import StartError
 from cosim.native.output_error import ParameterState
 from cosim.theory.accuracy import LARGEST_STEP_ERROR, enough_shorter
-from cosim.theory.consistency import MARGIN, Consistency, examine, noise_color
+from cosim.theory.consistency import (
+    MARGIN,
+    Consistency,
+    ResidualTest,
+    examine,
+    noise_color,
+)
 from cosim.theory.disturbance import Family, generators
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant, NoiseModel
 from cosim.theory.estimators.output_error import (
@@ -586,10 +592,19 @@ class _Judge:
                     f"{self._at_bound(j)}: widen it; where it stands, the residual is not what "
                     "noise leaves"
                 )
-        found = "; ".join(
-            f"{test.name}: {test.statistic:.3g}, noise leaves up to {test.threshold:.3g} "
-            + (f" ({test.largest})" if test.largest else "")
-            for test in consistency.tests
-            if not test.passed
-        )
+        found = "; ".join(_failures(consistency.tests, len(self._fit.records)))
         return f"the residual is not what noise leaves: {found}"
+
+
+def _failures(tests: Sequence[ResidualTest], data_sets: int) -> Iterator[str]:
+    """Yield which tests failed, of several data sets with that of each."""
+    each = len(tests) // data_sets
+    for number, test in enumerate(tests):
+        if test.passed:
+            continue
+        where = f" ({test.largest})" if test.largest else ""
+        owner = f"data set {number // each + 1}, " if data_sets > 1 else ""
+        yield (
+            f"{owner}{test.name}: {test.statistic:.3g}, noise leaves up to {test.threshold:.3g}"
+            f"{where}"
+        )

@@ -194,3 +194,12 @@ def test_samples_too_far_apart_are_called_so():
     (parameter,) = assess([data], forced, ONE).parameters
     assert "the samples are too far apart" in parameter.reason
     assert "stands" not in parameter.reason
+
+
+def test_a_failed_test_of_several_data_sets_names_that_of_it():
+    """The second is of another plant; numbers begin with 1."""
+    good = measured(1.0)
+    bad = DataSet(T, good.y + 0.1 * np.sin(T)[:, np.newaxis], good.u, good.alpha)
+    (parameter,) = assess([good, bad], plant(1), ONE, np.array([TRUE])).parameters
+    assert parameter.verdict is Verdict.INCONSISTENT
+    assert "data set 2, whiteness" in parameter.reason
