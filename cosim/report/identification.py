@@ -73,6 +73,7 @@ class IdentificationReport:
             "offset": self.found.offset,
             **self.found.assessment.to_dict(),
             "logs": self._logs(),
+            "contradictions": list(self.found.contradictions),
         }
         if self.validations:
             content["validation"] = [

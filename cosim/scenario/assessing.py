@@ -128,7 +128,8 @@ class _IdentifierData:
         )
         error = None if self._error is None else self._last[self._error]
         result = assessment.to_dict()
-        result["extent"] = identified.extent
+        if identified.extent:
+            result["extent"] = identified.extent
         amplitudes = amplitude_verdicts(assessment, data, identified.families)
         result["amplitudes"] = plain_amplitudes(amplitudes)
         own = judge(assessment, theta, error)

@@ -27,6 +27,7 @@ from cosim.scenario.identified import IdentifiedPlant, SampleRows
 from cosim.scenario.irregular import interval_of
 from cosim.scenario.recorded_metadata import component_record
 from cosim.scenario.replaying import rebuilt
+from cosim.theory.agreement import contradictions, each_alone
 from cosim.theory.amplitude_verdicts import amplitude_verdicts
 from cosim.theory.disturbed_plant import DataSet, DisturbedPlant
 from cosim.theory.irregular_part import GuaranteedInterval, Programs
@@ -72,11 +73,14 @@ class LogIdentification:
     offset : bool
         An unknown constant was on every output.
     assessment : Assessment
+    contradictions : tuple of str
+        Where the logs are not explained together: which of them fail alone, and whose theta differ.
     """
 
     records: tuple[IdentifierRecord, ...]
     offset: bool
     assessment: Assessment
+    contradictions: tuple[str, ...] = ()
 
     @property
     def identified(self) -> IdentifiedPlant:
@@ -186,16 +190,32 @@ def identify(
         check_one_model(first, record)
     identified = first.identified
     has_offset = offset or identified.offset
+    limits = identified.bounds if bounds is None else bounds
+    data = [record.data for record in records]
     assessment = assess_from(
-        [record.data for record in records],
+        data,
         identified.plant,
         identified.families,
         first.estimate,
         stated=identified.stated,
         offset=has_offset,
-        bounds=identified.bounds if bounds is None else bounds,
+        bounds=limits,
     )
-    return LogIdentification(records=tuple(records), offset=has_offset, assessment=assessment)
+    alone = each_alone(
+        assessment,
+        data,
+        identified.plant,
+        identified.families,
+        stated=identified.stated,
+        offset=has_offset,
+        bounds=limits,
+    )
+    return LogIdentification(
+        records=tuple(records),
+        offset=has_offset,
+        assessment=assessment,
+        contradictions=tuple(contradictions(alone, [record.log.label for record in records])),
+    )
 
 
 def check_one_model(first: IdentifierRecord, other: IdentifierRecord) -> None:

@@ -187,6 +187,20 @@ def test_a_large_irregular_part_is_beyond_the_first_order(logs, call):
     assert "which does not hold for so large a bound" in row[4]
 
 
+def test_logs_of_different_theta_are_told_apart(logs, call):
+    """Each is explained alone; of each the estimate is said, with its log, in table and JSON."""
+    paths = [logs["first"].path, logs["other"].path]
+    _, output, _ = call("identify", *paths)
+    text = rows(output)["contradiction"][3]
+    for path in paths:
+        assert f"{path} alone" in text
+    assert "theta[1]" in text
+    assert "not of one theta" in text
+    content = json.loads(call("identify", "--json", *paths)[1])
+    assert text in content["contradictions"]
+    assert json.loads(call("identify", "--json", paths[0])[1])["contradictions"] == []
+
+
 @pytest.mark.parametrize(
     ("options", "text"),
     [

@@ -33,6 +33,8 @@ def print_identification(report: IdentificationReport, *, as_json: bool) -> None
             correlation = f"{assessment.correlation[i, j]:+.3f}"
             table.add_row("correlation", correlation, "", "", f"of theta[{i}] and theta[{j}]")
     table.add_row("noise", numbers_text(assessment.deviations.tolist()), "", "", report.noise)
+    for text in found.contradictions:
+        table.add_row("contradiction", "", "", "", text)
     for index in range(len(found.records)):
         _add_log(table, found, index)
     for record, validation in report.validations:
@@ -47,7 +49,8 @@ def _add_log(table: Table, found: LogIdentification, index: int) -> None:
     record = found.records[index]
     fit = found.assessment.fit
     x0 = ", ".join(f"{value:.4g}" for value in fit.x0[index])
-    text = f"{record.data.samples} samples; x(0) {x0}"
+    number = f"data set {index + 1}: " if len(found.records) > 1 else ""
+    text = f"{number}{record.data.samples} samples; x(0) {x0}"
     table.add_row(record.log.label, "", "", "", text)
     for amplitude in found.amplitudes[index]:
         _add_parameter(table, amplitude)
