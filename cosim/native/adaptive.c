@@ -6,15 +6,6 @@
 /* pivot over the largest one: below it the extended regressor is singular to rounding */
 #define SINGULAR 0x1p-48
 
-static double no_value(void)
-{
-    /* the one NaN: equal runs have equal bits */
-    const uint64_t bits = UINT64_C(0x7FF8000000000000);
-    double value;
-    memcpy(&value, &bits, sizeof value);
-    return value;
-}
-
 static int has_values(const cosim_adaptive *s, const double *mu)
 {
     for (int32_t c = 0; c <= s->unknowns; ++c)
@@ -34,7 +25,7 @@ static void write_estimate(const cosim_adaptive *s, int known, const double *eta
     }
     for (int32_t i = 0; i < width; ++i)
         if (!known || isnan(y[i]))
-            y[i] = no_value();
+            y[i] = cosim_no_value();
 }
 
 /* --- gradient --- */

@@ -46,14 +46,6 @@ static storage storage_of(const cosim_augmented_kalman *s)
 
 int64_t cosim_augmented_kalman_memory(const cosim_augmented_kalman *s) { return storage_of(s).size; }
 
-static double no_value(void)
-{
-    const uint64_t bits = UINT64_C(0x7FF8000000000000);
-    double value;
-    memcpy(&value, &bits, sizeof value);
-    return value;
-}
-
 void cosim_augmented_kalman_start(cosim_augmented_kalman *s, double *y)
 {
     const storage m = storage_of(s);
@@ -61,7 +53,7 @@ void cosim_augmented_kalman_start(cosim_augmented_kalman *s, double *y)
     for (int32_t a = 0; a < s->states; ++a)
         m.R[a * s->states + a] = s->first_spread[a];
     for (int32_t j = 0; j < s->parameters; ++j)
-        y[j] = m.outputs[j] = no_value();
+        y[j] = m.outputs[j] = cosim_no_value();
 }
 
 /* --- the filter --- */

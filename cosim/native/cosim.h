@@ -11,6 +11,16 @@
 #define COSIM_H
 
 #include <stdint.h>
+#include <string.h>
+
+/* No value: the one NaN, so that equal runs have equal bits. */
+static inline double cosim_no_value(void)
+{
+    const uint64_t bits = UINT64_C(0x7FF8000000000000);
+    double value;
+    memcpy(&value, &bits, sizeof value);
+    return value;
+}
 
 #define COSIM_OK 0
 #define COSIM_NO_VALUE 1 /* an input that was needed carries no value (NaN) */

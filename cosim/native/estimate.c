@@ -7,17 +7,8 @@
 /* pivot over the largest one: below it R'R, the information, is singular to rounding */
 #define RANK_TOLERANCE 0x1p-26
 
-static double no_value(void)
-{
-    /* the one NaN: equal runs have equal bits */
-    const uint64_t bits = UINT64_C(0x7FF8000000000000);
-    double value;
-    memcpy(&value, &bits, sizeof value);
-    return value;
-}
-
 /* The sign of a NaN that arithmetic makes depends on the processor. */
-static double one_nan(double x) { return isnan(x) ? no_value() : x; }
+static double one_nan(double x) { return isnan(x) ? cosim_no_value() : x; }
 
 /* --- regressor (21)-(25) --- */
 
@@ -38,7 +29,7 @@ void cosim_regressor_outputs(const cosim_regressor *s, double t, double delta, d
 
     if (now < longest) {
         for (int32_t c = 0; c < s->terms; ++c)
-            y[c] = no_value();
+            y[c] = cosim_no_value();
         return;
     }
     for (int32_t b = 0; b < s->groups; ++b)
@@ -127,7 +118,7 @@ static int solve(const cosim_least_squares *s, double *eta)
 /* exp(-s spacing) = w gives s = -ln(w)/spacing; there is none where w is not positive. */
 static double exponent(double w, double spacing)
 {
-    return w > 0.0 && w <= DBL_MAX ? -cosim_ln(w) / spacing : no_value();
+    return w > 0.0 && w <= DBL_MAX ? -cosim_ln(w) / spacing : cosim_no_value();
 }
 
 void cosim_recover(const cosim_recovery *r, const double *eta, double *theta)
@@ -147,12 +138,12 @@ void cosim_recover(const cosim_recovery *r, const double *eta, double *theta)
         const double first = exponent(big / c[2], r->spacing);
         const double second = exponent(c[0] / big, r->spacing);
         const int known = discriminant >= 0.0 && !isnan(first) && !isnan(second);
-        theta[r->theta[0]] = known ? larger(first, second) : no_value();
-        theta[r->theta[1]] = known ? smaller(first, second) : no_value();
+        theta[r->theta[0]] = known ? larger(first, second) : cosim_no_value();
+        theta[r->theta[1]] = known ? smaller(first, second) : cosim_no_value();
     } else {
         const double cosine = -0.5 * c[1] / c[0];
         theta[r->theta[0]] =
-            cosine >= -1.0 && cosine <= 1.0 ? cosim_acos(cosine) / r->spacing : no_value();
+            cosine >= -1.0 && cosine <= 1.0 ? cosim_acos(cosine) / r->spacing : cosim_no_value();
     }
 }
 
@@ -161,7 +152,7 @@ static void estimate(const cosim_least_squares *s, double *y)
     double *theta = y, *eta = y + s->parameters;
     if (!solve(s, eta)) {
         for (int32_t i = 0; i < s->parameters + s->unknowns; ++i)
-            y[i] = no_value();
+            y[i] = cosim_no_value();
         return;
     }
     for (int32_t b = 0; b < s->groups; ++b)
@@ -178,7 +169,7 @@ void cosim_least_squares_start(cosim_least_squares *self, double *y)
     for (int32_t i = 0; i < self->unknowns; ++i)
         self->memory[i * n + i] = self->prior;
     for (int32_t i = 0; i < self->parameters + self->unknowns; ++i)
-        y[i] = no_value();
+        y[i] = cosim_no_value();
 }
 
 int32_t cosim_least_squares_step(void *self, double t0, double t1, double h, const double *u0,
@@ -187,7 +178,7 @@ int32_t cosim_least_squares_step(void *self, double t0, double t1, double h, con
     const cosim_least_squares *s = self;
     if (t0 < s->start) {
         for (int32_t i = 0; i < s->parameters + s->unknowns; ++i)
-            y[i] = no_value();
+            y[i] = cosim_no_value();
         return COSIM_OK;
     }
     (void)t1;

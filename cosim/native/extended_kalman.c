@@ -67,14 +67,6 @@ int64_t cosim_extended_kalman_memory(const cosim_extended_kalman *s)
     return parts_of(s, layout_of(s->model)).size;
 }
 
-static double no_value(void)
-{
-    const uint64_t bits = UINT64_C(0x7FF8000000000000);
-    double value;
-    memcpy(&value, &bits, sizeof value);
-    return value;
-}
-
 void cosim_extended_kalman_start(cosim_extended_kalman *s, double *y)
 {
     const layout l = layout_of(s->model);
@@ -86,7 +78,7 @@ void cosim_extended_kalman_start(cosim_extended_kalman *s, double *y)
         p.R[a * l.n + a] = j < 0 ? s->size : s->spread[j];
     }
     for (int32_t i = 0; i < 2 * l.parameters; ++i)
-        y[i] = no_value();
+        y[i] = cosim_no_value();
 }
 
 /* c_i'v of a component. */
@@ -229,8 +221,8 @@ static void write_outputs(const cosim_extended_kalman *s, layout l, const parts 
             const double error = sqrt(cosim_kalman_variance(l.n, p->R, state));
             const int known = p->present[i] != 0.0 && error < INFORMED * s->spread[j] &&
                               isfinite(p->state[state]);
-            y[j] = known ? p->state[state] : no_value();
-            y[l.parameters + j] = known ? error : no_value();
+            y[j] = known ? p->state[state] : cosim_no_value();
+            y[l.parameters + j] = known ? error : cosim_no_value();
         }
 }
 

@@ -113,18 +113,10 @@ static storage storage_of(const cosim_identifier *s)
 int64_t cosim_identifier_memory(const cosim_identifier *s) { return storage_of(s).size; }
 int64_t cosim_identifier_state(const cosim_identifier *s) { return storage_of(s).state; }
 
-static double no_value(void)
-{
-    const uint64_t bits = UINT64_C(0x7FF8000000000000);
-    double value;
-    memcpy(&value, &bits, sizeof value);
-    return value;
-}
-
 static void forget_outputs(const cosim_identifier *s, const storage *m)
 {
     for (int32_t i = 0; i < s->width; ++i)
-        m->outputs[i] = no_value();
+        m->outputs[i] = cosim_no_value();
 }
 
 void cosim_identifier_start(cosim_identifier *s, double *y)
@@ -202,7 +194,7 @@ static void take_delta(const cosim_identifier *s, const storage *m, double t, co
         m->delta_alpha[k * components + i] =
             s->lag == 0.0 ? m->alpha[k * components + i] : cosim_evaluate(&s->alphas[i], t - s->lag);
     }
-    m->delta[k] = t >= s->settled ? *delta : no_value();
+    m->delta[k] = t >= s->settled ? *delta : cosim_no_value();
     if (fabs(*delta) > *m->largest_delta)
         *m->largest_delta = fabs(*delta);
 }
@@ -412,8 +404,8 @@ static void write_outputs(const cosim_identifier *s, const storage *m, const est
     for (int32_t i = 0; i < s->rayleigh->components; ++i) {
         for (int32_t k = 0; k < s->rayleigh->count[i]; ++k, ++j) {
             const int known = e->state[j] == COSIM_ESTIMATED || e->state[j] == COSIM_FIXED;
-            theta[j] = known ? e->estimate[j] : no_value();
-            error[j] = known ? sqrt(factor * e->covariance[j * P + j]) : no_value();
+            theta[j] = known ? e->estimate[j] : cosim_no_value();
+            error[j] = known ? sqrt(factor * e->covariance[j * P + j]) : cosim_no_value();
         }
         for (int32_t k = 0; k < s->rayleigh->size[i]; ++k, ++column)
             amplitudes[column] = e->experiment.amplitudes[column];

@@ -2,15 +2,6 @@
 
 #include <string.h>
 
-static double no_value(void)
-{
-    /* the one NaN: equal runs have equal bits */
-    const uint64_t bits = UINT64_C(0x7FF8000000000000);
-    double value;
-    memcpy(&value, &bits, sizeof value);
-    return value;
-}
-
 /* The parts of the memory. */
 static double *steps_taken(const cosim_window *s) { return s->memory + 2 * s->linear.n; }
 static double *newest(const cosim_window *s) { return steps_taken(s) + 1; }
@@ -37,7 +28,7 @@ void cosim_window_outputs(const cosim_window *s, const double *u, double *y)
     cosim_multiply_add(k->p, k->m, k->D, u, y);
     if (taken < s->taps) {
         for (int32_t i = 0; i < s->width; ++i)
-            sums[i] = no_value();
+            sums[i] = cosim_no_value();
         return;
     }
     for (int32_t i = 0; i < s->width; ++i) {
