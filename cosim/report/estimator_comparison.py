@@ -31,6 +31,7 @@ from cosim.scenario.recording import check_target
 from cosim.scenario.schema import truth_ports
 from cosim.scenario.swap import PortNames
 from cosim.temporary import TemporaryFolder
+from cosim.theory.quantiles import CONFIDENCE, normal_two_sided
 
 ALL = "all"
 
@@ -66,6 +67,22 @@ class EstimatorResult:
     standard_error: Vector | None = None
     error: Vector | None = None
     verdicts: tuple[ParameterRecord, ...] = ()
+
+    @property
+    def half_width(self) -> Vector:
+        """Half of the 95 % intervals, shape (P,); NaN where there is none that may hold."""
+        assert self.theta is not None
+        if not self.verdicts:
+            error = self.standard_error
+            unknown = np.full(len(self.theta), np.nan)
+            return unknown if error is None else normal_two_sided(CONFIDENCE) * error
+        widths = []
+        for record in self.verdicts:
+            width = np.nan
+            if record.lower is not None and record.upper is not None:
+                width = 0.5 * (record.upper - record.lower)
+            widths.append(width)
+        return np.array(widths)
 
 
 @dataclass(frozen=True)

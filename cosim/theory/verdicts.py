@@ -509,7 +509,7 @@ class _Judge:
                 "record, a larger disturbance or less noise would supply it"
             )
         return Verdict.IDENTIFIABLE, (
-            "no test contradicts the model; the interval holds if it is right"
+            "no test contradicts the model; the 95 % interval holds if it is right"
         )
 
     def _not_converged(self) -> str:

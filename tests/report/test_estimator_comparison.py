@@ -8,6 +8,7 @@ import pytest
 import cosim
 from cosim.errors import ScenarioError, UsageError
 from cosim.report.plots import plot_comparison
+from cosim.report.tables.comparison import print_estimators
 from cosim.scenario.kinds.methods import METHODS
 
 SHORT = {"scenario.stop": 15.0, "scenario.step": 5e-3, "observer.filter_rate": 100.0}
@@ -43,10 +44,26 @@ def test_every_estimate_is_judged_by_the_data(compared):
     """A biased one is said to be so, whatever the method says of itself."""
     for result in compared.results:
         for record, error in zip(result.verdicts, result.error, strict=True):
-            assert (record.verdict == "NOT_IDENTIFIABLE") == bool(np.isnan(error))
+            assert (record.value is None) == bool(np.isnan(error))
     verdicts = {r.method: [record.verdict for record in r.verdicts] for r in compared.results}
     assert verdicts["output-error"] == ["IDENTIFIABLE"] * 2
     assert verdicts["least-squares"] == ["INCONSISTENT"] * 2
+
+
+def test_the_table_shows_half_of_the_intervals_that_the_verdicts_have(compared, capsys):
+    """As the table of a run does; 1.96 standard errors, and none beside INCONSISTENT."""
+    print_estimators(compared, as_json=False)
+    lines = capsys.readouterr().out.splitlines()
+    shown = {line.split("\t")[0]: line.split("\t") for line in lines[2:]}
+    assert any("half of the 95 % interval" in line for line in lines)
+    for result in compared.results:
+        assert shown[result.method][1].count("±") == np.isfinite(result.half_width).sum()
+        for record, half_width in zip(result.verdicts, result.half_width, strict=True):
+            assert record.verdict in ("IDENTIFIABLE", "WEAK") or np.isnan(half_width)
+    (found,) = [result for result in compared.results if result.method == "output-error"]
+    # the ends of an interval of 1e-14 around 0.3 are rounded to 5e-17
+    np.testing.assert_allclose(found.half_width, 1.96 * found.standard_error, rtol=1e-2)
+    assert f"± {found.half_width[0]:.2g}" in shown["output-error"][1]
 
 
 def test_theta_is_drawn_by_every_method(compared, tmp_path):

@@ -106,6 +106,7 @@ def print_estimators(comparison: EstimatorComparison, *, as_json: bool) -> None:
         ratio = _number(result.time_ratio)
         table.add_row(result.method, _estimate(result), error, ratio, verdicts)
     print_table(table)
+    print_line("±: half of the 95 % interval, of methods and verdicts that have one")
     print_line("time: of the identifier, over that of all other components in the run")
     for result in comparison.results:
         for line in result.failure.splitlines():
@@ -113,13 +114,13 @@ def print_estimators(comparison: EstimatorComparison, *, as_json: bool) -> None:
 
 
 def _estimate(result: EstimatorResult) -> str:
-    """Return theta, with its standard error where the method has one."""
+    """Return theta, with half of its 95 % interval where there is one."""
     assert result.theta is not None
     texts = []
-    for j, value in enumerate(result.theta):
+    for value, half_width in zip(result.theta, result.half_width, strict=True):
         text = _value(value, "+.6f")
-        if result.standard_error is not None and not np.isnan(value):
-            text = f"{text} +- {result.standard_error[j]:.2g}"
+        if not np.isnan(half_width):
+            text = f"{text} ± {half_width:.2g}"
         texts.append(text)
     return ", ".join(texts)
 
