@@ -89,6 +89,35 @@ class FitStruct(ctypes.Structure):
 
 
 @dataclass(frozen=True, eq=False)
+class Generator:
+    """One component among those of :class:`Generators`.
+
+    Parameters
+    ----------
+    c : Vector, shape (V,)
+    G0 : Matrix, shape (V, V)
+    G1 : shape (parameters, V, V)
+    basis : slice
+        Its place among the functions of the basis.
+    theta : slice
+        Its place in theta.
+    """
+
+    c: Vector
+    G0: Matrix
+    G1: NDArray[np.float64]
+    basis: slice
+    theta: slice
+
+    def matrix(self, own: Vector) -> Matrix:
+        """Return G at its own parameters, shape (V, V)."""
+        G: Matrix = self.G0.copy()
+        for value, slope in zip(own, self.G1, strict=True):
+            G += value * slope
+        return G
+
+
+@dataclass(frozen=True, eq=False)
 class Generators:
     """The components of a disturbance as autonomous linear systems (4)-(5).
 
@@ -119,6 +148,27 @@ class Generators:
     def parameters(self) -> int:
         """The number of entries of theta."""
         return sum(self.count)
+
+    @property
+    def each(self) -> tuple[Generator, ...]:
+        """The components one by one."""
+        components = []
+        basis = at_G0 = at_G1 = theta = 0
+        for V, count in zip(self.size, self.count, strict=True):
+            squares = V * V
+            component = Generator(
+                c=self.c[basis : basis + V],
+                G0=self.G0[at_G0 : at_G0 + squares].reshape(V, V),
+                G1=self.G1[at_G1 : at_G1 + count * squares].reshape(count, V, V),
+                basis=slice(basis, basis + V),
+                theta=slice(theta, theta + count),
+            )
+            components.append(component)
+            basis += V
+            at_G0 += squares
+            at_G1 += count * squares
+            theta += count
+        return tuple(components)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -21,8 +21,8 @@ told from a wrong model, and is none here.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Final
+from dataclasses import asdict, dataclass
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,6 +88,10 @@ class ResidualTest:
         """Whether the statistic is what noise makes it."""
         return self.statistic <= self.threshold
 
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        return {**asdict(self), "passed": self.passed}
+
 
 @dataclass(frozen=True, eq=False)
 class Consistency:
@@ -95,8 +99,8 @@ class Consistency:
 
     Parameters
     ----------
-    tests : tuple of ResidualTest
-        Empty where the residual is no larger than rounding.
+    tests_by_data : tuple of tuples of ResidualTest
+        Of each data set; none where the residual is no larger than rounding.
     accuracy : tuple of Accuracy
         Of each data set.
     is_exact : bool
@@ -112,13 +116,18 @@ class Consistency:
         What they may have moved the root of ``OutputErrorFit.presence`` by.
     """
 
-    tests: tuple[ResidualTest, ...]
+    tests_by_data: tuple[tuple[ResidualTest, ...], ...]
     accuracy: tuple[Accuracy, ...]
     is_exact: bool
     step_error: Vector
     bias: Vector
     amplitude_bias: Matrix
     presence_bias: Vector
+
+    @property
+    def tests(self) -> tuple[ResidualTest, ...]:
+        """The tests of all data sets."""
+        return sum(self.tests_by_data, ())
 
     @property
     def step_too_long(self) -> bool:
@@ -157,12 +166,14 @@ def examine(
     problems = _tested_fits(fit, data, plant, matrices, noise)
     accuracies = tuple(problem.accuracy for problem in problems)
     rounding = max(problem.rounding for problem in problems)
-    tests: list[ResidualTest] = []
+    tests = []
     for problem in problems:
+        of_data: list[ResidualTest] = []
         if fit.deviation > NOTHING_ELSE * rounding:
-            tests += problem.tests(fit.deviation)
+            of_data += problem.tests(fit.deviation)
         if stated is not None:
-            tests += problem.size_tests(stated)
+            of_data += problem.size_tests(stated)
+        tests.append(tuple(of_data))
     step_errors = [problem.step_error for problem in problems]
     linearized = [problem.fit for problem in problems]
     moved = error_bias(linearized, fit.estimated)

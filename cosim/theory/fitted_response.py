@@ -107,17 +107,15 @@ def disturbance_of(
     """
     t = data.t - data.t[0]
     values = np.empty((len(t), len(generators.size)))
-    first = 0
-    for i, G in enumerate(system_matrices(theta, generators)):
-        stop = first + len(G)
-        c = generators.c[first:stop]
-        beta = amplitudes[first:stop]
+    for i, component in enumerate(generators.each):
+        c = component.c
+        G = component.matrix(theta[component.theta])
+        beta = amplitudes[component.basis]
         if len(G) == 1:
             f = c[0] * beta[0] * np.exp(G[0, 0] * t)
         else:
             f = np.einsum("a,nab,b->n", c, transitions(G, t), beta)
         values[:, i] = data.alpha[:, i] * f
-        first = stop
     return values
 
 
@@ -139,22 +137,6 @@ def transitions(G: Matrix, t: Vector) -> NDArray[np.float64]:
     return np.asarray(result, np.float64)
 
 
-def system_matrices(theta: Vector, generators: Generators) -> list[Matrix]:
-    """Return ``G_i(theta_i)`` of every component, shape (V_i, V_i)."""
-    matrices = []
-    at_G0 = at_G1 = parameter = 0
-    for size, count in zip(generators.size, generators.count, strict=True):
-        squares = size * size
-        G = generators.G0[at_G0 : at_G0 + squares].copy()
-        for _ in range(count):
-            G += theta[parameter] * generators.G1[at_G1 : at_G1 + squares]
-            at_G1 += squares
-            parameter += 1
-        at_G0 += squares
-        matrices.append(G.reshape(size, size))
-    return matrices
-
-
 def slopes_of(
     derivatives: NDArray[np.float64], amplitudes: Vector, generators: Generators
 ) -> NDArray[np.float64]:
@@ -173,12 +155,11 @@ def slopes_of(
     shape (..., P)
     """
     slopes = np.empty((*derivatives.shape[:-1], generators.parameters))
-    column = first = parameter = 0
-    for size, count in zip(generators.size, generators.count, strict=True):
-        beta = amplitudes[first : first + size]
-        for _ in range(count):
-            slopes[..., parameter] = derivatives[..., column : column + size] @ beta
-            column += size
+    column = parameter = 0
+    for component in generators.each:
+        beta = amplitudes[component.basis]
+        for _ in component.G1:
+            slopes[..., parameter] = derivatives[..., column : column + len(beta)] @ beta
+            column += len(beta)
             parameter += 1
-        first += size
     return slopes

@@ -13,6 +13,7 @@ from enum import StrEnum
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cosim.arrays import NAN, Mask, Matrix, Vector
 from cosim.errors import AssumptionError
@@ -38,7 +39,6 @@ from cosim.theory.worst_case import (
     first_order,
     interval_around,
     irregular_response,
-    least_squares_functional,
 )
 
 # relative difference of both sides of an interval around an estimate up to which the first order,
@@ -207,8 +207,9 @@ def guaranteed_interval(
     p = np.concatenate([fit.theta, fit.amplitudes[0], fit.x0[0], fit.offset[0]])
     noisy = bool(np.any(sigma > 0.0))
     of_each = 1.0 - (1.0 - confidence) / 2.0  # of the two intervals, so that both hold
-    margin = _error_by_noise(problem, p, sigma, of_each)
-    margin += _error_by_sampling(problem, p, sampling_error)
+    linear = first_order(problem, p)
+    margin = _error_by_noise(linear.functional, sigma, of_each)
+    margin += sampling_error * np.abs(linear.functional).sum(axis=(1, 2))
     around = interval_around(problem, p) + np.outer(margin, [-1.0, 1.0])
     holds = _reach_equal(around, fit.theta)
     feasible = None
@@ -225,7 +226,7 @@ def guaranteed_interval(
     return GuaranteedInterval(
         lower=np.where(contradictory, NAN, lower),
         upper=np.where(contradictory, NAN, upper),
-        half_width=first_order(problem, p).half_width(problem.bound),
+        half_width=linear.half_width(problem.bound),
         around_estimate=around,
         first_order_holds=holds,
         feasible=feasible,
@@ -243,19 +244,8 @@ def _reach_equal(interval: Matrix, theta: Vector) -> Mask:
     return equal
 
 
-def _error_by_noise(
-    problem: BoundedDisturbance, p: Vector, sigma: Vector, confidence: float
-) -> Vector:
-    """Bound the first-order effect of white noise on all theta at once, shape ``(n_theta,)``."""
-    rows = least_squares_functional(problem.model(p).jacobian, problem.weight, problem.n_theta)
-    variance = np.square(rows).sum(axis=1) @ np.square(sigma)
-    quantile = normal_two_sided(confidence, problem.n_theta)
-    bound: Vector = quantile * np.sqrt(variance)
-    return bound
-
-
-def _error_by_sampling(problem: BoundedDisturbance, p: Vector, largest: float) -> Vector:
-    """Bound the first-order effect of an error of every sample, shape ``(n_theta,)``."""
-    rows = least_squares_functional(problem.model(p).jacobian, problem.weight, problem.n_theta)
-    bound: Vector = largest * np.abs(rows).sum(axis=(1, 2))
+def _error_by_noise(functional: NDArray[np.float64], sigma: Vector, confidence: float) -> Vector:
+    """Bound the effect of white noise on all theta at once, shape ``(n_theta,)``."""
+    variance = np.square(functional).sum(axis=1) @ np.square(sigma)
+    bound: Vector = normal_two_sided(confidence, len(functional)) * np.sqrt(variance)
     return bound

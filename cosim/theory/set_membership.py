@@ -45,8 +45,7 @@ from cosim.theory.feasible_program import FeasibleProgram, ProgramSolution, Reco
 from cosim.theory.worst_case import (
     REACH,
     BoundedDisturbance,
-    FirstOrder,
-    least_squares_functional,
+    first_order,
 )
 
 VIOLATED = 1e-6  # relative violation from which on a point is outside
@@ -236,12 +235,9 @@ def _encloses(vertices: Matrix, theta: Vector) -> bool:
 
 def _half_width(problem: BoundedDisturbance, recorded: RecordedOutputs, p: Vector) -> Vector:
     """Compute the largest first-order error of theta, from delta_0 and noise, ``(n_theta,)``."""
-    prediction = problem.model(p)
-    rows = least_squares_functional(prediction.jacobian, problem.weight, problem.n_theta)
-    from_noise = np.abs(rows).sum(axis=1) @ recorded.noise
-    sensitivities = [problem.response.adjoint(row) for row in rows]
-    from_irregular = FirstOrder(np.array(sensitivities)).half_width(problem.bound)
-    half_width: Vector = from_irregular + from_noise
+    linear = first_order(problem, p)
+    from_noise = np.abs(linear.functional).sum(axis=1) @ recorded.noise
+    half_width: Vector = linear.half_width(problem.bound) + from_noise
     return half_width
 
 

@@ -10,7 +10,7 @@ held is larger than noise makes it, too (the likelihood ratio; S. Wilks, 1938).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any
 
@@ -72,7 +72,7 @@ class Validation:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-        tests = [{**asdict(test), "passed": test.passed} for test in self.tests]
+        tests = [test.to_dict() for test in self.tests]
         return {
             "verdict": str(self.verdict),
             "reason": self.reason,

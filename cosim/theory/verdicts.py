@@ -155,9 +155,7 @@ class Assessment:
         """Return plain values for JSON."""
         parameters = [parameter.to_dict() for parameter in self.parameters]
         accuracy = np.max([one.deviations for one in self.consistency.accuracy], axis=0)
-        tests = []
-        for test in self.consistency.tests:
-            tests.append({**asdict(test), "passed": test.passed})
+        tests = [test.to_dict() for test in self.consistency.tests]
         return {
             "parameters": parameters,
             "correlation": self.correlation.tolist(),

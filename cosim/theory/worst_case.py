@@ -189,9 +189,18 @@ class BoundedDisturbance:
 
 @dataclass(frozen=True, eq=False)
 class FirstOrder:
-    """The sensitivity of theta to delta_0, shape ``(n_theta, N, n_d)``, per node of delta_0."""
+    """What moves the least-squares theta, to first order.
+
+    Attributes
+    ----------
+    sensitivity : ndarray
+        To delta_0 at each node, shape ``(n_theta, N, n_d)``.
+    functional : ndarray
+        To y, shape ``(n_theta, N, n_y)``.
+    """
 
     sensitivity: NDArray[np.float64]
+    functional: NDArray[np.float64]
 
     def half_width(self, bound: Vector) -> Vector:
         """Compute the largest error of each theta for ``|delta_0| <= bound``, ``(n_theta,)``."""
@@ -272,7 +281,7 @@ def first_order(problem: BoundedDisturbance, p: Vector) -> FirstOrder:
     prediction = problem.model(p)
     functionals = least_squares_functional(prediction.jacobian, problem.weight, problem.n_theta)
     sensitivities = [problem.response.adjoint(row) for row in functionals]
-    return FirstOrder(np.array(sensitivities))
+    return FirstOrder(np.array(sensitivities), functionals)
 
 
 def refit(problem: BoundedDisturbance, y: Matrix, start: Vector) -> Vector:

@@ -54,9 +54,7 @@ def _add_log(table: Table, found: LogIdentification, index: int) -> None:
     table.add_row(record.log.label, "", "", "", text)
     for amplitude in found.amplitudes[index]:
         _add_parameter(table, amplitude)
-    tests = found.assessment.consistency.tests
-    count = len(tests) // len(found.records)
-    for test in tests[index * count : (index + 1) * count]:
+    for test in found.assessment.consistency.tests_by_data[index]:
         _add_test(table, test)
 
 

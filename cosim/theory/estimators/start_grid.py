@@ -70,20 +70,18 @@ def start_grid(
         Samples that make one row.
     """
     generators = model.generators
-    matrices = _Matrices(generators)
     systems = []
     rows = []
     thetas = []
     component = []
-    begin = 0
-    for i, count in enumerate(generators.count):
-        grid = _points(lower[begin : begin + count], upper[begin : begin + count], points)
+    for i, generator in enumerate(generators.each):
+        own = generator.theta
+        grid = _points(lower[own], upper[own], points)
         for theta in grid:
-            systems.append(matrices.G(i, theta).ravel())
-            rows.append(matrices.c(i))
+            systems.append(generator.matrix(theta).ravel())
+            rows.append(generator.c)
             component.append(i)
         thetas.append(grid.ravel())
-        begin += count
     at_points = Generators(
         size=tuple(generators.size[i] for i in component),
         count=(0,) * len(component),
@@ -222,32 +220,6 @@ def _points_of_records(parameters: int) -> int:
     """Return how many points the grid for recorded data has in every direction."""
     points = int(MOST_POINTS ** (1.0 / max(parameters, 1)))
     return min(points, MOST_POINTS_OF_RECORDS)
-
-
-class _Matrices:
-    """The matrices of each component among those of all."""
-
-    def __init__(self, generators: Generators) -> None:
-        self._generators = generators
-        self._first = np.cumsum([0, *generators.size])
-        squares = [size * size for size in generators.size]
-        self._G0 = np.cumsum([0, *squares])
-        slopes = [n * v for n, v in zip(generators.count, squares, strict=True)]
-        self._G1 = np.cumsum([0, *slopes])
-
-    def c(self, i: int) -> Vector:
-        """Return the output row."""
-        return self._generators.c[self._first[i] : self._first[i + 1]]
-
-    def G(self, i: int, theta: Vector) -> Matrix:
-        """Return the system matrix at theta."""
-        v = self._generators.size[i]
-        constant = self._generators.G0[self._G0[i] : self._G0[i + 1]].reshape(v, v)
-        slopes = self._generators.G1[self._G1[i] : self._G1[i + 1]].reshape(-1, v, v)
-        G: Matrix = constant.copy()
-        for value, slope in zip(theta, slopes, strict=True):
-            G += value * slope
-        return G
 
 
 def _points(lower: Vector, upper: Vector, points: int) -> Matrix:
