@@ -376,3 +376,25 @@ class Recording(Protocol):
     def results(self) -> Mapping[str, Any]:
         """What was recorded of the end of the run."""
         ...
+
+
+class CompleteRecording(Recording, Protocol):
+    """A recording with the scenario of its run, which can be built again from it."""
+
+    @property
+    def step_ns(self) -> int:
+        """Communication step [ns]."""
+        ...
+
+    @property
+    def attachments(self) -> tuple[str, ...]:
+        """Names of the attachments."""
+        ...
+
+    def attachment(self, name: str) -> bytes:
+        """Return the content of an attachment."""
+        ...
+
+    def load(self, *components: str) -> None:
+        """Read several components at once, where they are not in memory yet."""
+        ...

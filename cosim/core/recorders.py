@@ -19,7 +19,7 @@ from cosim.core.arguments import check_type
 from cosim.core.contracts import Block, MessageLevel, Plan, Recorder, Stopped
 from cosim.core.recorded import RecordedSignals, RunMessage, find_channel
 from cosim.core.signals import Channel
-from cosim.errors import Interrupted, UsageError
+from cosim.errors import Interrupted, LogError, UsageError, nearest
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,12 +44,27 @@ def end_of_run(error: BaseException | None) -> EndOfRun:
 
 
 class Memory(RecordedSignals):
-    """Keeps every row of a run in memory; implements Recorder and Recording."""
+    """Keeps every row of a run in memory; implements Recorder and Recording.
 
-    def __init__(self, metadata: Mapping[str, Any] | None = None) -> None:
+    Parameters
+    ----------
+    metadata : mapping, optional
+        Of the run.
+    attachments : mapping of name to content, optional
+        Files that belong to it.
+    """
+
+    def __init__(
+        self,
+        metadata: Mapping[str, Any] | None = None,
+        attachments: Mapping[str, bytes] | None = None,
+    ) -> None:
         if metadata is not None:
             check_type("metadata", metadata, Mapping, UsageError)
+        if attachments is not None:
+            check_type("attachments", attachments, Mapping, UsageError)
         self.metadata: Mapping[str, Any] = metadata or {}
+        self._attachments: Mapping[str, bytes] = attachments or {}
         self._channels: dict[str, Channel] = {}
         self._messages: list[RunMessage] = []
         self._results: dict[str, Any] = {}
@@ -105,6 +120,32 @@ class Memory(RecordedSignals):
     def label(self) -> str:
         """What was recorded to."""
         return "the run"
+
+    @property
+    def attachments(self) -> tuple[str, ...]:
+        """Names of the attachments."""
+        return tuple(self._attachments)
+
+    def attachment(self, name: str) -> bytes:
+        """Return the content of an attachment.
+
+        Raises
+        ------
+        LogError
+            If there is none of that name.
+        """
+        if name not in self._attachments:
+            known = nearest(name, self._attachments)
+            raise LogError(f"{self.label} has no attachment {name!r}; {known}")
+        return self._attachments[name]
+
+    def load(self, *components: str) -> None:
+        """Do nothing: all rows are in memory."""
+
+    @property
+    def step_ns(self) -> int:
+        """Communication step [ns]."""
+        return self.plan.step_ns
 
     @property
     def status(self) -> str:

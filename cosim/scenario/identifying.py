@@ -17,10 +17,10 @@ import numpy as np
 from cosim.arrays import Matrix, Nanoseconds, Vector, as_columns
 from cosim.core.clock import seconds
 from cosim.core.connections import conversions_of
+from cosim.core.contracts import CompleteRecording
 from cosim.core.port import Port
 from cosim.core.ports import Ports
 from cosim.errors import UsageError, nearest
-from cosim.log import Log
 from cosim.scenario.assessing import OUTPUT_ERROR
 from cosim.scenario.build import Experiment
 from cosim.scenario.identified import IdentifiedPlant, SampleRows
@@ -42,13 +42,14 @@ class IdentifierRecord:
 
     Parameters
     ----------
-    log : Log
+    log : CompleteRecording
+        A log, or a run in memory.
     identifier : str
     identified : IdentifiedPlant
     data : DataSet
     """
 
-    log: Log
+    log: CompleteRecording
     identifier: str
     identified: IdentifiedPlant
     data: DataSet
@@ -94,12 +95,13 @@ class LogIdentification:
         return amplitude_verdicts(self.assessment, data, self.identified.families)
 
 
-def identifier_record(log: Log, identifier: str | None = None) -> IdentifierRecord:
+def identifier_record(log: CompleteRecording, identifier: str | None = None) -> IdentifierRecord:
     """Return the data and the model of an identifier, from the log of its run.
 
     Parameters
     ----------
-    log : Log
+    log : CompleteRecording
+        A log, or a run in memory.
     identifier : str, optional
         Its name, where there are several.
 
@@ -120,7 +122,7 @@ def identifier_record(log: Log, identifier: str | None = None) -> IdentifierReco
         samples = _samples(log, experiment, name)
     if identified.problem:
         raise UsageError(f"{log.label}: {identified.problem}")
-    t = log.time(observer)
+    t = seconds(log.time_ns(observer))
     y = as_columns(log[f"{observer}.y"])
     u = np.zeros((len(t), 0))
     if "u" in inputs:
@@ -129,7 +131,7 @@ def identifier_record(log: Log, identifier: str | None = None) -> IdentifierReco
     return IdentifierRecord(log, name, identified, data)
 
 
-def _samples(log: Log, experiment: Experiment, identifier: str) -> SampleRows | None:
+def _samples(log: CompleteRecording, experiment: Experiment, identifier: str) -> SampleRows | None:
     """Return the samples that drove an identifier at times of their own; None: it had none.
 
     They are taken from what drove it: of the identifier the log may keep some rows only.
@@ -152,7 +154,7 @@ def _samples(log: Log, experiment: Experiment, identifier: str) -> SampleRows | 
     return SampleRows(t, _at_times(log, times, t_ns), np.hstack(parts))
 
 
-def _at_times(log: Log, port: Port, t_ns: Nanoseconds) -> Matrix:
+def _at_times(log: CompleteRecording, port: Port, t_ns: Nanoseconds) -> Matrix:
     """Return the rows of a signal at times; NaN where the log has none."""
     recorded = as_columns(log[port])
     rows = np.full((len(t_ns), recorded.shape[1]), np.nan)
@@ -244,18 +246,24 @@ def _check_unused(record: IdentifierRecord, used: Sequence[IdentifierRecord]) ->
         If a log of the same rows is used already.
     """
     for other in used:
-        if other.log.recorded_hash == record.log.recorded_hash:
+        if _same_samples(other.data, record.data):
             raise UsageError(
                 f"{record.log.label} has the rows of {other.log.label}, which is used in the fit; "
                 "needed data of another run"
             )
 
 
+def _same_samples(one: DataSet, other: DataSet) -> bool:
+    same_times = np.array_equal(one.t, other.t)
+    same_outputs = np.array_equal(one.y, other.y, equal_nan=True)
+    return same_times and same_outputs and np.array_equal(one.u, other.u)
+
+
 def _different(first: IdentifierRecord, other: IdentifierRecord, what: str) -> UsageError:
     return UsageError(f"{first.log.label} and {other.log.label}: {what}; needed one model")
 
 
-def _chosen(log: Log, identified: Mapping[str, Any], identifier: str | None) -> str:
+def _chosen(log: CompleteRecording, identified: Mapping[str, Any], identifier: str | None) -> str:
     if identifier is not None:
         if identifier not in identified:
             raise UsageError(

@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from cosim.core.clock import Clock
-from cosim.core.contracts import Design
+from cosim.core.contracts import CompleteRecording, Design
 from cosim.core.port import Port
 from cosim.errors import LogError, UsageError, command, option
 from cosim.log import Log
@@ -42,7 +42,7 @@ def texts_in(value: Any) -> set[str]:
     return texts
 
 
-def recorded_document(log: Log) -> Document:
+def recorded_document(log: CompleteRecording) -> Document:
     """Return the scenario of a log.
 
     Raises
@@ -59,10 +59,10 @@ def recorded_document(log: Log) -> Document:
         text = log.attachment(SCENARIO_FILE).decode()
         return Document.recorded(text, edits, Path.cwd())
     except ValueError as error:
-        raise LogError(f"{log.path}: its scenario cannot be understood: {error}") from error
+        raise LogError(f"{log.label}: its scenario cannot be understood: {error}") from error
 
 
-def recorded_stop(log: Log) -> float:
+def recorded_stop(log: CompleteRecording) -> float:
     """Return where the scenario of a log ends [s], which its run need not have reached.
 
     Raises
@@ -76,7 +76,7 @@ def recorded_stop(log: Log) -> float:
     return scenario.file.scenario.stop
 
 
-def replay_changes(source: Log, wanted: Mapping[str, Any]) -> dict[str, Any]:
+def replay_changes(source: CompleteRecording, wanted: Mapping[str, Any]) -> dict[str, Any]:
     """Return the changes of a replay: those that are wanted, and the end of the recording.
 
     Raises
@@ -110,7 +110,7 @@ def replay_changes(source: Log, wanted: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def rebuilt(
-    source: Log,
+    source: CompleteRecording,
     resources: ExitStack,
     wanted: Mapping[str, Any] = NO_CHANGES,
     block: int | None = None,
@@ -119,7 +119,7 @@ def rebuilt(
 
     Parameters
     ----------
-    source : Log
+    source : CompleteRecording
     resources : ExitStack
         Closes what was opened.
     wanted : mapping of dotted key to value, optional
@@ -155,7 +155,7 @@ def rebuilt(
     return experiment
 
 
-def check_clock(clock: Clock, source: Log) -> None:
+def check_clock(clock: Clock, source: CompleteRecording) -> None:
     """Check that a scenario has the communication points of the rows in its log.
 
     Raises
@@ -166,12 +166,12 @@ def check_clock(clock: Clock, source: Log) -> None:
     first_ns = source.end_ns - source.steps * source.step_ns
     if (clock.start_ns, clock.step_ns) != (first_ns, source.step_ns):
         raise LogError(
-            f"{source.path}: its scenario has steps of {clock.step_ns} ns from {clock.start_ns} ns "
-            f"on, its rows of {source.step_ns} ns from {first_ns} ns on"
+            f"{source.label}: its scenario has steps of {clock.step_ns} ns from {clock.start_ns} "
+            f"ns on, its rows of {source.step_ns} ns from {first_ns} ns on"
         )
 
 
-def _check_end(source: Log) -> None:
+def _check_end(source: CompleteRecording) -> None:
     """Check that the recorded end is that of the rows: a replay would go on to it.
 
     Raises
@@ -189,8 +189,8 @@ def _check_end(source: Log) -> None:
     is_last = 0 <= end_ns - last_ns < channel.period * source.step_ns
     if end_ns != first_ns + source.steps * source.step_ns or not is_last:
         raise LogError(
-            f"{source.path}: it is said to end at {end_ns / 1e9} s after {source.steps} steps, but "
-            f"the rows of {channel.name!r} end at {last_ns / 1e9} s"
+            f"{source.label}: it is said to end at {end_ns / 1e9} s after {source.steps} steps, "
+            f"but the rows of {channel.name!r} end at {last_ns / 1e9} s"
         )
 
 
@@ -303,7 +303,7 @@ def _drivers(scenario: Scenario) -> dict[str, set[str]]:
     return drivers
 
 
-def recorded_in(source: Log, scenario: Scenario) -> list[str]:
+def recorded_in(source: CompleteRecording, scenario: Scenario) -> list[str]:
     """Return the components of a scenario that are taken from a log, as far as it has them."""
     return [name for name in recorded_components(scenario) if name in source.channels]
 

@@ -115,3 +115,15 @@ def test_an_identifier_is_chosen_by_its_name(logs):
     assert identifier_record(logs[0], "identifier").identifier == "identifier"
     with pytest.raises(UsageError, match="no identifier 'identifer' with a model of y; did you"):
         identifier_record(logs[0], "identifer")
+
+
+def test_a_run_in_memory_is_identified_like_its_log(tmp_path):
+    """The same numbers, to the last bit; and its samples do not count twice either."""
+    settings = {"scenario.step": 0.02, "observer.filter_rate": 50.0, "scenario.stop": 20.0}
+    memory = identifier_record(cosim.run("academic-noisy", set=settings))
+    path = tmp_path / "log.mcap"
+    log = identifier_record(cosim.run("academic-noisy", set=settings, out=path))
+    assert identify([memory]).assessment.to_dict() == identify([log]).assessment.to_dict()
+    for other in (memory, log):
+        with pytest.raises(UsageError, match="has the rows of the run"):
+            identify([memory, other])
